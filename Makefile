@@ -29,7 +29,7 @@ test: $(VENV)/.dev lint
 campaigns: $(VENV)/.dev fuzz
 	FAILSTOP_CAMPAIGN=long $(BIN)/pytest --numprocesses 0 tests/shm/test_torn.py tests/shm/test_spoiled.py \
 	  tests/shm/test_ring_model.py tests/test_burst.py tests/boards \
-	  tests/procs/test_gate_core.py tests/procs/test_gate_arm_pose.py tests/procs/test_gate_arm_due.py \
+	  tests/procs/test_gate_core.py tests/procs/test_gate_arm_pose.py \
 	  tests/faults/test_table.py tests/faults/test_arm_rows.py tests/faults/test_chaos.py \
 	  tests/e2e/test_hostile_clients.py tests/e2e/test_stop_command_on_ptys.py tests/machine/test_both_worlds.py \
 	  tests/e2e/test_made_while_it_starts_live.py tests/e2e/test_driver_death.py \

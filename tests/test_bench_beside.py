@@ -25,18 +25,15 @@ def rounds(factor: float, count: int = 10, each: int = 30, drift: float = 0.0) -
 
 
 @pytest.mark.parametrize(
-    ("interval", "said"),
+    ("intervals", "said"),
     [
-        ((1.11, 1.30), ratio.SLOWER),
-        ((1.10, 1.30), ratio.NOT_KNOWN),
-        ((0.50, 1.11), ratio.NOT_KNOWN),
-        ((0.50, 1.10), ratio.NO_SLOWER),
-        ((0.50, 0.60), ratio.NO_SLOWER),
-        (None, ratio.NOT_KNOWN),
+        ([(1.11, 1.30)], ratio.SLOWER),
+        ([(1.10, 1.30), (0.50, 1.11), None], ratio.NOT_KNOWN),
+        ([(0.50, 1.10), (0.50, 0.60)], ratio.NO_SLOWER),
     ],
 )
-def test_the_interval_is_the_verdict(interval: tuple[float, float] | None, said: str) -> None:
-    assert ratio.verdict(interval, MARGIN) == said
+def test_the_interval_is_the_verdict(intervals: list[tuple[float, float] | None], said: str) -> None:
+    assert {ratio.verdict(interval, MARGIN) for interval in intervals} == {said}
 
 
 @pytest.mark.parametrize("percentile", [50, 99])
@@ -50,19 +47,14 @@ def test_what_takes_longer_is_slower(percentile: int, factor: float, said: str) 
 
 
 def test_a_machine_that_gets_slower_makes_no_commit_slower() -> None:
-    """Ten times, while both sides run: the rounds are drawn with both of their sides."""
     assert ratio.compare(rounds(1.0, drift=1.0), 50, MARGIN).verdict == ratio.NO_SLOWER
 
 
 @pytest.mark.parametrize(
     ("count", "each", "percentile", "known"),
     [
-        (10, 10, 99, True),
-        (10, 9, 99, False),
-        (8, 1, 50, True),
-        (7, 1, 50, False),
-        (5, 100, 50, False),
-        (0, 0, 50, False),
+        *((10, 10, 99, True), (10, 9, 99, False), (8, 1, 50, True)),
+        *((7, 1, 50, False), (5, 100, 50, False), (0, 0, 50, False)),
     ],
 )
 def test_too_little_is_not_known(count: int, each: int, percentile: int, known: bool) -> None:
@@ -75,31 +67,18 @@ def test_rounds_that_lack_a_sample_are_drawn_too() -> None:
     assert found.verdict == ratio.SLOWER
 
 
-@pytest.mark.parametrize(
-    ("parts", "whole"),
-    [
-        ([ratio.NO_SLOWER, ratio.NOT_KNOWN, ratio.SLOWER], ratio.SLOWER),
-        ([ratio.NO_SLOWER, ratio.NOT_KNOWN], ratio.NOT_KNOWN),
-        ([ratio.NO_SLOWER, ratio.NO_SLOWER], ratio.NO_SLOWER),
-        ([], ratio.NOT_KNOWN),
-    ],
-)
-def test_a_row_is_as_its_worst_part(parts: list[str], whole: str) -> None:
-    assert ratio.worst(parts) == whole
+def test_a_row_is_as_its_worst_part() -> None:
+    parts = [ratio.NO_SLOWER, ratio.NO_SLOWER, ratio.NOT_KNOWN, ratio.SLOWER]
+    assert [ratio.worst(parts[:size]) for size in range(5)] == [ratio.NOT_KNOWN, *parts]
 
 
-@pytest.mark.parametrize(
-    ("there", "here", "said"),
-    [
-        ((0, 9), (0, 9), ratio.NO_SLOWER),
-        ((0, 9), (1, 9), ratio.SLOWER),
-        ((2, 9), (1, 9), ratio.NO_SLOWER),
-        ((1, 20), (1, 10), ratio.SLOWER),
-        ((0, 0), (0, 0), ratio.NO_SLOWER),
-    ],
-)
-def test_a_stop_that_does_not_come_is_slower(there: tuple[int, int], here: tuple[int, int], said: str) -> None:
-    assert beside.Counted("stops missed", there, here).verdict == said
+def test_a_stop_that_does_not_come_is_slower() -> None:
+    for slower, there, here in (
+        *((False, (0, 9), (0, 9)), (True, (0, 9), (1, 9)), (False, (2, 9), (1, 9))),
+        *((True, (1, 20), (1, 10)), (False, (0, 0), (0, 0))),
+    ):
+        said = ratio.SLOWER if slower else ratio.NO_SLOWER
+        assert beside.Counted("stops missed", there, here).verdict == said
 
 
 def test_the_rounds_share_the_whole() -> None:
@@ -133,7 +112,6 @@ def test_nothing_measured_is_no_row() -> None:
 
 
 def test_a_visit_tells_the_samples_of_every_row() -> None:
-    """Of those too that are made of another's, and of both halves of a row that is made twice."""
     made = stats.timing
     with visit.samples() as times:
         rows = [
@@ -165,11 +143,7 @@ def test_a_commit_that_is_none_is_said(capsys: pytest.CaptureFixture[str]) -> No
     ],
 )
 def test_what_is_slower_is_the_exit_code(
-    visits: list[beside.Said],
-    code: int,
-    said: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    visits: list[beside.Said], code: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     there, here = (beside.Side(name, tmp_path, sys.executable) for name in ("there", "here"))
     order = []

@@ -1,17 +1,24 @@
 """The bench's judges: each bar is missed by what misses it, and by nothing at all having been measured."""
 
+from __future__ import annotations
+
 import dataclasses
 import json
 import os
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from bench import __main__ as bench_main
-from bench import hangs, kills, latency, report, soak, stalls, stats
+from bench import arm_kills, hangs, kills, latency, pages, report, soak, stalls, stats
+from bench.arm_stream import PERIOD_NS, Hops
 from bench.stalls import Control, Stall
+from failstop.board.servos import bus_servo_move
+from failstop.lab.faults.arm import Rested
+from failstop.lab.faults.arm_table import ROWS
 from failstop.lab.trial import Stopped, wait_for
 from failstop.policy import causes
 from failstop.shm.heartbeat import MEMORY_LOCKED
@@ -20,20 +27,22 @@ Capture = pytest.CaptureFixture[str]
 HANGS = causes.HANGS("gate", 70)
 MS = 1_000_000
 GOOD = Stopped(0, MS, MS, MS, 0, True)
+AFTER_IT = "motion frames after it, the hung process continued"
+
+
+def missed(rows: list[stats.Row]) -> list[str]:
+    return [row.measure for row in rows if row.met is False]
 
 
 @pytest.mark.parametrize(
-    ("samples_ms", "bars", "met"),
+    ("samples_ms", "p50_ms", "p99_ms", "met"),
     [
-        ([1, 1], {"p50_ms": 2.0, "p99_ms": None}, True),
-        ([3, 3], {"p50_ms": 2.0, "p99_ms": None}, False),
-        ([1, 9], {"p50_ms": None, "p99_ms": 5.0}, False),
-        ([], {"p50_ms": 2.0, "p99_ms": 5.0}, False),
-        ([9], {"p50_ms": None, "p99_ms": None}, None),
+        *(([1, 1], 2.0, None, True), ([3, 3], 2.0, None, False), ([1, 9], None, 5.0, False)),
+        *(([], 2.0, 5.0, False), ([9], None, None, None)),
     ],
 )
-def test_times(samples_ms: list[int], bars: dict[str, float | None], met: bool | None) -> None:
-    assert stats.timing("x", [ms * MS for ms in samples_ms], **bars).met is met
+def test_times(samples_ms: list[int], p50_ms: float | None, p99_ms: float | None, met: bool | None) -> None:
+    assert stats.timing("x", [ms * MS for ms in samples_ms], p50_ms=p50_ms, p99_ms=p99_ms).met is met
 
 
 @pytest.mark.parametrize(
@@ -51,17 +60,17 @@ def test_counts_and_limits() -> None:
 
 
 @pytest.mark.parametrize(
-    ("bad", "missed"),
+    ("bad", "of_a_kill", "of_a_hang"),
     [
-        (Stopped(0, None, None, None, 0, True), "stops missed"),
-        (Stopped(0, MS, MS, MS, 1, True), "motion frames after the stop"),
-        (Stopped(0, MS, MS, MS, 0, False), "kills that found the wheels at rest"),
+        (Stopped(0, None, None, None, 0, True), "stops missed", "stops missed after a hang"),
+        (Stopped(0, MS, MS, MS, 1, True), "motion frames after the stop", AFTER_IT),
+        (Stopped(0, MS, MS, MS, 0, False), "kills that found the wheels at rest", "stops missed after a hang"),
     ],
 )
-def test_a_bad_kill_misses_its_row(bad: Stopped, missed: str) -> None:
-    rows = kills.rows_of([MS], [MS], {"gate": [GOOD, bad]}, "")
-    assert [row.measure for row in rows if row.met is False] == [missed]
-    assert not [row for row in kills.rows_of([MS], [MS], {"gate": [GOOD]}, "") if row.met is False]
+def test_a_bad_kill_or_hang_misses_its_row(bad: Stopped, of_a_kill: str, of_a_hang: str) -> None:
+    for stops, kill, hang in (([GOOD], [], []), ([GOOD, bad], [of_a_kill], [of_a_hang])):
+        assert missed(kills.rows_of([MS], [MS], {"gate": stops}, "")) == kill
+        assert missed(hangs.rows_of({"gate": stops})) == hang
 
 
 def test_a_hang_that_is_noticed_late_misses_its_row() -> None:
@@ -72,29 +81,12 @@ def test_a_hang_that_is_noticed_late_misses_its_row() -> None:
 
 def test_the_soak_s_bars() -> None:
     assert soak.tick_row(soak.Soak(), judged=True).met is False, "no ticks are not good ticks"
-    false = soak.Soak(seconds=60.0, stops=[(1.0, HANGS)])
-    assert (soak.stop_row(false, realtime=True).met, soak.stop_row(soak.Soak(seconds=1.0), realtime=True).met) == (
-        False,
-        True,
-    )
+    for stops, seconds, met in (([(1.0, HANGS)], 60.0, False), ([], 1.0, True)):
+        assert soak.stop_row(soak.Soak(seconds=seconds, stops=stops), realtime=True).met is met
     for growth_mb, met in ((0.0, True), (0.1, False)):
-        times_s = [60.0 + 20 * n for n in range(5)]
         memory = [{"gate": (9 + growth_mb * n, 5 + growth_mb * n)} for n in range(5)]
+        times_s = [60.0 + 20 * n for n in range(5)]
         assert soak.memory_rows(soak.Soak(memory=memory, sampled_s=times_s))[1].met is met
-
-
-@pytest.mark.parametrize(
-    ("bad", "missed"),
-    [
-        (Stopped(0, None, None, None, 0, True), "stops missed after a hang"),
-        (Stopped(0, MS, MS, MS, 1, True), "motion frames after it, the hung process continued"),
-        (Stopped(0, MS, MS, MS, 0, False), "stops missed after a hang"),
-    ],
-)
-def test_a_bad_hang_misses_its_row(bad: Stopped, missed: str) -> None:
-    rows = hangs.rows_of({"gate": [GOOD, bad]})
-    assert [row.measure for row in rows if row.met is False] == [missed]
-    assert not [row for row in hangs.rows_of({"gate": [GOOD]}) if row.met is False]
 
 
 @pytest.mark.parametrize(
@@ -131,7 +123,6 @@ def test_the_longest_stall_of_a_time(begin_ms: int, end_ms: int, longest_ms: flo
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="real-time scheduling is root's")
 def test_a_control_that_is_held_up_says_so() -> None:
-    """By what no process can resist: SIGSTOP. A core that nobody withholds has no stall of that length."""
     with stalls.control() as control:
         loops = control.pids
         begin_ns = time.monotonic_ns()
@@ -145,7 +136,6 @@ def test_a_control_that_is_held_up_says_so() -> None:
 
 
 def test_a_control_without_real_time_priority_is_none() -> None:
-    """Memory that is locked does not put it above the service."""
     assert stalls.loop(0, MEMORY_LOCKED) == 1
 
 
@@ -163,3 +153,104 @@ def test_a_missed_bar_is_the_exit_code(met: bool | None, code: int, tmp_path: Pa
 
 def test_the_bench_is_there_without_its_peers() -> None:
     assert bench_main.main
+
+
+RUN: list[dict[str, Any]] = [
+    {"measure": "kill gate -> stop frame", "result": "p50 0.40 ms", "bar": "p99 < 2 ms", "met": True},
+    {"measure": "one way", "result": "20 us (2 x floor)", "bar": "10 us", "met": False},
+    {"measure": "floor", "result": "0.9 ms", "bar": "-", "met": None},
+]
+PAGE = "before\n\n| measure | measured | bar | |\n|---|---|---|---|\n| one way | old | old | met |\n\nafter | that\n"
+SHOWN = PAGE.replace("| bar |", "| promised |")
+"""For users, of whom nobody knows what the floor is."""
+
+
+def test_the_readme_keeps_its_choice_of_rows() -> None:
+    page = pages.renewed(SHOWN, RUN, every=False)
+    assert page == SHOWN.replace("| old | old | met |", "| 20 us (2 x C) | 10 us | **missed** |")
+
+
+def test_the_other_page_has_every_row_in_the_run_s_order() -> None:
+    page = pages.renewed(PAGE, RUN, every=True)
+    assert [line.split(" | ")[0] for line in page.splitlines()[4:7]] == [f"| {row['measure']}" for row in RUN]
+    assert page.endswith("| floor | 0.9 ms | - |  |\n\nafter | that\n")
+
+
+def test_a_row_that_was_not_measured_is_an_error() -> None:
+    with pytest.raises(KeyError, match="one way"):
+        pages.renewed(SHOWN, RUN[:1], every=False)
+
+
+@pytest.mark.parametrize(("page", "every"), [("README.md", False), ("docs/dev/measured.md", True)])
+def test_the_pages_have_such_a_table(page: str, every: bool) -> None:
+    text = (pages.ROOT / page).read_text()
+    named = [row for row in text.splitlines() if row.startswith("| ")]
+    rows = [
+        {"measure": row.split(" | ")[0].removeprefix("| "), "result": "0.40 ms", "bar": "", "met": None}
+        for row in named
+    ]
+    assert pages.renewed(text, rows, every=every).count("0.40 ms") >= 1
+
+
+COUNT = 200
+Timed = tuple[int, bytes]
+
+
+def moves(*servos: int) -> list[Timed]:
+    """A stream of this many periods, each servo in a frame of its own."""
+    return [
+        (turn * PERIOD_NS + place * 10 * MS, bus_servo_move([(servo, turn)], 40)[4:-1])
+        for turn in range(COUNT)
+        for place, servo in enumerate(servos)
+    ]
+
+
+def later(found: list[Timed], by_ns: int) -> list[Timed]:
+    return [(t_ns + by_ns, data) for t_ns, data in found]
+
+
+def even() -> Hops:
+    made = moves(1, 3)
+    return Hops(made, later(made, MS), later(made, 2 * MS))
+
+
+def test_an_even_stream_has_no_jitter_however_long_its_hops_take() -> None:
+    jitter, gate, written, arrived, lost = even().rows()
+    assert (jitter.numbers["max_ms"], jitter.met) == (0.0, True)
+    assert (gate.numbers["max_ms"], written.numbers["p50_ms"], arrived.numbers["p50_ms"]) == (0.0, 1.0, 1.0)
+    assert lost.met
+
+
+@pytest.mark.parametrize(("hop", "of_it_ms"), [(0, (6.0, 1.0, 1.0)), (1, (0.0, 7.0, 1.0)), (2, (0.0, 1.0, 7.0))])
+def test_what_is_late_is_seen_at_its_hop(hop: int, of_it_ms: tuple[float, ...]) -> None:
+    hops = even()
+    for found in (hops.made, hops.written, hops.arrived)[hop:]:
+        found[50::20] = later(found[50::20], 6 * MS)
+    jitter, *of_it, lost = hops.rows()
+    assert (jitter.met, jitter.numbers["max_ms"], lost.met) == (False, 6.0, True)
+    assert tuple(row.numbers["max_ms"] for row in of_it) == of_it_ms
+
+
+def test_a_move_that_is_lost_is_counted_and_a_gap_and_not_what_nobody_saw() -> None:
+    hops = even()
+    hops.written, hops.arrived = hops.written[5:-5], hops.arrived[8:-8]
+    assert hops.rows()[-1].met, "before and after the others"
+    del hops.arrived[40]
+    *_, lost = rows = hops.rows()
+    assert (lost.numbers["found"], lost.met, rows[0].numbers["max_ms"]) == (1, False, 40.0)
+
+
+DRIVING = Stopped(0, MS, 2 * MS, 2 * MS, 0, True)
+MOVING = Rested(ROWS[0], 8.0, 1.5, 3.9, 0, None, ())
+
+
+def test_the_bar_of_a_stop_behind_the_arm_is_that_of_the_run_s_own_kills() -> None:
+    silent = dataclasses.replace(MOVING, wheels_ms=None, wrong=("the arm was not stopped",))
+    for stop, behind_met, wrong_met in (
+        (dataclasses.replace(MOVING, wheels_ms=3.9), True, True),
+        (dataclasses.replace(MOVING, wheels_ms=4.1), False, True),
+        (silent, False, False),
+    ):
+        least, behind, rest, wrong = arm_kills.rows_of("gate", [DRIVING] * 5, [stop] * 5)
+        assert (least.met, behind.met, rest.met, wrong.met) == (None, behind_met, True, wrong_met)
+    assert not arm_kills.rows_of("gate", [], [MOVING])[1].met

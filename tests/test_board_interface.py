@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from failstop.api.snapshot import Device
-from failstop.board import decoder
 from failstop.board.framing import FrameError
 from failstop.board.interface import Board
 from failstop.board.kinds import KINDS, board_of
@@ -20,7 +19,6 @@ from failstop.board.rrc.board import BOARD
 from failstop.board.tap import Tap
 from failstop.doctor import stop_path
 from failstop.doctor.look import OK
-from failstop.lab.sim.receiver import Receiver
 from failstop.messages import layout
 from failstop.messages.box import MOST_SPEEDS
 from failstop.policy.layouts import BOARDS
@@ -44,56 +42,6 @@ KNOWN = {
 }
 
 
-def test_the_stop_is_a_motion_frame_of_zeros() -> None:
-    assert BOARD.motor_speeds((0.0, -0.0, 0.0, 0.0), 1.0) == BOARD.stop
-    assert BOARD.check_motion(BOARD.stop, 0.0) == ""
-
-
-@pytest.mark.parametrize("speed", [nan, inf, -inf, 1.001])
-@pytest.mark.parametrize("wheel", range(4))
-def test_no_frame_for_a_speed_that_must_not_be(wheel: int, speed: float) -> None:
-    speeds = [0.5] * 4
-    speeds[wheel] = speed
-    with pytest.raises(FrameError):
-        BOARD.motor_speeds(speeds, 1.0)
-
-
-def test_the_check_reads_the_bytes_and_not_the_encoder() -> None:
-    frame = BOARD.motor_speeds((0.5, -0.5, 1.0, 0.0), 1.0)
-    assert BOARD.check_motion(frame, 1.0) == ""
-    assert BOARD.check_motion(frame, 0.9) != ""
-    assert all(BOARD.check_motion(frame[:end], 1.0) for end in range(len(frame)))
-    for at in range(len(frame)):
-        assert BOARD.check_motion(frame[:at] + bytes((frame[at] ^ 1,)) + frame[at + 1 :], 1.0)
-
-
-def test_no_motion_passes_as_another_frame() -> None:
-    assert BOARD.check_aux(BOARD.motor_speeds((0.5, 0.5, 0.5, 0.5), 1.0))
-    assert BOARD.check_aux(BOARD.stop)
-    assert BOARD.check_aux(BOARD.burst)
-
-
-def test_the_burst_ends_between_frames_with_a_stop() -> None:
-    assert BOARD.burst.endswith(BOARD.stop)
-    receiver = Receiver()
-    assert receiver.feed(BOARD.burst)[-1][0] == len(BOARD.burst) - 1
-
-
-def test_the_pings_move_nothing_and_are_different_frames() -> None:
-    assert len(set(BOARD.pings)) == len(BOARD.pings)
-    assert len(BOARD.pings) == layout.PINGS, "a word in shared memory for each"
-    for ping in BOARD.pings:
-        assert BOARD.check_motion(ping, 1000.0) != ""
-        assert len(decoder.Decoder().feed(ping)) == 1
-
-
-def test_the_first_stop_begins_the_burst_and_the_burst_with_no_servos_is_the_burst() -> None:
-    assert BOARD.burst.startswith(BOARD.first_stop)
-    assert BOARD.first_stop.endswith(BOARD.stop)
-    assert BOARD.burst_with(()) == BOARD.burst
-    assert BOARD.burst_with((1, 2)).startswith(BOARD.burst)
-
-
 def board_modules(folder: str) -> set[str]:
     """Modules of the board that a room's files import."""
     found: set[str] = set()
@@ -114,13 +62,9 @@ def test_who_knows_what_of_the_board(folder: str) -> None:
 
 USERS = {
     "stop port": "failstop/board/stop_port.py",
-    "gate": "procs/gate",
-    "port owner": "procs/port_owner",
+    **{user: f"procs/{user.replace(' ', '_')}" for user in ("gate", "port owner", "stopper", "telemetry")},
     "supervisor": "supervisor",
-    "stopper": "procs/stopper",
-    "telemetry": "procs/telemetry",
-    "doctor": "failstop/doctor",
-    "incidents": "failstop/incidents",
+    **{user: f"failstop/{user}" for user in ("doctor", "incidents")},
     "stop tool": "failstop/stopping.py",
     "command line": "failstop/cli",
     "API": "failstop/api",

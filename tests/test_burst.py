@@ -35,7 +35,6 @@ OWN_FRAMES = {
     "one": encoders.motor_one(3, 1.25, MAX_RPS),
     "stop one": encoders.motor_stop_one(2),
     "stop mask": encoders.motor_stop_mask(0x0F),
-    "type": encoders.motor_type(3),
     "stop": STOP,
     "pwm move": encoders.pwm_servo_move([(1, 500), (2, 1500), (3, 2500), (4, 1000)], 1000),
     "pwm move one": encoders.pwm_servo_move_one(1, 1000, 1000),
@@ -49,6 +48,7 @@ OWN_FRAMES = {
     "buzzer": codec.buzzer(1400, 100, 100, 5),
     "led": encoders.led(1, 500, 300, 10),
     "oled": encoders.oled(1, "x" * 23),
+    "type": encoders.motor_type(3),
     "rgb": encoders.rgb([(0, 255, 1, 2), (1, 3, 4, 5)]),
     "alarm": encoders.battery_alarm(6800),
 }
@@ -70,12 +70,8 @@ def stop_ends(commands: list[tuple[int, bytes, tuple[float, ...]]]) -> list[int]
 
 
 def states_without_data(version: int) -> Iterator[Receiver]:
-    yield make(START1, version=version)
-    yield make(START2, version=version)
-    yield make(FUNC, version=version)
-    for func in range(version):
-        yield make(LEN, func, version=version)
-        yield make(CRC, func, version=version)
+    yield from (make(state, version=version) for state in (START1, START2, FUNC))
+    yield from (make(state, func, version=version) for func in range(version) for state in (LEN, CRC))
 
 
 def assert_stopped(receiver: Receiver, first_end: int | None) -> None:
@@ -97,13 +93,9 @@ def test_the_bytes_are_those_documented() -> None:
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_stops_at_byte_59_outside_data(version: int) -> None:
+def test_stops_in_every_state_with_every_remainder_of_every_function(version: int) -> None:
     for receiver in states_without_data(version):
         assert_stopped(receiver, None)
-
-
-@pytest.mark.parametrize("version", VERSIONS)
-def test_stops_with_every_remainder_of_every_function(version: int) -> None:
     for func in range(version):
         for remaining in range(1, 256):
             receiver = make(DATA, func, remaining, version=version)
@@ -221,28 +213,17 @@ def _moves(frame: bytes, end: int) -> bool:
     return any(struct.unpack("<BfBfBfBf", filled)[1::2])
 
 
-def test_after_any_cut_of_the_burst_itself() -> None:
-    for part in cuts(BURST):
+def test_a_burst_after_any_cut_of_one_or_with_a_byte_garbled_or_lost_still_stops() -> None:
+    streams = [part + BURST for part in cuts(BURST)]
+    flips = [*(1 << n for n in range(8)), 255]
+    for at, byte in enumerate(BURST):
+        garbled = [b"", *(bytes((byte ^ flip,)) for flip in flips), b"\xaa", b"\x55", b"\xff"]
+        streams += [BURST[:at] + one + BURST[at + 1 :] for one in garbled]
+    for number, stream in enumerate(streams):
         receiver, motors = Receiver(), Motors(SPINNING)
-        receiver.feed(part)
-        commands = execute(receiver, motors, BURST)
-        assert stop_ends(commands)[0] == FIRST_STOP_END
-        assert motors.stopped
-        assert not motors.wild
-
-
-def test_one_byte_of_the_burst_garbled_or_lost_still_stops() -> None:
-    for at in range(len(BURST)):
-        damaged = [BURST[:at] + BURST[at + 1 :]]
-        damaged += [
-            BURST[:at] + bytes((BURST[at] ^ flip,)) + BURST[at + 1 :] for flip in (*(1 << n for n in range(8)), 255)
-        ]
-        damaged += [BURST[:at] + bytes((value,)) + BURST[at + 1 :] for value in (0xAA, 0x55, 0xFF)]
-        for stream in damaged:
-            receiver, motors = Receiver(), Motors(SPINNING)
-            assert stop_ends(execute(receiver, motors, stream))
-            assert motors.stopped
-            assert not motors.wild
+        ends = stop_ends(execute(receiver, motors, stream))
+        assert number >= len(BURST) or number + FIRST_STOP_END in ends
+        assert (bool(ends), motors.stopped, motors.wild) == (True, True, [])
 
 
 def unstopped(stream: bytes) -> list[Receiver]:
@@ -250,14 +231,10 @@ def unstopped(stream: bytes) -> list[Receiver]:
     return [state for state in states if not stop_ends(execute(state.copy(), Motors(SPINNING), stream))]
 
 
-def test_control_two_bare_stops_leave_states_unstopped() -> None:
-    left = unstopped(STOP + STOP)
-    assert {state.state for state in left} == {LEN, DATA}
-    assert not unstopped(BURST)
-
-
-def test_control_without_its_long_filler_the_burst_leaves_states_unstopped() -> None:
+def test_control_two_bare_stops_or_no_long_filler_leave_states_unstopped() -> None:
+    assert {state.state for state in unstopped(STOP + STOP)} == {LEN, DATA}
     assert unstopped(bytes(32) + STOP * 4)
+    assert not unstopped(BURST)
 
 
 def made(zeros: int = 32, first: int = 1, filler: int = 257, last: int = 3) -> tuple[bytes, bytes, bytes]:
@@ -302,21 +279,16 @@ def test_each_part_of_the_burst_is_needed(part: str, least: int) -> None:
 
 
 def test_control_stop_frames_as_filler_can_write_to_a_wheel_that_is_none() -> None:
-    wild: list[tuple[bytes, int]] = []
+    wild: list[int] = []
     for hundredth in range(1, 141):
-        frame = codec.motor_speeds((hundredth / 100,) * 4, MAX_RPS)
-        for part in cuts(frame):
-            receiver, motors = Receiver(), Motors()
-            receiver.feed(part)
-            execute(receiver, motors, STOP * 11)
-            wild += [(part, wheel) for wheel, _ in motors.wild]
-    assert wild
-    for part, wheel in wild:
-        assert wheel >= framing.WHEELS
-        receiver, motors = Receiver(), Motors()
-        receiver.feed(part)
-        execute(receiver, motors, BURST)
-        assert not motors.wild
+        for part in cuts(codec.motor_speeds((hundredth / 100,) * 4, MAX_RPS)):
+            for stream in (STOP * 11, BURST):
+                receiver, motors = Receiver(), Motors()
+                receiver.feed(part)
+                execute(receiver, motors, stream)
+                wild += [wheel for wheel, _ in motors.wild]
+                assert stream != BURST or not motors.wild
+    assert min(wild) >= framing.WHEELS
 
 
 def stops_needed(receiver: Receiver) -> int:

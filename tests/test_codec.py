@@ -1,4 +1,5 @@
-"""Frames to the board: every encoder against the published bytes, and what must never be made or written."""
+"""Frames to the board: every encoder against the published bytes, what must never be made or written, and the
+two checks before the wire."""
 
 from __future__ import annotations
 
@@ -17,17 +18,17 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from failstop.board import codec, framing, servos
+from failstop.board.burst import BURST
 from failstop.board.codec import STOP, check_aux, check_motion
-from failstop.board.framing import MOTOR, FrameError
+from failstop.board.framing import MOTOR, FrameError, seal
 from failstop.lab import encoders
 from failstop.lab.encoders import PING
 from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import Receiver
 
+ROOT = Path(__file__).parent.parent
 VECTORS = json.loads(Path(__file__).with_name("vectors.json").read_text())
 DOWN = {name: bytes.fromhex(text) for name, text in VECTORS["down"].items()}
-ROOT = Path(__file__).parent.parent
-
 ENCODED: dict[str, Callable[[], bytes]] = {
     "stop": lambda: codec.motor_speeds((0.0, 0.0, 0.0, 0.0), 1.0),
     "motor wire id 1 at -1.0 rps": lambda: encoders.motor_one(1, -1.0, 1.0),
@@ -75,30 +76,7 @@ BAD: list[tuple[Callable[..., bytes], tuple[Any, ...], str]] = [
     *[(codec.motor_speeds, (bad, 1.0), "rps") for bad in ((), (0.0,) * 3, (0.0,) * 5, None, 1.0)],
     *[(codec.motor_speeds, (("0", 0.0, 0.0, 0.0), 1.0), "speed of wheel 0") for _ in (0,)],
     *[(codec.motor_speeds, ((0.0,) * 4, bad), "max_rps") for bad in (NAN, INF, -1.0, 1000.5, True, None, "1")],
-    *[(encoders.motor_one, (bad, 0.1, 1.0), "wheel id") for bad in (-1, 4, 208, True, 1.0, None, "1")],
-    *[(encoders.motor_one, (1, bad, 1.0), "speed of wheel 1") for bad in (NAN, INF, -INF, 1.5, -1.5, BIG, False, None)],
-    *[(encoders.motor_one, (1, 0.1, bad), "max_rps") for bad in (NAN, INF, -0.5, BIG, False)],
-    *[(encoders.motor_some, (bad, 1.0), "pairs") for bad in ([], [(0, 0.1)] * 5, None)],
-    *[(encoders.motor_some, ([bad], 1.0), "pair") for bad in ((0,), (0, 0.1, 0.2), 0, "01")],
-    *[(encoders.motor_some, ([(0, 0.1), (bad, 0.1)], 1.0), "wheel id") for bad in (0, -1, 4, 7, True)],
-    *[(encoders.motor_some, ([(0, 0.1), (3, bad)], 1.0), "speed of wheel 3") for bad in (NAN, INF, -1.5, True)],
-    *[(encoders.motor_some, ([(0, 0.1)], bad), "max_rps") for bad in (NAN, INF, -1.0)],
-    *[(encoders.motor_stop_one, (bad,), "wheel id") for bad in (-1, 4, True, 1.0)],
-    *[(encoders.motor_stop_mask, (bad,), "mask") for bad in (0, 16, -1, True, 5.0)],
-    *[(encoders.motor_type, (bad,), "motor type") for bad in (-1, 4, True, None)],
-    *[(encoders.pwm_servo_move, (bad, 1000), "moves") for bad in ([], [(1, 1500)] * 5, None)],
-    *[(encoders.pwm_servo_move, ([(bad, 1500)], 1000), "servo id") for bad in (0, 5, -1, True, 1.0)],
-    *[(encoders.pwm_servo_move, ([(1, bad)], 1000), "pulse_us") for bad in (0, 499, 2501, 65_536, True, NAN, INF)],
-    *[(encoders.pwm_servo_move, ([(1, 1500)], bad), "duration_ms") for bad in (-1, 30_001, 1.0, True, NAN, INF)],
-    (encoders.pwm_servo_move, ([(1, 1500), (1, 1600)], 1000), "servo id 1"),
-    (encoders.pwm_servo_move, ([(1, 1500, 2)], 1000), "move"),
-    *[(encoders.pwm_servo_move_one, (bad, 1500, 1000), "servo id") for bad in (0, 5, True)],
-    *[(encoders.pwm_servo_move_one, (1, bad, 1000), "pulse_us") for bad in (499, 2501, NAN, True)],
-    *[(encoders.pwm_servo_move_one, (1, 1500, bad), "duration_ms") for bad in (-1, 30_001, NAN, True)],
     *[(codec.pwm_servo_read, (bad,), "servo id") for bad in (0, 5, True)],
-    *[(encoders.pwm_servo_deviation, (bad, 0), "servo id") for bad in (0, 5, True)],
-    *[(encoders.pwm_servo_deviation, (1, bad), "deviation_us") for bad in (-101, 101, NAN, True)],
-    *[(encoders.pwm_servo_read_deviation, (bad,), "servo id") for bad in (0, 5, True)],
     *[(servos.bus_servo_move, (bad, 40), "moves") for bad in ([], [(1, 500), (2, 500), (3, 500)], None)],
     *[(servos.bus_servo_move, ([(bad, 500)], 40), "servo id") for bad in (0, 254, 255, -1, True, NAN)],
     *[(servos.bus_servo_move, ([(1, bad)], 40), "position") for bad in (-1, 1001, True, NAN, INF)],
@@ -115,24 +93,8 @@ BAD: list[tuple[Callable[..., bytes], tuple[Any, ...], str]] = [
     *[(codec.buzzer, (1000, bad, 100, 1), "on_ms") for bad in (0, 65_536, NAN, True)],
     *[(codec.buzzer, (1000, 100, bad, 1), "off_ms") for bad in (0, 65_536, NAN, True)],
     *[(codec.buzzer, (1000, 100, 100, bad), "repeat") for bad in (0, 65_536, INF, True)],
-    *[(encoders.led, (bad, 100, 100, 1), "led id") for bad in (0, 3, True)],
-    *[(encoders.led, (1, bad, 100, 1), "on_ms") for bad in (-1, 65_536, NAN, True)],
-    *[(encoders.led, (1, 100, bad, 1), "off_ms") for bad in (-1, 65_536, NAN, True)],
-    *[(encoders.led, (1, 100, 100, bad), "repeat") for bad in (-1, 65_536, NAN, True)],
-    *[(encoders.oled, (bad, "text"), "line") for bad in (0, 3, True)],
-    *[(encoders.oled, (1, bad), "text") for bad in ("x" * 24, "\n", "caf\xe9", b"text", None)],
-    *[(encoders.rgb, (bad,), "pixels") for bad in ([], [(0, 1, 1, 1)] * 3, None)],
-    *[(encoders.rgb, ([bad],), "pixel") for bad in ((0, 1, 2), (0, 1, 2, 3, 4), None)],
-    *[(encoders.rgb, ([(bad, 1, 1, 1)],), "pixel index") for bad in (-1, 2, True)],
-    *[(encoders.rgb, ([(0, bad, 1, 1)],), "red") for bad in (-1, 256, True, NAN)],
-    *[(encoders.rgb, ([(0, 1, bad, 1)],), "green") for bad in (-1, 256, True)],
-    *[(encoders.rgb, ([(0, 1, 1, bad)],), "blue") for bad in (-1, 256, True)],
-    (encoders.rgb, ([(0, 1, 1, 1), (0, 2, 2, 2)],), "pixel index 0"),
-    *[(encoders.battery_alarm, (bad,), "millivolts") for bad in (0, 999, 30_001, True, NAN)],
     *[(framing.frame, (bad, b""), "func") for bad in (MOTOR, -1, 12, True, 3.0)],
     *[(framing.frame, (framing.LED, bad), "data") for bad in (bytes(256), "text", [1, 2], 5)],
-    # A colour and a tone that spell the start of a motor frame.
-    (encoders.rgb, ([(0, 0xAA, 0x55, 0x03)],), "data"),
     (framing.frame, (framing.OLED, b"\x01\x1b" + STOP), "data"),
 ]
 
@@ -147,12 +109,7 @@ def test_frames_are_those_that_are_published_or_described() -> None:
     assert {name: ENCODED[name]().hex() for name in DOWN} == {name: frame.hex() for name, frame in DOWN.items()}
     expected = [(func, bytes.fromhex(data)) for _, func, data in DESCRIBED]
     assert [receive(frame) for frame, _, _ in DESCRIBED] == expected
-
-
-def test_stop_and_ping_are_the_published_ones() -> None:
-    assert DOWN["stop"] == STOP
-    assert DOWN["pwm servo 1 read position (the ping)"] == PING
-    assert len(STOP) == 27
+    assert (DOWN["stop"], DOWN["pwm servo 1 read position (the ping)"], len(STOP)) == (STOP, PING, 27)
 
 
 def test_crc_check_value_and_continuation() -> None:
@@ -185,15 +142,13 @@ def test_messages_give_value_and_range() -> None:
 def test_every_encoder_is_in_the_tables() -> None:
     made = {
         name
-        for module in (framing, codec, servos, encoders)
+        for module in (framing, codec, servos)
         for name, found in vars(module).items()
         if isfunction(found) and found.__module__ == module.__name__ and found.__annotations__["return"] == "bytes"
     }
     refused = {encoder.__name__ for encoder, _, _ in BAD}
     assert {name for name in made if not name.startswith("_")} - {"seal"} == refused
 
-
-# Motion.
 
 limits = st.floats(0.0, codec.RPS_CEILING)
 
@@ -247,31 +202,144 @@ def test_raw_frames_of_other_functions(func: int) -> None:
     assert receive(frame) == (func, data)
 
 
-HEAVY = (
-    "dataclasses",
-    "typing",
-    "enum",
-    "re",
-    "inspect",
-    "pathlib",
-    "logging",
-    "argparse",
-    "json",
-    "subprocess",
-    "collections",
-    "collections.abc",
-    "functools",
-    "contextlib",
-    "ctypes",
-    "numpy",
-)
+HEAVY = """dataclasses typing enum re inspect pathlib logging argparse json subprocess ctypes numpy serial pwd grp"""
+HEAVIER = "collections collections.abc functools contextlib"
+"""What the port alone may import."""
 
 
-@pytest.mark.parametrize("module", ["board.codec", "board.burst", "board.decoder", "lab.sim.motors"])
-def test_imports_nothing_heavy(module: str) -> None:
+@pytest.mark.parametrize("module", ["board.codec", "board.burst", "board.decoder", "board.port", "lab.sim.motors"])
+def test_a_module_of_the_stop_path_imports_nothing_heavy(module: str) -> None:
     # Without site, so that what the environment brings along is not counted.
     program = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import failstop.{module}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-S", "-c", program], capture_output=True, text=True, timeout=60, check=True)
     loaded = set(done.stdout.split())
     assert f"failstop.{module}" in loaded
-    assert not loaded.intersection(HEAVY)
+    assert not loaded.intersection(HEAVY.split())
+    assert module == "board.port" or not loaded.intersection(HEAVIER.split())
+
+
+REFUSE = {name: bytes.fromhex(text) for name, text in VECTORS["refuse"].items()}
+
+
+def wheels(*entries: tuple[int, float]) -> bytes:
+    return seal(MOTOR, bytes((1, len(entries))) + b"".join(pack("<Bf", *entry) for entry in entries))
+
+
+MOTION_REASONS = [
+    *(
+        (frame, "not a motor frame")
+        for frame in (
+            *(b"", bytes(27), STOP[:-1], STOP + b"\x00", BURST, STOP + STOP),
+            *(encoders.motor_one(0, 0.5, 1.0), encoders.motor_stop_one(0), encoders.motor_stop_mask(15)),
+            wheels((0, 0.0), (1, 0.0), (2, 0.0)),
+            seal(MOTOR, STOP[4:5] + b"\x05" + STOP[6:-1]),
+            seal(MOTOR, b"\x00" + STOP[5:-1]),
+            seal(framing.BUS_SERVO, STOP[4:-1]),
+        )
+    ),
+    (STOP[:-1] + b"\x08", "bad crc"),
+    *(
+        (wheels(*((wheel, 0.0) for wheel in ids)), f"wheel ids {' '.join(map(str, ids))}, must be 0 1 2 3")
+        for ids in ((0, 1, 2, 4), (1, 0, 2, 3), (0, 1, 1, 3))
+    ),
+    (codec.motor_speeds((0.0, 0.0, 9.9, 0.0), 10.0), "wheel 2 at 9.90 rps, limit 1.40"),
+    (codec.motor_speeds((-1.41, 0.0, 0.0, 0.0), 10.0), "wheel 0 at -1.41 rps, limit 1.40"),
+    *(
+        (wheels(*((at, bad if at == wheel else 0.0) for at in range(4))), f"wheel {wheel} at {bad} rps, limit 1.40")
+        for wheel, bad in ((1, NAN), (3, INF), (0, -INF))
+    ),
+]
+
+
+def test_motion_is_refused_with_its_reason() -> None:
+    said = [(frame, check_motion(frame, 1.4)) for frame, _ in MOTION_REASONS]
+    assert said == MOTION_REASONS
+
+
+def test_motion_is_refused_under_an_impossible_limit() -> None:
+    assert all(check_motion(STOP, limit).startswith("limit ") for limit in (NAN, INF, -1.0, 1000.5))
+
+
+def test_a_speed_over_the_limit_by_more_than_rounding_is_refused() -> None:
+    just_over = unpack("<f", pack("<I", unpack("<I", pack("<f", 1.4))[0] + 2))[0]
+    for wheel in range(4):
+        rps = [0.0] * 4
+        rps[wheel] = just_over
+        assert check_motion(codec.motor_speeds(rps, 2.0), 1.4) == f"wheel {wheel} at 1.40 rps, limit 1.40"
+
+
+def test_any_damage_of_up_to_one_byte_is_refused() -> None:
+    frame = codec.motor_speeds((0.796, 0.796, -0.796, -0.796), 1.4)
+    for at in range(len(frame)):
+        for value in range(256):
+            damaged = frame[:at] + bytes((value,)) + frame[at + 1 :]
+            assert (check_motion(damaged, 1000.0) == "") is (damaged == frame)
+
+
+@given(st.one_of(st.binary(max_size=60), st.binary(min_size=20, max_size=20).map(lambda tail: STOP[:7] + tail)))
+def test_checks_never_raise_and_never_both_accept(data: bytes) -> None:
+    assert check_motion(data, 1.4) or check_aux(data)
+
+
+@given(st.lists(st.tuples(st.integers(0, 255), st.binary(min_size=4, max_size=4)), min_size=4, max_size=4))
+def test_motion_that_passes_makes_no_wild_write_and_no_speed_beyond_the_limit(entries: list[tuple[int, bytes]]) -> None:
+    for ids in ([wheel for wheel, _ in entries], range(4)):
+        data = b"\x01\x04" + b"".join(bytes((wheel,)) + raw for wheel, (_, raw) in zip(ids, entries, strict=True))
+        motors = Motors()
+        motors.execute(data)
+        harmless = list(ids) == [0, 1, 2, 3] and all(abs(rps) <= 1.4000001 for rps in motors.speeds_rps)
+        assert (check_motion(seal(MOTOR, data), 1.4) == "") is harmless
+
+
+SOUNDS = {name: bytes.fromhex(text) for name, text in VECTORS["down"].items() if name.startswith("buzzer")} | {
+    "the longest and lowest": codec.buzzer(20, 65_535, 65_535, 65_535)
+}
+
+
+@pytest.mark.parametrize("name", SOUNDS)
+def test_own_frames_pass_as_aux_and_damaged_or_cut_they_do_not(name: str) -> None:
+    frame = SOUNDS[name]
+    assert check_aux(frame) == ""
+    assert check_motion(frame, 1000.0) == "not a motor frame"
+    for at in range(len(frame)):
+        assert check_aux(frame[:at])
+        assert check_aux(frame[:at] + bytes((frame[at] ^ 0x10,)) + frame[at + 1 :])
+    assert check_aux(frame + frame)
+    assert check_aux(frame + STOP)
+    assert check_aux(b"\x00" + frame)
+
+
+SOUND = codec.buzzer(1400, 100, 100, 5)
+AUX_REASONS = [
+    *((frame, "not a buzzer's frame") for frame in (b"", SOUND[:4], SOUND + b"\x00")),
+    *((seal(framing.BUZZER, bytes(size)), "not a buzzer's frame") for size in (7, 9)),
+    (SOUND[:-1] + bytes((SOUND[-1] ^ 1,)), "bad crc"),
+    (seal(framing.BUZZER, b"\x01\xaa\x55\x03\x00\x00\x00\x01"), "the start of a motor frame inside"),
+    *(
+        (frame, "not a buzzer's frame")
+        for frame in (STOP, PING, servos.bus_servo_stop([1]), encoders.battery_alarm(6800))
+    ),
+    *((seal(func, bytes(8)), "not a buzzer's frame") for func in range(256) if func != framing.BUZZER),
+]
+
+
+def test_aux_is_refused_with_its_reason() -> None:
+    said = [(frame, check_aux(frame)) for frame, _ in AUX_REASONS]
+    assert said == AUX_REASONS
+
+
+def test_published_frames_that_must_not_be_written_pass_no_check() -> None:
+    assert all(check_motion(frame, 1000.0) and check_aux(frame) for frame in REFUSE.values())
+
+
+@given(
+    func=st.sampled_from(framing.AUX_FUNCS),
+    data=st.one_of(st.binary(max_size=255), st.binary(min_size=8, max_size=8), st.just(STOP), st.just(BURST[:255])),
+)
+def test_no_aux_frame_that_passes_holds_a_motor_frame_for_a_receiver_out_of_step(func: int, data: bytes) -> None:
+    frame = seal(func, data)
+    motor_inside = any(found == MOTOR for start in range(len(frame)) for _, found, _ in Receiver().feed(frame[start:]))
+    if motor_inside:
+        assert check_aux(frame)
+        with pytest.raises(FrameError):
+            framing.frame(func, data)

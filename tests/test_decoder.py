@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -28,31 +29,21 @@ ENCODED: dict[str, Callable[[], bytes]] = {
     "gamepad X": lambda: upward.gamepad_frame(decoder.BUTTONS["X"]),
     "pwm servo 1 at 1500 us (the ping's answer)": lambda: upward.pwm_servo_position(1, 1500),
 }
-DECODED = {
+DECODED: dict[str, tuple[int, Callable[[bytes], object], object]] = {
     "battery 7400 mV": (SYS, decoder.battery_mv, 7400),
     "key 1 pressed": (KEY_FUNC, decoder.key, (1, 0x01)),
     "gamepad X": (GAMEPAD, decoder.gamepad, (0x0100, 0, 0, 0, 0, 0)),
-    "pwm servo 1 at 1500 us (the ping's answer)": (
-        PWM_SERVO,
-        lambda data: decoder.servo_reply(PWM_SERVO, data),
-        (1, 0x05, 1500),
-    ),
+    "pwm servo 1 at 1500 us (the ping's answer)": (PWM_SERVO, partial(decoder.servo_reply, PWM_SERVO), (1, 0x05, 1500)),
 }
 
 frames = st.builds(seal, st.integers(0, 11), st.binary(max_size=decoder.LONGEST))
 
 
-def test_every_published_frame_is_covered() -> None:
-    assert set(UP) == set(ENCODED) == set(DECODED)
-
-
-@pytest.mark.parametrize("name", UP)
-def test_published_frames(name: str) -> None:
-    func, parse, value = DECODED[name]
-    ((got_func, data),) = Decoder().feed(UP[name])
-    assert got_func == func
-    assert parse(data) == value
-    assert ENCODED[name]() == UP[name]
+def test_published_frames_are_made_and_read() -> None:
+    assert {name: make() for name, make in ENCODED.items()} == UP
+    for name, (func, parse, value) in DECODED.items():
+        ((got_func, data),) = Decoder().feed(UP[name])
+        assert (got_func, parse(data)) == (func, value)
 
 
 def test_counts_of_a_clean_stream() -> None:
@@ -105,14 +96,9 @@ def test_holds_no_more_than_one_frame(chunks: list[bytes]) -> None:
 @pytest.mark.parametrize(
     "garbage",
     [
-        b"\xaa",
-        b"\xaa\x55",
-        b"\xaa\x55\x07",
-        b"\xaa\x55\x07\x18",
+        *(b"\xaa\x55\x07\x18"[:cut] for cut in range(1, 5)),
         upward.imu_frame(0, 0, 1, 0, 0, 0)[:20],
-        b"\xaa\x55\x00\x05\xaa\x55",
-        b"\xaa\x55\x0c\x00",
-        b"\xaa\x55\x07\xff",
+        *(b"\xaa\x55\x00\x05\xaa\x55", b"\xaa\x55\x0c\x00", b"\xaa\x55\x07\xff"),
     ],
     ids=bytes.hex,
 )
@@ -120,8 +106,7 @@ def test_no_frame_behind_a_cut_one_is_lost(garbage: bytes) -> None:
     # The board's own receiver loses the frames it takes for the rest of the cut one.
     wanted = [upward.key_frame(1, 1), upward.battery(7400), upward.imu_frame(1, 2, 3, 4, 5, 6), upward.battery(7300)]
     machine = Decoder()
-    got = machine.feed(garbage + b"".join(wanted))
-    assert got == [(frame[2], frame[4:-1]) for frame in wanted]
+    assert machine.feed(garbage + b"".join(wanted)) == [(frame[2], frame[4:-1]) for frame in wanted]
     assert machine.skipped_bytes == len(garbage)
 
 
@@ -150,77 +135,45 @@ def data_of(frame: bytes) -> bytes:
     return frame[4:-1]
 
 
-def test_imu() -> None:
+def test_what_is_sent_is_read_and_an_imu_that_is_not_finite_is_nothing() -> None:
     values = (0.5, -0.25, 1.0, 12.5, -3.0, 0.0)
     assert decoder.imu(data_of(upward.imu_frame(*values))) == values
-
-
-def test_imu_that_is_not_finite_is_nothing() -> None:
     for place, bad in itertools.product(range(6), (math.nan, math.inf, -math.inf)):
-        values = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
-        values[place] = bad
-        assert decoder.imu(data_of(upward.imu_frame(*values))) is None
+        wrong = list(values)
+        wrong[place] = bad
+        assert decoder.imu(data_of(upward.imu_frame(*wrong))) is None
+    pad = (0xC00F, 3, -128, 127, -1, 1)
+    assert decoder.gamepad(data_of(upward.gamepad_frame(*pad))) == pad
+    assert all(decoder.key(data_of(upward.key_frame(2, event))) == (2, event) for event in decoder.KEY_EVENTS)
 
 
-def test_gamepad() -> None:
-    data = data_of(upward.gamepad_frame(0xC00F, 3, -128, 127, -1, 1))
-    assert decoder.gamepad(data) == (0xC00F, 3, -128, 127, -1, 1)
-
-
-def test_buttons_are_those_described() -> None:
+def test_buttons_and_key_events_are_those_described() -> None:
     described = (
         "L2 0001, R2 0002, SELECT 0004, START 0008, L3 0020, R3 0040, X 0100, O 0200, SQUARE 0800, TRIANGLE 1000, "
         "L1 4000, R1 8000"
     )
-    assert {name: f"{bit:04X}" for name, bit in decoder.BUTTONS.items()} == dict(
-        pair.split(" ") for pair in described.split(", ")
-    )
-
-
-def test_key_events_are_those_described() -> None:
-    assert [(f"{event:02X}", name) for event, name in decoder.KEY_EVENTS.items()] == [
-        ("01", "pressed"),
-        ("02", "long"),
-        ("04", "long-repeat"),
-        ("08", "release after long"),
-        ("10", "release after short"),
-        ("20", "click"),
-        ("40", "double"),
-        ("80", "triple"),
-    ]
-
-
-def test_every_key_event_is_read_as_it_was_sent() -> None:
-    assert all(decoder.key(data_of(upward.key_frame(2, event))) == (2, event) for event in decoder.KEY_EVENTS)
+    assert ", ".join(f"{name} {bit:04X}" for name, bit in decoder.BUTTONS.items()) == described
+    events = "1 pressed, 2 long, 4 long-repeat, 8 release after long, 16 release after short, 32 click, 64 double"
+    assert ", ".join(f"{event} {name}" for event, name in decoder.KEY_EVENTS.items()) == f"{events}, 128 triple"
 
 
 def test_servo_replies() -> None:
     assert decoder.servo_reply(PWM_SERVO, data_of(upward.pwm_servo_deviation(3, -20))) == (3, 0x09, -20)
-    assert decoder.servo_reply(BUS_SERVO, data_of(upward.bus_servo(7, 0x05, -12))) == (7, 0x05, -12)
-    assert decoder.servo_reply(BUS_SERVO, data_of(upward.bus_servo(7, 0x05, None))) == (7, 0x05, None)
+    for what, value in ((0x05, -12), (0x05, None), (0x09, 41)):
+        assert decoder.servo_reply(BUS_SERVO, data_of(upward.bus_servo(7, what, value))) == (7, what, value)
     assert decoder.servo_reply(BUS_SERVO, bytes((7, 0x07, 0, 0x10, 0x27))) == (7, 0x07, 10_000)
-    assert decoder.servo_reply(BUS_SERVO, data_of(upward.bus_servo(7, 0x09, 41))) == (7, 0x09, 41)
-    assert decoder.servo_reply(BUS_SERVO, bytes((254, 0x12, 0, 9))) is None
+
+
+NONSENSE: list[tuple[Callable[[bytes], object], tuple[bytes, ...]]] = [
+    (decoder.battery_mv, (b"", b"\x04\xe8", b"\x05\xe8\x1c")),
+    (decoder.key, (b"\x01", b"\x01\x03", b"\x01\x00", b"\x01\x01\x01")),
+    (decoder.imu, (bytes(23), bytes(25))),
+    (decoder.gamepad, (bytes(6), bytes(8))),
+    (partial(decoder.servo_reply, PWM_SERVO), (b"\x01\x05", b"\x01\x05\xdc", b"\x01\x06\xdc\x05")),
+    (partial(decoder.servo_reply, BUS_SERVO), (b"\x01\x05\0\0", b"\x01\x33\0\0\0", bytes((254, 0x12, 0, 9)))),
+    (partial(decoder.servo_reply, SBUS), (b"\x01\x05\xdc\x05",)),
+]
 
 
 def test_data_that_makes_no_sense_is_nothing() -> None:
-    found = [
-        decoder.battery_mv(b""),
-        decoder.battery_mv(b"\x04\xe8"),
-        decoder.battery_mv(b"\x05\xe8\x1c"),
-        decoder.key(b"\x01"),
-        decoder.key(b"\x01\x03"),
-        decoder.key(b"\x01\x00"),
-        decoder.key(b"\x01\x01\x01"),
-        decoder.imu(bytes(23)),
-        decoder.imu(bytes(25)),
-        decoder.gamepad(bytes(6)),
-        decoder.gamepad(bytes(8)),
-        decoder.servo_reply(PWM_SERVO, b"\x01\x05"),
-        decoder.servo_reply(PWM_SERVO, b"\x01\x05\xdc"),
-        decoder.servo_reply(PWM_SERVO, b"\x01\x06\xdc\x05"),
-        decoder.servo_reply(BUS_SERVO, b"\x01\x05\x00\x00"),
-        decoder.servo_reply(BUS_SERVO, b"\x01\x33\x00\x00\x00"),
-        decoder.servo_reply(SBUS, b"\x01\x05\xdc\x05"),
-    ]
-    assert not any(each is not None for each in found)
+    assert [(read, data) for read, each in NONSENSE for data in each if read(data) is not None] == []

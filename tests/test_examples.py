@@ -19,16 +19,9 @@ EXAMPLES = ROOT / "examples"
 COMPLETE = EXAMPLES / "failstop.toml"
 
 
-def printed(capsys: pytest.CaptureFixture[str], option: str) -> str:
-    assert cli.main(["config", option]) == 0
-    return capsys.readouterr().out
-
-
-def test_the_complete_example_is_the_generated_one(capsys: pytest.CaptureFixture[str]) -> None:
-    assert COMPLETE.read_text() == printed(capsys, "--example"), "renew it: make docs"
-
-
-def test_the_page_on_settings_is_the_generated_one() -> None:
+def test_the_example_and_the_page_on_settings_are_the_generated_ones(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["config", "--example"]) == 0
+    assert COMPLETE.read_text() == capsys.readouterr().out, "renew it: make docs"
     assert (ROOT / "docs" / "configuration.md").read_text() == page_of_settings.page(), "renew it: make docs"
 
 
@@ -92,9 +85,6 @@ def test_the_profile_of_the_robot() -> None:
     assert list(settings.sources()) == ["teleop", "cmd_vel"], "teleop goes before the navigation"
     speeds = kinematics.from_settings(settings).wheels_rps(0.2, 0.0, 0.0)
     assert [f"{rps:.3f}" for rps in speeds] == ["0.796", "0.796", "-0.796", "-0.796"]
-
-
-def test_the_profile_says_only_what_differs() -> None:
     defaults = Settings().flat()
     for key, value in config.read(str(EXAMPLES / "rosorin.toml")).items():
-        assert key not in defaults or value != defaults[key], key
+        assert key not in defaults or value != defaults[key], f"{key}: it says only what differs"

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -47,7 +47,6 @@ def test_the_face_that_a_robot_carries_is_small() -> None:
 
 @pytest.mark.parametrize("room", ROOMS)
 def test_a_room_imports_only_what_its_row_names(room: str) -> None:
-    """The rows name no room that is not imported, either."""
     assert modules(room)
     assert sorted(arrows(room)) == ROOMS[room].below.split()
 
@@ -63,38 +62,33 @@ def test_every_folder_and_module_of_the_package_is_a_room() -> None:
     assert there == {*ROOMS, *EVERYBODYS}
 
 
-def test_a_feature_draws_on_a_terminal_in_its_commands_alone() -> None:
-    """The other modules take from the API what they show."""
-    wrong = [
+def of_the_robot() -> list[Path]:
+    return [path for path in package() if "lab" not in path.relative_to(ROOT).parts]
+
+
+def outside_its_commands() -> list[Path]:
+    """The modules of features that take from the API what they show."""
+    return [path for room, commands in OF_A_TERMINAL.items() for path in modules(room) if path.stem not in commands]
+
+
+@pytest.mark.parametrize(
+    ("paths", "least", "not_for_them"),
+    [(outside_its_commands, 10, {"cli"}), (of_the_robot, 100, {"lab"}), (lambda: modules("cli"), 10, FEATURES)],
+    ids=[
+        "features draw on no terminal",
+        "a robot needs no laboratory",
+        "the command line finds features by their names",
+    ],
+)
+def test_a_room_is_not_for_everybody(paths: Callable[[], list[Path]], least: int, not_for_them: set[str]) -> None:
+    found = paths()
+    assert len(found) > least
+    assert [
         (str(path.relative_to(ROOT)), name)
-        for room in ("fleet", "ros2", "web")
-        for path in modules(room)
+        for path in found
         for name in imported(path)
-        if name.partition(".")[0] == "cli" and path.stem not in OF_A_TERMINAL[room]
-    ]
-    assert not wrong
-
-
-def test_a_robot_needs_nothing_of_the_laboratory() -> None:
-    """`demo`, `chaos`, `prove` and `sim` are found by their names, when they are asked for."""
-    robots = [path for path in package() if "lab" not in path.relative_to(ROOT).parts]
-    assert len(robots) > 100
-    wrong = [
-        (str(path.relative_to(ROOT)), name) for path in robots for name in imported(path) if name.startswith("lab")
-    ]
-    assert not wrong
-
-
-def test_the_command_line_knows_features_by_the_names_of_their_commands_alone() -> None:
-    """A command lies in the room of what it is for; `cli/main.py` imports it when it is asked for."""
-    wrong = [
-        (str(path.relative_to(ROOT)), name)
-        for path in modules("cli")
-        for name in imported(path)
-        if name.partition(".")[0] in FEATURES
-    ]
-    assert modules("cli")
-    assert not wrong
+        if name.partition(".")[0] in not_for_them
+    ] == []
 
 
 def from_outside(path: Path) -> Iterator[str]:
@@ -159,3 +153,24 @@ def test_nobody_imports_a_linked_room_by_its_folder() -> None:
         if name.partition(".")[0] in rooms.LINKED and not (isinstance(node, ast.ImportFrom) and node.level)
     ]
     assert not wrong
+
+
+MOST_LINES = 400
+TOPS = ("failstop", "procs", "shm", "supervisor", "bench", "tests", "packaging", "model", "examples")
+MADE = ("build", "__pycache__")
+"""Folders of what is built."""
+
+
+def sizes() -> Iterator[tuple[str, int]]:
+    """Each file of Python and its lines; the rooms that are linked into the package count once."""
+    for top in TOPS:
+        for path in sorted((ROOT / top).rglob("*.py")):
+            name = path.relative_to(ROOT)
+            if not any(above.is_symlink() for above in (path, *path.parents)) and not set(name.parts) & set(MADE):
+                yield str(name), len(path.read_text("utf-8").splitlines())
+
+
+def test_no_file_has_more_lines_than_can_be_read_at_once() -> None:
+    found = dict(sizes())
+    assert len(found) > 800
+    assert {name: lines for name, lines in found.items() if lines > MOST_LINES} == {}

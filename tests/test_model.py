@@ -36,12 +36,9 @@ def tools() -> None:
         pytest.skip(reason)
 
 
-def test_a_missing_program_is_skipped_at_home_with_its_name() -> None:
+def test_a_missing_program_is_skipped_at_home_with_its_name_and_fails_in_ci() -> None:
     assert "spin" in skip_reason(["spin"], {})
     assert skip_reason([], {"CI": "true"}) == ""
-
-
-def test_a_missing_program_fails_in_ci() -> None:
     with pytest.raises(pytest.fail.Exception, match="CI must check the model"):
         skip_reason(["spin"], {"CI": "true"})
 
@@ -50,10 +47,7 @@ def test_a_missing_program_fails_in_ci() -> None:
     ("output", "found"),
     [
         ("State-vector 92 byte, depth reached 9, errors: 0", check.HOLDS),
-        (
-            "max search depth too small\ndepth reached 9, errors: 0",
-            "search cut short: max search depth too small",
-        ),
+        ("max search depth too small\ndepth reached 9, errors: 0", "search cut short: max search depth too small"),
         ("pan: reached -DMEMLIM bound\ndepth reached 9, errors: 0", "search cut short: reached -DMEMLIM"),
         ("Warning: Search not completed\ndepth reached 9, errors: 0", "search not completed"),
         ("pan:1: assertion violated (frame_mark!=2) (at depth 70)\nerrors: 1", "S1"),
@@ -66,16 +60,10 @@ def test_only_a_whole_search_without_errors_holds(output: str, found: str) -> No
     assert check.verdict(output) == found
 
 
-def test_a_search_that_is_too_shallow_proves_nothing(tools: None) -> None:
+def test_a_search_that_is_too_shallow_or_takes_too_long_proves_nothing(tools: None) -> None:
     assert check.run(("FAULTS=1",), depth=50).verdict == "search cut short: max search depth too small"
-
-
-def test_a_search_that_takes_too_long_proves_nothing(tools: None) -> None:
     assert check.run(("FAULTS=2",), limit_s=0.2).verdict.startswith("not done in")
-
-
-def test_a_model_whose_port_owner_forgets_its_stops_fails(tools: None) -> None:
-    assert check.run(("FAULTS=1", "NO_STOPPED_IN")).verdict == "S1"
+    assert check.run(("FAULTS=1", "NO_STOPPED_IN")).verdict == "S1", "a port owner that forgets its stops"
 
 
 @pytest.mark.slow

@@ -1,18 +1,23 @@
-"""Opening the port: raw and transparent, the right refusals with their remedies, and nothing left behind."""
+"""Opening the port: raw and transparent, the right refusals with their remedies, and nothing left behind. And closing
+it: at once, even where the kernel would wait for bytes that nobody takes."""
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import os
 import re
 import select
+import signal
 import socket
 import struct
 import subprocess
 import sys
 import termios
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -64,17 +69,17 @@ def test_every_byte_passes_unchanged_both_ways(pty: tuple[int, str]) -> None:
     os.close(descriptor)
 
 
-def test_terminal_settings(pty: tuple[int, str]) -> None:
+def test_the_terminal_is_raw_and_the_descriptor_neither_blocks_nor_is_inherited(pty: tuple[int, str]) -> None:
     descriptor = open_port(pty[1], exclusive=False)
-    iflag, oflag, cflag, lflag, ispeed, ospeed, cc = termios.tcgetattr(descriptor)
-    os.close(descriptor)
-    assert (iflag, oflag, lflag) == (0, 0, 0)
-    assert (ispeed, ospeed) == (termios.B1000000, termios.B1000000)
+    iflag, oflag, cflag, lflag, *speeds, cc = termios.tcgetattr(descriptor)
+    assert (iflag, oflag, lflag, speeds) == (0, 0, 0, [termios.B1000000] * 2)
     assert cflag & (termios.CSIZE | termios.CSTOPB | termios.PARENB | termios.CRTSCTS) == termios.CS8
-    assert cflag & termios.CREAD
-    assert cflag & termios.CLOCAL
-    assert not cflag & termios.HUPCL
+    assert [bool(cflag & flag) for flag in (termios.CREAD, termios.CLOCAL, termios.HUPCL)] == [True, True, False]
     assert (cc[termios.VMIN], cc[termios.VTIME]) == (1, 0)
+    assert fcntl.fcntl(descriptor, fcntl.F_GETFD) & fcntl.FD_CLOEXEC
+    with pytest.raises(BlockingIOError):
+        os.read(descriptor, 1)
+    os.close(descriptor)
 
 
 def test_hupcl_is_cleared_when_it_was_set(pty: tuple[int, str]) -> None:
@@ -102,15 +107,6 @@ def test_output_that_somebody_has_stopped_goes_on(pty: tuple[int, str]) -> None:
     os.close(descriptor)
 
 
-def test_descriptor_flags(pty: tuple[int, str]) -> None:
-    descriptor = open_port(pty[1], exclusive=False)
-    assert fcntl.fcntl(descriptor, fcntl.F_GETFD) & fcntl.FD_CLOEXEC
-    assert fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_NONBLOCK
-    with pytest.raises(BlockingIOError):
-        os.read(descriptor, 1)
-    os.close(descriptor)
-
-
 def test_it_does_not_become_the_controlling_terminal(pty: tuple[int, str]) -> None:
     def work() -> str:
         os.setsid()
@@ -125,37 +121,26 @@ def test_it_does_not_become_the_controlling_terminal(pty: tuple[int, str]) -> No
     assert unprivileged(work) == str(errno.ENXIO)
 
 
-def test_modem_lines_dtr_first_and_only_rts_is_cleared(pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dtr_is_set_and_rts_cleared_and_a_failure_leaks_nothing(
+    pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked: list[tuple[int, int]] = []
-    really = fcntl.ioctl
+    really, before = fcntl.ioctl, sorted(os.listdir("/proc/self/fd"))
 
     def ioctl(descriptor: int, request: int, argument: bytes = b"") -> object:
         if request not in (termios.TIOCMBIS, termios.TIOCMBIC, termios.TIOCMSET):
             return really(descriptor, request, argument)
         asked.append((request, struct.unpack("i", argument)[0]))
+        if len(asked) == 4:
+            raise OSError(errno.EIO, "gone")
         return 0
 
     monkeypatch.setattr(fcntl, "ioctl", ioctl)
     os.close(open_port(pty[1], exclusive=True))
     assert asked == [(termios.TIOCMBIS, termios.TIOCM_DTR), (termios.TIOCMBIC, termios.TIOCM_RTS)]
-
-
-def test_a_modem_line_that_fails_is_an_error_and_leaks_nothing(
-    pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    really = fcntl.ioctl
-
-    def ioctl(descriptor: int, request: int, argument: bytes = b"") -> object:
-        if request == termios.TIOCMBIC:
-            raise OSError(errno.EIO, "gone")
-        return really(descriptor, request, argument)
-
-    before = sorted(os.listdir("/proc/self/fd"))
-    monkeypatch.setattr(fcntl, "ioctl", ioctl)
-    with pytest.raises(PortError) as caught:
-        open_port(pty[1], exclusive=True)
-    assert (caught.value.kind, caught.value.errno) == ("io", errno.EIO)
-    assert "unplug the board and plug it in again" in str(caught.value)
+    kind, number, text = refusal(pty[1]).split("|")
+    assert (kind, int(number)) == ("io", errno.EIO)
+    assert "unplug the board and plug it in again" in text
     assert sorted(os.listdir("/proc/self/fd")) == before
 
 
@@ -225,9 +210,8 @@ def test_permission_names_owner_group_and_remedy(pty: tuple[int, str]) -> None:
     os.chmod(pty[1], 0o000)
     kind, number, message = unprivileged(lambda: refusal(pty[1])).split("|")
     assert (kind, int(number)) == ("permission", errno.EACCES)
-    assert re.search(
-        rf"no permission to open {pty[1]}: .* belongs to \w+:\w+, mode 0000: run as the service's", message
-    )
+    told = rf"no permission to open {pty[1]}: .* belongs to \w+:\w+, mode 0000: run as the service's"
+    assert re.search(told, message)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give the node to another group")
@@ -242,76 +226,46 @@ def test_permission_says_which_group_to_join(pty: tuple[int, str]) -> None:
     assert "usermod -aG 54322 USER" in said
 
 
-def test_permission_of_a_directory_in_the_way(tmp_path: Path) -> None:
+def test_a_directory_in_the_way_is_named_and_what_is_absent_has_its_remedy(tmp_path: Path) -> None:
     shut = tmp_path / "shut"
     shut.mkdir(mode=0o000)
     said = unprivileged(lambda: refusal(str(shut / "port")))
     assert said.startswith("permission|")
     assert "open its directory" in said
-
-
-@pytest.mark.parametrize("path", ["/dev/failstop-no-such-device", "/etc/passwd/port"])
-def test_absent(path: str) -> None:
-    with pytest.raises(PortError) as caught:
-        open_port(path, exclusive=True)
-    assert caught.value.kind == "absent"
-    assert str(caught.value) == f"no device {path}: plug the board in, or name another with --device"
-
-
-def test_absent_behind_a_link_that_leads_nowhere(tmp_path: Path) -> None:
     (tmp_path / "board").symlink_to("/dev/pts/no-such")
-    assert refusal(str(tmp_path / "board")).startswith("absent|")
+    for path in ("/dev/failstop-no-such-device", "/etc/passwd/port", str(tmp_path / "board")):
+        kind, _, text = refusal(path).split("|")
+        assert (kind, text) == ("absent", f"no device {path}: plug the board in, or name another with --device")
 
 
-def test_hung_up_port_is_an_io_error() -> None:
-    master, slave = os.openpty()
-    path = f"/proc/self/fd/{slave}"
-    os.close(master)
-    kind, _, message = refusal(path).split("|")
-    os.close(slave)
-    assert kind == "io"
-    assert path in message
+MADE: dict[str, Callable[[Path], object]] = {
+    "a regular file": lambda path: path.write_bytes(b"precious"),
+    "a FIFO": os.mkfifo,
+    "a directory": Path.mkdir,
+    "a socket": lambda path: socket.socket(socket.AF_UNIX).bind(str(path)),
+    "a character device": lambda path: path.symlink_to("/dev/null"),
+}
 
 
-@pytest.mark.parametrize("what", ["a regular file", "a FIFO", "a directory", "a socket", "a character device"])
+@pytest.mark.parametrize("what", MADE)
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_what_is_no_terminal_is_refused_untouched(what: str, tmp_path: Path) -> None:
     path = tmp_path / "thing"
-    listener = socket.socket(socket.AF_UNIX)
-    reader = -1
-    if what == "a regular file":
-        path.write_bytes(b"precious")
-    elif what == "a FIFO":
-        os.mkfifo(path)
-        reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-    elif what == "a directory":
-        path.mkdir()
-    elif what == "a socket":
-        listener.bind(str(path))
-    else:
-        path.symlink_to("/dev/null")
+    MADE[what](path)
     before = path.stat()
-    with pytest.raises(PortError) as caught:
-        open_port(str(path), exclusive=True)
-    assert caught.value.kind == "not-a-tty"
-    assert str(caught.value).startswith(str(path))
-    assert "--device" in str(caught.value)
-    assert what == "a character device" or what in str(caught.value)
+    kind, _, said = refusal(str(path)).split("|")
+    assert (kind, said.startswith(str(path)), "--device" in said) == ("not-a-tty", True, True)
+    assert what == "a character device" or what in said
     after = path.stat()
     assert (after.st_mtime_ns, after.st_size, after.st_mode) == (before.st_mtime_ns, before.st_size, before.st_mode)
-    if what == "a regular file":
-        assert path.read_bytes() == b"precious"
-    if reader >= 0:
+    if what == "a FIFO":
+        reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        assert refusal(str(path)).startswith("not-a-tty|")
         # No writer has ever come: a FIFO would otherwise be at its end with a hang-up.
         poll = select.poll()
         poll.register(reader, select.POLLIN)
         assert poll.poll(0) == []
         os.close(reader)
-    listener.close()
-
-
-def test_fifo_without_a_reader_does_not_block(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    assert refusal(str(tmp_path / "pipe")).startswith("not-a-tty|")
 
 
 def test_no_descriptor_is_left_after_any_refusal(pty: tuple[int, str], tmp_path: Path) -> None:
@@ -319,45 +273,13 @@ def test_no_descriptor_is_left_after_any_refusal(pty: tuple[int, str], tmp_path:
     for path in ("/dev/null", str(tmp_path), "/dev/failstop-no-such-device"):
         assert refusal(path) != "opened"
     assert refusal(pty[1]) == "opened"
+    master, slave = os.openpty()
+    hung_up = f"/proc/self/fd/{slave}"
+    os.close(master)
+    kind, _, message = refusal(hung_up).split("|")
+    os.close(slave)
+    assert (kind, hung_up in message) == ("io", True)
     assert sorted(os.listdir("/proc/self/fd")) == before
-
-
-def test_unsent_bytes_asks_the_kernel(pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    descriptor = open_port(pty[1], exclusive=False)
-    assert port.unsent_bytes(descriptor) == 0
-    asked: list[int] = []
-
-    def ioctl(_descriptor: int, request: int, _argument: bytes) -> bytes:
-        asked.append(request)
-        return struct.pack("i", 397)
-
-    monkeypatch.setattr(fcntl, "ioctl", ioctl)
-    assert port.unsent_bytes(descriptor) == 397
-    assert asked == [termios.TIOCOUTQ]
-    os.close(descriptor)
-
-
-def test_import_is_light() -> None:
-    code = "import sys; import failstop.board.port; print(*sorted(sys.modules))"
-    command = [sys.executable, "-S", "-c", code]
-    environment = {"PYTHONPATH": str(Path(port.__file__).parents[2])}
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30, env=environment)
-    loaded = set(done.stdout.split())
-    heavy = {
-        "serial",
-        "typing",
-        "dataclasses",
-        "enum",
-        "re",
-        "inspect",
-        "pathlib",
-        "logging",
-        "pwd",
-        "grp",
-        "subprocess",
-    }
-    assert "failstop.board.port" in loaded
-    assert not loaded & heavy
 
 
 def speeds_told(monkeypatch: pytest.MonkeyPatch, path: str, *, exclusive: bool) -> list[int]:
@@ -386,7 +308,7 @@ def test_the_speed_is_set_to_another_and_back_although_it_is_set_already(
         assert any(speed != termios.B1000000 for speed in told[:-1])
 
 
-def test_beside_a_service_that_has_the_port_no_other_speed_is_ever_set(
+def test_beside_a_service_with_the_port_no_speed_is_changed(
     pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = open_port(pty[1], exclusive=True)
@@ -394,3 +316,54 @@ def test_beside_a_service_that_has_the_port_no_other_speed_is_ever_set(
         port.fcntl.ioctl(service, termios.TIOCNXCL)  # type: ignore[attr-defined]
     assert set(speeds_told(monkeypatch, pty[1], exclusive=False)) == {termios.B1000000}
     os.close(service)
+
+
+def stuck_socket() -> tuple[int, socket.socket]:
+    """A descriptor whose close waits, as a port's that does not drain: TCP with a full buffer, an hour of linger and a
+    peer that does not read; and the peer."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        sender = socket.create_connection(server.getsockname())
+        peer, _ = server.accept()
+    sender.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 3600))
+    sender.setblocking(False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            sender.send(bytes(65536))
+    sender.setblocking(True)
+    return sender.detach(), peer
+
+
+def test_a_close_that_would_wait_for_an_hour_is_cut_short_and_gives_the_timer_back() -> None:
+    handler = signal.getsignal(signal.SIGALRM)
+    descriptor, peer = stuck_socket()
+    others = signal.setitimer(signal.ITIMER_REAL, 1000.0, 7.0)
+    started_s = time.monotonic()
+    port.close_port(descriptor)
+    took_s = time.monotonic() - started_s
+    left_s, every_s = signal.setitimer(signal.ITIMER_REAL, *others)
+    assert took_s < 5.0
+    assert 900.0 < left_s <= 1000.0
+    assert every_s == 7.0
+    assert signal.getsignal(signal.SIGALRM) == handler
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(descriptor)
+    peer.close()
+
+
+def test_closing_what_is_closed_already_is_fine() -> None:
+    reader, writer = os.pipe()
+    os.close(writer)
+    port.close_port(reader)
+    port.close_port(reader)
+
+
+def test_closing_in_another_thread_closes() -> None:
+    master, slave = os.openpty()
+    descriptor = open_port(os.ttyname(slave), exclusive=True)
+    thread = threading.Thread(target=port.close_port, args=(descriptor,))
+    thread.start()
+    thread.join(10.0)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(descriptor)
+    os.close(slave)
+    os.close(master)

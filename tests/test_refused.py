@@ -22,19 +22,11 @@ def test_a_refusal_is_its_reason_under_its_own_name(reason: str) -> None:
     assert refusal.exit_code == 2
 
 
-def test_a_refusal_says_what_to_do() -> None:
+def test_a_refusal_says_what_to_do_and_puts_a_cause_s_own_text_in() -> None:
     refusal = Refused("motion is disabled", step="`failstop enable`")
     assert str(refusal) == "motion is disabled; next: `failstop enable`"
     again = pickle.loads(pickle.dumps(refusal))
     assert (str(again), again.step) == (str(refusal), refusal.step)
-
-
-def test_a_cause_s_own_text_is_put_in_where_it_is_told() -> None:
-    refusal = Refused(f"a stop is latched ({CAUSE})", causes.KEY(1))
-    assert str(refusal) == "a stop is latched (key1)"
-    assert refusal.template == f"a stop is latched ({CAUSE})"
-
-
-def test_other_errors_are_no_refusals() -> None:
-    assert str(NoService("no service")) == "no service"
-    assert (FailstopError.exit_code, NoService.exit_code) == (1, 3)
+    of_a_cause = Refused(f"a stop is latched ({CAUSE})", causes.KEY(1))
+    assert (str(of_a_cause), of_a_cause.template) == ("a stop is latched (key1)", f"a stop is latched ({CAUSE})")
+    assert (str(NoService("no service")), FailstopError.exit_code, NoService.exit_code) == ("no service", 1, 3)

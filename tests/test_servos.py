@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from failstop.board import codec, servos
-from failstop.board.burst import BURST, burst_with
+from failstop.board.burst import BURST, FIRST_STOP_END, burst_with
 from failstop.board.codec import STOP, check_aux, check_motion
 from failstop.board.framing import BUS_SERVO, MOTOR, FrameError, seal
 from failstop.board.rrc.board import BOARD
@@ -69,6 +69,7 @@ def test_the_arm_s_stop_is_the_end_of_one_write() -> None:
     assert BURST + bus_servo_stop((1, 2, 3)) + bus_servo_stop((4, 5, 10)) == WRITE
     assert burst_with(()) == BURST == BOARD.burst
     assert BOARD.burst_with(ARM) == WRITE
+    assert BOARD.first_stop == BURST[:FIRST_STOP_END]
 
 
 @pytest.mark.parametrize("frame", [*READS, *TORQUES, *STOPS], ids=bytes.hex)
@@ -101,7 +102,7 @@ def test_a_move_of_one_to_each_place_cut_anywhere(servo: int) -> None:
     data=st.data(),
 )
 @settings(max_examples=150, deadline=None)
-def test_any_move_cut_anywhere_and_the_stop_cut_too(
+def test_any_move_and_the_stop_cut_anywhere(
     moves: list[tuple[int, int]], duration_ms: int, data: st.DataObject
 ) -> None:
     frame = bus_servo_move(moves, duration_ms)
@@ -135,15 +136,9 @@ def test_control_a_servo_s_own_stop_behind_a_cut_burst_goes_unheard_by_the_recei
 
 
 def test_control_zeros_complete_a_cut_move_and_the_check_refuses_it() -> None:
-    made = next(
-        frame
-        for position in range(256, 1001)
-        if check_bus(frame := seal(BUS_SERVO, pack("<BHBBH", 1, 40, 1, 2, position)), ARM, 60).startswith(
-            "another move"
-        )
-    )
+    made = (seal(BUS_SERVO, pack("<BHBBH", 1, 40, 1, 2, position)) for position in range(256, 1001))
     with pytest.raises(AssertionError):
-        cut_anywhere(made)
+        cut_anywhere(next(frame for frame in made if check_bus(frame, ARM, 60).startswith("another move")))
 
 
 @given(data=st.binary(max_size=255), command=st.integers(0, 0x3A), servo=st.sampled_from(ARM))
@@ -159,46 +154,41 @@ def test_whatever_passes_holds_the_receiver_for_no_longer_than_it_may(data: byte
             cut_anywhere(frame)
 
 
-def many(count: int) -> bytes:
-    return seal(BUS_SERVO, pack("<BHB", 1, 40, count) + b"".join(pack("<BH", at + 1, 500) for at in range(count)))
+def move(*servos_to: tuple[int, int], ms: int = 40, count: int | None = None) -> bytes:
+    """A move as no encoder of failstop's makes it."""
+    rows = b"".join(pack("<BH", *each) for each in servos_to)
+    return seal(BUS_SERVO, pack("<BHB", 1, ms, len(servos_to) if count is None else count) + rows)
 
 
+NOT_COUNTED = "a count that is not its data's"
 REFUSED = [
-    (b"", "not a bus servo's frame"),
-    (STOP, "not a bus servo's frame"),
-    (WRITE, "not a bus servo's frame"),
+    *((frame, "not a bus servo's frame") for frame in (b"", STOP, WRITE)),
     (seal(BUS_SERVO, b""), "no sub-command"),
     (STOPS[0] + b"\0", "9 bytes, its length byte says 8"),
     (STOPS[0][:-1] + b"\0", "bad crc"),
-    (many(83), "83 servos hold the receiver for 72.2 ms, limit 2"),
-    (many(3), "3 servos hold the receiver for 2.6 ms, limit 2"),
+    (move(*((at, 500) for at in range(1, 84))), "83 servos hold the receiver for 72.2 ms, limit 2"),
+    (move(*((at, 500) for at in range(1, 4))), "3 servos hold the receiver for 2.6 ms, limit 2"),
     (bytes.fromhex("AA550508030601020304050AE8"), "6 servos hold the receiver for 3.1 ms, limit 2"),
     (bytes.fromhex("AA5505030301FE11"), "servo 254 is none of the arm's"),
     (bytes.fromhex("AA55050A01E8030201410302E8039F"), "a move of 1000 ms, limit 60"),
-    (seal(BUS_SERVO, pack("<BHBBH", 1, 0, 1, 1, 500)), "a move of 0 ms, limit 60"),
-    (seal(BUS_SERVO, pack("<BHBBH", 1, 40, 1, 1, 1001)), "position 1001, limit 1000"),
-    (seal(BUS_SERVO, pack("<BHBBH", 1, 40, 1, 6, 500)), "servo 6 is none of the arm's"),
-    (seal(BUS_SERVO, pack("<BHBBHBH", 1, 40, 2, 1, 500, 1, 600)), "a servo twice"),
-    (seal(BUS_SERVO, pack("<BHB", 1, 40, 1)), "a count that is not its data's"),
-    (seal(BUS_SERVO, pack("<BHB", 1, 40, 255)), "a count that is not its data's"),
-    (seal(BUS_SERVO, b"\x03"), "a count that is not its data's"),
-    (seal(BUS_SERVO, b"\x03\xff\x01"), "a count that is not its data's"),
+    (move((1, 500), ms=0), "a move of 0 ms, limit 60"),
+    (move((1, 1001)), "position 1001, limit 1000"),
+    (move((6, 500)), "servo 6 is none of the arm's"),
+    (move((1, 500), (1, 600)), "a servo twice"),
+    *((frame, NOT_COUNTED) for frame in (move(count=1), move(count=255))),
+    *((seal(BUS_SERVO, data), NOT_COUNTED) for data in (b"\x03", b"\x03\xff\x01")),
     (seal(BUS_SERVO, b"\x05"), "0 servos, must be 1"),
     (seal(BUS_SERVO, b"\x0b\x01\x02"), "2 servos, must be 1"),
-    *[
-        (seal(BUS_SERVO, bytes((sub, 1, 2))), f"bus servo sub-command {sub:02X}")
-        for sub in (0x10, 0x12, 0x20, 0x24, 0x30)
-    ],
-    *[
-        (seal(BUS_SERVO, bytes((sub, 1))), f"bus servo sub-command {sub:02X}")
-        for sub in (0x22, 0x32, 0x34, 0x36, 0x38, 0x3A)
-    ],
+    *(
+        (seal(BUS_SERVO, bytes((sub, *rest))), f"bus servo sub-command {sub:02X}")
+        for subs, rest in (((0x10, 0x12, 0x20, 0x24, 0x30), (1, 2)), ((0x22, 0x32, 0x34, 0x36, 0x38, 0x3A), (1,)))
+        for sub in subs
+    ),
 ]
 
 
-@pytest.mark.parametrize(("frame", "reason"), REFUSED, ids=[reason for _, reason in REFUSED])
-def test_refused_with_its_reason(frame: bytes, reason: str) -> None:
-    assert check_bus(frame, ARM, LONGEST_MOVE_MS) == reason
+def test_a_frame_is_refused_with_its_reason() -> None:
+    assert [(frame, check_bus(frame, ARM, LONGEST_MOVE_MS)) for frame, _ in REFUSED] == REFUSED
 
 
 def test_an_encoder_keeps_to_the_settings_bound() -> None:

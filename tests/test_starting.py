@@ -24,46 +24,41 @@ def driving(trial):
     return trial
 """
 HELPERS = {
-    "tests/invented/forks.py": "import os\ndef work(): os.fork()\n",
-    "tests/invented/far.py": "from .forks import work\n",
-    "tests/invented/round.py": "from tests.invented import pure\n",
-    "tests/invented/pure.py": "import tests.invented.round\n",
-    "tests/invented/conftest.py": CONFTEST,
+    "forks": "import os\ndef work(): os.fork()\n",
+    "far": "from .forks import work\n",
+    "round": "from tests.invented import pure\n",
+    "pure": "import tests.invented.round\n",
+    "conftest": CONFTEST,
 }
 
 
-@pytest.mark.parametrize(
-    ("source", "starts"),
-    [
-        ("import os\n", False),
-        ("import subprocess\n", True),
-        ("import os\nos.fork()\n", True),
-        ("from failstop.lab import trial\n", True),
-        ("from failstop.lab.trial import Trial as Fine\n", True),
-        ("def test():\n    from failstop.lab.sim import client\n", True),
-        ("from tests.invented import far\n", True),
-        ("from .far import work\n", True),
-        ("from .pure import work\n", False),
-        ("def test(trial): ...\n", True),
-        ("def test(driving): ...\n", True),
-        ("@pytest.mark.usefixtures('driving')\ndef test(): ...\n", True),
-        ("def test(still): ...\n", False),
-    ],
-)
-def test_a_file_that_may_start_a_process(
-    source: str, starts: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+STARTS = [
+    "import subprocess\n",
+    "import os\nos.fork()\n",
+    "from failstop.lab import trial\n",
+    "from failstop.lab.trial import Trial as Fine\n",
+    "def test():\n    from failstop.lab.sim import client\n",
+    "from tests.invented import far\n",
+    "from .far import work\n",
+    "def test(trial): ...\n",
+    "def test(driving): ...\n",
+    "@pytest.mark.usefixtures('driving')\ndef test(): ...\n",
+]
+STARTS_NONE = ["import os\n", "from .pure import work\n", "def test(still): ...\n"]
+
+
+@pytest.mark.parametrize("source", [*STARTS, *STARTS_NONE])
+def test_a_file_that_may_start_a_process(source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(starting, "ROOT", tmp_path)
     starting._files.cache_clear()
-    for name, text in {**HELPERS, "tests/invented/test_it.py": source}.items():
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    assert starting.starts(tmp_path / "tests/invented/test_it.py") is starts
+    folder = tmp_path / "tests/invented"
+    folder.mkdir(parents=True)
+    for name, text in {**HELPERS, "test_it": source}.items():
+        (folder / f"{name}.py").write_text(text)
+    assert starting.starts(folder / "test_it.py") is (source in STARTS)
 
 
 def test_the_interpreter_tells_of_every_start(request: pytest.FixtureRequest) -> None:
-    """The gate's core is quick, the service end to end is not, and a quick test that starts a process fails."""
     tests = Path(__file__).parent
     starting._files.cache_clear()
     assert not starting.starts(tests / "procs/test_gate_core.py")

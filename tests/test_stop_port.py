@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 
@@ -13,9 +12,8 @@ from failstop.board import codec, stop_port
 from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
 from failstop.board.stop_port import DRAIN_S, TRIES, StopPort
-from failstop.lab.machine.kernel import Machine
 from tests.support.ptys import Board, Pty, new_pty
-from tests.support.stage import MS, PortMachine, Wire
+from tests.support.stage import MS, PortMachine
 
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
 REFUSED = None
@@ -68,27 +66,21 @@ WHOLE = len(BURST)
 
 
 @pytest.mark.parametrize(
-    ("planned", "written", "lost", "left"),
+    ("planned", "lost", "left"),
     [
-        ([], True, False, 0),
-        ([REFUSED], True, False, 0),
-        ([REFUSED] * (TRIES - 1), True, False, 0),
-        ([REFUSED] * TRIES, False, False, WHOLE),
-        ([WHOLE - 1], False, False, 1),
-        ([1], False, False, WHOLE - 1),
-        ([REFUSED, 1], False, False, WHOLE - 1),
-        ([NO_DEVICE], False, True, 0),
-        ([REFUSED, NO_DEVICE], False, True, 0),
+        *(([REFUSED] * times, False, 0) for times in range(TRIES)),
+        ([REFUSED] * TRIES, False, WHOLE),
+        *(([WHOLE - 1], False, 1), ([1], False, WHOLE - 1), ([REFUSED, 1], False, WHOLE - 1)),
+        *(([NO_DEVICE], True, 0), ([REFUSED, NO_DEVICE], True, 0)),
     ],
 )
 def test_only_what_the_kernel_has_all_of_is_written(
-    pty: Pty, kernel: Kernel, planned: list[int | str | None], written: bool, lost: bool, left: int
+    pty: Pty, kernel: Kernel, planned: list[int | str | None], lost: bool, left: int
 ) -> None:
     own = StopPort(pty.slave, BOARD)
     kernel.planned = planned
-    assert own.burst() is written
-    assert (own.lost, own.errno) == ((True, errno.EIO) if lost else (False, 0))
-    assert own.unsent == BURST[WHOLE - left :]
+    assert own.burst() is not (lost or left > 0)
+    assert (own.lost, own.errno, own.unsent) == (lost, errno.EIO * lost, BURST[WHOLE - left :])
     assert pty.read() == (b"" if lost else BURST[: WHOLE - left])
 
 
@@ -108,35 +100,21 @@ def test_the_rest_goes_first_and_the_board_is_stopped(pty: Pty, kernel: Kernel, 
     assert board.motors.stopped
 
 
-def test_the_rest_of_another_frame_is_dropped_for_a_burst(pty: Pty) -> None:
-    own = StopPort(pty.slave, BOARD)
-    own.unsent = MOTION[9:]
-    assert own.burst()
-    assert pty.read() == BURST
-
-
-def test_nothing_to_go_on_with_writes_nothing(pty: Pty, kernel: Kernel) -> None:
+def test_a_burst_drops_the_rest_of_another_frame_and_one_that_failed_is_tried_again(pty: Pty, kernel: Kernel) -> None:
     own = StopPort(pty.slave, BOARD)
     assert own.flush()
-    assert kernel.writes == 0
-
-
-def test_a_write_that_failed_once_is_no_reason_to_write_no_more(pty: Pty, kernel: Kernel) -> None:
-    own = StopPort(pty.slave, BOARD)
+    assert kernel.writes == 0, "nothing to go on with"
+    own.unsent = MOTION[9:]
     kernel.planned = [NO_DEVICE]
-    assert not own.burst()
-    assert own.burst()
-    assert not own.lost
+    assert [own.burst(), own.lost] == [False, True]
+    own.unsent = MOTION[9:]
+    assert [own.burst(), own.lost] == [True, False]
     assert pty.read() == BURST
-
-
-def test_no_port_takes_nothing_and_is_lost(kernel: Kernel) -> None:
-    own = StopPort(-1, BOARD)
-    assert own.lost
-    assert not own.burst()
-    assert not own.drain()
-    own.close()
-    assert kernel.writes == 0
+    writes = kernel.writes
+    nowhere = StopPort(-1, BOARD)
+    assert [nowhere.lost, nowhere.burst(), nowhere.drain()] == [True, False, False]
+    nowhere.close()
+    assert kernel.writes == writes, "no port takes nothing"
 
 
 def test_another_descriptor_takes_the_place_of_the_old_which_is_closed(pty: Pty) -> None:
@@ -157,43 +135,29 @@ def test_another_descriptor_takes_the_place_of_the_old_which_is_closed(pty: Pty)
         assert (own.fd, own.lost) == (-1, True)
 
 
-def simulated() -> tuple[Machine, Wire, Any]:
-    """A stop port on a machine whose calls take no time."""
-    made = PortMachine()
-    own = made.load("failstop.board.stop_port").StopPort(made.open(made.wire), BOARD)
-    return made.machine, made.wire, own
-
-
 @pytest.mark.parametrize(
-    ("held", "free_after_ms", "rest", "drained", "waited_ms"),
+    ("held", "free_after_ms", "rest", "gone", "waited_ms"),
     [
-        (0, None, b"", True, 0),
-        (1280, 1, b"", True, 1),
-        (1280, None, b"", False, round(DRAIN_S * 1000)),
-        (0, None, BURST[-7:], True, 0),
+        *((0, None, b"", False, 0), (1280, 1, b"", False, 1), (1280, None, b"", False, round(DRAIN_S * 1000))),
+        *((0, None, BURST[-7:], False, 0), (0, None, b"", True, 0)),
     ],
-    ids=["nothing", "soon", "never", "the unsent rest is written first"],
+    ids=["nothing", "soon", "never", "the unsent rest is written first", "a port that has gone"],
 )
 def test_a_drain_waits_for_the_bytes_under_way_but_not_for_ever(
-    held: int, free_after_ms: int | None, rest: bytes, drained: bool, waited_ms: int
+    held: int, free_after_ms: int | None, rest: bytes, gone: bool, waited_ms: int
 ) -> None:
-    machine, wire, own = simulated()
+    made = PortMachine()
+    machine, wire = made.machine, made.wire
+    own = made.load("failstop.board.stop_port").StopPort(made.open(wire), BOARD)
     wire.port.held += bytes(held)
     wire.port.drains = not held
     if free_after_ms is not None:
         machine.at(machine.now_ns + free_after_ms * MS, wire.port.drain)
+    if gone:
+        wire.unplug()
     own.unsent = rest
     began_ns = machine.now_ns
-    assert own.drain() is drained
-    assert machine.now_ns - began_ns == pytest.approx(waited_ms * MS, abs=MS)
-    assert not own.lost
+    assert own.drain() is not (gone or (held > 0 and not free_after_ms))
+    assert machine.now_ns - began_ns == pytest.approx(waited_ms * MS, abs=0 if gone else MS)
+    assert own.lost is gone
     assert wire.read() == bytes(held) + rest
-
-
-def test_a_drain_of_a_port_that_has_gone_says_so_at_once() -> None:
-    machine, wire, own = simulated()
-    wire.unplug()
-    began_ns = machine.now_ns
-    assert not own.drain()
-    assert machine.now_ns == began_ns
-    assert own.lost

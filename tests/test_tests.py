@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import starting
+
 TESTS = Path(__file__).parent
 STAGES = ("Scene", "Stage", "World", "Harness")
 """A class whose name ends so builds a part of the service around what it tests."""
@@ -75,22 +77,58 @@ def test_tests_have_no_more_of_it(wanted: Callable[[ast.AST], bool], most: int) 
 @pytest.mark.parametrize(
     ("wanted", "source", "is_one"),
     [
-        (is_stage, "class PortScene: pass", True),
-        (is_stage, "class Scenery: pass", False),
-        (is_patch, "monkeypatch.setattr(os, 'kill', f)", True),
-        (is_patch, "patch.setitem(d, 1, 2)", True),
-        (is_patch, "monkeypatch.setenv('A', 'b')", False),
-        (is_patch, "setattr(a, 'b', 1)", False),
-        (is_reach, "a._b", True),
-        (is_reach, "self.a._b()", True),
-        (is_reach, "self._b", False),
-        (is_reach, "os._exit(0)", False),
-        (is_reach, "a.__b__", False),
-        (is_long, f"def test_{75 * 'x'}(): pass", False),
-        (is_long, f"def test_{76 * 'x'}(): pass", True),
+        *((is_stage, "class PortScene: pass", True), (is_stage, "class Scenery: pass", False)),
+        *((is_patch, call, True) for call in ("monkeypatch.setattr(os, 'kill', f)", "patch.setitem(d, 1, 2)")),
+        *((is_patch, call, False) for call in ("monkeypatch.setenv('A', 'b')", "setattr(a, 'b', 1)")),
+        *((is_reach, source, True) for source in ("a._b", "self.a._b()")),
+        *((is_reach, source, False) for source in ("self._b", "os._exit(0)", "a.__b__")),
+        *((is_long, f"def test_{length * 'x'}(): pass", length > 75) for length in (75, 76)),
         (is_long, f"def help_{76 * 'x'}(): pass", False),
     ],
 )
 def test_one_of_it_is_known(wanted: Callable[[ast.AST], bool], source: str, *, is_one: bool) -> None:
     assert bool(found(wanted, ast.walk(ast.parse(source)))) is is_one
     assert not is_one or MAY_HAVE_ONE.search(source)
+
+
+SHARED = "support"
+
+
+def wrong(path: Path, tests: Path = TESTS) -> list[str]:
+    """Imports of a file that it should not make."""
+    room = path.relative_to(tests).parts[0] if path.parent != tests else ""
+    found = []
+    for name in sorted(set().union(*starting.read(path).imports.values())):
+        top, *parts = name.split(".")
+        if top != "tests" or not parts:
+            continue
+        foreign = (tests / parts[0]).is_dir() and parts[0] not in (room, SHARED)
+        if foreign or any(part.startswith("test_") for part in parts[:2]):
+            found.append(".".join(parts))
+    return found
+
+
+def test_what_tests_share_is_in_support() -> None:
+    files = [path for path in TESTS.rglob("*.py") if "standin" not in path.parts]
+    assert len(files) > 200
+    assert {str(path.relative_to(TESTS)): found for path in files if (found := wrong(path))} == {}
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("from tests.two.helper import it", ["two.helper", "two.helper.it"]),
+        *((f"from {it} import it", ["one.test_it", "one.test_it.it"]) for it in ("tests.one.test_it", ".test_it")),
+        ("from . import test_it", ["one.test_it"]),
+        ("from ..two import helper", ["two", "two.helper"]),
+        ("import tests.two.helper", ["two.helper"]),
+        *((f"from {it} import it", []) for it in (".helper", "tests.one", "tests.support.pure", "failstop.lab.trial")),
+    ],
+)
+def test_the_check_sees_it(source: str, found: list[str], tmp_path: Path) -> None:
+    tests = tmp_path / "tests"
+    for room in ("one", "two", "support"):
+        (tests / room).mkdir(parents=True)
+    path = tests / "one/test_other.py"
+    path.write_text(source)
+    assert wrong(path, tests) == found

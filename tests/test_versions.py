@@ -1,9 +1,12 @@
-"""`make versions` finds the interpreters that there are, and says which it lacks."""
+"""`make versions` finds the interpreters that there are; `make wheels` asks for what pyproject.toml needs, for
+each Python that it allows: only there the index is asked."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -50,25 +53,10 @@ def test_the_first_that_works(versions: ModuleType, tmp_path: Path) -> None:
     assert versions.find("3.10", {**environment, "PYENV_ROOT": str(tmp_path / "elsewhere")}) == other
 
 
-@pytest.mark.parametrize(
-    ("codes", "code", "said"),
-    [
-        ("0", 0, "python 3.10: good, "),
-        ("1 0", 0, "python 3.10: good, "),
-        ("1 1", 1, "python 3.10: FAILED, "),
-        ("2", 1, "python 3.10: FAILED, "),
-    ],
-)
-def test_what_is_said(
-    versions: ModuleType,
-    codes: str,
-    code: int,
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+@pytest.mark.parametrize(("codes", "said"), [("0", "good"), ("1 0", "good"), ("1 1", "FAILED"), ("2", "FAILED")])
+def test_what_fails_beside_others_is_tried_again_alone_and_told(
+    versions: Any, codes: str, said: str, tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Tests that fail beside others are tried again alone."""
     for name, folder in (("PATH", "bin"), ("HOME", "home"), ("PYENV_ROOT", "pyenv"), ("UV_PYTHON_INSTALL_DIR", "uv")):
         monkeypatch.setenv(name, str(tmp_path / folder))
     for left, one in enumerate(reversed(codes.split())):
@@ -77,9 +65,41 @@ def test_what_is_said(
     python.parent.mkdir()
     python.write_text(PYTHON.format(at=tmp_path))
     python.chmod(0o755)
-    assert versions.main(tmp_path / "at") == code
+    code = versions.main(tmp_path / "at")
     out = capsys.readouterr().out
-    assert said in out
+    assert (code, f"python 3.10: {said}, " in out) == (said == "FAILED", True)
     assert code == 0 or out.startswith("what pytest said\n")
     assert out.endswith("python 3.13: none here (on the path, of pyenv, of uv): not tried\n")
     assert not list(tmp_path.glob("code*"))
+
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def wheels() -> ModuleType:
+    return script(ROOT / "packaging" / "wheels.py")
+
+
+def test_every_python_that_is_allowed_is_asked_for(wheels: Any) -> None:
+    project = (ROOT / "pyproject.toml").read_text()
+    named = re.findall(r"Programming Language :: Python :: (3\.\d+)", project)
+    assert list(wheels.PYTHONS) == named
+    assert f'requires-python = ">={named[0]},<3.{int(named[-1][2:]) + 1}"' in project
+
+
+def test_a_condition_is_of_the_python_that_is_asked_for(wheels: Any) -> None:
+    dependencies = ["numpy>=1.24", "tomli>=2.0; python_version < '3.11'"]
+    assert wheels.needed(dependencies, "3.10") == ["numpy>=1.24", "tomli>=2.0"]
+    assert wheels.needed(dependencies, "3.11") == ["numpy>=1.24"]
+
+
+def test_what_has_no_wheel_is_named(wheels: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Done:
+        def __init__(self, command: list[str]) -> None:
+            assert "--only-binary=:all:" in command
+            assert "manylinux_2_28_aarch64" in command
+            self.returncode = int(command[-1].startswith("numpy"))
+
+    monkeypatch.setattr(wheels.subprocess, "run", lambda command, **_: Done(command))
+    assert wheels.missing(["numpy>=1.24", "msgpack>=1.1"], "3.12", "aarch64", "/tmp") == ["numpy>=1.24"]

@@ -31,17 +31,16 @@ ROOMS = {
             "tests/procs/test_admission.py",
             "tests/procs/test_port_owner*.py",
             "tests/procs/test_schedule.py",
-            "tests/procs/test_suspend.py",
             "tests/procs/test_wire*.py",
         ),
     ),
     "telemetry": Room(
         tuple(f"procs/telemetry/{name}.py" for name in ("battery", "odometry", "pad", "still")),
-        tuple(f"tests/telemetry/test_{name}.py" for name in ("battery", "odometry", "pad", "still", "tones")),
+        tuple(f"tests/telemetry/test_{name}.py" for name in ("battery", "odometry", "pad", "still")),
     ),
     "stopper": Room(
         ("procs/stopper/*.py", "failstop/stopping.py"),
-        ("tests/procs/test_rest.py", "tests/procs/test_stop_tool.py", "tests/procs/test_stopper.py"),
+        ("tests/procs/test_stop_tool.py", "tests/procs/test_stopper.py"),
     ),
     "shm": Room(
         (
@@ -58,7 +57,7 @@ ROOMS = {
             "tests/aarch64/test_pairs.py",
             "tests/incidents/test_box.py",
             "tests/incidents/test_memory.py",
-            "tests/procs/test_gate_halts.py",
+            "tests/procs/test_gate_driver_death.py",
             "tests/procs/test_gate_remarks.py",
             "tests/shm/test_[!npst]*.py",
             "tests/shm/test_place.py",

@@ -1,4 +1,4 @@
-"""Fixtures of the gate's tests."""
+"""Fixtures of the processes' tests."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 
 from failstop.board.rrc.board import BOARD
+from tests.support import gate_scene, port_scene, stopper_scene
 from tests.support.arm_settings import ARM
 from tests.support.gate_scene import Scene
-from tests.support.stage import PortMachine, Wire
+from tests.support.stage import PortMachine, Stage, Wire
 
 from .arm_bench import ArmBench, Make
 from .client_side import Service
@@ -56,21 +57,18 @@ def driving(gate: Gate) -> Gate:
 
 
 @pytest.fixture
-def scene() -> Scene:
-    """The process at work, not only its core."""
-    return Scene()
+def scene(request: pytest.FixtureRequest, arm_with: Make) -> Stage:
+    """The process at work that a test's file is named for; the gate with an arm whose joints it has read."""
+    name = request.path.stem
+    if name.startswith("test_gate_arm"):
+        return arm_with()
+    others = {"test_port_owner": port_scene, "test_schedule": port_scene, "test_stopper": stopper_scene}
+    found = next((module for start, module in others.items() if name.startswith(start)), gate_scene)
+    return found.Scene()
 
 
 @pytest.fixture
-def arm_scene() -> Scene:
-    """The process at work, with an arm whose joints it has read."""
-    made = Scene(ARM)
-    made.run(0.4)
-    return made
-
-
-@pytest.fixture
-def arm_bench() -> ArmBench:
+def bench() -> ArmBench:
     """The arm's core alone, with servos whose places it has read."""
     return ArmBench().known()
 

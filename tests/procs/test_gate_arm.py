@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import statistics
+from collections.abc import Callable
 from itertools import groupby, pairwise
 from struct import unpack_from
+from typing import Any
 
 import pytest
 
 from failstop.messages import box, records
+from failstop.messages.packing import Note
 from failstop.policy import causes
 from failstop.policy.joints import PULSES_PER_RAD
-from tests.support.arm_settings import DRIVE, SERVOS
+from tests.support.arm_settings import DRIVE, SERVOS, TUCK
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS
 
+from .arm_bench import Make
 from .arm_moves import follow, moves_in, renew, sent
 
 FOLLOW, JOG = records.ARM_FOLLOW, records.ARM_JOG
-
-
-@pytest.fixture
-def scene(arm_scene: Scene) -> Scene:
-    return arm_scene
 
 
 @pytest.mark.parametrize("rate", [0.04, -0.3])
@@ -69,22 +68,6 @@ def test_the_black_box_has_what_the_arm_is_to_do(scene: Scene) -> None:
     assert min(gaps) >= 100 * MS
 
 
-def test_no_joint_passes_its_speed_or_its_ramp(scene: Scene) -> None:
-    scene.goal(FOLLOW, {1: 2.0})
-    renew(scene, 60, FOLLOW, {1: 2.0})
-    moves = sent(scene, 1)
-    speeds = [(p1 - p0) / 0.04 / PULSES_PER_RAD for (_, p0), (_, p1) in pairwise(moves)]
-    assert max(speeds) <= 1.0 + 1 / 0.04 / PULSES_PER_RAD
-    ramps = [abs(after - before) / 0.04 for before, after in pairwise(speeds)]
-    assert max(ramps) <= 4.0 + 2 / 0.04**2 / PULSES_PER_RAD
-
-
-def test_jog_stops_at_the_soft_limit(scene: Scene) -> None:
-    renew(scene, 300, JOG, {1: 1.0})
-    assert scene.at(1) == 1000
-    assert max(position for _, position in sent(scene, 1)) == 1000
-
-
 def test_a_trajectory_goes_before_a_stream_and_the_newest_goal_before_older_ones(scene: Scene) -> None:
     scene.execute({1: 0.5}, 2.0)
     renew(scene, 40, FOLLOW, {1: -0.5})
@@ -99,13 +82,14 @@ def test_a_trajectory_goes_before_a_stream_and_the_newest_goal_before_older_ones
     assert scene.at(1) < 500 + 0.55 * PULSES_PER_RAD, "at once, and not when the last angle has run out"
 
 
+NONE = "for joints that the arm does not have"
 BAD = [
     ({1: float("nan")}, FOLLOW, "joint base to nan rad"),
     ({1: float("inf")}, FOLLOW, "joint base to inf rad"),
     ({1: 2.2}, FOLLOW, "joint base to 2.2 rad: allowed is -2.094 to 2.094"),
     ({1: 1.1}, JOG, "joint base at 1.1 rad/s: allowed is up to 1"),
     ({1: float("nan")}, JOG, "joint base at nan rad/s"),
-    ({7: 0.1}, FOLLOW, "for joints that the arm does not have"),
+    *(({servo: 0.1}, mode, f"a goal of test (pid 0) {NONE}") for servo, mode in ((7, FOLLOW), (1, 9))),
 ]
 
 
@@ -116,18 +100,29 @@ def test_a_goal_out_of_range_is_refused_by_name_and_latches_nothing(scene: Scene
         assert why in scene.state()["refused"]
     assert scene.moves == []
     assert scene.latched() is None
+    scene.goal(FOLLOW, {1: 0.0})
+    scene.run(0.02)
+    assert scene.state()["refused"] == ""
 
 
-@pytest.mark.parametrize("mode", ["follow", "trajectory"])
-def test_a_second_publisher_latches_and_the_arm_is_held(scene: Scene, mode: str) -> None:
-    if mode == "follow":
+@pytest.mark.parametrize("first", ["follow", "trajectory"])
+@pytest.mark.parametrize("second", ["a program", "a program's way", "gamepad"])
+def test_who_moves_it_beside_another_latches_and_the_arm_is_held(scene: Scene, first: str, second: str) -> None:
+    if first == "follow":
         follow(scene, 0.3, 0.5)
     else:
         scene.execute({1: 1.0})
         scene.run(0.6)
-    scene.goal(FOLLOW, {2: 0.1}, client=1)
+    if second == "gamepad":
+        scene.pad(1, 0.5)
+    elif second == "a program":
+        scene.goal(FOLLOW, {2: 0.1}, client=1)
+    else:
+        scene.travel({1: 0.2}, client=1)
+        assert scene.finish(client=1)[1].startswith("a stop is latched")
     scene.run(0.02)
-    assert str(scene.latched()).startswith("multiple arm/goal publishers: test")
+    rival = "gamepad" if second == "gamepad" else "other (pid 0)"
+    assert scene.latched() == str(causes.TWO_MOVE_THE_ARM("test (pid 0)", rival))
     assert moves_in(scene, 0.3) == 0
 
 
@@ -154,33 +149,164 @@ def test_an_enable_goes_to_the_pose_and_says_how_far_it_is(scene: Scene) -> None
     assert scene.result(records.DISABLE)[0] == records.DONE
 
 
-def at_the_next_tick(scene: Scene) -> None:
-    """Let the gate sleep until its next tick: what was asked meanwhile is handled in its very next turn."""
-    scene.clock.now_ns += 20 * MS
-    scene.gate.turn({})
+def test_a_request_right_after_the_enable_or_a_stop_is_refused_and_moves_nothing(scene: Scene) -> None:
+    def ask_for_both() -> list[tuple[int, str]]:
+        """In the very next turn: the gate slept until its next tick meanwhile."""
+        scene.ask_for(records.ARM_RELEASE)
+        scene.ask_for(records.ARM_TUCK, client=1)
+        scene.clock.now_ns += 20 * MS
+        scene.gate.turn({})
+        return [scene.answered(client) for client in (0, 1)]
 
-
-def test_a_request_right_after_the_enable_is_refused(scene: Scene) -> None:
     scene.ask_for(records.ENABLE)
     while scene.answered()[0] == records.UNDER_WAY:
         scene.wake()
     assert scene.answered() == (records.DONE, "motion enabled")
-    scene.ask_for(records.ARM_RELEASE)
-    scene.ask_for(records.ARM_TUCK, client=1)
-    at_the_next_tick(scene)
-    assert [scene.answered(client) for client in (0, 1)] == [(records.REFUSED, "wheels enabled")] * 2
-
-
-def test_a_request_right_after_a_stop_is_refused_and_moves_nothing(scene: Scene) -> None:
+    assert ask_for_both() == [(records.REFUSED, "wheels enabled")] * 2
     scene.stop(causes.PIPED(""))
-    scene.ask_for(records.ARM_RELEASE)
-    scene.ask_for(records.ARM_TUCK, client=1)
     scene.goal(FOLLOW, {1: 0.3})
-    at_the_next_tick(scene)
-    for client in (0, 1):
-        done, text = scene.answered(client)
-        assert done == records.REFUSED
-        assert "a stop is latched" in text
-    assert scene.state()["mode"] == ""
-    assert moves_in(scene, 1.0) == 0
+    for done, text in ask_for_both():
+        assert (done, "a stop is latched" in text) == (records.REFUSED, True)
+    moved = scene.state()["mode"], moves_in(scene, 1.0)
+    assert moved == ("", 0)
     assert scene.state()["refused"] == scene.state()["closed"] == "a stop is latched"
+
+
+def notes(scene: Scene) -> Callable[[], list[tuple[str, str]]]:
+    """(level, text) of what people are told of the arm from now on, since the last call."""
+    ring = scene.own.ring_reader("notes")
+
+    def news() -> list[tuple[str, str]]:
+        found = [Note.unpack(entry[2]) for entry in iter(ring.next, None)]
+        return [(note.level, note.text) for note in found if note.kind == "arm"]
+
+    return news
+
+
+FAULTS: dict[int, dict[str, Any]] = {2: {"silent": True}, 3: {"temperature_c": 70}, 4: {"supply_mv": 5999}}
+TOLD = {
+    "shoulder (servo 2)": "does not answer",
+    "elbow (servo 3)": "is hot: 70 degrees or more; at 85 it lets go",
+    "wrist (servo 4)": "has less than 6000 mV; with little less it lets go",
+}
+
+
+def test_faults_of_servos_are_told_once_and_their_end(scene: Scene) -> None:
+    news = notes(scene)
+    scene.run(10.0)
+    assert news() == []
+    for servo, fault in FAULTS.items():
+        scene.servos.change(servo, scene.clock(), **fault)
+    scene.run(10.0)
+    assert sorted(news()) == sorted(("warning", f"joint {of} {text}") for of, text in TOLD.items())
+    assert sorted(scene.state()["wrong"]) == sorted(f"joint {of.partition(' ')[0]} {text}" for of, text in TOLD.items())
+    assert scene.state()["silent"] == [2]
+    for servo in FAULTS:
+        scene.servos.change(servo, scene.clock(), silent=False, temperature_c=69, supply_mv=6000)
+    scene.run(10.0)
+    assert sorted(news()) == sorted(("", f"joint {of} is well again") for of in TOLD)
+    assert scene.state()["wrong"] == []
+
+
+def test_arm_that_is_left_alone_says_so_and_tucks_itself_on_time(arm_with: Make) -> None:
+    scene = arm_with(arm__auto_tuck_s=5.0, arm__tuck_notice_s=2.0)
+    news = notes(scene)
+    scene.run(6.0)
+    assert scene.moves == [], "never used, never tucked"
+    assert scene.state()["auto_tuck_s"] is None
+    scene.travel({1: 0.5})
+    scene.finish()
+    assert scene.state()["auto_tuck_s"] == 5
+    assert not scene.state()["tucks"]
+    alone_ns = scene.clock()
+    scene.run(2.9)
+    assert news() == []
+    scene.run(0.2)
+    assert news() == [("", "the arm was left alone: it goes to its tuck pose in 2 s")]
+    assert scene.state()["tucks"]
+    assert scene.state()["auto_tuck_s"] == 2
+    count = len(scene.moves)
+    scene.run(3.0)
+    assert scene.state()["by"] == "auto-tuck"
+    assert scene.state()["auto_tuck_s"] is None
+    assert not scene.state()["tucks"]
+    began_s = (scene.moves[count][0] - alone_ns) * 1e-9
+    assert 4.9 < began_s < 5.3
+    scene.run(10.0)
+    assert [scene.at(servo) for servo in SERVOS] == pytest.approx(TUCK, abs=2)
+    assert scene.state()["pose"] == "tuck"
+    scene.run(7.0)
+    assert news() == []
+
+
+def test_arm_that_is_used_again_before_it_tucks_is_announced_anew(arm_with: Make) -> None:
+    scene = arm_with(arm__auto_tuck_s=10.0)
+    news = notes(scene)
+    scene.travel({1: 0.5})
+    scene.finish()
+    scene.run(7.0)
+    assert len(news()) == 1
+    scene.travel({1: 0.4})
+    scene.finish()
+    scene.run(4.5)
+    assert news() == []
+    scene.run(1.5)
+    assert len(news()) == 1
+    scene.ask_for(records.ENABLE)
+    assert scene.finish()[0] == records.DONE
+    scene.run(12.0)
+    assert news() == [], "wheels enabled: it must not"
+    assert scene.state()["auto_tuck_s"] in (None, 10)
+    scene.ask_for(records.DISABLE)
+    scene.run(9.0)
+    assert len(news()) == 1
+    scene.run(6.0)
+    assert scene.state()["pose"] == "tuck" or scene.state()["by"] == "auto-tuck"
+
+
+def test_released_arm_stays_limp_until_it_is_asked_to_move(arm_with: Make) -> None:
+    scene = arm_with(arm__auto_tuck_s=1.0, arm__tuck_notice_s=0.5)
+    scene.travel({1: 0.2})
+    scene.finish()
+    scene.ask_for(records.ARM_RELEASE)
+    for seconds in (0.2, 10.0):
+        scene.run(seconds)
+        assert all(servo.limp() for servo in scene.servos.by_id.values())
+    scene.travel({1: 0.1})
+    assert scene.finish() == (records.DONE, "arm is there")
+
+
+@pytest.mark.parametrize("how", ["fails", "is ended", "is off", "is there already"])
+def test_tuck_of_an_arm_left_alone_is_told_of_where_it_fails(arm_with: Make, how: str) -> None:
+    off: dict[str, object] = {"arm__auto_tuck": "off"} if how == "is off" else {}
+    scene = arm_with(arm__auto_tuck_s=2.0, arm__tuck_notice_s=0.5, **off)
+    news = notes(scene)
+    if how == "is there already":
+        scene.ask_for(records.ARM_TUCK)
+    else:
+        scene.travel({1: 0.5})
+    assert scene.finish(most_s=20.0) == (records.DONE, "arm is there")
+    if how == "fails":
+        scene.servos.change(2, scene.clock(), blocked=True)
+    scene.run(3.0)
+    assert (scene.state()["by"] == "auto-tuck") is (how in ("fails", "is ended"))
+    if how == "is ended":
+        scene.ask_for(records.ARM_HOLD)
+    scene.run(12.0 if how != "is ended" else 0.2)
+    told = news()
+    assert [level for level, _ in told[:2]] == {"fails": ["", "warning"], "is ended": [""]}.get(how, [])
+    assert how != "fails" or told[1][1].startswith("the arm did not tuck itself: joint shoulder (servo 2) is 46")
+    assert how != "is off" or scene.at(1) > 600
+
+
+def test_tuck_that_can_not_begin_is_not_tried_again(arm_with: Make) -> None:
+    scene = arm_with(arm__auto_tuck_s=2.0, arm__tuck_notice_s=0.5)
+    scene.travel({1: 0.5})
+    scene.finish()
+    for servo in SERVOS:
+        scene.servos.change(servo, scene.clock(), silent=True)
+    news = notes(scene)
+    scene.run(12.0)
+    assert any("did not tuck itself" in text for _, text in news())
+    scene.run(8.0)
+    assert news() == []

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
 from failstop.board import servos
@@ -23,16 +21,8 @@ PERIOD_NS = 40 * MS
 TIMEOUT_NS = 500 * MS
 
 
-@pytest.fixture
-def bench(arm_bench: ArmBench) -> ArmBench:
-    return arm_bench
-
-
-# Release.
-
-
-def test_release_switches_one_torque_after_the_other_off(bench: ArmBench) -> None:
-    bench.execute((0.0, 510.0), joints=6)
+def test_release_switches_one_torque_after_the_other_off_until_the_arm_is_used_again(bench: ArmBench) -> None:
+    bench.travel((0.0, 510.0), joints=6)
     bench.run(2.0)
     assert all(joint.loaded for joint in bench.core.joints)
     bench.frames.clear()
@@ -43,29 +33,19 @@ def test_release_switches_one_torque_after_the_other_off(bench: ArmBench) -> Non
     for _ in range(6):
         bench.look()
         due_ns = bench.core.due_ns
-        bench.now = due_ns - 1
-        bench.look()
-        bench.now = due_ns
-        bench.look()
+        for bench.now in (due_ns - 1, due_ns):
+            bench.look()
     assert bench.frames == [
         (begun_ns + number * TORQUE_APART_NS, bytes((servos.TORQUE_OFF, servo)))
         for number, servo in enumerate(SERVOS, 1)
     ]
-    bench.now += SERVO_ANSWER_NS
-    bench.execute((0.0, 500.0))
-    assert not bench.core.released
-    bench.until(lambda: bench.times(servos.TORQUE_ON))
-
-
-@pytest.mark.parametrize("ask", [ArmBench.goal, lambda bench: bench.execute((0.0, 510.0))])
-def test_a_goal_or_a_journey_uses_a_released_arm_again(bench: ArmBench, ask: Callable[[ArmBench], object]) -> None:
-    bench.core.release(bench.now)
-    bench.run(0.1)
-    ask(bench)
+    bench.now += ANSWER_NS
+    bench.goal()
     assert (bench.core.active_ns, bench.core.released) == (bench.now, False)
-
-
-# Torques, questions and moves.
+    bench.core.release(bench.now)
+    bench.travel((0.0, 500.0))
+    assert (bench.core.active_ns, bench.core.released) == (bench.now, False)
+    bench.until(lambda: bench.times(servos.TORQUE_ON))
 
 
 def test_torques_are_switched_on_one_after_the_other_before_the_first_move(bench: ArmBench) -> None:
@@ -155,28 +135,16 @@ def test_first_step_is_one_of_a_period_from_rest(bench: ArmBench) -> None:
         bench.run(1.5)
 
 
-# Whose goal counts.
-
-
-def test_goal_counts_for_its_time_to_the_nanosecond(bench: ArmBench) -> None:
-    bench.goal()
-    assert bench.core.publisher(OTHER, bench.now) == "client 11"
-    assert bench.core.publisher(ME, bench.now) == ""
-    bench.now += TIMEOUT_NS
-    assert bench.core.publisher(OTHER, bench.now) == "client 11"
-    bench.look()
-    assert bench.core.moved_by(ME)
-    assert not bench.core.moved_by(OTHER)
-    bench.now += 1
-    assert bench.core.publisher(OTHER, bench.now) == ""
-    bench.look()
-    assert not bench.core.moved_by(ME)
-
-
-def test_goal_of_the_future_counts_from_now(bench: ArmBench) -> None:
-    bench.goal(age_ns=-10 * TIMEOUT_NS)
-    bench.now += TIMEOUT_NS + 1
-    assert bench.core.publisher(OTHER, bench.now) == ""
+@pytest.mark.parametrize("age_ns", [0, -10 * TIMEOUT_NS], ids=["", "of the future, from now"])
+def test_goal_counts_for_its_time_to_the_nanosecond(bench: ArmBench, age_ns: int) -> None:
+    bench.goal(age_ns=age_ns)
+    for elapsed_ns, counts in ((0, True), (TIMEOUT_NS, True), (1, False)):
+        bench.now += elapsed_ns
+        assert bench.core.publisher(OTHER, bench.now) == ("client 11" if counts else "")
+        assert bench.core.publisher(ME, bench.now) == ""
+        if elapsed_ns:
+            bench.look()
+            assert (bench.core.moved_by(ME), bench.core.moved_by(OTHER)) == (counts, False)
 
 
 def test_journey_is_its_client_s_but_for_the_service_s(bench: ArmBench) -> None:
@@ -184,7 +152,6 @@ def test_journey_is_its_client_s_but_for_the_service_s(bench: ArmBench) -> None:
     assert bench.core.publisher(OTHER, bench.now) == "client 11"
     assert bench.core.publisher(ME, bench.now) == ""
     assert bench.core.moved_by(ME)
-    assert bench.core.followed is trajectory
     bench.goal()
     assert bench.core.followed is trajectory, "a trajectory before a stream"
     bench.execute((5.0, 600.0), session=SERVICE)
@@ -194,18 +161,14 @@ def test_journey_is_its_client_s_but_for_the_service_s(bench: ArmBench) -> None:
     assert isinstance(bench.core.followed, Goal), "who streams goes before the service's trajectories"
 
 
-def test_stale_goal_beside_a_journey_holds_nothing(bench: ArmBench) -> None:
+def test_closed_while_motion_is_enabled(bench: ArmBench) -> None:
+    bench.gate.enable()
     bench.goal()
-    bench.run(0.2)
-    trajectory = bench.execute((2.0, 600.0))
-    bench.goal()
-    bench.holds.clear()
-    bench.until(lambda: trajectory.done)
-    assert bench.holds == []
-    assert trajectory.outcome == ""
+    assert bench.core.why_not() == bench.gate.core.arm_closed() == "wheels enabled"
+    assert bench.core.followed is None
 
 
-def test_goal_that_is_not_renewed_holds_the_arm_once(bench: ArmBench) -> None:
+def test_goal_that_is_not_renewed_holds_the_arm_once_and_beside_a_journey_nothing(bench: ArmBench) -> None:
     goal = bench.goal()
     bench.run(0.3)
     assert bench.core.streaming()
@@ -214,6 +177,13 @@ def test_goal_that_is_not_renewed_holds_the_arm_once(bench: ArmBench) -> None:
     assert len(bench.holds) == 1
     assert 0 < bench.holds[0] - goal.t_ns - TIMEOUT_NS <= TICK
     assert not bench.core.streaming()
+    bench.goal()
+    bench.run(0.2)
+    journey = bench.travel((2.0, 600.0))
+    bench.goal()
+    bench.holds.clear()
+    bench.until(lambda: journey.done)
+    assert (bench.holds, journey.outcome) == ([], "")
 
 
 def test_ended_stream_counts_again_after_its_timeout_or_its_pause(bench: ArmBench) -> None:
@@ -248,9 +218,6 @@ def test_other_joints_of_a_goal_are_held_and_begin_together(bench: ArmBench) -> 
     assert all(joint.known for joint in joints)
 
 
-# Journeys.
-
-
 def test_journey_that_pauses_at_its_end_is_not_over_before_its_time(bench: ArmBench) -> None:
     trajectory = bench.execute((1.0, 550.0), (3.0, 550.0))
     bench.until(bench.core.streaming)
@@ -262,7 +229,6 @@ def test_journey_that_pauses_at_its_end_is_not_over_before_its_time(bench: ArmBe
 
 
 def test_joint_that_is_not_there_at_its_time_has_lost_its_way(bench: ArmBench) -> None:
-    """Its ramp is too slow for the rows."""
     slow = ArmBench(joints__base__acceleration_radps2=0.05, joints__base__speed_radps=6.0).known()
     trajectory = slow.execute((0.5, 800.0))
     slow.until(slow.core.streaming)
@@ -273,12 +239,14 @@ def test_joint_that_is_not_there_at_its_time_has_lost_its_way(bench: ArmBench) -
     assert not slow.core.streaming()
 
 
+ALL = "joints base, shoulder, elbow, wrist, roll, gripper: no answer from servos 1, 2, 3, 4, 5, 10"
+
+
 @pytest.mark.parametrize(
     ("silent", "told"),
     [
-        ((1,), "joint base: no answer from servo 1"),
-        ((1, 3), "joints base, elbow: no answer from servos 1, 3"),
-        (SERVOS, "joints base, shoulder, elbow, wrist, roll, gripper: no answer from servos 1, 2, 3, 4, 5, 10"),
+        *(((1,), "joint base: no answer from servo 1"), ((1, 3), "joints base, elbow: no answer from servos 1, 3")),
+        (SERVOS, ALL),
     ],
 )
 def test_silent_servos_end_a_journey_once_all_were_asked(bench: ArmBench, silent: tuple[int, ...], told: str) -> None:
@@ -293,8 +261,7 @@ def test_silent_servos_end_a_journey_once_all_were_asked(bench: ArmBench, silent
     assert not bench.core.streaming()
 
 
-def test_place_that_can_not_be_read_in_time_ends_a_trajectory(bench: ArmBench) -> None:
-    """Each reading differs from the one before."""
+def test_place_that_can_not_be_read_in_time_ends_a_journey(bench: ArmBench) -> None:
     bench.core.forget()
     trajectory = bench.execute((0.0, 600.0))
     begun_ns = bench.now
@@ -315,12 +282,21 @@ def test_journey_is_there_when_its_joints_are_read_near_its_end(bench: ArmBench,
     assert bool(trajectory.outcome) == bool(told)
 
 
-def test_joint_is_off_beyond_the_tolerance_and_while_it_was_not_read(bench: ArmBench) -> None:
-    joint = bench.core.joints[0]
+def test_joint_is_off_beyond_the_tolerance_and_a_pose_named_when_none_judged_is(bench: ArmBench) -> None:
+    core, joint = bench.core, bench.core.joints[0]
     off = "is 31 pulses off"
     for measured, told in ((530, ""), (470, ""), (531, off), (469, off), (None, "was not read")):
         joint.measured = measured
-        assert bench.core.off({joint: 500.0}) == (f"joint base (servo 1) {told}" if told else "")
+        assert core.off({joint: 500.0}) == (f"joint base (servo 1) {told}" if told else "")
+    tuck = {joint.name: joint.tuck for joint in core.joints}
+    for places, name in (({}, "drive"), ({"base": 1, "gripper": 1}, "drive"), (tuck, "tuck"), ({"elbow": 90}, "")):
+        for joint in core.joints:  # base and gripper are not judged
+            joint.measured = places.get(joint.name, joint.drive)
+        assert core.pose_name() == name
+    assert core.off_pose("drive").startswith("joint elbow (servo 3) is 39")
+    core.joints[2].measured = core.joints[2].drive
+    core.joints[1].known = False
+    assert core.pose_name() == "", "all that is judged must be known"
 
 
 @pytest.mark.parametrize(("position", "first"), [(-20.0, 0.0), (1020.0, 1000.0)])
@@ -331,26 +307,6 @@ def test_servo_beyond_what_a_move_can_say_begins_at_its_nearest(position: float,
     assert bench.core.joints[0].position == first
     bench.until(lambda: bench.times(servos.SERVO_MOVE))
     assert abs(bench.core.joints[0].position - first) < 10
-
-
-def test_pose_is_named_when_all_that_is_judged_of_it_is_known_and_there(bench: ArmBench) -> None:
-    core = bench.core
-
-    def stand(values: dict[str, int]) -> None:
-        for joint in core.joints:
-            joint.measured = values.get(joint.name, joint.drive)
-
-    stand({})
-    assert core.pose_name() == "drive"
-    stand({"base": 1, "gripper": 1})
-    assert core.pose_name() == "drive", "neither is judged"
-    stand({"elbow": 90})
-    assert core.pose_name() == ""
-    assert core.off_pose("drive").startswith("joint elbow (servo 3) is 39")
-    stand({joint.name: joint.tuck for joint in core.joints})
-    assert core.pose_name() == "tuck"
-    core.joints[1].known = False
-    assert core.pose_name() == ""
 
 
 def test_way_to_a_pose_takes_its_joints_there_at_the_share_of_their_speed() -> None:
@@ -367,12 +323,3 @@ def test_way_to_a_pose_takes_its_joints_there_at_the_share_of_their_speed() -> N
     assert trajectory.outcome == ""
     nowhere = {f"joints__{joint.name}__tuck": -1 for joint in bench.core.joints}
     assert ArmBench(**nowhere).core.pose(goals.TUCK, SERVICE, "me") is None
-
-
-def test_closed_while_motion_is_enabled(bench: ArmBench) -> None:
-    assert bench.gate.core.arm_closed() == ""
-    bench.gate.enable()
-    assert bench.gate.core.arm_closed() == "wheels enabled"
-    bench.goal()
-    assert bench.core.why_not() == "wheels enabled"
-    assert bench.core.followed is None

@@ -6,12 +6,17 @@ from collections.abc import Callable
 
 import pytest
 
+from failstop.board import servos
 from failstop.messages import records
 from failstop.policy.capsules import FLOOR, Model
 from failstop.policy.joints import PULSES_PER_RAD
 from failstop.policy.settings import Settings
+from failstop.procs.gate.arm import goals
+from failstop.procs.gate.arm.goals import Goal
 from tests.support.arm_settings import ARM, JOINTS, SERVOS
 from tests.support.gate_scene import Scene
+
+from .arm_bench import ME, ArmBench
 
 LINKS = (("yaw", 0.05), ("pitch", 0.15), ("pitch", 0.15), ("pitch", 0.1), ("roll", 0.0), ("none", 0.0))
 LOW = round(500 + 1.5 * PULSES_PER_RAD)
@@ -57,20 +62,22 @@ def scene() -> Scene:
     return made
 
 
-def test_follow_ends_before_the_floor_and_goes_back_from_there(scene: Scene) -> None:
-    assert watch(scene, 2.5, lambda: scene.goal(records.ARM_FOLLOW, {ELBOW: 1.5, 4: 0.2})) > -0.001
+@pytest.mark.parametrize("by", ["follow", "gamepad"])
+def test_a_stream_ends_before_the_floor_and_goes_back_from_there(scene: Scene, by: str) -> None:
+    def down() -> None:
+        if by == "gamepad":
+            scene.pad(JOINTS.index("elbow"), 0.8)
+        else:
+            scene.goal(records.ARM_FOLLOW, {ELBOW: 1.5, 4: 0.2})
+
+    assert watch(scene, 2.5, down) > -0.001
     assert gap_m(scene) < 0.02, "it went as far as it could"
     assert scene.state()["refused"] == f"the arm would hit something on its way: wrist and {FLOOR}"
     assert scene.latched() is None
-    watch(scene, 2.5, lambda: scene.goal(records.ARM_FOLLOW, {ELBOW: 0.0, 4: 0.0}))
-    assert scene.at(ELBOW) == pytest.approx(500, abs=2)
-    assert scene.state()["refused"] == ""
-
-
-def test_the_gamepad_s_joint_ends_before_the_floor(scene: Scene) -> None:
-    assert watch(scene, 2.5, lambda: scene.pad(JOINTS.index("elbow"), 0.8)) > -0.001
-    assert gap_m(scene) < 0.02
-    assert FLOOR in scene.state()["refused"]
+    if by == "follow":
+        watch(scene, 2.5, lambda: scene.goal(records.ARM_FOLLOW, {ELBOW: 0.0, 4: 0.0}))
+        assert scene.at(ELBOW) == pytest.approx(500, abs=2)
+        assert scene.state()["refused"] == ""
 
 
 def test_a_trajectory_whose_client_did_not_look_is_held_and_refused(scene: Scene) -> None:
@@ -80,18 +87,11 @@ def test_a_trajectory_whose_client_did_not_look_is_held_and_refused(scene: Scene
     assert not scene.state()["moving"]
 
 
-def test_a_pose_and_the_way_to_enable_end_before_the_floor(scene: Scene) -> None:
-    assert scene.result(records.ARM_TUCK)[1].startswith("the arm would hit something")
-    done, text = scene.result(records.ENABLE)
-    assert (done, text) == (
-        records.REFUSED,
-        f"arm is not in the drive pose: the arm would hit something on its way: wrist and {FLOOR}",
-    )
-    assert gap_m(scene) > -0.001
+def test_a_pose_the_way_to_enable_and_an_arm_that_tucks_itself_end_before_the_floor(scene: Scene) -> None:
+    hit = f"the arm would hit something on its way: wrist and {FLOOR}"
+    assert scene.result(records.ARM_TUCK)[1] == hit
+    assert scene.result(records.ENABLE) == (records.REFUSED, f"arm is not in the drive pose: {hit}")
     assert not scene.gate.core.enabled
-
-
-def test_an_arm_that_can_not_tuck_itself_says_so(scene: Scene) -> None:
     scene.run(26.0)
     assert any("the arm did not tuck itself: the arm would hit something" in text for text in scene.told())
     assert gap_m(scene) > -0.001
@@ -110,17 +110,74 @@ def test_links_that_touch_already_may_part(scene: Scene) -> None:
     assert scene.finish() == (records.DONE, "arm is there")
 
 
-def test_a_silent_servo_keeps_no_other_joint_from_moving(scene: Scene) -> None:
-    scene.servos.change(10, scene.clock(), silent=True)
-    scene.ask_for(records.ARM_READ)
-    assert "gripper" in scene.finish()[1]
-    scene.execute({ELBOW: 0.2})
-    assert scene.finish() == (records.DONE, "arm is there")
-
-
 def test_the_places_of_all_joints_are_read_before_one_of_them_moves(scene: Scene) -> None:
     """A shoulder that was moved by hand since: the elbow's way is another then."""
     scene.servos.change(2, scene.clock(), position=500)
-    scene.gate.arm.core.forget()  # type: ignore[union-attr]
-    scene.execute({ELBOW: 1.5})
+    scene.gate.arm.core.forget()
+    scene.travel({ELBOW: 1.5})
     assert scene.finish() == (records.DONE, "arm is there")
+    scene.servos.change(10, scene.clock(), silent=True)
+    scene.ask_for(records.ARM_READ)
+    assert "gripper" in scene.finish()[1]
+    scene.travel({ELBOW: 0.2})
+    assert scene.finish() == (records.DONE, "arm is there"), "a silent servo keeps no other from moving"
+
+
+LONG_ARM = {"base__length_m": 0.05, "base__turns": "yaw", "shoulder__length_m": 0.3, "shoulder__turns": "pitch"}
+
+
+def over_the_floor() -> ArmBench:
+    """A long upper arm, and a chassis far above."""
+    chassis = {"arm__chassis_z_m": 1.0, "arm__chassis_length_m": 0.0, "arm__chassis_radius_m": 0.0}
+    changed: dict[str, object] = {f"joints__{key}": value for key, value in LONG_ARM.items()} | chassis
+    return ArmBench(arm__collision="on", arm__mount_z_m=0.0, **changed)
+
+
+def jog(bench: ArmBench, rates: dict[int, float]) -> None:
+    joints = bench.core.joints
+    goal = Goal(goals.JOG, ME, "client 11", bench.now, {joints[index]: rate for index, rate in rates.items()})
+    bench.core.take(goal, "", bench.now)
+
+
+def test_joint_that_would_hit_something_stays_where_it_is_and_a_journey_is_held() -> None:
+    bench = over_the_floor().known()
+    shoulder = bench.core.joints[1]
+    journey = bench.travel((0.0, 950.0), joints=2)
+    bench.until(lambda: journey.done)
+    assert journey.outcome.startswith("the arm would hit something on its way: shoulder")
+    assert bench.holds == [bench.now]
+    assert bench.core.why_not() == ""
+    stood = shoulder.position
+    bench.known()
+    for _ in range(10):
+        jog(bench, {1: 1.0})
+        bench.run(0.2)
+    assert bench.core.why_not() == journey.outcome
+    assert shoulder.velocity == 0.0
+    assert shoulder.position == pytest.approx(stood, abs=10)
+    gripper = bench.core.joints[5]
+    begin = gripper.position
+    jog(bench, {5: 0.5})
+    bench.run(0.4)
+    assert (bench.core.why_not(), gripper.position > begin + 10) == ("", True), "a joint that changes no touch may move"
+
+
+def test_only_the_joints_that_move_are_waited_for_where_nothing_is_looked_at(bench: ArmBench) -> None:
+    bench.core.forget()
+    for servo in (3, 4):
+        bench.servos.change(servo, bench.now, silent=True)
+    bench.goal()
+    bench.until(lambda: bench.times(servos.SERVO_MOVE), most_s=0.1)
+    assert [joint.name for joint in bench.core.joints if joint.known] == ["base"]
+
+
+def test_joint_that_a_newer_goal_leaves_out_comes_to_rest(bench: ArmBench) -> None:
+    jog(bench, {0: 0.5, 1: 0.5})
+    bench.run(0.3)
+    jog(bench, {0: 0.5})
+    bench.run(0.3)
+    stood = bench.core.joints[1].position
+    jog(bench, {0: 0.5})
+    bench.run(0.3)
+    assert bench.core.streaming()
+    assert bench.core.joints[1].position == stood

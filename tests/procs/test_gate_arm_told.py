@@ -7,7 +7,6 @@ from itertools import pairwise
 import pytest
 
 from failstop.messages import records
-from failstop.policy import causes
 from failstop.policy.joints import PULSES_PER_RAD
 from failstop.procs.gate.arm.shell import LONGEST_S
 from tests.support.arm_settings import DRIVE, JOINTS, SERVOS
@@ -21,22 +20,12 @@ TIMES = f"a trajectory's times go up from more than 0 to {LONGEST_S:g} s"
 ANGLE = "joint base to 3 rad: allowed is -2.094 to 2.094"
 
 
-@pytest.fixture
-def scene(arm_scene: Scene) -> Scene:
-    return arm_scene
-
-
-# Trajectories.
-
-
+A_TENTH = [(0.0, [0.1])]
 REFUSED = [
-    ([(0.0, [0.1, 0.1])], [1, 7], 1.0, NO_JOINTS),
-    ([(0.0, [0.1, 0.1])], [1, 1], 1.0, NO_JOINTS),
-    ([(0.0, [0.1])], [1], 0.0, NO_JOINTS),
-    ([(0.0, [0.1])], [1], 1.01, NO_JOINTS),
-    ([(-0.1, [0.1])], [1], 1.0, TIMES),
-    ([(LONGEST_S + 0.1, [0.1])], [1], 1.0, TIMES),
-    ([(0.0, [0.1]), (1.0, [0.2])], [1], 1.0, TIMES),
+    *(([(0.0, [0.1, 0.1])], servos, 1.0, NO_JOINTS) for servos in ([1, 7], [1, 1])),
+    *((A_TENTH, [1], share, NO_JOINTS) for share in (0.0, 1.01)),
+    *(([(t_s, [0.1])], [1], 1.0, TIMES) for t_s in (-0.1, LONGEST_S + 0.1)),
+    ([*A_TENTH, (1.0, [0.2])], [1], 1.0, TIMES),
     ([(1.0, [0.1]), (1.0, [0.1])], [1], 1.0, "the times do not go up: 1 s, then 1 s"),
     ([(1.0, [3.0])], [1], 1.0, ANGLE),
     ([(1.0, [0.1]), (2.0, [3.0])], [1], 1.0, f"{ANGLE} (at 2 s)"),
@@ -51,11 +40,16 @@ def test_trajectory_that_can_not_be_gone_is_refused(scene: Scene) -> None:
     assert scene.moves == []
 
 
-@pytest.mark.parametrize("rows", [[(LONGEST_S, [0.0])], [(0.5, [0.1]), (LONGEST_S, [0.0])]])
-def test_trajectory_may_take_the_longest_time(scene: Scene, rows: list[tuple[float, list[float]]]) -> None:
-    scene.go(1.0, [1], rows)
-    scene.run(0.5)
-    assert scene.answered()[1] == f"arm, move: on its way, {(LONGEST_S * 1e9 - 0.4e9) / 1e9:.1f} s left"
+def test_trajectory_may_take_the_longest_time_and_a_newer_preempts_it(scene: Scene) -> None:
+    for rows in ([(LONGEST_S, [0.0])], [(0.5, [0.1]), (LONGEST_S, [0.0])]):
+        scene.go(1.0, [1], rows)
+        scene.run(0.5)
+        done, text = scene.answered()
+        assert (done, text.partition(", ")[2][:12]) == (records.UNDER_WAY, "move: on its")
+        assert LONGEST_S - 0.5 <= float(text.split()[-3]) <= LONGEST_S
+    scene.travel({1: -0.2})
+    assert scene.finish() == (records.DONE, "arm is there")
+    assert scene.at(1) == pytest.approx(500 - 0.2 * PULSES_PER_RAD, abs=3)
 
 
 def test_way_without_a_time_takes_the_share_of_its_speed(scene: Scene) -> None:
@@ -84,9 +78,6 @@ def test_progress_is_told_five_times_a_second(scene: Scene) -> None:
     assert 1.8 <= left[-1] <= 2.0
 
 
-# Who waits.
-
-
 def test_client_that_leaves_gives_up_what_it_waits_for(scene: Scene) -> None:
     scene.ask_for(records.ENABLE)
     scene.run(0.8)
@@ -113,12 +104,11 @@ def test_reply_is_not_for_who_has_the_slot_next(scene: Scene) -> None:
 @pytest.mark.parametrize(
     ("verb", "client", "done"),
     [
-        (records.ARM_HOLD, 0, "arm held"),
-        (records.ARM_HOLD, 1, "arm held"),
+        *((records.ARM_HOLD, client, "arm held") for client in (0, 1)),
         (records.ARM_RELEASE, 0, "arm released: its torque is off"),
     ],
 )
-def test_hold_and_release_are_done_at_once_and_told_to_the_client_that_moves_it(
+def test_hold_and_release_are_done_at_once_and_told_to_the_mover(
     scene: Scene, verb: int, client: int, done: str
 ) -> None:
     scene.execute({1: 1.0})
@@ -127,12 +117,17 @@ def test_hold_and_release_are_done_at_once_and_told_to_the_client_that_moves_it(
     scene.run(0.02)
     assert scene.answered(client) == (records.DONE, done)
     assert client == 0 or scene.answered() == (records.REFUSED, "held by other (pid 0)")
-    assert not scene.state()["moving"]
-    assert scene.state()["released"] == (verb == records.ARM_RELEASE)
+    assert (scene.state()["moving"], scene.state()["released"]) == (False, verb == records.ARM_RELEASE)
 
 
-def test_hold_ends_a_release(scene: Scene) -> None:
-    scene.execute({1: 0.1, 2: 0.1})
+def test_hold_ends_a_release_and_read_tells_where_each_joint_is(scene: Scene) -> None:
+    scene.servos.change(4, scene.clock(), position=320.0)
+    scene.ask_for(records.ARM_READ)
+    scene.run(0.02)
+    assert scene.answered()[1] == "arm, read: finding out where it is"
+    assert scene.finish() == (records.DONE, "arm is there")
+    assert {row[0]: row[3] for row in scene.state()["joints"]}["wrist"] == pytest.approx(320, abs=3)
+    scene.travel({1: 0.1, 2: 0.1})
     scene.finish()
     assert scene.ask(records.ARM_RELEASE)[0] == records.DONE
     scene.run(0.006)
@@ -141,37 +136,11 @@ def test_hold_ends_a_release(scene: Scene) -> None:
     assert [scene.servos.by_id[servo].limp() for servo in (1, 2)] == [True, False]
 
 
-def test_newer_way_preempts_the_older(scene: Scene) -> None:
-    scene.execute({1: 1.0})
-    scene.run(0.5)
-    scene.execute({1: -0.2})
-    assert scene.finish() == (records.DONE, "arm is there")
-    assert scene.at(1) == pytest.approx(500 - 0.2 * PULSES_PER_RAD, abs=3)
-
-
 def test_pose_that_the_settings_do_not_have_is_refused(arm_with: Make) -> None:
     scene = arm_with(**{f"joints__{name}__tuck": -1 for name in JOINTS})
     assert scene.result(records.ARM_TUCK) == (records.REFUSED, "the settings have no tuck pose")
     assert scene.result(records.ARM_DRIVE) == (records.DONE, "arm is there")
     assert scene.state()["pose"] == "drive"
-
-
-def test_way_while_another_client_moves_it_is_refused_and_latches(scene: Scene) -> None:
-    scene.goal(records.ARM_FOLLOW, {1: 0.1})
-    scene.run(0.1)
-    scene.execute({1: 0.2}, client=1)
-    assert scene.finish(client=1)[1].startswith("a stop is latched")
-    assert scene.latched() == str(causes.TWO_MOVE_THE_ARM("test (pid 0)", "other (pid 0)"))
-
-
-def test_goal_for_joints_that_are_none_is_refused_by_name(scene: Scene) -> None:
-    for mode, servo in ((records.ARM_FOLLOW, 7), (9, 1)):
-        scene.goal(mode, {servo: 0.1})
-        scene.run(0.02)
-        assert scene.state()["refused"] == "a goal of test (pid 0) for joints that the arm does not have"
-        scene.goal(records.ARM_FOLLOW, {1: 0.0})
-        scene.run(0.02)
-        assert scene.state()["refused"] == ""
 
 
 def test_hint_at_an_absent_arm_only_where_no_joint_of_the_pose_answers(arm_with: Make) -> None:
@@ -184,9 +153,6 @@ def test_hint_at_an_absent_arm_only_where_no_joint_of_the_pose_answers(arm_with:
     assert "arm.absent" not in text
     scene.servos.change(3, scene.clock(), silent=True)
     assert scene.result(records.ENABLE)[1].endswith('; without the arm: arm.absent = "ignore"')
-
-
-# The gamepad.
 
 
 def test_gamepad_turns_by_its_share_of_the_joint_s_speed_until_let_go(scene: Scene) -> None:
@@ -212,20 +178,11 @@ def test_gamepad_turns_by_its_share_of_the_joint_s_speed_until_let_go(scene: Sce
     assert scene.state()["pad_joint"] is None
 
 
-# The state.
-
-
 def test_state_says_what_the_arm_does_and_for_whom(scene: Scene) -> None:
-    assert {key: scene.state()[key] for key in ("mode", "phase", "moving", "by", "refused", "closed", "released")} == {
-        "mode": "",
-        "phase": "",
-        "moving": False,
-        "by": "",
-        "refused": "",
-        "closed": "",
-        "released": False,
-    }
-    joints = {row[0]: row for row in scene.state()["joints"]}
+    state = scene.state()
+    assert [state[key] for key in ("mode", "phase", "by", "refused", "closed")] == [""] * 5
+    assert [state[key] for key in ("moving", "released")] == [False] * 2
+    joints = {row[0]: row for row in state["joints"]}
     assert list(joints) == list(JOINTS)
     assert joints["gripper"][1] == 10
     scene.execute({1: 0.5})
@@ -246,16 +203,3 @@ def test_state_says_what_the_arm_does_and_for_whom(scene: Scene) -> None:
     scene.result(records.ENABLE)
     scene.run(0.3)
     assert scene.state()["closed"] == "wheels enabled"
-    scene.stop(causes.PIPED(""))
-    scene.run(0.1)
-    assert scene.state()["closed"] == "a stop is latched"
-
-
-def test_read_tells_where_each_joint_is(scene: Scene) -> None:
-    scene.servos.change(4, scene.clock(), position=320.0)
-    scene.ask_for(records.ARM_READ)
-    scene.run(0.02)
-    assert scene.answered()[1] == "arm, read: finding out where it is"
-    assert scene.finish() == (records.DONE, "arm is there")
-    wrist = next(row for row in scene.state()["joints"] if row[0] == "wrist")
-    assert wrist[3] == pytest.approx(320, abs=3)

@@ -1,17 +1,21 @@
-"""The death of a driver: a client that has given a command and ends without a goodbye."""
+"""A driver that dies, ends or falls silent: what becomes of motion, and what people are told of it."""
 
 from __future__ import annotations
 
 import pytest
 
 from failstop.policy import causes
+from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.gate.core import REST
+from failstop.procs.gate.sources import PAD_SESSION
+from tests.support.why import why
 
 from .client_side import Service
-from .gate_bench import MS, NO_SPEEDS, Gate, stands
+from .gate_bench import MS, NO_SPEEDS, TICK, Gate, stands
 
 VELOCITY = (0.2, 0.0, 0.0)
 TOLD = "motion disabled: client 1, which had driven, has died"
+DRIVER = {"who": "client 1", "source": "cmd_vel"}
 
 
 def gate(driver_death: str, **changed: float | str) -> Gate:
@@ -22,55 +26,51 @@ def gate(driver_death: str, **changed: float | str) -> Gate:
     return made
 
 
-@pytest.mark.parametrize("silent_ns", [0, 299 * MS, 301 * MS, 3_600_000 * MS])
+def kinds(gate: Gate) -> list[str]:
+    """Kinds of the notes since the last look."""
+    found = [note.kind for note in gate.core.notes]
+    gate.core.notes.clear()
+    return found
+
+
+# A death, and an orderly end.
+
+
+@pytest.mark.parametrize("silent_ns", [0, 301 * MS, 3_600_000 * MS])
 def test_a_death_disables_motion_however_long_ago_its_driver_commanded(silent_ns: int) -> None:
     """A program that hung, was killed for it and is started again must not drive on either."""
     dying = gate("disable")
     dying.step(silent_ns)
     dying.core.notes.clear()
     assert dying.gone(1) is None
-    assert (dying.blocked, dying.core.latch) == ("disabled", None)
+    assert (dying.blocked, dying.core.latch, dying.step()) == ("disabled", None, None)
     assert stands(dying)
-    assert dying.step() is None
     (note,) = dying.core.notes
-    assert (note.kind, note.text, note.fields) == ("driver_gone", TOLD, {"who": "client 1", "source": "cmd_vel"})
+    assert (note.kind, note.text, note.fields) == ("driver_gone", TOLD, DRIVER)
     assert dying.take(VELOCITY, session=2) == ""
     assert dying.step() is None, "nothing drives before an enable"
-    dying.enable()
-    dying.take(VELOCITY, session=2)
-    assert dying.step() != NO_SPEEDS
 
 
-@pytest.mark.parametrize("dies", [1, 2])
-def test_a_client_that_waits_is_a_driver_as_well(dies: int) -> None:
-    """A client that commanded before motion was enabled is one too."""
-    dying = Gate(sources__teleop__priority=10)
-    dying.take(VELOCITY)
-    dying.enable()
-    dying.take(REST, 2, manual=True, source="teleop")
-    dying.step()
-    dying.gone(dies)
-    assert dying.blocked == "disabled"
-
-
-def test_a_client_that_has_commanded_nothing_is_no_driver() -> None:
+def test_a_driver_is_who_has_commanded_as_a_source_before_motion_was_enabled_too() -> None:
+    for dies in (1, 2):
+        dying = Gate(sources__teleop__priority=10)
+        dying.take(VELOCITY)
+        dying.enable()
+        dying.take(REST, 2, manual=True, source="teleop")
+        dying.step()
+        dying.gone(dies)
+        assert dying.blocked == "disabled", "also one that waits"
     dying = gate("disable")
-    dying.gone(2)
-    assert dying.blocked == ""
     assert dying.take(VELOCITY, 3, source="stranger") == ""
     dying.core.notes.clear()
-    dying.gone(3)
-    assert dying.blocked == "", "its commands were of no source"
-    assert not dying.core.notes
-
-
-def test_a_death_is_told_of_each_time_however_often() -> None:
-    dying = gate("disable")
+    for stranger in (2, 3):
+        dying.gone(stranger)
+        assert (dying.blocked, dying.core.notes) == ("", []), "it commanded nothing, or as no source"
     for _ in range(50):
         dying.gone(1)
         dying.enable()
         dying.drive(VELOCITY, 3)
-    assert dying.told() == [TOLD] * 50
+    assert dying.told() == [TOLD] * 50, "each death is told of"
 
 
 def test_a_death_latches_or_leaves_motion_enabled_where_the_settings_say_so() -> None:
@@ -79,45 +79,107 @@ def test_a_death_latches_or_leaves_motion_enabled_where_the_settings_say_so() ->
     assert dying.gone(1) is None, "once"
     dying = gate("stay")
     assert dying.gone(1) is None
-    assert dying.step(0) == NO_SPEEDS
-    assert dying.blocked == "cmd timeout"
-    assert [note.kind for note in dying.core.notes] == ["driver_gone"]
+    assert (dying.step(0), dying.blocked, kinds(dying)) == (NO_SPEEDS, "cmd timeout", ["driver_gone"])
 
 
 @pytest.mark.parametrize("driver_death", ["disable", "latch", "stay"])
-def test_an_orderly_end_leaves_motion_enabled(driver_death: str) -> None:
+def test_an_orderly_end_leaves_motion_enabled_and_a_death_while_disabled_is_no_news(driver_death: str) -> None:
+    waiting = gate(driver_death, sources__teleop__priority=10)
+    waiting.take(VELOCITY, 2, source="teleop")
+    waiting.take(VELOCITY, 3, source="stranger")
+    waiting.step()
+    for client in (1, 2):
+        waiting.gone(client, parted=True)
+    assert kinds(waiting) == ["ignored", "driver_ended"], "the first had waited"
     ending = gate(driver_death)
     assert ending.gone(1, parted=True) is None
-    assert ending.step(0) == NO_SPEEDS
-    assert ending.blocked == "cmd timeout"
+    assert (ending.step(0), ending.blocked) == (NO_SPEEDS, "cmd timeout")
     (note,) = ending.core.notes
-    assert (note.kind, note.fields) == ("driver_ended", {"who": "client 1", "source": "cmd_vel"})
+    assert (note.kind, note.fields) == ("driver_ended", DRIVER)
     assert note.text == "client 1 ended its command: the wheels are stopped"
-
-
-def test_the_orderly_end_of_a_client_that_waits_is_no_news() -> None:
-    ending = gate("disable", sources__teleop__priority=10)
-    ending.take(VELOCITY, 2, source="teleop")
-    ending.take(VELOCITY, 3, source="stranger")
-    ending.step()
-    ending.gone(1, parted=True)
-    ending.gone(2, parted=True)
-    assert [note.kind for note in ending.core.notes] == ["ignored", "driver_ended"]
-
-
-@pytest.mark.parametrize("driver_death", ["disable", "latch"])
-def test_a_death_while_motion_is_disabled_is_no_news(driver_death: str) -> None:
     dying = gate(driver_death)
     dying.core.disable()
-    dying.core.notes.clear()
+    kinds(dying)
     assert dying.gone(1) is None
-    assert not dying.core.notes
+    assert kinds(dying) == []
+
+
+# A silence.
+
+
+def test_a_driver_that_falls_silent_is_told_of_once_with_its_name(driving: Gate) -> None:
+    driving.drive(VELOCITY, 3)
+    assert kinds(driving) == []
+    driving.step(281 * MS)
+    (note,) = driving.core.notes
+    assert (note.kind, note.fields) == ("driver_silent", note.fields | DRIVER | {"silent_ms": 301})
+    assert "client 1 fell silent" in note.text
+    kinds(driving)
+    for _ in range(100):
+        driving.step()
+    assert kinds(driving) == []
+
+
+@pytest.mark.parametrize("kind", ["driver_gone", "driver_silent"])
+def test_the_news_of_a_driver_hides_no_other_and_is_told_once(driving: Gate, kind: str) -> None:
+    driving.drive(VELOCITY, 3)
+    driving.take(VELOCITY, 2, source="navv")
+    if kind == "driver_gone":
+        driving.gone(1)
+    driving.step(301 * MS)
+    assert kinds(driving) == ["ignored", kind]
+
+
+def by_hand(gate: Gate, source: str = "cmd_vel", session: int = 1) -> None:
+    """A person's command, which runs out."""
+    assert gate.take(VELOCITY, session, manual=True, source=source) == ""
+    gate.step()
+    gate.step(301 * MS)
+
+
+def test_a_person_s_command_that_runs_out_is_let_go_but_for_the_gamepad_s(driving: Gate) -> None:
+    """The gamepad says where its sticks are for as long as it can be heard."""
+    by_hand(driving)
+    (note,) = driving.core.notes
+    assert (note.kind, note.fields) == ("driver_ended", DRIVER)
+    assert note.text == "client 1 let go: last command 321 ms ago, the wheels are stopped"
+    kinds(driving)
+    by_hand(driving, PAD_SOURCE, PAD_SESSION)
+    assert kinds(driving) == ["driver_silent"]
+    for _ in range(50):
+        by_hand(driving)
+    assert kinds(driving).count("driver_ended") < 20
+    driving.drive(VELOCITY, 2)
+    driving.step(301 * MS)
+    assert kinds(driving) == ["driver_silent"], "ordinary ends without end do not hide it"
+
+
+@pytest.mark.parametrize("latched", [False, True])
+def test_a_driver_that_stopped_the_wheels_before_or_was_latched_is_not_told_of(driving: Gate, latched: bool) -> None:
+    driving.drive(VELOCITY, 3)
+    if latched:
+        driving.core.stop(why("key1"), 1)
+    else:
+        driving.drive(REST, 30)
+    driving.step(301 * MS)
+    driving.gone(1, parted=True)
+    assert kinds(driving) == []
+
+
+def test_a_driver_that_falls_silent_without_end_is_told_of_now_and_then(driving: Gate) -> None:
+    count = 0
+    for _ in range(200):
+        driving.drive(VELOCITY, 2)
+        driving.step(301 * MS)
+        count += len(kinds(driving))
+    elapsed_s = 200 * (2 * TICK + 301 * MS) / 1e9
+    assert 5 <= count <= 5 + elapsed_s / 10 + 1
 
 
 # What the gate hears of the slots.
 
 
-def test_a_client_that_takes_the_slot_at_once_makes_no_death_of_an_orderly_end(service: Service) -> None:
+def test_the_client_that_takes_a_slot_next_changes_nothing_of_how_the_last_one_ended(service: Service) -> None:
     first = service.known(session=21)
     first.goodbye()
     first.segment.wipe()
@@ -125,34 +187,22 @@ def test_a_client_that_takes_the_slot_at_once_makes_no_death_of_an_orderly_end(s
     heir = service.join(session=22)
     heir.segment.wipe()
     heir.hello(22, "heir", 0)
-    assert service.look() == [("gone", 21)]
-    assert service.parted is True
-    assert service.sessions() == [22]
-
-
-def test_the_goodbye_of_another_session_or_a_damaged_one_does_not_count(service: Service) -> None:
-    first = service.known(session=21)
-    first.goodbye()
-    first.segment.wipe()
-    first.leave()
+    assert (service.look(), service.parted, service.sessions()) == ([("gone", 21)], True, [22])
+    heir.leave()
     service.look()
-    service.join(session=22).leave()
-    last = service.join(session=23)
+    service.join(session=23).leave()
+    last = service.join(session=24)
     assert service.look() == []
     last.leave()
-    assert service.look() == [("gone", 23)]
-    assert service.parted is False
-    dying = service.known(session=24)
-    dying.segment.latest_writer("left").write(b"24")
+    assert (service.look(), service.parted) == ([("gone", 24)], False), "another session's goodbye"
+    dying = service.known(session=25)
+    dying.write("left", b"25")
     dying.leave()
-    assert service.look() == [("gone", 24)]
-    assert service.parted is False
+    assert (service.look(), service.parted) == ([("gone", 25)], False), "a damaged one"
 
 
 def test_a_program_that_is_started_again_is_not_heard_before_its_death_is(service: Service) -> None:
     """Its slot is another one, and its ring hints at that alone."""
-    dying = service.known(index=3, session=21)
-    dying.leave()
-    again = service.join(index=1, session=22)
-    again.command()
+    service.known(index=3, session=21).leave()
+    service.join(index=1, session=22).command()
     assert service.look(bytes([1])) == [("gone", 21), ("command", 22, 0.1)]

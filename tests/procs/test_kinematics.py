@@ -99,8 +99,6 @@ def test_wheels_move_the_base_as_asked_and_a_limit_scales_all_alike(
     assert limited == pytest.approx([share * each for each in rps], rel=1e-9, abs=1e-9)
 
 
-# Steered.
-
 STEERED = base("ackermann")
 STEERED_RIM_M, STEEREST = pi * 0.085, radians(34)
 
@@ -133,14 +131,14 @@ def test_cancelling_speeds_leave_a_wheel_at_the_bytes_of_zero(vx: float, wz: flo
     assert codec.check_motion(codec.motor_speeds(ROBOT.wheels_rps(vx, -vx, wz), 1000.0), 1000.0) == ""
 
 
-# Chosen by name.
-
-
-def test_differential_by_name() -> None:
+def test_a_differential_base_has_its_settings_and_goes_nowhere_sideways() -> None:
     chosen = base("differential", "rrc", {"wheels.diameter_m": 0.1, "wheels.track_m": 0.4})
     assert chosen.axes == (1.0, 0.0, 1.0)
     right_rps = -0.4 / (pi * 0.1)
-    assert chosen.wheels_rps(0.2, 0.0, 1.0) == pytest.approx((0.0, 0.0, right_rps, right_rps)), "about its left wheels"
+    for vy in (0.0, 5.0):
+        found = chosen.wheels_rps(0.2, vy, 1.0)
+        assert found == pytest.approx((0.0, 0.0, right_rps, right_rps)), "about its left wheels"
+        assert TWO_SIDED.worst_rps(0.2, vy, 1.0) == TWO_SIDED.worst_rps(0.2, 0.0, 1.0)
 
 
 def test_a_layout_without_kinematics_is_refused_by_name() -> None:
@@ -150,11 +148,6 @@ def test_a_layout_without_kinematics_is_refused_by_name() -> None:
 
     with pytest.raises(ValueError, match=r"wheels\.layout = 'tracks'"):
         from_settings(Tracks())
-
-
-def test_no_fixed_wheel_goes_sideways() -> None:
-    assert TWO_SIDED.wheels_rps(0.1, 5.0, 0.3) == TWO_SIDED.wheels_rps(0.1, 0.0, 0.3)
-    assert TWO_SIDED.worst_rps(0.2, 3.0, 1.0) == TWO_SIDED.worst_rps(0.2, 0.0, 1.0)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -174,24 +167,17 @@ def test_zero_is_the_stop_frame_in_every_mounting(layout: str) -> None:
 
 
 @every_base
-def test_a_sign_turns_one_wheel(board: str, layout: str) -> None:
-    before = Settings({"board.kind": board, "wheels.layout": layout})
-    for index, (wire_id, sign) in enumerate(mounted_wheels(before.values)):
-        was = from_settings(before).wheels_rps(0.2, 0.1, 0.5)
-        now = base(layout, board, {f"wheels.sign_{index + 1}": -sign}).wheels_rps(0.2, 0.1, 0.5)
-        assert now == tuple(-old if at == wire_id else old for at, old in enumerate(was))
-        assert was[wire_id] != 0.0
-
-
-@every_base
-def test_each_wheel_goes_to_its_wire_id(board: str, layout: str) -> None:
+def test_a_sign_turns_one_wheel_and_each_goes_to_its_wire_id(board: str, layout: str) -> None:
     settings = Settings({"board.kind": board, "wheels.layout": layout})
     default = from_settings(settings).wheels_rps(0.2, 0.1, 0.5)
-    by_wheel = [default[wire_id] for wire_id, _ in mounted_wheels(settings.values)]
-    count = len(by_wheel)
-    assert count in WHEEL_NAMES
-    for ids in permutations(range(settings.speeds), count):
+    wheels = mounted_wheels(settings.values)
+    assert len(wheels) in WHEEL_NAMES
+    for wheel, (wire_id, sign) in enumerate(wheels, 1):
+        now = base(layout, board, {f"wheels.sign_{wheel}": -sign}).wheels_rps(0.2, 0.1, 0.5)
+        assert now == tuple(-old if at == wire_id else old for at, old in enumerate(default))
+        assert default[wire_id] != 0.0
+    for ids in permutations(range(settings.speeds), len(wheels)):
         changed = {f"wheels.id_{wheel}": wire_id for wheel, wire_id in enumerate(ids, 1)}
         by_id = base(layout, board, changed).wheels_rps(0.2, 0.1, 0.5)
-        assert [by_id[wire_id] for wire_id in ids] == by_wheel
+        assert [by_id[wire_id] for wire_id in ids] == [default[wire_id] for wire_id, _ in wheels]
         assert not any(by_id[wire_id] for wire_id in range(settings.speeds) if wire_id not in ids), "no wheel is there"

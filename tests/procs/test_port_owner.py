@@ -1,4 +1,4 @@
-"""The port owner, turn by turn: what it writes, and what it refuses to write."""
+"""The port owner, turn by turn: what it writes, what it refuses to write, and stops that somebody asks for."""
 
 from __future__ import annotations
 
@@ -16,37 +16,24 @@ from tests.support.port_scene import MOTION, SLOWER, TICK, Scene
 from tests.support.stage import MS
 
 
-@pytest.fixture
-def scene() -> Scene:
-    return Scene()
-
-
-# Start.
-
-
 def test_the_first_bytes_are_a_burst_for_the_epoch_it_finds(scene: Scene) -> None:
     assert scene.wire.read() == BURST
-    assert scene.word("stopped_epoch") == 1
-    assert scene.word("written_ns") == scene.clock()
+    assert (scene.word("stopped_epoch"), scene.word("written_ns")) == (1, scene.clock())
     assert scene.port_state() == records.PORT_OPEN
 
 
-def test_a_start_without_a_port_takes_the_one_that_it_is_sent_and_stops() -> None:
-    scene = Scene(open_port=False)
-    assert scene.port_state() == records.PORT_LOST
+@pytest.mark.parametrize("gone", [False, True])
+def test_a_start_without_a_port_takes_the_one_that_it_is_sent_and_stops(gone: bool) -> None:
+    scene = Scene(before=lambda scene: scene.wire.unplug()) if gone else Scene(open_port=False)
     assert scene.turn(MS) == b"", "it opens none itself"
-    scene.send_port(scene.wire, 2)
-    assert scene.turn() == BURST
-    assert scene.port_state() == records.PORT_OPEN
-    assert scene.port() == (2, scene.wire.link)
-    assert scene.reasons() == []
-
-
-def test_a_start_on_a_port_that_has_just_gone_is_a_device_lost() -> None:
-    scene = Scene(before=lambda scene: scene.wire.unplug())
-    scene.turn()
-    assert scene.reasons() == ["device lost"]
     assert scene.port_state() == records.PORT_LOST
+    assert scene.reasons() == ["device lost"] * gone
+    if gone:
+        scene.replug(2)
+    else:
+        scene.send_port(scene.wire, 2)
+    assert scene.answer() == (BURST, [])
+    assert (scene.port_state(), scene.port()) == (records.PORT_OPEN, (2, scene.wire.link))
 
 
 def test_it_waits_for_both_deaths_at_its_own_futexes(scene: Scene) -> None:
@@ -97,41 +84,23 @@ def test_no_motion_follows_an_early_stop_that_comes_in_mid_turn(scene: Scene) ->
     assert scene.answer() == (BURST, ["gate died"])
 
 
-# Motion.
-
-
-def test_of_several_good_frames_the_newest_is_written(scene: Scene) -> None:
-    scene.drive()
-    scene.put(MOTION)
-    assert scene.forward(SLOWER, elapsed_ns=TICK) == SLOWER
-
-
 def test_a_stop_ends_the_motion_queued_before_it_and_not_what_comes_after(scene: Scene) -> None:
+    def disable(elapsed_ns: int = 0) -> bytes:
+        return scene.forward(b"disabled", kind=records.WRITE_BURST, elapsed_ns=elapsed_ns)
+
     scene.drive()
     scene.put(MOTION)
-    assert scene.forward(b"disabled", kind=records.WRITE_BURST) == BURST
+    assert scene.forward(SLOWER, elapsed_ns=TICK) == SLOWER, "of several good frames the newest"
+    scene.put(MOTION)
+    assert disable() == BURST
     assert not scene.owner.admission.wheels_move
-    scene.put(b"disabled", kind=records.WRITE_BURST)
-    scene.put(SLOWER)
-    assert scene.turn(TICK).endswith(BURST + SLOWER)
-    assert scene.reasons() == []
-
-
-def test_stops_of_the_gate_do_not_flood_the_wire(scene: Scene) -> None:
-    scene.drive()
     for _ in range(50):
         scene.put(b"disabled", kind=records.WRITE_BURST)
-    assert scene.turn() == BURST
-    assert scene.forward(b"disabled", kind=records.WRITE_BURST, elapsed_ns=TICK - MS) == b""
-    assert scene.forward(SLOWER) == SLOWER
-    assert scene.forward(b"disabled", kind=records.WRITE_BURST) == BURST, "at once when something moves"
-
-
-@pytest.mark.parametrize("frame", [{"age_ns": 60 * MS}, {"epoch": 2}], ids=str)
-def test_a_late_frame_and_one_of_another_epoch_is_dropped(scene: Scene, frame: dict[str, int]) -> None:
-    scene.turn()
-    scene.put(**frame)  # type: ignore[arg-type]
-    assert scene.answer() == (b"", [])
+    assert disable(TICK - MS) == b"", "a flood of them is none on the wire"
+    scene.put(b"disabled", kind=records.WRITE_BURST)
+    assert scene.forward(SLOWER, elapsed_ns=TICK).endswith(BURST + SLOWER)
+    assert disable() == BURST, "at once when something moves"
+    assert scene.reasons() == []
 
 
 def test_a_zero_frame_is_never_too_late(scene: Scene) -> None:
@@ -151,24 +120,16 @@ def test_the_fastest_wheel_that_the_settings_allow_passes_and_a_faster_one_does_
     assert scene.reasons()[0].startswith("the gate's frame was refused: wheel 0 at ")
 
 
-def test_a_motor_frame_in_another_s_clothes_never_passes(scene: Scene) -> None:
-    scene.turn()
-    scene.put(MOTION, kind=records.OTHER)
-    scene.put(encoders.motor_stop_mask(15), kind=records.OTHER)
-    assert scene.forward(codec.buzzer(1400, 100, 100, 1), kind=records.OTHER) == codec.buzzer(1400, 100, 100, 1)
-
-
 def test_a_frame_that_finds_the_port_busy_goes_out_or_becomes_a_burst(scene: Scene) -> None:
     """Else the wheels would turn on until the gate's next refresh, 0.2 s later. Motion alone is dropped."""
     scene.drive()
+    for disguised in (MOTION, encoders.motor_stop_mask(15)):
+        assert scene.forward(disguised, kind=records.OTHER) == b"", "a motor frame in another's clothes"
     scene.wire.port.under_way = 27
     beep = codec.buzzer(1400, 100, 100, 1)
     assert scene.forward(beep, kind=records.OTHER) == beep
     assert scene.forward(SLOWER) == b""
     assert scene.forward(codec.STOP) == BURST
-
-
-# Its own stops, and the epoch.
 
 
 def test_its_own_stop_refuses_motion_until_a_newer_epoch(scene: Scene) -> None:
@@ -197,7 +158,6 @@ def test_a_raised_epoch_is_one_stop_before_anything_of_the_new_one_moves(scene: 
 
 
 def test_a_stop_in_an_epoch_not_seen_yet_refuses_it_and_the_next_is_answered(scene: Scene) -> None:
-    """A cause after motion in the new epoch is answered anew."""
     scene.drive()
     scene.raise_epoch(2)
     scene.ask_to_stop(b"x")
@@ -205,14 +165,8 @@ def test_a_stop_in_an_epoch_not_seen_yet_refuses_it_and_the_next_is_answered(sce
     assert scene.causes()[0][0] == 2
     scene.raise_epoch(3)
     assert scene.forward(epoch=3) == MOTION
-    scene.raise_epoch(4)
-    assert scene.turn() == BURST
-
-
-def test_the_epoch_is_looked_at_again_just_before_the_write(scene: Scene) -> None:
-    scene.drive()
-    scene.at_next("ioctl", lambda: scene.raise_epoch(2))
-    assert scene.forward() == BURST
+    scene.at_next("ioctl", lambda: scene.raise_epoch(4))
+    assert scene.forward(epoch=3) == BURST, "it is looked at again just before the write"
 
 
 def test_it_says_that_it_moves_from_before_the_write_until_it_has_stopped(scene: Scene) -> None:
@@ -222,78 +176,46 @@ def test_it_says_that_it_moves_from_before_the_write_until_it_has_stopped(scene:
     moving = []
     scene.wire.on_bytes = lambda data: moving.append(scene.word("moving"))
     assert scene.forward() == MOTION
-    assert moving[0] == 1
-    assert scene.word("moving") == 1
-    scene.raise_epoch(2)
-    assert scene.turn() == BURST
-    assert scene.word("moving") == 0
+    assert (moving[0], scene.word("moving")) == (1, 1)
+    for epoch, room, moves in ((2, 100, 1), (3, None, 0)):
+        scene.wire.port.takes(room)
+        scene.raise_epoch(epoch)
+        scene.turn()
+        assert scene.word("moving") == moves, "until a burst was taken whole"
 
 
-def pass_time(scene: Scene, ns: int) -> None:
-    scene.clock.now_ns += ns
-
-
-def test_held_up_behind_its_look_at_the_time_it_writes_nothing_old(scene: Scene) -> None:
+@pytest.mark.parametrize(("call", "held_ms", "wrote"), [("select", 60, BURST), ("ioctl", 100, b"")])
+def test_held_up_behind_its_look_it_writes_nothing_old(scene: Scene, call: str, held_ms: int, wrote: bytes) -> None:
     """The machine may starve it for seconds there, and nobody kills it for that. While the pipe rests it looks into it
-    before each frame."""
-    scene.ask_to_stop(b"x")
-    scene.turn()
-    scene.raise_epoch(2)
-    scene.turn()
-    scene.put(epoch=2)
-    scene.at_next("select", lambda: pass_time(scene, 60 * MS))
-    assert scene.turn() == BURST
+    before each frame; else it is held up between waking and writing."""
+
+    def pass_time() -> None:
+        scene.clock.now_ns += held_ms * MS
+
+    if call == "select":
+        scene.ask_to_stop(b"x")
+        scene.turn()
+        scene.raise_epoch(2)
+        scene.turn()
+        scene.put(epoch=2)
+    else:
+        scene.drive()
+        scene.put()
+    scene.at_next(call, pass_time)
+    assert scene.turn() == wrote
+    if call == "ioctl":
+        assert scene.answer(alive=False) == (BURST, ["gate hangs: 100 ms silent"])
     assert not scene.owner.admission.wheels_move
-
-
-def test_a_burst_that_was_not_taken_whole_leaves_it_moving(scene: Scene) -> None:
-    scene.drive()
-    scene.wire.port.takes(100)
-    scene.raise_epoch(2)
-    scene.turn()
-    assert scene.word("moving") == 1
-    scene.wire.port.takes()
-    scene.raise_epoch(3)
-    scene.turn()
-    assert scene.word("moving") == 0
-
-
-def test_held_up_between_waking_and_writing_it_writes_nothing_old(scene: Scene) -> None:
-    scene.drive()
-    scene.put()
-    scene.at_next("ioctl", lambda: pass_time(scene, 100 * MS))
-    assert scene.turn() == b""
-    assert scene.answer(alive=False) == (BURST, ["gate hangs: 100 ms silent"])
-
-
-# While stopped.
-
-
-def test_bursts_and_zero_frames_go_out_while_it_is_stopped(scene: Scene) -> None:
-    scene.drive()
-    scene.ask_to_stop(b"x")
-    assert scene.turn() == BURST
-    written = [(ms, wrote) for ms in range(1, 700) if (wrote := scene.turn(MS))]
-    zeros = [(ms, codec.STOP) for ms in (200, 400, 600)]
-    assert written == [(20, BURST), (100, BURST), *zeros]
 
 
 def test_nothing_cuts_into_motion_but_that_the_gate_beats_and_sends_nothing(scene: Scene) -> None:
     """After two refresh periods it is a stop: the board would keep the last frame for ever."""
-    scene.drive()
-    assert [wrote for _ in range(400) if (wrote := scene.turn(MS))] == []
-    assert scene.reasons() == []
-    assert scene.answer(MS) == (BURST, ["gate beats but sends nothing: 401 ms"])
-    assert scene.turn(MS) == b""
-
-
-def test_it_wakes_just_when_the_gate_has_sent_nothing_for_too_long(scene: Scene) -> None:
     for _ in range(60):  # the quick pings of the start are over then
         scene.turn(10 * MS)
     scene.drive()
     for _ in range(39):
-        scene.turn(10 * MS)
-    assert scene.next_ns() == scene.clock() + 10 * MS + 1
+        assert scene.answer(10 * MS) == (b"", [])
+    assert scene.next_ns() == scene.clock() + 10 * MS + 1, "it wakes just then"
     assert scene.turn(10 * MS) == b""
     assert scene.answer(1) == (BURST, ["gate beats but sends nothing: 400 ms"])
 
@@ -305,29 +227,117 @@ def test_it_wakes_for_its_repeats_and_does_not_spin(scene: Scene) -> None:
     now_ns = scene.clock()
     assert scene.next_ns() == now_ns + main.TICK_NS
     scene.ask_to_stop(b"x")
-    scene.turn()
+    assert scene.turn() == BURST
     scene.turn(15 * MS)
     assert scene.next_ns() == now_ns + 20 * MS
-
-
-# The black box.
+    written = [(15 + ms, wrote) for ms in range(1, 600) if (wrote := scene.turn(MS))]
+    assert written == [(20, BURST), (100, BURST), *((ms, codec.STOP) for ms in (200, 400, 600))]
 
 
 def test_the_black_box_has_all_that_was_written_and_what_the_port_did_not_take() -> None:
+    whole, part = len(BURST), len(MOTION)
     scene = Scene(before=lambda scene: scene.wire.port.takes(100))
-    assert scene.kept() == [(box.WIRE_BURST, len(BURST), 100)], "the first burst, which was written before"
+    assert scene.kept() == [(box.WIRE_BURST, whole, 100)], "the first burst, which was written before"
     scene.turn()
     scene.wire.port.takes()
     scene.turn()
-    assert scene.kept() == [(box.WIRE_REST, len(BURST) - 100, len(BURST) - 100)]
-    scene.put()
-    scene.turn()
-    assert scene.kept() == [(box.WIRE_FRAME, len(MOTION), len(MOTION))]
-    scene.wire.port.under_way = len(MOTION)
-    scene.put(SLOWER)
-    scene.turn()
-    assert scene.kept() == [(box.WIRE_FRAME, len(SLOWER), 0)]
+    assert scene.kept() == [(box.WIRE_REST, whole - 100, whole - 100)]
+    for frame, taken in ((MOTION, part), (SLOWER, 0)):
+        scene.wire.port.under_way = part - taken
+        scene.forward(frame)
+        assert scene.kept() == [(box.WIRE_FRAME, part, taken)]
     scene.wire.port.takes(50)
     scene.ask_to_stop(b"x")
     scene.turn()
-    assert scene.kept() == [(box.WIRE_BURST, len(BURST), 50)], "a stop is told from the rest of one"
+    assert scene.kept() == [(box.WIRE_BURST, whole, 50)], "a stop is told from the rest of one"
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        *(
+            (b"obstacle", ": obstacle"),
+            (b"", ""),
+            (b"\tnav\t3", " (nav, pid 3)"),
+            (b"obstacle\tnav\tx", ": obstacle?nav?x"),
+        ),
+        *((b"gate died", ": gate died"), (b"gamepad button 0x0100", ": gamepad button 0x0100")),
+        *((b"\0", ": ?"), (b"\xff\xfe\x1b[31m", ": \ufffd\ufffd?[31m")),
+    ],
+)
+def test_a_line_of_the_pipe_is_somebody_s_words_whatever_it_says(line: bytes, reason: str) -> None:
+    assert str(causes.requested(line)) == f"stop request{reason}"
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        (b"obstacle\tnav\t3\n", "stop request: obstacle (nav, pid 3)"),
+        (b"first\nsecond\n", "stop request: first"),
+        (b"no end of line", "stop request: no end of line"),
+        (b"\xfe" * 16 * 4096, ""),
+    ],
+    ids=["", "two lines", "no line", "a full pipe of garbage"],
+)
+def test_any_bytes_are_a_stop(scene: Scene, message: bytes, said: str) -> None:
+    scene.drive()
+    scene.ask_to_stop(message)
+    assert scene.turn() == BURST
+    (reason,) = scene.reasons()
+    assert not said or reason == said
+    assert len(reason.removeprefix("stop request: ").encode()) <= causes.ARGUMENTS_BYTES
+    assert scene.turn() == b"", "the pipe is empty again"
+
+
+def test_a_flood_of_requests_is_no_flood_of_bursts(scene: Scene) -> None:
+    scene.drive()
+    scene.ask_to_stop(b"first\n")
+    assert scene.turn() == BURST
+    bursts = 0
+    for _ in range(100):
+        scene.ask_to_stop(b"again\n")
+        bursts += scene.turn(MS).count(BURST)
+    assert 5 <= bursts <= 12
+    assert set(scene.reasons()) == {"stop request: first", "stop request: again"}
+    assert scene.next_ns() > scene.clock()
+
+
+def test_the_next_request_is_looked_at_when_the_pipe_s_rest_is_over(scene: Scene) -> None:
+    scene.wire.read()
+    scene.ask_to_stop(b"first\n")  # it waits at the start
+    asked_ns = scene.clock()
+    assert scene.turn() == BURST
+    scene.views[layout.TELEMETRY].ring_writer("causes").put(causes.KEY(1).pack())
+    scene.ask_to_stop(b"second\n")
+    scene.turn(10 * MS)
+    assert scene.next_ns() == asked_ns + 20 * MS
+    scene.turn(10 * MS)
+    scene.turn()
+    assert scene.reasons() == ["stop request: first", "key1", "stop request: second"]
+
+
+@pytest.mark.parametrize("anew", [False, True])
+def test_a_request_within_a_flood_stops_before_any_motion_and_once_it_began_anew(scene: Scene, anew: bool) -> None:
+    scene.drive()
+    scene.ask_to_stop(b"first\n")
+    scene.turn()
+    scene.raise_epoch(2)
+    if anew:
+        assert scene.forward(epoch=2, elapsed_ns=MS) == MOTION
+        scene.ask_to_stop(b"second\n")
+    else:
+        scene.ask_to_stop(b"second\n")
+        scene.put(epoch=2)
+    assert scene.answer(MS) == (BURST, ["stop request: first", "stop request: second"])
+
+
+def test_a_button_that_telemetry_has_seen_stops_before_any_motion_under_its_own_name(scene: Scene) -> None:
+    scene.drive()
+    buttons = scene.views[layout.TELEMETRY].ring_writer("causes")
+    buttons.put(causes.BUTTON(0x0100).pack())
+    scene.put()
+    assert scene.answer() == (BURST, ["gamepad button 0x0100"])
+    assert scene.forward() == b"", "until the supervisor has raised the epoch"
+    buttons.put(b"\xff\xff")
+    assert scene.turn() == BURST
+    assert scene.reasons() == ["stopped by the supervisor"], "whatever it is"

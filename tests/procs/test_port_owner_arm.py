@@ -39,28 +39,27 @@ def settle(scene: Scene) -> None:
         scene.turn(ms * MS)
 
 
-def test_the_first_bytes_stop_the_arm_too(scene: Scene) -> None:
-    assert scene.turn() == WITH_SERVOS
-
-
 def test_a_move_goes_out_and_no_stop_behind_it_is_put_off(scene: Scene) -> None:
+    assert scene.turn() == STOP, "the first bytes stop the arm too"
     settle(scene)
     for _ in range(2):
         assert arm(scene) == MOVE
         assert scene.word("moving") == 0
-        assert scene.forward(b"held", kind=records.WRITE_BURST, elapsed_ns=5 * MS) == WITH_SERVOS
+        assert scene.forward(b"held", kind=records.WRITE_BURST, elapsed_ns=5 * MS) == STOP
+    settle(scene)
+    scene.put(MOVE, kind=records.ARM)
+    assert scene.forward(b"held", kind=records.WRITE_BURST) == STOP, "within one turn it takes its place"
+    scene.turn(5 * MS)
+    for _ in range(40):
+        scene.put(TWO, kind=records.ARM)
+    assert scene.turn() == TWO
+    assert len(scene.owner.bus.waiting) <= MOST_WAITING, "a gate that floods is not remembered for ever"
 
 
 def test_a_move_goes_out_behind_what_is_still_under_way_and_its_joints_do_not_stand(scene: Scene) -> None:
     settle(scene)
     scene.wire.port.under_way = 1
     assert arm(scene) == MOVE
-
-
-def test_a_stop_behind_a_move_within_one_turn_takes_its_place(scene: Scene) -> None:
-    settle(scene)
-    scene.put(MOVE, kind=records.ARM)
-    assert scene.forward(b"held", kind=records.WRITE_BURST) == WITH_SERVOS
 
 
 @pytest.mark.claim("ARM-1")
@@ -81,15 +80,17 @@ def test_every_stop_has_the_arm_s_behind_it(scene: Scene, cause: str) -> None:
 
 def test_a_frame_that_is_too_old_of_a_dead_epoch_or_a_stopped_one_is_dropped(scene: Scene) -> None:
     settle(scene)
-    assert arm(scene, epoch=0) == b""
-    assert arm(scene, age_ns=61 * MS) == b""
+    assert [arm(scene, epoch=0), arm(scene, age_ns=61 * MS)] == [b"", b""]
     scene.raise_epoch(2)
-    assert scene.turn() == WITH_SERVOS
-    assert arm(scene, epoch=1) == b""
-    assert arm(scene, epoch=2) == MOVE
+    assert scene.turn() == STOP
+    assert [arm(scene, epoch=1), arm(scene, epoch=2)] == [b"", MOVE]
     scene.ask_to_stop(b"now\n")
     scene.turn()
     assert arm(scene, epoch=2) == b""
+    scene.raise_epoch(3)
+    scene.turn(5 * MS)
+    scene.at_next("ioctl", lambda: scene.raise_epoch(4))
+    assert arm(scene, epoch=3) == STOP, "one raised just before the write wins"
 
 
 def test_while_the_wheels_may_turn_nothing_goes_to_the_servos(scene: Scene) -> None:
@@ -137,14 +138,6 @@ def test_a_move_that_waits_is_ended_by_a_stop_and_by_its_age(scene: Scene, end: 
     assert scene.turn(5 * MS) == b""
 
 
-def test_a_gate_that_floods_is_not_remembered_for_ever(scene: Scene) -> None:
-    settle(scene)
-    for _ in range(40):
-        scene.put(TWO, kind=records.ARM)
-    assert scene.turn() == TWO
-    assert len(scene.owner.bus.waiting) <= MOST_WAITING
-
-
 def test_a_question_waits_until_no_servo_moves_and_a_move_behind_it_waits(scene: Scene) -> None:
     settle(scene)
     assert arm(scene) == MOVE
@@ -161,13 +154,8 @@ def test_a_question_waits_until_no_servo_moves_and_a_move_behind_it_waits(scene:
 
 
 BAD = [
-    bus_servo_move([(6, 500)], 40),
-    bus_servo_stop([6]),
-    bus_servo_move([(1, 500)], 1000, 1000),
-    bytes.fromhex("AA550508030601020304050AE8"),
-    MOTION,
-    b"",
-    MOVE + MOVE,
+    *(bus_servo_move([(6, 500)], 40), bus_servo_stop([6]), bus_servo_move([(1, 500)], 1000, 1000)),
+    *(bytes.fromhex("AA550508030601020304050AE8"), MOTION, b"", MOVE + MOVE),
 ]
 
 
@@ -202,7 +190,6 @@ def test_the_word_moving_is_up_while_an_arm_s_frame_is_written_or_half_written(s
 
 
 def test_the_word_moving_stays_up_when_the_plug_is_pulled_under_a_move(scene: Scene) -> None:
-    """Nobody has stopped the servos."""
     settle(scene)
     scene.wire.unplug()
     scene.put(MOVE, kind=records.ARM)
@@ -212,7 +199,6 @@ def test_the_word_moving_stays_up_when_the_plug_is_pulled_under_a_move(scene: Sc
 
 
 def test_a_move_does_not_take_back_that_the_wheels_may_turn(scene: Scene) -> None:
-    """Only a whole burst does."""
     scene.drive()
     scene.wire.port.takes(100)
     scene.raise_epoch(2)
@@ -224,9 +210,3 @@ def test_a_move_does_not_take_back_that_the_wheels_may_turn(scene: Scene) -> Non
     scene.raise_epoch(3)
     assert scene.turn() == WITH_SERVOS
     assert scene.word("moving") == 0
-
-
-def test_an_epoch_raised_just_before_the_write_wins(scene: Scene) -> None:
-    settle(scene)
-    scene.at_next("ioctl", lambda: scene.raise_epoch(2))
-    assert arm(scene) == WITH_SERVOS

@@ -25,6 +25,23 @@ def motion(scene: Scene) -> bytes:
     return bytes(scene.board.motor_speeds((0.5, 0.5), MAX_RPS))
 
 
+def hoverboard() -> Scene:
+    """A board that needs silence on the line, with a silent line."""
+    scene = made("hoverboard")
+    writes(scene, 190 * MS)
+    return scene
+
+
+def waiting() -> Scene:
+    """A stop is on the line, and motion waits behind it."""
+    scene = hoverboard()
+    scene.raise_epoch(2)
+    assert scene.turn() == scene.board.burst
+    scene.put(motion(scene), epoch=2)
+    assert scene.turn() == b""
+    return scene
+
+
 def writes(scene: Scene, for_ns: int) -> list[tuple[int, bytes]]:
     """When it writes what, from now on."""
     begun_ns, found = scene.clock(), []
@@ -47,45 +64,26 @@ def test_a_stop_goes_out_at_once_and_again_at_the_port_owner_s_own_times(kind: s
 
 
 def test_motion_waits_until_the_line_has_been_silent_for_long_enough() -> None:
-    scene = made("hoverboard")
-    writes(scene, 190 * MS)
-    scene.raise_epoch(2)
-    assert scene.turn() == scene.board.burst
-    scene.put(motion(scene), epoch=2)
-    assert scene.turn() == b"", "the stop is still on the line"
+    scene = waiting()
     silent_ns = len(scene.board.burst) * scene.board.port.byte_ns + scene.board.idle_ns
     assert writes(scene, 2 * MS) == [(silent_ns, motion(scene))]
 
 
-def test_a_stop_ends_motion_that_waits() -> None:
-    scene = made("hoverboard")
-    writes(scene, 190 * MS)
-    scene.raise_epoch(2)
-    scene.turn()
-    scene.put(motion(scene), epoch=2)
-    scene.turn()
-    scene.ask_to_stop(b"\n")
+@pytest.mark.parametrize("by", ["a stop", "the gate"])
+def test_motion_that_waits_is_ended_by_a_stop_or_the_gate_and_leaves_no_timer_behind(by: str) -> None:
+    """A loop that waited for it still would never sleep again."""
+    scene = waiting()
+    if by == "a stop":
+        scene.ask_to_stop(b"\n")
+    else:
+        scene.put(b"", kind=records.WRITE_BURST)
     assert scene.turn() == b"", "the stop on the line is this one's too"
     assert not any(motion(scene) in data for _, data in writes(scene, 200 * MS))
 
 
-def test_motion_that_waits_and_is_given_up_leaves_no_timer_behind() -> None:
-    """The gate disables before the line is silent: a loop that waited for it still would never sleep again."""
-    scene = made("hoverboard")
-    writes(scene, 190 * MS)
-    scene.raise_epoch(2)
-    assert scene.turn() == scene.board.burst
-    scene.put(motion(scene), epoch=2)
-    scene.turn()
-    scene.put(b"", kind=records.WRITE_BURST)
-    scene.turn()
-    writes(scene, 100 * MS)
-
-
 def test_a_stop_that_a_thread_has_written_is_not_written_again_at_once() -> None:
     """Without a gap between them both would be lost."""
-    scene = made("hoverboard")
-    writes(scene, 190 * MS)
+    scene = hoverboard()
     scene.gate.kill()
     scene.early.tell(scene.gate.pid)
     assert scene.turn() == scene.board.burst
@@ -107,8 +105,6 @@ def test_the_port_counts_as_open_when_the_board_hears_and_has_been_told() -> Non
 
 
 def test_a_successor_does_not_tell_it_again() -> None:
-    """The port was not opened again, and somebody may be driving soon."""
-
     def was_open(scene: Scene) -> None:
         record = scene.views[layout.PORT_OWNER].latest_writer("port")
         record.write(records.PORT.pack(1, scene.clock(), records.PORT_OPEN, scene.wire.link))
@@ -120,8 +116,7 @@ def test_a_successor_does_not_tell_it_again() -> None:
 
 def test_stops_for_two_deaths_at_once_do_not_touch() -> None:
     """As when gate and telemetry end with the supervisor: a second stop behind the first would garble both."""
-    scene = made("hoverboard")
-    writes(scene, 190 * MS)
+    scene = hoverboard()
     wire, stop = scene.owner.wire, scene.board.burst
     wire.early_stop()
     scene.clock.now_ns += MS // 2
@@ -145,9 +140,7 @@ def test_stops_for_two_deaths_at_once_do_not_touch() -> None:
 
 
 def test_repeats_that_are_late_do_not_touch() -> None:
-    """A port owner that was held up has several to write."""
-    scene = made("hoverboard")
-    writes(scene, 190 * MS)
+    scene = hoverboard()
     scene.raise_epoch(2)
     scene.turn()
     late = [scene.turn(50 * MS), *(data for _, data in writes(scene, 10 * MS))]
@@ -164,7 +157,6 @@ def test_repeats_that_are_late_do_not_touch() -> None:
 
 @pytest.mark.parametrize("room", [0, 30])
 def test_what_the_port_does_not_take_whole_is_told_again_before_it_counts_as_open(room: int) -> None:
-    """A watchdog that was left at its own time would be told to nobody. With room for a part a stop cuts it off."""
     scene = made("ugv")
     scene.turn()
     writes(scene, scene.board.port.deaf_ns - TICK)

@@ -16,37 +16,31 @@ from tests.support.stage import MS
 POWER_SWITCH = "port does not drain: use the POWER SWITCH"
 
 
-@pytest.fixture
-def scene() -> Scene:
-    return Scene()
-
-
-# Deaths and hangs.
-
-
-def test_the_gate_s_death_is_a_stop(scene: Scene) -> None:
-    scene.drive()
-    scene.gate.kill()
+def test_the_gate_s_death_is_a_stop_and_without_a_gate_no_frame_counts() -> None:
+    scene = Scene(named=False)
+    scene.turn()
+    assert scene.forward() == b"", "before the first is named there is nobody to watch"
+    gate = scene.start(layout.GATE)
+    scene.turn()
+    assert scene.forward() == MOTION
+    gate.kill()
     scene.put()
     assert scene.answer() == (BURST, ["gate died"])
     scene.raise_epoch(2)
     scene.put(epoch=2)
     scene.turn()
-    assert scene.forward(epoch=2) == b"", "no frame counts while no gate is watched"
+    assert scene.forward(epoch=2) == b""
     scene.start(layout.GATE)
     scene.turn()
     assert scene.forward(epoch=2) == MOTION
-
-
-def test_a_gate_that_died_before_it_was_watched_is_a_stop(scene: Scene) -> None:
-    scene.drive()
     scene.start(layout.GATE).kill()
     scene.turn()
-    assert scene.answer() == (BURST, ["gate died"])
+    assert scene.answer() == (BURST, ["gate died"]), "before it was watched"
 
 
 @pytest.mark.parametrize("process", [layout.TELEMETRY, layout.STOPPER])
 def test_any_other_s_death_is_a_stop_and_motion_goes_on_after_an_enable(scene: Scene, process: str) -> None:
+    """The epoch was raised for what it had stopped for, and motion needs the gate alone."""
     other = scene.start(process)
     scene.drive()
     other.kill()
@@ -54,9 +48,7 @@ def test_any_other_s_death_is_a_stop_and_motion_goes_on_after_an_enable(scene: S
     assert scene.answer() == (BURST, [f"{process} died"])
     assert scene.forward() == b""
     scene.raise_epoch(2)
-    assert scene.forward(epoch=2) == MOTION, (
-        "the epoch was raised for what it had stopped for, and motion needs the gate alone"
-    )
+    assert scene.forward(epoch=2) == MOTION
 
 
 @pytest.mark.parametrize("process", [layout.GATE, layout.TELEMETRY])
@@ -69,15 +61,6 @@ def test_a_death_that_is_known_by_the_successor_alone_is_a_stop(scene: Scene, pr
     assert scene.owner.turn({}), "its news has not come yet"
     assert scene.wire.read() == BURST
     assert scene.reasons() == [f"{process} died"]
-
-
-def test_before_the_first_gate_is_named_there_is_nobody_to_watch() -> None:
-    scene = Scene(named=False)
-    scene.turn()
-    assert scene.forward() == b""
-    scene.start(layout.GATE)
-    scene.turn()
-    assert scene.forward() == MOTION
 
 
 def test_the_supervisor_s_death_is_a_stop_and_then_the_end(scene: Scene) -> None:
@@ -127,8 +110,17 @@ def test_a_lease_that_runs_out_while_moving_is_a_stop(scene: Scene, gate_ms: int
     assert scene.reasons() == [f"{name} hangs: {silent_ms} ms silent"]
 
 
-def test_a_lease_is_good_until_the_last_nanosecond(scene: Scene) -> None:
-    scene.drive()
+def test_a_lease_is_good_to_its_last_nanosecond_and_needed_for_motion_alone(scene: Scene) -> None:
+    scene.turn()
+    for _ in range(50):
+        scene.turn(TICK, alive=False)
+    assert scene.reasons() == []
+    scene.put()
+    assert MOTION not in scene.turn(alive=False)
+    assert scene.reasons() == ["gate hangs: 1000 ms silent"], "motion does not begin on it"
+    scene.raise_epoch(2)
+    scene.turn()
+    assert scene.forward(epoch=2).endswith(MOTION)
     assert scene.turn(50 * MS, alive=False) == b""
     assert scene.next_ns() == scene.clock() + 10 * MS, "it wakes just then"
     assert scene.turn(10 * MS - 1, alive=False) == b""
@@ -143,38 +135,21 @@ def test_a_silence_of_its_own_while_moving_is_a_stop_though_nobody_else_noticed(
     assert scene.reasons() == []
 
 
-def test_silence_without_motion_is_nothing_and_motion_does_not_begin_on_it(scene: Scene) -> None:
-    scene.turn()
-    for _ in range(50):
-        scene.turn(TICK, alive=False)
-    assert scene.reasons() == []
-    scene.put()
-    assert MOTION not in scene.turn(alive=False)
-    assert scene.reasons() == ["gate hangs: 1000 ms silent"]
-
-
-# A port that does not drain.
-
-
 @pytest.mark.parametrize("moves", [True, False])
 def test_a_port_that_does_not_drain_is_a_stop_once(scene: Scene, moves: bool) -> None:
     if moves:
         scene.drive()
+        for _ in range(30):  # a frame at every turn, drained before the next: at each turn's end something is held
+            scene.wire.port.drains = False
+            scene.put()
+            assert scene.answer(TICK) == (MOTION, [])
+        scene.wire.port.drains = True
     scene.turn()
     for held, turns in ((100, 30), (0, 1), (100, 6)):
         scene.wire.port.under_way = held
         for _ in range(turns):
             scene.turn(TICK)
         assert scene.reasons() == ([POWER_SWITCH] if held else [])
-
-
-def test_bytes_just_written_are_no_sign_of_a_port_that_does_not_drain(scene: Scene) -> None:
-    """A frame at every turn, drained before the next: at each turn's end the kernel holds something."""
-    scene.drive()
-    for _ in range(30):
-        scene.wire.port.drains = False
-        scene.put()
-        assert scene.answer(TICK) == (MOTION, [])
 
 
 def test_a_stop_that_the_kernel_does_not_take_is_not_said_to_be_written(scene: Scene) -> None:
@@ -190,113 +165,82 @@ def test_a_stop_that_the_kernel_does_not_take_is_not_said_to_be_written(scene: S
     assert scene.turn() == BURST[50:], "the rest follows as soon as there is room"
 
 
-def test_the_rest_of_a_frame_follows_as_soon_as_there_is_room(scene: Scene) -> None:
-    scene.turn()
-    scene.wire.port.takes(10)
-    assert scene.forward() == MOTION[:10]
-    scene.wire.port.takes()
-    assert scene.turn() == MOTION[10:]
-    assert scene.owner.wire.unsent == b""
-    assert scene.owner.loop.wait(0) == {}, "and it no longer waits for room"
-
-
-def test_the_rest_of_the_first_burst_follows_too() -> None:
+def test_the_rest_of_the_first_burst_and_of_a_frame_follows_as_soon_as_there_is_room() -> None:
     scene = Scene(before=lambda scene: scene.wire.port.takes(100))
     assert scene.turn() == BURST[:100]
     assert scene.word("written_ns") == 0
     scene.wire.port.takes()
     assert scene.turn() == BURST[100:]
-
-
-# A device that goes and comes back.
+    scene.wire.port.takes(10)
+    assert scene.forward() == MOTION[:10]
+    scene.wire.port.takes()
+    assert scene.turn() == MOTION[10:]
+    assert scene.owner.loop.wait(0) == {}, "it no longer waits for room"
 
 
 def test_a_device_lost_is_told_and_a_burst_waits_for_its_return(scene: Scene) -> None:
+    """Others hold the device still, as the supervisor does: the kernel would tell of the hang-up at every wait."""
     scene.os.dup(scene.fd("port"))
     scene.drive()
-    scene.causes()
     scene.wire.unplug()
     scene.turn()
     assert scene.causes() == [(1, 0, "device lost")]
-    assert scene.port_state() == records.PORT_LOST
+    assert (scene.port_state(), scene.port()[0]) == (records.PORT_LOST, 1)
     assert scene.next_ns() == scene.clock() + TICK, "its first repeat"
     assert scene.owner.wire.fd == -1, "let go at once, or the device comes back under another name"
-    assert scene.owner.loop.wait(0) == {}, "though others still hold it"
-    assert scene.port()[0] == 1
+    assert scene.owner.loop.wait(0) == {}
     for _ in range(3):
         scene.turn(5 * MS)
     scene.replug(2)
     assert scene.turn(5 * MS) == BURST
-    assert scene.port_state() == records.PORT_OPEN
-    assert scene.port() == (2, scene.wire.link)
+    assert (scene.port_state(), scene.port()) == (records.PORT_OPEN, (2, scene.wire.link))
     assert scene.forward() == b"", "its epoch is over"
     scene.raise_epoch(2)
     scene.put(epoch=2)
     assert MOTION in scene.turn()
-
-
-def test_a_frame_for_a_device_that_has_just_gone_is_a_device_lost(scene: Scene) -> None:
-    """The frame is at hand when the hang-up is, and is written first."""
-    scene.drive()
-    scene.wire.unplug()
-    scene.put()
-    scene.stays = scene.owner.turn({})
-    assert scene.reasons() == ["device lost"]
-    assert not scene.owner.admission.wheels_move
-
-
-def test_a_plug_pulled_under_half_a_stop_does_not_keep_it_awake(
-    scene: Scene,
-) -> None:
-    """Others hold the device still, as the supervisor does: the kernel would tell of the hang-up at every wait."""
-    scene.os.dup(scene.fd("port"))
-    scene.drive()
+    scene.os.dup(scene.owner.wire.fd)
     scene.wire.port.takes(50)
     scene.ask_to_stop(b"x")
     scene.turn()
     scene.wire.unplug()
     scene.turn()
     assert scene.port_state() == records.PORT_LOST
-    assert scene.owner.loop.wait(0) == {}
+    assert scene.owner.loop.wait(0) == {}, "the plug was pulled under half a stop"
 
 
-@pytest.mark.parametrize("frame", [True, False])
-def test_a_new_port_before_the_loss_of_the_old_is_seen_is_a_device_lost_too(scene: Scene, frame: bool) -> None:
-    """Else what was let pass for the old one would go to the new one, behind the stop."""
+@pytest.mark.parametrize(("frame", "new"), [(True, True), (False, True), (True, False)])
+def test_a_device_that_has_just_gone_or_has_a_successor_is_lost_first(scene: Scene, frame: bool, new: bool) -> None:
+    """Else what was let pass for the old port would go to the new one, behind the stop."""
     scene.drive()
-    scene.replug(2)
+    if new:
+        scene.replug(2)
+    else:
+        scene.wire.unplug()
     if frame:
         scene.put()
-    scene.stays = scene.owner.turn({scene.fd("control"): READ})
+    scene.stays = scene.owner.turn({scene.fd("control"): READ} if new else {})
     assert MOTION not in scene.wire.read()
     assert scene.reasons() == ["device lost"]
     assert not scene.owner.admission.wheels_move
-    assert (scene.port_state(), scene.port()[0]) == (records.PORT_OPEN, 2)
-    scene.wire.port.send(b"x")
-    assert scene.owner.wire.fd in scene.owner.loop.wait(0), "what the board sends"
-    assert scene.forward() == b"", "its epoch is over"
+    if new:
+        assert (scene.port_state(), scene.port()[0]) == (records.PORT_OPEN, 2)
+        scene.wire.port.send(b"x")
+        assert scene.owner.wire.fd in scene.owner.loop.wait(0), "what the board sends"
+        assert scene.forward() == b"", "its epoch is over"
 
 
-@pytest.mark.parametrize("number", [0, 1])
-def test_a_port_that_is_known_already_changes_nothing_and_is_not_kept_open(scene: Scene, number: int) -> None:
-    """Sent twice, or to the one before this process."""
+def test_a_known_port_is_not_kept_open_and_of_several_the_newest_counts(scene: Scene) -> None:
     scene.drive()
     before = scene.open_fds()
-    scene.send_port(scene.wire, number)
-    assert scene.turn() == b""
-    assert scene.open_fds() == before
-    assert scene.reasons() == []
-    assert scene.owner.admission.wheels_move
-
-
-def test_of_several_ports_that_wait_the_newest_counts(scene: Scene) -> None:
-    scene.turn()
-    before = scene.open_fds()
+    for number in (0, 1):  # sent to the one before this process, or twice
+        scene.send_port(scene.wire, number)
+        assert scene.answer() == (b"", [])
+        assert scene.open_fds() == before
+        assert scene.owner.admission.wheels_move
     for number in (2, 3):
         scene.send_port(scene.wire, number)
     scene.turn()
-    assert (scene.port_state(), scene.port()[0]) == (records.PORT_OPEN, 3)
-    assert scene.open_fds() == before
+    assert (scene.port_state(), scene.port()[0], scene.open_fds()) == (records.PORT_OPEN, 3, before)
 
 
 def test_bytes_from_the_board_go_into_the_ring_in_order_while_no_telemetry_runs(scene: Scene) -> None:
@@ -306,8 +250,7 @@ def test_bytes_from_the_board_go_into_the_ring_in_order_while_no_telemetry_runs(
     def kept(sent: bytes) -> bytes:
         scene.wire.port.send(sent)
         scene.turn()
-        found = [entry[2] for entry in iter(received.next, None)]
-        return b"".join(found)
+        return b"".join(entry[2] for entry in iter(received.next, None))
 
     scene.turn()
     sent = bytes(range(256)) * 5
@@ -321,10 +264,6 @@ def test_bytes_from_the_board_go_into_the_ring_in_order_while_no_telemetry_runs(
     telemetry.kill()
     scene.turn()
     assert kept(b", or not") == b"it reads, or not"
-
-
-def test_bytes_of_the_board_hold_up_no_stop(scene: Scene) -> None:
-    scene.turn()
     scene.wire.port.send(b"imu")
     scene.ask_to_stop(b"hand near wheel")
-    assert scene.turn().startswith(BURST)
+    assert scene.turn().startswith(BURST), "they hold up no stop"

@@ -1,7 +1,9 @@
 """The schedule: bursts after 20 and 100 ms, zero frames at 5 Hz while nothing moves; pings, and what the port owner
-does with them."""
+does with them; a machine that slept, noticed by the clock that went on."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import pytest
 
@@ -9,30 +11,35 @@ from failstop.board.rrc.board import BOARD
 from failstop.messages import layout
 from failstop.procs.loop import NEVER, Timer
 from failstop.procs.schedule import PING_GAP_NS, QUICK, REFRESH, REPEAT, Pings, Repeats
+from failstop.procs.suspend import SLEPT_NS, SuspendWatch
 from tests.support.port_scene import MOTION, TICK, Scene
-from tests.support.stage import MS
+from tests.support.stage import MS, PortMachine
 
 PERIOD = 500 * MS
 T0 = 1000 * MS
 BEGIN = 5_000 * MS
 
 
-@pytest.fixture
-def scene() -> Scene:
-    return Scene()
-
-
-def test_pings_take_their_indices_in_turn() -> None:
+@pytest.mark.parametrize(("count", "indices"), [(4, [0, 1, 2, 3, 0, 1]), (1, [0] * 6)])
+def test_pings_take_their_indices_in_turn_and_one_that_was_refused_again(count: int, indices: list[int]) -> None:
     due = Timer()
-    pings = Pings(4, PERIOD, due, T0, quick=0)
+    pings = Pings(count, PERIOD, due, T0, quick=0)
     found = []
     for turn in range(6):
-        assert pings.due(T0 + turn * PERIOD)
+        now_ns = T0 + turn * PERIOD
+        assert pings.due(now_ns)
         found.append(pings.index)
-        pings.sent(T0 + turn * PERIOD)
-        assert not pings.due(T0 + (turn + 1) * PERIOD - 1)
-        assert due.ns == T0 + (turn + 1) * PERIOD
-    assert found == [0, 1, 2, 3, 0, 1]
+        pings.sent(now_ns)
+        assert not pings.due(now_ns + PERIOD - 1)
+        assert due.ns == now_ns + PERIOD
+    assert found == indices
+    again, late_ns = pings.index, T0 + 6 * PERIOD
+    pings.failed(late_ns)
+    assert [pings.due(late_ns + PING_GAP_NS - 1), pings.due(late_ns + PING_GAP_NS)] == [False, True]
+    assert pings.index == again
+    none = Pings(0, PERIOD, Timer(), T0)
+    none.stopped(T0)
+    assert not none.due(T0 + PERIOD)
 
 
 @pytest.mark.parametrize(("after_ns", "due_ns"), [(200 * MS, 200 * MS), (MS, PING_GAP_NS)], ids=["", "a flood"])
@@ -42,25 +49,6 @@ def test_a_ping_is_due_right_after_a_stop_but_for_the_gap(after_ns: int, due_ns:
     pings.stopped(T0 + after_ns)
     assert not pings.due(T0 + due_ns - 1)
     assert pings.due(T0 + due_ns)
-
-
-def test_a_ping_that_the_port_did_not_take_is_tried_again_after_the_gap() -> None:
-    pings = Pings(4, PERIOD, Timer(), T0)
-    pings.failed(T0)
-    assert not pings.due(T0 + PING_GAP_NS - 1)
-    assert pings.due(T0 + PING_GAP_NS)
-    assert pings.index == 0
-
-
-def test_a_board_with_one_ping_is_asked_that_and_one_without_never() -> None:
-    due = Timer()
-    pings = Pings(1, PERIOD, due, T0, quick=0)
-    assert pings.due(T0)
-    pings.sent(T0)
-    assert (pings.index, due.ns) == (0, T0 + PERIOD)
-    none = Pings(0, PERIOD, Timer(), T0)
-    none.stopped(T0)
-    assert not none.due(T0 + PERIOD)
 
 
 def test_the_first_pings_follow_each_other_so_that_an_answer_is_heard_soon() -> None:
@@ -82,26 +70,19 @@ def settled(scene: Scene) -> int:
     return len(scene.asked)
 
 
-def test_the_port_owner_asks_twice_a_second(scene: Scene) -> None:
+def test_the_port_owner_asks_twice_a_second_and_after_each_stop(scene: Scene) -> None:
     before = settled(scene)
     for _ in range(100):
         scene.turn(TICK)
-    assert len(scene.asked) == before + 4
     assert scene.asked == [index % 4 for index in range(before + 4)]
-
-
-def test_the_port_owner_asks_after_each_stop(scene: Scene) -> None:
-    """While the stop is still under way."""
-    settled(scene)
     scene.drive()
     scene.turn(100 * MS)
     before = len(scene.asked)
-    scene.wire.port.under_way = len(BOARD.burst)
+    scene.wire.port.under_way = len(BOARD.burst)  # the stop is still under way
     scene.ask_to_stop(b"x")
     scene.turn()
     assert len(scene.asked) == before + 1
-    index = scene.asked[-1]
-    assert scene.word(f"ping_{index}") >= scene.word("written_ns")
+    assert scene.word(f"ping_{scene.asked[-1]}") >= scene.word("written_ns")
 
 
 def test_it_wakes_to_ask_whether_a_stop_was_heard_and_not_at_the_tick_after(scene: Scene) -> None:
@@ -125,8 +106,11 @@ def test_a_board_without_pings_keeps_the_port_owner_no_more_awake() -> None:
     assert scene.next_ns() == scene.clock() + TICK
 
 
-def test_a_ping_that_the_port_does_not_take_is_not_counted(scene: Scene) -> None:
+def test_a_ping_that_is_not_taken_is_not_counted_and_motion_goes_behind_one_alone(scene: Scene) -> None:
     scene.turn()
+    for more, wrote in ((0, MOTION), (1, b"")):
+        scene.wire.port.under_way = len(BOARD.pings[0]) + more
+        assert scene.forward(elapsed_ns=TICK) == wrote
     asked = list(scene.asked)
     words = [scene.word(f"ping_{index}") for index in range(layout.PINGS)]
     scene.wire.port.under_way = 5000
@@ -137,45 +121,26 @@ def test_a_ping_that_the_port_does_not_take_is_not_counted(scene: Scene) -> None
     assert [scene.word(f"ping_{index}") for index in range(layout.PINGS)] == words
     scene.wire.port.under_way = 0
     scene.turn(PING_GAP_NS)
-    assert len(scene.asked) == len(asked) + 1, "and it is asked again soon"
+    assert len(scene.asked) == len(asked) + 1, "it is asked again soon"
 
 
-def test_motion_goes_on_behind_a_ping_and_behind_nothing_else(scene: Scene) -> None:
-    scene.turn()
-    scene.wire.port.under_way = len(BOARD.pings[0])
-    assert scene.forward(elapsed_ns=TICK) == MOTION
-    scene.wire.port.under_way = len(BOARD.pings[0]) + 1
-    assert scene.forward(elapsed_ns=TICK) == b""
-
-
-def test_a_machine_that_slept_is_stopped_for(scene: Scene) -> None:
-    scene.drive()
-    scene.machine.slept_ns += 12_300 * MS
-    assert scene.turn(TICK).startswith(BOARD.burst)
-    assert scene.reasons() == ["the machine was suspended for 12.3 s"]
-    scene.put()
-    assert MOTION not in scene.turn(TICK), "not before a newer epoch"
-
-
-def test_a_sleep_between_the_look_and_the_write_is_stopped_for(scene: Scene) -> None:
+@pytest.mark.parametrize("when", ["before the look", "between the look and the write"])
+def test_a_machine_that_slept_is_stopped_for(scene: Scene, when: str) -> None:
     def sleep() -> None:
-        scene.machine.slept_ns += 5_000 * MS
+        scene.machine.slept_ns += 12_300 * MS
 
     scene.drive()
-    scene.at_next("ioctl", sleep)
+    if when == "before the look":
+        sleep()
+    else:
+        scene.at_next("ioctl", sleep)
     scene.put()
     wrote = scene.turn(TICK)
     assert wrote.startswith(BOARD.burst)
     assert MOTION not in wrote
-    assert scene.reasons() == ["the machine was suspended for 5.0 s"]
-
-
-class Schedule(Repeats):
-    """Repeats with their deadline in sight."""
-
-    def __init__(self) -> None:
-        self.next = Timer()
-        super().__init__(self.next, BOARD.repeats_ns[0], BEGIN)
+    assert scene.reasons() == ["the machine was suspended for 12.3 s"]
+    scene.put()
+    assert MOTION not in scene.turn(TICK), "not before a newer epoch"
 
 
 def written(repeats: Repeats, start_ms: int, end_ms: int) -> list[tuple[int, int]]:
@@ -185,17 +150,19 @@ def written(repeats: Repeats, start_ms: int, end_ms: int) -> list[tuple[int, int
 
 
 @pytest.fixture
-def repeats() -> Schedule:
-    made = Schedule()
+def due() -> Timer:
+    return Timer()
+
+
+@pytest.fixture
+def repeats(due: Timer) -> Repeats:
+    made = Repeats(due, BOARD.repeats_ns[0], BEGIN)
+    assert written(made, 0, 450) == [(0, REFRESH), (200, REFRESH), (400, REFRESH)], "before any stop"
     made.restart(BEGIN)
     return made
 
 
-def test_before_any_stop_zero_frames_go_out() -> None:
-    assert written(Schedule(), 0, 450) == [(0, REFRESH), (200, REFRESH), (400, REFRESH)]
-
-
-def test_bursts_and_then_zero_frames_follow_a_stop_and_begin_anew_with_the_next(repeats: Schedule) -> None:
+def test_bursts_and_then_zero_frames_follow_a_stop_and_begin_anew_with_the_next(repeats: Repeats) -> None:
     assert repeats.take(BEGIN + 20 * MS - 1) == 0
     assert written(repeats, 0, 650) == [(20, REPEAT), (100, REPEAT), (200, REFRESH), (400, REFRESH), (600, REFRESH)]
     repeats.restart(BEGIN + 650 * MS)
@@ -204,27 +171,80 @@ def test_bursts_and_then_zero_frames_follow_a_stop_and_begin_anew_with_the_next(
     assert written(repeats, 700, 950) == [(720, REPEAT), (800, REPEAT), (900, REFRESH)]
 
 
-def test_motion_ends_the_repeats_also_those_that_are_overdue(repeats: Schedule) -> None:
-    assert written(repeats, 0, 30) == [(20, REPEAT)]
+def test_motion_ends_the_repeats_also_those_that_are_overdue(repeats: Repeats, due: Timer) -> None:
+    found: list[tuple[int, int]] = []
+    now_ns = BEGIN
+    while len(found) < 5:
+        assert due.ns > now_ns, "a wake-up that is over already would spin"
+        now_ns = due.ns
+        found.append(((now_ns - BEGIN) // MS, repeats.take(now_ns)))
+    assert found == [(20, REPEAT), (100, REPEAT), (200, REFRESH), (400, REFRESH), (600, REFRESH)]
     repeats.end()
-    assert repeats.next.ns == NEVER
-    assert written(repeats, 30, 2_000) == []
+    assert due.ns == NEVER
+    assert written(repeats, 700, 2_000) == []
     repeats.restart(BEGIN + 5_000 * MS)
-    assert written(repeats, 5_000, 5_250) == [(5_020, REPEAT), (5_100, REPEAT), (5_200, REFRESH)]
+    late_ns = BEGIN + 6_000 * MS
+    assert [repeats.take(late_ns) for _ in range(4)] == [REPEAT, REPEAT, REFRESH, 0], "each is written"
+    repeats.restart(BEGIN + 7_000 * MS)
     repeats.end()
     assert repeats.take(BEGIN + 9_000 * MS) == 0
 
 
-def test_overdue_bursts_are_each_written(repeats: Schedule) -> None:
-    late = BEGIN + 1_000 * MS
-    assert [repeats.take(late) for _ in range(4)] == [REPEAT, REPEAT, REFRESH, 0]
+def told(machine: PortMachine, watch: Any, *slept_ms: float) -> list[float]:
+    """Answers at one look after the other; the machine has slept for so long in all by each."""
+    found = []
+    for ms in slept_ms:
+        machine.machine.slept_ns = round(ms * MS)
+        found.append(watch.slept_ns() / MS)
+    return found
 
 
-def test_waking_at_the_deadline_is_enough(repeats: Schedule) -> None:
-    found: list[tuple[int, int]] = []
-    now_ns = BEGIN
-    while len(found) < 5:
-        assert repeats.next.ns > now_ns, "a wake-up that is over already would spin"
-        now_ns = repeats.next.ns
-        found.append(((now_ns - BEGIN) // MS, repeats.take(now_ns)))
-    assert found == [(20, REPEAT), (100, REPEAT), (200, REFRESH), (400, REFRESH), (600, REFRESH)]
+def watch(machine: PortMachine) -> Any:
+    return machine.load("failstop.procs.suspend").SuspendWatch()
+
+
+@pytest.mark.parametrize(
+    ("before_ms", "slept_ms", "told_ms"),
+    [
+        (7, (7, 3007, 3007), [0, 3000, 0]),
+        (0, (60, 120), [60, 60]),
+        (0, (3, 0, (SLEPT_NS - 1) / MS), [0, 0, 0]),
+    ],
+    ids=["once", "two as two", "jitter is none"],
+)
+def test_a_watch_tells_a_sleep_with_its_length(
+    machine: PortMachine, before_ms: int, slept_ms: tuple[float, ...], told_ms: list[float]
+) -> None:
+    machine.machine.slept_ns = before_ms * MS
+    assert told(machine, watch(machine), *slept_ms) == told_ms
+
+
+def test_a_watch_takes_the_best_of_its_first_three_looks(machine: PortMachine) -> None:
+    """Two of them are held up between the clocks."""
+    held_up_ns = iter((0, 0, 60 * MS, 0, 0, 60 * MS))
+    look = machine.system["time"].monotonic_ns
+
+    def held_up() -> int:
+        machine.machine.now_ns += next(held_up_ns, 0)
+        return int(look())
+
+    machine.system["time"].monotonic_ns = held_up
+    assert told(machine, watch(machine), 0, 0) == [0, 0]
+    assert list(held_up_ns) == []
+
+
+def test_a_start_that_was_held_up_does_not_look_like_a_sleep_for_ever(machine: PortMachine) -> None:
+    machine.machine.look_ns = 40 * MS
+    made = watch(machine)
+    machine.machine.look_ns = 0
+    assert told(machine, made, 0, 45) == [0, 0]
+
+
+def test_being_held_up_between_the_clocks_makes_the_reading_smaller(machine: PortMachine) -> None:
+    machine.machine.look_ns = 900 * MS
+    assert machine.load("failstop.procs.suspend").gained_ns() == -900 * MS
+
+
+def test_this_machine_does_not_sleep_now() -> None:
+    watched = SuspendWatch()
+    assert [watched.slept_ns() for _ in range(1000)] == [0] * 1000

@@ -1,9 +1,12 @@
-"""The stop tool on a simulated machine: what it waits for, what it says, and what reaches the board."""
+"""The stop tool on a simulated machine: what it waits for, what it says, what reaches the board, and how it kills the
+rest of the control group; and what a real /proc says."""
 
 from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -13,7 +16,10 @@ from failstop import stopping
 from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
+from failstop.lab.machine.kernel import TAKEDOWN_NS
+from failstop.lab.machine.loading import File
 from failstop.lab.machine.port import Port
+from failstop.lab.machine.process import Process
 from tests.support.ptys import Board
 from tests.support.stage import MS, PortMachine, Wire
 
@@ -61,15 +67,17 @@ def plug(machine: PortMachine) -> None:
     machine.wire = Wire(machine.machine, 1)
 
 
-def test_the_tool_writes_the_burst_and_says_how_long_it_took(machine: PortMachine, stop: Stop, said: list[str]) -> None:
+def test_the_tool_writes_the_burst_and_takes_nobody_s_port(machine: PortMachine, stop: Stop, said: list[str]) -> None:
+    fd = machine.open(machine.wire)
+    fcntl = machine.system["fcntl"]
+    fcntl.flock(fd, fcntl.LOCK_EX)
     assert stop(30.0) == 0.0
     assert machine.wire.read() == BURST
     assert (said, passed_s(machine)) == ([], 0.0)
+    machine.os.close(fd)
 
 
-def test_how_long_to_try_is_asked_once_and_when_the_first_try_has_failed(
-    machine: PortMachine, said: list[str], refused: Any
-) -> None:
+def test_how_long_to_try_is_asked_once_after_the_first_try(machine: PortMachine, said: list[str], refused: Any) -> None:
     asked: list[Any] = []
     tool = machine.load("failstop.stopping")
 
@@ -84,34 +92,8 @@ def test_how_long_to_try_is_asked_once_and_when_the_first_try_has_failed(
     assert [error.kind for error in asked] == ["absent"]
 
 
-def test_the_burst_stops_a_board_in_the_middle_of_a_frame(machine: PortMachine, stop: Stop) -> None:
-    machine.wire.receive(MOTION + MOTION[:15])
-    stop()
-    board = Board()
-    board.feed(machine.wire.read())
-    assert board.motors.stopped
-
-
-def test_the_tool_takes_the_port_from_nobody(machine: PortMachine, stop: Stop) -> None:
-    fd = machine.open(machine.wire)
-    fcntl = machine.system["fcntl"]
-    fcntl.flock(fd, fcntl.LOCK_EX)
-    stop()
-    assert machine.wire.read() == BURST
-    machine.os.close(fd)
-
-
-def test_a_device_that_comes_back_is_stopped_soon(machine: PortMachine, stop: Stop, said: list[str]) -> None:
-    machine.after(300 * MS, lambda: plug(machine))
-    assert stop(30.0, ABSENT) == pytest.approx(0.3, abs=stopping.RETRY_S + 1e-6)
-    assert machine.wire.read() == BURST
-    assert said == []
-
-
 @pytest.mark.parametrize("wait_s", [0.0, 5.0])
-def test_the_tool_gives_up_after_the_wait_with_the_last_reason(
-    machine: PortMachine, stop: Stop, refused: Any, wait_s: float
-) -> None:
+def test_the_tool_gives_up_after_the_wait(machine: PortMachine, stop: Stop, refused: Any, wait_s: float) -> None:
     assert stopping.RETRY_S <= 0.2, "it looks often enough"
     with pytest.raises(refused, match=f"no device {ABSENT}") as raised:
         stop(wait_s, ABSENT)
@@ -126,33 +108,40 @@ def test_the_tool_warns_once_after_a_second(machine: PortMachine, stop: Stop, sa
     assert stop(30.0, ABSENT) == pytest.approx(6.0, abs=stopping.RETRY_S + 1e-6)
     expected = f"no device {ABSENT}: plug the board in, or name another with --device; trying for 30 s"
     assert said == ["- 0.99 s -", expected, "- 1.05 s -"]
+    assert machine.wire.read() == BURST, "soon after it is back"
 
 
-@pytest.mark.parametrize(
-    ("number", "kind"), [(errno.EBUSY, "busy"), (errno.EACCES, "permission"), (errno.EMFILE, "io")]
-)
-def test_any_other_obstacle_is_waited_for_too(
-    machine: PortMachine, number: int, kind: str, stop: Stop, refused: Any
-) -> None:
+@pytest.mark.parametrize("error", [(errno.EBUSY, "busy"), (errno.EACCES, "permission"), (errno.EMFILE, "io")])
+def test_other_obstacles_are_waited_for(machine: PortMachine, error: tuple[int, str], stop: Stop, refused: Any) -> None:
     def refuse(thread: object, call: str, about: object) -> None:
         if call == "open":
-            raise OSError(number, os.strerror(number))
+            raise OSError(error[0], os.strerror(error[0]))
 
     machine.machine.at_seam = refuse
     with pytest.raises(refused) as raised:
         stop()
-    assert raised.value.kind == kind
+    assert raised.value.kind == error[1]
     machine.after(2_000 * MS, lambda: setattr(machine.machine, "at_seam", None))
     assert stop(30.0) == pytest.approx(2.0, abs=stopping.RETRY_S + 1e-6)
     assert machine.wire.read() == BURST
 
 
-def test_a_port_that_takes_no_bytes_says_power_switch(machine: PortMachine, stop: Stop, refused: Any) -> None:
-    machine.wire.fill()
+@pytest.mark.parametrize("holds", ["bytes of others", "its own"])
+def test_a_port_that_takes_none_says_power_switch(machine: PortMachine, stop: Stop, refused: Any, holds: str) -> None:
+    port = machine.wire.port
+    if holds == "its own":  # which are no stop while the kernel has them
+        port.under_way = 59
+        machine.after(50 * MS, lambda: setattr(port, "under_way", 0))
+        assert stop() >= 0.0
+        assert passed_s(machine) >= 0.05
+        port.under_way = 59
+    else:
+        machine.wire.fill()
+    begun_s = passed_s(machine)
     with pytest.raises(refused, match="takes no bytes: use the POWER SWITCH") as raised:
         stop()
     assert raised.value.kind == "io"
-    assert passed_s(machine) == pytest.approx(0.1, abs=0.01)
+    assert passed_s(machine) - begun_s == pytest.approx(0.1, abs=0.01)
 
 
 @pytest.mark.parametrize(("drains_s", "wait_s", "told"), [(0.05, 0.0, 0), (3.0, 30.0, 1)])
@@ -187,7 +176,6 @@ def test_something_that_is_no_port_is_refused(machine: PortMachine, stop: Stop, 
 
 @pytest.mark.parametrize("cut", [1, 31, 32, 58, 59, 300, 396])
 def test_a_burst_that_is_taken_in_pieces_is_written_to_its_end(machine: PortMachine, cut: int, stop: Stop) -> None:
-    """As a driver with a small buffer takes it: the first piece, nothing, then a few bytes at a time."""
     rooms = [cut, 0, *[8] * len(BURST)]
 
     def take(thread: object, call: str, about: object) -> None:
@@ -205,12 +193,140 @@ def test_a_burst_that_is_taken_in_pieces_is_written_to_its_end(machine: PortMach
     assert len(BURST) - len(rooms) == -(-(len(BURST) - cut) // 8), "once each byte is out nothing more is written"
 
 
-def test_bytes_that_the_kernel_still_holds_are_no_stop(machine: PortMachine, stop: Stop, refused: Any) -> None:
-    port = machine.wire.port
-    port.under_way = 59
-    machine.after(50 * MS, lambda: setattr(port, "under_way", 0))
-    stop()
-    assert passed_s(machine) >= 0.05
-    port.under_way = 59
-    with pytest.raises(refused, match="takes no bytes"):
-        stop()
+OURS = "12:devices:/system.slice\n0::/system.slice/failstop.service\n"
+THEIRS = "12:devices:/system.slice\n0::/system.slice/failstop@other.service\n"
+PROC = "/groups"
+"""A folder in the place of /proc."""
+NOBODY = 1 << 22
+"""No process has this pid or a larger one."""
+SIGKILL = 9
+
+
+@pytest.fixture
+def grouped() -> Iterator[PortMachine]:
+    made = PortMachine()
+    for name in ("self", made.me.pid, "uptime"):
+        put(made, name, OURS)
+    yield made
+    assert made.open_fds() == 0, "no descriptor is left"
+
+
+def put(grouped: PortMachine, name: object, group: str) -> None:
+    """The control group of a process."""
+    grouped.os.makedirs(f"{PROC}/{name}")
+    with File(grouped.os, cgroup(name), "w", None) as file:
+        file.write(group)
+
+
+def cgroup(name: object) -> str:
+    return f"{PROC}/{name}/cgroup"
+
+
+def start(grouped: PortMachine, group: str = OURS) -> Process:
+    """A process that lives."""
+    made = grouped.machine.process("worker", lambda _: grouped.machine.block(), parent=grouped.me)
+    put(grouped, made.pid, group)
+    return made
+
+
+def kill(grouped: PortMachine, timeout_s: float = 10.0) -> tuple[int, int]:
+    found: tuple[int, int] = grouped.load("failstop.stopping").kill_rest(timeout_s, PROC)
+    return found
+
+
+def test_the_tool_kills_its_own_group_and_nobody_else(grouped: PortMachine) -> None:
+    theirs, begun_ns = start(grouped, THEIRS), grouped.clock()
+    assert kill(grouped) == (0, 0)
+    assert grouped.clock() == begun_ns
+    ours = [start(grouped) for _ in range(6)]
+    assert kill(grouped) == (6, 0)
+    assert [process.code for process in ours] == [-SIGKILL] * 6, "they have ended by the time it returns"
+    assert grouped.clock() == begun_ns + TAKEDOWN_NS
+    assert not theirs.dead
+
+
+def test_a_worker_in_a_group_for_processors_is_killed_too(grouped: PortMachine) -> None:
+    for name in ("self", grouped.me.pid):
+        put(grouped, name, "2:cpuset:/\n1:name=systemd:/system.slice/failstop.service\n0::/\n")
+    ours = start(grouped, "2:cpuset:/fast\n1:name=systemd:/system.slice/failstop.service\n0::/\n")
+    theirs = start(grouped, "2:cpuset:/\n1:name=systemd:/system.slice/cron.service\n0::/\n")
+    assert kill(grouped) == (1, 0)
+    assert ours.code == -SIGKILL
+    assert not theirs.dead
+
+
+def test_the_dead_are_not_counted_and_who_was_just_started_is_killed(grouped: PortMachine) -> None:
+    dead, gone = start(grouped), start(grouped)
+    for process in (dead, gone):
+        grouped.machine.die(process, 0)
+    grouped.clock.now_ns += TAKEDOWN_NS
+    gone.reaped = True
+    put(grouped, NOBODY, OURS)
+    assert kill(grouped) == (0, 0)
+    ours = [start(grouped) for _ in range(2)]
+    put(grouped, NOBODY + 1, OURS)
+    grouped.at_next("kill", lambda: ours.append(start(grouped)))
+    assert kill(grouped) == (3, 0), "they are found among those that have gone"
+    assert [process.code for process in ours] == [-SIGKILL] * 3
+    bystander = start(grouped)
+    grouped.os.unlink(cgroup("self"))
+    with pytest.raises(FileNotFoundError):
+        kill(grouped)
+    assert not bystander.dead, "without its own group nobody is killed"
+
+
+@pytest.mark.parametrize("becomes", [None, THEIRS])
+def test_a_pid_that_is_another_s_when_it_is_opened_is_not_killed(grouped: PortMachine, becomes: str | None) -> None:
+    bystander = start(grouped)
+    change = grouped.os.unlink if becomes is None else lambda _: put(grouped, bystander.pid, str(becomes))
+    grouped.at_next("pidfd_open", lambda: change(cgroup(bystander.pid)))
+    assert kill(grouped) == (0, 0)
+    assert not bystander.dead
+
+
+@pytest.mark.parametrize("refused", [False, True])
+def test_a_process_that_does_not_end_is_told_of(grouped: PortMachine, refused: bool) -> None:
+    def refuse(thread: object, call: str, about: object) -> None:
+        if call == "kill":
+            raise PermissionError
+
+    stays = start(grouped)
+    if refused:
+        grouped.machine.at_seam = refuse
+    else:
+        stays.dead = True  # and the kernel never takes it down
+    begun_ns = grouped.clock()
+    assert kill(grouped, 0.05) == (1, 1)
+    assert grouped.clock() == begun_ns + 50 * MS
+
+
+SLICE = "/system.slice"
+SERVICES = [
+    OURS,
+    f"0::{SLICE}/system-failstop.slice/failstop@a.service\n",
+    f"0::{SLICE}/failstop@a:b.service\n",
+    f"1:name=systemd:{SLICE}/failstop.service\n",
+    f"1:name=systemd:/\n0::{SLICE}/failstop.service\n",
+]
+LOGINS = [
+    "2:cpuset:/a.service\n1:name=systemd:/\n0::/\n",
+    "0::/user.slice/user-1000.slice/session-2.scope\n",
+    "0::/user.slice/user-1000.slice/user@1000.service/app.slice/shell.scope\n",
+    "0::/\n",
+]
+
+
+@pytest.mark.parametrize("group", [*SERVICES, *LOGINS])
+def test_the_tool_tells_a_service_from_a_login(grouped: PortMachine, group: str) -> None:
+    put(grouped, "self", group)
+    assert grouped.load("failstop.stopping").of_a_service(PROC) is (group in SERVICES)
+
+
+def test_the_real_proc_shows_a_child_and_not_oneself() -> None:
+    with subprocess.Popen([sys.executable, "-I", "-S", "-c", "input()"], stdin=subprocess.PIPE) as child:
+        found = stopping._others("/proc", stopping._group("/proc", "self"))
+        for fd in found.values():
+            os.close(fd)
+        child.kill()
+    assert child.pid in found
+    assert os.getpid() not in found

@@ -16,21 +16,9 @@ from tests.support.stopper_scene import Scene
 
 
 @pytest.fixture
-def scene() -> Scene:
-    return Scene()
-
-
-@pytest.fixture
 def other(scene: Scene) -> Wire:
     """The port of a board that comes after the first."""
     return Wire(scene.machine, 1)
-
-
-def test_silent_while_all_is_well(scene: Scene) -> None:
-    assert scene.written(300) == []
-    scene.raise_epoch(2)
-    assert scene.turn() == b""
-    assert scene.stays
 
 
 def test_it_waits_for_both_deaths_at_its_own_futexes(scene: Scene) -> None:
@@ -40,19 +28,33 @@ def test_it_waits_for_both_deaths_at_its_own_futexes(scene: Scene) -> None:
     assert scene.early.dying[scene.port_owner.pid] == PROCESS_BY_NAME[layout.PORT_OWNER].priority
 
 
-def test_a_bell_that_was_rung_does_not_keep_it_awake(scene: Scene) -> None:
+def test_it_is_silent_while_all_is_well_and_sleeps_though_a_bell_was_rung(scene: Scene) -> None:
+    assert scene.written(300) == []
+    scene.raise_epoch(2)
+    assert scene.turn() == b""
     for rung in (scene.bell("bell"), scene.early.bell):
         rung.ring()
         scene.turn()
         assert scene.stopper.loop.wait(0) == {}
+    scene.views[layout.PORT_OWNER].word("beat_state").set(heartbeat.BEAT_STARTING)
+    assert scene.written(600, alive=False) == [], "a port owner that is only starting does not hang"
+    assert scene.stays
 
 
-def test_the_port_owner_s_death_is_answered_at_once_and_again(scene: Scene) -> None:
+def test_the_port_owner_s_death_is_answered_until_the_next_has_stopped_itself(scene: Scene) -> None:
     scene.port_owner.kill()
     assert scene.turn() == BURST
     assert scene.own.word("written_ns").get() == scene.clock()
     assert scene.written(500) == [(20, BURST), (100, BURST)]
     assert scene.stays
+    following = scene.start(layout.PORT_OWNER)
+    scene.turn()
+    following.kill()
+    assert scene.turn() == BURST
+    scene.start(layout.PORT_OWNER, heartbeat.BEAT_STARTING)
+    assert scene.written(50) == [(20, BURST)], "it is named, and still starting"
+    scene.runs(layout.PORT_OWNER)
+    assert scene.written(500) == []
 
 
 def test_at_the_early_news_the_first_stop_goes_out_before_the_loop_has_woken(scene: Scene) -> None:
@@ -61,15 +63,6 @@ def test_at_the_early_news_the_first_stop_goes_out_before_the_loop_has_woken(sce
     assert scene.turn() == BURST
     scene.early.tell(scene.supervisor.pid)
     assert scene.wire.read() == b"", "it is the port owner's to answer first"
-
-
-def test_the_repeats_go_on_until_a_new_port_owner_has_stopped_itself(scene: Scene) -> None:
-    scene.port_owner.kill()
-    scene.turn()
-    scene.start(layout.PORT_OWNER, heartbeat.BEAT_STARTING)
-    assert scene.written(50) == [(20, BURST)], "it is named, and still starting"
-    scene.runs(layout.PORT_OWNER)
-    assert scene.written(500) == []
 
 
 @pytest.mark.parametrize("before", [True, False])
@@ -86,7 +79,6 @@ def test_a_stopper_that_was_held_up_does_not_cut_into_the_motion_of_the_next(sce
 
 
 def test_a_port_owner_that_died_before_the_news_came_is_answered(scene: Scene) -> None:
-    """The supervisor has named the next before this process came to look."""
     scene.port_owner.kill()
     scene.start(layout.PORT_OWNER, heartbeat.BEAT_STARTING)
     scene.stopper.turn({})
@@ -139,22 +131,28 @@ def test_when_the_port_owner_dies_too_it_does_not_wait_for_it(scene: Scene, dies
     assert scene.turn().startswith(BURST)
 
 
-def test_a_port_owner_that_hangs_is_fenced_before_the_burst(scene: Scene) -> None:
-    """One that wakes up between the two could write a frame after the burst."""
+@pytest.mark.parametrize("holds_the_port", [True, False])
+def test_a_port_owner_that_hangs_is_fenced_before_the_burst(scene: Scene, holds_the_port: bool) -> None:
+    """One that wakes up between the two could write a frame after the burst. Nobody but the supervisor opens a port:
+    what is silent hangs, also without one."""
     lived: list[bool] = []
     scene.wire.on_bytes = lambda data: lived.append(scene.port_owner.lives())
+    if not holds_the_port:
+        scene.stopper.held.let_go()
     assert scene.written(249, alive=False) == []
+    assert scene.port_owner.lives()
     assert scene.next_ns() == scene.clock() + MS, "it looks again just when it is time"
-    assert scene.turn(MS, alive=False) == BURST
-    assert scene.next_ns() == scene.clock() + 20 * MS, "for the repeat, and not to look for a hang"
-    assert scene.turn(MS, alive=False) == BURST, "again, now that nothing of it can follow"
-    assert scene.written(1_000, alive=False) == [(20, BURST), (100, BURST)]
-    assert not any(lived)
+    assert scene.turn(MS, alive=False) == BURST * holds_the_port
+    assert not scene.port_owner.lives()
+    if holds_the_port:
+        assert scene.next_ns() == scene.clock() + 20 * MS, "for the repeat, and not to look for a hang"
+        assert scene.turn(MS, alive=False) == BURST, "again, now that nothing of it can follow"
+        assert scene.written(1_000, alive=False) == [(20, BURST), (100, BURST)]
+        assert not any(lived)
 
 
 @pytest.mark.parametrize(("late_ns", "fences_ms"), [(5_000 * MS, 250), (STALLED_NS, 50)], ids=["frozen", "late itself"])
 def test_a_stopper_that_was_frozen_with_the_rest_waits_anew(scene: Scene, late_ns: int, fences_ms: int) -> None:
-    """One that was only late itself fences all the same."""
     assert scene.turn(late_ns, alive=False) == b""
     assert scene.written(fences_ms, alive=False) == [(fences_ms, BURST)]
 
@@ -175,38 +173,18 @@ def test_a_port_that_the_port_owner_has_given_up_is_let_go(scene: Scene) -> None
         assert (scene.fd("port") not in scene.me.files) is let_go
 
 
-def test_a_port_owner_that_is_only_starting_does_not_hang(scene: Scene) -> None:
-    scene.views[layout.PORT_OWNER].word("beat_state").set(1)
-    assert scene.written(600, alive=False) == []
-
-
-def test_no_port_no_harm() -> None:
-    scene = Scene(open_port=False)
-    assert scene.own.word("port_number").get() == 0, "and the supervisor knows of it"
-    scene.port_owner.kill()
-    assert scene.turn() == b""
-    assert scene.own.word("written_ns").get() == 0
-
-
-def test_a_descriptor_that_it_had_no_number_for_is_taken_when_it_is_sent_again(scene: Scene, other: Wire) -> None:
-    """The first one is lost: the message arrives without it."""
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_port_that_it_has_let_go_alone_is_taken_when_it_is_sent_again(scene: Scene, other: Wire, number: int) -> None:
+    """A write of its own failed, and the others have kept it; or it had no descriptor free for the second: the message
+    arrives without it."""
     scene.stopper.held.let_go()
-    scene.os.write(scene.control.fd, bytes(8))
+    if number == 2:
+        scene.os.write(scene.control.fd, bytes(8))
     scene.turn()
     assert scene.own.word("port_number").get() == 0
-    scene.send_port(other, 2)
+    scene.send_port(other, number)
     scene.turn()
-    assert scene.own.word("port_number").get() == 2
-
-
-def test_a_port_that_it_has_let_go_alone_is_taken_again(scene: Scene, other: Wire) -> None:
-    """A write of its own failed, and the others have kept it."""
-    scene.stopper._port.lost = True
-    scene.turn()
-    assert scene.own.word("port_number").get() == 0
-    scene.send_port(other, 1)
-    scene.turn()
-    assert scene.own.word("port_number").get() == 1
+    assert scene.own.word("port_number").get() == number
     scene.port_owner.kill()
     scene.turn()
     assert other.read() == BURST
@@ -221,34 +199,31 @@ def test_a_port_that_it_has_already_is_not_taken_again(scene: Scene, other: Wire
     assert scene.fd("port") in scene.me.files
 
 
-def test_a_port_that_has_gone_is_let_go_at_once_and_said_not_to_be_held(scene: Scene, other: Wire) -> None:
-    fd = scene.fd("port")
-    assert scene.own.word("port_number").get() == 1
-    scene.wire.unplug()
-    scene.turn()
+@pytest.mark.parametrize("noticed_by", ["its hang-up", "a write", "none"])
+def test_a_port_that_has_gone_is_let_go_and_said_not_to_be_held(scene: Scene, other: Wire, noticed_by: str) -> None:
+    fd, number = scene.fd("port"), scene.own.word("port_number")
+    assert number.get() == 1
+    if noticed_by == "none":  # the service has none
+        scene.stopper.held.let_go()
+    else:
+        scene.wire.unplug()
+    if noticed_by == "a write":
+        scene.port_owner.kill()
+        scene.stopper.turn(scene.news_of(scene.port_owner))
+    else:
+        scene.turn()
+        scene.port_owner.kill()
+        assert scene.turn() == b""
     with pytest.raises(OSError, match="Bad file descriptor"):
         scene.os.fstat(fd)
-    assert scene.own.word("port_number").get() == 0
-    scene.port_owner.kill()
-    scene.turn()
+    assert (number.get(), scene.own.word("written_ns").get()) == (0, 0)
     scene.send_port(other, 2)
     scene.turn(MS)
-    assert scene.own.word("port_number").get() == 2
-
-
-def test_a_hang_up_met_by_a_write_lets_the_port_go(scene: Scene) -> None:
-    fd = scene.fd("port")
-    scene.port_owner.kill()
-    scene.wire.unplug()
-    scene.stopper.turn(scene.news_of(scene.port_owner))
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        scene.os.fstat(fd)
-    assert scene.own.word("written_ns").get() == 0
+    assert number.get() == 2
 
 
 @pytest.mark.parametrize("hung_up", [False, True])
 def test_a_port_that_was_opened_anew_is_adopted(scene: Scene, other: Wire, hung_up: bool) -> None:
-    """A hang-up of the old port in the same wake-up does not cost the new one."""
     old = scene.fd("port")
     if hung_up:
         scene.wire.unplug()
@@ -260,29 +235,18 @@ def test_a_port_that_was_opened_anew_is_adopted(scene: Scene, other: Wire, hung_
     assert other.read() == BURST
 
 
-def test_a_full_port_blocks_nothing(scene: Scene) -> None:
+def test_a_full_port_and_a_supervisor_s_closed_socket_hold_nothing_up(scene: Scene) -> None:
     scene.wire.fill()
     scene.port_owner.kill()
     scene.stopper.turn(scene.stopper.loop.wait(0))
     assert scene.own.word("written_ns").get() == 0
     scene.wire.read()
     assert BURST in b"".join(wrote for _, wrote in scene.written(100))
-
-
-def test_the_supervisor_s_closed_socket_does_not_keep_it_awake(scene: Scene) -> None:
     scene.supervisor.kill()
     scene.control.close()
     scene.turn()
     scene.turn()
     assert scene.fd("control") not in scene.stopper.loop.wait(0)
-
-
-def test_without_a_port_it_judges_as_with_one(scene: Scene) -> None:
-    """Nobody but the supervisor opens a port: what is silent hangs."""
-    scene.stopper.held.let_go()
-    assert scene.written(HANG_NS // MS - 1, alive=False) == []
-    assert scene.port_owner.lives()
-    scene.turn(MS, alive=False)
 
 
 def test_a_starved_port_owner_that_moves_nothing_is_left_alone_but_not_for_ever(scene: Scene) -> None:

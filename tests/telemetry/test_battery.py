@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.messages import records
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry.battery import (
     HEADER,
@@ -50,42 +49,27 @@ def settled(state: int = UNDECIDED, **changed: object) -> Charger:
     return made
 
 
-@pytest.mark.parametrize(
-    ("changed", "step_mv", "state"),
-    [
-        ({}, 190, PLUGGED_IN),
-        ({}, -190, UNPLUGGED),
-        ({}, 189, UNDECIDED),
-        ({}, -189, UNDECIDED),
-        ({"battery.step_mv": 500}, 499, UNDECIDED),
-        ({"battery.step_mv": 500}, 500, PLUGGED_IN),
-    ],
-)
-def test_a_step_of_190_mv_or_the_setting_s_is_the_charger(changed: dict[str, Any], step_mv: int, state: int) -> None:
+@pytest.mark.parametrize(("changed", "least_mv"), [({}, 190), ({"battery.step_mv": 500}, 500)])
+@pytest.mark.parametrize(("sign", "state"), [(1, PLUGGED_IN), (-1, UNPLUGGED)])
+def test_a_step_of_190_mv_or_a_setting_s_is_the_charger(
+    changed: dict[str, Any], least_mv: int, sign: int, state: int
+) -> None:
     """Motor load makes +-170 mV."""
-    tested = settled(**changed)
-    assert tested.state == UNDECIDED
-    assert tested.take(11_800 + step_mv, 8 * S) is (state != UNDECIDED)
-    assert tested.state == state
-
-
-@pytest.mark.parametrize(("step_mv", "state"), [(249, PLUGGED_IN), (-226, UNPLUGGED)])
-def test_a_measured_step_is_seen_once_through_the_board_s_averaging(step_mv: int, state: int) -> None:
-    """The board sends a reading every 1.05 s, and the step shows fully after about 3 s."""
+    for step_mv, found in ((least_mv - 1, UNDECIDED), (least_mv, state)):
+        tested = settled(**changed)
+        assert tested.state == UNDECIDED
+        assert tested.take(11_800 + sign * step_mv, 8 * S) is (found != UNDECIDED)
+        assert tested.state == found
     tested, states = charger(), []
-    for i in range(-8, 19):
-        tested.take(11_800 + round(step_mv * max(0.0, min(1.0, i / 3))), 100 * S + i * READING_NS)
+    for i in range(-8, 19):  # the board averages: a step of 226 mV and more shows fully after about 3 s
+        tested.take(11_800 + round(sign * 249 * max(0.0, min(1.0, i / 3))), 100 * S + i * READING_NS)
         states.append(tested.state)
-    assert states[:9] == [UNDECIDED] * 9
-    assert states[-1] == state
-    assert set(states) == {UNDECIDED, state}
+    assert (states[:9], states[-1], set(states)) == ([UNDECIDED] * 9, state, {UNDECIDED, state})
 
 
-@pytest.mark.parametrize(
-    "before", [(11_800, 11_800, 9_000, 11_800, 11_800, 11_800, 11_800), (11_700, 11_900)], ids=["odd", "even"]
-)
+@pytest.mark.parametrize("before", [(11_800, 11_800, 9_000, *[11_800] * 4), (11_700, 11_900)], ids=["odd", "even"])
 def test_the_base_is_the_median(before: tuple[int, ...]) -> None:
-    """The median of an even number is the middle of the middle two."""
+    """Of an even number it is the middle of the middle two."""
     tested = charger()
     next_ns = readings(tested, *before) + 3 * S
     assert not tested.take(11_989, next_ns)
@@ -99,36 +83,18 @@ def test_readings_older_than_2_s_and_of_the_last_8_s_are_the_base(age_ns: int, c
     assert tested.take(12_000, age_ns) is counts
 
 
-def test_a_step_while_enabled_is_none() -> None:
-    tested = settled()
-    tested.follow(True, 8 * S)
-    assert not tested.take(12_100, 8 * S)
-    assert tested.state == UNDECIDED
-
-
-def test_a_step_counts_more_than_3_s_after_disabling() -> None:
+def test_a_step_counts_not_while_enabled_and_more_than_3_s_after_disabling() -> None:
     tested = settled()
     tested.follow(True, 5 * S)
+    assert not tested.take(12_100, 8 * S)
     tested.follow(False, 6 * S)
     tested.follow(False, 8 * S)
     assert not tested.take(12_100, 9 * S), "exactly 3 s is not more"
     assert tested.take(12_100, 9 * S + 1)
-
-
-def test_the_last_state_is_kept() -> None:
     tested = settled(PLUGGED_IN)
-    assert tested.state == PLUGGED_IN
     assert not tested.take(12_100, 8 * S), "it is plugged already"
     assert tested.take(11_500, 9 * S)
     assert tested.state == UNPLUGGED
-
-
-def test_the_states_have_names() -> None:
-    assert [records.PLUGGED[state] for state in (UNDECIDED, PLUGGED_IN, UNPLUGGED)] == [
-        "unknown",
-        "plugged",
-        "unplugged",
-    ]
 
 
 @given(st.lists(st.tuples(st.integers(11_600, 11_789), st.integers(0, 3_000)), max_size=40), st.sampled_from([0, 1, 2]))
@@ -149,19 +115,15 @@ def test_a_flood_of_readings_is_forgotten() -> None:
     assert tested.take(11_990, 5 * S)
 
 
-def test_a_battery_that_stays_low_stops_once_until_it_was_charged() -> None:
+def test_a_battery_that_stays_low_stops_once_where_a_setting_says_so() -> None:
     tested = LowBattery(Settings({"battery.stop_mv": 10_500}))
-    readings = (
-        [10_400] * (LOW_READINGS - 1) + [10_500] + [10_499] * (2 * LOW_READINGS) + [11_000] + [10_490] * LOW_READINGS
-    )
+    runs = ((LOW_READINGS - 1, 10_400), (1, 10_500), (2 * LOW_READINGS, 10_499), (1, 11_000), (LOW_READINGS, 10_490))
+    readings = [millivolts for count, millivolts in runs for _ in range(count)]
     stops = [(at, str(cause)) for at, millivolts in enumerate(readings) if (cause := tested.take(millivolts))]
     assert [at for at, _ in stops] == [2 * LOW_READINGS - 1, len(readings) - 1]
     assert stops[1][1] == "the battery is at 10.49 V", "the volts that stopped it"
-
-
-def test_without_its_setting_no_battery_stops() -> None:
-    tested = LowBattery(Settings())
-    assert [tested.take(0) for _ in range(2 * LOW_READINGS)] == [None] * (2 * LOW_READINGS)
+    silent = LowBattery(Settings())
+    assert {silent.take(0) for _ in range(2 * LOW_READINGS)} == {None}
 
 
 def log(**changed: object) -> BatteryLog:
@@ -169,19 +131,14 @@ def log(**changed: object) -> BatteryLog:
 
 
 def test_a_line_is_unix_time_mv_wheels_enabled_in_one_file_a_day() -> None:
-    assert log().take(11_832, True, 0, NOON) == ("battery-2026-03-16.csv", "1773662400.0,11832,1\n")
-    assert log().take(11_832, False, 0, NOON + 0.25) == ("battery-2026-03-16.csv", "1773662400.2,11832,0\n")
-    names = [(log().take(1, False, 0, NOON + after_s) or ("", ""))[0] for after_s in (43_199.9, 43_200, 129_599.9)]
-    assert names == ["battery-2026-03-16.csv", *["battery-2026-03-17.csv"] * 2]
     assert HEADER == "unix_s,battery_mv,enabled\n"
-
-
-def test_a_line_every_10_s() -> None:
-    tested = log()
-    taken = [bool(tested.take(11_800, False, i * READING_NS, NOON)) for i in range(600)]
-    assert sum(taken) == 63, "in 629 s, the first at once"
-    at_s = [i * 1.05 for i, line in enumerate(taken) if line]
-    assert all(10 * n <= t_s < 10 * n + 1.05 for n, t_s in enumerate(at_s))
+    for enabled, after_s, line, day in (
+        (True, 0.0, "1773662400.0,11832,1\n", 16),
+        (False, 0.25, "1773662400.2,11832,0\n", 16),
+        *((False, after_s, f"{NOON + after_s:.1f},11832,0\n", day) for after_s, day in ((43_199.9, 16), (43_200, 17))),
+        (False, 129_599.9, f"{NOON + 129_599.9:.1f},11832,0\n", 17),
+    ):
+        assert log().take(11_832, enabled, 0, NOON + after_s) == (f"battery-2026-03-{day}.csv", line)
 
 
 @pytest.mark.parametrize(
@@ -192,11 +149,17 @@ def test_a_line_every_10_s() -> None:
         ({}, (0, 20 * S, 30 * S - 1, 30 * S), [True, True, False, True]),
         ({"log_s": 60.0}, (0, 59 * S, 60 * S), [True, False, True]),
         ({"log": "off"}, (0,), [False]),
+        ({}, tuple(i * READING_NS for i in range(600)), [i * 105 // 1000 > (i - 1) * 105 // 1000 for i in range(600)]),
     ],
-    ids=["not sooner", "none is made up for after a silence", "one at the very time of the next", "its period", "off"],
+    ids=[
+        "not sooner",
+        "none is made up for after a silence",
+        "one at the very time of the next",
+        "its period",
+        "off",
+        "every 10 s",
+    ],
 )
-def test_a_line_is_due_a_period_after_the_last(
-    changed: dict[str, object], times_ns: tuple[int, ...], lines: list[bool]
-) -> None:
+def test_a_line_is_due_a_period_on(changed: dict[str, object], times_ns: tuple[int, ...], lines: list[bool]) -> None:
     tested = log(**changed)
     assert [tested.take(11_800, False, t_ns, NOON) is not None for t_ns in times_ns] == lines

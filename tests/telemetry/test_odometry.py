@@ -21,6 +21,12 @@ def unscaled() -> Odometry:
     return Odometry(Settings({"odometry.forward_scale": 1.0, "odometry.sideways_scale": 1.0}))
 
 
+def driven(velocity: tuple[float, float, float] = (0.2, 0.0, 0.0)) -> Odometry:
+    made = unscaled()
+    made.follow(velocity, 0)
+    return made
+
+
 def pose(tested: Odometry) -> tuple[float, float, float]:
     return tested.x_m, tested.y_m, tested.th_rad
 
@@ -38,22 +44,17 @@ def test_ways_and_speeds_are_scaled_by_axis(changed: dict[str, object], forward:
 
 
 def test_the_heading_is_that_of_the_middle_of_the_step() -> None:
-    tested = unscaled()
-    tested.follow((0.2, 0.1, 1.0), 0)
+    tested = driven((0.2, 0.1, 1.0))
     tested.advance(100 * MS)
     middle = 0.05
     x = (0.2 * math.cos(middle) - 0.1 * math.sin(middle)) * 0.1
     y = (0.2 * math.sin(middle) + 0.1 * math.cos(middle)) * 0.1
     assert pose(tested) == pytest.approx((x, y, 0.1))
-
-
-def test_a_circle_ends_where_it_began() -> None:
-    tested = unscaled()
-    tested.follow((0.2, 0.0, 1.0), 0)
+    tested = driven((0.2, 0.0, 1.0))
     for t_ms in range(10, 6_284, 10):
         tested.advance(t_ms * MS)
     tested.advance(round(2 * math.pi * 1e9))
-    assert pose(tested) == pytest.approx((0.0, 0.0, 0.0), abs=1e-5)
+    assert pose(tested) == pytest.approx((0.0, 0.0, 0.0), abs=1e-5), "a circle ends where it began"
 
 
 @given(st.floats(-1e6, 1e6))
@@ -66,63 +67,42 @@ def test_th_is_wrapped_from_minus_pi_to_pi(angle: float) -> None:
     assert math.sin(found) == pytest.approx(math.sin(angle), abs=1e-6)
 
 
-def test_dt_is_bounded_to_0_1_s() -> None:
+def test_a_step_is_bounded_to_0_1_s_and_a_new_velocity_counts_from_its_own_time() -> None:
     tested = unscaled()
-    tested.follow((0.2, 0.0, 0.0), 0)
-    tested.advance(5_000 * MS)
-    assert pose(tested) == pytest.approx((0.02, 0.0, 0.0))
-    tested.advance(5_100 * MS)
-    assert pose(tested) == pytest.approx((0.04, 0.0, 0.0)), "the lost time is lost, not owed"
-
-
-def test_it_stands_until_the_gate_has_said_something() -> None:
-    tested = unscaled()
-    tested.advance(0)
-    tested.advance(100 * MS)
-    assert pose(tested) == (0.0, 0.0, 0.0)
-    assert (tested.vx_mps, tested.vy_mps, tested.wz_radps) == (0.0, 0.0, 0.0)
-
-
-def test_a_new_velocity_counts_from_its_own_time() -> None:
-    tested = unscaled()
-    tested.follow((0.2, 0.0, 0.0), 0)
-    tested.follow((0.0, 0.0, 0.0), 60 * MS)
-    tested.advance(100 * MS)
-    assert pose(tested) == pytest.approx((0.012, 0.0, 0.0))
-
-
-def test_a_time_before_the_last_one_takes_nothing_back() -> None:
-    tested = unscaled()
-    tested.follow((0.2, 0.0, 0.0), 0)
+    for at_ns in (0, 100 * MS):
+        tested.advance(at_ns)
+    assert (pose(tested), tested.vx_mps, tested.vy_mps, tested.wz_radps) == ((0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
+    tested = driven()
+    for at_ms, x_m in ((5_000, 0.02), (5_100, 0.04)):
+        tested.advance(at_ms * MS)
+        assert pose(tested) == pytest.approx((x_m, 0.0, 0.0)), "the lost time is lost, not owed"
+    for velocity_mps, from_ms, x_m in ((0.0, 60, 0.012), (0.1, 60, 0.016)):
+        tested = driven()
+        tested.follow((velocity_mps, 0.0, 0.0), from_ms * MS)
+        tested.advance(100 * MS)
+        assert pose(tested) == pytest.approx((x_m, 0.0, 0.0))
+    tested = driven()
     tested.advance(50 * MS)
     tested.follow((0.1, 0.0, 0.0), 40 * MS)
-    assert pose(tested) == pytest.approx((0.01, 0.0, 0.0))
+    assert pose(tested) == pytest.approx((0.01, 0.0, 0.0)), "a time before the last one takes nothing back"
     tested.advance(60 * MS)
     assert pose(tested) == pytest.approx((0.011, 0.0, 0.0))
 
 
-def test_a_successor_goes_on_from_the_pose() -> None:
+def test_a_successor_goes_on_from_the_pose_and_the_twist_s_deviation_is_the_settings() -> None:
     tested = unscaled()
     tested.inherit(1.0, 2.0, math.pi / 2)
     tested.follow((0.2, 0.0, 0.0), 0)
     tested.advance(100 * MS)
     assert pose(tested) == pytest.approx((1.0, 2.02, math.pi / 2))
-
-
-def test_the_twist_s_std_is_0_05_m_per_s_and_0_2_rad_per_s_and_the_settings() -> None:
     assert Odometry(Settings()).twist_std == (0.05, 0.2)
     changed = Settings({"odometry.twist_std_mps": 0.1, "odometry.twist_std_radps": 0.3})
     assert Odometry(changed).twist_std == (0.1, 0.3)
-
-
-def test_the_pose_s_variance_is_1e3_on_x_y_and_yaw() -> None:
     assert records.POSE_VARIANCE == 1e3
 
 
 @given(st.lists(st.tuples(st.integers(0, 300), VELOCITY), max_size=40))
-def test_it_never_goes_further_than_speed_times_bounded_time(
-    steps: list[tuple[int, tuple[float, float, float]]],
-) -> None:
+def test_it_goes_no_further_than_speed_times_bounded_time(steps: list[tuple[int, tuple[float, float, float]]]) -> None:
     tested = Odometry(Settings())
     t_ms, way_m, speed_mps = 0, 0.0, 0.0
     tested.follow((0.0, 0.0, 0.0), 0)

@@ -1,16 +1,21 @@
-"""The gamepad: stops, modes, sticks, and the hold that resets."""
+"""The gamepad: stops, modes, sticks, the hold that resets, and the tones of its modes and of trips."""
 
 from __future__ import annotations
+
+import struct
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.board.decoder import BUTTONS
+from failstop.board.framing import BUZZER
+from failstop.board.rrc.board import BOARD
 from failstop.messages import records
 from failstop.policy import causes
 from failstop.policy.settings import Settings
-from failstop.procs.telemetry.pad import DRIVING, JOINT, LOCKED, Pad, PadNews
+from failstop.procs.telemetry import pad
+from failstop.procs.telemetry.pad import DRIVING, JOINT, LOCKED, Pad, PadNews, Tones
 
 MS = 1_000_000
 FRAME_MS = 50
@@ -78,16 +83,12 @@ def test_any_button_but_mode_stops_on_its_first_frame_also_the_first_of_all(mode
     assert set(BUTTONS.values()) <= {1 << bit for bit in range(16)}
 
 
-def test_each_tap_is_a_request_and_a_held_button_one(held: Held) -> None:
-    assert [bool(held.frame(buttons).cause) for buttons in (1, 1, 1, 0, 1, 0, 1)] == [
-        *(True, False, False, False, True, False, True)
-    ]
-
-
-def test_another_button_while_one_is_held_is_a_request(held: Held) -> None:
-    assert held.frame(X).cause
-    assert str(held.frame(X | 0x0002).cause) == "gamepad button 0x0002"
-    assert held.frame(0x0002).cause is None
+def test_each_tap_is_a_request_and_a_held_button_one_and_another_while_it_is_held(held: Held) -> None:
+    taps = [bool(held.frame(buttons).cause) for buttons in (1, 1, 1, 0, 1, 0, 1)]
+    assert taps == [True, False, False, False, True, False, True]
+    held.frame()
+    told = [held.frame(buttons).cause for buttons in (X, X | 0x0002, 0x0002)]
+    assert told == [causes.BUTTON(X), causes.BUTTON(0x0002), None]
 
 
 def test_the_last_raw_frames_are_kept_for_the_log(held: Held) -> None:
@@ -100,17 +101,18 @@ def test_the_last_raw_frames_are_kept_for_the_log(held: Held) -> None:
     )
 
 
-def test_mode_cycles_locked_and_drive(held: Held) -> None:
+def test_mode_cycles_locked_and_drive_and_held_changes_it_once(held: Held) -> None:
     seen = [held.pad.mode]
     for _ in range(4):
         held.tap()
         seen.append(held.pad.mode)
     assert [records.PAD_MODES[mode] for mode in seen] == ["locked", "drive", "locked", "drive", "locked"]
+    held.frames(100, MODE)
+    assert held.pad.mode == DRIVING
 
 
 @pytest.mark.parametrize(("between", "mode"), [(10, DRIVING), (11, LOCKED)])
 def test_mode_has_a_lockout_of_0_6_s_that_a_press_does_not_prolong(held: Held, between: int, mode: int) -> None:
-    """From one change to the next; eleven frames are 0.55 s."""
     held.frame(MODE)
     held.frames(between)
     held.frame(MODE)
@@ -120,62 +122,42 @@ def test_mode_has_a_lockout_of_0_6_s_that_a_press_does_not_prolong(held: Held, b
     assert held.pad.mode == LOCKED, "0.75 s, or still locked out"
 
 
-def test_mode_held_changes_the_mode_once(held: Held) -> None:
-    held.frames(100, MODE)
-    assert held.pad.mode == DRIVING
-
-
-def test_in_drive_the_sticks_command_times_the_limits(driving: Held) -> None:
-    """Forward = ly, left = -lx, turn = -rx; the limits are 0.2 m/s, 0.2 m/s, 1.0 rad/s."""
-    assert driving.frame(ly=127).command == pytest.approx((0.2, 0.0, 0.0))
-    assert driving.frame(lx=127).command == pytest.approx((0.0, -0.2, 0.0))
-    assert driving.frame(rx=127).command == pytest.approx((0.0, 0.0, -1.0))
-    assert driving.frame(lx=-64, ly=-64, rx=-64).command == pytest.approx((-0.2 * 64 / 127, 0.2 * 64 / 127, 64 / 127))
-    assert driving.frame(ry=127).command == (0.0, 0.0, 0.0), "ry commands nothing"
-
-
-def test_the_limits_are_the_settings() -> None:
-    held = Held(**{"limits.vx_mps": 0.35, "limits.vy_mps": 0.3, "limits.wz_radps": 2.0})
-    held.tap()
-    assert held.frame(lx=-127, ly=127, rx=-127).command == pytest.approx((0.35, 0.3, 2.0))
-
-
-def test_an_axis_is_raw_over_127_at_most_1_and_0_within_0_1(driving: Held) -> None:
-    assert driving.frame(ly=-128, lx=-128, rx=-128).command == pytest.approx((-0.2, 0.2, 1.0))
-    assert driving.frame(ly=12, lx=-12, rx=12).command == (0.0, 0.0, 0.0), "12/127 is 0.094"
-    assert driving.frame(ly=13).command == pytest.approx((0.2 * 13 / 127, 0.0, 0.0)), "13/127 is 0.102"
-
-
-def test_locked_the_sticks_command_nothing_and_stop_nothing(held: Held) -> None:
+def test_in_drive_the_sticks_command_times_the_limits(held: Held) -> None:
+    """Forward = ly, left = -lx, turn = -rx; the limits are 0.2 m/s, 0.2 m/s, 1.0 rad/s. An axis is raw over 127, at
+    most 1, and 0 within 0.1."""
     news = held.frame(lx=127, ly=-128)
-    assert (news.cause, news.command) == (None, None)
-
-
-def test_leaving_drive_by_mode_commands_a_standstill_once(driving: Held) -> None:
-    driving.frame(ly=127)
-    assert driving.frame(MODE, ly=127).command == (0.0, 0.0, 0.0)
-    assert driving.frame(ly=127).command is None
+    assert (news.cause, news.command) == (None, None), "locked they neither command nor stop"
+    held.tap()
+    for sticks, command in (
+        ({"ly": 127}, (0.2, 0.0, 0.0)),
+        ({"lx": 127}, (0.0, -0.2, 0.0)),
+        ({"rx": 127}, (0.0, 0.0, -1.0)),
+        ({"ry": 127}, (0.0, 0.0, 0.0)),
+        ({"lx": -64, "ly": -64, "rx": -64}, (-0.2 * 64 / 127, 0.2 * 64 / 127, 64 / 127)),
+        ({"lx": -128, "ly": -128, "rx": -128}, (-0.2, 0.2, 1.0)),
+        ({"lx": -12, "ly": 12, "rx": 12}, (0.0, 0.0, 0.0)),  # 12/127 is 0.094
+        ({"ly": 13}, (0.2 * 13 / 127, 0.0, 0.0)),
+    ):
+        assert held.frame(**sticks).command == pytest.approx(command)
+    held.silence(10_000)
+    assert held.frame(ly=127).command == pytest.approx((0.2, 0.0, 0.0)), "the command timeout stops, the pad goes on"
+    assert held.frame(MODE, ly=127).command == (0.0, 0.0, 0.0), "leaving it commands a standstill once"
+    assert held.frame(ly=127).command is None
+    other = Held(**{"limits.vx_mps": 0.35, "limits.vy_mps": 0.3, "limits.wz_radps": 2.0})
+    other.tap()
+    assert other.frame(lx=-127, ly=127, rx=-127).command == pytest.approx((0.35, 0.3, 2.0))
 
 
 def test_any_latch_drops_the_pad_to_locked_and_its_own_stop_at_once(driving: Held) -> None:
     driving.latch()
-    assert driving.pad.mode == LOCKED
-    assert driving.frame(ly=127).command is None
+    driving.tap()
+    assert driving.pad.mode == LOCKED, "MODE changes nothing while latched"
     driving.latch(False)
-    assert driving.frame(ly=127).command is None, "and so it stays until MODE"
+    assert driving.frame(ly=127).command is None, "so it stays until MODE"
     driving.tap()
     assert driving.pad.mode == DRIVING
     assert driving.frame(X, ly=127).command is None
     assert driving.pad.mode == LOCKED
-
-
-def test_while_latched_mode_changes_nothing(held: Held) -> None:
-    held.latch()
-    held.tap()
-    assert held.pad.mode == LOCKED
-    held.latch(False)
-    held.frame()
-    assert held.pad.mode == LOCKED
 
 
 @pytest.mark.parametrize(("hold_s", "at"), [(2.0, 40), (1.0, 20)])
@@ -185,30 +167,28 @@ def test_mode_held_while_latched_resets_once_a_hold(hold_s: float, at: int) -> N
     held.latch()
     assert held.resets(at + 1) == [at]
     held.latch(False)
+    held.frames(20, MODE)
+    assert held.pad.mode == LOCKED, "it changes no mode"
     held.latch()
     assert held.resets(200) == []
     held.frames(3)
     assert held.resets(50) == [at]
 
 
-def test_the_reset_does_not_change_the_mode(held: Held) -> None:
+def test_3_frames_without_mode_or_a_silence_end_a_hold_and_2_frames_do_not(held: Held) -> None:
+    held.frames(200, MODE)
     held.latch()
-    held.frames(41, MODE)
-    held.latch(False)
-    held.frames(20, MODE)
-    held.frames(20)
-    assert held.pad.mode == LOCKED
-
-
-def test_3_frames_without_mode_end_a_hold_and_2_do_not(held: Held) -> None:
-    held.latch()
+    assert held.resets(40) == [39], "one from before the latch counts from the latch"
+    held.frames(3)
     held.frames(30, MODE)
     held.frames(2)
     assert held.resets(20) == [8]
-    held.frames(3)
-    held.frames(30, MODE)
-    held.frames(3)
-    assert held.resets(20) == []
+    for frames, silence_ms in ((3, FRAME_MS), (0, 3_000)):
+        held.frames(3)
+        held.frames(30, MODE)
+        held.frames(frames)
+        held.silence(silence_ms)
+        assert held.resets(20) == []
 
 
 @pytest.mark.parametrize(("latched", "buttons"), [(False, MODE), (True, MODE | X)])
@@ -217,32 +197,12 @@ def test_unlatched_or_with_another_button_down_nothing_is_reset(held: Held, latc
     assert held.resets(200, buttons) == []
 
 
-def test_a_hold_from_before_the_latch_counts_from_the_latch(held: Held) -> None:
-    held.frames(200, MODE)
-    held.latch()
-    assert held.resets(39) == []
-    assert held.frame(MODE).reset
-
-
 @pytest.mark.parametrize(("ns", "again"), [(0, False), (1, True)])
 def test_more_than_0_5_s_of_silence_end_what_is_held(held: Held, ns: int, again: bool) -> None:
     held.frame(X | 0x0001)
     held.silence(500)
     held.now_ns += ns
     assert held.frame(X | 0x0001).cause == (causes.BUTTON(X | 0x0001) if again else None)
-
-
-def test_a_silence_ends_a_hold_of_mode(held: Held) -> None:
-    held.latch()
-    held.frames(3, MODE)
-    held.silence(3_000)
-    assert held.resets(40) == []
-
-
-def test_a_pad_that_was_silent_in_drive_is_in_drive(driving: Held) -> None:
-    """The command timeout stops the wheels; the pad itself is none the wiser."""
-    driving.silence(10_000)
-    assert driving.frame(ly=127).command == pytest.approx((0.2, 0.0, 0.0))
 
 
 AXIS = st.integers(-128, 127)
@@ -311,7 +271,6 @@ def chosen(held: Held, *sticks: int) -> list[int]:
 
 
 def test_a_push_to_the_right_is_the_next_joint_and_one_to_the_left_the_one_before(armed: Held) -> None:
-    """A person who pushes the wrong way turns a joint that is not the one he looks at."""
     assert chosen(armed, 127, 0, 127, 0, 127, 0) == [1, 1, 2, 2, 0, 0]
     assert chosen(armed, -128, 0, -127, 0, -127, 0) == [2, 2, 1, 1, 0, 0]
 
@@ -321,11 +280,50 @@ def test_a_push_chooses_from_0_7_on_and_again_once_it_was_back_within_half_of_th
     assert chosen(armed, 45, 88, 89) == [0, 0, 1], "88/127 is 0.693"
     assert chosen(armed, 88, 45, 127) == [1, 1, 1], "45/127 is 0.354"
     assert chosen(armed, 44, 127) == [1, 2], "44/127 is 0.346"
-
-
-def test_mode_leads_from_the_joints_back_to_locked(armed: Held) -> None:
-    """Else no press of MODE takes the sticks off the arm."""
     armed.tap()
-    assert armed.pad.mode == LOCKED
+    assert armed.pad.mode == LOCKED, "MODE leads back: else no press of it takes the sticks off the arm"
     assert armed.tap().arm is None
     assert armed.pad.mode == DRIVING
+
+
+@pytest.fixture
+def sounding() -> Tones:
+    made = Tones(on=True)
+    made.follow(False, LOCKED)
+    return made
+
+
+def test_tones_are_off_by_default() -> None:
+    assert not Settings().on("buzzer.tones")
+    silent = Tones(on=False)
+    seen = [silent.follow(latched, mode) for latched in (False, True, False) for mode in (LOCKED, DRIVING)]
+    assert set(seen) == {None}
+
+
+def test_each_trip_and_each_mode_sounds_once(sounding: Tones) -> None:
+    for _ in range(2):
+        assert [sounding.follow(True, LOCKED) for _ in range(3)] == [pad.LATCH_SOUND, None, None]
+        assert sounding.follow(False, LOCKED) is None
+    heard = [sounding.follow(False, mode) for mode in (DRIVING, DRIVING, LOCKED)]
+    assert heard == [pad.MODE_SOUNDS[DRIVING], None, pad.MODE_SOUNDS[LOCKED]]
+    assert len({pad.LATCH_SOUND, *pad.MODE_SOUNDS}) == 1 + len(records.PAD_MODES)
+    sounding.follow(False, DRIVING)
+    assert sounding.follow(True, LOCKED) == pad.LATCH_SOUND, "a trip that locks the pad"
+    assert sounding.follow(False, LOCKED) is None
+
+
+def test_an_arm_that_is_about_to_tuck_is_heard_once_and_no_stop_of_before_the_start(sounding: Tones) -> None:
+    tucks = [False, True, True, False, False, True]
+    heard = [sounding.follow(False, LOCKED, tucks=each) for each in tucks]
+    assert heard == [None, pad.TUCK_SOUND, None, None, None, pad.TUCK_SOUND]
+    assert Tones(on=True).follow(True, LOCKED) is None
+    assert Tones(on=True).follow(False, LOCKED, tucks=True) == pad.TUCK_SOUND, "the arm has yet to move"
+
+
+@pytest.mark.parametrize("sound", [pad.LATCH_SOUND, *pad.MODE_SOUNDS, pad.TUCK_SOUND])
+def test_every_tone_ends(sound: pad.Sound) -> None:
+    frame = BOARD.buzzer(*sound)
+    assert frame[2] == BUZZER
+    _, on_ms, off_ms, repeat = struct.unpack("<4H", frame[4:12])
+    assert off_ms == 100
+    assert (on_ms + off_ms) * repeat <= 1_000

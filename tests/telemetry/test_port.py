@@ -1,4 +1,5 @@
-"""The port as telemetry has it: what comes, and when it counts as come; its loss, and the next one."""
+"""The port as telemetry has it: what comes, and when it counts as come; answers to pings; its loss, and the
+next one."""
 
 from __future__ import annotations
 
@@ -7,10 +8,14 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.board import framing
+from failstop.board.decoder import Decoder, pong
+from failstop.board.rrc.board import BOARD
 from failstop.lab.sim import upward
+from failstop.lab.sim.model import BoardModel
+from failstop.lab.sim.receiver import Receiver
 from failstop.messages import layout, records
 from failstop.procs.telemetry import port
-from tests.support.stage import MS
+from tests.support.stage import MS, Wire
 from tests.support.telemetry_scene import S, Scene
 
 PONG = upward.pwm_servo_position(2, 1500)
@@ -84,7 +89,6 @@ def test_a_port_that_has_gone_is_let_go_and_the_next_one_heard(scene: Scene, sig
 
 
 def test_samples_alone_are_published_at_once_and_acted_on_with_the_odometry(scene: Scene) -> None:
-    """Every other report of the board is acted on at once, and they before it."""
     published, kept, beat = scene.own.latest_reader("imu"), scene.own.ring_reader("box"), scene.own.word("beat_ns")
     came_ns, beats = [], set()
     for _ in range(220):
@@ -99,7 +103,6 @@ def test_samples_alone_are_published_at_once_and_acted_on_with_the_odometry(scen
 
 
 def test_at_rest_the_board_wakes_nobody_and_its_samples_are_told_apart(scene: Scene) -> None:
-    """Once a stop is long proved and nobody is there for whom anything could move."""
     busy = scene.views[layout.GATE].word("busy")
     sample, kept = framing.frame(framing.IMU_FUNC, bytes(24)), scene.own.ring_reader("box")
 
@@ -125,3 +128,103 @@ def test_at_rest_the_board_wakes_nobody_and_its_samples_are_told_apart(scene: Sc
     assert [(scene.clock() - entry[1]) // MS for entry in iter(kept.next, None)] == [30, 20, 10, 0]
     scene.wire.unplug()
     assert scene.telemetry.loop.wait(0), "its end does"
+
+
+STOP_DATA = BOARD.stop[4:-1]
+DRIVE = BOARD.motor_speeds((0.796, 0.796, -0.796, -0.796), 2.0)
+ALL = range(layout.PINGS)
+
+
+def answer(index: int) -> tuple[int, bytes]:
+    """The frame that answers a ping."""
+    frame = upward.pwm_servo_position(index + 1, 1500)
+    return frame[2], frame[4:-1]
+
+
+def test_the_pings_differ_fill_the_layout_s_words_and_ask_for_servos_that_there_are() -> None:
+    assert len(BOARD.pings) == len(set(BOARD.pings)) == layout.PINGS
+    assert BOARD.pings[0] == bytes.fromhex("AA5504020501E0")
+    for ping in BOARD.pings:
+        assert BOARD.check_motion(ping, 1000.0) != ""
+        assert framing.MOTOR_HEAD not in ping
+        assert [found[1:] for found in Receiver().feed(ping)] == [(framing.PWM_SERVO, bytes((5, ping[5])))]
+        assert ping[5] in (1, 2, 3, 4)
+
+
+@pytest.mark.parametrize("behind", [BOARD.burst, BOARD.stop * 20, DRIVE * 20])
+@pytest.mark.parametrize("ping", BOARD.pings)
+def test_no_cut_of_a_ping_is_completed_to_anything(ping: bytes, behind: bytes) -> None:
+    """Executed are frames that were written whole, and empty SYS frames of the burst's
+    zeros, which do nothing. Nothing reads servo 0, which is outside the firmware's table."""
+    whole = {(framing.SYS, b""), (framing.MOTOR, STOP_DATA), (framing.MOTOR, DRIVE[4:-1])}
+    for cut in range(len(ping)):
+        for version in (10, 11, 12):
+            receiver = Receiver(version)
+            receiver.feed(ping[:cut])
+            executed = {(func, data) for _, func, data in receiver.feed(behind)}
+            assert executed <= whole
+            assert executed - {(framing.SYS, b"")}, "nothing came through"
+
+
+def test_other_frames_answer_none() -> None:
+    for frame in (
+        *(upward.pwm_servo_position(0, 1500), upward.pwm_servo_position(5, 1500), upward.pwm_servo_deviation(1, 0)),
+        *(upward.bus_servo(1, 0x05, 500), upward.key_frame(1, 5), BOARD.pings[1]),
+        *(framing.frame(framing.PWM_SERVO, data) for data in (b"\x01\x05\xdc", b"")),
+    ):
+        assert pong(frame[2], frame[4:-1]) is None, frame.hex()
+
+
+def test_the_board_answers_every_ping_in_order_with_no_servo_connected() -> None:
+    board = BoardModel(0, imu_hz=0)
+    board.receive(b"".join(BOARD.pings), 0)
+    answers = Decoder().feed(b"".join(board.advance(S)))
+    assert [pong(*frame) for frame in answers] == list(ALL)
+    assert board.wheels == (0.0, 0.0, 0.0, 0.0)
+
+
+def told(scene: Scene) -> tuple[int, int]:
+    """The published (arrival_ns, index)."""
+    return records.unpack_pong(scene.own.word("pong").get())
+
+
+def test_an_answer_is_published_with_the_time_it_was_read_and_rings_the_supervisor(scene: Scene) -> None:
+    assert told(scene) == (0, 0)
+    for index in (0, 1, 2, 3, 0):
+        scene.rung("supervisor_bell")
+        scene.turn(answer(index), elapsed_ns=500 * MS)
+        assert told(scene) == (scene.clock(), index)
+        assert scene.rung("supervisor_bell")
+    scene.turn((framing.PWM_SERVO, b"\x01\x09\x05"), (framing.PWM_SERVO, b"\x05\x05\xdc\x05"), elapsed_ns=MS)
+    scene.turn((framing.BUS_SERVO, b"\x01\x05\x00\xdc\x05"), (framing.IMU_FUNC, bytes(24)))
+    assert told(scene) == (scene.clock() - MS, 0), "nothing else counts as an answer"
+    assert not scene.rung("supervisor_bell")
+    frame = upward.pwm_servo_position(2, 1500)
+    for piece in (frame[:5], frame[5:]):
+        scene.wake(piece, elapsed_ns=10 * MS)
+    assert told(scene) == (scene.clock(), 1), "an answer in pieces has the time of its last"
+
+
+@pytest.mark.parametrize("reopened", [True, False])
+def test_half_a_frame_from_before_a_reopening_does_not_join_what_comes_after(scene: Scene, reopened: bool) -> None:
+    frame = upward.pwm_servo_position(2, 1500)
+    scene.wake(frame[:5])
+    if reopened:
+        scene.replug(2)
+        scene.turn(elapsed_ns=3 * S)
+    scene.wake(frame[5:])
+    assert told(scene) == ((0, 0) if reopened else (scene.clock(), 1))
+
+
+def test_bytes_of_the_lost_port_still_belong_together(scene: Scene) -> None:
+    whole, torn = upward.pwm_servo_position(2, 1500), upward.pwm_servo_position(3, 1500)
+    scene.wake(whole[:5])
+    following = Wire(scene.machine, 1)
+    scene.send_port(following, 2)
+    scene.wake(whole[5:] + torn[:5])
+    assert told(scene) == (scene.clock(), 1)
+    scene.wire = following
+    scene.wake(torn[5:], elapsed_ns=MS)
+    assert told(scene) == (scene.clock() - MS, 1)
+    scene.turn(answer(3))
+    assert told(scene) == (scene.clock(), 3)

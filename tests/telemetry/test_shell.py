@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgpack
 import pytest
 
 from failstop.board import framing
@@ -12,6 +13,7 @@ from failstop.messages import records
 from failstop.policy import causes
 from failstop.procs.telemetry import pad
 from failstop.procs.telemetry.battery import LOW_READINGS
+from failstop.procs.telemetry.main import GateState
 from tests.support.stage import MS
 from tests.support.telemetry_scene import FOLDER, Scene
 
@@ -70,7 +72,6 @@ def test_the_bias_is_found_in_3_s_told_tracked_and_inherited(scene: Scene) -> No
 
 
 def test_a_value_of_any_size_is_no_end(scene: Scene) -> None:
-    """The frame's check byte is one of 256: a wild frame passes for a sample at times."""
     huge = 3.4e38
     for raw in ((huge, 0.0, 1.0, 0.0, 0.0, 0.0), (-huge, huge, huge, huge, -huge, huge)):
         scene.imu(*raw)
@@ -79,27 +80,22 @@ def test_a_value_of_any_size_is_no_end(scene: Scene) -> None:
     assert scene.latest("imu")[2] == pytest.approx(9.80665, rel=1e-6)
 
 
-def test_odometry_follows_the_gate(scene: Scene) -> None:
+def test_odometry_follows_the_gate_and_stands_when_that_is_silent(scene: Scene) -> None:
     scene.gate.update(enabled=True, body_vel=[0.2, 0.0, 0.0])
     scene.turn()
     for _ in range(50):
         scene.turn(elapsed_ns=20 * MS)
     found = scene.latest("odometry")
     assert found[:3] == pytest.approx((0.2, 0.0, 0.0))
-    assert found[3:6] == (0.2, 0.0, 0.0)
-    assert found[6:] == (0.05, 0.2), "the standard deviation of the twist"
+    assert found[3:] == (0.2, 0.0, 0.0, 0.05, 0.2), "the velocity, and the standard deviation of the twist"
     scene.start_telemetry()
     scene.turn(elapsed_ns=20 * MS)
-    assert scene.latest("odometry")[0] >= 0.2 - 1e-9, "a successor goes on from there"
-
-
-def test_odometry_stands_when_the_gate_is_silent(scene: Scene) -> None:
-    scene.gate.update(enabled=True, body_vel=[0.2, 0.0, 0.0])
-    scene.turn()
+    begun_m = scene.latest("odometry")[0]
+    assert begun_m >= 0.2 - 1e-9, "a successor goes on from there"
     for _ in range(100):
         scene.turn(elapsed_ns=20 * MS, gate=False)
     found = scene.latest("odometry")
-    assert found[0] == pytest.approx(0.2 * 0.26)
+    assert found[0] - begun_m == pytest.approx(0.2 * 0.26)
     assert found[3:6] == (0.0, 0.0, 0.0)
 
 
@@ -193,13 +189,19 @@ def test_the_charger_is_seen_told_and_remembered(scene: Scene) -> None:
     assert scene.latest("battery") == (12_049, 1)
 
 
-@pytest.mark.parametrize("content", ["", "nonsense", "\xff\x00"])
-def test_a_damaged_charger_file_is_unknown(scene: Scene, content: str) -> None:
+@pytest.mark.parametrize(
+    "content", ["", "nonsense", "\xff\x00", None], ids=["", "word", "bytes", "a pipe in its place"]
+)
+def test_a_damaged_charger_file_is_unknown_and_holds_nothing_up(scene: Scene, content: str | None) -> None:
     scene.os.mkdir(FOLDER)
-    scene.write_text(f"{FOLDER}/charger", content)
+    if content is None:
+        scene.os.mkfifo(f"{FOLDER}/charger")
+    else:
+        scene.write_text(f"{FOLDER}/charger", content)
     scene.start_telemetry()
     scene.battery(11_800)
     assert scene.latest("battery") == (11_800, 0)
+    assert (content is None) is any("a FIFO, not a regular file" in note for note in scene.notes())
 
 
 def test_a_low_battery_stops_where_the_settings_say_so() -> None:
@@ -216,20 +218,15 @@ def test_the_battery_log_is_written(scene: Scene) -> None:
     assert found == "unix_s,battery_mv,enabled\n1773662401.0,11800,0\n1773662411.5,11700,1\n"
 
 
-def test_a_directory_that_can_t_be_made_is_a_line_in_the_journal(scene: Scene) -> None:
-    scene.write_text(FOLDER, "a file is in the way")
-    scene.battery(*[11_800] * 20)
+@pytest.mark.parametrize(("directory", "readings"), [(FOLDER, 20), ("/way/" + "é" * 200, 2)])
+def test_a_directory_that_can_t_be_made_is_a_note_of_at_most_280_bytes(directory: str, readings: int) -> None:
+    scene = Scene(**{"battery.directory": directory})
+    scene.write_text("/" + directory.split("/")[1], "a file is in the way")
+    scene.battery(*[11_800] * readings)
     (note,) = scene.notes()
     assert note.startswith("battery log can't be written: ")
+    assert readings == 20 or (len(note.encode()), note[-100:]) == (280, "é" * 100)
     assert scene.latest("battery") == (11_800, 0)
-
-
-def test_a_note_is_at_most_280_bytes() -> None:
-    scene = Scene(**{"battery.directory": "/way/" + "é" * 200})
-    scene.write_text("/way", "a file is in the way")
-    scene.battery(*[11_800] * 2)
-    (text,) = scene.notes()
-    assert (len(text.encode()), text[-100:]) == (280, "é" * 100)
 
 
 def test_frames_that_make_no_sense_are_not_passed_on(scene: Scene) -> None:
@@ -239,3 +236,64 @@ def test_frames_that_make_no_sense_are_not_passed_on(scene: Scene) -> None:
     scene.turn((framing.SBUS, bytes(36)))
     assert [scene.latest(name) for name in ("imu", "battery", "pad")] == [()] * 3
     assert scene.told("causes") == []
+
+
+class Published:
+    """A stand-in for the gate's record."""
+
+    def __init__(self) -> None:
+        self.entry: tuple[int, int, bytes] | None = None
+
+    def read(self) -> tuple[int, int, bytes] | None:
+        return self.entry
+
+    def put(self, t_ns: int, **changed: object) -> None:
+        state = {"enabled": True, "estop": None, "blocked": None, "epoch": 7, "body_vel": [0.1, 0.0, -0.5], **changed}
+        self.raw(t_ns, msgpack.packb(state))
+
+    def raw(self, t_ns: int, payload: bytes) -> None:
+        self.entry = ((self.entry[0] if self.entry else 0) + 1, t_ns, payload)
+
+
+@pytest.fixture
+def published() -> Published:
+    return Published()
+
+
+@pytest.fixture
+def gate(published: Published) -> GateState:
+    return GateState(published)  # type: ignore[arg-type]
+
+
+def test_a_state_of_the_gate_is_news_once_and_until_then_nothing_moves(gate: GateState, published: Published) -> None:
+    assert not gate.read(10_000 * MS)
+    assert (gate.enabled, gate.latched, gate.commanded) == (False, False, False)
+    published.put(100 * MS)
+    assert gate.read(101 * MS)
+    assert (gate.enabled, gate.latched, gate.velocity, gate.since_ns) == (True, False, (0.1, 0.0, -0.5), 100 * MS)
+    assert gate.commanded
+    for payload in (None, b"", b"\xc1", msgpack.packb(7), msgpack.packb({"enabled": True})):
+        if payload is not None:
+            published.raw(110 * MS, payload)
+        assert not gate.read(110 * MS), "a payload that is no state changes nothing"
+        assert gate.commanded
+    published.put(111 * MS, estop="", body_vel=[0, 0, 0])
+    assert gate.read(111 * MS)
+    assert (gate.latched, gate.commanded) == (True, False), "a latch is any reason"
+    published.put(112 * MS)
+    assert gate.read(900 * MS), "the state of a dead gate is old at once"
+    assert not gate.commanded
+
+
+@pytest.mark.parametrize("velocity", [[0.1, 0.0, -0.5], [0, 0, 0]])
+def test_a_gate_silent_for_250_ms_moves_nothing(gate: GateState, published: Published, velocity: list[float]) -> None:
+    published.put(100 * MS, body_vel=velocity)
+    gate.read(100 * MS)
+    assert gate.enabled
+    assert not gate.read(350 * MS)
+    assert gate.read(350 * MS + 1)
+    assert (gate.commanded, gate.enabled, gate.since_ns) == (False, False, 350 * MS + 1)
+    assert not gate.read(400 * MS), "told once"
+    published.put(500 * MS)
+    assert gate.read(500 * MS)
+    assert gate.commanded

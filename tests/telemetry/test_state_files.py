@@ -70,7 +70,6 @@ def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_state_directory_is_the_first_that_is_given(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The order: the settings', systemd's, the system's where it is writable, the user's."""
     monkeypatch.setenv("HOME", "/home/x")
     assert state_directory("robot", {}) == "/home/x/.local/state/failstop/robot"
     assert state_directory("robot", {"XDG_STATE_HOME": "/elsewhere"}) == "/elsewhere/failstop/robot"
@@ -83,7 +82,6 @@ def test_the_state_directory_is_the_first_that_is_given(base: Path, monkeypatch:
 
 
 def test_a_new_file_starts_with_the_header_and_a_torn_line_spoils_no_other(tmp_path: Path) -> None:
-    """A power cut tears one."""
     path = tmp_path / "deep" / "er" / "log.csv"
     append_line(str(path), HEADER, "1,2\n")
     append_line(str(path), HEADER, "3,4\n")
@@ -173,14 +171,20 @@ def test_a_missing_directory_is_a_note_once_and_its_return_another(stage: Stage,
     assert files.notes() == [("battery log is written again", "")]
 
 
+def test_a_thread_that_can_t_start_is_a_note(stage: Stage, files: Any) -> None:
+    stage.machine.at_seam = refused("thread", RuntimeError("can't start new thread"))
+    for _ in range(2):
+        files.append("log", "log.csv", HEADER, "1,2\n")
+    assert len(files.notes()) == 1
+
+
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize(
     ("make", "said"), [(os.mkdir, "charger state can't be read: "), (os.mkfifo, "a FIFO, not a regular file")]
 )
-def test_a_file_that_is_not_there_is_empty_and_one_that_is_none_a_note(
+def test_a_file_that_is_not_there_is_empty_and_no_file_a_note(
     tmp_path: Path, make: Callable[[Path], None], said: str
 ) -> None:
-    """A pipe in its place is not waited for."""
     files = StateFiles(str(tmp_path))
     assert files.read("charger state", "charger") == ""
     assert files.notes() == []
@@ -190,7 +194,6 @@ def test_a_file_that_is_not_there_is_empty_and_one_that_is_none_a_note(
 
 
 def test_a_disk_that_hangs_holds_nothing_up(stage: Stage, files: Any) -> None:
-    """The jobs that wait are bounded; what comes on top is dropped."""
     loop = stage.machine.current
 
     def hang(thread: object, call: str, about: object) -> None:
@@ -207,10 +210,3 @@ def test_a_disk_that_hangs_holds_nothing_up(stage: Stage, files: Any) -> None:
     stage.machine.at_seam = None
     stage.clock.now_ns += S
     assert stage.read_text(LOG) == HEADER + "the first\n" + "1,2\n" * MOST_JOBS
-
-
-def test_a_thread_that_can_t_start_is_a_note(stage: Stage, files: Any) -> None:
-    stage.machine.at_seam = refused("thread", RuntimeError("can't start new thread"))
-    files.append("log", "log.csv", HEADER, "1,2\n")
-    files.append("log", "log.csv", HEADER, "1,2\n")
-    assert len(files.notes()) == 1

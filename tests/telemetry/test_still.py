@@ -1,4 +1,5 @@
-"""Whether the wheels are still: the verdict, its delay and its chances of being wrong on the simulated IMU."""
+"""Whether the wheels are still, by the IMU and by what the board reports of them: the verdict, its delay, and its
+chances of being wrong on the simulated IMU."""
 
 from __future__ import annotations
 
@@ -11,15 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from failstop.lab.sim.imu import Imu
-from failstop.messages import layout
 from failstop.policy.proofs import WINDOW_NS
 from failstop.policy.settings import Settings
+from failstop.procs.telemetry.readback import READS_APART_NS, ReadBack
 from failstop.procs.telemetry.still import GAP_NS, HOLD_NS, StillJudge
-from tests.support.simulated import Simulated
 from tests.support.stage import MS
 from tests.support.telemetry_scene import S, Scene
 
 STEP_NS = 10 * MS
+T0 = 1_000 * MS
 STD_RADPS = 0.0035
 REST = (0.0, 0.0, 0.0, 0.0)
 FORWARD = (0.796, 0.796, -0.796, -0.796)
@@ -59,14 +60,11 @@ def test_still_is_told_after_window_and_hold_and_counts_from_the_first_sample() 
     for count in (1, 1000):
         tested.feed(count, 0.002)
         assert (tested.judge.still_ns, tested.judge.judged_ns) == (begun_ns, tested.t_ns)
-
-
-def test_nothing_is_judged_before_a_window_is_full() -> None:
-    tested = Shaken()
-    tested.feed(FULL, 0.005)
-    assert tested.judge.judged_ns == 0
-    tested.feed(1, 0.005)
-    assert tested.judge.judged_ns == tested.t_ns
+    shaking = Shaken()
+    shaking.feed(FULL, 0.005)
+    assert shaking.judge.judged_ns == 0, "nothing is judged before a window is full"
+    shaking.feed(1, 0.005)
+    assert shaking.judge.judged_ns == shaking.t_ns
 
 
 @pytest.mark.parametrize("bias_radps", [0.0, 0.1])
@@ -81,45 +79,35 @@ def test_shaking_on_either_axis_is_not_still(x_radps: float, y_radps: float, bia
     assert (tested.judge.still_ns, tested.judge.judged_ns) == (0, tested.t_ns)
 
 
-@pytest.mark.parametrize(
-    ("limit_radps", "std_radps", "still"), [(STD_RADPS, 0.00346, True), (STD_RADPS, 0.0035, False), (0.01, 0.009, True)]
-)
-def test_the_limit_is_the_standard_deviation_of_the_settings(limit_radps: float, std_radps: float, still: bool) -> None:
-    assert Settings()["still.std_radps"] == STD_RADPS
-    tested = Shaken(limit_radps)
-    tested.feed(200, std_radps)
-    assert tested.still is still
-
-
 @given(bias_radps=st.floats(-1.0, 1.0))
-def test_the_bias_does_not_matter(bias_radps: float) -> None:
-    quiet, loud = Shaken(), Shaken()
-    quiet.feed(100, 0.0034, bias_radps=bias_radps)
-    loud.feed(100, 0.0036, bias_radps=bias_radps)
-    assert quiet.still
-    assert not loud.still
+@pytest.mark.parametrize(("limit_radps", "quiet", "loud"), [(STD_RADPS, 0.00346, 0.0035), (0.01, 0.009, 0.0101)])
+def test_the_limit_is_the_setting_s_deviation_whatever_the_bias(
+    limit_radps: float, quiet: float, loud: float, bias_radps: float
+) -> None:
+    assert Settings()["still.std_radps"] == STD_RADPS
+    for std_radps, still in ((quiet, True), (loud + 0.0001, False)):
+        tested = Shaken(limit_radps)
+        tested.feed(200, std_radps, bias_radps=bias_radps)
+        assert tested.still is still
+    exact = Shaken()
+    exact.feed(200, STD_RADPS)
+    assert not exact.still
 
 
-def test_the_first_quiet_window_is_not_enough() -> None:
-    """Quiet windows, but never for the hold: a little movement every 0.6 s."""
+def test_the_first_quiet_window_is_not_enough_and_shaking_ends_it_at_once() -> None:
+    """A little movement every 0.6 s: quiet windows, but never for the hold."""
     tested = Shaken()
     for _ in range(50):
         tested.feed(FULL + HELD // 2, 0.002)
         assert not tested.still
         tested.feed(2, 0.02)
     tested.feed(FULL + HELD + 2, 0.002)
-    assert tested.still, "and then it is"
-
-
-def test_shaking_ends_it_at_once_and_the_next_time_begins_after_it() -> None:
-    tested = Shaken()
-    tested.feed(200, 0.002)
     assert tested.still
-    shaken_ns = tested.t_ns + STEP_NS
     tested.feed(1, 0.05)
     assert not tested.still
+    shaken_ns = tested.t_ns
     tested.feed(FULL + HELD + 2, 0.002)
-    assert tested.judge.still_ns == shaken_ns + STEP_NS
+    assert tested.judge.still_ns == shaken_ns + STEP_NS, "it begins after the shaking"
 
 
 @pytest.mark.parametrize(
@@ -186,9 +174,6 @@ def test_wild_samples_leave_nothing_behind_and_it_judges_as_exactly_as_at_the_st
     assert not old.still
 
 
-# On the simulated IMU.
-
-
 def gyro(seed: int, hz: float) -> Callable[[tuple[float, float, float, float], StillJudge], int]:
     """A step of an IMU: takes the wheels' speeds and a judge, returns the time."""
     sensor, period_ns, now = Imu(S, seed), round(1e9 / hz), [S]
@@ -231,9 +216,6 @@ def test_it_is_rarely_wrong() -> None:
         assert abs(found / count - share) <= tolerance, wheels
 
 
-# Published.
-
-
 def words(scene: Scene) -> tuple[int, int]:
     return scene.own.word("still_ns").get(), scene.own.word("judged_ns").get()
 
@@ -267,36 +249,27 @@ def test_both_words_follow_each_sample_and_another_verdict_rings_the_supervisor(
     assert words(scene) == (0, 0), "a successor begins with knowing nothing"
 
 
-def test_on_a_running_service() -> None:
-    """Still, driving, still again; a board that does not stop; an IMU that falls silent."""
-    service = Simulated(imu_hz=110.0)
-    model, wait_for, now_ns = service.lab.board.model, service.wait_for, service.now_ns
-    own = service.load("failstop.api.client").attach(service.name, layout.TELEMETRY)
-    still, judged = own.word("still_ns"), own.word("judged_ns")
-    wait_for("the wheels to be seen still", still.get)
-    service.enable()
-    service.drive(1.0)
-    assert service.turning()
-    assert still.get() == 0
-    disabled_ns = now_ns()
-    service.robot.disable()
-    wait_for("the wheels to be seen still again", still.get)
-    assert judged.get() - disabled_ns < 1500 * MS
-    assert abs(still.get() - disabled_ns) < 500 * MS
+def test_speeds_of_zero_are_rest_since_the_first_such_report() -> None:
+    judge = ReadBack()
+    assert judge.judged_ns == 0
+    assert judge.take((0.5, 0.5), (), T0)
+    assert (judge.still_ns, judge.judged_ns) == (0, T0)
+    for at in (10, 20, 30):
+        assert judge.take((0.0, -0.0), (), T0 + at * MS)
+    assert (judge.still_ns, judge.judged_ns) == (T0 + 10 * MS, T0 + 30 * MS)
+    judge.take((0.0, -0.1), (), T0 + 40 * MS)
+    assert judge.still_ns == 0, "one wheel is enough"
 
-    service.enable()
-    service.drive(1.0)
-    model.refuse_stop = True
-    refused_ns = now_ns()
-    service.robot.disable()
-    wait_for("samples of 2 s", lambda: judged.get() > refused_ns + 2 * S)
-    assert service.turning()
-    assert still.get() == 0
-    model.refuse_stop = False
-    wait_for("the next stop to be obeyed and seen", still.get)
 
-    assert now_ns() - judged.get() < 500 * MS
-    model.imu_on = False
-    wait_for("a judgement that is old", lambda: now_ns() - judged.get() > 600 * MS)
-    model.imu_on = True
-    wait_for("a new one", lambda: still.get() and now_ns() - judged.get() < 500 * MS)
+def test_odometers_that_stay_are_rest_and_one_reading_or_a_report_of_nothing_is_none() -> None:
+    judge = ReadBack()
+    assert not judge.take((), (), T0)
+    assert not judge.take((), (1.0, 2.0), T0)
+    assert not judge.take((), (1.0, 2.0), T0 + READS_APART_NS - 1), "too close to say anything"
+    for apart, second, still in ((1, 3.0, False), (2, 3.0, True)):
+        assert judge.take((), (1.0, second), T0 + apart * READS_APART_NS)
+        assert judge.still_ns == (T0 + apart * READS_APART_NS if still else 0)
+    assert judge.judged_ns == T0 + 2 * READS_APART_NS
+    for at in range(3):
+        judge.take((0.0, 0.0), (float(at), 0.0), T0 + (3 + at) * READS_APART_NS)
+    assert (judge.still_ns, judge.judged_ns) == (0, T0 + 5 * READS_APART_NS), "a speed of zero while they go on"
