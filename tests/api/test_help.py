@@ -23,4 +23,4 @@ def test_the_example_drives_the_robot_and_leaves_it_disabled(trial: Trial) -> No
     speeds = [event.speeds for event in trial.board.events() if event.is_motion]
     assert max(front_left for front_left, *_ in speeds) > 0.5, "revolutions per second, of 0.2 m/s"
     assert not trial.robot.state.enabled
-    assert not trial.moving()
+    assert not trial.turning()

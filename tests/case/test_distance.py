@@ -84,7 +84,7 @@ def screens(kind: str, simulated: Simulated, folder: Path, capsys: pytest.Captur
     sizes.step(Talk(given, draft, silent=True), {"board.kind": kind})
     yield capsys.readouterr().out
     yield " ".join(report.ways(report.Evidence("", simulated=True, realtime=True, user=settings)))
-    yield simulated.load("failstop.web.face").face(simulated.robot.state, [], 0.0)["stands"]
+    yield simulated.load("failstop.web.view").view(simulated.robot.state, [], 0.0)["stands"]
 
 
 @pytest.mark.slow

@@ -87,7 +87,7 @@ def test_what_cannot_be_stops_the_robot_and_is_told(name: str) -> None:
     if name != "order":
         simulated.drive(SEEN_S)
     simulated.wait(SEEN_S)
-    assert not simulated.moving()
+    assert not simulated.turning()
     assert f"internal error: {told}" in simulated.said
     assert simulated.robot.state.cause.kind is kind
     if kind is not causes.DEFECT:
@@ -100,6 +100,6 @@ def test_an_epoch_that_went_back_is_over_with_the_next() -> None:
     simulated.set_off()
     let_the_epoch_go_back(simulated)
     simulated.drive(SEEN_S)
-    assert not simulated.moving()
+    assert not simulated.turning()
     simulated.set_off()
-    assert simulated.moving()
+    assert simulated.turning()

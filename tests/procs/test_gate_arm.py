@@ -118,7 +118,7 @@ def test_who_moves_it_beside_another_latches_and_the_arm_is_held(scene: Scene, f
     elif second == "a program":
         scene.goal(FOLLOW, {2: 0.1}, client=1)
     else:
-        scene.travel({1: 0.2}, client=1)
+        scene.execute({1: 0.2}, client=1)
         assert scene.finish(client=1)[1].startswith("a stop is latched")
     scene.run(0.02)
     rival = "gamepad" if second == "gamepad" else "other (pid 0)"
@@ -214,7 +214,7 @@ def test_arm_that_is_left_alone_says_so_and_tucks_itself_on_time(arm_with: Make)
     scene.run(6.0)
     assert scene.moves == [], "never used, never tucked"
     assert scene.state()["auto_tuck_s"] is None
-    scene.travel({1: 0.5})
+    scene.execute({1: 0.5})
     scene.finish()
     assert scene.state()["auto_tuck_s"] == 5
     assert not scene.state()["tucks"]
@@ -242,11 +242,11 @@ def test_arm_that_is_left_alone_says_so_and_tucks_itself_on_time(arm_with: Make)
 def test_arm_that_is_used_again_before_it_tucks_is_announced_anew(arm_with: Make) -> None:
     scene = arm_with(arm__auto_tuck_s=10.0)
     news = notes(scene)
-    scene.travel({1: 0.5})
+    scene.execute({1: 0.5})
     scene.finish()
     scene.run(7.0)
     assert len(news()) == 1
-    scene.travel({1: 0.4})
+    scene.execute({1: 0.4})
     scene.finish()
     scene.run(4.5)
     assert news() == []
@@ -266,13 +266,13 @@ def test_arm_that_is_used_again_before_it_tucks_is_announced_anew(arm_with: Make
 
 def test_released_arm_stays_limp_until_it_is_asked_to_move(arm_with: Make) -> None:
     scene = arm_with(arm__auto_tuck_s=1.0, arm__tuck_notice_s=0.5)
-    scene.travel({1: 0.2})
+    scene.execute({1: 0.2})
     scene.finish()
     scene.ask_for(records.ARM_RELEASE)
     for seconds in (0.2, 10.0):
         scene.run(seconds)
         assert all(servo.limp() for servo in scene.servos.by_id.values())
-    scene.travel({1: 0.1})
+    scene.execute({1: 0.1})
     assert scene.finish() == (records.DONE, "arm is there")
 
 
@@ -284,7 +284,7 @@ def test_tuck_of_an_arm_left_alone_is_told_of_where_it_fails(arm_with: Make, how
     if how == "is there already":
         scene.ask_for(records.ARM_TUCK)
     else:
-        scene.travel({1: 0.5})
+        scene.execute({1: 0.5})
     assert scene.finish(most_s=20.0) == (records.DONE, "arm is there")
     if how == "fails":
         scene.servos.change(2, scene.clock(), blocked=True)
@@ -301,7 +301,7 @@ def test_tuck_of_an_arm_left_alone_is_told_of_where_it_fails(arm_with: Make, how
 
 def test_tuck_that_can_not_begin_is_not_tried_again(arm_with: Make) -> None:
     scene = arm_with(arm__auto_tuck_s=2.0, arm__tuck_notice_s=0.5)
-    scene.travel({1: 0.5})
+    scene.execute({1: 0.5})
     scene.finish()
     for servo in SERVOS:
         scene.servos.change(servo, scene.clock(), silent=True)

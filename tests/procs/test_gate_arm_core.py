@@ -22,7 +22,7 @@ TIMEOUT_NS = 500 * MS
 
 
 def test_release_switches_one_torque_after_the_other_off_until_the_arm_is_used_again(bench: ArmBench) -> None:
-    bench.travel((0.0, 510.0), joints=6)
+    bench.execute((0.0, 510.0), joints=6)
     bench.run(2.0)
     assert all(joint.loaded for joint in bench.core.joints)
     bench.frames.clear()
@@ -39,11 +39,11 @@ def test_release_switches_one_torque_after_the_other_off_until_the_arm_is_used_a
         (begun_ns + number * TORQUE_APART_NS, bytes((servos.TORQUE_OFF, servo)))
         for number, servo in enumerate(SERVOS, 1)
     ]
-    bench.now += ANSWER_NS
+    bench.now += SERVO_ANSWER_NS
     bench.goal()
     assert (bench.core.active_ns, bench.core.released) == (bench.now, False)
     bench.core.release(bench.now)
-    bench.travel((0.0, 500.0))
+    bench.execute((0.0, 500.0))
     assert (bench.core.active_ns, bench.core.released) == (bench.now, False)
     bench.until(lambda: bench.times(servos.TORQUE_ON))
 
@@ -179,11 +179,11 @@ def test_goal_that_is_not_renewed_holds_the_arm_once_and_beside_a_journey_nothin
     assert not bench.core.streaming()
     bench.goal()
     bench.run(0.2)
-    journey = bench.travel((2.0, 600.0))
+    trajectory = bench.execute((2.0, 600.0))
     bench.goal()
     bench.holds.clear()
-    bench.until(lambda: journey.done)
-    assert (bench.holds, journey.outcome) == ([], "")
+    bench.until(lambda: trajectory.done)
+    assert (bench.holds, trajectory.outcome) == ([], "")
 
 
 def test_ended_stream_counts_again_after_its_timeout_or_its_pause(bench: ArmBench) -> None:
@@ -261,7 +261,7 @@ def test_silent_servos_end_a_journey_once_all_were_asked(bench: ArmBench, silent
     assert not bench.core.streaming()
 
 
-def test_place_that_can_not_be_read_in_time_ends_a_journey(bench: ArmBench) -> None:
+def test_place_that_can_not_be_read_in_time_ends_a_trajectory(bench: ArmBench) -> None:
     bench.core.forget()
     trajectory = bench.execute((0.0, 600.0))
     begun_ns = bench.now

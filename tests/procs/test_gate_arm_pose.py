@@ -315,7 +315,7 @@ def test_no_goal_leaves_a_timer_in_the_past(busy: Scene) -> None:
 
 
 def test_a_move_that_is_refused_as_too_fast_leaves_the_gate_asleep(busy: Scene) -> None:
-    busy.travel({1: 0.3}, over_s=0.05)
+    busy.execute({1: 0.3}, over_s=0.05)
     done, text = busy.finish()
     assert (done, text.startswith("joint base at 6.000 rad/s")) == (records.REFUSED, True)
     assert turns_in_a_second(busy) < 100

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE
 from failstop.policy.joints import MOST_MISSES, PULSES_PER_RAD, Joint, from_settings, too_far
 from failstop.policy.settings import Settings
-from failstop.procs.gate.arm.goals import MOVE, Journey, too_fast, too_fast_between
+from failstop.procs.gate.arm.goals import MOVE, Trajectory, too_fast, too_fast_between
 from failstop.procs.gate.arm.reader import AGREE, APART_NS, IDLE_NS, QUIET_NS, WAIT_NS, ServoReader
 
 T0 = 100_000_000_000
@@ -308,7 +308,7 @@ def test_rows_of_a_trajectory_go_up_in_time_and_no_faster_than_each_joint_may() 
 
 def test_journey_goes_straight_from_row_to_row_from_where_it_begins() -> None:
     it = joint(120.0)
-    way = Journey(MOVE, 1, "me", [it], [(1.0, {it: 220.0}), (3.0, {it: 100.0})])
+    way = Trajectory(MOVE, 1, "me", [it], [(1.0, {it: 220.0}), (3.0, {it: 100.0})])
     assert (way.left_s(T0), way.begin(T0)) == (0.0, "")
     rows = ((0.0, 120.0), (0.25, 145.0), (1.0, 220.0), (1.5, 190.0), (2.9, 106.0), (3.0, 100.0), (9.0, 100.0))
     for t_s, there in rows:
@@ -320,6 +320,6 @@ def test_journey_goes_straight_from_row_to_row_from_where_it_begins() -> None:
 def test_journey_without_a_time_takes_what_its_slowest_joint_needs(share: float, end: float, takes_s: float) -> None:
     joints = from_settings(Settings({"joints.a.servo": 1, "joints.b.servo": 2, "joints.a.speed_radps": 2.0}))
     slow_pulses = joints[1].speed * (end - 250.0) / 250.0
-    way = Journey(MOVE, 1, "me", joints, [(0.0, {joints[0]: 10.0, joints[1]: slow_pulses})], share)
+    way = Trajectory(MOVE, 1, "me", joints, [(0.0, {joints[0]: 10.0, joints[1]: slow_pulses})], share)
     assert way.begin(T0) == ""
     assert way.length_s == pytest.approx(takes_s)

@@ -114,12 +114,12 @@ def test_the_places_of_all_joints_are_read_before_one_of_them_moves(scene: Scene
     """A shoulder that was moved by hand since: the elbow's way is another then."""
     scene.servos.change(2, scene.clock(), position=500)
     scene.gate.arm.core.forget()
-    scene.travel({ELBOW: 1.5})
+    scene.execute({ELBOW: 1.5})
     assert scene.finish() == (records.DONE, "arm is there")
     scene.servos.change(10, scene.clock(), silent=True)
     scene.ask_for(records.ARM_READ)
     assert "gripper" in scene.finish()[1]
-    scene.travel({ELBOW: 0.2})
+    scene.execute({ELBOW: 0.2})
     assert scene.finish() == (records.DONE, "arm is there"), "a silent servo keeps no other from moving"
 
 
@@ -142,9 +142,9 @@ def jog(bench: ArmBench, rates: dict[int, float]) -> None:
 def test_joint_that_would_hit_something_stays_where_it_is_and_a_journey_is_held() -> None:
     bench = over_the_floor().known()
     shoulder = bench.core.joints[1]
-    journey = bench.travel((0.0, 950.0), joints=2)
-    bench.until(lambda: journey.done)
-    assert journey.outcome.startswith("the arm would hit something on its way: shoulder")
+    trajectory = bench.execute((0.0, 950.0), joints=2)
+    bench.until(lambda: trajectory.done)
+    assert trajectory.outcome.startswith("the arm would hit something on its way: shoulder")
     assert bench.holds == [bench.now]
     assert bench.core.why_not() == ""
     stood = shoulder.position
@@ -152,7 +152,7 @@ def test_joint_that_would_hit_something_stays_where_it_is_and_a_journey_is_held(
     for _ in range(10):
         jog(bench, {1: 1.0})
         bench.run(0.2)
-    assert bench.core.why_not() == journey.outcome
+    assert bench.core.why_not() == trajectory.outcome
     assert shoulder.velocity == 0.0
     assert shoulder.position == pytest.approx(stood, abs=10)
     gripper = bench.core.joints[5]

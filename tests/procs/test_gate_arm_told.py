@@ -47,7 +47,7 @@ def test_trajectory_may_take_the_longest_time_and_a_newer_preempts_it(scene: Sce
         done, text = scene.answered()
         assert (done, text.partition(", ")[2][:12]) == (records.UNDER_WAY, "move: on its")
         assert LONGEST_S - 0.5 <= float(text.split()[-3]) <= LONGEST_S
-    scene.travel({1: -0.2})
+    scene.execute({1: -0.2})
     assert scene.finish() == (records.DONE, "arm is there")
     assert scene.at(1) == pytest.approx(500 - 0.2 * PULSES_PER_RAD, abs=3)
 
@@ -127,7 +127,7 @@ def test_hold_ends_a_release_and_read_tells_where_each_joint_is(scene: Scene) ->
     assert scene.answered()[1] == "arm, read: finding out where it is"
     assert scene.finish() == (records.DONE, "arm is there")
     assert {row[0]: row[3] for row in scene.state()["joints"]}["wrist"] == pytest.approx(320, abs=3)
-    scene.travel({1: 0.1, 2: 0.1})
+    scene.execute({1: 0.1, 2: 0.1})
     scene.finish()
     assert scene.ask(records.ARM_RELEASE)[0] == records.DONE
     scene.run(0.006)

@@ -119,8 +119,8 @@ def test_what_a_dead_run_left_is_replaced(on: SimpleNamespace, old: str) -> None
 
 @pytest.fixture
 def ends(on: SimpleNamespace) -> tuple[int, int]:
-    on.bell.make_pipe(STOP, 0o666)
-    return on.bell.open_pipe(STOP), on.bell.open_pipe_to_write(STOP)
+    on.bell.make_pipe(STOP_PIPE, 0o666)
+    return on.bell.open_pipe(STOP_PIPE), on.bell.open_pipe_to_write(STOP_PIPE)
 
 
 def test_messages_arrive_whole_and_in_order(on: SimpleNamespace, ends: tuple[int, int]) -> None:

@@ -283,7 +283,7 @@ class Scene(Stage):
         whose = self.clients[client]
         whose.write("arm_goal", records.ARM_GOAL.pack(whose.session, mode, values))
 
-    def travel(self, values: dict[int, float], over_s: float = 0.0, client: int = 0) -> None:
+    def execute(self, values: dict[int, float], over_s: float = 0.0, client: int = 0) -> None:
         self.go(1.0, list(values), [(over_s, list(values.values()))], client)
 
     def go(self, share: float, joints: list[int], rows: list[tuple[float, list[float]]], client: int = 0) -> None:
