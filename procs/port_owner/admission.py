@@ -31,8 +31,7 @@ Invariants are looked at besides, by other facts than those of the tables; one t
     the epoch only grows
     one process writes the port owner's memory               just before a motion frame is written
     no stop is latched, of this epoch or one before          the same
-    the frame was made after the last stop that was          the same
-      the port owner's own, or the answer to an epoch
+    the frame was made after the port owner's own last stop  the same
 
 A move that waits is late by a millisecond or two. Dropped, its joints would stand until the next one, a period later.
 """
@@ -65,7 +64,7 @@ class Admission:
         self.stopped_in = 0
         """The newest epoch in which it stopped on its own."""
         self._stopped_ns = 0
-        """The last stop of its own, or for a new epoch."""
+        """The last stop of its own."""
         self.wheels_move = False
         """A motion frame has been written since the last stop."""
 
@@ -117,10 +116,9 @@ class Admission:
         self.stopped_in = max(self.stopped_in, epoch)
         self._stopped_ns = now_ns
 
-    def follow(self, epoch: int, before: int, now_ns: int) -> Cause | None:
+    def follow(self, epoch: int, before: int) -> Cause | None:
         """Take a change of the epoch, which is a stop; the cause of one where it went back. Then only an epoch above
         all that were seen lets motion out."""
-        self._stopped_ns = now_ns
         if epoch > before:
             return None
         self.stopped_in = max(self.stopped_in, before)

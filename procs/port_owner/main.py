@@ -183,7 +183,7 @@ class PortOwner:
         """Answer a raised epoch, another's stop, by a burst, unless it has just stopped by itself for that cause."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
-            if went_back := self.admission.follow(epoch, self.epoch, now_ns):
+            if went_back := self.admission.follow(epoch, self.epoch):
                 self.stop(now_ns, went_back)
             just_stopped = self.admission.stopped_in >= self.epoch and not self.admission.wheels_move
             self.epoch = epoch

@@ -211,11 +211,14 @@ def _kept() -> bytes:
     return struct.pack("<H", len(packed)) + packed + bytes(msgpack.packb(body))
 
 
+WRONG: tuple[object, ...] = (None, -1, 1e300, float("nan"), "x", b"\xff", [], {"name": {}, "gate": 7})
+
+
 def made_up() -> Iterator[bytes]:
     """Of the kept incident, each with one value of its head that failstop never writes."""
     head, body = files.read(str(KEPT))
     for key in sorted(head):
-        for value in (None, -1, 1e300, float("nan"), "x", b"\xff", [], {"name": {}, "gate": 7}):
+        for value in WRONG:
             packed: bytes = msgpack.packb({**head, key: value})
             yield struct.pack("<H", len(packed)) + packed + bytes(msgpack.packb(body))
 

@@ -119,3 +119,32 @@ def test_a_frame_of_another_epoch_or_one_that_was_stopped_in_is_dropped(
         assert not admission.wheels_move
     admitted = frame_epoch == epoch and epoch > max(stops, default=0)
     assert decided((FRAME, frame_epoch, NOW), admission, epoch=epoch) == (ADMIT if admitted else DROP)
+
+
+@pytest.mark.parametrize(
+    ("latched_in", "frame_ns", "alone", "broken"),
+    [
+        (0, NOW, True, None),
+        (EPOCH + 1, NOW, True, None),  # a stop that is just being raised
+        (EPOCH, NOW, True, "gate: motion while a stop is latched"),
+        (1, NOW, True, "gate: motion while a stop is latched"),
+        (0, NOW - 1, True, "gate: motion while a stop is newer"),
+        (0, NOW, False, "port_owner: motion while another process writes its memory"),
+    ],
+)
+def test_an_invariant_that_does_not_hold_is_a_stop(
+    latched_in: int, frame_ns: int, alone: bool, broken: str | None
+) -> None:
+    """Of a frame that was admitted after a stop of the port owner's own at NOW."""
+    admission = Admission(BOARD, LEASE_NS, MAX_RPS)
+    admission.stopped(EPOCH - 1, NOW)
+    found = admission.impossible(frame_ns, EPOCH, latched_in, alone=alone)
+    assert (found and str(found)) == (broken and f"internal error: {broken}")
+
+
+def test_an_epoch_that_goes_back_admits_nothing_until_one_above_all_that_were_seen() -> None:
+    admission = Admission(BOARD, LEASE_NS, MAX_RPS)
+    assert admission.follow(EPOCH, EPOCH - 1) is None
+    assert str(admission.follow(EPOCH - 2, EPOCH)) == "internal error: supervisor: epoch 2 while 4 was in force"
+    for epoch, verdict in ((EPOCH - 2, DROP), (EPOCH, DROP), (EPOCH + 1, ADMIT)):
+        assert decided((FRAME, epoch, NOW), admission, epoch=epoch) == verdict

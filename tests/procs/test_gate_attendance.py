@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,6 +27,7 @@ def gone(gate: Gate) -> causes.Cause | None:
     return gate.core.attendance.gone(gate.now)
 
 
+@pytest.mark.claim("ATTEND-1")
 def test_nobody_has_to_attend_by_default_and_else_until_the_lease_ends(gate: Gate) -> None:
     gate.enable()
     assert gone(gate) is None

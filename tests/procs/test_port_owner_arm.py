@@ -40,15 +40,15 @@ def settle(scene: Scene) -> None:
 
 
 def test_a_move_goes_out_and_no_stop_behind_it_is_put_off(scene: Scene) -> None:
-    assert scene.turn() == STOP, "the first bytes stop the arm too"
+    assert scene.turn() == WITH_SERVOS, "the first bytes stop the arm too"
     settle(scene)
     for _ in range(2):
         assert arm(scene) == MOVE
         assert scene.word("moving") == 0
-        assert scene.forward(b"held", kind=records.WRITE_BURST, elapsed_ns=5 * MS) == STOP
+        assert scene.forward(b"held", kind=records.WRITE_BURST, elapsed_ns=5 * MS) == WITH_SERVOS
     settle(scene)
     scene.put(MOVE, kind=records.ARM)
-    assert scene.forward(b"held", kind=records.WRITE_BURST) == STOP, "within one turn it takes its place"
+    assert scene.forward(b"held", kind=records.WRITE_BURST) == WITH_SERVOS, "within one turn it takes its place"
     scene.turn(5 * MS)
     for _ in range(40):
         scene.put(TWO, kind=records.ARM)
@@ -82,7 +82,7 @@ def test_a_frame_that_is_too_old_of_a_dead_epoch_or_a_stopped_one_is_dropped(sce
     settle(scene)
     assert [arm(scene, epoch=0), arm(scene, age_ns=61 * MS)] == [b"", b""]
     scene.raise_epoch(2)
-    assert scene.turn() == STOP
+    assert scene.turn() == WITH_SERVOS
     assert [arm(scene, epoch=1), arm(scene, epoch=2)] == [b"", MOVE]
     scene.ask_to_stop(b"now\n")
     scene.turn()
@@ -90,7 +90,7 @@ def test_a_frame_that_is_too_old_of_a_dead_epoch_or_a_stopped_one_is_dropped(sce
     scene.raise_epoch(3)
     scene.turn(5 * MS)
     scene.at_next("ioctl", lambda: scene.raise_epoch(4))
-    assert arm(scene, epoch=3) == STOP, "one raised just before the write wins"
+    assert arm(scene, epoch=3) == WITH_SERVOS, "one raised just before the write wins"
 
 
 def test_while_the_wheels_may_turn_nothing_goes_to_the_servos(scene: Scene) -> None:

@@ -20,8 +20,22 @@ ENDS_S = 60.0
 ROWS = "silence,sigkill,sigstop,abort,nan,two" if LONG else "sigkill,abort"
 
 
-def card(ros: Ros, base_s: float, rows: str, out: Path) -> dict:
-    with subprocess.Popen([sys.executable, BASE, str(base_s)], env=ros.environment, stdout=subprocess.DEVNULL) as base:
+def probing(rows: str, out: Path) -> list[str]:
+    """The command."""
+    words = ["probe", "ros2", "--rows", rows, "--yes", "--json", "--out", str(out / "card")]
+    return [sys.executable, "-m", "failstop", *words]
+
+
+def driver(ros: Ros, timeout_s: float) -> subprocess.Popen[str]:
+    """A driver with this timeout."""
+    return subprocess.Popen(
+        [sys.executable, BASE, str(timeout_s)], env=ros.environment, stdout=subprocess.PIPE, text=True
+    )
+
+
+def card(ros: Ros, timeout_s: float, rows: str, out: Path) -> tuple[list[dict], list[float]]:
+    """The rows of the card of such a driver, and when its wheels came to rest (s, CLOCK_MONOTONIC), by its own word."""
+    with driver(ros, timeout_s) as base:
         try:
             done = ros.run(*probing(rows, out), timeout_s=280.0)
         finally:

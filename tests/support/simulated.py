@@ -57,8 +57,8 @@ class Board:
         self._robot.board.catch_up()
         return self._model.wheels
 
-    def wait_wheels(self, *, moving: bool, timeout_s: float = PATIENCE_S) -> None:
-        self._wait_for("the wheels", lambda: any(self.wheels()) == moving, timeout_s)
+    def wait_wheels(self, *, turning: bool, timeout_s: float = PATIENCE_S) -> None:
+        self._wait_for("the wheels", lambda: any(self.wheels()) == turning, timeout_s)
 
     def key(self, key_id: int, event: int) -> None:
         self._model.key(key_id, event, self._robot.machine.now_ns)
