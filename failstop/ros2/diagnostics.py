@@ -91,7 +91,7 @@ def _link(state: State) -> StatusMessage:
 
 def _battery(state: State) -> StatusMessage:
     if not state.battery_v:
-        return _status("battery", WARN, "not known yet")
+        return _status("battery", OK, "not told by the board")
     level = WARN if state.battery_v < verdict.BATTERY_LOW_V else OK
     return _status("battery", level, f"{state.battery_v:.2f} V", charger=state.plugged)
 

@@ -11,14 +11,14 @@ from typing import Any
 from tornado.ioloop import PeriodicCallback
 
 from failstop.api.errors import FailstopError, NoService
-from failstop.web import assets, devices, guard, stopping, storage
+from failstop.web import assets, devices, guard, storage, stopping
 from failstop.web.attending import Attending
 from failstop.web.connections import Places
 from failstop.web.driving import Driving
+from failstop.web.workers import Workers
 from failstop.web.incidents import Incidents
 from failstop.web.limits import Limit
 from failstop.web.watcher import PERIOD_S, Watcher
-from failstop.web.workers import Workers
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -57,7 +57,8 @@ class Page:
         self.verb_limit = Limit(2.0, 6)
         self.story_limit = Limit(10.0, 60)
         self.defect_limit = Limit(1 / 60, 2)
-        self.asked = stopping.Asked(name)
+        self.stop_pipe = stopping.Pipe(name)
+        self.asked = stopping.Asked(self.stop_pipe)
         self.workers = Workers(name)
         self.driving = Driving(name, settings)
         self.attending = Attending(name, self.driving.end)
@@ -89,6 +90,7 @@ class Page:
         if request.error:
             return 503 if isinstance(request.error, NoService) else 500, {"error": str(request.error)}
         written = await stopping.written(self.name, request.asked_ns)
+        self.stop_pipe.prepare()
         self.look()
         return 200, {"asked": request.unix_s, "written": written, "view": self.watcher.shown}
 
@@ -157,6 +159,7 @@ class Page:
     def close(self) -> None:
         """Give everything back."""
         self._timer.stop()
+        self.stop_pipe.close()
         self.attending.close()
         self.driving.close()
         self.workers.close()

@@ -54,6 +54,8 @@ class StopSocket(Socket):
         """It waits for a STOP."""
         super().open()
         self.page.stops.take(self, str(self.request.remote_ip))
+        self.page.stop_pipe.prepare()
+        self._who = self.who()
 
     def on_close(self) -> None:
         """It is gone."""
@@ -67,7 +69,7 @@ class StopSocket(Socket):
     def on_message(self, message: str | bytes) -> None:
         """A STOP by its id, asked for before anything else is done. Many at a time are not answered each."""
         if identity := messages.read(message).get("stop"):
-            request = self.page.asked.ask(self.who(), identity)
+            request = self.page.asked.ask(self._who, identity)
             if len(self._asked) < MOST_ASKED:
                 asked = asyncio.ensure_future(self._answer(identity, request))
                 self._asked.add(asked)

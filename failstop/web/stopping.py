@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import time
 
 from failstop.api.client import attach, run, send_stop
 from failstop.api.errors import FailstopError
 from failstop.data import Data
-from failstop.messages import layout
+from failstop.files import instance
+from failstop.messages import layout, records
 
 WRITTEN_S = 0.3
 """How long a request is watched; the page repeats one that was not written by then."""
@@ -27,12 +29,58 @@ class Request(Data):
     error: FailstopError | None = None
 
 
-class Asked:
-    """The requests of late, by the id that the page gives each: one may come by two ways, and is one stop."""
+class Pipe:
+    """The stop pipe of the running service, held open between two stops: to open it takes longer than the stop."""
 
     def __init__(self, name: str) -> None:
         """`name`: the service."""
         self._name = name
+        self._path = ""
+        self._fd = -1
+        self._same: os.stat_result | None = None
+
+    def prepare(self) -> None:
+        """Open the pipe of the service that runs now, unless that one is held already."""
+        if self._is_held():
+            return
+        self.close()
+        with contextlib.suppress(instance.NoService, instance.InstanceError):
+            folder, self._fd = instance.open_stop(self._name)
+            self._path, self._same = instance.stop_path(folder), os.fstat(self._fd)
+
+    def _is_held(self) -> bool:
+        try:
+            return self._same is not None and os.path.samestat(os.stat(self._path), self._same)
+        except OSError:
+            return False
+
+    def send(self, who: str) -> None:
+        """Ask for a stop. Raises NoService, FailstopError."""
+        if not (self._is_held() and self._write(records.asking(REASON, who, os.getpid()))):
+            send_stop(self._name, REASON, who)
+
+    def _write(self, line: bytes) -> bool:
+        try:
+            os.write(self._fd, line)
+        except BlockingIOError:
+            return True  # a pipe that is full is read as a stop too
+        except OSError:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Give the pipe back."""
+        if self._same is not None:
+            os.close(self._fd)
+            self._same = None
+
+
+class Asked:
+    """The requests of late, by the id that the page gives each: one may come by two ways, and is one stop."""
+
+    def __init__(self, pipe: Pipe) -> None:
+        """`pipe`: the way to the service."""
+        self._pipe = pipe
         self._ids: dict[str, int] = {}
 
     def ask(self, who: str, identity: object) -> Request:
@@ -48,7 +96,7 @@ class Asked:
         if known in self._ids:
             return self._ids[known]
         asked_ns = time.monotonic_ns()
-        send_stop(self._name, REASON, who)
+        self._pipe.send(who)
         if known:
             self._ids[known] = asked_ns
             if len(self._ids) > MOST_IDS:

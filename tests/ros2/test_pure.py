@@ -226,7 +226,7 @@ def test_diagnostics_of_a_service_that_is_well() -> None:
         ({"device": Device("/dev/x", "open", "deaf")}, "link", diagnostics.ERROR),
         ({"device": Device("/dev/x", "open", "unproven")}, "link", diagnostics.WARN),
         ({"battery_v": 9.0}, "battery", diagnostics.WARN),
-        ({"battery_v": None}, "battery", diagnostics.WARN),
+        ({"battery_v": None}, "battery", diagnostics.OK),
         ({"processes": {"gate": states.process(state="down")}}, "process gate", diagnostics.ERROR),
         ({"processes": {"gate": states.process(state="waiting")}}, "process gate", diagnostics.WARN),
         ({"processes": {"gate": states.process(realtime=False)}}, "real-time rights", diagnostics.WARN),

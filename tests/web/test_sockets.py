@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import time
 from contextlib import ExitStack
@@ -13,6 +14,7 @@ import pytest
 
 from bench.web.parts import Web
 from bench.web.viewer import Viewer
+from failstop.files import instance
 from failstop.lab.trial import Trial, wait_for
 from failstop.web import connections, hold, page
 from failstop.web.handlers import Guarded
@@ -66,6 +68,25 @@ def test_a_stop_is_answered_by_the_way_that_it_came(trial: Trial, web: Web) -> N
         stopping.send(stop="a")
         assert stopping.next()["written"], "the same stop, asked for again"
         assert trial.robot.state.epoch == before + 1
+
+
+def test_a_stop_reaches_the_service_that_was_started_anew_under_an_open_page() -> None:
+    """The page holds the pipe of the run before open, which leads to nobody, or to a process that has not ended yet."""
+    with ExitStack() as stack:
+        own = stack.enter_context(Trial(f"web-anew-{os.getpid()}"))
+        stopping = stack.enter_context(Viewer(stack.enter_context(Web(own.name)), path=STOPS))
+        for run in range(3):
+            if run == 1:
+                pipe = os.open(instance.stop_path(instance.find(own.name)), os.O_RDONLY | os.O_NONBLOCK)
+                stack.callback(os.close, pipe)
+            if run:
+                own.service.end()
+                own.service.start()
+            before = own.robot.state.epoch
+            stopping.send(stop=f"run {run}")
+            assert stopping.next()["written"]
+            wait_for("the latch", lambda: own.robot.state.estop)
+            assert own.robot.state.epoch > before
 
 
 def test_idle_connections_of_one_address_close_no_websocket(trial: Trial, web: Web) -> None:

@@ -121,7 +121,7 @@ def device(state: State) -> Line:
 def battery(state: State) -> Line:
     """Its voltage, and whether it is charged."""
     if not state.battery_v:
-        return row("battery", "not known yet")
+        return row("battery", "not told by the board")
     found = row("battery", f"{state.battery_v:.2f} V", WARN if state.battery_v < verdict.BATTERY_LOW_V else PLAIN)
     return [*found, (f", charger {state.plugged}" if state.plugged != "unknown" else "", PLAIN)]
 
