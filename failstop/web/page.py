@@ -11,14 +11,14 @@ from typing import Any
 from tornado.ioloop import PeriodicCallback
 
 from failstop.api.errors import FailstopError, NoService
-from failstop.web import assets, devices, guard, storage, stopping
+from failstop.web import assets, devices, guard, stopping, storage
 from failstop.web.attending import Attending
 from failstop.web.connections import Places
 from failstop.web.driving import Driving
-from failstop.web.workers import Workers
 from failstop.web.incidents import Incidents
 from failstop.web.limits import Limit
 from failstop.web.watcher import PERIOD_S, Watcher
+from failstop.web.workers import Workers
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

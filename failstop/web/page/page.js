@@ -88,7 +88,7 @@ function showStop() {
   }
   const first = stop.t >= own.asked - 0.5;
   const proofs = first ? ["written", "acknowledged", "observed"].filter((proof) => stop[proof]) : ["written"];
-  const said = proofs.map((level) => `\u2713\u00a0${level}`).join("  ");
+  const said = proofs.map((proof) => `\u2713\u00a0${proof}`).join("  ");
   text("stop-said", first ? said || "written" : `${said}; it was stopped already`);
   $("stop").dataset.phase = proofs.at(-1) || "written";
 }
