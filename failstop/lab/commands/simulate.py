@@ -122,6 +122,9 @@ def _controls(board: str, wanted: str) -> int:
     def asked(row: str) -> bool:
         return fnmatch(row, wanted)
 
+    known = [*(each.row for each in (*controls.CONTROLS, *weak_controls.WEAK_CONTROLS)), *controls.NOT_EXPRESSED]
+    if not any(map(asked, known)):
+        raise FailstopError(f"no control {wanted}; there are: {'; '.join(known)}")
     print("| " + " | ".join(controls.COLUMNS) + " |\n|" + "---|" * len(controls.COLUMNS))
     gaps = 0
     weak = weak_controls.search_weak(CONTROL_S, asked) if board == BOARDS[0] else ()
