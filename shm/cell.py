@@ -114,13 +114,11 @@ class _Cells:
         return max(self._whole(), default=0)
 
     def _whole(self) -> list[int]:
-        """Sequence numbers of all whole entries, in one copy of all cells: not for a hot path. Where nothing was ever
-        written, as in every ring at the start of a run, no cell is checked."""
-        raw = self._view[self._at : self._at + self._cells * self._size]
-        if raw.count(0) == len(raw):
-            return []
-        found = [check(raw[i * self._size : (i + 1) * self._size], self._seed) for i in range(self._cells)]
-        return [entry[0] for i, entry in enumerate(found) if entry and entry[0] % self._cells == i]
+        """Sequence numbers of all whole entries, in one copy: not for a hot path. A ring of zeros needs no check."""
+        raw, size = self._view[self._at : self._at + self._cells * self._size], self._size
+        cells = range(self._cells) if raw.count(0) < len(raw) else ()
+        found = ((i, check(raw[i * size : (i + 1) * size], self._seed)) for i in cells)
+        return [entry[0] for i, entry in found if entry and entry[0] % self._cells == i]
 
 
 class LatestReader(_Cells):

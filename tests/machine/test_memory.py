@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.buffers import AGAIN, BUT_LAST, EARLY, LATE
+from failstop.lab.machine.buffers import BUT_LAST, EARLY, LATE, SAME_PLACE
 from failstop.lab.machine.files import Regular
 from failstop.lab.machine.loading import Loader
 from failstop.lab.machine.memory import WeakMachine
@@ -175,7 +175,7 @@ def test_a_cell_is_torn_when_the_next_one_is_whole() -> None:
 
 
 def test_who_looks_again_may_see_again_what_it_saw() -> None:
-    both, found = Both(2, 0, AGAIN), list[int]()
+    both, found = Both(2, 0, SAME_PLACE), list[int]()
 
     def read(words: Any, mapped: Any) -> None:
         found.extend(words.Word(mapped, each).get() for each in (A, B, A))

@@ -122,7 +122,10 @@ def _controls(board: str, wanted: str) -> int:
     def asked(row: str) -> bool:
         return fnmatch(row, wanted)
 
-    print("| " + " | ".join(controls.HEAD) + " |\n|" + "---|" * len(controls.HEAD))
+    known = [*(each.row for each in (*controls.CONTROLS, *weak_controls.WEAK_CONTROLS)), *controls.NOT_EXPRESSED]
+    if not any(map(asked, known)):
+        raise FailstopError(f"no control {wanted}; there are: {'; '.join(known)}")
+    print("| " + " | ".join(controls.COLUMNS) + " |\n|" + "---|" * len(controls.COLUMNS))
     gaps = 0
     weak = weak_controls.search_weak(CONTROL_S, asked) if board == BOARDS[0] else ()
     for found in itertools.chain(controls.search(CONTROL_S, board, asked), weak):

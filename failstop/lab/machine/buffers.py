@@ -10,7 +10,7 @@ from failstop.lab.machine.process import Process, Thread
 WORD_BYTES = 8
 ALL, LAST, BUT_LAST, FIRST_HALF, SECOND_HALF, FIRST_HALF_BEFORE, SECOND_HALF_BEFORE = LATE = range(1, 8)
 """The stores that are late: some of those since the last barrier, or a half of the last one, or of the one before."""
-EVERY, FIRST, BUT_FIRST, BEGIN_OF_FIRST, END_OF_FIRST, AGAIN = EARLY = range(1, 7)
+EVERY, FIRST, BUT_FIRST, BEGIN_OF_FIRST, END_OF_FIRST, SAME_PLACE = EARLY = range(1, 7)
 """The loads that are early: some up to the next barrier, or a half of the first one, or those of the place that was
 looked at last before the pause."""
 HALVES = {

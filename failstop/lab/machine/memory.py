@@ -21,7 +21,6 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from failstop.lab.machine.buffers import (
-    AGAIN,
     ALL,
     BEGIN_OF_FIRST,
     BUT_FIRST,
@@ -29,6 +28,7 @@ from failstop.lab.machine.buffers import (
     END_OF_FIRST,
     EVERY,
     HALVES,
+    SAME_PLACE,
     WORD_BYTES,
     Race,
     Store,
@@ -46,7 +46,7 @@ REMEMBERED = 256
 RINGS, HEARS = ("write", "sendmsg", "spawn", "futex_wake", "kill"), ("read", "readv", "recvmsg", "pread")
 ORDERING = frozenset((*RINGS, *HEARS))
 MET_NS = 50_000
-"""Whoever looks where another was about to store pauses for so long: the other makes its stores."""
+"""A thread that looks where another was about to store pauses for so long, while the other makes its stores."""
 
 
 class WeakMachine(Machine):
@@ -120,7 +120,7 @@ class WeakMachine(Machine):
         """The bytes that a load finds there that was made early; None: this one was not."""
         view.loads += 1
         at, first = place[1], view.loads == 1
-        if view.early == AGAIN:
+        if view.early == SAME_PLACE:
             return self._as_of(view.before, mapped, at, now) if place == view.again else None
         again = place in view.seen
         view.seen.add(place)

@@ -67,7 +67,7 @@ class Thread:
         self.token = 0
         """Counts its waits, so that a timer of an earlier one wakes nobody."""
         self.view: Any = None
-        """What its processor has seen of a weak memory (buffers.py)."""
+        """The state of its processor, in a weak memory (buffers.py)."""
         self.waiting = False
         self.woken = False
 

@@ -232,7 +232,7 @@ class Found:
         return f"| {self.row} | {told} | {self.took_s:.1f} | {self.draws if self.wrong else ''} | {self.wrong} |"
 
 
-HEAD = ("control", "found by", "s of a processor", "draws that are needed", "what is wrong then")
+COLUMNS = ("control", "found by", "s of a processor", "draws that are needed", "what is wrong then")
 
 
 def drawn(row: str, seconds: float, patches: Patches, scenario: str, **options: Any) -> Found:

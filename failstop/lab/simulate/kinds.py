@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 
-from failstop.lab.machine.buffers import AGAIN, EARLY, LATE
+from failstop.lab.machine.buffers import EARLY, LATE, SAME_PLACE
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.witness import SERVICE_PROCESSES
 
@@ -48,7 +48,7 @@ EARLIER = dict(
 RACES = {
     early: f"its store waits until another looks there{text.removeprefix(PAUSES)}"
     for early, text in EARLIER.items()
-    if early != AGAIN
+    if early != SAME_PLACE
 }
 LOWERED = "a thread runs behind all others"
 REFUSES, KEEPS, BOARD_DEAF, PULLED = (

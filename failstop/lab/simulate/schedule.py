@@ -176,7 +176,7 @@ class Schedule:
     def _at(self, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
         process = thread.process
         if self._stage.witness.violations:
-            return  # what comes now has no part in it
+            return  # an event from now on has no part in it
         pid = process.pid
         key = (pid, call, about[1]) if call in ("load", "store") else (pid, call, self._behind.get(pid, ""))
         number = self._counts[key] = self._counts.get(key, 0) + 1
