@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 
 from failstop.board import asking
@@ -59,7 +60,7 @@ def step(talk: Talk, path: str) -> str:
     except OSError as error:
         raise Left(f"{path} went away ({error.strerror}): is the plug in?") from None
     except (PortError, ValueError) as error:
-        raise Left(str(error)) from None
+        raise Left(str(error) if os.path.exists(path) else f"{path} went away: is the plug in?") from None
     return kind
 
 

@@ -14,15 +14,14 @@ import termios
 import time
 from collections.abc import Callable
 
-from failstop import stopping
 from failstop.api.errors import FailstopError
 from failstop.board.interface import BY_IMU, HEARD_IMU, HEARD_WHEELS, Board
 from failstop.board.kinds import is_described, wire_of
-from failstop.board.port import PortError, has_lines, open_port
+from failstop.board.port import has_lines, open_port
 from failstop.board.tap import Tap
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import Row
-from failstop.lab.probe.watcher import HERE
+from failstop.lab.probe.watcher import HERE, Watcher
 from failstop.lab.prove import shake
 from failstop.lab.prove.sight import SeenSample
 from failstop.procs.telemetry.imu import RAD_PER_DEG
@@ -40,7 +39,7 @@ STARTS_S = 15.0
 HERE_S = 1.0
 """Between two words to the watcher."""
 PLUG_S = 60.0
-ENDED = "the watcher has ended, and the wheels were stopped: repeat it; if a wheel turns, use the POWER SWITCH"
+WATCHER_GONE = "the watcher has ended, and the wheels were stopped: repeat it; if a wheel turns, use the POWER SWITCH"
 ROWS = {
     "sigkill": "its driver is killed (SIGKILL)",
     "sigstop": "its driver hangs (SIGSTOP)",
@@ -119,8 +118,7 @@ class SerialProbe:
         self._end_driver()
         self._let_go()
         if self._watcher and self._watcher.returncode:  # somebody has killed it
-            with contextlib.suppress(PortError):
-                stopping.stop(self._path, self._board, lambda _: STARTS_S, lambda _: None)
+            Watcher(self._path, self._kind).stop(STARTS_S)
 
     def _open(self) -> None:
         self._let_go()
@@ -141,7 +139,7 @@ class SerialProbe:
         assert self._watcher.stdout
         answer = self._watcher.stdout.readline().strip()
         if not answer:
-            raise FailstopError(ENDED)
+            raise FailstopError(WATCHER_GONE)
         if answer == "late":
             raise FailstopError("the machine did not run this probe in time, and the wheels were stopped: repeat it")
 
@@ -153,7 +151,7 @@ class SerialProbe:
             self._watcher.stdin.write(f"{line}\n")
             self._watcher.stdin.flush()
         except OSError:
-            raise FailstopError(ENDED) from None
+            raise FailstopError(WATCHER_GONE) from None
 
     def look(self) -> None:
         """Take in what the board says. A port that goes away is let go."""
