@@ -116,7 +116,9 @@ def ways(evidence: Evidence) -> list[str]:
         slowest = max(written, key=lambda result: result.written_ms or 0.0)
         seconds = (slowest.written_ms or 0.0) / 1000
         way = distance.distance_m(distance.fastest_mps(evidence.user), seconds, evidence.user[distance.BRAKING])
-        lines.append(f"By these runs {way:.2f} m: the latest stop, of {slowest.path.name}, came after {seconds:.2f} s.")
+        lines.append(
+            f"By these runs {way:.2f} m: the latest stop, of {slowest.path.name}, came after {1000 * seconds:.1f} ms."
+        )
     return lines
 
 
