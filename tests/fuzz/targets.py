@@ -214,8 +214,9 @@ def _kept() -> bytes:
 def made_up() -> Iterator[bytes]:
     """Of the kept incident, each with one value of its head that failstop never writes."""
     head, body = files.read(str(KEPT))
+    values: tuple[Any, ...] = (None, -1, 1e300, float("nan"), "x", b"\xff", [], {"name": {}, "gate": 7})
     for key in sorted(head):
-        for value in (None, -1, 1e300, float("nan"), "x", b"\xff", [], {"name": {}, "gate": 7}):
+        for value in values:
             packed: bytes = msgpack.packb({**head, key: value})
             yield struct.pack("<H", len(packed)) + packed + bytes(msgpack.packb(body))
 
