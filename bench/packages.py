@@ -34,7 +34,7 @@ WITHOUT_A_TAG = "42a3b47e202b"
 AWAY_S = 20.0
 NOBODY = 65534
 KEPT = (SETTINGS, "/var/lib/failstop", "/etc/failstop")
-"""What a removal leaves: settings, logs and incidents."""
+"""Paths that a removal leaves: settings, logs and incidents."""
 DRIVER = "/run/driver.py"
 
 
@@ -136,7 +136,7 @@ def lintian(packages: list[Path]) -> list[stats.Row]:
                 bare += [line] * (not above)
             above = line
     said = f"; the first: {wrong[0]}" if wrong else ""
-    found = f"{len(wrong)} of {len(packages)} packages{said}"
+    found = f"{len(wrong)} in {len(packages)} packages{said}"
     return [
         stats.Row("lintian: errors, warnings, overrides of nothing", found, "0", not wrong, {"found": wrong}),
         stats.count("lintian: overrides without a reason", len(bare), overrides),
@@ -234,7 +234,7 @@ def gone(place: Place, before: set[str]) -> list[stats.Row]:
 
 
 def upgrade_rows(upgrades: list[Away]) -> list[stats.Row]:
-    """What the board and systemd say of them."""
+    """Rows of the board's word on the wheels and systemd's on the service's absence."""
     away = sorted(upgrade.away_s for upgrade in upgrades)
     told = ", ".join(f"{seconds:.1f}" for seconds in away)
     numbers = {"away_s": away}

@@ -34,7 +34,7 @@ LEFT_OUT = (
     "sys/",
 )
 PREFIX = "opt/failstop/"
-"""What the image has of failstop's packages: units and rules are for a machine with systemd."""
+"""The part of failstop's packages that the image has: units and rules are for a machine with systemd."""
 ACCOUNTS = {"etc/passwd": "usr/share/base-passwd/passwd.master", "etc/group": "usr/share/base-passwd/group.master"}
 """Files that Debian's scripts would make, which do not run: copies of these."""
 FOLDERS = ("dev", "proc", "run", "sys", "tmp", "var/lib/failstop", "var/tmp")

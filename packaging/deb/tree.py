@@ -171,7 +171,9 @@ def _files(distribution: Distribution) -> Iterator[Entry]:
 
 
 def _copied(inside: str, source: str) -> Entry:
-    return Entry(f"{SITE}/{inside}", source=source, executable=os.access(source, os.X_OK))
+    # Wheels have libraries with every mode there is; they are not run.
+    executable = os.access(source, os.X_OK) and ".so" not in Path(inside).suffixes
+    return Entry(f"{SITE}/{inside}", source=source, executable=executable)
 
 
 def _distribution(name: str, find: Find) -> Distribution:

@@ -162,7 +162,7 @@ def fleet(data: bytes) -> None:
     with contextlib.suppress(ValueError):
         Seen.load(data, 1.0)
     text = data.decode("utf-8", "replace")
-    genuine = json.dumps({"body": text, "mac": signed._mac(KEY, signed.STOP_PURPOSE, text)}).encode()
+    genuine = json.dumps({"body": text, "mac": signed._mac(KEY, signed.STOP, text)}).encode()
     for message in (data, genuine):
         for read in (levels.read_order, levels.read_answer):
             with contextlib.suppress(signed.Forged):
@@ -211,14 +211,12 @@ def _kept() -> bytes:
     return struct.pack("<H", len(packed)) + packed + bytes(msgpack.packb(body))
 
 
-WRONG: tuple[object, ...] = (None, -1, 1e300, float("nan"), "x", b"\xff", [], {"name": {}, "gate": 7})
-
-
 def made_up() -> Iterator[bytes]:
     """Of the kept incident, each with one value of its head that failstop never writes."""
     head, body = files.read(str(KEPT))
+    values: tuple[Any, ...] = (None, -1, 1e300, float("nan"), "x", b"\xff", [], {"name": {}, "gate": 7})
     for key in sorted(head):
-        for value in WRONG:
+        for value in values:
             packed: bytes = msgpack.packb({**head, key: value})
             yield struct.pack("<H", len(packed)) + packed + bytes(msgpack.packb(body))
 

@@ -65,7 +65,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _told(incident: Incident, arguments: Namespace) -> list[Line]:
-    """What is told of one, or of the file that is made of it."""
+    """Lines on an incident, or on the file that was made of it. Raises IncidentError."""
     if arguments.action == "show":
         shown = screen.text(incident, width(), time.time(), whole=arguments.all)
         return record(story.as_dict(incident)) if arguments.json else shown
