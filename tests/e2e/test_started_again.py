@@ -40,11 +40,13 @@ def test_the_command_that_is_told_starts_the_same_service(name: str, tmp_path: P
     expected = f"failstop run --name {name} --config '{folder}/my robot.toml' --device '{folder}/the board'"
     line = expected.replace("failstop", f"exec {sys.executable} -m failstop", 1)
     words = ["run", "--device", "the board", "--config", "my robot.toml", "--name", name]
-    with SimBoard(folder / "the board"), Robot(name) as robot, contextlib.ExitStack() as started:
+    with SimBoard(folder / "the board"), contextlib.ExitStack() as started:
         process = subprocess.Popen([*FAILSTOP, *words], cwd=folder, stderr=subprocess.DEVNULL)
         started.callback(process.kill)
         for number in (signal.SIGKILL, signal.SIGTERM):
             ready(name, process)
+            robot = started.enter_context(Robot(name))
+            assert robot.settings["limits.vx_mps"] == 0.11
             process.send_signal(number)
             process.wait(10.0)
             wait_for("the last process to end", lambda: not instances.listens(name))
@@ -57,7 +59,6 @@ def test_the_command_that_is_told_starts_the_same_service(name: str, tmp_path: P
             process = subprocess.Popen(["/bin/sh", "-c", line], cwd=tmp_path, stderr=subprocess.DEVNULL)
             started.callback(process.kill)
         ready(name, process)
-        assert robot.settings["limits.vx_mps"] == 0.11
         with pytest.raises(Exception, match="seat"):
             robot.enable()
         process.send_signal(signal.SIGTERM)
