@@ -43,7 +43,7 @@ def _alive(pid: int) -> bool:
         return False
 
 
-def test_processes_have_names_the_port_where_they_need_it_and_no_threads_but_watchers(trial: Trial) -> None:
+def test_processes_have_names_and_no_more_threads_and_ports_than_they_need(trial: Trial) -> None:
     # The supervisor has its opener besides. Telemetry, which no stop needs, writes its files from a thread of its own.
     watched = {"supervisor": 4 + 1, "port_owner": 4, "stopper": 2, "gate": 0}
     ports = {"supervisor": 1, "port_owner": 1, "stopper": 1, "gate": 0, "telemetry": 1}

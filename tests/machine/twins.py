@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from typing import Any
 
 from failstop.lab.simulate.scenarios import Play, driving
@@ -15,8 +16,11 @@ def _try_to_enable(stage: Any, robot: Any) -> None:
         robot.enable()
 
 
-BEGIN = {"connect": lambda stage: stage.connect(), "set_off": lambda stage: driving(stage, SHORT_S)}
-VERBS = {
+BEGIN: dict[str, Callable[[Any], Any]] = {
+    "connect": lambda stage: stage.connect(),
+    "set_off": lambda stage: driving(stage, SHORT_S),
+}
+VERBS: dict[str, Callable[..., object]] = {
     "drive": lambda stage, robot: stage.drive(robot, SHORT_S),
     "enable": lambda stage, robot: stage.enable(robot),
     "try_to_enable": _try_to_enable,
