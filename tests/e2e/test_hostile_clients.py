@@ -220,7 +220,7 @@ def test_what_is_out_of_range_is_clamped(simulated: Simulated, value: float) -> 
 
 
 class Group:
-    """What a member of the group may open of a simulated service."""
+    """Files of a simulated service that a member of the group may open."""
 
     def __init__(self, simulated: Simulated) -> None:
         self.on, self._load, self._simulated = simulated.os, simulated.load, simulated

@@ -227,7 +227,7 @@ def what_is_made_has_the_mode_that_the_mask_leaves(on: System, folder: str) -> S
 
 
 PROGRAMS = [each for each in tuple(globals().values()) if getattr(each, "__annotations__", {}).get("return") == "Story"]
-"""Whatever here tells a story."""
+"""The programs above: those that tell a story."""
 
 
 @pytest.mark.starts
