@@ -32,7 +32,6 @@ campaigns: $(VENV)/.dev fuzz
 	  tests/procs/test_gate_core.py tests/procs/test_gate_arm_pose.py \
 	  tests/faults/test_table.py tests/faults/test_arm_rows.py tests/faults/test_chaos.py \
 	  tests/e2e/test_hostile_clients.py tests/e2e/test_stop_command_on_ptys.py tests/machine/test_both_worlds.py \
-	  tests/e2e/test_made_while_it_starts_live.py tests/e2e/test_driver_death.py \
 	  tests/machine/test_every_board.py tests/faults/test_every_board.py tests/web/test_every_board.py \
 	  tests/setup tests/probe tests/ros2/test_probe.py tests/install/test_release.py
 	$(BIN)/failstop simulate

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import pi
+from typing import Any
 
 import pytest
 
@@ -13,11 +14,6 @@ AT_SPEED = (0.796, 0.796, -0.796, -0.796)
 TICK_NS = 20 * MS
 STEPS_NS = MS
 """The calls on the way from the gate to the board, and the wire."""
-
-
-def is_zero(event: object) -> bool:
-    """A motor frame after which every wheel stands."""
-    return event.is_motor and not any(event.speeds)  # type: ignore[attr-defined]
 
 
 def test_disabled_at_start(simulated: Simulated) -> None:
@@ -48,16 +44,6 @@ def test_ramp_on_the_wire(simulated: Simulated) -> None:
         assert speed_mps <= 0.5 * ((event.arrival_ns + TICK_NS - begun_ns) / 1e9) + 1e-6
 
 
-def test_command_timeout(simulated: Simulated) -> None:
-    simulated.set_off()
-    last_ns = simulated.now_ns()
-    simulated.robot.drive(*FORWARD)
-    event = simulated.board.wait_for(lambda e: is_zero(e) and e.arrival_ns > last_ns)
-    assert 300 * MS <= event.arrival_ns - last_ns <= 300 * MS + STEPS_NS
-    simulated.wait_for("the block reason", lambda: simulated.robot.state.blocked == "cmd timeout")
-    assert simulated.robot.state.enabled
-
-
 @every_board
 def test_disable_stops_at_once(simulated: Simulated) -> None:
     simulated.set_off()
@@ -73,3 +59,67 @@ def test_disable_stops_at_once(simulated: Simulated) -> None:
     assert not any(event.is_motion for event in rest)
     state = simulated.robot.state
     assert (state.blocked, state.estop) == ("disabled", None)
+
+
+# At once, not at the gate's next tick: with the slowest that is allowed.
+
+OFF_S = 0.007
+"""No fraction of the period: each try is at another part of it."""
+TRIES = 7
+
+
+@pytest.fixture
+def slow() -> Simulated:
+    return Simulated({"gate.period_s": 0.05})
+
+
+def test_a_new_command_moves_the_wheels_at_once(slow: Simulated) -> None:
+    slow.enable()
+    for _ in range(TRIES):
+        slow.wait(1.0 + OFF_S)
+        assert slow.robot.state.blocked == "cmd timeout"
+        slow.board.events()
+        sent_ns = slow.now_ns()
+        slow.robot.drive(*FORWARD, manual=True)
+        assert slow.board.wait_for(lambda event: event.is_motion).arrival_ns - sent_ns < MS
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_what_is_not_finite_stops_the_wheels_at_once(slow: Simulated, value: float) -> None:
+    """Of a program that sends what it likes, as one in another language might."""
+    client: Any = slow.load("failstop.api.client").Client(slow.name, "foreign")
+    for number in range(TRIES):
+        slow.enable()
+        for _ in range(10):
+            client.command(*FORWARD, manual=True, source="cmd_vel")
+            slow.wait(0.02)
+        assert slow.moving()
+        slow.wait(number * OFF_S)
+        slow.board.events()
+        sent_ns = slow.now_ns()
+        client.command(0.0, value, 0.0, manual=True, source="cmd_vel")
+        slow.wait(0.2)
+        slow.stops(sent_ns, 1)
+        assert slow.robot.state.estop == f"command from foreign (pid {slow.pid}) is not finite"
+
+
+def test_sticks_drive_without_a_scan_and_a_button_locks_them(simulated: Simulated) -> None:
+    def frames(seconds: float, buttons: int = 0, ly: int = 0) -> None:
+        """At 20 Hz, as the board sends them."""
+        for _ in range(round(seconds / 0.05)):
+            simulated.board.pad(buttons, ly=ly)
+            simulated.wait(0.05)
+
+    simulated.enable()
+    for buttons in (0, 0x2000, 0):
+        frames(0.1, buttons)
+    assert simulated.robot.state.pad_mode == "drive"
+    frames(0.5, ly=127)
+    assert simulated.board.wheels()[0] > 0.1
+    assert simulated.robot.state.sources[0].who == "gamepad"
+    simulated.board.events()
+    pressed_ns = simulated.now_ns()
+    frames(0.05, 0x0100, ly=127)
+    frames(0.3, ly=127)
+    simulated.stops(pressed_ns, 2)
+    assert (simulated.robot.state.estop, simulated.robot.state.pad_mode) == ("gamepad button 0x0100", "locked")

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from failstop.supervisor.kinds import EVENT_BY_NAME
-from tests.support.simulated import FORWARD, MS, Simulated
+from tests.support.simulated import FORWARD, Simulated
 
 
 class Listener:
@@ -95,21 +95,6 @@ def test_a_port_that_goes_and_comes_back(simulated: Simulated, listener: Listene
     assert (len(listener.of("device_lost")), len(listener.of("device_back"))) == (1, 1)
 
 
-def test_a_deaf_board_is_told_of_as_such(simulated: Simulated, listener: Listener) -> None:
-    listener.wait("link", state="alive")
-    simulated.board.deaf(True)
-    assert listener.wait("link", state="deaf").level == "critical"
-    simulated.board.deaf(False)
-    listener.wait("link", 2, state="alive")
-
-
-def test_the_pad_s_mode(simulated: Simulated, listener: Listener) -> None:
-    simulated.board.pad(0x2000)
-    listener.wait("pad", mode="drive", process="telemetry")
-    simulated.robot.estop()
-    listener.wait("pad", mode="locked")
-
-
 def goes_on(listener: Listener) -> Callable[[], bool]:
     """Reads on and is never satisfied."""
     return lambda: bool(listener.of("nothing"))
@@ -153,18 +138,6 @@ def one_end(listener: Listener, kind: str, level: str, **fields: str) -> Any:
     return ended
 
 
-def test_a_driver_that_falls_silent(simulated: Simulated, listener: Listener) -> None:
-    who = f"trial (pid {simulated.pid})"
-    simulated.set_off()
-    silent = one_end(listener, "driver_silent", "warning", who=who, source="cmd_vel")
-    assert 300 <= float(silent.fields["silent_ms"]) <= 321
-    assert f"{who} fell silent" in silent.text
-    simulated.drive(0.2)
-    simulated.leave()
-    assert listener.wait("driver_ended", who=who, source="cmd_vel").level == "info"
-    assert listener.of("driver_gone") == []
-
-
 @pytest.mark.parametrize(
     ("error", "kind", "level"),
     [(ZeroDivisionError, "driver_gone", "warning"), (KeyboardInterrupt, "driver_ended", "info")],
@@ -184,15 +157,6 @@ def test_an_error_that_ends_a_driver_is_no_ordinary_end(
     one_end(listener, kind, level, who=f"nav (pid {simulated.pid})")
 
 
-def test_a_killed_driver_has_gone(simulated: Simulated, listener: Listener) -> None:
-    simulated.enable()
-    simulated.leave()
-    client = simulated.driver("mortal")
-    simulated.board.wait_wheels(turning=True)
-    simulated.lab.machine.die(client, -9)
-    one_end(listener, "driver_gone", "warning", who=f"mortal (pid {client.pid})")
-
-
 def test_failstop_drive_ends_in_its_own_words(simulated: Simulated, listener: Listener) -> None:
     simulated.enable()
     simulated.leave()
@@ -200,15 +164,3 @@ def test_failstop_drive_ends_in_its_own_words(simulated: Simulated, listener: Li
     ended = one_end(listener, "driver_ended", "info", source="cmd_vel")
     assert re.fullmatch(r"failstop drive \(pid \d+\) ended its command: the wheels are stopped", ended.text)
     assert "while it drove" not in simulated.printed("status") + simulated.printed("why")
-
-
-def test_a_key_that_is_let_go_is_told_as_that(simulated: Simulated, listener: Listener) -> None:
-    simulated.enable()
-    with simulated.failstop.Robot(client="teleop") as robot:
-        let_go_ns = simulated.now_ns()
-        for _ in range(10):
-            robot.drive(0.1, 0.0, 0.0, manual=True)
-            simulated.wait(0.02)
-        ended = one_end(listener, "driver_ended", "info", source="cmd_vel")
-        assert re.fullmatch(rf"teleop \(pid {simulated.pid}\) let go: last command \d+ ms ago, .*", ended.text)
-        assert ended.ns - let_go_ns < 550 * MS

@@ -27,23 +27,6 @@ def test_a_death_at_any_time_of_a_period_is_a_stop(process: str) -> None:
         assert not simulated.turning(), "a restarted process must not enable motion"
 
 
-def test_after_too_many_deaths_it_stays_down_and_stopped(simulated: Simulated) -> None:
-    pids = []
-    for _ in range(5):
-        pid = simulated.pids()[TELEMETRY]
-        pids.append(pid)
-        simulated.kill(TELEMETRY, 0.0)
-        if len(pids) < 5:
-            simulated.recover(TELEMETRY, pid)
-    assert len(set(pids)) == 5
-    state = simulated.robot.state
-    assert state.processes[TELEMETRY].state == "down"
-    assert state.waiting_for == TELEMETRY
-    with pytest.raises(simulated.failstop.Refused, match="a stop is latched"):
-        simulated.robot.enable()
-    assert "died too often" in simulated.said
-
-
 @pytest.mark.parametrize("process", [TELEMETRY, STOPPER, PORT_OWNER])
 def test_one_that_died_too_often_is_started_anew_by_a_reset(process: str) -> None:
     simulated = Simulated({"restart.deaths": 1})

@@ -7,21 +7,20 @@ import os
 import re
 import signal
 import struct
-import time
 
 import psutil
 import pytest
 
 from failstop.board.burst import BURST
-from failstop.lab.trial import Trial, judge, wait_for
+from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout
 from tests.support.commands import failstop
-from tests.support.shared_trial import set_off
-from tests.support.simulated import MS, Simulated
-
-from .returns import drives_only_when_enabled, lose_while_driving, stop_at_return
+from tests.support.simulated import Simulated
 
 TIOCGEXCL = 0x80045440
+
+
+# With real processes.
 
 
 @pytest.mark.claim("START-1")
@@ -36,32 +35,55 @@ def test_first_bytes_are_the_burst_and_no_process_outlives_a_killed_supervisor(f
     wait_for("every process to be gone", lambda: not any(_alive(pid) for pid in pids.values()))
 
 
-def test_an_interrupt_ends_with_the_stop_written_twice(trial: Trial) -> None:
-    set_off(trial)
-    pids = list(trial.service.pids().values())
-    ended_ns = time.monotonic_ns()
-    assert trial.service.process is not None
-    trial.service.process.send_signal(signal.SIGINT)
-    assert trial.service.process.wait(10) == 0
-    events = trial.board.events()
-    stopped = judge(events, ended_ns, True)
-    assert stopped.stop_ns is not None
-    assert stopped.motion_after == 0
-    assert sum(event.is_stop for event in events) >= 8
-    assert "the stop was written twice" in trial.service.said()
-    wait_for("every process to be gone", lambda: not any(_alive(pid) for pid in pids))
+def _alive(pid: int) -> bool:
+    """A zombie is dead: when it is collected is its new parent's affair."""
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
 
 
-def test_the_end_says_that_the_board_has_acknowledged_its_stop(simulated: Simulated) -> None:
+def test_processes_have_names_and_no_more_threads_and_ports_than_they_need(trial: Trial) -> None:
+    # The supervisor has its opener besides. Telemetry, which no stop needs, writes its files from a thread of its own.
+    watched = {"supervisor": 4 + 1, "port_owner": 4, "stopper": 2, "gate": 0}
+    ports = {"supervisor": 1, "port_owner": 1, "stopper": 1, "gate": 0, "telemetry": 1}
+    for name, pid in trial.service.pids().items():
+        process = psutil.Process(pid)
+        if name in watched:
+            wait_for(f"the watchers of {name}", lambda p=process, n=name: p.num_threads() == 1 + watched[n])  # type: ignore[misc]
+        assert process.name() == f"fs:{name}"
+        assert name in process.cmdline()
+        files = [os.readlink(f"/proc/{pid}/fd/{fd}") for fd in os.listdir(f"/proc/{pid}/fd")]
+        assert sum(file.startswith("/dev/pts/") for file in files) == ports[name], name
+
+
+@pytest.mark.claim("MOVE-1")
+def test_one_process_opens_the_port_exclusively(trial: Trial) -> None:
+    fd = os.open(trial.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        answer = fcntl.ioctl(fd, TIOCGEXCL, struct.pack("i", 0))
+    finally:
+        os.close(fd)
+    assert struct.unpack("i", answer) == (1,)
+
+
+@pytest.mark.parametrize("source", ["telop", "gamepad"])
+def test_teleop_names_a_source_that_is_no_client_s_before_it_takes_the_screen(trial: Trial, source: str) -> None:
+    done = failstop("teleop", "--source", source, "--name", trial.name)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert f"source '{source}'" in done.stderr
+    assert trial.robot.state.clients == ()
+
+
+# On the simulated machine.
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_the_end_says_that_the_board_has_acknowledged_its_stop(simulated: Simulated, number: int) -> None:
     simulated.set_off()
     ended_ns = simulated.now_ns()
-    assert simulated.end() == 0
-    events = simulated.board.events()
-    stopped = judge(events, ended_ns, True)
-    assert stopped.stop_ns is not None
-    assert stopped.stop_ns <= 25 * MS
-    assert stopped.motion_after == 0
-    assert sum(event.is_stop for event in events) >= 8
+    assert simulated.end(number) == 0
+    assert simulated.stops(ended_ns, 25) >= 8
     assert simulated.living() == []
     assert re.search(r"written twice, acknowledged by the board after \d+\.\d ms\n", simulated.said)
 
@@ -86,51 +108,6 @@ def test_a_last_stop_that_nothing_takes_is_an_error(simulated: Simulated) -> Non
     assert "the second stop could NOT be written" in simulated.said
 
 
-def _alive(pid: int) -> bool:
-    """A zombie is dead: when it is collected is its new parent's affair."""
-    try:
-        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
-
-
-def test_processes_have_names_and_no_threads_but_their_watchers(trial: Trial) -> None:
-    # The supervisor has its opener besides. Telemetry, which no stop needs, writes its files from a thread of its own.
-    watched = {"supervisor": 4 + 1, "port_owner": 4, "stopper": 2, "gate": 0}
-    for name, pid in trial.service.pids().items():
-        process = psutil.Process(pid)
-        if name in watched:
-            wait_for(f"the watchers of {name}", lambda p=process, n=name: p.num_threads() == 1 + watched[n])  # type: ignore[misc]
-        assert process.name() == f"fs:{name}"
-        assert name in process.cmdline()
-
-
-def test_processes_hold_no_descriptors_they_do_not_need(trial: Trial) -> None:
-    ports = {
-        name: sum(os.readlink(f"/proc/{pid}/fd/{fd}").startswith("/dev/pts/") for fd in os.listdir(f"/proc/{pid}/fd"))
-        for name, pid in trial.service.pids().items()
-    }
-    assert ports == {"supervisor": 1, "port_owner": 1, "stopper": 1, "gate": 0, "telemetry": 1}
-
-
-@pytest.mark.claim("MOVE-1")
-def test_one_process_opens_the_port_exclusively(trial: Trial) -> None:
-    fd = os.open(trial.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    try:
-        answer = fcntl.ioctl(fd, TIOCGEXCL, struct.pack("i", 0))
-    finally:
-        os.close(fd)
-    assert struct.unpack("i", answer) == (1,)
-
-
-def test_lost_and_returned_port(trial: Trial) -> None:
-    lose_while_driving(trial)
-    wait_for("the latch", lambda: trial.robot.state.estop == "device lost")
-    wait_for("everyone to let the port go", lambda: not _holders(trial))
-    assert stop_at_return(trial).is_stop
-    drives_only_when_enabled(trial)
-
-
 def test_a_long_absence_of_a_standing_robot_is_no_motion() -> None:
     """The IMU needs a while after the return before it says anything, and its silence is no shaking."""
     simulated = Simulated(imu_hz=110.0)
@@ -149,29 +126,3 @@ def test_a_long_absence_of_a_standing_robot_is_no_motion() -> None:
     assert stop.written_s == pytest.approx(1.8, abs=0.1), "the burst at the return is its stop"
     simulated.wait_for("the board's answer", lambda: robot.state.last_stop.acknowledged_s)
     assert "CRITICAL" not in simulated.said
-
-
-def _holders(trial: Trial) -> list[str]:
-    """Processes of the service that hold a terminal's descriptor."""
-    return [
-        name
-        for name, pid in trial.service.pids().items()
-        for fd in os.listdir(f"/proc/{pid}/fd")
-        if os.readlink(f"/proc/{pid}/fd/{fd}").startswith("/dev/pts/")
-    ]
-
-
-def test_status_is_live_with_an_option_and_needs_a_terminal_for_it(trial: Trial) -> None:
-    live = failstop("status", "-w", "--name", trial.name)
-    assert (live.returncode, live.stdout) == (1, "")
-    assert "needs a terminal" in live.stderr
-
-
-@pytest.mark.parametrize("source", ["telop", "gamepad"])
-def test_teleop_names_a_source_that_is_no_client_s_before_it_takes_the_screen(trial: Trial, source: str) -> None:
-    done = failstop("teleop", "--source", source, "--name", trial.name)
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.startswith("failstop: ")
-    assert f"source '{source}'" in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert trial.robot.state.clients == ()

@@ -16,18 +16,20 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
-from failstop.api.client import run
 from failstop.board.codec import motor_speeds
 from failstop.board.port import open_port
 from failstop.files import instance, root
 from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import Trial
+from failstop.lab.trial import Trial, wait_for
+from failstop.messages import layout
 from failstop.procs.rights import DESCRIPTORS
+from failstop.supervisor.blackbox import MOST_SAVERS
 from tests.support.children import needs_root
-from tests.support.commands import FAILSTOP
-from tests.support.shared_trial import IMU_HZ, goes_on
+from tests.support.commands import FAILSTOP, failstop
+from tests.support.shared_trial import goes_on
 
 LIMITS = {
     "no file may grow": (resource.RLIMIT_FSIZE, 0),
@@ -181,28 +183,11 @@ def test_a_name_that_is_taken_by_a_service_on_another_port(trial: Trial, board: 
     assert f"'{trial.name}' is already running (pid {trial.service.pids()['supervisor']})" in said
     assert f"the stop is written to {board.link}" in said
     goes_on(trial)
-
-
-def test_a_port_that_others_hold_is_told_as_such(name: str, board: SimBoard) -> None:
-    port = open_port(board.link, exclusive=True)
-    result = subprocess.run(service(name, board), capture_output=True, text=True, timeout=20.0, check=False)
-    os.close(port)
-    assert result.returncode == 1
-    assert result.stderr.startswith(f"failstop: {board.link} is held")
-    assert result.stderr.count("\n") == 1
-    assert left(name) == []
-
-
-def test_a_run_of_before_is_cleared_away_by_the_next(name: str) -> None:
-    """SIGKILL leaves the segments of a run. Names that a stranger has taken: tests/safety, take_names."""
-    with Trial(name, imu_hz=IMU_HZ) as trial:
-        before, _ = run(name)
-        trial.leave()
-        trial.service.kill()
-        trial.service.start()
-        now, _ = run(name)
-        assert now != before
-        assert {".".join(path.split(".")[1:3]) for path in glob.glob(f"/dev/shm/failstop.{name}.*")} == {now}
+    result = failstop("run", "--name", trial.name, "--device", trial.link)
+    assert (result.returncode, result.stderr.count("\n")) == (1, 1)
+    assert result.stderr.endswith("): stop it first, or choose another --name\n")
+    goes_on(trial)
+    assert trial.robot.state.estop is None, "on its own port nobody stops it"
 
 
 def test_a_full_pipe_for_its_words_does_not_hold_up_the_stop(name: str, board: SimBoard, tmp_path: Path) -> None:
@@ -223,3 +208,51 @@ def test_a_full_pipe_for_its_words_does_not_hold_up_the_stop(name: str, board: S
         process.wait()
         os.close(reading)
         os.close(writing)
+
+
+# What is no port, and limits that are too low for other commands.
+
+
+@pytest.mark.parametrize("file", ["ttyNONE", "plain"])
+def test_what_is_no_port_is_told_in_one_line(name: str, tmp_path: Path, file: str) -> None:
+    (tmp_path / "plain").write_bytes(b"untouched")
+    device = str(tmp_path / file)
+    result = failstop("run", "--name", name, "--device", device)
+    told = {"ttyNONE": f"failstop: no device {device}: plug the board in", "plain": "regular file, not a serial port"}
+    assert (result.returncode, result.stderr.count("\n")) == (1, 1)
+    assert told[file] in result.stderr
+    assert (tmp_path / "plain").read_bytes() == b"untouched"
+    assert failstop("status", "--name", name).returncode == 3
+
+
+def test_the_service_needs_no_more_descriptors_than_it_asks_for(fresh: Trial) -> None:
+    for number in range(MOST_SAVERS):
+        fresh.robot.estop(f"number {number}")
+        wait_for("the latch", lambda: fresh.robot.state.estop is not None)
+        wait_for("a reset", fresh.reset)
+    supervisor = psutil.Process(fresh.service.pids()["supervisor"])
+    wait_for("the savers", lambda: len(supervisor.children()) == 4 + MOST_SAVERS)
+    most = len(os.listdir(f"/proc/{supervisor.pid}/fd"))
+    assert most + len(layout.PROCESS_NAMES) <= DESCRIPTORS, "with those of a dead run's segments"
+
+
+@pytest.mark.parametrize(
+    ("files", "word", "code", "told"),
+    [
+        (8, "status", 1, LACKING.format(8)),
+        (11, "enable", 1, LACKING.format(11)),
+        (40, "demo", 1, f"the service ended: {LACKING.format(40)}"),
+        (8, "estop", 0, ""),
+    ],
+)
+def test_too_few_descriptors_are_one_line_and_enough_for_a_stop(
+    trial: Trial, files: int, word: str, code: int, told: str
+) -> None:
+    words = [word] if word == "demo" else [word, "--name", trial.name]
+    command = ["/bin/sh", "-c", f'ulimit -n {files}; exec "$@"', "sh", *FAILSTOP, *words]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode == code
+    assert told in result.stderr
+    assert result.stderr.count("\n") == 1 or not code
+    assert "Traceback" not in result.stderr
+    assert str(trial.robot.state.estop).startswith("stop request") is (word == "estop")

@@ -14,7 +14,7 @@ import pytest
 
 from failstop.lab.faults.starve import Starved
 from failstop.lab.trial import Trial, wait_for, write_settings
-from failstop.messages.layout import GATE, PORT_OWNER, STOPPER, TELEMETRY
+from failstop.messages.layout import GATE, PORT_OWNER
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.supervisor import status
 from tests.support.commands import failstop
@@ -52,42 +52,6 @@ def test_while_idle_it_is_left_alone_and_that_is_told(simulated: Simulated, proc
     assert "the machine starves the service: " in simulated.said
     for command in ("status", "why"):
         assert "the machine starved the service: " in simulated.printed(command).lower(), command
-
-
-@pytest.mark.parametrize("process", [GATE, TELEMETRY, STOPPER])
-def test_while_driving_the_wheels_are_stopped_and_nobody_is_killed(simulated: Simulated, process: str) -> None:
-    simulated.set_off()
-    before = simulated.pids()
-    simulated.hold(process, long_s(process), starved=True)
-    simulated.drive(long_s(process) + 0.3)
-    events = simulated.board.events()
-    stop = next(number for number, event in enumerate(events) if event.is_stop)
-    assert not any(event.is_motion for event in events[stop:])
-    assert not simulated.turning()
-    assert simulated.pids() == before
-    # For the gate the port owner has stopped, by its lease.
-    words = "\\d+ ms silent" + ("" if process == GATE else " \\(the machine is starved\\)")
-    assert re.fullmatch(f"{process} hangs: {words}", simulated.robot.state.estop)
-    simulated.enable()
-
-
-def test_while_driving_a_starved_port_owner_is_fenced_as_ever(simulated: Simulated) -> None:
-    simulated.set_off()
-    pid = simulated.pids()[PORT_OWNER]
-    simulated.hold(PORT_OWNER, 1.0, starved=True)
-    simulated.drive(0.3)
-    simulated.recover(PORT_OWNER, pid)
-    assert not simulated.turning()
-    assert "STOP latched: port_owner hangs: " in simulated.said
-    assert "port_owner was fenced" in simulated.said
-
-
-def test_one_that_is_stopped_by_a_signal_is_not_starved(simulated: Simulated) -> None:
-    pid = simulated.pids()[TELEMETRY]
-    simulated.suspend(TELEMETRY)
-    simulated.recover(TELEMETRY, pid)
-    assert "telemetry was fenced" in simulated.said
-    assert simulated.robot.state.starved is None
 
 
 # On the machine that there is, without rights.

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from failstop import config
-from failstop.board.burst import BURST
+from failstop.board.burst import BURST, burst_with
 from failstop.cli.commands import stop
 from failstop.lab.machine.files import Directory
 from failstop.lab.machine.port import Port
@@ -68,13 +68,13 @@ class Tool:
         assert code == 1
         return found[1], round((self.machine.now_ns - begun_ns) / 1e9, 1)
 
-    def goes(self, *words: str) -> tuple[int, str, str, str]:
+    def goes(self, *words: str, servos: tuple[int, ...] = ()) -> tuple[int, str, str, str]:
         """The outcome where there are boards: the exit code, the one that has the burst, what is printed, errors."""
         self.plug(*PORTS)
         code, out, err = self.run(*words)
         assert self.failed == []
         (device,) = (device for device, heard in self.boards.items() if heard.data)
-        assert self.boards[device].data == BURST
+        assert self.boards[device].data == BURST + (burst_with(servos) if servos else b"")
         return code, device, out, err
 
 
@@ -177,17 +177,42 @@ def test_whatever_goes_wrong_with_a_service_the_port_is_written_to(tool: Tool) -
     assert "no service can be asked (a defect): writing to the port itself" in err
 
 
-def test_the_last_run_s_port_goes_before_what_a_file_says(tool: Tool) -> None:
-    tool.lab.write(f"{config.FOLDER}/failstop.toml", 'device.path = "/dev/board"\nstop.wait_s = 5\n')
-    tool.last_run("/dev/last")
-    assert tool.goes()[:2] == (0, "/dev/last")
+@pytest.mark.parametrize(
+    ("last", "words", "device", "err"),
+    [
+        ("/dev/last", "", "/dev/last", ""),
+        ("/dev/last", f"--config {FILE}", "/dev/board", ""),
+        ("/dev/last", "--device /dev/other", "/dev/other", ""),
+        ("/dev/gone", "", "/dev/board", "failstop: /dev/gone of the last run is not there, so it went to /dev/board: "),
+    ],
+)
+def test_the_last_run_s_port_goes_before_the_installed_file_s(
+    tool: Tool, last: str, words: str, device: str, err: str
+) -> None:
+    for file in (FILE, f"{config.FOLDER}/failstop.toml"):
+        tool.lab.write(file, 'device.path = "/dev/board"\n')
+    tool.last_run(last, 1, 10)
+    code, found, _, said = tool.goes(*words.split(), servos=(1, 10) if device == "/dev/last" else ())
+    assert (code, found) == (1 if err else 0, device)
+    assert said == (f"{err}is this the board? Name it with --device\n" if err else "")
 
 
-@pytest.mark.parametrize(("words", "device"), [(f"--config {FILE}", "board"), ("--device /dev/other", "other")])
-def test_what_is_named_goes_before_the_last_run_s_port(tool: Tool, words: str, device: str) -> None:
-    tool.last_run("/dev/last")
-    tool.lab.write(FILE, 'device.path = "/dev/board"\n')
-    assert tool.goes(*words.split())[:2] == (0, f"/dev/{device}")
+def test_a_last_run_s_port_that_fails_is_no_reason_to_write_to_another(tool: Tool) -> None:
+    tool.lab.write("/dev/no-tty", "")
+    tool.last_run("/dev/no-tty")
+    tool.plug(*PORTS)
+    code, _, err = tool.run("--wait", "0")
+    assert (code, "/dev/no-tty" in err) == (1, True)
+    assert not any(heard.data for heard in tool.boards.values())
+
+
+def test_two_ports_that_are_not_there_are_both_named(tool: Tool) -> None:
+    tool.last_run("/dev/gone")
+    tool.lab.write(f"{config.FOLDER}/failstop.toml", 'device.path = "/dev/nor-this"\n')
+    code, _, err = tool.run("--wait", "0")
+    assert (code, err.count("\n")) == (1, 1)
+    assert err.startswith("failstop: no device /dev/gone: ")
+    assert err.endswith(" (it was the last run's; /dev/nor-this is not there either)\n")
 
 
 def test_the_last_run_of_another_name_is_no_guess_at_all(tool: Tool) -> None:
@@ -229,30 +254,21 @@ def test_the_end_of_the_service_kills_the_rest_first(tool: Tool) -> None:
     assert all(each.dead for each in left)
 
 
-def test_what_does_not_end_is_said_and_the_stop_is_tried_all_the_same(tool: Tool) -> None:
+@pytest.mark.parametrize(
+    ("refused", "told"),
+    [("kill", "2 of them have not ended within 1 s"), ("open", "cannot kill what is left of the service")],
+)
+def test_what_can_not_be_killed_costs_no_stop(tool: Tool, refused: str, told: str) -> None:
     in_service(tool, *(each.pid for each in rest(tool)))
 
     def refuse(thread: object, call: str, about: tuple[object, ...]) -> None:
-        if call == "kill":
+        if call == refused and (call == "kill" or about[:1] == ("/proc/self/cgroup",)):
             raise PermissionError(1, "Operation not permitted")
 
     tool.machine.at_seam = refuse
     code, device, _, err = tool.goes("--end-service")
     assert (code, device) == (0, "/dev/ttyACM0")
-    assert "2 of them have not ended within 1 s" in err
-
-
-def test_a_group_that_cannot_be_read_costs_no_stop(tool: Tool) -> None:
-    in_service(tool)
-
-    def refuse(thread: object, call: str, about: tuple[object, ...]) -> None:
-        if about[:1] == ("/proc/self/cgroup",):
-            raise PermissionError(13, "Permission denied", "/proc/self/cgroup")
-
-    tool.machine.at_seam = refuse
-    code, device, _, err = tool.goes("--end-service")
-    assert (code, device) == (0, "/dev/ttyACM0")
-    assert "cannot kill what is left of the service" in err
+    assert told in err
 
 
 @pytest.mark.parametrize("why", ["not after a service", "of a login"])

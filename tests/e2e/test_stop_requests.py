@@ -2,96 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import os
 import re
-import time
 
 import pytest
 
 from failstop.api import verdict
-from failstop.api.client import send_stop
-from failstop.files import instance
-from failstop.lab.trial import Trial, judge, wait_for
 from failstop.policy import causes
-from failstop.supervisor.events import REPEATS_BYTES as ASKED_ROOM
-from tests.support.children import NOBODY, call
-from tests.support.shared_trial import set_off
-from tests.support.simulated import MS, Simulated
-
-
-def _stop_pipe(trial: Trial) -> str:
-    return instance.stop_path(instance.find(trial.name))
-
-
-@pytest.mark.claim("ASK-1")
-def test_by_an_unprivileged_user(trial: Trial) -> None:
-    set_off(trial)
-    asked_ns = time.monotonic_ns()
-    call(lambda: send_stop(trial.name, "nobody says so"), NOBODY if os.getuid() == 0 else -1)
-    trial.drive(0.2)
-    stopped = judge(trial.board.events(), asked_ns, True)
-    assert stopped.stop_ns is not None
-    assert stopped.motion_after == 0
-    assert trial.robot.state.estop == "stop request: nobody says so"
-
-
-def test_a_full_pipe_is_a_stop_and_the_service_works_on(trial: Trial) -> None:
-    trial.enable()
-    trial.drive(0.1)
-    fd = os.open(_stop_pipe(trial), os.O_WRONLY | os.O_NONBLOCK)
-    with pytest.raises(BlockingIOError) as full:  # noqa: PT012 - fills it faster than it is read, or gives up
-        for _ in range(10_000):
-            os.write(fd, b"flood " * 600)
-        raise BlockingIOError(errno.EAGAIN, "was read as fast as it was filled")
-    os.close(fd)
-    assert full.value.errno == errno.EAGAIN
-    wait_for("the latch", lambda: trial.robot.state.estop is not None)
-    trial.board.wait_wheels(turning=False, timeout_s=5.0)
-    wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
-    wait_for("an end of the flood", lambda: _can_reset(trial))
-    set_off(trial)
-
-
-def _can_reset(trial: Trial) -> bool:
-    try:
-        trial.robot.reset()
-    except Exception:
-        return False
-    time.sleep(0.05)
-    return trial.robot.state.estop is None
-
-
-def test_a_flood_is_no_flood_of_bursts(trial: Trial) -> None:
-    trial.board.events()
-    fd = os.open(_stop_pipe(trial), os.O_WRONLY | os.O_NONBLOCK)
-    start_s = time.monotonic()
-    while time.monotonic() < start_s + 0.5:
-        with contextlib.suppress(BlockingIOError):
-            os.write(fd, b"again\n")
-    os.close(fd)
-    stops = sum(event.is_stop for event in trial.board.events())
-    took_s = time.monotonic() - start_s
-    # A burst has four stop frames, and one goes out every 20 ms; twice as many, for their repeats and the 5 Hz zeros.
-    assert stops < 2 * 4 * took_s / 0.02
-    wait_for("a service that is whole", lambda: trial.robot.state.waiting_for is None)
-
-
-# What is asked for, on the simulated machine.
+from tests.support.simulated import Simulated
 
 BESIDE = re.compile("^failstop: (stopped again|also): gate died\\b", re.M)
-
-
-def write(simulated: Simulated, data: bytes) -> int:
-    """Any bytes in the stop pipe; how many it has taken."""
-    fd = simulated.os.open(f"/run/failstop/{simulated.name}/stop", os.O_WRONLY | os.O_NONBLOCK)
-    try:
-        found: int = simulated.os.write(fd, data)
-    except BlockingIOError:
-        found = 0
-    simulated.os.close(fd)
-    return found
 
 
 @pytest.mark.claim("ASK-1")
@@ -99,12 +19,11 @@ def test_any_bytes_are_a_stop(simulated: Simulated) -> None:
     for message in (b"\0", b"\xff\xfe\n\n", b"x" * 4000, b"\n", b"a\x1b[2Jb\n"):
         simulated.set_off()
         asked_ns = simulated.now_ns()
-        write(simulated, message)
+        fd = simulated.os.open(f"/run/failstop/{simulated.name}/stop", os.O_WRONLY | os.O_NONBLOCK)
+        simulated.os.write(fd, message)
+        simulated.os.close(fd)
         simulated.drive(0.1)
-        stopped = judge(simulated.board.events(), asked_ns, True)
-        assert stopped.stop_ns is not None, message
-        assert stopped.stop_ns <= 2 * MS
-        assert stopped.motion_after == 0
+        simulated.stops(asked_ns, 2)
         assert simulated.robot.state.estop
         assert simulated.robot.state.estop.isprintable()
 
@@ -133,24 +52,6 @@ def test_nobody_s_words_pass_for_a_cause_of_the_service_s_own(simulated: Simulat
     simulated.die("gate")
     simulated.wait_for("the death to be told beside it", lambda: BESIDE.search(simulated.said) is not None)
     assert simulated.robot.state.estop == f"stop request: {words}"
-
-
-def test_a_thousand_reasons_at_full_speed_do_not_fill_the_log(simulated: Simulated) -> None:
-    simulated.robot.estop("the first")
-    simulated.wait_for("the latch", lambda: "STOP latched: " in simulated.said)
-    before = len(simulated.said)
-    until_ns, reasons = simulated.now_ns() + 4000 * MS, 0
-    while reasons < 1000 or simulated.now_ns() < until_ns:
-        reasons += write(simulated, f"reason {reasons} {'x' * 150}\n".encode()) > 0
-        simulated.wait(0.002)
-    assert len(simulated.said) - before < 2 * ASKED_ROOM + 2000
-    simulated.kill("gate")
-    told = "what is no request to be told"
-    simulated.wait_for(told, lambda: BESIDE.search(simulated.said[before:]) is not None)
-    assert simulated.end() == 0
-    assert "STOP latched: stop request: the first (trial, pid" in simulated.said
-    assert re.search(r"^failstop: \d+ stop requests while a stop was latched were left out: ", simulated.said, re.M)
-    assert len(simulated.said) - before < 2 * ASKED_ROOM + 10_000
 
 
 @pytest.mark.parametrize("letter", ["x", "\u20ac"])

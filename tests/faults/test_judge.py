@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,13 +22,39 @@ from tests.support.board_events import FAULT_NS, MS, STILL, TURNING, event
 KILL_GATE = FAULT_BY_NAME["kill-gate"]
 
 
-def wrong(*times: tuple[float, bool], fault: str = "kill-gate", was_turning: bool = True) -> list[str]:
+LIMIT_MS = KILL_GATE.limit_ms or 0.0
+
+
+@pytest.mark.parametrize(
+    ("times", "fault", "told"),
+    [
+        (((-10, True), (0.2, True), (0.5, False), (20, False)), "kill-gate", []),
+        (((-10, True), (10, True)), "kill-gate", ["NO STOP"]),
+        ((), "kill-gate", ["NO STOP"]),
+        (((-1, False),), "kill-gate", ["NO STOP"]),  # from before the fault
+        (((LIMIT_MS, False),), "kill-gate", []),
+        (((LIMIT_MS + 0.1, False),), "kill-gate", ["ms, the limit is"]),
+        (
+            ((0.5, False), (0.6, True), (0.7, False), (0.8, True)),
+            "kill-gate",
+            ["2 motion frames after the stop and before any enable"],
+        ),
+        (((-1, False), (1, True)), "board-garbles-up", []),
+        (((1, False),), "board-garbles-up", ["and nothing was to stop"]),
+    ],
+)
+def test_the_judge_tells_a_stop_in_time_and_for_good_from_others(
+    times: Sequence[tuple[float, bool]], fault: str, told: list[str]
+) -> None:
     events = [event(i, ms, TURNING if moves else STILL) for i, (ms, moves) in enumerate(times)]
-    return verdict(FAULT_BY_NAME[fault], events, FAULT_NS, was_turning)[1]
+    found = verdict(FAULT_BY_NAME[fault], events, FAULT_NS, True)[1]
+    assert len(found) == len(told)
+    assert all(part in text for part, text in zip(told, found, strict=True))
 
 
-def test_a_stop_in_time_and_for_good() -> None:
-    assert wrong((-10, True), (0.2, True), (0.5, False), (20, False)) == []
+def test_wheels_that_were_at_rest_prove_nothing() -> None:
+    found = verdict(KILL_GATE, [event(0, 0.5, STILL)], FAULT_NS, False)[1]
+    assert found == ["the wheels were not turning before the fault"]
 
 
 def test_a_board_that_obeys_no_stop_is_no_error_of_the_judge() -> None:
@@ -35,34 +62,7 @@ def test_a_board_that_obeys_no_stop_is_no_error_of_the_judge() -> None:
     found = judge([told], FAULT_NS, True)
     assert found.stop_ns == MS
     assert found.still_ns is None
-
-
-def test_no_stop() -> None:
-    assert wrong((-10, True), (10, True)) == ["NO STOP"]
-    assert wrong() == ["NO STOP"]
-    assert judge([event(0, 1.0, TURNING)], FAULT_NS, True).motion_after == 1
-    assert wrong((-1, False)) == ["NO STOP"], "a stop from before the fault is none"
-
-
-def test_a_stop_that_is_too_late() -> None:
-    assert KILL_GATE.limit_ms is not None
-    assert wrong((KILL_GATE.limit_ms, False)) == []
-    assert len(wrong((KILL_GATE.limit_ms + 0.1, False))) == 1
-
-
-def test_motion_after_the_stop() -> None:
-    assert wrong((0.5, False), (0.6, True), (0.7, False), (0.8, True)) == [
-        "2 motion frames after the stop and before any enable"
-    ]
-
-
-def test_wheels_that_were_at_rest_prove_nothing() -> None:
-    assert wrong((0.5, False), was_turning=False) == ["the wheels were not turning before the fault"]
-
-
-def test_a_stop_where_none_is_due() -> None:
-    assert wrong((-1, False), (1, True), fault="board-garbles-up") == []
-    assert len(wrong((1, False), fault="board-garbles-up")) == 1
+    assert judge([event(0, 1.0, TURNING)], FAULT_NS, True).motion_after == 1, "also without a stop"
 
 
 def test_a_write_outside_the_motor_table() -> None:

@@ -226,22 +226,8 @@ def what_is_made_has_the_mode_that_the_mask_leaves(on: System, folder: str) -> S
     return story
 
 
-PROGRAMS = (
-    a_session_is_killed_as_one,
-    a_fifo_is_full_empty_and_without_readers,
-    an_open_of_a_fifo_waits_for_the_other_end,
-    an_eventfd_counts,
-    an_epoll_set_tells_of_levels_and_edges,
-    a_closed_pipe_hangs_up_in_an_epoll_set,
-    what_a_poll_has_forgotten_it_tells_of_no_more,
-    record_locks_belong_to_the_open_file,
-    a_whole_files_lock_is_shared_by_its_copies,
-    a_descriptor_goes_through_a_socket,
-    files_have_names_and_bytes,
-    a_map_is_the_file,
-    links_are_followed_unless_told_otherwise,
-    what_is_made_has_the_mode_that_the_mask_leaves,
-)
+PROGRAMS = [each for each in tuple(globals().values()) if getattr(each, "__annotations__", {}).get("return") == "Story"]
+"""The programs above: those that tell a story."""
 
 
 @pytest.mark.starts

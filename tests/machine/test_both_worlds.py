@@ -17,26 +17,15 @@ from tests.machine.processes import Processes
 from tests.machine.twins import TWINS
 from tests.support.amounts import LONG
 
-KINDS: tuple[str, ...] = (
-    "stop",
-    "stop_again",
-    "stop_outcome",
-    "enabled",
-    "disabled",
-    "reset",
-    "died",
-    "fenced",
-    "down",
+KINDS = (
+    *("stop", "stop_again", "stop_outcome", "enabled", "disabled", "reset", "died", "fenced", "down"),
+    *("device_lost", "device_back", "driver_gone", "unstill"),
 )
-KINDS += ("device_lost", "device_back", "driver_gone", "unstill")
-HELD: tuple[str, ...] = (
-    "port_owner_and_supervisor_hang",
-    "stopper_alone_runs",
-    "port_owner_hangs_shortly",
-    "port_owner_held_in_its_write",
+HELD = (
+    *("port_owner_and_supervisor_hang", "stopper_alone_runs", "port_owner_hangs_shortly"),
+    *("port_owner_held_in_its_write", "port_owner_stays_down", "port_owner_hangs_and_stays_down"),
+    "port_owner_starves_and_hangs",
 )
-HELD += ("port_owner_stays_down", "port_owner_hangs_and_stays_down", "port_owner_starves_and_hangs")
-HELD += ("stopper_dies_while_telemetry_hangs",)
 ON_ONE_ALONE = {
     **dict.fromkeys(HELD, "processes are held at moments that a signal does not hit"),
     "supervisor_hangs": "a signal that silences it tells it so",

@@ -1,166 +1,78 @@
-"""Twins: scenarios that both worlds play, beside those of the campaign."""
+"""Twins: scenarios that both worlds play, beside those of the campaign. A script is verbs and, as numbers, seconds."""
 
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from typing import Any
 
 from failstop.lab.simulate.scenarios import Play, driving
 
-TWINS: dict[str, Play] = {}
+SHORT_S = 0.06
 
 
-def twin(play: Play) -> Play:
-    """Declare one."""
-    TWINS[play.__name__] = play
+def _try_to_enable(stage: Any, robot: Any) -> None:
+    with contextlib.suppress(stage.failstop.Refused):
+        robot.enable()
+
+
+BEGIN: dict[str, Callable[[Any], Any]] = {
+    "connect": lambda stage: stage.connect(),
+    "set_off": lambda stage: driving(stage, SHORT_S),
+}
+VERBS: dict[str, Callable[..., object]] = {
+    "drive": lambda stage, robot: stage.drive(robot, SHORT_S),
+    "enable": lambda stage, robot: stage.enable(robot),
+    "try_to_enable": _try_to_enable,
+    "disable": lambda stage, robot: stage.disable(robot),
+    "reset": lambda stage, robot: stage.reset(robot),
+    "stop": lambda stage, robot: stage.stop(robot),
+    "stop_again": lambda stage, robot: robot.estop("again"),
+    "close": lambda stage, robot: robot.close(),
+    "limit": lambda stage, robot: robot.limit_speed(0.5),
+    "wait_for": lambda stage, robot, what: robot.wait_for(what, 3.0),
+    "kill": lambda stage, robot, process: stage.kill(process),
+    "press": lambda stage, robot, key: stage.press(int(key)),
+    "pipe": lambda stage, robot: stage.write_to_pipe(b"hand in the arm"),
+    "unplug": lambda stage, robot: stage.unplug(),
+    "replug": lambda stage, robot: stage.replug(),
+    "lose_driver": lambda stage, robot: stage.kill_driver(stage.start_driver(5.0)),
+}
+SCRIPTS = {
+    "commands_time_out": "set_off, 0.6, drive",
+    "enable_is_refused_while_a_stop_is_latched": "set_off, stop, 0.1, try_to_enable, enable, drive",
+    "second_stop_comes_while_the_first_is_latched": "set_off, stop, 0.1, stop_again, 0.1, enable",
+    "stop_is_asked_for_while_motion_is_disabled": "connect, stop, 0.1, reset",
+    "pipe_gets_bytes_while_motion_is_disabled": "connect, pipe, wait_for latched",
+    "key_is_pressed_twice": "set_off, press 1, wait_for latched, 0.1, press 2, 0.1",
+    "board_is_replugged_while_motion_is_disabled": ("connect, unplug, 0.1, replug, wait_for ready, 0.2, enable, drive"),
+    "supervisor_dies_at_rest": "connect, kill supervisor, connect, enable, drive",
+    "port_owner_dies_twice": (
+        "set_off, kill port_owner, wait_for latched, 0.2, enable, drive, "
+        "kill port_owner, wait_for latched, 0.2, enable, drive"
+    ),
+    "gate_dies_at_rest": "connect, kill gate, wait_for latched, 0.2",
+    "driver_leaves_in_order": "set_off, close, 0.5",
+    "driver_dies_and_motion_is_disabled": "connect, enable, lose_driver, 0.2",
+    "speed_is_limited": "set_off, limit, drive, disable",
+    "nothing_is_latched_and_a_reset_comes": "connect, reset",
+}
+
+
+def _play(script: str) -> Play:
+    def play(stage: Any) -> None:
+        robot: Any = None
+        for step in script.split(", "):
+            verb, *words = step.split()
+            if verb in BEGIN:
+                robot = BEGIN[verb](stage)
+            elif verb in VERBS:
+                VERBS[verb](stage, robot, *words)
+            else:
+                stage.time.sleep(float(verb))
+        robot.close()
+
     return play
 
 
-@twin
-def commands_time_out(stage: Any) -> None:
-    """A program falls silent: the wheels stand, nothing is latched; it goes on."""
-    robot = driving(stage, 0.06)
-    stage.time.sleep(0.6)
-    stage.drive(robot, 0.06)
-    robot.close()
-
-
-@twin
-def enable_is_refused_while_a_stop_is_latched(stage: Any) -> None:
-    """An enable without a reset changes nothing."""
-    robot = driving(stage, 0.06)
-    stage.stop(robot)
-    stage.time.sleep(0.1)
-    with contextlib.suppress(stage.failstop.Refused):
-        robot.enable()
-    stage.enable(robot)
-    stage.drive(robot, 0.06)
-    robot.close()
-
-
-@twin
-def second_stop_comes_while_the_first_is_latched(stage: Any) -> None:
-    """Two stops, one reset."""
-    robot = driving(stage, 0.06)
-    stage.stop(robot)
-    stage.time.sleep(0.1)
-    robot.estop("again")
-    stage.time.sleep(0.1)
-    stage.enable(robot)
-    robot.close()
-
-
-@twin
-def stop_is_asked_for_while_motion_is_disabled(stage: Any) -> None:
-    """A stop latches whether or not anything moves."""
-    robot = stage.connect()
-    stage.stop(robot)
-    stage.time.sleep(0.1)
-    stage.reset(robot)
-    robot.close()
-
-
-@twin
-def pipe_gets_bytes_while_motion_is_disabled(stage: Any) -> None:
-    """Any bytes in the pipe are a stop."""
-    robot = stage.connect()
-    stage.write_to_pipe(b"hand in the arm")
-    robot.wait_for("latched", 1.0)
-    robot.close()
-
-
-@twin
-def key_is_pressed_twice(stage: Any) -> None:
-    """The second key comes while the first one's stop is latched."""
-    robot = driving(stage, 0.06)
-    stage.press(1)
-    robot.wait_for("latched", 1.0)
-    stage.time.sleep(0.1)
-    stage.press(2)
-    stage.time.sleep(0.1)
-    robot.close()
-
-
-@twin
-def board_is_replugged_while_motion_is_disabled(stage: Any) -> None:
-    """A port that goes and comes back at rest."""
-    robot = stage.connect()
-    stage.unplug()
-    stage.time.sleep(0.1)
-    stage.replug()
-    robot.wait_for("ready", 3.0)
-    stage.time.sleep(0.2)
-    stage.enable(robot)
-    stage.drive(robot, 0.06)
-    robot.close()
-
-
-@twin
-def supervisor_dies_at_rest(stage: Any) -> None:
-    """The supervisor dies at rest; its successor starts with the cause latched."""
-    stage.connect()
-    stage.kill("supervisor")
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.06)
-    robot.close()
-
-
-@twin
-def port_owner_dies_twice(stage: Any) -> None:
-    """A death, an enable, and a death again."""
-    robot = driving(stage, 0.06)
-    for _ in range(2):
-        stage.kill("port_owner")
-        robot.wait_for("latched", 1.0)
-        stage.time.sleep(0.2)
-        stage.enable(robot)
-        stage.drive(robot, 0.06)
-    robot.close()
-
-
-@twin
-def gate_dies_at_rest(stage: Any) -> None:
-    """A death is a stop, also while nothing moves."""
-    robot = stage.connect()
-    stage.kill("gate")
-    robot.wait_for("latched", 1.0)
-    stage.time.sleep(0.2)
-    robot.close()
-
-
-@twin
-def driver_leaves_in_order(stage: Any) -> None:
-    """A program that closes its Robot while it drives stops nothing but itself."""
-    robot = driving(stage, 0.06)
-    robot.close()
-    stage.time.sleep(0.5)
-
-
-@twin
-def driver_dies_and_motion_is_disabled(stage: Any) -> None:
-    """The default: the death of a program that drives disables motion."""
-    robot = stage.connect()
-    stage.enable(robot)
-    driver = stage.start_driver(5.0)
-    stage.kill_driver(driver)
-    stage.time.sleep(0.2)
-    robot.close()
-
-
-@twin
-def speed_is_limited(stage: Any) -> None:
-    """A limit holds for the next command."""
-    robot = driving(stage, 0.06)
-    robot.limit_speed(0.5)
-    stage.drive(robot, 0.1)
-    stage.disable(robot)
-    robot.close()
-
-
-@twin
-def nothing_is_latched_and_a_reset_comes(stage: Any) -> None:
-    """A reset of nothing is answered."""
-    robot = stage.connect()
-    stage.reset(robot)
-    robot.close()
+TWINS: dict[str, Play] = {name: _play(script) for name, script in SCRIPTS.items()}

@@ -370,10 +370,7 @@ def be_in_the_way(attempt: Attempt) -> bool:
 
 
 ATTEMPTS: dict[str, Callable[[Attempt], bool]] = {
-    attempt.__name__: attempt
-    for attempt in (
-        *(stop, read_state, read_reasons, keep_stopped, enable, drive, pose, take_slot, overhear, write_memory),
-        *(replace, hold_lock, signal_it, open_port_too, take_names, look_alive, pass_off_memory, pass_off_directory),
-        *(plant_link, be_in_the_way),
-    )
+    name: each
+    for name, each in tuple(globals().items())
+    if not name.startswith("_") and "attempt" in getattr(each, "__annotations__", {})
 }

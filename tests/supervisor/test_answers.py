@@ -113,17 +113,14 @@ def test_a_port_owner_that_does_not_answer_is_not_waited_for_long(scene: Scene) 
     assert scene.told()["written_by"] == "supervisor"
 
 
-def test_the_supervisor_writes_the_burst_at_once_without_a_port_owner(alone: Scene) -> None:
+@pytest.mark.parametrize("full", [False, True])
+def test_without_a_port_owner_the_supervisor_writes_at_once_what_the_port_takes(alone: Scene, full: bool) -> None:
     alone.pass_time()
+    if full:
+        alone.wire.fill()
     alone.gate_stops()
-    assert alone.pass_time() == BURST
-
-
-def test_a_full_port_is_said_to_be_not_written(alone: Scene) -> None:
-    alone.wire.fill()
-    alone.gate_stops()
-    alone.pass_time()
-    assert alone.told()["written_us"] is None
+    assert alone.pass_time() == (b"" if full else BURST)
+    assert (alone.told()["written_us"] is None) is full
 
 
 def test_a_run_that_nobody_can_find_stops_and_ends_when_that_is_answered(scene: Scene) -> None:
@@ -178,30 +175,22 @@ def test_a_cause_that_comes_while_the_last_is_looked_at_is_not_slept_over(scene:
     assert bells[layout.SUPERVISOR].fd in scene.supervisor.loop.wait(0)
 
 
-def test_the_first_cause_is_the_one_that_is_latched(scene: Scene) -> None:
+def test_a_reset_clears_the_first_cause_and_says_so_once_it_is_done(scene: Scene) -> None:
+    scene.turn()
+    scene.reset()
+    assert scene.decided() == (True, "no stop is latched")
+    assert scene.number("latch") == 0
     scene.stops("the first")
     scene.notice("the second", written_ns=scene.now_ns)
     scene.turn(MS)
     assert scene.cause() == (2, "the first")
     assert scene.supervisor.epoch == 3, "each is a stop of its own"
-
-
-def test_a_reset_clears_the_latch_and_says_so_once_it_is_done(scene: Scene) -> None:
-    scene.stops("the first")
-    assert scene.cause() == (2, "the first")
-    scene.ask_reset()
+    scene.answers()
     scene.turn(MS)
+    scene.reset()
     assert scene.decided() == (True, "latched stop cleared (was: stop request: the first); motion still disabled")
-    assert scene.cause() == (0, "the first"), "it was the last stop"
-    assert scene.supervisor.epoch == 2
-
-
-def test_a_reset_before_any_stop_is_done_and_tells_of_none(scene: Scene) -> None:
-    scene.turn()
-    scene.ask_reset()
-    scene.turn(MS)
-    assert scene.decided() == (True, "no stop is latched")
-    assert scene.number("latch") == 0
+    assert scene.cause()[0] == 0
+    assert scene.supervisor.epoch == 3
 
 
 def test_a_reset_waits_for_the_stop_to_be_carried_out(scene: Scene) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import select
 import socket
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgpack
@@ -18,12 +20,25 @@ from failstop.supervisor.events import (
     EVENT_BYTES,
     LONGEST_HOLD_NS,
     MOST_EVENTS_WAITING,
+    encode,
+    is_journal,
     journal_entry,
     ring_entry,
     say,
 )
-from tests.supervisor.streams import stderr_is
 from tests.support.supervisor_scene import Scene
+
+
+@contextlib.contextmanager
+def stderr_is(fd: int) -> Iterator[None]:
+    """Another descriptor in the place of descriptor 2; inside the test, since the test runner moves it about too."""
+    saved = os.dup(2)
+    os.dup2(fd, 2)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
 
 
 @pytest.mark.parametrize(
@@ -47,36 +62,69 @@ def test_a_pipe_that_nobody_reads_does_not_hold_up_the_supervisor(pipe: tuple[in
     assert time.monotonic() - before < 5
 
 
-def test_a_pipe_whose_reader_has_gone_is_no_error() -> None:
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_stderr_that_nobody_reads_any_more_is_no_error(closed: bool) -> None:
     out, into = os.pipe()
     os.close(out)
     with stderr_is(into):
+        if closed:
+            os.close(2)
         say("STOP latched: key1")
     os.close(into)
 
 
-def test_a_closed_stderr_is_no_error() -> None:
-    saved = os.dup(2)
-    os.close(2)
-    try:
-        say("STOP latched: key1")
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
+@pytest.mark.parametrize(
+    ("name", "value", "data"),
+    [
+        ("MESSAGE", "STOP latched: key1", b"MESSAGE=STOP latched: key1\n"),
+        ("PRIORITY", 4, b"PRIORITY=4\n"),
+        ("FAILSTOP_WAIT_S", 0.1, b"FAILSTOP_WAIT_S=0.1\n"),
+        ("FAILSTOP_WHO", "a=b", b"FAILSTOP_WHO=a=b\n"),
+        ("FAILSTOP_WHO", "", b"FAILSTOP_WHO=\n"),
+        ("FAILSTOP_WHO", "\u2713\udcff", b"FAILSTOP_WHO=\xe2\x9c\x93?\n"),
+        ("MESSAGE", "a\nPRIORITY=0", b"MESSAGE\n\x0c\0\0\0\0\0\0\0a\nPRIORITY=0\n"),
+        ("MESSAGE", "\n", b"MESSAGE\n\x01\0\0\0\0\0\0\0\n\n"),
+    ],
+)
+def test_a_field_of_the_journal_is_encoded_byte_by_byte(name: str, value: str | int | float, data: bytes) -> None:
+    assert encode([(name, value)]) == data
 
 
-def test_a_journal_that_is_full_holds_nobody_up(tmp_path: Path) -> None:
-    path = str(tmp_path / "journal")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as journald:
-        journald.bind(path)
-        journal = Outbox(path)
-        taken = 0
-        while journal.send(b"again"):
-            taken += 1
-            assert taken < 100_000
-        journald.recv(100)
-        assert journal.send(b"again"), "and it is used again"
-        journal.close()
+def test_a_journal_gets_datagrams_while_it_takes_them_and_holds_nobody_up(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    journal = Outbox(str(path))
+    entry = encode([("MESSAGE", "one"), ("PRIORITY", 5)])
+    assert not journal.send(entry)
+    for _ in range(2):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journald:
+            journald.bind(str(path))
+            assert journal.send(entry)
+            assert journald.recv(1000) == b"MESSAGE=one\nPRIORITY=5\n"
+            taken = 0
+            while journal.send(b"again"):
+                taken += 1
+                assert taken < 100_000
+            journald.recv(100)
+            assert journal.send(b"again"), "and it is used again"
+        path.unlink()
+        assert not journal.send(entry)
+    journal.close()
+
+
+def test_a_stderr_that_is_the_journal_s_alone_means_the_journal() -> None:
+    scene = Scene()
+    is_its = scene.load("failstop.supervisor.events").is_journal
+    found = scene.os.fstat(2)
+    assert is_its(f"{found.st_dev}:{found.st_ino}")
+    for device, inode in ((0, 1), (1, 0)):
+        assert not is_its(f"{found.st_dev + device}:{found.st_ino + inode}")
+    scene.os.close(2)
+    assert not is_its(f"{found.st_dev}:{found.st_ino}"), "there is none"
+
+
+@pytest.mark.parametrize("stream", ["", "8", "8:", ":9", "x:y", "1:2:3"])
+def test_a_word_that_is_no_stream_is_none(stream: str) -> None:
+    assert not is_journal(stream)
 
 
 class Journal:

@@ -37,20 +37,6 @@ def test_the_source_that_is_always_there_can_be_set() -> None:
     assert settings.sources() == {"cmd_vel": (7, 1000 * MS)}
 
 
-def test_interlocks() -> None:
-    settings = Settings(
-        {
-            "interlocks.arm.refusal": "arm is not in the drive pose",
-            "interlocks.door": {},
-            "interlocks.arm.timeout_s": 10,
-        }
-    )
-    assert settings.interlocks() == {
-        "arm": (10_000 * MS, "arm is not in the drive pose"),
-        "door": (500 * MS, "interlock door is not satisfied"),
-    }
-
-
 def test_the_gamepad_is_a_source_without_settings() -> None:
     assert refusal({"sources.gamepad.priority": 5}) == (
         f"sources.{PAD_SOURCE}.priority: the board's gamepad is a source above all others, with no settings"

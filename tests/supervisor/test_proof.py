@@ -14,31 +14,27 @@ from tests.support.why import why
 MS = 1_000_000
 T0 = 10_000 * MS
 AFTER = 1_500 * MS
-BY = ("answer", "IMU")
 
 
-def proof(written_ms: float = 0.5) -> Proof:
+def proof(written_ms: float = 0.5, by: str = "IMU", followed_ms: float = 0) -> Proof:
+    """`written_ms`: after the cause, 0 for never; `followed_ms`: when the supervisor began to follow it."""
     stop = Stop(T0, "gate", why("gate died"))
     stop.answered_by("port owner", T0 + round(written_ms * MS) if written_ms else 0, stop, 2)
-    return Proof(stop, AFTER, T0, 1.0, BY)
+    return Proof(stop, AFTER, T0 + round(followed_ms * MS), 1.0 + followed_ms / 1e3, ("answer", by))
 
 
 def test_a_stop_that_is_followed_late_has_its_cause_s_time_and_a_whole_wait() -> None:
-    stop = Stop(T0, "port_owner", why("gate died"))
     late_ns = T0 + 6_000 * MS
-    stop.answered_by("port owner", T0 + MS, stop, 2)
-    found = Proof(stop, AFTER, late_ns, 100.0, BY)
-    assert found.as_record()["t"] == 94.0
+    found = proof(1.0, followed_ms=6_000)
+    assert found.as_record()["t"] == 1.0
     assert not found.complete(late_ns + ACKNOWLEDGE_NS - 1)
     assert found.complete(late_ns + AFTER + JUDGED_WITHIN_NS)
 
 
-def test_written() -> None:
-    record = proof().as_record()
-    assert record["written_us"] == 500.0
-    assert record["acknowledged_us"] is None
-    assert record["observed_ms"] is None
-    assert proof(0).as_record()["written_us"] is None
+@pytest.mark.parametrize(("written_ms", "written_us"), [(0.5, 500.0), (0, None), (-0.5, 0.0)])
+def test_a_stop_has_the_time_at_which_it_was_written(written_ms: float, written_us: float | None) -> None:
+    record = proof(written_ms).as_record()
+    assert (record["written_us"], record["acknowledged_us"], record["observed_ms"]) == (written_us, None, None)
 
 
 @pytest.mark.claim("PROOF-1")
@@ -64,31 +60,40 @@ def test_wheels_that_come_to_rest() -> None:
     assert "wheels still after about 0.4 s" in last.outcome("alive")
 
 
-def test_the_judgement_from_before_the_stop_does_not_count() -> None:
-    last = proof()
-    still_ns = T0 - 5_000 * MS
-    assert not last.judged(still_ns, T0 + JUDGED_AFTER_NS - 1, T0 + JUDGED_AFTER_NS)
-    assert last.observed_ns is None
-    last.judged(still_ns, T0 + JUDGED_AFTER_NS, T0 + JUDGED_AFTER_NS)
-    assert last.observed_ns == 0
-    assert "no shaking seen" in last.outcome("alive")
+JUST_MS = 1e-6
+EARLY_MS = JUDGED_AFTER_NS / MS
+SILENT_MS = 1_600 + JUDGED_WITHIN_NS / MS + JUST_MS
 
 
-@pytest.mark.parametrize(("still_ms", "judged_ms", "observed_ms"), [(150, 700, 150.0), (-5_000, 900, 0.0)])
-def test_a_supervisor_that_was_held_up_takes_the_imu_s_word_for_what_it_missed(
-    still_ms: int, judged_ms: int, observed_ms: float
+@pytest.mark.parametrize(
+    ("by", "looks_ms", "observed_ms"),
+    [
+        ("IMU", [(-5_000, EARLY_MS - JUST_MS, EARLY_MS)], None),  # from before the stop
+        ("IMU", [(-5_000, EARLY_MS - JUST_MS, EARLY_MS), (-5_000, EARLY_MS, EARLY_MS)], 0.0),
+        # A supervisor that was held up takes the IMU's word: wheels that stood all the while did not shake.
+        ("IMU", [(150, 700, 705)], 150.0),
+        ("IMU", [(-5_000, 900, 905)], 0.0),
+        # A verdict that only began anew, since telemetry was restarted, is no shaking.
+        ("IMU", [(-5_000, -10, 5), (200, 900, 905)], 0.0),
+        # An IMU that is silent judges nothing.
+        ("IMU", [(None, 1_600, SILENT_MS)], None),
+        ("IMU", [(400, 1_600, SILENT_MS)], None),
+        # Wheels that a board reports to stand since after the cause have turned; an IMU's window may end so by chance.
+        ("wheels", [(40, 40, 45)], 40.0),
+        ("IMU", [(40, 40, 45)], None),
+    ],
+)
+def test_the_rest_of_the_wheels_is_when_they_stood(
+    by: str, looks_ms: list[tuple[float | None, float, float]], observed_ms: float | None
 ) -> None:
-    last = proof()
-    assert not last.judged(T0 + still_ms * MS, T0 + judged_ms * MS, T0 + (judged_ms + 5) * MS)
-    assert last.as_record()["observed_ms"] == observed_ms, "wheels that stood all the while did not shake"
-
-
-def test_a_verdict_that_only_began_anew_is_no_shaking() -> None:
-    """Telemetry that was restarted judges from its own start on; the supervisor looked all the while."""
-    last = proof()
-    assert not last.judged(T0 - 5_000 * MS, T0 - 10 * MS, T0 + 5 * MS)
-    last.judged(T0 + 200 * MS, T0 + 900 * MS, T0 + 905 * MS)
-    assert last.observed_ns == 0
+    """Each look: since when they have stood, when that was judged, and when it is looked at."""
+    last = proof(by=by)
+    for still_ms, *at_ms in looks_ms:
+        judged_ns, now_ns = (T0 + round(ms * MS) for ms in at_ms)
+        assert not last.judged(0 if still_ms is None else T0 + round(still_ms * MS), judged_ns, now_ns)
+    assert last.as_record()["observed_ms"] == observed_ms
+    if observed_ms == 0:
+        assert "no shaking seen" in last.outcome("alive")
 
 
 @pytest.mark.claim("BOARD-1")
@@ -97,14 +102,6 @@ def test_wheels_that_do_not_come_to_rest_are_a_cause_again_and_again() -> None:
     found = [ms for ms in range(0, 4_000, 20) if last.judged(0, T0 + ms * MS, T0 + ms * MS)]
     assert found == [1_500, 3_000]
     assert "NOT seen still" in last.outcome("alive")
-
-
-@pytest.mark.parametrize("still_ns", [0, T0 + 400 * MS])
-def test_a_silent_imu_judges_nothing(still_ns: int) -> None:
-    last = proof()
-    judged_ns = T0 + 1_600 * MS
-    assert not last.judged(still_ns, judged_ns, judged_ns + JUDGED_WITHIN_NS + 1)
-    assert last.observed_ns is None
 
 
 def test_a_stop_that_could_be_written_only_later_is_proven_from_then_on() -> None:
@@ -154,20 +151,8 @@ def test_a_rest_within_the_resolution_is_told_as_that() -> None:
     assert still_after(1.25) == "about 1.2 s"
 
 
-def test_wheels_that_a_board_reports_to_stand_since_after_the_cause_have_turned() -> None:
-    """However soon after it they stood; an IMU's window may end so by chance."""
-    stop = Stop(T0, "gate", why("gate died"))
-    stop.answered_by("port owner", T0 + MS, stop, 2)
-    for by, observed_ms in (("wheels", 40.0), ("IMU", None)):
-        last = Proof(stop, AFTER, T0, 1.0, ("answer", by))
-        last.judged(T0 + 40 * MS, T0 + 40 * MS, T0 + 45 * MS)
-        assert last.as_record()["observed_ms"] == observed_ms
-
-
 def test_without_an_imu_nothing_is_observed_nor_waited_for() -> None:
-    stop = Stop(T0, "gate", why("gate died"))
-    stop.answered_by("port owner", T0 + MS, stop, 2)
-    blind = Proof(stop, AFTER, T0, 1.0, ("answer", observer("IMU", imu=False)))
+    blind = proof(1.0, observer("IMU", imu=False))
     assert not blind.judged(0, T0 + AFTER, T0 + AFTER)
     assert not blind.complete(T0 + 2 * MS)
     assert blind.ponged(T0 + MS, T0 + 3 * MS)
@@ -202,10 +187,6 @@ def test_what_programs_are_told_of_it() -> None:
         "observed_ms": observed_ms,
         "observed_by": "IMU",
     }
-
-
-def test_a_stop_from_before_its_cause_was_written_at_once() -> None:
-    assert proof(-0.5).as_record()["written_us"] == 0.0
 
 
 def test_one_that_is_observed_waits_a_while_for_its_acknowledgement() -> None:

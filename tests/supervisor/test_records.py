@@ -103,3 +103,4 @@ def test_the_status_names_who_is_down(scene: Scene) -> None:
     scene.pass_time(MS)
     (line,) = said
     assert line.startswith("STATUS=stop latched: telemetry died; telemetry died too often and is down until a reset")
+    assert scene.supervisor.status.fault == "", "one that is down is no fault of the supervisor's"

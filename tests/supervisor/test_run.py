@@ -245,33 +245,23 @@ def lost(scene: Scene, *names: str, elapsed_ns: int = LOOK_EVERY_NS) -> str:
     return str(scene.run.lost(scene.now_ns) or "")
 
 
-def test_a_run_that_is_whole_has_lost_nothing(scene: Scene) -> None:
-    assert lost(scene) == ""
-    assert scene.said() == []
-
-
-@pytest.mark.parametrize("name", VITAL)
-def test_a_run_ends_for_a_name_that_it_needs(scene: Scene, name: str) -> None:
-    assert lost(scene, name) == f"{TEXT[name]} was removed: restart the service"
-    ((_, level, text, _),) = scene.said()
-    assert level == "error"
-    assert TEXT[name] in text
-    assert "RemoveIPC" in text
+@pytest.mark.parametrize(
+    ("names", "level", "words"),
+    [
+        ((), "", ()),
+        *(((name,), "error", (TEXT[name], "RemoveIPC")) for name in VITAL),
+        (("client.7",), "warning", ("client.7",)),
+        ((*VITAL, *SLOTS), "error", ("shared memory gate", "lifelines")),
+    ],
+)
+def test_a_run_ends_for_names_that_it_needs_and_tells_of_all_once(
+    scene: Scene, names: tuple[str, ...], level: str, words: tuple[str, ...]
+) -> None:
+    assert lost(scene, *names) == (f"{TEXT[names[0]]} was removed: restart the service" if level == "error" else "")
     assert lost(scene) == "", "once"
-
-
-def test_a_client_slot_is_told_of_once(scene: Scene) -> None:
-    assert lost(scene, "client.7") == ""
-    assert lost(scene) == ""
-    ((_, level, text, _),) = scene.said()
-    assert level == "warning"
-    assert "client.7" in text
-
-
-def test_names_that_are_lost_at_once_are_one_remark(scene: Scene) -> None:
-    assert lost(scene, *VITAL, *SLOTS) == "shared memory gate was removed: restart the service"
-    ((_, _, text, _),) = scene.said()
-    assert "lifelines" in text
+    told = scene.said()
+    assert [of_it for _, of_it, _, _ in told] == [level] * bool(level)
+    assert all(word in text for _, _, text, _ in told for word in words)
 
 
 def test_a_name_that_somebody_else_has_taken_is_gone(scene: Scene) -> None:

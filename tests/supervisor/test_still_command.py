@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+
+import pytest
 
 from failstop.lab.machine.process import Process
 from failstop.messages import layout
@@ -65,23 +68,7 @@ def ends(process: Process, argv: list[str]) -> int:
     return 0
 
 
-def test_a_command_that_has_not_ended_is_killed_and_run_anew() -> None:
-    scene = unheeded()
-    stop_unheeded(scene)
-    (first,) = pids(scene)
-    stop_unheeded(scene)
-    (second,) = pids(scene)
-    assert second != first
-    again = f"still.command (pid {first}) has not ended since an earlier stop: killed, and run again"
-    assert commands(scene)[1] == ("error", again, {"state": "hangs", "pid": first})
-    follow(scene, MS)
-    ((_, text, fields),) = commands(scene)
-    assert text == f"still.command (pid {first}) ended with code -9"
-    assert fields == {"state": "ended", "pid": first, "code": -9}
-    assert pids(scene) == [second]
-
-
-def test_a_command_that_hangs_is_killed_with_what_it_has_started() -> None:
+def test_a_command_that_has_not_ended_is_killed_with_what_it_started_and_run_anew() -> None:
     started: list[Process] = []
 
     def starts(process: Process, argv: list[str]) -> int:
@@ -92,9 +79,19 @@ def test_a_command_that_hangs_is_killed_with_what_it_has_started() -> None:
 
     scene = unheeded(starts)
     stop_unheeded(scene)
+    (first,) = pids(scene)
     follow(scene, MS)
     stop_unheeded(scene)
+    (second,) = pids(scene)
+    assert second != first
     assert started[0].dead
+    again = f"still.command (pid {first}) has not ended since an earlier stop: killed, and run again"
+    assert commands(scene)[1] == ("error", again, {"state": "hangs", "pid": first})
+    follow(scene, MS)
+    ((_, text, fields),) = commands(scene)
+    assert text == f"still.command (pid {first}) ended with code -9"
+    assert fields == {"state": "ended", "pid": first, "code": -9}
+    assert pids(scene) == [second]
 
 
 def test_the_command_runs_once_for_one_stop() -> None:
@@ -108,42 +105,35 @@ def test_the_command_runs_once_for_one_stop() -> None:
 
 
 def test_the_command_runs_again_for_the_next_stop_once_the_wheels_were_still() -> None:
-    """Though the supervisor has not seen the reset in between."""
+    """Though the supervisor has not seen the reset in between; and one that has ended is not told to hang."""
     scene = unheeded(ends)
     stop_unheeded(scene)
     follow(scene, MS, still=True)
     reset(scene)
     stop(scene)
     assert follow(scene, S) == [UNSTILL]
-    assert [process.name for process in scene.born] == ["sh", "sh"]
+    stop_unheeded(scene)
+    assert [process.name for process in scene.born] == ["sh"] * 3
+    follow(scene, 100 * MS)
+    told = [(level, fields) for level, _, fields in commands(scene) if fields["state"] != "runs"]
+    assert told == [("warning", {"state": "ended", "pid": process.pid, "code": 0}) for process in scene.born]
 
 
-def test_a_command_that_has_ended_is_not_told_to_hang() -> None:
-    scene = unheeded(ends)
-    for _ in range(2):
+@pytest.mark.parametrize(
+    ("call", "number", "text"),
+    [
+        ("spawn", 11, f"cannot run still.command ({COMMAND}): [Errno 11] Resource temporarily unavailable"),
+        ("kill", 1, "cannot be killed (Operation not permitted)"),
+    ],
+)
+def test_a_command_that_can_not_be_started_or_killed_is_told_of(call: str, number: int, text: str) -> None:
+    scene = unheeded()
+    if call == "kill":
         stop_unheeded(scene)
-        follow(scene, 100 * MS)
-        pid = scene.born[-1].pid
-        text = f"still.command (pid {pid}) ended with code 0"
-        assert commands(scene)[1:] == [("warning", text, {"state": "ended", "pid": pid, "code": 0})]
-
-
-def test_a_command_that_can_not_be_started_is_told_of() -> None:
-    scene = unheeded()
-    scene.refuse("spawn", OSError(11, "Resource temporarily unavailable"))
+    scene.refuse(call, OSError(number, os.strerror(number)))
     stop_unheeded(scene)
-    reason = "[Errno 11] Resource temporarily unavailable"
-    text = f"cannot run still.command ({COMMAND}): {reason}"
-    assert commands(scene) == [("error", text, {"state": "failed", "reason": reason})]
-
-
-def test_a_command_that_may_not_be_killed_keeps_no_stop_from_its_own() -> None:
-    scene = unheeded()
-    stop_unheeded(scene)
-    scene.refuse("kill", PermissionError(1, "Operation not permitted"))
-    stop_unheeded(scene)
-    assert len(pids(scene)) == 2
-    assert any("cannot be killed (Operation not permitted)" in text for _, text, _ in commands(scene))
+    assert any(text in told for level, told, _ in commands(scene) if level == "error")
+    assert len(pids(scene)) == (2 if call == "kill" else 0), "it keeps no stop from its own"
 
 
 def test_clients_are_told_of_a_stop_that_the_kernel_still_holds() -> None:

@@ -75,20 +75,24 @@ ONCE = "stopped; the second stop could NOT be written, "
 DEAF = "NOT acknowledged by the board (link deaf); wheels that turn: POWER SWITCH"
 
 
+HANDED = "stopped; the second stop was handed over, NOT sent: the board takes no bytes, "
+
+
 @pytest.mark.parametrize(
-    ("heard_ns", "link", "written", "level", "text"),
+    ("heard_ns", "link", "written", "sent", "level", "text"),
     [
-        (3_140_260, "alive", True, "", f"{TWICE}acknowledged by the board after 3.1 ms"),
-        (0, "unproven", True, "warning", f"{TWICE}whether the board hears is not known (link unproven)"),
-        (0, "deaf", True, "critical", TWICE + DEAF),
-        (3_140_260, "alive", False, "critical", f"{ONCE}acknowledged by the board after 3.1 ms"),
-        (0, "deaf", False, "critical", ONCE + DEAF),
+        (3_140_260, "alive", True, True, "", f"{TWICE}acknowledged by the board after 3.1 ms"),
+        (0, "unproven", True, True, "warning", f"{TWICE}whether the board hears is not known (link unproven)"),
+        (0, "deaf", True, True, "critical", TWICE + DEAF),
+        (0, "deaf", True, False, "critical", HANDED + DEAF),
+        (3_140_260, "alive", False, False, "critical", f"{ONCE}acknowledged by the board after 3.1 ms"),
+        (0, "deaf", False, False, "critical", ONCE + DEAF),
     ],
 )
 def test_the_end_is_told_with_what_is_known_of_the_stop(
-    scene: Scene, monitor: Any, heard_ns: int, link: str, written: bool, level: str, text: str
+    scene: Scene, monitor: Any, heard_ns: int, link: str, written: bool, sent: bool, level: str, text: str
 ) -> None:
-    monitor.ended(heard_ns, link, written=written, sent=written)
+    monitor.ended(heard_ns, link, written=written, sent=sent)
     acknowledged = {"acknowledged_us": 3140.3} if heard_ns else {}
     assert told(scene) == [("stopped", text, {"link": link, **acknowledged}, level)]
 
@@ -161,40 +165,29 @@ def test_the_processes_remarks_are_passed_on_and_a_damaged_one_is_left_out(scene
     assert told(scene) == [("refused", "no reset yet", {"process": "gate", "who": "nav"}, "warning")]
 
 
-def test_a_stop_that_the_kernel_keeps_is_not_said_to_be_written(scene: Scene, monitor: Any) -> None:
-    monitor.ended(0, "deaf", written=True, sent=False)
-    handed = "stopped; the second stop was handed over, NOT sent: the board takes no bytes, "
-    assert told(scene) == [("stopped", handed + DEAF, {"link": "deaf"}, "critical")]
+WROTE = "stop frame written by the port owner after 80 us"
+HANDED_OVER = "stop frame handed over by the port owner after 80 us, NOT sent: the board takes no bytes"
 
 
-def test_a_latched_stop_that_the_kernel_keeps_is_handed_over(scene: Scene, monitor: Any) -> None:
-    scene.wire.hold()
-    monitor.answered(answered(scene, STUCK, KEY.t_ns + 80_000), ending=False)
-    [(kind, text, _, level)] = told(scene)
-    handed = "stop frame handed over by the port owner after 80 us, NOT sent: the board takes no bytes"
-    assert (kind, text, level) == ("stop", f"STOP latched: {STUCK.cause}; {handed}; {STEP}", "critical")
-
-
-@pytest.mark.parametrize(("stop", "held"), [(KEY, True), (STUCK, False)])
-def test_a_burst_on_its_way_to_a_board_that_takes_bytes_is_not_said_to_be_unsent(
-    scene: Scene, monitor: Any, stop: Stop, held: bool
+@pytest.mark.parametrize(
+    ("stop", "held", "after_ns", "text", "level"),
+    [
+        (STUCK, True, 80_000, f"{STUCK.cause}; {HANDED_OVER}", "critical"),
+        # Any burst is held for a moment, and a port that was stuck has drained again.
+        (KEY, True, 80_000, f"key1; {WROTE}", ""),
+        (STUCK, False, 80_000, f"{STUCK.cause}; {WROTE}", ""),
+        # What was not handed over is held by nobody.
+        (STUCK, True, None, f"{STUCK.cause}; stop frame NOT written", "critical"),
+    ],
+)
+def test_a_stop_that_the_kernel_keeps_is_not_said_to_be_written(
+    scene: Scene, monitor: Any, stop: Stop, held: bool, after_ns: int | None, text: str, level: str
 ) -> None:
-    """Any burst is held for a moment, and a port that was stuck has drained again."""
     if held:
         scene.wire.hold()
-    monitor.answered(answered(scene, stop, KEY.t_ns + 80_000), ending=False)
-    [(_, text, _, level)] = told(scene)
-    assert (text, level) == (
-        f"STOP latched: {stop.cause}; stop frame written by the port owner after 80 us; {STEP}",
-        "",
-    )
-
-
-def test_a_stop_that_was_not_handed_over_is_held_by_nobody(scene: Scene, monitor: Any) -> None:
-    scene.wire.hold()
-    monitor.answered(answered(scene, STUCK, 0), ending=True)
-    [(_, text, _, level)] = told(scene)
-    assert (text, level) == (f"{STUCK.cause}; stop frame NOT written", "critical")
+    monitor.answered(answered(scene, stop, 0 if after_ns is None else stop.t_ns + after_ns), ending=True)
+    [(_, found, _, of_it)] = told(scene)
+    assert (found, of_it) == (text, level)
 
 
 def test_a_short_wait_is_not_told_of(scene: Scene, status: Any) -> None:

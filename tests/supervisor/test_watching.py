@@ -109,44 +109,49 @@ def test_a_fenced_port_owner_is_stopped_for_again_first_when_it_is_gone(scene: S
     seen = epochs(scene)
     assert scene.pass_time(MS) == BURST
     assert (seen, scene.supervisor.epoch) == ([2], 3)
-    text, fields = stories(scene)[layout.PORT_OWNER]
-    assert text == (
-        "port_owner was fenced: killed after 0.0 ms, stop written after 0.0 ms, "
-        "gone after 1.0 ms, stop again after 1.0 ms"
-    )
-    assert (fields["gone_us"], fields["again_us"]) == (1000.0, 1000.0)
 
 
-def test_a_stop_that_nobody_wrote_is_not_told_of(scene: Scene) -> None:
-    """The first burst after the fence was written, the second could not be, and zeros that were only tried are none."""
-    fence(scene, layout.PORT_OWNER)
-    scene.port.close()
-    assert scene.pass_time(MS) == b""
-    assert stories(scene)[layout.PORT_OWNER][0] == (
-        "port_owner was fenced: killed after 0.0 ms, stop written after 0.0 ms, gone after 1.0 ms"
-    )
+KILLED, STOPPED = "killed after 0.0 ms", "killed after 0.0 ms, stop written after 0.0 ms"
+GONE, AGAIN = "gone after 1.0 ms", "gone after 1.0 ms, stop again after 1.0 ms"
 
 
-def test_a_fenced_gate_is_told_of_without_the_stop_that_was_written_since(scene: Scene) -> None:
-    fence(scene, layout.GATE)
-    assert scene.pass_time() == BURST
-    scene.pass_time(MS)
-    assert stories(scene)[layout.GATE][0] == "gate was fenced: killed after 0.0 ms, gone after 1.0 ms"
-
-
-def test_the_stop_of_two_that_were_fenced_together_is_the_port_owner_s(scene: Scene) -> None:
-    fence(scene, layout.GATE, layout.PORT_OWNER)
-    scene.pass_time(MS)
-    told = stories(scene)
-    assert told[layout.PORT_OWNER][0].endswith("gone after 1.0 ms, stop again after 1.0 ms")
-    assert told[layout.GATE][0].endswith("gone after 1.0 ms")
+@pytest.mark.parametrize(
+    ("fenced", "lost", "told"),
+    [
+        ((layout.PORT_OWNER,), False, {layout.PORT_OWNER: f"{STOPPED}, {AGAIN}"}),
+        # The second burst could not be written, and zeros that were only tried are none.
+        ((layout.PORT_OWNER,), True, {layout.PORT_OWNER: f"{STOPPED}, {GONE}"}),
+        # The stop that was written since is none of a gate's fence.
+        ((layout.GATE,), False, {layout.GATE: f"{KILLED}, {GONE}"}),
+        (
+            (layout.GATE, layout.PORT_OWNER),
+            False,
+            {layout.GATE: f"{KILLED}, {GONE}", layout.PORT_OWNER: f"{STOPPED}, {AGAIN}"},
+        ),
+    ],
+)
+def test_a_fence_is_told_of_with_the_stops_that_were_written_for_it(
+    scene: Scene, fenced: tuple[str, ...], lost: bool, told: dict[str, str]
+) -> None:
+    fence(scene, *fenced)
+    if lost:
+        scene.port.close()
+    elif layout.PORT_OWNER not in fenced:
+        assert scene.pass_time() == BURST
+    wrote = scene.pass_time(MS)
+    assert (wrote == b"") is lost
+    found = stories(scene)
+    for process, text in told.items():
+        assert found[process][0] == f"{process} was fenced: {text}"
+        assert found[process][1]["gone_us"] == 1000.0
+        assert found[process][1].get("again_us") == (1000.0 if AGAIN in text else None)
 
 
 def test_a_death_of_another_has_the_supervisor_s_stop_without_a_port_owner(scene: Scene) -> None:
     scene.dies(layout.GATE)
     assert scene.pass_time() == BURST
     assert scene.told() == {"reason": "gate died", "written_by": "supervisor", "written_us": 0.0}
-    assert scene.word("written_ns").get() == scene.now_ns
+    assert scene.word("written_ns").get() == scene.word("beat_ns").get() == scene.now_ns
 
 
 def test_a_ring_wakes_the_supervisor_once(scene: Scene) -> None:
@@ -165,11 +170,16 @@ def test_the_supervisor_stops_five_times_a_second_while_no_port_owner_runs(scene
     assert set(written) == {0, 1}
 
 
-def test_a_supervisor_that_was_held_up_stops_motion_and_kills_nobody(whole: Scene) -> None:
-    whole.enabled()
+@pytest.mark.parametrize("epoch", [1, 7])
+def test_a_supervisor_that_was_held_up_stops_motion_and_kills_nobody(whole: Scene, epoch: int) -> None:
+    """It only tells of it where motion was enabled long ago: another stop has ended that."""
+    whole.enabled(epoch=epoch)
     whole.pass_time(HANG_NS)
-    assert whole.supervisor.epoch == 2
-    assert whole.cause() == (2, "supervisor was held up for 250 ms")
+    if epoch == 1:
+        assert whole.cause() == (2, "supervisor was held up for 250 ms")
+    else:
+        assert whole.starved() == [("supervisor", 250, 1)]
+    assert whole.supervisor.epoch == (2 if epoch == 1 else 1)
     assert not any(child.fence for child in whole.supervisor.children)
 
 
@@ -250,21 +260,6 @@ def test_a_death_that_the_port_owner_has_noticed_too_is_one_cause(noticed: str) 
     told = [event for event in scene.events() if event["kind"] == "stop"]
     assert [(event["fields"]["reason"], event["fields"]["noticed_by"]) for event in told] == [("gate died", noticed)]
     assert scene.told()["written_us"] == (6.0 if noticed == layout.PORT_OWNER else 7.0)
-
-
-def test_the_supervisor_beats_at_the_turn_in_which_it_raises_the_epoch(scene: Scene) -> None:
-    scene.gate_stops()
-    scene.pass_time(MS)
-    assert scene.word("beat_ns").get() == scene.now_ns
-    assert scene.word("epoch").get() == scene.supervisor.epoch == 2
-
-
-def test_a_supervisor_only_tells_that_it_was_held_up_while_nothing_could_move(whole: Scene) -> None:
-    whole.enabled(epoch=7)  # long ago: another stop has ended it
-    whole.pass_time(HANG_NS)
-    assert whole.supervisor.epoch == 1
-    assert whole.starved() == [("supervisor", 250, 1)]
-    assert not any(child.fence for child in whole.supervisor.children)
 
 
 def die_too_often(scene: Scene, name: str) -> None:

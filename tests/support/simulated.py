@@ -159,10 +159,10 @@ class Simulated:
         self.leave()
         self.lab.connect().close()
 
-    def end(self) -> int | None:
-        """SIGTERM; returns the exit code."""
+    def end(self, number: int = SIGTERM) -> int | None:
+        """A signal to the supervisor; returns the exit code."""
         supervisor = self._of("supervisor")
-        self.lab.machine.kill(supervisor, SIGTERM)
+        self.lab.machine.kill(supervisor, number)
         self.wait_for("the end of the service", lambda: supervisor.code is not None)
         return supervisor.code
 
@@ -205,6 +205,15 @@ class Simulated:
         self.die(name)
         self.drive(AFTERMATH_S)
         return judge(self.board.events(), fault_ns, was_turning)
+
+    def stops(self, fault_ns: int, within_ms: float) -> int:
+        """Check that the board has executed a stop for a fault in time, and no motion since; how many stop frames."""
+        events = self.board.events()
+        found = judge(events, fault_ns, was_moving=True)
+        assert found.stop_ns is not None
+        assert found.stop_ns <= within_ms * MS
+        assert (found.still_ns is None, found.motion_after) == (False, 0)
+        return sum(event.is_stop for event in events)
 
     def recover(self, name: str, pid: int) -> None:
         """Wait until the service is whole again, with another process of this name; a supervisor is started here."""
