@@ -38,7 +38,7 @@ def test_however_a_driver_dies_nothing_drives_before_an_enable(
         simulated.enable()
         simulated.leave()
     driver = simulated.program("nav.py", drive)
-    simulated.board.wait_wheels(moving=True)
+    simulated.board.wait_wheels(turning=True)
     simulated.wait(0.1)
     simulated.board.events()
     fault_ns = simulated.now_ns()
@@ -47,7 +47,7 @@ def test_however_a_driver_dies_nothing_drives_before_an_enable(
     for _ in range(15):  # at once, as a program does that is started again
         again.drive(0.1, 0.0, 0.0, manual=True)
         simulated.wait(0.01)
-    assert not simulated.moving()
+    assert not simulated.turning()
     simulated.stops(fault_ns, 21)
     assert (again.state.enabled, again.state.cause) == (False, None)
     whose = f"motion disabled: nav (pid {driver.pid}), which had driven, has died"

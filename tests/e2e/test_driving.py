@@ -93,7 +93,7 @@ def test_what_is_not_finite_stops_the_wheels_at_once(slow: Simulated, value: flo
         for _ in range(10):
             client.command(*FORWARD, manual=True, source="cmd_vel")
             slow.wait(0.02)
-        assert slow.moving()
+        assert slow.turning()
         slow.wait(number * OFF_S)
         slow.board.events()
         sent_ns = slow.now_ns()

@@ -155,7 +155,7 @@ def test_scribbling_over_slots(name: str, tmp_path: Path) -> None:
         assert trial.robot.state.estop is None
         scribbled(trial, "scribble", *range(layout.CLIENT_SLOTS))
         trial.leave()
-        trial.board.wait_wheels(moving=False, timeout_s=5.0)
+        trial.board.wait_wheels(turning=False, timeout_s=5.0)
         with pytest.raises(FailstopError, match="8 of them damaged by a client: restart the service"):
             Client(trial.name, "late")
 
@@ -289,7 +289,7 @@ def test_who_is_connected_drives_on_without_bell_and_claims(simulated: Simulated
     for name in ("bell", "claims"):
         group.on.unlink(f"{group.directory}/{name}")
     simulated.drive(0.3)
-    assert simulated.moving()
+    assert simulated.turning()
     with pytest.raises(simulated.failstop.FailstopError, match="is going away"):
         group.client("late")
     simulated.robot.estop("still heard")
@@ -325,7 +325,7 @@ def test_slots_that_one_program_hoards_are_free_when_it_dies(simulated: Simulate
     simulated.set_off()
     hoarder = simulated.program("hoarder.py", hoard)
     simulated.drive(0.2)
-    assert (all(held), len(held), simulated.moving()) == (True, layout.CLIENT_SLOTS - 1, True)
+    assert (all(held), len(held), simulated.turning()) == (True, layout.CLIENT_SLOTS - 1, True)
     code, _, err = simulated.command("enable")
     assert (code, err.count("\n")) == (1, 1)
     assert "all 8 client slots" in err
@@ -350,4 +350,4 @@ def test_a_claim_that_another_takes_over_at_once_drives_nothing(simulated: Simul
     simulated.program("heir.py", inherit)
     simulated.drive(0.1)
     simulated.leave()
-    simulated.board.wait_wheels(moving=False, timeout_s=0.35)
+    simulated.board.wait_wheels(turning=False, timeout_s=0.35)

@@ -143,7 +143,7 @@ def test_a_service_that_does_not_obey_is_stopped_beside(simulated: Simulated) ->
     code, out, err = simulated.command("stop")
     assert (code, out.endswith(f"directly to {simulated.link}\n")) == (0, True)
     assert "has not latched it within 1 s: writing to the port itself" in err
-    assert not simulated.moving()
+    assert not simulated.turning()
 
 
 def test_a_port_that_is_gone_is_told_with_the_latch(simulated: Simulated) -> None:

@@ -125,7 +125,7 @@ def test_the_death_of_a_process_is_shown(simulated: Simulated, process: str) -> 
     simulated.enable()
     before = simulated.json("status")
     killed = simulated.kill(process)
-    assert killed.was_moving
+    assert killed.was_turning
     assert killed.stop_ns is not None
     assert killed.stop_ns <= 8 * MS
     assert killed.motion_after == 0
@@ -142,10 +142,10 @@ def test_the_death_of_a_process_is_shown(simulated: Simulated, process: str) -> 
     simulated.robot.reset()
     assert simulated.robot.state.blocked == "disabled"
     simulated.drive(0.1)
-    assert not simulated.moving(), "a reset must not enable motion"
+    assert not simulated.turning(), "a reset must not enable motion"
     simulated.robot.enable()
     simulated.drive(0.1)
-    assert simulated.moving()
+    assert simulated.turning()
 
 
 def test_the_first_cause_is_kept_and_a_reset_clears_the_latch_alone(simulated: Simulated) -> None:
@@ -162,7 +162,7 @@ def test_the_first_cause_is_kept_and_a_reset_clears_the_latch_alone(simulated: S
     assert simulated.command("reset") == (0, "latched stop cleared (was: key1); motion still disabled\n", "")
     found = simulated.json("status", each=lambda: simulated.drive(0.02))
     assert (found["enabled"], found["estop"], found["blocked"]) == (False, None, "disabled")
-    assert not simulated.moving()
+    assert not simulated.turning()
 
 
 # Refusals.
@@ -186,7 +186,7 @@ def test_enable_is_refused_while_the_port_is_gone(simulated: Simulated) -> None:
     simulated.board.replug()
     assert simulated.board.wait_for(lambda event: event.is_motor).is_stop
     simulated.wait_for("a service that is whole", lambda: simulated.robot.state.waiting_for is None)
-    assert not simulated.moving()
+    assert not simulated.turning()
     assert simulated.json("status")["device"]["state"] == "open"
 
 
@@ -267,7 +267,7 @@ def test_a_steered_base_tells_the_angle_that_is_commanded(vx: float, wz: float, 
     state = robot.robot.state
     assert state.steering_rad == pytest.approx(radians(15) if side == "left" else -radians(15), abs=radians(1))
     assert f"steering  15 degrees to the {side}" in robot.command("status")[1]
-    assert robot.load("failstop.web.face").live(state, None)[5] == f"15 degrees to the {side}"
+    assert robot.load("failstop.web.view").live(state, None)[5] == f"15 degrees to the {side}"
     robot.drive(0.4, (vx, 0.0, 0.0))
     assert robot.robot.state.steering_rad == 0.0
     robot.robot.disable()
@@ -289,7 +289,7 @@ def test_a_robot_without_an_imu_says_so_and_waits_for_none() -> None:
     assert NO_IMU in robot.printed("status")
     assert "no IMU" in robot.printed("status").partition("sensor")[2]
     assert robot.json("why")["proof"].endswith(NO_IMU)
-    shown = robot.load("failstop.web.face").face(robot.robot.state, [], 0.0)
+    shown = robot.load("failstop.web.view").view(robot.robot.state, [], 0.0)
     assert (shown["imu"], shown["stop"]["observed"], shown["stop"]["unseen"]) == (False, "", "no IMU")
 
 
@@ -313,7 +313,7 @@ def mute() -> Simulated:
 def test_every_screen_says_that_nothing_proves_the_stop(mute: Simulated) -> None:
     assert mute.printed("status").startswith(f"wheels STOPPED, {UNPROVEN}")
     assert mute.json("why")["what"].startswith(f"STOPPED, {UNPROVEN}; motion is disabled")
-    shown = mute.load("failstop.web.face").face(mute.robot.state, [], 0.0)
+    shown = mute.load("failstop.web.view").view(mute.robot.state, [], 0.0)
     assert (shown["word"], shown["role"]) == ("STOPPED, UNPROVEN", "bad")
     code, out, err = mute.command("enable")
     assert (code, out) == (0, "motion enabled\n")

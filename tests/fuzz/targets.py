@@ -162,7 +162,7 @@ def fleet(data: bytes) -> None:
     with contextlib.suppress(ValueError):
         Seen.load(data, 1.0)
     text = data.decode("utf-8", "replace")
-    genuine = json.dumps({"body": text, "mac": signed._mac(KEY, signed.STOP, text)}).encode()
+    genuine = json.dumps({"body": text, "mac": signed._mac(KEY, signed.STOP_PURPOSE, text)}).encode()
     for message in (data, genuine):
         for read in (levels.read_order, levels.read_answer):
             with contextlib.suppress(signed.Forged):

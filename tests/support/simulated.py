@@ -209,7 +209,7 @@ class Simulated:
     def stops(self, fault_ns: int, within_ms: float) -> int:
         """Check that the board has executed a stop for a fault in time, and no motion since; how many stop frames."""
         events = self.board.events()
-        found = judge(events, fault_ns, was_moving=True)
+        found = judge(events, fault_ns, was_turning=True)
         assert found.stop_ns is not None
         assert found.stop_ns <= within_ms * MS
         assert (found.still_ns is None, found.motion_after) == (False, 0)
