@@ -204,7 +204,7 @@ def test_raw_frames_of_other_functions(func: int) -> None:
 
 HEAVY = """dataclasses typing enum re inspect pathlib logging argparse json subprocess ctypes numpy serial pwd grp"""
 HEAVIER = "collections collections.abc functools contextlib"
-"""What the port alone may import."""
+"""Modules that the port alone may import."""
 
 
 @pytest.mark.parametrize("module", ["board.codec", "board.burst", "board.decoder", "board.port", "lab.sim.motors"])

@@ -259,8 +259,7 @@ class Client:
             self._ring()
 
     def ask(self, verb: int, asked_ns: int | None = None) -> int:
-        """Make a request; returns its number, for answer(). `asked_ns`: when it was asked for (CLOCK_MONOTONIC), if not
-        now. Raises NoService."""
+        """Make a request of then (`asked_ns`, CLOCK_MONOTONIC) or now; returns its number. Raises NoService."""
         self._number += 1
         self.tell("request", self._number, verb, t_ns=asked_ns, wake=True)
         return self._number

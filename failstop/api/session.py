@@ -219,8 +219,7 @@ class Session:
             self._pass(turn)
 
     def _refused(self, verb: int, answer: Reply) -> Refused:
-        """The error of a request that was refused, with what to do first. What a stop keeps from being done needs what
-        an enable needs."""
+        """The error of a request that was refused, with what to do first: behind a stop, what an enable needs."""
         step = ""
         if verb in (records.ENABLE, records.RESET) or answer.cause:
             goal = Purpose.RESET if verb == records.RESET else Purpose.ENABLE

@@ -11,9 +11,7 @@ from failstop.messages.records import POSE_VARIANCE, RATE_VARIANCE
 from failstop.policy.causes import Cause
 from failstop.policy.layouts import WHEEL_NAMES
 
-PortState = Literal["closed", "open", "lost"]
 Link = Literal["unproven", "alive", "deaf", "unasked"]
-Plugged = Literal["unknown", "plugged", "unplugged"]
 PadMode = Literal["locked", "drive", "joint"]
 
 
@@ -123,7 +121,7 @@ class Device:
 
     path: str
     """Of its file, as the settings or `--device` name it."""
-    state: PortState
+    state: Literal["closed", "open", "lost"]
     """closed, open, or lost (unplugged)."""
     link: Link
     """The proof by its answers: unproven (none yet), alive, deaf (it has answered before), unasked (it has none)."""
@@ -356,7 +354,7 @@ class State:
     """None: no gamepad frame yet."""
     battery_v: float | None
     """V; None before the first reading."""
-    plugged: Plugged
+    plugged: Literal["unknown", "plugged", "unplugged"]
     """Whether a charger is plugged in, judged from the voltage's steps."""
     age_s: float
     """Of the gate's record, s: it publishes every 0.08 s at least."""

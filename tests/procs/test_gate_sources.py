@@ -136,7 +136,7 @@ def test_a_sensor_that_is_silent_and_back_is_told_of_once_with_its_age() -> None
 
 @pytest.mark.parametrize("ahead", [False, True])
 def test_before_the_first_scan_or_with_a_clock_that_is_ahead_nothing_moves(ahead: bool) -> None:
-    """Nor is anybody told of a silence as long as the uptime."""
+    """A silence as long as the uptime is told to nobody."""
     gate = scanning()
     if ahead:
         gate.core.scan.deliver(gate.now + AHEAD_NS + 1, gate.now)

@@ -45,7 +45,7 @@ def written(kind: str, view: View, dice: random.Random) -> set[Entry]:
 
 
 def read(reader: Reader) -> Iterator[Entry]:
-    """What can be read: once, or a ring to its end."""
+    """Read all that can be read: once, or a ring to its end."""
     if isinstance(reader, LatestReader):
         yield from filter(None, [reader.read()])
         return

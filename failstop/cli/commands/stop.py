@@ -73,8 +73,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Stop. Exit code 1, though a stop was written, where it is not known to be the right port, and for --end-service
-    where that is not allowed; raises FailstopError when no stop could be written in time, SettingError for an option
-    that is not allowed."""
+    where that is not allowed. Raises FailstopError when no stop could be written in time, SettingError."""
     reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
         return _every_service(reason, who)

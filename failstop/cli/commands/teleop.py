@@ -166,9 +166,8 @@ class Pilot:
         return bool(self.enabling and self.enabling.is_alive())
 
     def leave(self) -> str:
-        """The end: the wheels stop. Motion that this program enabled is disabled; what somebody else enabled, others
-        may be driving by. Returns what came of it, in words. A service that can't be told stops by the command
-        timeout."""
+        """End: the wheels stop, and motion that this program enabled is disabled. Returns what came of it, in words.
+        A service that can't be told stops by the command timeout."""
         try:
             if self.enabled or self._asking():
                 return self.robot.disable()
