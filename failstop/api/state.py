@@ -52,7 +52,7 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
 }
 """The records of a snapshot: the writer of each, and what reads it."""
 
-PLUGGED = cast("tuple[snapshot.Plugged, ...]", records.PLUGGED)
+PLUGGED: tuple[Any, ...] = records.PLUGGED
 PAD_MODES = cast("tuple[snapshot.PadMode, ...]", records.PAD_MODES)
 
 
@@ -238,7 +238,7 @@ class StateReader(SeenRun):
     def _device(self) -> snapshot.Device:
         # A run begins with an open port, which its supervisor has; then the port owner tells of it.
         *_, state, path = self._value("port") or (records.PORT_OPEN, str(self.settings()["device.path"]))
-        found = cast("snapshot.PortState", records.PORT_STATES[state])
+        found: Any = records.PORT_STATES[state]
         return snapshot.Device(path, found, self._value("link") or "unproven", *self._watchdog)
 
     @cached_property
