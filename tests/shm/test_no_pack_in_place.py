@@ -23,6 +23,7 @@ ALLOWED = {
     ("shm/words.py", "memoryview"),  # a word's one store, which the module is about
     ("shm/bell.py", "memoryview"),  # read, of bytes from a pipe
     ("failstop/lab/machine/memory.py", "memoryview"),  # the simulated machine's own, of one Python process
+    ("failstop/lab/machine/mapped.py", "memoryview"),  # likewise
     ("failstop/ros2/stencil.py", "pack_into"),  # a message for ROS, in a buffer of this process alone
 }
 

@@ -27,4 +27,4 @@ def test_imports_nothing_that_it_does_not_need(module: str, forbidden: frozenset
 
 
 def test_the_check_sees_what_is_imported() -> None:
-    assert {"json", "re", "failstop"} <= imported("failstop.cli.commands.status")
+    assert {"argparse", "re", "failstop"} <= imported("failstop.cli.commands.status")

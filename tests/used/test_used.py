@@ -16,7 +16,7 @@ NAMESPACES = ("unshare", "--mount", "--pid", "--fork", "--kill-child=KILL", "--m
 PART = (
     "tests/incidents/test_find.py",
     "tests/telemetry/test_state_files.py",
-    "tests/doctor/test_gathering.py::test_all_of_it_is_quick",
+    "tests/doctor/test_gathering.py::test_all_of_it_is_looked_at_without_a_port",
     "tests/screen/test_follow.py::test_there_must_be_one_at_first",
     "tests/screen/test_follow.py::test_an_end_and_a_start_anew",
     "tests/screen/test_follow.py::test_a_unit_counts_where_systemd_runs_and_has_it",
