@@ -6,11 +6,17 @@ import grp
 import os
 import pwd
 from collections.abc import Callable
+from pathlib import Path
 
 from tests.support.children import NOBODY, become
 
 LOADED = (grp, pwd)
 """Children without privileges may not be able to read the interpreter's files: what refusals need is loaded here."""
+
+
+def may_reach(path: str) -> bool:
+    """True where every user may enter all folders on the way to this file."""
+    return all(above.stat().st_mode & 0o001 for above in Path(path).absolute().parents)
 
 
 def unprivileged(work: Callable[[], str]) -> str:
