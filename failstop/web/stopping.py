@@ -12,6 +12,7 @@ from failstop.api.errors import FailstopError
 from failstop.data import Data
 from failstop.files import instance
 from failstop.messages import layout, records
+from failstop.shm import bell
 
 WRITTEN_S = 0.3
 """How long a request is watched; the page repeats one that was not written by then."""
@@ -56,17 +57,11 @@ class Pipe:
 
     def send(self, who: str) -> None:
         """Ask for a stop. Raises NoService, FailstopError."""
-        if not (self._is_held() and self._write(records.asking(REASON, who, os.getpid()))):
-            send_stop(self._name, REASON, who)
-
-    def _write(self, line: bytes) -> bool:
-        try:
-            os.write(self._fd, line)
-        except BlockingIOError:
-            return True  # a pipe that is full is read as a stop too
-        except OSError:
-            return False
-        return True
+        if self._is_held():
+            with contextlib.suppress(OSError):
+                bell.send(self._fd, records.asking(REASON, who, os.getpid()))
+                return
+        send_stop(self._name, REASON, who)
 
     def close(self) -> None:
         """Give the pipe back."""

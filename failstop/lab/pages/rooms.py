@@ -27,7 +27,7 @@ ROOMS = {
         "breaks it on purpose: simulated board, faults, stand test; makes the pages",
         "api board cli config doctor files fleet instances messages policy procs ros2 setup shm stopping supervisor",
     ),
-    "web": Room("the operator's page", "api cli config extras files incidents messages policy"),
+    "web": Room("the operator's page", "api cli config extras files incidents messages policy shm"),
     "fleet": Room("the robots of a broker, and metrics", "api cli config doctor extras files messages notify policy"),
     "setup": Room(
         "from a cable to a proved robot",
