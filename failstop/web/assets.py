@@ -10,20 +10,22 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parent / "page"
 TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8", ".svg": "image/svg+xml"}
-STYLE = "/*style*/"
-SCRIPT = "/*script*/"
+WITHIN = {"stop.css": "style-src", "stop.js": "script-src 'self'", "page.css": "style-src"}
+"""Files that stand in the page itself, where it has their names in a comment, by the directive that lets them in."""
 INDEX = "/"
 
 
 def load() -> dict[str, tuple[bytes, bytes, str, str]]:
-    """(content, the same compressed, type, what its Content-Security-Policy adds) by path; the style and the first
-    script stand in the page itself, and the policy names them by their hashes."""
-    style, script = (_text(name) for name in ("page.css", "stop.js"))
-    page = _text("page.html").replace(STYLE, style).replace(SCRIPT, script)
-    more = f"style-src {_hash(style)}; script-src 'self' {_hash(script)}"
-    found = {INDEX: (page.encode(), _small(page.encode()), TYPES[".html"], more)}
+    """(content, the same compressed, type, what its Content-Security-Policy adds) by path; the policy names what stands
+    in the page by its hash."""
+    page, allowed = _text("page.html"), dict[str, str]()
+    for name, directive in WITHIN.items():
+        text = _text(name)
+        page = page.replace(f"/*{name}*/", text)
+        allowed[directive] = f"{allowed.get(directive, directive)} {_hash(text)}"
+    found = {INDEX: (page.encode(), _small(page.encode()), TYPES[".html"], "; ".join(allowed.values()))}
     for path in sorted(FOLDER.iterdir()):
-        if path.suffix in TYPES and path.name not in ("page.html", "stop.js"):
+        if path.suffix in TYPES and path.name not in ("page.html", *WITHIN):
             content = path.read_bytes()
             found[f"/{path.name}"] = content, _small(content), TYPES[path.suffix], ""
     return found

@@ -21,7 +21,7 @@ import failstop
 
 PACKAGE = Path(failstop.__file__).parent
 PAGE = Path(__file__).parent / "page"
-STYLE = PACKAGE / "web" / "page" / "page.css"
+STYLES = [PACKAGE / "web" / "page" / name for name in ("stop.css", "page.css")]
 """The operator's page's."""
 NOT_NEEDED = ("fleet", "ros2", "lab/case", "lab/commands", "lab/faults", "lab/pages", "lab/prove", "lab/simulate")
 """Folders of the package that nothing on the page asks for."""
@@ -82,7 +82,7 @@ def packed(data: bytes) -> str:
 def page(pyodide: Path) -> str:
     """The whole page."""
     parts = {
-        "style": STYLE.read_text() + (PAGE / "robot.css").read_text(),
+        "style": "".join(path.read_text() for path in (*STYLES, PAGE / "robot.css")),
         "wasm": packed((pyodide / "pyodide.asm.wasm").read_bytes()),
         "library": packed(library(pyodide / "python_stdlib.zip")),
         "modules": packed(archive()),
