@@ -187,11 +187,14 @@ reproduce: $(VENV)/.installed
 	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]'
 	@$(BIN)/python packaging/release.py $(VERSION) --twice
 
-# The Debian packages by lintian, then their life in a container with a systemd: installed, upgraded from the last release while a program
-# drives, removed, purged. Needs root. VERSION: those of a release, in dist/VERSION; LAST: a .deb, or the commit to build it from.
+# The Debian packages by lintian, autopkgtest and piuparts, then their life in a container with a systemd: installed, upgraded from the last
+# release while a program drives, removed, purged. Needs root. VERSION: those of a release, in dist/VERSION; LAST: a .deb, or the commit to
+# build it from.
+JUDGES := lintian autopkgtest piuparts mmdebstrap
 LAST ?=
 package-test: $(VENV)/.installed
-	@command -v lintian >/dev/null || apt-get install --yes --no-install-recommends lintian
+	@for judge in $(JUDGES); do \
+	  command -v $$judge >/dev/null || exec apt-get install --yes --no-install-recommends $(JUDGES); done
 	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]'
 	@$(BIN)/python -m bench.packages $(if $(VERSION),--debs dist/$(VERSION)) $(if $(LAST),--last $(LAST))
 
