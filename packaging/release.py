@@ -131,7 +131,7 @@ def twice(version: str, folder: Path, wheels: Path) -> list[Path]:
         os.umask(umask)
         run(*words, cwd=place, environ=os.environ | world | {"HOME": str(place)})
     if differs := first_difference(*outs):
-        raise ReleaseError(f"two builds of {version} are not equal: {differs}")
+        raise ReleaseError(f"two builds of {version} are not equal: {differs}{explained(*outs, differs)}")
     return sorted(outs[0].iterdir())
 
 
@@ -291,6 +291,15 @@ def first_difference(one: Path, other: Path) -> str:
             names = [member for member in sorted({*there, *here}) if there.get(member) != here.get(member)]
             return f"{name}: {names[0] if names else 'order, times, modes or compression'}"
     return ""
+
+
+def explained(one: Path, other: Path, differs: str) -> str:
+    """The difference of a file in the words of diffoscope, where it is installed and the file is in both."""
+    name = differs.partition(": ")[0]
+    if not shutil.which("diffoscope") or not (one / name).exists() or not (other / name).exists():
+        return ""
+    words = ("diffoscope", "--text", "-", "--max-text-report-size", "4000", one / name, other / name)
+    return "\n" + subprocess.run(words, capture_output=True, text=True, check=False).stdout
 
 
 def members(path: Path) -> dict[str, bytes]:
