@@ -22,6 +22,8 @@ from bench.report import progress
 ROOT = Path(__file__).resolve().parents[1]
 TESTS = ROOT / "packaging/deb/tests"
 TESTED_S = 600.0
+USER = "tester"
+"""The user in the container for the tests that do not ask for root."""
 BOOTS = ("systemd", "systemd-sysv", "init-system-helpers")
 """Packages of every Debian that boots. As dependencies that piuparts installs and purges, they would leave folders of
 systemd's own (/root/.ssh, /var/lib/private and others), which count as failstop's then."""
@@ -59,8 +61,9 @@ def autopkgtest(packages: Sequence[Path]) -> stats.Row:
         for path in packages:
             shutil.copy(path, folder)
         inside = [f"/packages/{path.name}" for path in packages]
-        words = ("autopkgtest", "--no-built-binaries", *inside, "/packages/source", "--", "null")
-        with Container({}, [Bind(name, "/packages")], "rm -f /usr/sbin/policy-rc.d") as box:
+        words = ("autopkgtest", "--no-built-binaries", "--user", USER, *inside, "/packages/source", "--", "null")
+        setup = f"rm -f /usr/sbin/policy-rc.d; useradd --create-home {USER}"
+        with Container({}, [Bind(name, "/packages")], setup) as box:
             done = box.run(*words, check=False, timeout_s=TESTED_S)
     told = dict(re.findall(r"^(\S+)\s+(PASS|FAIL|SKIP|FLAKY)", done.stdout, re.MULTILINE))
     wanted = re.findall(r"^Tests: (\S+)$", (TESTS / "control").read_text(), re.MULTILINE)
