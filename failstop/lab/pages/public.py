@@ -91,6 +91,7 @@ def _words() -> Iterator[str]:
         yield from (f"event {event.name}", *(f"event {event.name} {field}" for field in event.fields.split()))
     topics = (*contract.INWARD, *contract.OUTWARD, contract.TF, contract.ARM_GOAL, contract.ARM_BUSY)
     services = (*contract.SERVICES, *contract.ARM_SERVICES, contract.ARM_ACTION)
-    yield from (f"ros {row.name} {row.type}" for row in (*topics, *services))
+    yield from (f"ros {row.name} {row.type}" for row in topics)
+    yield from (f"ros {row.name} {row.type}" for row in services)
     yield from (f"ros ~/state {key}" for key in contract.STATE_KEYS)
     yield from (f"metric {family.name}" for family in metrics.FAMILIES)
