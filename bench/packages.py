@@ -1,5 +1,5 @@
-"""The life of the Debian packages: `python -m bench.packages` (`make package-test`). lintian judges them; then, in a
-container with a systemd of its own, the last release is installed, upgraded while a program drives, removed and purged.
+"""The life of the Debian packages: `python -m bench.packages` (`make package-test`). lintian, piuparts and autopkgtest
+judge them; in a container with a systemd the last release is installed, upgraded as a program drives, removed, purged.
 
 The simulated board judges the wheels, and systemd's own clock how long the service was away.
 """
@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from bench import BenchError, report, stats
+from bench import BenchError, debian_tests, report, stats
 from bench.container import ContainerMissing
 from bench.package_scene import BOARD, SETTINGS, UNIT, Place, machine
 from bench.report import progress
@@ -63,7 +63,8 @@ def main() -> int:
         try:
             new = newest(arguments.debs, Path(folder))
             old = last(arguments.last, Path(folder))
-            rows = [*lintian(new), *lived(old, new[0], arguments.rounds)]
+            rows = [*lintian(new), debian_tests.autopkgtest(new), debian_tests.piuparts(new)]
+            rows += lived(old, new[0], arguments.rounds)
         except (BenchError, ContainerMissing) as error:
             print(f"failstop: {error}", file=sys.stderr)
             return 1

@@ -8,6 +8,7 @@ import sys
 from failstop.files import durable, root
 from failstop.policy.setting import SettingError, shortened, shown
 from failstop.policy.settings import Settings
+from failstop.version import renewed
 
 MOST_BYTES = 65536
 """Nine times a file that sets everything and explains it."""
@@ -39,11 +40,7 @@ def checked(changed: dict[str, object], path: str | None = None) -> Settings:
     button = changed.get(MODE_BUTTON)
     try:
         # Two bits would be two buttons that do not stop.
-        if (
-            isinstance(button, (int, float))
-            and not isinstance(button, bool)
-            and button not in [1 << bit for bit in range(16)]
-        ):
+        if type(button) in (int, float) and button not in [1 << bit for bit in range(16)]:
             found = f"0x{button:04X}" if isinstance(button, int) and abs(button) < 1 << 32 else shown(button)
             raise SettingError(f"{MODE_BUTTON} = {found}: allowed is exactly one bit, 0x0001, 0x0002 ... 0x8000")
         return Settings(changed)
@@ -63,7 +60,10 @@ def read(path: str | None) -> dict[str, object]:
         else:
             import tomli as tomllib
 
-        return dict(_flat("", tomllib.loads(_text(path))))
+        found = _flat("", tomllib.loads(_text(path)))
+        if len(values := dict(found)) < len(found):
+            raise SettingError("a setting is there by its old name and by its new one: leave the old one out")
+        return values
     except SettingError as error:
         raise SettingError(f"{path}: {error}") from None
     except OSError as error:
@@ -110,5 +110,5 @@ def _flat(prefix: str, table: dict[str, object]) -> list[tuple[str, object]]:
         if isinstance(value, dict) and value:
             found += _flat(f"{whole}.", value)
         else:
-            found.append((whole, value))
+            found.append((renewed(whole), value))
     return found

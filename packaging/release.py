@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
+import time
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -31,6 +32,8 @@ import image  # noqa: E402
 import sbom  # noqa: E402
 import tree  # noqa: E402
 
+from failstop.lab.pages import public, ros_changes  # noqa: E402
+
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 """Architectures by Debian's word, with Python's."""
 GLIBC = ("manylinux2014", "manylinux_2_17", "manylinux_2_27", "manylinux_2_28")
@@ -39,6 +42,8 @@ EXTRAS = ("fleet", "web")
 LAB = "failstop-lab"
 MAINTAINER = {"DEBFULLNAME": "failstop developers", "DEBEMAIL": "failstop@example.org"}
 VERSION = re.compile(r"\d+\.\d+\.\d+((a|b|rc)\d+)?")
+AT_ONCE = "**Removed at once**"
+"""In the changelog: before public names that a release takes away because they let wheels turn that should not."""
 EXECUTABLE, PLAIN = 0o755, 0o644
 WORLDS: tuple[tuple[int, dict[str, str]], ...] = (
     (0o022, {"LC_ALL": "C", "TZ": "UTC", "PYTHONHASHSEED": "1"}),
@@ -83,6 +88,8 @@ def release(version: str, out: Path, folder: Path, wheels: Path | None = None) -
     os.environ["SOURCE_DATE_EPOCH"] = environ["SOURCE_DATE_EPOCH"]
     source = folder / "source"
     stage(version, source)
+    told = notes((source / "CHANGELOG.md").read_text(), version)
+    lasting(version, (source / public.PLACE).read_text(), told)
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     wheels = wheels or folder / "wheels"
@@ -106,7 +113,7 @@ def release(version: str, out: Path, folder: Path, wheels: Path | None = None) -
         debs = {one: [path for part in (one, "all") for path in sorted(out.glob(f"*_{part}.deb"))] for one in MACHINES}
         image.make(version, tree.PYTHON, debs, wheels, out)
     (out / f"failstop-{version}.cdx.json").write_text(bill)
-    (out / "NOTES.md").write_text(notes((source / "CHANGELOG.md").read_text(), version))
+    (out / "NOTES.md").write_text(told)
     made = sorted(out.iterdir())
     sums = "".join(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in made)
     (out / "SHA256SUMS").write_text(sums)
@@ -124,7 +131,7 @@ def twice(version: str, folder: Path, wheels: Path) -> list[Path]:
         os.umask(umask)
         run(*words, cwd=place, environ=os.environ | world | {"HOME": str(place)})
     if differs := first_difference(*outs):
-        raise ReleaseError(f"two builds of {version} are not equal: {differs}")
+        raise ReleaseError(f"two builds of {version} are not equal: {differs}{explained(*outs, differs)}")
     return sorted(outs[0].iterdir())
 
 
@@ -142,11 +149,15 @@ def stage(version: str, source: Path) -> None:
     with tarfile.open(fileobj=io.BytesIO(archive)) as files:
         files.extractall(source)
     change(source / "failstop/version.py", r'VERSION = ".*"', f'VERSION = "{version}"')
-    change(source / "CHANGELOG.md", r"## Unreleased", f"## {version}", needed=False)
-    for package in sorted(source.glob("failstop/ros2/packages/*/package.xml")):
-        change(package, r"<version>.*</version>", f"<version>{version}</version>")
-    change(source / "failstop/ros2/packages/failstop_ros2/setup.py", r'version=".*"', f'version="{version}"')
     moment = int(os.environ["SOURCE_DATE_EPOCH"])
+    day = time.strftime("%Y-%m-%d", time.gmtime(moment))
+    changes = source / "CHANGELOG.md"
+    change(changes, r"## Unreleased", f"## {version} ({day})", needed=False)
+    for name in ros_changes.PACKAGES:
+        package = source / "failstop/ros2/packages" / name
+        change(package / "package.xml", r"<version>.*</version>", f"<version>{version}</version>")
+        (package / "CHANGELOG.rst").write_text(ros_changes.text(name, changes.read_text()))
+    change(source / "failstop/ros2/packages/failstop_ros2/setup.py", r'version=".*"', f'version="{version}"')
     for path in [source, *source.rglob("*")]:
         if not path.is_symlink():
             path.chmod(EXECUTABLE if path.is_dir() or path.stat().st_mode & 0o100 else PLAIN)
@@ -159,6 +170,32 @@ def change(path: Path, pattern: str, new: str, *, needed: bool = True) -> None:
     if needed and not count:
         raise ReleaseError(f"{path.name} has no {pattern}, which is to become {new}")
     path.write_text(text)
+
+
+def lasting(version: str, names: str, told: str, root: Path = ROOT) -> None:
+    """Check the public names against those of the last release, a tag `v*` before this commit. Raises ReleaseError for
+    those that are gone and may not be (SECURITY.md), unless the notes have them below AT_ONCE."""
+    tag = ("git", "describe", "--tags", "--match", "v*", "--abbrev=0", "HEAD")
+    last = subprocess.run(tag, cwd=root, capture_output=True, text=True, check=False).stdout.strip()
+    if last == f"v{version}":
+        last = subprocess.run(
+            (*tag[:-1], "HEAD^"), cwd=root, capture_output=True, text=True, check=False
+        ).stdout.strip()
+    show = ("git", "show", f"{last}:{public.PLACE}")
+    before = subprocess.run(show, cwd=root, capture_output=True, text=True, check=False).stdout if last else ""
+    minor = series(version) != series(last.removeprefix("v"))
+    gone = [name for name in public.lost(before, names, minor=minor) if name not in told.partition(AT_ONCE)[2]]
+    if gone:
+        advice = f"bring them back and deprecate them first, or name them in CHANGELOG.md below {AT_ONCE}"
+        raise ReleaseError(
+            f"public names of {last} are gone that it did not call deprecated: {', '.join(gone)}; {advice}"
+        )
+
+
+def series(version: str) -> list[str]:
+    """The numbers of a version that count its breaks: the first, and before 1.0 the second."""
+    numbers = version.split(".")
+    return numbers[: 2 if numbers[0] == "0" else 1]
 
 
 def fetched(source: Path, folder: Path, machine: str) -> list[Path]:
@@ -254,6 +291,15 @@ def first_difference(one: Path, other: Path) -> str:
             names = [member for member in sorted({*there, *here}) if there.get(member) != here.get(member)]
             return f"{name}: {names[0] if names else 'order, times, modes or compression'}"
     return ""
+
+
+def explained(one: Path, other: Path, differs: str) -> str:
+    """The difference of a file in the words of diffoscope, where it is installed and the file is in both."""
+    name = differs.partition(": ")[0]
+    if not shutil.which("diffoscope") or not (one / name).exists() or not (other / name).exists():
+        return ""
+    words = ("diffoscope", "--text", "-", "--max-text-report-size", "4000", one / name, other / name)
+    return "\n" + subprocess.run(words, capture_output=True, text=True, check=False).stdout
 
 
 def members(path: Path) -> dict[str, bytes]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -104,6 +105,15 @@ def test_the_core_asks_the_system_by_modules_that_the_simulated_machine_has() ->
     paths = {path for room in CORE for path in modules(room)} - below
     wrong = [(str(path.relative_to(ROOT)), name) for path in paths for name in from_outside(path) if name not in known]
     assert not wrong
+
+
+def test_the_core_needs_two_packages_of_others() -> None:
+    """No stop depends on another, nor on one that the architecture does not name."""
+    found = {name for room in CORE for path in modules(room) for name in from_outside(path)}
+    others = sorted(found - sys.stdlib_module_names - {"failstop"})
+    assert others == ["msgpack", "posix_ipc"]
+    told = (ROOT / "docs/dev/architecture.md").read_text()
+    assert all(f"`{name}`" in told for name in others)
 
 
 def at_run_time(path: Path) -> list[ast.Import | ast.ImportFrom]:

@@ -6,7 +6,7 @@ import errno
 import sys
 
 from failstop.cli import standard
-from failstop.version import VERSION
+from failstop.version import VERSION, options
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def _run(name: str, words: list[str]) -> int:
 
     parser, module = load(name)
     try:
-        arguments = parser.parse_args(words, argparse.Namespace(command=name))
+        arguments = parser.parse_args(options(name, words), argparse.Namespace(command=name))
     except SystemExit as end:
         # argparse ends with 2 for words that it can't make sense of; here 2 is a refusal.
         return 1 if end.code else 0

@@ -28,6 +28,7 @@ from failstop.fleet import levels, sender, signed, topics, view, wire
 from failstop.fleet.replay import Seen
 from failstop.fleet.roster import Roster
 from failstop.incidents import files
+from failstop.lab.prove import pack
 from failstop.lab.sim.receiver import Receiver
 from failstop.messages import box, packing, records
 from failstop.policy import causes, layouts
@@ -116,6 +117,23 @@ def incident(data: bytes) -> None:
     finally:
         path.unlink()
         SCRATCH.rmdir()
+
+
+def evidence(data: bytes) -> None:
+    """An evidence pack that somebody sent, with this record or of these bytes: told in lines that a terminal shows, or
+    refused with FailstopError."""
+    record = b'<script type="application/json" id="record">' + data + b"</script>"
+    try:
+        whole = pack.page(json.loads(data)).encode("utf-8", "surrogatepass")
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        whole = b""
+    for page in (data, record, whole):
+        SCRATCH.write_bytes(page)
+        try:
+            with contextlib.suppress(FailstopError):
+                assert all(line.isprintable() for line in pack.verified(str(SCRATCH)).splitlines())
+        finally:
+            SCRATCH.unlink()
 
 
 def settings(data: bytes) -> None:
@@ -221,6 +239,16 @@ def made_up() -> Iterator[bytes]:
             yield struct.pack("<H", len(packed)) + packed + bytes(msgpack.packb(body))
 
 
+PROVED = {
+    **dict.fromkeys(("verdict", "begun", "version", "code_sha256", "settings_sha256", "machine", "kernel"), "x"),
+    **dict.fromkeys(("python", "board", "device", "can_not", "ended", "simulated", "realtime"), "x"),
+    "cores": 2,
+    "distances": ["0.1 m"],
+    "unproved": ["x"],
+    "rows": [{key: 1.5 for key, _ in pack.COLUMNS}],
+    "settings": {"gate.lease_s": 0.06},
+}
+
 DEEP = b"[" * 100_000
 """No parser of Python goes so deep."""
 
@@ -229,6 +257,9 @@ TARGETS: dict[str, Target] = {
     "receivers": Target(receivers, (b"\3" + BOARDS["rrc"].burst,)),
     "memory": Target(memory, (records.asking("smoke", "anna", 7), bytes(64), msgpack.packb(["a", "b", "c", 0, {}]))),
     "incident": Target(incident, (_kept(), *made_up())),
+    "evidence": Target(
+        evidence, (json.dumps(PROVED).encode(), json.dumps({**PROVED, "verdict": "\x1b]0;x\x07<b>"}).encode(), DEEP)
+    ),
     "settings": Target(settings, ((ROOT / "examples/failstop.toml").read_bytes(), b"[gate]\nlease_s = 0.1\n")),
     "page": Target(page, (DEEP, b'{"attend":true,"nonce":"00","answer":"aa","drive":"0.1 0.2"}', b"[::1]:8080")),
     "fleet": Target(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.pages import ros2
+from failstop.lab.pages import ros2, ros_changes
 from failstop.ros2 import contract, report
 from failstop.version import VERSION
 from tests.support import states
@@ -24,6 +24,15 @@ def test_manifest(name: str) -> None:
     maintainer = root.find("maintainer")
     assert maintainer is not None
     assert re.fullmatch(r"[-\w.]+@[-\w]+\.\w+", maintainer.get("email", "")), "catkin_pkg refuses it otherwise"
+
+
+def test_the_changes_of_a_package_are_those_that_name_it_as_bloom_reads_them() -> None:
+    changes = "# Changes\n\n## Unreleased\n\n- The [page](x.md) of\n  ROS 2: `a`.\n- Arms.\n\n## 0.1.0 (2026-11-22)\n"
+    lines = ros_changes.text("failstop_ros2", changes).splitlines()
+    title, underlined = "Changelog for package failstop_ros2", "-" * len("0.1.0 (2026-11-22)")
+    assert lines[:3] == ["^" * len(title), title, "^" * len(title)]
+    assert lines[5:9] == ["", "Forthcoming", "-----------", "* The page of ROS 2: ``a``."]
+    assert lines[9:] == ["", "0.1.0 (2026-11-22)", underlined, "* No change of this package."]
 
 
 def test_setup_is_of_this_version() -> None:

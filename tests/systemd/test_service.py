@@ -94,6 +94,23 @@ def test_ready_means_stopped_and_healthy_and_waits_for_the_board(shared_scene: S
     assert all(row["realtime"] and row["memory_locked"] for row in found["processes"].values())
 
 
+@pytest.mark.slow
+def test_a_restart_whose_stop_can_t_be_written_starts_it_all_the_same(shared_scene: Scene) -> None:
+    """The unit that goes on trying to stop does not take the place of the start that waits."""
+    scene = shared_scene
+    scene.start()
+    scene.begin()
+    scene.board.unplug()
+    try:
+        scene.box.ctl("restart", "--no-block", UNIT)
+        wait_for("the stop tool to give up", lambda: "Triggering OnFailure= dependencies" in scene.told(), WHOLE_S)
+    finally:
+        scene.board.replug()
+    scene.wait_ready()
+    scene.board.events()
+    assert not any(scene.board.wheels())
+
+
 # One process dies.
 
 

@@ -6,7 +6,20 @@ from collections.abc import Callable
 from pathlib import Path
 
 from failstop.cli.commands import config
-from failstop.lab.pages import bases, case, catalog, causes, commands, fleet, reference, rooms, ros2, settings
+from failstop.lab.pages import (
+    bases,
+    case,
+    catalog,
+    causes,
+    commands,
+    fleet,
+    public,
+    reference,
+    rooms,
+    ros2,
+    ros_changes,
+    settings,
+)
 from failstop.lab.pages.marked import renewed
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -16,6 +29,10 @@ def _fleet(text: str) -> str:
     for name, lines in fleet.TABLES.items():
         text = renewed(text, name, "\n".join(lines()))
     return text
+
+
+def _ros_changes(package: str) -> str:
+    return ros_changes.text(package, (ROOT / "CHANGELOG.md").read_text("utf-8"))
 
 
 FILES: dict[str, Callable[[str], str]] = {
@@ -31,8 +48,11 @@ FILES: dict[str, Callable[[str], str]] = {
     "docs/dev/assumptions.md": lambda _: case.assumptions_page(),
     "docs/journal.md": lambda text: renewed(text, "kinds", catalog.table()),
     "docs/ros2.md": lambda text: renewed(text, "contract", ros2.text()),
+    "failstop/ros2/packages/failstop_msgs/CHANGELOG.rst": lambda _: _ros_changes("failstop_msgs"),
+    "failstop/ros2/packages/failstop_ros2/CHANGELOG.rst": lambda _: _ros_changes("failstop_ros2"),
     "docs/fleet.md": _fleet,
     "docs/does-your-robot-stop.md": lambda text: renewed(text, "bases", bases.table()),
+    public.PLACE: lambda _: public.text(),
     "docs/dev/architecture.md": lambda text: renewed(text, "rooms", rooms.picture()),
 }
 

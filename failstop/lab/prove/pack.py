@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from failstop.api.errors import FailstopError
+from failstop.api.words import printable
 from failstop.lab.case.assumptions import ASSUMPTIONS
 
 NAMESPACE = "failstop"
@@ -69,6 +70,7 @@ def page(record: dict[str, Any]) -> str:
     """The whole page of a record."""
     data = canonical(record)
     digest = hashlib.sha256(data.encode()).hexdigest()
+    verdict = html.escape(str(record["verdict"]))
     machine = f"{record['machine']}, {record['cores']} cores, kernel {record['kernel']}, Python {record['python']}"
     facts = [
         ("when", record["begun"]), ("failstop", record["version"]), ("code", record["code_sha256"]),
@@ -79,8 +81,8 @@ def page(record: dict[str, Any]) -> str:
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width">',
-        f"<title>failstop prove: {record['verdict']}</title><style>{STYLE}</style></head>",
-        f'<body class="{record["verdict"]}"><h1>Does this robot stop?</h1><p class="verdict">{record["verdict"]}</p>',
+        f"<title>failstop prove: {verdict}</title><style>{STYLE}</style></head>",
+        f'<body class="{verdict}"><h1>Does this robot stop?</h1><p class="verdict">{verdict}</p>',
         _paragraphs([record["ended"]] if record["ended"] else []),
         "<table>", *(f"<tr><th>{name}</th><td>{_code(value)}</td></tr>" for name, value in facts), "</table>",
         "<h2>Stopping distance</h2>", _paragraphs(record["distances"]),
@@ -133,21 +135,22 @@ def save(record: dict[str, Any], path: str, key: str | None = None) -> list[str]
 
 def verified(path: str) -> str:
     """Tell whether a pack is whole, and of its signature. Raises FailstopError for one that was changed, OSError."""
-    text = Path(path).read_text("utf-8")
+    text = Path(path).read_bytes().decode("utf-8", "replace")
     found = RECORD.search(text)
     if not found:
         raise FailstopError(f"{path} is no evidence pack: it has no record")
     try:
         record = json.loads(found[1])
         same = page(record) == text
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise FailstopError(f"{path}: its record can't be read ({error})") from None
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise FailstopError(f"{path}: its record can't be read ({printable(str(error))})") from None
     if not same:
         raise FailstopError(
             f"{path} was changed, or is of another version of failstop: it is not the page of its record"
         )
     digest = hashlib.sha256(canonical(record).encode()).hexdigest()
-    words = f"{record['verdict']}, {record['begun']}, failstop {record['version']}\nrecord {digest}: whole"
+    told = printable(f"{record['verdict']}, {record['begun']}, failstop {record['version']}")
+    words = f"{told}\nrecord {digest}: whole"
     if not os.path.exists(f"{path}.sig"):
         return f"{words}\nno signature: whoever has the file may have made it"
     arguments = ["-Y", "check-novalidate", "-n", NAMESPACE, "-s", f"{path}.sig"]
