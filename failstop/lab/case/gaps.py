@@ -33,6 +33,8 @@ def gaps(
             f"{claim.name} assumes {name}, which is no assumption" for name in claim.assumes if name not in taken
         )
     for citation in cited:
+        if not citation.claims:
+            yield f"{citation.kind}, {citation.what}: cites no claim: name one, or say that it carries none"
         for name in citation.claims:
             if name not in known:
                 yield f"{citation.kind}, {citation.what}: cites {name}, which is no claim"

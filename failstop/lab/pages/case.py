@@ -22,14 +22,15 @@ EVIDENCE_HEAD = """\
 # Evidence
 
 Generated from the declarations of what carries each claim (`make docs`): tests by the mark `claim`, classes of
-faults, properties of the [model](model.md), [litmus tests](memory-order.md), rules of the [simulation](simulation.md)
-and rows of the [bench](measured.md). CI fails for a claim that nothing carries, for a citation of no claim, for a
-time without a number, and for a bound that is not the latest bar of its rows in [faults.md](faults.md).
+faults, properties of the [model](model.md), [litmus tests](memory-order.md), rules and marks of the
+[simulation](simulation.md) and rows of the [bench](measured.md). CI fails for a claim that nothing carries, for a
+citation of no claim, for one of these rows that neither cites a claim nor is said to carry none, for a time without a
+number, and for a bound that is not the latest bar of its rows in [faults.md](faults.md).
 
 What a fault, model, litmus test or row of the bench found last is copied from those pages, which say when and on
-which machine. A test of `tests/` and a rule of the simulation found nothing wrong in the last run of CI. A p99 above
-its bar (more than 1.00 of it) comes of a campaign on a machine that withheld its processors; no such run missed a
-stop.
+which machine. A test of `tests/` and a rule of the simulation found nothing wrong in the last run of CI. A mark of the
+simulation is a place that `failstop simulate` must reach, and fails if it does not. A p99 above its bar (more than 1.00
+of it) comes of a campaign on a machine that withheld its processors; no such run missed a stop.
 """
 ASSUMPTIONS_HEAD = """\
 # Assumptions
@@ -82,7 +83,10 @@ def evidence_page(root: Path) -> str:
         lines += [f"## {claim.name}", "", claim.says, ""]
         lines += [f"*Falsified by* {claim.falsified}. *Assumes* {assumed} ([assumptions.md](assumptions.md)).", ""]
         lines += ["| carried by | | found last |", "|---|---|---|"]
-        lines += [f"| {row.kind} | {_code(row)} | {row.last} |" for row in by_claim[claim.name]]
+        carried = sorted(by_claim[claim.name], key=lambda row: cited.CARRIERS.index(row.kind))
+        reached = "; ".join(row.what for row in carried if row.kind == cited.MARK)
+        lines += [f"| {row.kind} | {_code(row)} | {row.last} |" for row in carried if row.kind != cited.MARK]
+        lines += [f"| {cited.MARK} | {reached} |  |"] * bool(reached)
         lines.append("")
     return "\n".join(lines[:-1]) + "\n"
 
