@@ -14,9 +14,9 @@ HAZARDS_HEAD = """\
 
 Generated from `failstop/lab/case/hazards.py` (`make docs`). Each hazard of a robot that failstop stops: how it comes
 about, what failstop does, what remains, and what helps beside it. *Stopping itself* adds hazards, and so does the
-tool. The last column names the claims of [safety.md](safety.md) that answer it, each with its longest time and what
-that counts from there; [evidence.md](dev/evidence.md) has what carries each. A robot, its load and its place have
-hazards of their own: this list is where to begin, not where to end.
+tool. The claims of [safety.md](safety.md) that answer it stand below it, each with its longest time;
+[evidence.md](dev/evidence.md) has what carries each. A robot, its load and its place have hazards of their own: this
+list is where to begin, not where to end.
 """
 EVIDENCE_HEAD = """\
 # Evidence
@@ -45,21 +45,20 @@ def hazards_page() -> str:
     lines = [HAZARDS_HEAD]
     for kind in hazards.HAZARD_CLASSES:
         lines += [f"## {kind[0].upper()}{kind[1:]}", ""]
-        lines += [
-            "| hazard | how it comes about | failstop | what remains | what helps | claims, and how soon |",
-            "|" + "---|" * 6,
-        ]
         for row in hazards.HAZARDS:
             if row.kind == kind:
                 carried = ", ".join(_soon(claims.BY_NAME[name]) for name in row.claims) or "none"
-                cells = (f"**{row.what}** ({row.name})", row.how, row.does, row.remains, row.helps, carried)
-                lines.append(f"| {' | '.join(cells)} |")
-        lines.append("")
+                lines += [f"### {row.name}: {row.what}", "", f"- *Comes of*: {row.how}.", f"- *failstop*: {row.does}."]
+                lines += [f"- *Remains*: {row.remains}.", f"- *Helps*: {row.helps}.", f"- *Claims*: {carried}.", ""]
     return "\n".join(lines[:-1]) + "\n"
 
 
 def _soon(claim: Claim) -> str:
-    return claim.name if claim.bound_ms is None else f"{claim.name} ({claim.bound_ms:g} ms)"
+    return _link(claim, "dev/") if claim.bound_ms is None else f"{_link(claim, 'dev/')} ({claim.bound_ms:g} ms)"
+
+
+def _link(claim: Claim, folder: str) -> str:
+    return f"[{claim.name}]({folder}evidence.md#{claim.name.lower()})"
 
 
 def claims_table() -> str:
@@ -67,7 +66,7 @@ def claims_table() -> str:
     lines = ["| | claim | p99, at most | counted |", "|---|---|---|---|"]
     for claim in claims.CLAIMS:
         bound = "" if claim.bound_ms is None else f"{claim.bound_ms:g} ms"
-        lines.append(f"| {claim.name} | {claim.says} | {bound} | {claim.counted} |")
+        lines.append(f"| {_link(claim, 'dev/')} | {claim.says} | {bound} | {claim.counted} |")
     return "\n".join(lines)
 
 
@@ -79,9 +78,9 @@ def evidence_page(root: Path) -> str:
             by_claim[name].append(citation)
     lines = [EVIDENCE_HEAD]
     for claim in claims.CLAIMS:
-        assumed = ", ".join(claim.assumes)
+        assumed = ", ".join(f"[{name}](assumptions.md#{name.lower()})" for name in claim.assumes)
         lines += [f"## {claim.name}", "", claim.says, ""]
-        lines += [f"*Falsified by* {claim.falsified}. *Assumes* {assumed} ([assumptions.md](assumptions.md)).", ""]
+        lines += [f"*Falsified by* {claim.falsified}. *Assumes* {assumed}.", ""]
         lines += ["| carried by | | found last |", "|---|---|---|"]
         carried = sorted(by_claim[claim.name], key=lambda row: cited.CARRIERS.index(row.kind))
         reached = "; ".join(row.what for row in carried if row.kind == cited.MARK)
@@ -97,8 +96,10 @@ def _code(row: Citation) -> str:
 
 def assumptions_page() -> str:
     """docs/dev/assumptions.md."""
-    lines = [ASSUMPTIONS_HEAD, "| | what is assumed | by | if it is wrong | checked by | when |", "|" + "---|" * 6]
+    lines = [ASSUMPTIONS_HEAD]
     for row in assumptions.ASSUMPTIONS:
         checked = f"`{row.checked}`" if row.checked.startswith("tests/") and " " not in row.checked else row.checked
-        lines.append(f"| {row.name} | {row.says} | {row.by} | {row.wrong} | {checked} | {row.when} |")
-    return "\n".join(lines) + "\n"
+        lines += [f"## {row.name}", "", row.says, ""]
+        lines += [f"- *Taken for granted by*: {row.by}.", f"- *If it is wrong*: {row.wrong}"]
+        lines += [f"- *Checked by*: {checked}; {row.when}.", ""]
+    return "\n".join(lines[:-1]) + "\n"
