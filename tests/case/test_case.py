@@ -86,6 +86,13 @@ def test_a_hazard_without_a_claim_says_that_nothing_helps(cited: list[Citation])
     ]
 
 
+def test_an_assumption_that_nothing_makes_is_a_gap(cited: list[Citation]) -> None:
+    idle = dataclasses.replace(ASSUMPTIONS[0], name="IDLE", by="nobody")
+    assert list(gaps(CLAIMS, HAZARDS, [*ASSUMPTIONS, idle], cited)) == [
+        "nothing takes IDLE for granted: name it, or drop it"
+    ]
+
+
 def test_a_time_without_a_number_is_a_gap(cited: list[Citation]) -> None:
     timeless = dataclasses.replace(CLAIMS[0], says="The stop is written within its time.", bound_ms=None)
     (found,) = gaps((timeless, *CLAIMS[1:]), HAZARDS, ASSUMPTIONS, cited)

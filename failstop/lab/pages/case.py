@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from pathlib import Path
 
-from failstop.lab.case import assumptions, cited, claims, hazards
+from failstop.lab.case import assumptions, cited, claims, gaps, hazards
 from failstop.lab.case.cited import Citation
 from failstop.lab.case.claims import Claim
 
@@ -24,8 +24,9 @@ EVIDENCE_HEAD = """\
 Generated from the declarations of what carries each claim (`make docs`): tests by the mark `claim`, classes of
 faults, properties of the [model](model.md), [litmus tests](memory-order.md), rules and marks of the
 [simulation](simulation.md) and rows of the [bench](measured.md). CI fails for a claim that nothing carries, for a
-citation of no claim, for one of these rows that neither cites a claim nor is said to carry none, for a time without a
-number, and for a bound that is not the latest bar of its rows in [faults.md](faults.md).
+citation of no claim, for one of these rows that neither cites a claim nor is said to carry none, for an assumption
+that nothing makes, for a time without a number, and for a bound that is not the latest bar of its rows in
+[faults.md](faults.md).
 
 What a fault, model, litmus test or row of the bench found last is copied from those pages, which say when and on
 which machine. A test of `tests/` and a rule of the simulation found nothing wrong in the last run of CI. A mark of the
@@ -78,9 +79,11 @@ def evidence_page(root: Path) -> str:
             by_claim[name].append(citation)
     lines = [EVIDENCE_HEAD]
     for claim in claims.CLAIMS:
-        assumed = ", ".join(f"[{name}](assumptions.md#{name.lower()})" for name in claim.assumes)
+        taken = gaps.taken_by(by_claim[claim.name], assumptions.ASSUMPTIONS)
+        assumed = ", ".join(map(_taken, claim.assumes))
+        besides = ", ".join(_taken(name) for name in taken if name not in claim.assumes)
         lines += [f"## {claim.name}", "", claim.says, ""]
-        lines += [f"*Falsified by* {claim.falsified}. *Assumes* {assumed}.", ""]
+        lines += [f"*Falsified by* {claim.falsified}. *Assumes* {assumed}. *Its proofs assume* {besides}.", ""]
         lines += ["| carried by | | found last |", "|---|---|---|"]
         carried = sorted(by_claim[claim.name], key=lambda row: cited.CARRIERS.index(row.kind))
         reached = "; ".join(row.what for row in carried if row.kind == cited.MARK)
@@ -88,6 +91,10 @@ def evidence_page(root: Path) -> str:
         lines += [f"| {cited.MARK} | {reached} |  |"] * bool(reached)
         lines.append("")
     return "\n".join(lines[:-1]) + "\n"
+
+
+def _taken(name: str) -> str:
+    return f"[{name}](assumptions.md#{name.lower()})"
 
 
 def _code(row: Citation) -> str:
