@@ -20,7 +20,7 @@ SAYS_S = 400.0
 TURNS_S = 60.0
 LEAVES = "nothing is written; `failstop setup` goes on from here"
 WIRES = {0: "rr-", 1: "fl+", 2: "fr-", 3: "rl+"}
-"""Which wheel is at which id, and its motor's sign: what setup is to find out."""
+"""The wheel at each id, and its motor's sign, for setup to find out."""
 FORWARD = {name[:-1]: 1 for name in WIRES.values()}
 TO_THE_LEFT = FORWARD | {"fl": -1, "rl": -1}
 WHICH_FILE = "Write them to which file?"

@@ -21,7 +21,7 @@ from failstop.api.errors import FailstopError
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import Row
 from failstop.lab.probe.publisher import GUARD
-from failstop.lab.probe.watcher import STOP, Orders
+from failstop.lab.probe.watcher import STOP_WORD, Orders
 from failstop.lab.prove import shake
 from failstop.lab.prove.sight import SeenSample
 from failstop.ros2.command import find_rclpy
@@ -187,7 +187,7 @@ def rows(arguments: Namespace, names: Iterable[str], say: Callable[[str], None])
     finally:
         if guard.process.poll() is not None:  # somebody has killed it
             guard = Publisher(topic, stamped=stamped, what=GUARD, keep=True)
-            guard.orders.give(STOP)
+            guard.orders.give(STOP_WORD)
         guard.left()
         if listener:
             listener.close()
@@ -204,7 +204,7 @@ def _driving(arguments: Namespace, listener: Listener, guard: Publisher, count: 
         yield publishers
     finally:
         try:
-            guard.orders.give(STOP)
+            guard.orders.give(STOP_WORD)
         finally:
             for publisher in publishers:
                 publisher.end()

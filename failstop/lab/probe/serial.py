@@ -21,7 +21,7 @@ from failstop.board.port import has_lines, open_port
 from failstop.board.tap import Tap
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import Row
-from failstop.lab.probe.watcher import STOP, Orders, halting
+from failstop.lab.probe.watcher import STOP_WORD, Orders, halting
 from failstop.lab.prove import shake
 from failstop.lab.prove.sight import SeenSample
 from failstop.procs.telemetry.imu import RAD_PER_DEG
@@ -94,7 +94,7 @@ class SerialProbe:
         )
         self._orders = Orders(self._watcher)
         try:
-            self._tell(STOP)
+            self._tell(STOP_WORD)
             self._open()
         except BaseException:
             self.close()
@@ -258,7 +258,7 @@ class SerialProbe:
         else:
             self._say("Plug it in again.")
         self._until(PLUG_S, lambda: os.path.exists(self._path))
-        self._tell(STOP)
+        self._tell(STOP_WORD)
         self._open()
         seconds = None if stands_ns is None else (stands_ns - cause_ns) / 1e9
         return Row("plug", ROWS["plug"], seconds, judge.PERSON)
@@ -285,7 +285,7 @@ class SerialProbe:
 
     def _finish(self) -> None:
         """The wheels stand, whatever was done to the driver."""
-        self._tell(STOP)
+        self._tell(STOP_WORD)
         self._end_driver()
         if self._tap and has_lines(self._tap.fd):
             self._open()

@@ -25,14 +25,14 @@ from failstop.board.port import PortError
 
 SILENT_S = 5.0
 """A probe that has said nothing for so long hangs, or is not run."""
-HERE, STOP, DONE, LATE = "here", "stop", "done", "late"
+HERE, STOP_WORD, DONE_WORD, LATE_WORD = "here", "stop", "done", "late"
 HERE_S = 1.0
 """Between two words of the probe's that it runs."""
 WAITS_S = 300.0
 """The longest that it tries to have the port, at its end."""
 WRITES = 5
 APART_S = 0.1
-GONE = "the watcher has ended, and the wheels were stopped: repeat it; if a wheel turns, use the POWER SWITCH"
+WATCHER_GONE = "the watcher has ended, and the wheels were stopped: repeat it; if a wheel turns, use the POWER SWITCH"
 
 
 class Watcher:
@@ -69,10 +69,10 @@ class Watcher:
         verb, _, what = line.partition(" ")
         if verb == "drive":
             self._pids.append(int(what))
-        elif verb == STOP:
+        elif verb == STOP_WORD:
             self.stop(0.0)
         if verb != HERE:
-            print(LATE if self._late else DONE, flush=True)
+            print(LATE_WORD if self._late else DONE_WORD, flush=True)
             self._late = False
 
     def stop(self, wait_s: float) -> None:
@@ -98,8 +98,8 @@ class Orders:
         assert self._watcher.stdout
         answer = self._watcher.stdout.readline().strip()
         if not answer:
-            raise FailstopError(GONE)
-        if answer == LATE:
+            raise FailstopError(WATCHER_GONE)
+        if answer == LATE_WORD:
             raise FailstopError("the machine did not run this probe in time, and the wheels were stopped: repeat it")
 
     def here(self) -> None:
@@ -114,7 +114,7 @@ class Orders:
             self._watcher.stdin.write(f"{line}\n")
             self._watcher.stdin.flush()
         except OSError:
-            raise FailstopError(GONE) from None
+            raise FailstopError(WATCHER_GONE) from None
 
 
 def ignore_terminal() -> None:
@@ -124,7 +124,7 @@ def ignore_terminal() -> None:
 
 
 def halting(path: str, kind: str) -> Callable[[float], None]:
-    """What stops the wheels of a board of this kind at this port. It writes several stops: one may be lost."""
+    """Return what stops the wheels of a board of this kind at this port. It writes several stops: one may be lost."""
     board = board_of(kind, 1.0, 0.0)
 
     def halt(wait_s: float) -> None:
