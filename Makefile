@@ -146,7 +146,7 @@ $(PYODIDE): Makefile
 site: $(VENV)/.dev browser
 	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,docs]'
 	$(BIN)/zensical build --clean --strict
-	mkdir -p build/site/robot && cp build/browser/index.html build/site/robot/
+	cp build/browser/index.html build/site/touch/robot.html
 
 # The pictures of terminals that README and docs show, of what the commands print now.
 screens: $(VENV)/.dev

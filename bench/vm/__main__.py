@@ -95,7 +95,7 @@ def install(machine: Guest, run: Run) -> None:
 def inside(machine: Guest, names: list[str], run: Run) -> None:
     """The trials in the guest."""
     words = ("env", "-C", "/srv/trials", PYTHON, "-u", "-m", "bench.vm.inside", *names)
-    for line in machine.lines(*words, timeout_s=1500.0, wait_s=1800.0) if names else ():
+    for line in machine.lines(*words, timeout_s=2400.0, wait_s=2700.0) if names else ():
         if isinstance(line, str):
             run.take(line)
 

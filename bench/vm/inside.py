@@ -20,7 +20,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from bench.vm import distribution, floor
+from bench.vm import distribution, first_hour, floor
 from bench.vm.scene import (
     FAILSTOP,
     HAND_S,
@@ -351,6 +351,7 @@ DO: dict[str, Callable[[Scene], Iterator[Result]]] = {
     "drain_stop": drain_stop,
     "clock": clock,
     **distribution.DO,
+    **first_hour.DO,
 }
 
 

@@ -78,6 +78,8 @@ TRIALS = (
         200.0,
     ),
     Trial("modem", "a plug without the service: ModemManager does not open the port", INSIDE),
+    Trial("setup", "`failstop setup` at a terminal: beside the service, a plug pulled, taken up again", INSIDE),
+    Trial("probe", "`failstop probe` of the board, its plug pulled too", INSIDE),
     Trial("floor_outside", "the floor, in the guest of the boots", OUTSIDE, "the kill"),
     Trial("sleep", "sleep and resume, the chip keeps its power", OUTSIDE, "the processes run again", 1000.0),
     Trial(

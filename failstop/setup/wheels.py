@@ -156,7 +156,7 @@ class Trial:
         reach_m = settings["wheels.track_m"] if "wheels.track_m" in settings.flat() else settings["wheels.lever_m"]
         tries: list[tuple[str, str, tuple[float, float, float]]] = [
             ("forward", "Did every wheel turn forward?", (rim, 0.0, 0.0)),
-            ("turn", "Did the left wheels turn backward, and the right ones forward?", (0.0, 0.0, rim / reach_m)),
+            ("turn", "Did the left wheels turn backward, the right ones forward?", (0.0, 0.0, rim / reach_m)),
         ]
         if self._count == 3:
             tries = [

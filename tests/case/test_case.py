@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,13 +11,14 @@ import pytest
 
 from failstop.lab.case.asserted import ASSERTIONS
 from failstop.lab.case.assumptions import ASSUMPTIONS
-from failstop.lab.case.cited import CARRIERS, TEST, Citation, citations, of_tests
+from failstop.lab.case.cited import CARRIERS, TEST, Citation, citations, of_bench, of_marks, of_tests, script
 from failstop.lab.case.claims import CLAIMS
 from failstop.lab.case.gaps import gaps, other_bounds
 from failstop.lab.case.hazards import HAZARDS
 from failstop.lab.faults import arm_table, table
 from failstop.lab.pages.case import claims_table
 from failstop.lab.pages.made import ROOT
+from failstop.lab.simulate import marks
 
 SAFETY = ROOT / "docs/safety.md"
 MOST_WORDS = 2000
@@ -50,10 +52,44 @@ def test_a_citation_of_no_claim_is_a_gap(cited: list[Citation], tmp_path: Path) 
     ]
 
 
+def test_a_mark_that_cites_nothing_is_a_gap(cited: list[Citation], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(marks, "NOT_TRIED", marks.NOT_TRIED.keys() - {"cause mute"})
+    assert list(gaps(CLAIMS, HAZARDS, ASSUMPTIONS, [*cited, *of_marks()])) == [
+        "simulation marks, cause mute: cites no claim: name one, or say that it carries none"
+    ]
+
+
+def test_a_row_of_the_bench_that_cites_nothing_is_a_gap(cited: list[Citation], tmp_path: Path) -> None:
+    for name in ("bench/claims.py", "docs/dev/measured.md"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_text((ROOT / name).read_text("utf-8"))
+    with (tmp_path / "docs/dev/measured.md").open("a") as page:
+        page.write("\n| new -> stop frame | 1 ms | p99 < 2 ms | met |\n| new, for the record | 1 ms | - | |\n")
+    assert list(gaps(CLAIMS, HAZARDS, ASSUMPTIONS, [*cited, *of_bench(tmp_path)])) == [
+        "bench, new -> stop frame: cites no claim: name one, or say that it carries none"
+    ]
+
+
+def test_each_line_of_claims_fits_a_mark_or_a_row_of_the_bench() -> None:
+    names = list(marks.names())
+    assert marks.NOT_TRIED.keys() <= set(names)
+    assert [line for line, _ in marks.CLAIMS if not any(re.fullmatch(line, name) for name in names)] == []
+    told, page = script(ROOT / "bench/claims.py"), (ROOT / "docs/dev/measured.md").read_text("utf-8")
+    lines = [line for line, _ in told.CLAIMS] + list(told.CARRY_NONE)
+    assert [line for line in lines if not re.search(rf"(?m)^\| ({line})", page)] == []
+
+
 def test_a_hazard_without_a_claim_says_that_nothing_helps(cited: list[Citation]) -> None:
     bare = dataclasses.replace(HAZARDS[0], claims=())
     assert list(gaps(CLAIMS, (bare, *HAZARDS[1:]), ASSUMPTIONS, cited)) == [
         f"the hazard {bare.name} has no claim: name one, or say that nothing helps"
+    ]
+
+
+def test_an_assumption_that_nothing_makes_is_a_gap(cited: list[Citation]) -> None:
+    idle = dataclasses.replace(ASSUMPTIONS[0], name="IDLE", by="nobody")
+    assert list(gaps(CLAIMS, HAZARDS, [*ASSUMPTIONS, idle], cited)) == [
+        "nothing takes IDLE for granted: name it, or drop it"
     ]
 
 

@@ -89,6 +89,7 @@ def screens(kind: str, simulated: Simulated, folder: Path, capsys: pytest.Captur
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", BOARDS)
+@pytest.mark.claim("DISTANCE-1")
 def test_every_screen_tells_the_way_that_the_wheels_make(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -135,11 +135,19 @@ def test_what_a_page_links_to_is_there(page: Path) -> None:
             assert anchor in {re.sub(r"[^\w -]", "", head.lower()).replace(" ", "-") for head in heads}, target
 
 
-def test_the_index_has_every_page() -> None:
-    index = (ROOT / "docs" / "README.md").read_text()
+def test_the_index_and_the_site_have_every_page() -> None:
+    index, site = (ROOT / "docs" / "README.md").read_text(), (ROOT / "mkdocs.yml").read_text()
     for page in PAGES[1:]:
         path = page.relative_to(ROOT / "docs")
         assert path.name == "README.md" or f"({path})" in index, f"docs/README.md does not name {path}"
+        assert len(re.findall(rf"[\[ ]{path}[\],\n]", site)) == 1, f"mkdocs.yml does not name {path} once"
+
+
+def test_the_robot_in_the_browser_is_where_its_page_leads_and_replaces_no_page() -> None:
+    made = (ROOT / "Makefile").read_text()
+    (address,) = re.findall(r"cp build/browser/index\.html build/site/(\S+)", made)
+    assert f'<a href="{address}">' in (ROOT / "docs/touch.md").read_text()
+    assert address not in {f"{page.relative_to(ROOT / 'docs').with_suffix('')}/index.html" for page in PAGES[1:]}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -1,9 +1,10 @@
-"""A ROS 2 driver of the usual kind, for the probe: `python base.py TIMEOUT_S`. It obeys /cmd_vel and tells /odom; with
-a timeout of 0 it keeps the last velocity. Each change of what its wheels do is a line: when (ns), and whether they
-turn. Never imported by a test."""
+"""A ROS 2 driver of the usual kind, for the probe: `python base.py TIMEOUT_S`. It obeys /cmd_vel, and tells /odom and
+/imu; with a timeout of 0 it keeps the last velocity. Each change of what its wheels do is a line: when (ns), and
+whether they turn. Never imported by a test."""
 
 from __future__ import annotations
 
+import random
 import sys
 import time
 from typing import Any
@@ -30,6 +31,8 @@ def main(timeout_s: float) -> None:
     odometry = type_of("nav_msgs/msg/Odometry")
     node.create_subscription(type_of("geometry_msgs/msg/Twist"), "/cmd_vel", obey, QoSProfile(depth=1))
     publisher = node.create_publisher(odometry, "/odom", QoSProfile(depth=10))
+    imu = type_of("sensor_msgs/msg/Imu")
+    shakes = node.create_publisher(imu, "/imu", QoSProfile(depth=10))
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     turned, due_s = False, time.monotonic()
@@ -47,6 +50,10 @@ def main(timeout_s: float) -> None:
             message = odometry()
             message.twist.twist.linear.x, message.pose.pose.position.x = speed, x
             publisher.publish(message)
+            felt = imu()
+            felt.angular_velocity.x = random.gauss(0.0, 0.2 if speed else 0.01)
+            felt.angular_velocity.y = random.gauss(0.0, 0.2 if speed else 0.01)
+            shakes.publish(felt)
 
 
 main(float(sys.argv[1]))

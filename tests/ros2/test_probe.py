@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -20,9 +21,9 @@ ENDS_S = 60.0
 ROWS = "silence,sigkill,sigstop,abort,nan,two" if LONG else "sigkill,abort"
 
 
-def probing(rows: str, out: Path) -> list[str]:
+def probing(rows: str, out: Path, *more: str) -> list[str]:
     """The command."""
-    words = ["probe", "ros2", "--rows", rows, "--yes", "--json", "--out", str(out / "card")]
+    words = ["probe", "ros2", "--rows", rows, "--yes", "--json", "--out", str(out / "card"), *more]
     return [sys.executable, "-m", "failstop", *words]
 
 
@@ -33,11 +34,11 @@ def driver(ros: Ros, timeout_s: float) -> subprocess.Popen[str]:
     )
 
 
-def card(ros: Ros, timeout_s: float, rows: str, out: Path) -> tuple[list[dict], list[float]]:
+def card(ros: Ros, timeout_s: float, rows: str, out: Path, *more: str) -> tuple[list[dict], list[float]]:
     """The rows of the card of such a driver, and when its wheels came to rest (s, CLOCK_MONOTONIC), by its own word."""
     with driver(ros, timeout_s) as base:
         try:
-            done = ros.run(*probing(rows, out), timeout_s=280.0)
+            done = ros.run(*probing(rows, out, *more), timeout_s=280.0)
         finally:
             base.kill()
         changes = [line.split() for line in base.communicate()[0].splitlines()]
@@ -48,9 +49,10 @@ def card(ros: Ros, timeout_s: float, rows: str, out: Path) -> tuple[list[dict], 
 
 
 @pytest.mark.slow
-def test_a_driver_with_a_timeout_stops_after_it(ros: Ros, tmp_path: Path) -> None:
-    rows, rests = card(ros, TIMEOUT_S, ROWS, tmp_path)
-    assert [row["row"] for row in rows] == ROWS.split(",")
+@pytest.mark.parametrize(("judge", "tried"), [("odometry", ROWS), ("IMU", "silence")])
+def test_a_driver_with_a_timeout_stops_after_it(ros: Ros, tmp_path: Path, judge: str, tried: str) -> None:
+    rows, rests = card(ros, TIMEOUT_S, tried, tmp_path, *(["--imu", "/imu"] if judge == "IMU" else []))
+    assert [(row["row"], row["judged_by"]) for row in rows] == [(name, judge) for name in tried.split(",")]
     for row in rows:
         really_s = next(at_s for at_s in rests if at_s >= row["failed_at_monotonic_s"]) - row["failed_at_monotonic_s"]
         print(f"{row['row']}: {row['stands_s']}, give or take {row['give_or_take_s']}; really {really_s:.3f}")
@@ -65,14 +67,22 @@ def test_a_driver_without_one_never_does(ros: Ros, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_probe_that_is_killed_leaves_no_base_driving(ros: Ros, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("victim", "how"), [("probe", "SIGKILL"), ("probe", "SIGSTOP"), ("guard", "SIGKILL")])
+def test_a_probe_of_which_one_process_fails_leaves_no_base_driving(
+    ros: Ros, tmp_path: Path, victim: str, how: str
+) -> None:
+    """The base is one that keeps its last speed forever."""
     with driver(ros, 0.0) as base:
         assert base.stdout
         with subprocess.Popen(probing("silence", tmp_path), env=ros.environment, stdout=subprocess.DEVNULL) as probe:
             assert base.stdout.readline().split()[1:] == ["1"]
             others = psutil.Process(probe.pid).children()
-            probe.kill()
+            struck = [each for each in others if victim in each.cmdline()] or [psutil.Process(probe.pid)]
+            struck[0].send_signal(signal.Signals[how])
+            assert base.stdout.readline().split()[1:] == ["0"]
+            if victim == "probe":
+                probe.kill()
         assert not psutil.wait_procs(others, ENDS_S)[1]
         base.terminate()
         changes = base.stdout.read().split("\n")[:-1]
-    assert changes[-1].split()[1:] == ["0"]
+    assert changes == []

@@ -13,7 +13,7 @@ class Assumption:
     """As a claim names it."""
     says: str
     by: str
-    """The proofs that take it for granted."""
+    """The proofs that take it for granted: kinds of citations (cited.py), or what a person reads."""
     wrong: str
     """The consequence where it does not hold."""
     checked: str
@@ -75,13 +75,13 @@ ASSUMPTIONS = (
         "tests/systemd/test_service.py", EACH,
     ),
     Assumption(
-        "PTY", "A pty stands for the board's USB port, but for what docs/dev/usb.md lists.", "tests, bench",
+        "PTY", "A pty stands for the board's USB port, but for what docs/dev/usb.md lists.", "tests, faults, bench",
         "A driver of USB that behaves in another way; `failstop prove` meets it on the robot itself.",
         "`make vm` (a simulated USB device on a real kernel)", "2026-11-23",
     ),
     Assumption(
         "RECEIVER", "The simulated receiver executes what the board's firmware executes.",
-        "every test that a board judges",
+        "tests, faults, simulation, bench",
         "A stop that the simulated board takes and the real one does not; `failstop prove` meets it.",
         "tests/boards/test_recorded.py (recorded of firmware that ran in an emulator or was compiled), `failstop"
         " prove`",
@@ -116,6 +116,15 @@ ASSUMPTIONS = (
         "tests/machine/test_both_worlds.py", CAMPAIGNS,
     ),
     Assumption(
+        "EQUAL", "A run that the simulation leaves out is the same as one that it plays, to the last call and its"
+        " time.", "simulation", "A fault at a call that no run has played.", "tests/machine/test_equal.py", EACH,
+    ),
+    Assumption(
+        "WEAK", "Where shared memory is drawn as weak, stores are late and loads early as AArch64 permits it.",
+        "simulation", "An order that a processor shows and no run has; the litmus tests judge each pair by itself.",
+        "tests/machine/test_memory.py", EACH,
+    ),
+    Assumption(
         "USERS", "The kernel keeps users apart: permissions of files, pipes and memory, and the rights of root.",
         "ACCESS-1",
         "Whoever is not kept out by the kernel may drive within the limits.", "tests/safety/test_table.py", EACH,
@@ -126,7 +135,7 @@ ASSUMPTIONS = (
     ),
     Assumption(
         "BRAKE", "A board that is told zero brakes the wheels with the deceleration that the settings name.",
-        "stopping distances", "The robot stops later than `failstop config` says.", "`failstop prove` on the robot",
+        "DISTANCE-1", "The robot stops later than `failstop config` says.", "`failstop prove` on the robot",
         "on each robot, by its owner",
     ),
 )  # fmt: skip

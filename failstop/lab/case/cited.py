@@ -18,17 +18,17 @@ from types import ModuleType
 from failstop.lab.case import asserted
 from failstop.lab.faults import arm_table, table
 from failstop.lab.faults.fault import CLAIMS_OF, FAULT_CLASSES
-from failstop.lab.simulate import witness
+from failstop.lab.simulate import marks, witness
 
-TEST, FAULTS, MODEL, LITMUS, SIMULATION, BENCH = "tests", "faults", "model", "litmus tests", "simulation", "bench"
-ASSERTION = "assertion"
-CARRIERS = (TEST, ASSERTION, FAULTS, MODEL, LITMUS, SIMULATION, BENCH)
+TEST, ASSERTION, FAULTS, MODEL, LITMUS = "tests", "assertion", "faults", "model", "litmus tests"
+SIMULATION, MARK, BENCH = "simulation", "simulation marks", "bench"
+CARRIERS = (TEST, ASSERTION, FAULTS, MODEL, LITMUS, SIMULATION, MARK, BENCH)
 HOLDS = "holds"
 
 
 @dataclasses.dataclass(frozen=True)
 class Citation:
-    """One thing that carries claims."""
+    """One thing that carries claims; one of none is a gap (gaps.py)."""
 
     kind: str
     """One of CARRIERS."""
@@ -39,8 +39,9 @@ class Citation:
 
 
 def citations(root: Path) -> list[Citation]:
-    """All of a checkout, in the order of CARRIERS. Raises OSError where a part is not there."""
-    found = (of_tests(root), _asserted(), _faults(root), _model(root), _litmus(root), _simulation(), _bench(root))
+    """All of a checkout. Raises OSError where a part is not there."""
+    of_code = (_asserted(), _simulation(), of_marks())
+    found = (of_tests(root), *of_code, _faults(root), _model(root), _litmus(root), of_bench(root))
     return [citation for part in found for citation in part]
 
 
@@ -101,22 +102,25 @@ def _model(root: Path) -> Iterator[Citation]:
     check = script(root / "model/check")
     found = dict(_verdicts((root / "model/checked.txt").read_text("utf-8"), r"\s+\d+\s+"))
     every = [name for name, _, expected in check.RUNS if expected == HOLDS]
-    for name, claims in check.CLAIMS.items():
+    for _, name in check.PROPERTIES:
         without = [row for row, _, expected in check.RUNS if expected == name]
         held = sum(found.get(row) == HOLDS for row in every)
         missed = sum(found.get(row) == name for row in without)
-        last = f"holds in {held} of {len(every)} variants; fails in {missed} of {len(without)} that lack a part of it"
-        yield Citation(MODEL, f"property {name}", claims, last)
+        fails = f"; fails in {missed} of {len(without)} that lack a part of it" if without else ""
+        claims = check.CLAIMS.get(name, ())
+        yield Citation(MODEL, f"property {name}", claims, f"holds in {held} of {len(every)} variants{fails}")
 
 
 def _litmus(root: Path) -> Iterator[Citation]:
     check = script(root / "model/aarch64/check")
     found = dict(_verdicts((root / "model/aarch64/checked.txt").read_text("utf-8"), r"\s+"))
-    for name, claims in check.CLAIMS.items():
+    for name, verdict in found.items():
+        if "control" in name or not verdict.startswith(("never", "sometimes")):
+            continue
         controls = [row for row in found if row.startswith(f"{name}-control")]
         bad = sum(found[row].startswith("sometimes") for row in controls)
-        last = f"goes wrong {found[name].split()[0]}; {bad} of {len(controls)} controls do"
-        yield Citation(LITMUS, name, claims, last)
+        last = f"goes wrong {verdict.split()[0]}; {bad} of {len(controls)} controls do"
+        yield Citation(LITMUS, name, check.CLAIMS.get(name, ()), last)
 
 
 def _verdicts(text: str, between: str) -> Iterator[tuple[str, str]]:
@@ -145,9 +149,20 @@ def _simulation() -> Iterator[Citation]:
         yield Citation(SIMULATION, rule, claims, "")
 
 
-def _bench(root: Path) -> Iterator[Citation]:
-    claims_of = script(root / "bench/claims.py").claims_of
+def of_marks() -> Iterator[Citation]:
+    """Each mark that a campaign must reach."""
+    for name in marks.names():
+        if name not in marks.NOT_TRIED:
+            yield Citation(MARK, name, marks.claims_of(name), "")
+
+
+def of_bench(root: Path) -> Iterator[Citation]:
+    """Each row of docs/dev/measured.md that has a bar, but for those of no claim, and what else carries one."""
+    told = script(root / "bench/claims.py")
     for line in (root / "docs/dev/measured.md").read_text("utf-8").splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) == 4 and (claims := claims_of(cells[0])):
-            yield Citation(BENCH, cells[0], claims, f"{cells[1]}; {cells[3].strip('*')}")
+        if len(cells) != 4 or cells[2] in ("bar", "---"):
+            continue
+        claims = told.claims_of(cells[0])
+        if claims or not (cells[2] == "-" or told.carries_none(cells[0])):
+            yield Citation(BENCH, cells[0], claims, "; ".join(filter(None, (cells[1], cells[3].strip("*")))))

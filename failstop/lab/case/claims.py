@@ -180,6 +180,13 @@ CLAIMS = (
         "a board whose `status` says armed, and that drives on when everything is frozen",
     ),
     Claim(
+        "DISTANCE-1",
+        "Wherever a limit is set, failstop says how far the robot goes until it stands, by the deceleration that you"
+        " measured.",
+        None, "5 % of the way of simulated wheels", ("BRAKE",),
+        "two screens that say different ways, or wheels that brake as the settings say and roll further",
+    ),
+    Claim(
         "RETURN-1",
         "Once nothing fails any more, a reset and an enable are granted, and the wheels turn.",
         None, "2 s of simulated time; every run of the model ends", ("SIMULATED", "MODEL"),

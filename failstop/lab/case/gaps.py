@@ -20,7 +20,7 @@ def gaps(
     claims: Iterable[Claim], hazards: Iterable[Hazard], assumptions: Iterable[Assumption], cited: Iterable[Citation]
 ) -> Iterator[str]:
     """Each gap in words: what to name, or to take away."""
-    claims, cited = tuple(claims), tuple(cited)
+    claims, cited, assumptions = tuple(claims), tuple(cited), tuple(assumptions)
     known = {claim.name for claim in claims}
     taken = {row.name for row in assumptions}
     named = {name for citation in cited for name in citation.claims}
@@ -33,13 +33,25 @@ def gaps(
             f"{claim.name} assumes {name}, which is no assumption" for name in claim.assumes if name not in taken
         )
     for citation in cited:
+        if not citation.claims:
+            yield f"{citation.kind}, {citation.what}: cites no claim: name one, or say that it carries none"
         for name in citation.claims:
             if name not in known:
                 yield f"{citation.kind}, {citation.what}: cites {name}, which is no claim"
+    used = {name for claim in claims for name in claim.assumes} | set(taken_by(cited, assumptions))
+    yield from (
+        f"nothing takes {row.name} for granted: name it, or drop it" for row in assumptions if row.name not in used
+    )
     for hazard in hazards:
         if not hazard.claims and not hazard.does.startswith(NOTHING_HELPS):
             yield f"the hazard {hazard.name} has no claim: name one, or say that nothing helps"
         yield from (f"{hazard.name} names {name}, which is no claim" for name in hazard.claims if name not in known)
+
+
+def taken_by(cited: Iterable[Citation], assumptions: Iterable[Assumption]) -> list[str]:
+    """The names of the assumptions that these kinds of proofs take for granted."""
+    kinds = {citation.kind.removesuffix(" marks") for citation in cited}
+    return [row.name for row in assumptions if not kinds.isdisjoint(row.by.split(", "))]
 
 
 def other_bounds(claims: Iterable[Claim], faults: Iterable[Fault], arm: Iterable[ArmFault]) -> Iterator[str]:

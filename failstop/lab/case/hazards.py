@@ -113,7 +113,7 @@ HAZARDS = (
         "a board that coasts instead of braking, a load",
         "shows the stopping distance that follows from limits, times and a deceleration",
         "the distance is as right as the deceleration that was measured", "lower limits; measure with the load on",
-        ("DEATH-1", "HANG-1"),
+        ("DISTANCE-1",),
     ),
     Hazard(
         "H-DROPS", OF_STOPPING, "The arm drops what it holds", "a stop that takes the torque away; a supply that fails",

@@ -51,6 +51,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     add = by_ros.add_argument
     add("--cmd-vel", default="/cmd_vel", metavar="TOPIC", help="where it takes velocities (default: %(default)s)")
     add("--odom", default="/odom", metavar="TOPIC", help="where it says how it moves (default: %(default)s)")
+    add(
+        "--imu",
+        metavar="TOPIC",
+        help="judge by this IMU instead: an odometry may be what it was told, not what it does",
+    )
     add("--stamped", action="store_true", help="it takes TwistStamped")
     add("--driver-pid", type=int, metavar="PID", help="its driver's process, which is killed as the last row")
     for way, rows in ((by_port, serial.ROWS), (by_ros, ros2.ROWS)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from pathlib import Path
 
-from failstop.lab.case import assumptions, cited, claims, hazards
+from failstop.lab.case import assumptions, cited, claims, gaps, hazards
 from failstop.lab.case.cited import Citation
 from failstop.lab.case.claims import Claim
 
@@ -14,22 +14,24 @@ HAZARDS_HEAD = """\
 
 Generated from `failstop/lab/case/hazards.py` (`make docs`). Each hazard of a robot that failstop stops: how it comes
 about, what failstop does, what remains, and what helps beside it. *Stopping itself* adds hazards, and so does the
-tool. The last column names the claims of [safety.md](safety.md) that answer it, each with its longest time and what
-that counts from there; [evidence.md](dev/evidence.md) has what carries each. A robot, its load and its place have
-hazards of their own: this list is where to begin, not where to end.
+tool. The claims of [safety.md](safety.md) that answer it stand below it, each with its longest time;
+[evidence.md](dev/evidence.md) has what carries each. A robot, its load and its place have hazards of their own: this
+list is where to begin, not where to end.
 """
 EVIDENCE_HEAD = """\
 # Evidence
 
 Generated from the declarations of what carries each claim (`make docs`): tests by the mark `claim`, classes of
-faults, properties of the [model](model.md), [litmus tests](memory-order.md), rules of the [simulation](simulation.md)
-and rows of the [bench](measured.md). CI fails for a claim that nothing carries, for a citation of no claim, for a
-time without a number, and for a bound that is not the latest bar of its rows in [faults.md](faults.md).
+faults, properties of the [model](model.md), [litmus tests](memory-order.md), rules and marks of the
+[simulation](simulation.md) and rows of the [bench](measured.md). CI fails for a claim that nothing carries, for a
+citation of no claim, for one of these rows that neither cites a claim nor is said to carry none, for an assumption
+that nothing makes, for a time without a number, and for a bound that is not the latest bar of its rows in
+[faults.md](faults.md).
 
 What a fault, model, litmus test or row of the bench found last is copied from those pages, which say when and on
-which machine. A test of `tests/` and a rule of the simulation found nothing wrong in the last run of CI. A p99 above
-its bar (more than 1.00 of it) comes of a campaign on a machine that withheld its processors; no such run missed a
-stop.
+which machine. A test of `tests/` and a rule of the simulation found nothing wrong in the last run of CI. A mark of the
+simulation is a place that `failstop simulate` must reach, and fails if it does not. A p99 above its bar (more than 1.00
+of it) comes of a campaign on a machine that withheld its processors; no such run missed a stop.
 """
 ASSUMPTIONS_HEAD = """\
 # Assumptions
@@ -44,21 +46,20 @@ def hazards_page() -> str:
     lines = [HAZARDS_HEAD]
     for kind in hazards.HAZARD_CLASSES:
         lines += [f"## {kind[0].upper()}{kind[1:]}", ""]
-        lines += [
-            "| hazard | how it comes about | failstop | what remains | what helps | claims, and how soon |",
-            "|" + "---|" * 6,
-        ]
         for row in hazards.HAZARDS:
             if row.kind == kind:
                 carried = ", ".join(_soon(claims.BY_NAME[name]) for name in row.claims) or "none"
-                cells = (f"**{row.what}** ({row.name})", row.how, row.does, row.remains, row.helps, carried)
-                lines.append(f"| {' | '.join(cells)} |")
-        lines.append("")
+                lines += [f"### {row.name}: {row.what}", "", f"- *Comes of*: {row.how}.", f"- *failstop*: {row.does}."]
+                lines += [f"- *Remains*: {row.remains}.", f"- *Helps*: {row.helps}.", f"- *Claims*: {carried}.", ""]
     return "\n".join(lines[:-1]) + "\n"
 
 
 def _soon(claim: Claim) -> str:
-    return claim.name if claim.bound_ms is None else f"{claim.name} ({claim.bound_ms:g} ms)"
+    return _link(claim, "dev/") if claim.bound_ms is None else f"{_link(claim, 'dev/')} ({claim.bound_ms:g} ms)"
+
+
+def _link(claim: Claim, folder: str) -> str:
+    return f"[{claim.name}]({folder}evidence.md#{claim.name.lower()})"
 
 
 def claims_table() -> str:
@@ -66,7 +67,7 @@ def claims_table() -> str:
     lines = ["| | claim | p99, at most | counted |", "|---|---|---|---|"]
     for claim in claims.CLAIMS:
         bound = "" if claim.bound_ms is None else f"{claim.bound_ms:g} ms"
-        lines.append(f"| {claim.name} | {claim.says} | {bound} | {claim.counted} |")
+        lines.append(f"| {_link(claim, 'dev/')} | {claim.says} | {bound} | {claim.counted} |")
     return "\n".join(lines)
 
 
@@ -78,13 +79,22 @@ def evidence_page(root: Path) -> str:
             by_claim[name].append(citation)
     lines = [EVIDENCE_HEAD]
     for claim in claims.CLAIMS:
-        assumed = ", ".join(claim.assumes)
+        taken = gaps.taken_by(by_claim[claim.name], assumptions.ASSUMPTIONS)
+        assumed = ", ".join(map(_taken, claim.assumes))
+        besides = ", ".join(_taken(name) for name in taken if name not in claim.assumes)
         lines += [f"## {claim.name}", "", claim.says, ""]
-        lines += [f"*Falsified by* {claim.falsified}. *Assumes* {assumed} ([assumptions.md](assumptions.md)).", ""]
+        lines += [f"*Falsified by* {claim.falsified}. *Assumes* {assumed}. *Its proofs assume* {besides}.", ""]
         lines += ["| carried by | | found last |", "|---|---|---|"]
-        lines += [f"| {row.kind} | {_code(row)} | {row.last} |" for row in by_claim[claim.name]]
+        carried = sorted(by_claim[claim.name], key=lambda row: cited.CARRIERS.index(row.kind))
+        reached = "; ".join(row.what for row in carried if row.kind == cited.MARK)
+        lines += [f"| {row.kind} | {_code(row)} | {row.last} |" for row in carried if row.kind != cited.MARK]
+        lines += [f"| {cited.MARK} | {reached} |  |"] * bool(reached)
         lines.append("")
     return "\n".join(lines[:-1]) + "\n"
+
+
+def _taken(name: str) -> str:
+    return f"[{name}](assumptions.md#{name.lower()})"
 
 
 def _code(row: Citation) -> str:
@@ -93,8 +103,10 @@ def _code(row: Citation) -> str:
 
 def assumptions_page() -> str:
     """docs/dev/assumptions.md."""
-    lines = [ASSUMPTIONS_HEAD, "| | what is assumed | by | if it is wrong | checked by | when |", "|" + "---|" * 6]
+    lines = [ASSUMPTIONS_HEAD]
     for row in assumptions.ASSUMPTIONS:
         checked = f"`{row.checked}`" if row.checked.startswith("tests/") and " " not in row.checked else row.checked
-        lines.append(f"| {row.name} | {row.says} | {row.by} | {row.wrong} | {checked} | {row.when} |")
-    return "\n".join(lines) + "\n"
+        lines += [f"## {row.name}", "", row.says, ""]
+        lines += [f"- *Taken for granted by*: {row.by}.", f"- *If it is wrong*: {row.wrong}"]
+        lines += [f"- *Checked by*: {checked}; {row.when}.", ""]
+    return "\n".join(lines[:-1]) + "\n"

@@ -22,7 +22,7 @@ NEVER_S = 10.0
 RESTS_S = 0.5
 """A rest lasts for so long before it is believed."""
 NS = 1e9
-OWN_WORD, GYRO, PERSON, ODOMETER = "board's wheels", "board's IMU", "a person's key", "odometry"
+OWN_WORD, GYRO, PERSON, ODOMETER, ROS_IMU = "board's wheels", "board's IMU", "a person's key", "odometry", "IMU"
 
 
 class Shaking:
@@ -34,6 +34,11 @@ class Shaking:
     def rest_ns(self, samples: Sequence[SeenSample]) -> int | None:
         """The first sample of the rest; None: they shake to the end."""
         return shake.rest_ns(samples, self.still, self.spinning)
+
+    @property
+    def least(self) -> float:
+        """The least shaking that is turning, rad/s: midway between the loudest rest and the quietest turning."""
+        return math.sqrt(self.still.most * self.spinning.least)
 
     @property
     def tells(self) -> bool:

@@ -1,19 +1,19 @@
 """Publisher: the throw-away node of a probe, and its guard.
 
-`python -m failstop.lab.probe.publisher TOPIC STAMPED drive|guard VX`. Lines on standard input: `silent` (it publishes
-nothing more), `nan` (one NaN, then nothing), `abort` (it ends by an exception, without a zero), `zero`. A guard
-publishes zeros on `zero`, and when standard input ends, which is the probe's end; then it ends.
+`python -m failstop.lab.probe.publisher TOPIC STAMPED drive|guard VX`. Lines on standard input: `drive`, `silent` (it
+publishes nothing more), `nan` (one NaN, then nothing), `abort` (it ends by an exception, without a zero). A guard is a
+watcher (watcher.py), which publishes zeros for a stop.
 """
 
 from __future__ import annotations
 
 import os
 import select
-import signal
 import sys
 import time
 from typing import Any
 
+from failstop.lab.probe.watcher import Watcher
 from failstop.ros2.command import find_rclpy
 from failstop.ros2.fill import type_of
 
@@ -53,17 +53,22 @@ class Node:
 
 
 def main(words: list[str]) -> None:
-    """Until it is told to end, or standard input ends."""
+    """Until standard input ends."""
     topic, stamped, what, vx = words
-    if what == GUARD:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, signal.SIG_IGN)
     node = Node(topic, stamped=stamped == "1")
     print("ready", flush=True)
-    drives = what != GUARD
+    if what == GUARD:
+        Watcher(lambda _: node.zeros()).run()
+    else:
+        obey(node, float(vx))
+
+
+def obey(node: Node, vx: float) -> None:
+    """Do as standard input says, until it ends."""
+    drives = False
     while True:
         if drives:
-            node.publish(float(vx))
+            node.publish(vx)
         if not select.select([sys.stdin], [], [], 1 / HZ if drives else None)[0]:
             continue
         word = sys.stdin.readline().strip()
@@ -71,11 +76,9 @@ def main(words: list[str]) -> None:
             raise RuntimeError("the probe's way to end it")
         if word == "nan":
             node.publish(float("nan"))
-        if word in ("silent", "nan"):
-            drives = False
-        if word == "zero" or (not word and what == GUARD):
-            node.zeros()
-        if not word:
+        if word:
+            drives = word == "drive"
+        else:
             return
 
 

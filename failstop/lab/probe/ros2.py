@@ -1,7 +1,8 @@
-"""ROS 2: a probe of whatever obeys a topic of velocities, by a publisher in a process of its own, judged by odometry.
+"""ROS 2: a probe of whatever obeys a topic of velocities, by a publisher in a process of its own, judged by odometry or
+IMU.
 
-The judge is this process; publisher.py is the one that fails. A guard of its own (publisher.py as `guard`) publishes
-zeros when the probe is gone, whichever way it went.
+The judge is this process; publisher.py is the one that fails. A guard of its own (publisher.py as `guard`) kills what
+publishes, and publishes zeros, when the probe is gone, whichever way it went, or hangs.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from typing import Any
 from failstop.api.errors import FailstopError
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import Row
+from failstop.lab.probe.publisher import GUARD
+from failstop.lab.probe.watcher import STOP_WORD, Orders
+from failstop.lab.prove import shake
 from failstop.lab.prove.sight import SeenSample
 from failstop.ros2.command import find_rclpy
 from failstop.ros2.fill import type_of
@@ -28,7 +32,12 @@ VX_MPS = 0.1
 TURNS_S = 1.5
 SEEN_S = 20.0
 SPIN_S = 0.01
-ODOM_TYPE = "nav_msgs/msg/Odometry"
+STILL_S = 2.0
+STARTS_S = 3.0
+"""For a base that no odometry speaks for to hear of a publisher, and to turn its wheels."""
+SHAKES_NS = 700_000_000
+"""Long enough for a window of shaking (shake.py)."""
+ODOM_TYPE, IMU_TYPE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 ROWS = {
     "silence": "its publisher falls silent",
     "sigkill": "its publisher is killed (SIGKILL)",
@@ -61,12 +70,21 @@ class Publisher:
         if not self.process.stdout.readline():
             raise FailstopError(f"no publisher on {topic}: does `ros2 topic list` work in this shell?")
 
+        self.orders = Orders(self.process)
+        """Of a guard."""
+
     def told(self, word: str) -> None:
         """Send it a line."""
         assert self.process.stdin
         with contextlib.suppress(OSError):
             self.process.stdin.write(f"{word}\n")
             self.process.stdin.flush()
+
+    def left(self) -> None:
+        """Let a guard publish its zeros, and end."""
+        assert self.process.stdin
+        with contextlib.suppress(OSError):
+            self.process.stdin.close()
 
     def end(self) -> None:
         """Kill it."""
@@ -79,12 +97,14 @@ class Publisher:
 
 
 class Listener:
-    """Odometry as samples: speeds forward, sideways and turning."""
+    """The judge's samples: of an odometry speeds forward, sideways and turning with places, of an IMU its gyro."""
 
-    def __init__(self, topic: str) -> None:
+    def __init__(self, arguments: Namespace, here: Callable[[], None]) -> None:
+        """`here`: called all the while it listens."""
         find_rclpy()
         import rclpy
 
+        self._here = here
         self._rclpy: Any = rclpy
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -93,31 +113,53 @@ class Listener:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node("failstop_probe")
         self.samples: list[SeenSample] = []
+        self.topic = arguments.imu or arguments.odom
+        self.shaking: judge.Shaking | None = None
+        """Of an IMU, once it has shown rest and turning."""
+        kind, take = (IMU_TYPE, self._take_gyro) if arguments.imu else (ODOM_TYPE, self._take_odometry)
         # It hears reliable publishers too.
         profile = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._node.create_subscription(type_of(ODOM_TYPE), topic, self._take, profile)
+        self._node.create_subscription(type_of(kind), self.topic, take, profile)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
 
-    def _take(self, message: Any) -> None:
+    def _take_odometry(self, message: Any) -> None:
         twist, pose = message.twist.twist, message.pose.pose
         speeds = (twist.linear.x, twist.linear.y, twist.angular.z)
         places = (pose.position.x, pose.position.y, pose.orientation.z)
         self.samples.append((time.monotonic_ns(), speeds, places))
 
+    def _take_gyro(self, message: Any) -> None:
+        self.samples.append((time.monotonic_ns(), message.angular_velocity.x, message.angular_velocity.y))
+
     def until(self, seconds: float, found: Callable[[], bool] = lambda: False) -> bool:
         """Listen for a while; True as soon as `found` is."""
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:
+            self._here()
             self._executor.spin_once(timeout_sec=SPIN_S)
             if found():
                 return True
         return False
 
+    def stretch(self, seconds: float) -> list[SeenSample]:
+        """The samples of a while from now on."""
+        self.samples.clear()
+        self.until(seconds)
+        return list(self.samples)
+
     def turning(self) -> bool:
         """Whether it says that it moves."""
+        if self.shaking:
+            lately_ns = time.monotonic_ns() - SHAKES_NS
+            lately = [sample for sample in self.samples if sample[0] >= lately_ns]
+            return shake.turning(lately, self.shaking.least)
         last = self.samples[-2:]
         return len(last) == 2 and judge.rest_ns(last) != last[0][0]
+
+    def rest_ns(self) -> int | None:
+        """The first sample of the rest in which they end; None: they end in a turn."""
+        return self.shaking.rest_ns(self.samples) if self.shaking else judge.rest_ns(self.samples)
 
     def close(self) -> None:
         """Leave."""
@@ -128,10 +170,13 @@ class Listener:
 def rows(arguments: Namespace, names: Iterable[str], say: Callable[[str], None]) -> Iterator[Row]:
     """Each row as it is found. Raises FailstopError."""
     topic, stamped = arguments.cmd_vel, arguments.stamped
-    listener = Listener(arguments.odom)
-    guard = None
+    guard = Publisher(topic, stamped=stamped, what=GUARD, keep=True)
+    listener = None
     try:
-        guard = Publisher(topic, stamped=stamped, what="guard", keep=True)
+        listener = Listener(arguments, guard.orders.here)
+        if arguments.imu and not arguments.key:
+            say("first, how its IMU feels rest and turning wheels ...")
+            _character(arguments, listener, guard)
         for name in names:
             words = ROWS[name]
             if name == "driver" and not arguments.driver_pid:
@@ -140,17 +185,49 @@ def rows(arguments: Namespace, names: Iterable[str], say: Callable[[str], None])
             say(f"{words} ...")
             yield _row(name, arguments, listener, guard, say)
     finally:
-        if guard and guard.process.stdin:
-            guard.process.stdin.close()  # it publishes zeros, and ends
-        listener.close()
+        if guard.process.poll() is not None:  # somebody has killed it
+            guard = Publisher(topic, stamped=stamped, what=GUARD, keep=True)
+            guard.orders.give(STOP_WORD)
+        guard.left()
+        if listener:
+            listener.close()
+
+
+@contextlib.contextmanager
+def _driving(arguments: Namespace, listener: Listener, guard: Publisher, count: int = 1) -> Iterator[list[Publisher]]:
+    """So many publishers, which drive; whatever becomes of them, the wheels stand at the end."""
+    publishers = [Publisher(arguments.cmd_vel, stamped=arguments.stamped) for _ in range(count)]
+    try:
+        for publisher in publishers:  # the guard knows of each before it drives
+            guard.orders.give(f"drive {publisher.process.pid}")
+            publisher.told("drive")
+        yield publishers
+    finally:
+        try:
+            guard.orders.give(STOP_WORD)
+        finally:
+            for publisher in publishers:
+                publisher.end()
+        listener.until(judge.RESTS_S)
+
+
+def _character(arguments: Namespace, listener: Listener, guard: Publisher) -> None:
+    """How the IMU feels rest and turning. Raises FailstopError where it can't tell them apart."""
+    still = shake.noise(listener.stretch(STILL_S))
+    with _driving(arguments, listener, guard):
+        listener.until(STARTS_S)
+        spinning = shake.noise(listener.stretch(TURNS_S))
+    shaking = judge.Shaking(still, spinning) if still and spinning else None
+    if shaking is None or not shaking.tells:
+        what = "does not tell turning wheels from resting ones" if shaking else "says too little"
+        raise FailstopError(f"{arguments.imu} {what}: judge by odometry, or by --key")
+    listener.shaking = shaking
 
 
 def _row(name: str, arguments: Namespace, listener: Listener, guard: Publisher, say: Callable[[str], None]) -> Row:
-    topic, stamped = arguments.cmd_vel, arguments.stamped
-    publishers = [Publisher(topic, stamped=stamped) for _ in range(2 if name == "two" else 1)]
-    try:
+    with _driving(arguments, listener, guard, 2 if name == "two" else 1) as publishers:
         if not arguments.key and not listener.until(SEEN_S, listener.turning):
-            raise FailstopError(f"{arguments.odom} did not say within {SEEN_S:g} s that it moves: is its driver there?")
+            raise FailstopError(f"{listener.topic} did not say within {SEEN_S:g} s that it moves: is its driver there?")
         listener.until(TURNS_S)
         if arguments.key:
             say("Press Enter as soon as the wheels stand.")
@@ -166,27 +243,23 @@ def _row(name: str, arguments: Namespace, listener: Listener, guard: Publisher, 
             os.kill(publishers[0].process.pid, SIGNALLED[name])
         if name == "two":
             publishers[1].told("silent")
-        rest = _stands(arguments.key, listener)
-    finally:
-        for publisher in publishers:
-            publisher.end()
-        guard.told("zero")
-        listener.until(judge.RESTS_S)
+        rest = _stands(listener, by_key=arguments.key)
+        last = list(listener.samples)
     seconds, within_s = None if rest is None else (rest - cause_ns) / 1e9, 0.0
     if rest is not None and not arguments.key:
-        seconds, within_s = judge.dated(listener.samples, cause_ns, rest)
+        seconds, within_s = judge.dated(last, cause_ns, rest)
     note = ""
-    if name == "driver" and not arguments.key and not listener.samples:
-        seconds, note = None, "its odometry ended with it: look at the wheels, and use --key"
-    by = judge.PERSON if arguments.key else judge.ODOMETER
+    if name == "driver" and not arguments.key and not last:
+        seconds, note = None, f"{listener.topic} ended with it: look at the wheels, and use --key"
+    by = judge.PERSON if arguments.key else judge.ROS_IMU if arguments.imu else judge.ODOMETER
     return Row(name, ROWS[name], seconds, by, note=note, within_s=within_s, cause_ns=cause_ns)
 
 
-def _stands(by_key: bool, listener: Listener) -> int | None:
+def _stands(listener: Listener, *, by_key: bool) -> int | None:
     if by_key:
         return time.monotonic_ns() if listener.until(judge.NEVER_S, judge.key_pressed) else None
 
     def stands() -> bool:
-        return len(listener.samples) > 1 and judge.believed(listener.samples, judge.rest_ns(listener.samples))
+        return len(listener.samples) > 1 and judge.believed(listener.samples, listener.rest_ns())
 
-    return judge.rest_ns(listener.samples) if listener.until(judge.NEVER_S + judge.RESTS_S, stands) else None
+    return listener.rest_ns() if listener.until(judge.NEVER_S + judge.RESTS_S, stands) else None

@@ -21,7 +21,7 @@ from failstop.board.port import has_lines, open_port
 from failstop.board.tap import Tap
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import Row
-from failstop.lab.probe.watcher import HERE, Watcher
+from failstop.lab.probe.watcher import STOP_WORD, Orders, halting
 from failstop.lab.prove import shake
 from failstop.lab.prove.sight import SeenSample
 from failstop.procs.telemetry.imu import RAD_PER_DEG
@@ -36,10 +36,7 @@ STILL_S = 2.0
 ASK_S = 0.02
 TURN_S = 0.002
 STARTS_S = 15.0
-HERE_S = 1.0
-"""Between two words to the watcher."""
 PLUG_S = 60.0
-WATCHER_GONE = "the watcher has ended, and the wheels were stopped: repeat it; if a wheel turns, use the POWER SWITCH"
 ROWS = {
     "sigkill": "its driver is killed (SIGKILL)",
     "sigstop": "its driver hangs (SIGSTOP)",
@@ -71,8 +68,8 @@ class SerialProbe:
         self._shaking: judge.Shaking | None = None
         self._driver: subprocess.Popen[str] | None = None
         self._watcher: subprocess.Popen[str] | None = None
+        self._orders: Orders | None = None
         self._gone_ns = 0
-        self._here_s = 0.0
         own_s = wire_of(kind).watchdog.after_ns / 1e9 if is_described(kind) else 0.0
         self._turns_s = max(TURNS_S, own_s + MORE_S)
         """Before a failure: the stop before may have armed the board's watchdog, which must have acted by then. Else it
@@ -95,8 +92,9 @@ class SerialProbe:
         self._watcher = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
         )
+        self._orders = Orders(self._watcher)
         try:
-            self._tell("stop")
+            self._tell(STOP_WORD)
             self._open()
         except BaseException:
             self.close()
@@ -118,7 +116,7 @@ class SerialProbe:
         self._end_driver()
         self._let_go()
         if self._watcher and self._watcher.returncode:  # somebody has killed it
-            Watcher(self._path, self._kind).stop(STARTS_S)
+            halting(self._path, self._kind)(STARTS_S)
 
     def _open(self) -> None:
         self._let_go()
@@ -133,25 +131,9 @@ class SerialProbe:
             self._tap = None
 
     def _tell(self, line: str) -> None:
-        """The watcher's answer is awaited: it knows what it is to stop before anything turns."""
-        self._write(line)
-        assert self._watcher
-        assert self._watcher.stdout
-        answer = self._watcher.stdout.readline().strip()
-        if not answer:
-            raise FailstopError(WATCHER_GONE)
-        if answer == "late":
-            raise FailstopError("the machine did not run this probe in time, and the wheels were stopped: repeat it")
-
-    def _write(self, line: str) -> None:
-        """A line to the watcher. Raises FailstopError when it is gone."""
-        assert self._watcher
-        assert self._watcher.stdin
-        try:
-            self._watcher.stdin.write(f"{line}\n")
-            self._watcher.stdin.flush()
-        except OSError:
-            raise FailstopError(WATCHER_GONE) from None
+        """Give the watcher an order."""
+        assert self._orders
+        self._orders.give(line)
 
     def look(self) -> None:
         """Take in what the board says. A port that goes away is let go."""
@@ -175,10 +157,9 @@ class SerialProbe:
 
     def _until(self, seconds: float, found: Callable[[], bool] = lambda: False) -> bool:
         until_s = time.monotonic() + seconds
-        while (now_s := time.monotonic()) < until_s:
-            if now_s >= self._here_s:
-                self._here_s = now_s + HERE_S
-                self._write(HERE)  # this process runs
+        assert self._orders
+        while time.monotonic() < until_s:
+            self._orders.here()
             self.look()
             if found():
                 return True
@@ -277,7 +258,7 @@ class SerialProbe:
         else:
             self._say("Plug it in again.")
         self._until(PLUG_S, lambda: os.path.exists(self._path))
-        self._tell("stop")
+        self._tell(STOP_WORD)
         self._open()
         seconds = None if stands_ns is None else (stands_ns - cause_ns) / 1e9
         return Row("plug", ROWS["plug"], seconds, judge.PERSON)
@@ -304,7 +285,7 @@ class SerialProbe:
 
     def _finish(self) -> None:
         """The wheels stand, whatever was done to the driver."""
-        self._tell("stop")
+        self._tell(STOP_WORD)
         self._end_driver()
         if self._tap and has_lines(self._tap.fd):
             self._open()

@@ -1,9 +1,11 @@
 """Marks: what a campaign of simulated runs must have reached at least once: each cause, each answer of the admission
-table, each change of a process's state. A mark that no run has reached was not tried, and the campaign says so."""
+table, each change of a process's state. A mark that no run has reached was not tried, and the campaign says so. A claim
+is tried by simulation as far as the marks that cite it are reached."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from failstop.lab.boards.traits import HAS_KEYS, HAS_PINGS, Traits
@@ -38,6 +40,27 @@ NOT_TRIED = {
     "state dead beats": "a beat between the end and its notice",
 }
 """Marks that no scenario reaches, and why; the tests with real processes do."""
+CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("cause died", ("DEATH-1", "SEVERAL-1")),
+    ("cause (hangs|starved|held_up|supervisor_suspended)", ("HANG-1",)),
+    ("cause suspended", ("TIME-1",)),
+    ("cause removed", ("ASK-2",)),
+    ("cause device_lost", ("PORT-1",)),
+    ("cause (stuck|deaf)", ("BOARD-1",)),
+    ("cause (not_finite|two_publishers|driver_died)", ("CLIENT-1",)),
+    ("cause (key|requested|piped)", ("ASK-1",)),
+    ("cause stopping", ("END-1",)),
+    ("admission write", ("MOVE-1", "RETURN-1")),
+    ("admission drop", ("MOVE-1", "MOVE-2")),
+    ("admission request", ("ASK-1",)),
+    ("admission hangs", ("HANG-1",)),
+    ("state fenced died", ("HANG-1",)),
+    ("state [a-z]+ died", ("DEATH-1", "SEVERAL-1")),
+    ("state [a-z]+ (spared|killed|beats)", ("HANG-1",)),
+    ("state waiting given up", ("RETURN-1",)),
+    ("state [a-z]+ (started|runs|reaped|recalled)", ("RETURN-1",)),
+)
+"""The claims (lab/case/claims.py) that a mark carries, by the first pattern that fits its name."""
 OF_PARTS = {"cause key": HAS_KEYS, "cause deaf": HAS_PINGS}
 """Marks that a board can reach which has this part alone (lab/boards/traits.py)."""
 ADMISSION = ("write", "drop", "burst", "request", "bad frame", "hangs")
@@ -116,17 +139,22 @@ def _watch_states(loader: Loader, marks: Marks, witness: Witness) -> None:
     module.Child.on = told
 
 
-def missing(counts: Mapping[str, int], traits: Traits) -> list[str]:
-    """The marks that were not reached, of those that a board can reach."""
+def names() -> Iterator[str]:
+    """Every mark, of what the modules of the service declare."""
     loader = Loader(Machine())
     module = loader.load("failstop.supervisor.children")
-    wanted = [f"cause {name}" for name in loader.load("failstop.policy.causes").CAUSE_BY_NAME]
-    wanted += [f"admission {name}" for name in ADMISSION]
-    wanted += [
-        f"state {state} {event}"
-        for state, row in module.NEXT.items()
-        for event, after in zip(module.EVENTS, row, strict=True)
-        if after
-    ]
+    yield from (f"cause {name}" for name in loader.load("failstop.policy.causes").CAUSE_BY_NAME)
+    yield from (f"admission {name}" for name in ADMISSION)
+    for state, row in module.NEXT.items():
+        yield from (f"state {state} {event}" for event, after in zip(module.EVENTS, row, strict=True) if after)
+
+
+def claims_of(name: str) -> tuple[str, ...]:
+    """The claims that a mark carries; none: no pattern of CLAIMS fits."""
+    return next((claims for pattern, claims in CLAIMS if re.fullmatch(pattern, name)), ())
+
+
+def missing(counts: Mapping[str, int], traits: Traits) -> list[str]:
+    """The marks that were not reached, of those that a board can reach."""
     beyond = NOT_TRIED.keys() | {name for name, part in OF_PARTS.items() if part not in traits.parts}
-    return [name for name in wanted if not counts.get(name) and name not in beyond]
+    return [name for name in names() if not counts.get(name) and name not in beyond]

@@ -16,13 +16,21 @@ from failstop.lab.machine.robot import MS, Robot
 from failstop.lab.sim.model import Frame
 
 CLAIMS = {
-    "a stop comes in its time": ("DEATH-1", "HANG-1", "SEVERAL-1", "ASK-1", "PORT-1", "TIME-1"),
+    "a stop comes in its time": (
+        *("DEATH-1", "HANG-1", "SEVERAL-1", "ASK-1", "ASK-2"),
+        *("CLIENT-1", "PORT-1", "BOARD-1", "TIME-1", "END-1"),
+    ),
     "no frame behind a stop but the one past its last look": ("MOVE-1",),
     "no motion before a program asks for it": ("MOVE-2", "START-1", "END-1"),
     "never faster than a program asks for": ("LIMIT-1",),
     "motion comes back within 2 s once nothing fails": ("RETURN-1",),
+    "no frame writes outside of the motors": ("BOARD-2",),
+    "the board's own watchdog stops what is frozen for good": ("WATCHDOG-1",),
+    "no invariant of the core is broken": ("MOVE-1", "MOVE-2"),
+    "shared memory is seen in the order of the litmus tests": ("MOVE-1", "MOVE-2", "CAUSE-1", "PROOF-1"),
+    "no entry of a ring is passed over": ("ASK-1",),
 }
-"""The claims (lab/case/claims.py) that each rule of the witness carries."""
+"""The claims (lab/case/claims.py) that each rule carries by which a run is judged."""
 SERVICE_PROCESSES = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
 PORT_WRITERS = ("supervisor", "port_owner", "stopper")
 DEATH_NS = 8 * MS
