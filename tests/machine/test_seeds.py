@@ -7,11 +7,11 @@ import json
 import pytest
 
 from failstop.lab.simulate import controls, seeds
+from failstop.lab.simulate.control_runs import BOTH
 from failstop.lab.simulate.controls import CONTROLS
 from failstop.lab.simulate.kinds import DRAWN_KINDS, GROUPS
 from failstop.lab.simulate.seeds import Nursery, Seeded
 from failstop.lab.simulate.tape import Draws, Tape, shrunk
-from failstop.lab.simulate.weak_controls import WEAK_CONTROLS
 
 OWN_STOP = next(each for each in CONTROLS if each.row == "own stop does not refuse motion")
 MOST_DRAWS = 6
@@ -72,6 +72,5 @@ def test_a_campaign_counts_its_faults() -> None:
 
 
 def test_what_no_change_of_the_source_stands_for_has_a_reason() -> None:
-    rows = {control.row for control in CONTROLS} | {control.row for control in WEAK_CONTROLS}
-    assert not rows & controls.NOT_EXPRESSED.keys()
+    assert not {control.row for control in BOTH} & controls.NOT_EXPRESSED.keys()
     assert all(controls.NOT_EXPRESSED.values())

@@ -27,7 +27,7 @@ from failstop.lab.machine.loading import HOME, Patches
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.campaign import of_board
 from failstop.lab.simulate.kinds import GROUP_OF
-from failstop.lab.simulate.scenarios import SCENARIOS, scenarios_of
+from failstop.lab.simulate.scenarios import FOR_SEEDS, play_of, scenarios_of
 from failstop.lab.simulate.schedule import Event, Schedule
 from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 from failstop.lab.simulate.tape import Draws, Tape, shrunk
@@ -158,11 +158,11 @@ class Nursery:
         """`board`: its kind, as the setting board.kind. `groups`: those of schedule.py that are on; empty: by each
         seed's own draw. `rounds`: so many scenarios a run."""
         self._board, traits = board, traits_of(board)
-        self._names = names or [name for name in scenarios_of(traits) if not _stays_down(name)]
+        self._names = names or [name for name in (*scenarios_of(traits), *FOR_SEEDS) if not _stays_down(name)]
         self._alike: dict[str, list[str]] = {}
         """Scenarios by their settings, the simplest first: one run is of one kind."""
         for name in sorted(self._names, key=lambda name: name != SIMPLEST):
-            self._alike.setdefault(json.dumps(SETTINGS.get(SCENARIOS[name], {})), []).append(name)
+            self._alike.setdefault(json.dumps(SETTINGS.get(play_of(name), {})), []).append(name)
         self._options = of_board(board) + (f" --scenario {','.join(names)}" if names else "")
         self._patches, self._warm_ns = patches, WARM_NS + traits.deaf_ns
         self._groups, self._rounds = groups, rounds
@@ -179,14 +179,14 @@ class Nursery:
         return self._stages[key]
 
     def _new_stage(self, name: str) -> Stage:
-        return Stage(SCENARIOS[name], 0, self._patches, weak=True, kind=self._board)
+        return Stage(play_of(name), 0, self._patches, weak=True, kind=self._board)
 
     def run(self, seed: int, fixed: Draws | None = None) -> Seeded:
         """One run, in a fork. `fixed`: with these draws alone."""
         tape = Tape(seed, fixed)
         key = list(self._alike)[tape.draw("settings", len(self._alike), SPECIAL)]
         names = self._alike[key]
-        cold = SCENARIOS[names[0]] in FROM_THE_START and bool(tape.draw("start", 2, COLD))
+        cold = play_of(names[0]) in FROM_THE_START and bool(tape.draw("start", 2, COLD))
         if not cold:
             stage, _ = self._warm(key)
             if key not in self._loaded:
@@ -208,7 +208,7 @@ class Nursery:
         """The modules that its scenarios load."""
         stage = self._stage(key, cold=False)
         for name in self._alike[key]:
-            stage.take(SCENARIOS[name])
+            stage.take(play_of(name))
             stage.play(must_end=False)
         stage.prove_alive()
         return stage.robot.loader.loaded()
@@ -220,7 +220,7 @@ class Nursery:
             name = names[tape.draw(f"{number} scenario", len(names), OTHERS)]
             rounds.append(f"{number} {name}")
             witness.tell(f"round {number}: {name}")
-            stage.take(SCENARIOS[name])
+            stage.take(play_of(name))
             schedule.begin(number)
             stage.play(must_end=False)
             schedule.end()
@@ -268,7 +268,7 @@ class Nursery:
 
 def _stays_down(name: str) -> bool:
     """Whether a process may be down until a reset, or for a minute if it is the gate, which passes resets on."""
-    return "restart.deaths" in SETTINGS.get(SCENARIOS[name], {})
+    return "restart.deaths" in SETTINGS.get(play_of(name), {})
 
 
 def _is_event(label: str) -> bool:
