@@ -14,7 +14,8 @@ from failstop.lab.machine.loading import HARMLESS, SHARED_MODULES, Loader
 from failstop.lab.machine.robot import Robot
 from failstop.lab.simulate.control_runs import BOTH
 from failstop.lab.simulate.controls import Mutant
-from failstop.lab.simulate.scenarios import FOR_SEEDS, SCENARIOS, play_of
+from failstop.lab.simulate.for_seeds import FOR_SEEDS, play_of
+from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import Stage
 from tests.support import rooms
 

@@ -65,7 +65,8 @@ def main(arguments: Namespace) -> int:
     try:
         from failstop.lab.boards.traits import traits_of
         from failstop.lab.simulate import campaign, marks
-        from failstop.lab.simulate.scenarios import FOR_SEEDS, play_of, scenarios_of
+        from failstop.lab.simulate.for_seeds import FOR_SEEDS, play_of
+        from failstop.lab.simulate.scenarios import scenarios_of
     except ModuleNotFoundError as error:
         raise FailstopError(f"this needs the package {error.name}: `pip install {error.name}`") from None
 

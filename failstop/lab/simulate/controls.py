@@ -31,7 +31,6 @@ NOT_EXPRESSED = {
     "the stop tool kills nobody": "the stop tool of systemd is no part of the simulated machine",
     "a new port hides the loss of the old": "each turn asks the old port what it holds before it takes a new one",
     "a refused frame stays in the ring": "a stop drops it, and without one it is late by less than DRAIN_NS",
-    "look": "a port owner must be starved twice, behind its word the second time, while the stopper looks",
     "bell": "the kernel's own locks",
 }
 """Failing rows of docs/dev/model.md and controls of docs/dev/memory-order.md that no change of the source stands for.

@@ -7,19 +7,14 @@ from typing import Any
 
 from failstop.lab.boards.traits import HAS_ARM, HAS_KEYS, Traits
 from failstop.lab.simulate.stage import FROM_THE_START, NEEDS, SETTINGS, Continuation, Stage
-from failstop.messages import records
 
 Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
-FOR_SEEDS: dict[str, Play] = {}
-"""Scenarios that seeds alone play: they are about the order in which shared memory is seen, not about faults."""
 DRIVEN: dict[str, Continuation] = {}
 """Of the scenarios that begin alike, by driving(): what comes then, with the program that drives."""
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 600, 540)}
 """Servo, pulses of the tuck pose and of the drive pose."""
 SLOW_MPS = 0.01
-CROWD = 3
-"""So many programs ask at once."""
 LOOKS = 25
 """For so many ticks a process is killed as soon as it is there, which is more often than it is restarted."""
 JOINT_KEYS = ("servo", "tuck", "drive")
@@ -43,17 +38,6 @@ def scenario(
 def scenarios_of(traits: Traits) -> list[str]:
     """The names of those that a board can have."""
     return [name for name, play in SCENARIOS.items() if NEEDS[play] <= traits.parts]
-
-
-def play_of(name: str) -> Play:
-    """The scenario of that name."""
-    return SCENARIOS.get(name) or FOR_SEEDS[name]
-
-
-def for_seeds(play: Play) -> Play:
-    """Declare one that any board can have, and that seeds alone play."""
-    FOR_SEEDS[play.__name__] = play
-    return play
 
 
 def driving(stage: Stage, seconds: float = 0.04) -> Any:
@@ -345,40 +329,3 @@ def _arm_to_drive_pose(stage: Stage) -> None:
 
 
 scenario(_arm_to_drive_pose, "arm_to_drive_pose", settings=ARM_SETTINGS, needs=(HAS_ARM,))
-
-
-@for_seeds
-def stop_stays(stage: Stage) -> None:
-    """A stop stays for half a second, while a program looks at the robot."""
-    robot = driving(stage)
-    stage.stop(robot)
-    for _ in range(LOOKS):
-        robot.state  # noqa: B018
-        stage.time.sleep(0.02)
-
-
-@for_seeds
-def crowd(stage: Stage) -> None:
-    """The gate is held up for a moment; meanwhile each of several programs has asked for something."""
-    robots = [stage.connect() for _ in range(CROWD)]
-    for _ in range(CROWD):
-        stage.freeze("gate", 30)
-        for number, robot in enumerate(robots):
-            robot._client().tell("speed_limit", 100 - number)
-            robot._client().ask(records.LIMIT)
-        stage.time.sleep(0.06)
-    for robot in robots:
-        robot.close()
-
-
-@for_seeds
-def two_fall_silent(stage: Stage) -> None:
-    """Telemetry hangs, and the stopper is starved: the supervisor notices both in one turn, and has just raised the
-    epoch for the one when it asks for the other whether anything moves."""
-    robot = driving(stage, 0.09)
-    stage.freeze("telemetry", 700)
-    stage.drive(robot, 0.27)
-    stage.freeze("stopper", 400, starved=True)
-    stage.drive(robot, 0.19)
-    stage.freeze("supervisor", 36)
-    stage.drive(robot, 0.1)

@@ -40,6 +40,7 @@ from failstop.lab.simulate.kinds import (
     SEEN_NS,
     SHORT_NS,
 )
+from failstop.lab.simulate.pressing import Pressing
 from failstop.lab.simulate.stage import Stage
 from failstop.lab.simulate.tape import Tape
 from failstop.lab.simulate.witness import PORT_WRITERS, SERVICE_PROCESSES, ZEROS_NS
@@ -54,14 +55,6 @@ GAPS = (15, 500)
 AT_RARE = (0.02, 1.0)
 """Between these is how often one comes, in a run, at the first store of a place or at the call behind it; at the n-th
 it is n times as seldom. What is stored often is met by the distances too."""
-PRESSED = 3
-"""So many records of shared memory a round presses on: its events of memory come there far more often."""
-AT_PRESSED = (0.05, 0.8)
-"""Between these is how often one comes there, in a round, or at the call behind it."""
-ALONE = 0.6
-"""In so many rounds nothing comes but there: what needs a certain moment is not moved by other events."""
-READ_BY_NO_PROCESS = ("everyone", "clients", "its successor, clients")
-"""Readers of records that decide nothing (messages/layout.py)."""
 OF_MEMORY = frozenset(kind for group in MEMORY for kind in GROUPS[group])
 LOOKS, LATES = frozenset(EARLIER.values()), frozenset(LATER.values())
 HEAVY = 4
@@ -69,18 +62,6 @@ HEAVY = 4
 ORDERS = 1 << 16
 
 
-def _places() -> list[tuple[str, range]]:
-    """Records that other processes act on, each by its segment and its place; numbered ones are one place."""
-    found: dict[tuple[str, str], range] = {}
-    for spec in layout.SEGMENTS:
-        for name, record in spec.records.items() if spec.mode == layout.PUBLIC else ():
-            if record.readers not in READ_BY_NO_PROCESS:
-                begin, key = spec.offsets[name], (spec.name, name.rstrip("0123456789"))
-                found[key] = range(found.get(key, range(begin, begin)).start, begin + record.size())
-    return [(segment, place) for (segment, _), place in found.items()]
-
-
-PLACES = _places()
 Act = Callable[[int], object]
 Place = tuple[int, str, int | str]
 """A process's number, the name of a call or access, and where in shared memory it is, or the last store before it."""
@@ -115,13 +96,7 @@ class Schedule:
         """At its next call or access an event comes."""
         self._marked_for: Collection[str] = DRAWN_KINDS
         """One of these."""
-        self._pressed: list[tuple[str, range]] = []
-        """The records that this round presses on: each segment, and the place in it."""
-        self._at_pressed = 0.0
-        self._alone = False
-        """Nothing comes in this round but there."""
-        self._segments: dict[int, str] = {}
-        """By a file's number: the segment that it is."""
+        self._pressing = Pressing(tape.dice, machine)
         self.events: list[Event] = []
         self.calls = 0
         self._round = 0
@@ -172,8 +147,8 @@ class Schedule:
         self._stage.hang_up_ns = self._late_hang_up(f"{prefix}hang-up")
         self._due = self._gap()
         if self._free:
-            self._press()
-            self._due = 1 << 62 if self._alone else self._due
+            self._pressing.begin(memory=not self._on.isdisjoint(MEMORY))
+            self._due = 1 << 62 if self._pressing.alone else self._due
         machine.at_seam = self._at
 
     def end(self) -> None:
@@ -191,35 +166,6 @@ class Schedule:
 
     def _gap(self) -> int:
         return int(self._most_gap ** self._tape.dice.random()) if self._free else 1 << 62
-
-    def _press(self) -> None:
-        """Draw what the round presses on: pairs of records whose order matters are seldom met by chance."""
-        dice = self._tape.dice
-        self._pressed = dice.sample(PLACES, PRESSED)
-        self._at_pressed = AT_PRESSED[0] * (AT_PRESSED[1] / AT_PRESSED[0]) ** dice.random()
-        self._alone = not self._on.isdisjoint(MEMORY) and dice.random() < ALONE
-
-    def _is_pressed(self, thread: Thread, call: str, node: Any, at: int) -> bool:
-        """Whether an event comes at this access; at the call behind it one comes as often, while the store is late or
-        what was read is older than what is read next."""
-        segment = self._segment(node)
-        if not any(segment == name and at in place for name, place in self._pressed):
-            return False
-        dice = self._tape.dice
-        if dice.random() >= self._at_pressed:
-            return False
-        if dice.random() < 0.5:
-            return True
-        self._marked, self._marked_for = thread, LOOKS if call == "load" else LATES
-        return False
-
-    def _segment(self, node: Any) -> str:
-        """The name of a file's segment; empty: it is none."""
-        if node.number not in self._segments:
-            files = self._machine.root.folder("/dev/shm").names.items()
-            path = next((path for path, file in files if file is node), "")
-            self._segments[node.number] = path.rpartition(".")[2]
-        return self._segments[node.number]
 
     def _late_hang_up(self, label: str) -> Callable[[Epoll], int]:
         """How much later one process is woken by the loss of the port."""
@@ -251,11 +197,17 @@ class Schedule:
         if self._free:
             self._due -= 1
             at_word = call in ("load", "store")
-            if thread is self._marked or (call == "store" and not self._alone and self._is_rare(thread, about[1])):
+            if thread is self._marked or (
+                call == "store" and not self._pressing.alone and self._is_rare(thread, about[1])
+            ):
                 kinds, self._marked, self._marked_for = self._marked_for, None, DRAWN_KINDS
                 self._come(thread, call, about, key, kinds)
-            elif at_word and self._is_pressed(thread, call, about[0], about[1]):
-                self._come(thread, call, about, key, LOOKS if call == "load" else OF_MEMORY)
+            elif at_word and self._pressing.comes(about[0], about[1]):
+                # Here, or at the call behind it, where a store may be late, or another load older than this one.
+                if self._tape.dice.random() < 0.5:
+                    self._come(thread, call, about, key, LOOKS if call == "load" else OF_MEMORY)
+                else:
+                    self._marked, self._marked_for = thread, LOOKS if call == "load" else LATES
             elif self._due <= 0:
                 self._due = self._gap()
                 if self._tape.dice.random() < WEIGHTS.get(process.name, 0.2):
@@ -276,7 +228,7 @@ class Schedule:
         """Whether an event comes at this store; at the call behind it one comes as often."""
         place, dice = (thread.process.name, at), self._tape.dice
         count = self._stored[place] = self._stored.get(place, 0) + 1
-        if dice.random() * count >= self._at_rare:
+        if self._pressing.alone or dice.random() * count >= self._at_rare:
             return False
         if dice.random() < 0.5:
             return True
@@ -326,7 +278,7 @@ class Schedule:
         if call not in ("load", "store"):
             return ""
         node, at, _ = about
-        segment = self._segment(node)
+        segment = self._pressing.segment(node)
         spec = layout.SEGMENT_BY_NAME.get(segment)
         if spec is None:
             return " of a segment"
@@ -349,15 +301,16 @@ class Schedule:
         for late, kind in LATER.items() if since else ():
             if _may_be_late(since, late):
                 yield kind, lambda measure, late=late: pauses(measure, late)  # type: ignore[misc]
-        if call in ("load", "store"):
-            for early, kind in EARLIER.items():
-                halves = early in (BEGIN_OF_FIRST, END_OF_FIRST)
-                if halves and about[2] <= WORD_BYTES:
-                    continue
-                if call == "load" or not halves:
-                    yield kind, lambda measure, early=early: pauses(measure, 0, early)  # type: ignore[misc]
-                if call == "store" and early in RACES:
-                    yield RACES[early], lambda measure, early=early: self._race(thread, about[0], early, measure)  # type: ignore[misc]
+        size = about[2] if call in ("load", "store") else 0
+        for early, kind in EARLIER.items():
+            if early not in (BEGIN_OF_FIRST, END_OF_FIRST):
+                yield kind, lambda measure, early=early: pauses(measure, 0, early)  # type: ignore[misc]
+            elif size <= WORD_BYTES:
+                continue
+            elif call == "load":
+                yield kind, lambda measure, early=early: pauses(measure, 0, early)  # type: ignore[misc]
+            if call == "store" and early in RACES:
+                yield RACES[early], lambda measure, early=early: self._race(thread, about[0], early, measure)  # type: ignore[misc]
         yield LOWERED, lambda measure: machine.lower(thread)
         names = [name for name, _ in faults(stage, thread, call, about)]
         for index, name in enumerate(names):

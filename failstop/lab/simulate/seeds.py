@@ -26,8 +26,9 @@ from failstop.lab.machine.files import Node
 from failstop.lab.machine.loading import HOME, Patches
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.campaign import of_board
+from failstop.lab.simulate.for_seeds import FOR_SEEDS, play_of
 from failstop.lab.simulate.kinds import GROUP_OF
-from failstop.lab.simulate.scenarios import FOR_SEEDS, play_of, scenarios_of
+from failstop.lab.simulate.scenarios import scenarios_of
 from failstop.lab.simulate.schedule import Event, Schedule
 from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 from failstop.lab.simulate.tape import Draws, Tape, shrunk

@@ -6,7 +6,7 @@ from __future__ import annotations
 import itertools
 
 from failstop.lab.machine.loading import Patches
-from failstop.lab.simulate.controls import PORT_OWNER_MODULE, SUPERVISOR_MODULE, Mutant
+from failstop.lab.simulate.controls import PORT_OWNER_MODULE, STOPPER_MODULE, SUPERVISOR_MODULE, Mutant
 from failstop.lab.simulate.kinds import MEMORY
 
 LATCH_MODULE, MONITOR_MODULE = "failstop.supervisor.latch", "failstop.supervisor.monitor"
@@ -63,6 +63,14 @@ WEAK_CONTROLS = (
                 "                pass\n",
             ),
         ),
+    ),
+    control(
+        "look: supervisor", "starves_again", without(SUPERVISOR_MODULE, "", "        if self._moving_word.get():\n")
+    ),
+    control(
+        "look: stopper",
+        "starves_longer",
+        without(STOPPER_MODULE, "", "        return is_starved and not self._port_owner_moving.get()\n"),
     ),
     control("ring: any writer", "crowd", PUT),
     control("ring: its readers", "drive", without(CELL_MODULE, "", "        if self._check(", "Barrier()()\n")),

@@ -1,0 +1,82 @@
+"""Scenarios for seeds alone: they are about the order in which shared memory is seen, and every single fault at each of
+their calls would show nothing that those of scenarios.py do not."""
+
+from __future__ import annotations
+
+from failstop.lab.simulate.scenarios import ARM_SETTINGS, SCENARIOS, Play, driving
+from failstop.lab.simulate.stage import SETTINGS, Stage
+from failstop.messages import records
+
+FOR_SEEDS: dict[str, Play] = {}
+LOOKS = 25
+CROWD = 3
+"""So many programs ask at once."""
+
+
+def play_of(name: str) -> Play:
+    """The scenario of that name, of these or of all others."""
+    return SCENARIOS.get(name) or FOR_SEEDS[name]
+
+
+def for_seeds(play: Play) -> Play:
+    """Declare one."""
+    FOR_SEEDS[play.__name__] = play
+    return play
+
+
+@for_seeds
+def stop_stays(stage: Stage) -> None:
+    """A stop stays for half a second, while a program looks at the robot."""
+    robot = driving(stage)
+    stage.stop(robot)
+    for _ in range(LOOKS):
+        robot.state  # noqa: B018
+        stage.time.sleep(0.02)
+
+
+@for_seeds
+def crowd(stage: Stage) -> None:
+    """The gate is held up for a moment; meanwhile each of several programs has asked for something."""
+    robots = [stage.connect() for _ in range(CROWD)]
+    for _ in range(CROWD):
+        stage.freeze("gate", 30)
+        for number, robot in enumerate(robots):
+            robot._client().tell("speed_limit", 100 - number)
+            robot._client().ask(records.LIMIT)
+        stage.time.sleep(0.06)
+    for robot in robots:
+        robot.close()
+
+
+@for_seeds
+def two_fall_silent(stage: Stage) -> None:
+    """Telemetry hangs, and the stopper is starved: the supervisor notices both in one turn, and has just raised the
+    epoch for the one when it asks for the other whether anything moves."""
+    robot = driving(stage, 0.09)
+    stage.freeze("telemetry", 700)
+    stage.drive(robot, 0.27)
+    stage.freeze("stopper", 400, starved=True)
+    stage.drive(robot, 0.19)
+    stage.freeze("supervisor", 36)
+    stage.drive(robot, 0.1)
+
+
+def _starves_again(name: str, ms: int) -> None:
+    def play(stage: Stage) -> None:
+        robot = stage.connect()
+        robot.wait_for("ready", stage.ready_s)
+        robot.arm.follow({"base": 0.02})
+        stage.time.sleep(0.001)
+        stage.freeze("port_owner", ms, starved=True)
+        stage.time.sleep(ms / 1000 - 0.006)
+        robot.arm.follow({"base": 0.0})
+        stage.hold_as_it_moves(140)
+        stage.time.sleep(0.05)
+
+    play.__doc__ = f"The port owner is starved for {ms} ms, and again as soon as it has said that it moves the arm."
+    FOR_SEEDS[name] = play
+    SETTINGS[play] = ARM_SETTINGS
+
+
+_starves_again("starves_again", 102)
+_starves_again("starves_longer", 252)
