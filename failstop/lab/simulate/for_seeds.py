@@ -4,7 +4,7 @@ their calls would show nothing that those of scenarios.py do not."""
 from __future__ import annotations
 
 from failstop.lab.simulate.scenarios import ARM_SETTINGS, SCENARIOS, Play, driving
-from failstop.lab.simulate.stage import SETTINGS, Stage
+from failstop.lab.simulate.stage import SETTINGS, SPEED_MPS, Stage
 from failstop.messages import records
 
 FOR_SEEDS: dict[str, Play] = {}
@@ -58,7 +58,8 @@ def two_fall_silent(stage: Stage) -> None:
     stage.freeze("stopper", 400, starved=True)
     stage.drive(robot, 0.19)
     stage.freeze("supervisor", 36)
-    stage.drive(robot, 0.1)
+    for step in range(10):  # a frame with each: one speed is told again after 200 ms alone
+        stage.drive(robot, 0.01, SPEED_MPS / (1 + step % 2))
 
 
 def _starves_again(name: str, ms: int) -> None:

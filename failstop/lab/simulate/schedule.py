@@ -40,7 +40,7 @@ from failstop.lab.simulate.kinds import (
     SEEN_NS,
     SHORT_NS,
 )
-from failstop.lab.simulate.pressing import Pressing
+from failstop.lab.simulate.pressing import PLACES, Pressing
 from failstop.lab.simulate.stage import Stage
 from failstop.lab.simulate.tape import Tape
 from failstop.lab.simulate.witness import PORT_WRITERS, SERVICE_PROCESSES, ZEROS_NS
@@ -55,8 +55,8 @@ GAPS = (15, 500)
 AT_RARE = (0.02, 1.0)
 """Between these is how often one comes, in a run, at the first store of a place or at the call behind it; at the n-th
 it is n times as seldom. What is stored often is met by the distances too."""
-OF_MEMORY = frozenset(kind for group in MEMORY for kind in GROUPS[group])
 LOOKS, LATES = frozenset(EARLIER.values()), frozenset(LATER.values())
+MEETS = LOOKS.union(RACES.values())
 HEAVY = 4
 """At most so many events of a round are more than a pause."""
 ORDERS = 1 << 16
@@ -79,9 +79,12 @@ class Event:
 
 
 class Schedule:
-    """The seam of a run. `groups`: the kinds of events that may be on; empty: all."""
+    """The seam of a run. `groups`: the kinds of events that may be on; empty: all. `places`: the records to press on,
+    as numbers of PLACES."""
 
-    def __init__(self, stage: Stage, tape: Tape, groups: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, stage: Stage, tape: Tape, groups: tuple[str, ...] = (), places: Collection[int] = range(len(PLACES))
+    ) -> None:
         machine = stage.machine
         assert isinstance(machine, WeakMachine)
         self._stage, self._tape, self._machine = stage, tape, machine
@@ -96,7 +99,7 @@ class Schedule:
         """At its next call or access an event comes."""
         self._marked_for: Collection[str] = DRAWN_KINDS
         """One of these."""
-        self._pressing = Pressing(tape.dice, machine)
+        self._pressing = Pressing(tape.dice, machine, places)
         self.events: list[Event] = []
         self.calls = 0
         self._round = 0
@@ -147,7 +150,7 @@ class Schedule:
         self._stage.hang_up_ns = self._late_hang_up(f"{prefix}hang-up")
         self._due = self._gap()
         if self._free:
-            self._pressing.begin(memory=not self._on.isdisjoint(MEMORY))
+            self._pressing.begin(memory=not self._on.isdisjoint(MEMORY), others=not self._on.issubset(MEMORY))
             self._due = 1 << 62 if self._pressing.alone else self._due
         machine.at_seam = self._at
 
@@ -205,7 +208,7 @@ class Schedule:
             elif at_word and self._pressing.comes(about[0], about[1]):
                 # Here, or at the call behind it, where a store may be late, or another load older than this one.
                 if self._tape.dice.random() < 0.5:
-                    self._come(thread, call, about, key, LOOKS if call == "load" else OF_MEMORY)
+                    self._come(thread, call, about, key, LOOKS if call == "load" else MEETS)
                 else:
                     self._marked, self._marked_for = thread, LOOKS if call == "load" else LATES
             elif self._due <= 0:
@@ -248,6 +251,8 @@ class Schedule:
         groups = dict[str, Kinds]()
         for kind, act in self._possible(thread, call, about):
             group = GROUP_OF[kind]
+            if kind in LOOKS and call != "load" and kinds is DRAWN_KINDS:
+                continue  # it comes where something is to be seen alone: a call says little of the loads behind it
             if group in self._on and kind in kinds and (self._heavy or group in LIGHT):
                 groups.setdefault(group, {})[kind] = act
         if not groups:
@@ -255,7 +260,8 @@ class Schedule:
         group = dice.choice(list(groups))
         self._heavy -= group not in LIGHT
         kind = dice.choice(list(groups[group]))
-        value = 1 + DRAWN_KINDS.index(kind) * MEASURES + dice.randrange(MEASURES)
+        least = 0 if kinds is DRAWN_KINDS else MEASURES // 2  # what is to be met there needs its time
+        value = 1 + DRAWN_KINDS.index(kind) * MEASURES + dice.randrange(least, MEASURES)
         self._happen(f"{self._round} {self._label(place)}", value, groups[group][kind], thread, call, about)
 
     def _happen(self, label: str, value: int, act: Act, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
@@ -278,7 +284,7 @@ class Schedule:
         if call not in ("load", "store"):
             return ""
         node, at, _ = about
-        segment = self._pressing.segment(node)
+        segment = self._pressing.segments.name(node)
         spec = layout.SEGMENT_BY_NAME.get(segment)
         if spec is None:
             return " of a segment"
