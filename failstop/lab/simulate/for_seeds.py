@@ -8,7 +8,7 @@ from failstop.lab.simulate.stage import SETTINGS, SPEED_MPS, Stage
 from failstop.messages import records
 
 FOR_SEEDS: dict[str, Play] = {}
-LOOKS = 25
+LOOKS = 40
 CROWD = 3
 """So many programs ask at once."""
 
@@ -26,12 +26,14 @@ def for_seeds(play: Play) -> Play:
 
 @for_seeds
 def stop_stays(stage: Stage) -> None:
-    """A stop stays for half a second, while a program looks at the robot."""
+    """A stop stays for a while, while a program looks at the robot, and asks for a stop again and again: so the
+    supervisor looks at what telemetry says."""
     robot = driving(stage)
     stage.stop(robot)
     for _ in range(LOOKS):
         robot.state  # noqa: B018
-        stage.time.sleep(0.02)
+        robot.estop("again")
+        stage.time.sleep(0.01)
 
 
 @for_seeds
