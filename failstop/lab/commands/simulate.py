@@ -85,7 +85,7 @@ def main(arguments: Namespace) -> int:
         print(run.text())
         return int(bool(run.violations))
     if arguments.controls:
-        return _controls(board, arguments.controls, arguments.page)
+        return _controls(board, arguments.jobs, arguments.controls, arguments.page)
     chosen = names if arguments.scenario else None
     if arguments.tape is not None:
         return _tape(arguments.tape, chosen, board)
@@ -118,7 +118,7 @@ def _part(text: str) -> tuple[int, int]:
     return int(number) - 1, int(parts)
 
 
-def _controls(board: str, wanted: str, file: str) -> int:
+def _controls(board: str, jobs: int, wanted: str, file: str) -> int:
     from failstop.lab.simulate import control_runs, controls
 
     def asked(row: str) -> bool:
@@ -130,7 +130,7 @@ def _controls(board: str, wanted: str, file: str) -> int:
     boards = BOARDS if file else (board,)
     print(control_runs.HEAD, flush=True)
     every = []
-    for found in control_runs.searched(CONTROL_S, lambda each: asked(each.row) and each.board in boards):
+    for found in control_runs.searched(CONTROL_S, jobs, lambda each: asked(each.row) and each.board in boards):
         every.append(found)
         print(found.text(), flush=True)
         if wanted != EVERY:

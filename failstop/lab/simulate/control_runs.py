@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
@@ -105,9 +106,14 @@ def search(control: Mutant, seconds: float) -> Found:
     return Found(control, by, single.runs, used_s() - begun_s, int(bool(run.fault)), run.violations[0], run.text())
 
 
-def searched(seconds: float, wanted: Callable[[Mutant], bool]) -> Iterator[Found]:
-    """All controls that are wanted, in the order of their tables."""
-    return (search(control, seconds) for control in BOTH if wanted(control))
+def searched(seconds: float, jobs: int, wanted: Callable[[Mutant], bool]) -> Iterator[Found]:
+    """All controls that are wanted, in the order of their tables, in so many processes."""
+    with multiprocessing.get_context("fork").Pool(jobs, maxtasksperchild=1) as pool:
+        yield from pool.imap(_searched, [(control, seconds) for control in BOTH if wanted(control)])
+
+
+def _searched(todo: tuple[Mutant, float]) -> Found:
+    return search(*todo)
 
 
 def page(found: Iterable[Found], seconds: float) -> str:

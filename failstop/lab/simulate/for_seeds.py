@@ -8,7 +8,7 @@ from failstop.lab.simulate.stage import SETTINGS, SPEED_MPS, Stage
 from failstop.messages import records
 
 FOR_SEEDS: dict[str, Play] = {}
-LOOKS = 40
+LOOKS, ASKS, RESETS = 40, 20, 6
 CROWD = 3
 """So many programs ask at once."""
 
@@ -38,16 +38,38 @@ def stop_stays(stage: Stage) -> None:
 
 @for_seeds
 def crowd(stage: Stage) -> None:
-    """The gate is held up for a moment; meanwhile each of several programs has asked for something."""
+    """The gate is held up for a moment, in which each of several programs asks for something: it has several remarks at
+    once then, while stops that are asked for have the supervisor look for remarks."""
     robots = [stage.connect() for _ in range(CROWD)]
     for _ in range(CROWD):
         stage.freeze("gate", 30)
         for number, robot in enumerate(robots):
             robot._client().tell("speed_limit", 100 - number)
             robot._client().ask(records.LIMIT)
-        stage.time.sleep(0.06)
+        stage.time.sleep(0.026)
+        for _ in range(10):
+            robots[0].estop("again")
+            stage.time.sleep(0.003)
     for robot in robots:
         robot.close()
+
+
+@for_seeds
+def asks_and_looks(stage: Stage) -> None:
+    """A program asks for one thing after another, and looks at the state as soon as it has its answer."""
+    robot = stage.connect()
+    for step in range(ASKS):
+        robot.limit_speed(1 - step / 100)
+        robot.state  # noqa: B018
+
+
+@for_seeds
+def resets(stage: Stage) -> None:
+    """Stops and resets, one after another."""
+    robot = driving(stage)
+    for _ in range(RESETS):
+        stage.stop(robot)
+        stage.reset(robot)
 
 
 @for_seeds
@@ -56,12 +78,11 @@ def two_fall_silent(stage: Stage) -> None:
     epoch for the one when it asks for the other whether anything moves."""
     robot = driving(stage, 0.09)
     stage.freeze("telemetry", 700)
-    stage.drive(robot, 0.27)
-    stage.freeze("stopper", 400, starved=True)
-    stage.drive(robot, 0.19)
-    stage.freeze("supervisor", 36)
-    for step in range(10):  # a frame with each: one speed is told again after 200 ms alone
-        stage.drive(robot, 0.01, SPEED_MPS / (1 + step % 2))
+    stage.hold_again("stopper", 270, 400, starved=True)
+    stage.hold_again("supervisor", 480, 36)
+    stage.drive(robot, 0.44)
+    for step in range(6):  # a frame with each: one speed is told again after 200 ms alone
+        stage.drive(robot, 0.02, SPEED_MPS / (1 + step % 2))
 
 
 def _starves_again(name: str, ms: int) -> None:

@@ -221,9 +221,9 @@ class Stage:
         robot._client().command(float("nan"), 0.0, 0.0, manual=False, source="cmd_vel")
         self.must_stop("a program commands what is no number", 30)
 
-    def hold_again(self, name: str, after_ms: int, ms: int) -> None:
-        """Run nothing of a process for so long, from a moment on that is so far away."""
-        self.machine.at(self.machine.now_ns + after_ms * MS, lambda: self.freeze(name, ms))
+    def hold_again(self, name: str, after_ms: int, ms: int, *, starved: bool = False) -> None:
+        """As freeze, from a moment on that is so far away."""
+        self.machine.at(self.machine.now_ns + after_ms * MS, lambda: self.freeze(name, ms, starved=starved))
 
     def hold_in_write(self, name: str, ms: int) -> None:
         """Run nothing of a process for so long, from its next write to the port on, whose bytes are then late."""

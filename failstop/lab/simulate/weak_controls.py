@@ -31,16 +31,16 @@ def control(row: str, scenario: str, *patches: Patches) -> Mutant:
 
 
 PUT = without(CELL_MODULE, "", "        self._view[at : at + len(data)] = data\n")
-DRIVES, LASTS = "drive_and_stop", "stop_stays"
+RESETS, ASKS, LASTS = "resets", "asks_and_looks", "stop_stays"
 WEAK_CONTROLS = (
     control(
         "cause, ready: supervisor",
-        DRIVES,
+        RESETS,
         without(LATCH_MODULE, "        self.ready_word.set(0)\n", "        self._epoch_word.set(self.number)\n"),
     ),
     control(
         "cause, ready, reset decided: gate",
-        DRIVES,
+        RESETS,
         without(GATE_MODULE, "", "        if entry := self._latch.read():\n"),
     ),
     control(
@@ -102,17 +102,17 @@ WEAK_CONTROLS = (
             MONITOR_MODULE, "        still_ns = self._still.get()\n", "        if self._judged.get() != judged_ns:\n"
         ),
     ),
-    control("reply: gate", DRIVES, PUT),
+    control("reply: gate", ASKS, PUT),
     control(
         "reply: client",
-        DRIVES,
+        ASKS,
         without(CLIENT_MODULE, "", "                return reply if number == asked", "Barrier()()\n"),
     ),
     control(
         "reset asked: gate",
-        DRIVES,
+        RESETS,
         without(REQUESTS_MODULE, "", "        self._asked_word.set(self._asked_word.get() + 1)\n"),
     ),
-    control("reset asked: supervisor", DRIVES, without(LATCH_MODULE, "", "        reply = self.latch.reset(")),
-    control("reset decided: supervisor", DRIVES, without(LATCH_MODULE, "", "        self._decided_word.set(number)\n")),
+    control("reset asked: supervisor", RESETS, without(LATCH_MODULE, "", "        reply = self.latch.reset(")),
+    control("reset decided: supervisor", RESETS, without(LATCH_MODULE, "", "        self._decided_word.set(number)\n")),
 )
