@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate seeds model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64
+.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -99,6 +99,10 @@ simulate: $(VENV)/.dev
 # A minute of drawn runs, from the seed of the day on: CI has it beside `make test`.
 seeds: $(VENV)/.dev
 	$(BIN)/failstop simulate --seeds 60 --day
+
+# Each part of the protocol taken out in turn, and missed: the page of them (docs/dev/controls.md).
+controls: $(VENV)/.dev
+	$(BIN)/failstop simulate --controls --page docs/dev/controls.md
 
 model:
 	model/check

@@ -107,12 +107,11 @@ class Requests:
             self._answers.append((slot.index, reply.pack(request.session, request.number)))
 
     def write(self) -> None:
-        """Write the answers, after the state that has come of them: whoever reads one reads no older state."""
-        if self._answers:
-            self._barrier()
-            for index, answer in self._answers:
-                self._replies[index].write(answer)
-            self._answers.clear()
+        """Write the answers, after the state that has come of them: whoever reads one reads no older state, since a
+        writer has a barrier before each entry (cell.py)."""
+        for index, answer in self._answers:
+            self._replies[index].write(answer)
+        self._answers.clear()
 
     def _remark(self, request: Request, reply: Reply, now_ns: int, *, enabled: bool) -> None:
         """Tell people who has asked for what, with what effect."""
@@ -138,13 +137,13 @@ class Requests:
         self._supervisor_bell.ring()
 
     def reset_decided(self) -> bool:
-        """True when one was decided since the last call: read the latch before its answer."""
+        """True when one was decided since the last call: read the latch before its answer, behind whose barrier the
+        answer is new enough too."""
         seen, self._resets_seen = self._resets_seen, self._decided_word.get()
         return self._resets_seen != seen
 
     def answer_reset(self, now_ns: int) -> None:
         """Tell the asker of the supervisor's decision, who may have asked the gate before this one."""
-        self._barrier()
         entry = self._decided.read()
         if not self._resets or self._resets_seen != self._asked_word.get() or entry is None:
             return

@@ -12,7 +12,9 @@ import pytest
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import HARMLESS, SHARED_MODULES, Loader
 from failstop.lab.machine.robot import Robot
-from failstop.lab.simulate.controls import CONTROLS, Mutant
+from failstop.lab.simulate.control_runs import BOTH
+from failstop.lab.simulate.controls import Mutant
+from failstop.lab.simulate.for_seeds import FOR_SEEDS, play_of
 from failstop.lab.simulate.scenarios import SCENARIOS
 from failstop.lab.simulate.stage import Stage
 from tests.support import rooms
@@ -67,12 +69,16 @@ def test_what_is_not_simulated_is_not_there() -> None:
 
 
 def test_each_scenario_is_right_without_a_fault() -> None:
-    wrong = {name: stage.witness.violations for name in SCENARIOS if (stage := played(name)).witness.violations}
+    wrong = {
+        name: stage.witness.violations
+        for name in (*SCENARIOS, *FOR_SEEDS)
+        if (stage := played(name)).witness.violations
+    }
     assert wrong == {}
 
 
 def played(name: str) -> Stage:
-    stage = Stage(SCENARIOS[name])
+    stage = Stage(play_of(name))
     stage.run()
     return stage
 
@@ -115,9 +121,9 @@ def test_stamps_are_of_the_simulated_clock() -> None:
     assert all(began_ns <= stamp <= robot.machine.now_ns for stamp in stamps)
 
 
-@pytest.mark.parametrize("control", CONTROLS, ids=lambda control: control.row)
+@pytest.mark.parametrize("control", BOTH, ids=lambda control: control.row)
 def test_a_control_is_of_a_scenario_and_changes_source_that_is_there_once(control: Mutant) -> None:
-    assert control.scenario in SCENARIOS
+    assert play_of(control.scenario)
     loader, names = Loader(Machine(), control.patches), {name for name, _, _ in control.patches}
     assert names
     assert all(map(loader.load, names))

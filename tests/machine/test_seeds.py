@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from random import Random
 
 import pytest
 
-from failstop.lab.simulate import controls, seeds
+from failstop.lab.machine.files import Regular
+from failstop.lab.machine.loading import HOME
+from failstop.lab.machine.memory import WeakMachine
+from failstop.lab.simulate import control_runs, controls, seeds
+from failstop.lab.simulate.control_runs import BOTH
 from failstop.lab.simulate.controls import CONTROLS
 from failstop.lab.simulate.kinds import DRAWN_KINDS, GROUPS
+from failstop.lab.simulate.pressing import PLACES, Pressing
 from failstop.lab.simulate.seeds import Nursery, Seeded
 from failstop.lab.simulate.tape import Draws, Tape, shrunk
-from failstop.lab.simulate.weak_controls import WEAK_CONTROLS
 
 OWN_STOP = next(each for each in CONTROLS if each.row == "own stop does not refuse motion")
 MOST_DRAWS = 6
+QUICK = ("look: supervisor", "reply: client")
+HEADS = (control_runs.COLUMNS[0], "row")
 
 
 def test_a_tape_gives_again_what_was_drawn_and_nothing_else() -> None:
@@ -63,6 +71,35 @@ def test_a_failure_keeps_only_the_draws_that_it_needs() -> None:
     assert json.loads(run.tape())["draws"] == run.draws
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("row", QUICK)
+def test_a_barrier_that_is_taken_out_is_missed(row: str) -> None:
+    control = next(each for each in BOTH if each.row == row)
+    found = control_runs.search(control, 60.0)
+    assert found.wrong
+    assert found.draws <= MOST_DRAWS
+
+
+def test_the_page_of_controls_has_each_of_them_and_no_other() -> None:
+    lines = (Path(HOME) / "docs/dev/controls.md").read_text(encoding="utf-8").splitlines()
+    rows = [line.split(" | ")[0].removeprefix("| ") for line in lines if line.startswith("| ")]
+    wanted = {each.row for each in BOTH} | controls.NOT_EXPRESSED.keys()
+    assert sorted(row for row in rows if row not in HEADS) == sorted(wanted)
+
+
+def test_a_round_presses_on_records_that_are_there_and_not_for_ever() -> None:
+    machine = WeakMachine()
+    segment = machine.root.folder("/dev/shm")
+    epoch = PLACES[0]
+    segment.put(f"failstop.1.{epoch[0]}", file := Regular())
+    pressing = Pressing(Random(1), machine, [0])
+    pressing.begin(memory=True, others=True)
+    assert 1 <= sum(pressing.comes(file, epoch[1].start) for _ in range(1000)) < 30
+    assert not any(pressing.comes(file, epoch[1].stop) for _ in range(100))
+    pressing.begin(memory=False, others=True)
+    assert not any(pressing.comes(file, epoch[1].start) for _ in range(100))
+
+
 def test_a_campaign_counts_its_faults() -> None:
     found, other = seeds.Seeds(), seeds.Seeds()
     other.add(Seeded(3, ["1 drive"], violations=["the wheels turn"], groups={"dies": 2, "memory": 5}))
@@ -72,6 +109,5 @@ def test_a_campaign_counts_its_faults() -> None:
 
 
 def test_what_no_change_of_the_source_stands_for_has_a_reason() -> None:
-    rows = {control.row for control in CONTROLS} | {control.row for control in WEAK_CONTROLS}
-    assert not rows & controls.NOT_EXPRESSED.keys()
+    assert not {control.row for control in BOTH} & controls.NOT_EXPRESSED.keys()
     assert all(controls.NOT_EXPRESSED.values())

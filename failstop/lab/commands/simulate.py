@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import time
@@ -56,6 +55,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="ROW",
         help="take parts of the protocol out, and see that each is missed; ROW: those alone, each with its story",
     )
+    add("--page", metavar="FILE", help="with --controls: those of every board, and what became of them as a page")
     add("--list", action="store_true", help="list the scenarios")
     add("--marks", action="store_true", help="print how often each mark was reached")
 
@@ -65,16 +65,18 @@ def main(arguments: Namespace) -> int:
     try:
         from failstop.lab.boards.traits import traits_of
         from failstop.lab.simulate import campaign, marks
-        from failstop.lab.simulate.scenarios import SCENARIOS, scenarios_of
+        from failstop.lab.simulate.for_seeds import FOR_SEEDS, play_of
+        from failstop.lab.simulate.scenarios import scenarios_of
     except ModuleNotFoundError as error:
         raise FailstopError(f"this needs the package {error.name}: `pip install {error.name}`") from None
 
     board, traits = arguments.board, traits_of(arguments.board)
     known = scenarios_of(traits)
-    names = matching(arguments.scenario, {name: name for name in known}, "no scenario {}: --list has them")
+    there = known if not (arguments.scenario or arguments.list) else [*known, *FOR_SEEDS]
+    names = matching(arguments.scenario, {name: name for name in there}, "no scenario {}: --list has them")
     if arguments.list:
         for name in names:
-            print(f"{name:<24} {SCENARIOS[name].__doc__ or ''}")
+            print(f"{name:<24} {play_of(name).__doc__ or ''}")
         return 0
     if arguments.call is not None:
         if len(names) != 1 or not arguments.fault:
@@ -83,7 +85,7 @@ def main(arguments: Namespace) -> int:
         print(run.text())
         return int(bool(run.violations))
     if arguments.controls:
-        return _controls(board, arguments.controls)
+        return _controls(board, arguments.jobs, arguments.controls, arguments.page)
     chosen = names if arguments.scenario else None
     if arguments.tape is not None:
         return _tape(arguments.tape, chosen, board)
@@ -116,27 +118,30 @@ def _part(text: str) -> tuple[int, int]:
     return int(number) - 1, int(parts)
 
 
-def _controls(board: str, wanted: str) -> int:
-    from failstop.lab.simulate import controls, weak_controls
+def _controls(board: str, jobs: int, wanted: str, file: str) -> int:
+    from failstop.lab.simulate import control_runs, controls
 
     def asked(row: str) -> bool:
         return fnmatch(row, wanted)
 
-    known = [*(each.row for each in (*controls.CONTROLS, *weak_controls.WEAK_CONTROLS)), *controls.NOT_EXPRESSED]
+    known = [*(each.row for each in control_runs.BOTH), *controls.NOT_EXPRESSED]
     if not any(map(asked, known)):
         raise FailstopError(f"no control {wanted}; there are: {'; '.join(known)}")
-    print("| " + " | ".join(controls.COLUMNS) + " |\n|" + "---|" * len(controls.COLUMNS))
-    gaps = 0
-    weak = weak_controls.search_weak(CONTROL_S, asked) if board == BOARDS[0] else ()
-    for found in itertools.chain(controls.search(CONTROL_S, board, asked), weak):
+    boards = BOARDS if file else (board,)
+    print(control_runs.HEAD, flush=True)
+    every = []
+    for found in control_runs.searched(CONTROL_S, jobs, lambda each: asked(each.row) and each.board in boards):
+        every.append(found)
         print(found.text(), flush=True)
         if wanted != EVERY:
             print(found.story)
-        gaps += not found.wrong
     for row, why in controls.NOT_EXPRESSED.items():
         if asked(row):
-            print(f"| {row} | not expressed: {why} | | | |")
-    return int(bool(gaps))
+            print(f"not expressed: {row}: {why}")
+    if file:
+        with open(file, "w", encoding="utf-8") as page:
+            page.write(control_runs.page(every, CONTROL_S))
+    return int(not all(found.wrong for found in every))
 
 
 def _seeds(first: int, seconds: float, jobs: int, names: list[str] | None, board: str) -> int:

@@ -88,6 +88,9 @@ class OrderingLock(Lock):
 
     def release(self) -> None:
         if view := self._view():
+            machine: Any = self._calls.machine
+            if view.since and machine.at_seam is not None:
+                machine.at_seam(machine.current, "release", ())
             view.released = len(view.since)
         super().release()
 

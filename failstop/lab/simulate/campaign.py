@@ -23,8 +23,9 @@ from failstop.lab.machine.process import Thread
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.equal import IS_HELD, Equal
 from failstop.lab.simulate.faults import faults, line_of
+from failstop.lab.simulate.for_seeds import play_of
 from failstop.lab.simulate.places import BEFORE, Places
-from failstop.lab.simulate.scenarios import DRIVEN, SCENARIOS
+from failstop.lab.simulate.scenarios import DRIVEN
 from failstop.lab.simulate.stage import Continuation, Stage
 from failstop.policy.layouts import BOARDS
 
@@ -199,7 +200,7 @@ class Explorer:
 
     def _new_stage(self) -> Stage:
         plan = self._plan
-        return Stage(SCENARIOS[plan.scenario], plan.seed, plan.patches, kind=plan.board)
+        return Stage(play_of(plan.scenario), plan.seed, plan.patches, kind=plan.board)
 
     def _judged(self) -> JudgedRun:
         run, witness = self.run, self.stage.witness

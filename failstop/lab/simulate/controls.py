@@ -1,17 +1,13 @@
 """Controls: one part of the stop protocol taken out, as in the failing rows of docs/dev/model.md, and the scenario that
-must notice, by its single faults or else by seeds. A campaign that finds none of them finds nothing. A patch names a
+must notice, by seeds or else by its single faults. A campaign that finds none of them finds nothing. A patch names a
 piece of source that is there once, so a change of that code makes the control fail, not pass."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 from failstop.lab.machine.loading import Patches
-from failstop.lab.simulate.campaign import Plan, explore
 from failstop.lab.simulate.equal import IS_HELD
-from failstop.lab.simulate.seeds import seeds, used_s
 from failstop.policy.layouts import BOARDS
 
 ADMISSION_MODULE = "failstop.procs.port_owner.admission"
@@ -35,7 +31,6 @@ NOT_EXPRESSED = {
     "the stop tool kills nobody": "the stop tool of systemd is no part of the simulated machine",
     "a new port hides the loss of the old": "each turn asks the old port what it holds before it takes a new one",
     "a refused frame stays in the ring": "a stop drops it, and without one it is late by less than DRAIN_NS",
-    "look": "a port owner must be starved twice, behind its word the second time, while the stopper looks",
     "bell": "the kernel's own locks",
 }
 """Failing rows of docs/dev/model.md and controls of docs/dev/memory-order.md that no change of the source stands for.
@@ -44,8 +39,8 @@ weak_controls.py has those that are expressed where a store may be late."""
 
 @dataclass(frozen=True)
 class Mutant:
-    """`row`: of docs/dev/model.md, or what is not in the model; `scenario`: what finds it; `fault`: the one that does,
-    where trying every other first takes minutes."""
+    """`row`: of docs/dev/model.md, the pair of docs/dev/memory-order.md and whose barrier it is, or what is in neither;
+    `scenario`: what finds it; `fault`: the one that does, where trying every other first takes minutes."""
 
     row: str
     scenario: str
@@ -53,6 +48,8 @@ class Mutant:
     fault: str = ""
     board: str = BOARDS[0]
     """The kind of board at which it is tried."""
+    groups: tuple[str, ...] = ()
+    """The kinds of events that seeds of it may draw; empty: all."""
 
 
 CONTROLS = (
@@ -211,53 +208,3 @@ CONTROLS = (
     ),
     Mutant("a stop is not repeated", "drive", (NOT_REPEATED,), CUT_AND_ASKED, "hoverboard"),
 )
-
-
-@dataclass(frozen=True)
-class Found:
-    """How a control was found: by which campaign, after how many of its runs and how much of a processor's time; with
-    how many faults or draws it happens again, and what was wrong. Not found: `wrong` is empty."""
-
-    row: str
-    by: str
-    runs: int
-    took_s: float
-    draws: int = 0
-    wrong: str = ""
-    story: str = ""
-
-    def text(self) -> str:
-        """One line of the table."""
-        told = f"{self.runs} {self.by}" if self.wrong else f"NOT FOUND by {self.runs} {self.by}"
-        return f"| {self.row} | {told} | {self.took_s:.1f} | {self.draws if self.wrong else ''} | {self.wrong} |"
-
-
-COLUMNS = ("control", "found by", "s of a processor", "draws that are needed", "what is wrong then")
-
-
-def drawn(row: str, seconds: float, patches: Patches, scenario: str, **options: Any) -> Found:
-    """A control is looked for by seeds of its scenario, for so long."""
-    found = seeds(0, 1, seconds, patches, [scenario], **options)
-    if not found.wrong:
-        return Found(row, "seeds", found.runs, found.took_s)
-    run = found.wrong[0]
-    return Found(row, "seeds", found.runs, found.found_s, len(run.draws), run.violations[0], run.text())
-
-
-def search(seconds: float, board: str = BOARDS[0], wanted: Callable[[str], bool] = lambda row: True) -> Iterator[Found]:
-    """Each control of a kind of board, by the single faults of its scenario, and else by seeds of it for so long.
-    `wanted`: asked with its row."""
-    for control in CONTROLS:
-        if control.board != board or not wanted(control.row):
-            continue
-        begun_s = used_s()
-        single = explore(
-            Plan(control.scenario, most=1, patches=control.patches, fault=control.fault, first=True, board=board)
-        )
-        if single.wrong:
-            run = single.wrong[0]
-            by = "single faults" if run.fault else "run without a fault"
-            faults = int(bool(run.fault))
-            yield Found(control.row, by, single.runs, used_s() - begun_s, faults, run.violations[0], run.text())
-        else:
-            yield drawn(control.row, seconds, control.patches, control.scenario, board=board)

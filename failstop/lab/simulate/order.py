@@ -11,7 +11,7 @@ from typing import Any
 
 from failstop.lab.machine.mapped import Mapped
 from failstop.lab.machine.memory import WeakMachine
-from failstop.lab.machine.process import Thread
+from failstop.lab.machine.process import Process, Thread
 from failstop.lab.simulate.witness import SERVICE_PROCESSES, Witness
 from failstop.messages import layout
 
@@ -66,12 +66,14 @@ class Order:
     """Watches the loads of a machine's processes."""
 
     def __init__(self, machine: WeakMachine, witness: Witness) -> None:
-        self._machine, self._witness = machine, witness
+        self.machine, self._witness = machine, witness
         self._files: dict[int, dict[int, Watched]] = {}
         """Of each file, by its Node's number: the watched places."""
         self._runs: dict[str, ServiceRun] = {}
         self.asks = False
-        """The supervisor asks whether anything moves, and will spare a process by the answer."""
+        """The supervisor asks whether anything moves, and will spare a process by the answer; or the stopper does."""
+        self.starved_since: dict[int, int] = {}
+        """By the pid of who looked at a starved port owner and has not asked since: the newest store then."""
         machine.on_store, machine.on_load = self._stored, self._loaded
 
     def _record(self, mapped: Mapped, at: int) -> Watched | None:
@@ -82,7 +84,7 @@ class Order:
 
     def _watched(self, mapped: Mapped) -> dict[int, Watched]:
         """The watched records of a file by their places: latest records have two cells, and are read from the first."""
-        files = self._machine.root.folder("/dev/shm").names.items()
+        files = self.machine.root.folder("/dev/shm").names.items()
         path = next((path for path, file in files if file is mapped.node), "")
         segment = path.rpartition(".")[2]
         spec = layout.SEGMENT_BY_NAME.get(segment)
@@ -110,10 +112,12 @@ class Order:
     def _loaded(self, thread: Thread, mapped: Mapped, at: int, stamp: int) -> None:
         if (record := self._record(mapped, at)) is None:
             return
-        unseen = self._machine.unseen(stamp)
+        unseen = self.machine.unseen(stamp)
         saw = next((made for made in reversed(record.made) if made not in unseen), 0)
         process = thread.process
         record.seen[process.pid] = saw
+        if self.asks and record.name == MOVING:
+            self._judge_look(process, record, saw)
         self._judge_both(process.name, record, saw)
         reader = process.name if process.name in SERVICE_PROCESSES else ""
         for pair in PAIRS:
@@ -122,6 +126,19 @@ class Order:
                 before = bisect_left(record.made, then)
                 if then and before and saw < record.made[before - 1]:
                     self._witness.wrong(f"{process.name} has seen {pair.then}, and not the {pair.first} from before it")
+
+    def looked(self, *, starved: bool) -> None:
+        """The process that runs has looked why the port owner is silent."""
+        pid = self.machine.caller().process.pid
+        self.starved_since.pop(pid, None)
+        if starved:
+            self.starved_since[pid] = self.machine.stamp
+
+    def _judge_look(self, process: Process, record: Watched, saw: int) -> None:
+        """A starved port owner has said whether it moves before it was starved."""
+        since = self.starved_since.pop(process.pid, None)
+        if since is not None and saw < max((made for made in record.made if made <= since), default=0):
+            self._witness.wrong(f"{process.name} has seen the port owner starved, and not the {MOVING} from before it")
 
     def _judge_both(self, name: str, record: Watched, saw: int) -> None:
         """Neither process may miss the other's store."""
@@ -141,20 +158,36 @@ class Order:
 
 
 def watch_looks(loader: Any, order: Order) -> None:
-    """Have the supervisor say when it asks whether anything moves: its other looks at that word decide how long it
-    sleeps."""
-    supervisor = loader.load("failstop.supervisor.main").Supervisor
-    motion = supervisor._motion
+    """Have supervisor and stopper say when they ask whether anything moves: the supervisor's other looks at that word
+    decide how long it sleeps. Have both say what they see of a port owner that is silent."""
+    asking = (
+        (loader.load("failstop.supervisor.main").Supervisor, "_motion"),
+        (loader.load("failstop.procs.stopper.main").Stopper, "_spares"),
+    )
+    for kind, name in asking:
+        setattr(kind, name, _asking(order, getattr(kind, name)))
+    starved = loader.load("failstop.procs.starved")
+    look = starved.look
 
-    def asked(self: Any) -> bool:
+    def looks(pid: int, *about: Any) -> bool:
+        found: bool = look(pid, *about)
+        port_owner = order.machine.processes.get(pid)
+        order.looked(starved=found and port_owner is not None and port_owner.name == "port_owner")
+        return found
+
+    starved.look = looks
+
+
+def _asking(order: Order, asks: Any) -> Any:
+    def asked(self: Any, *about: Any) -> bool:
         order.asks = True
         try:
-            found: bool = motion(self)
+            found: bool = asks(self, *about)
         finally:
             order.asks = False
         return found
 
-    supervisor._motion = asked
+    return asked
 
 
 def watch_rings(loader: Any, witness: Witness) -> None:

@@ -9,7 +9,7 @@ shared memory it is, or which call behind the last such store. So one that is le
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 from zlib import crc32
@@ -32,6 +32,7 @@ from failstop.lab.simulate.kinds import (
     LIGHT,
     LOWERED,
     MEASURES,
+    MEMORY,
     PAUSES,
     PULLED,
     RACES,
@@ -39,6 +40,7 @@ from failstop.lab.simulate.kinds import (
     SEEN_NS,
     SHORT_NS,
 )
+from failstop.lab.simulate.pressing import PLACES, Pressing
 from failstop.lab.simulate.stage import Stage
 from failstop.lab.simulate.tape import Tape
 from failstop.lab.simulate.witness import PORT_WRITERS, SERVICE_PROCESSES, ZEROS_NS
@@ -53,9 +55,12 @@ GAPS = (15, 500)
 AT_RARE = (0.02, 1.0)
 """Between these is how often one comes, in a run, at the first store of a place or at the call behind it; at the n-th
 it is n times as seldom. What is stored often is met by the distances too."""
+LOOKS, LATES = frozenset(EARLIER.values()), frozenset(LATER.values())
+MEETS = LOOKS.union(RACES.values())
 HEAVY = 4
 """At most so many events of a round are more than a pause."""
 ORDERS = 1 << 16
+
 
 Act = Callable[[int], object]
 Place = tuple[int, str, int | str]
@@ -74,9 +79,12 @@ class Event:
 
 
 class Schedule:
-    """The seam of a run. `groups`: the kinds of events that may be on; empty: all."""
+    """The seam of a run. `groups`: the kinds of events that may be on; empty: all. `places`: the records to press on,
+    as numbers of PLACES."""
 
-    def __init__(self, stage: Stage, tape: Tape, groups: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, stage: Stage, tape: Tape, groups: tuple[str, ...] = (), places: Collection[int] = range(len(PLACES))
+    ) -> None:
         machine = stage.machine
         assert isinstance(machine, WeakMachine)
         self._stage, self._tape, self._machine = stage, tape, machine
@@ -89,6 +97,9 @@ class Schedule:
         """How often each process has stored at each place."""
         self._marked: Thread | None = None
         """At its next call or access an event comes."""
+        self._marked_for: Collection[str] = DRAWN_KINDS
+        """One of these."""
+        self._pressing = Pressing(tape.dice, machine, places)
         self.events: list[Event] = []
         self.calls = 0
         self._round = 0
@@ -138,6 +149,9 @@ class Schedule:
         machine.order = tape.draw(f"{prefix}order", ORDERS, 0.5 * ("order" in self._on or not self._free))
         self._stage.hang_up_ns = self._late_hang_up(f"{prefix}hang-up")
         self._due = self._gap()
+        if self._free:
+            self._pressing.begin(memory=not self._on.isdisjoint(MEMORY), others=not self._on.issubset(MEMORY))
+            self._due = 1 << 62 if self._pressing.alone else self._due
         machine.at_seam = self._at
 
     def end(self) -> None:
@@ -185,9 +199,18 @@ class Schedule:
         self.calls += 1
         if self._free:
             self._due -= 1
-            if thread is self._marked or (call == "store" and self._is_rare(thread, about[1])):
-                self._marked = None
-                self._come(thread, call, about, key)
+            at_word = call in ("load", "store")
+            if thread is self._marked or (
+                call == "store" and not self._pressing.alone and self._is_rare(thread, about[1])
+            ):
+                kinds, self._marked, self._marked_for = self._marked_for, None, DRAWN_KINDS
+                self._come(thread, call, about, key, kinds)
+            elif at_word and self._pressing.comes(about[0], about[1]):
+                # Here, or at the call behind it, where a store may be late, or another load older than this one.
+                if self._tape.dice.random() < 0.5:
+                    self._come(thread, call, about, key, LOOKS if call == "load" else MEETS)
+                else:
+                    self._marked, self._marked_for = thread, LOOKS if call == "load" else LATES
             elif self._due <= 0:
                 self._due = self._gap()
                 if self._tape.dice.random() < WEIGHTS.get(process.name, 0.2):
@@ -208,31 +231,37 @@ class Schedule:
         """Whether an event comes at this store; at the call behind it one comes as often."""
         place, dice = (thread.process.name, at), self._tape.dice
         count = self._stored[place] = self._stored.get(place, 0) + 1
-        if dice.random() * count >= self._at_rare:
+        if self._pressing.alone or dice.random() * count >= self._at_rare:
             return False
         if dice.random() < 0.5:
             return True
-        self._marked = thread
+        self._marked, self._marked_for = thread, DRAWN_KINDS
         return False
 
     def _mark(self, thread: Thread) -> None:
-        """It has seen that a store is late: what comes next is worth an event."""
+        """It has seen that a store is late: what comes next is worth an event, as often as not of its own loads."""
         self._marked = thread
+        self._marked_for = LOOKS if self._tape.dice.random() < 0.5 else DRAWN_KINDS
 
-    def _come(self, thread: Thread, call: str, about: tuple[Any, ...], place: Place) -> None:
-        """An event, if any is on that may happen here."""
+    def _come(
+        self, thread: Thread, call: str, about: tuple[Any, ...], place: Place, kinds: Collection[str] = DRAWN_KINDS
+    ) -> None:
+        """An event of one of these kinds, if any is on that may happen here."""
         dice = self._tape.dice
         groups = dict[str, Kinds]()
         for kind, act in self._possible(thread, call, about):
             group = GROUP_OF[kind]
-            if group in self._on and (self._heavy or group in LIGHT):
+            if kind in LOOKS and call != "load" and kinds is DRAWN_KINDS:
+                continue  # it comes where something is to be seen alone: a call says little of the loads behind it
+            if group in self._on and kind in kinds and (self._heavy or group in LIGHT):
                 groups.setdefault(group, {})[kind] = act
         if not groups:
             return
         group = dice.choice(list(groups))
         self._heavy -= group not in LIGHT
         kind = dice.choice(list(groups[group]))
-        value = 1 + DRAWN_KINDS.index(kind) * MEASURES + dice.randrange(MEASURES)
+        least = 0 if kinds is DRAWN_KINDS else MEASURES // 2  # what is to be met there needs its time
+        value = 1 + DRAWN_KINDS.index(kind) * MEASURES + dice.randrange(least, MEASURES)
         self._happen(f"{self._round} {self._label(place)}", value, groups[group][kind], thread, call, about)
 
     def _happen(self, label: str, value: int, act: Act, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
@@ -255,8 +284,7 @@ class Schedule:
         if call not in ("load", "store"):
             return ""
         node, at, _ = about
-        files = self._machine.root.folder("/dev/shm").names.items()
-        segment = next((path.rpartition(".")[2] for path, file in files if file is node), "")
+        segment = self._pressing.segments.name(node)
         spec = layout.SEGMENT_BY_NAME.get(segment)
         if spec is None:
             return " of a segment"
@@ -279,14 +307,16 @@ class Schedule:
         for late, kind in LATER.items() if since else ():
             if _may_be_late(since, late):
                 yield kind, lambda measure, late=late: pauses(measure, late)  # type: ignore[misc]
-        if call in ("load", "store"):
-            for early, kind in EARLIER.items():
-                if early in (BEGIN_OF_FIRST, END_OF_FIRST) and about[2] <= WORD_BYTES:
-                    continue
-                if call == "load":
-                    yield kind, lambda measure, early=early: pauses(measure, 0, early)  # type: ignore[misc]
-                elif early in RACES:
-                    yield RACES[early], lambda measure, early=early: self._race(thread, about[0], early, measure)  # type: ignore[misc]
+        size = about[2] if call in ("load", "store") else 0
+        for early, kind in EARLIER.items():
+            if early not in (BEGIN_OF_FIRST, END_OF_FIRST):
+                yield kind, lambda measure, early=early: pauses(measure, 0, early)  # type: ignore[misc]
+            elif size <= WORD_BYTES:
+                continue
+            elif call == "load":
+                yield kind, lambda measure, early=early: pauses(measure, 0, early)  # type: ignore[misc]
+            if call == "store" and early in RACES:
+                yield RACES[early], lambda measure, early=early: self._race(thread, about[0], early, measure)  # type: ignore[misc]
         yield LOWERED, lambda measure: machine.lower(thread)
         names = [name for name, _ in faults(stage, thread, call, about)]
         for index, name in enumerate(names):

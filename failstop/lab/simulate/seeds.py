@@ -24,10 +24,13 @@ from typing import Any
 from failstop.lab.boards.traits import traits_of
 from failstop.lab.machine.files import Node
 from failstop.lab.machine.loading import HOME, Patches
+from failstop.lab.machine.memory import WeakMachine
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.campaign import of_board
+from failstop.lab.simulate.for_seeds import FOR_SEEDS, play_of
 from failstop.lab.simulate.kinds import GROUP_OF
-from failstop.lab.simulate.scenarios import SCENARIOS, scenarios_of
+from failstop.lab.simulate.pressing import PLACES, Met
+from failstop.lab.simulate.scenarios import scenarios_of
 from failstop.lab.simulate.schedule import Event, Schedule
 from failstop.lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 from failstop.lab.simulate.tape import Draws, Tape, shrunk
@@ -158,16 +161,17 @@ class Nursery:
         """`board`: its kind, as the setting board.kind. `groups`: those of schedule.py that are on; empty: by each
         seed's own draw. `rounds`: so many scenarios a run."""
         self._board, traits = board, traits_of(board)
-        self._names = names or [name for name in scenarios_of(traits) if not _stays_down(name)]
+        self._names = names or [name for name in (*scenarios_of(traits), *FOR_SEEDS) if not _stays_down(name)]
         self._alike: dict[str, list[str]] = {}
         """Scenarios by their settings, the simplest first: one run is of one kind."""
         for name in sorted(self._names, key=lambda name: name != SIMPLEST):
-            self._alike.setdefault(json.dumps(SETTINGS.get(SCENARIOS[name], {})), []).append(name)
+            self._alike.setdefault(json.dumps(SETTINGS.get(play_of(name), {})), []).append(name)
         self._options = of_board(board) + (f" --scenario {','.join(names)}" if names else "")
         self._patches, self._warm_ns = patches, WARM_NS + traits.deaf_ns
         self._groups, self._rounds = groups, rounds
         self._stages: dict[str, tuple[Stage, int]] = {}
-        self._loaded: set[str] = set()
+        self._places: dict[str, list[int]] = {}
+        """The records that its scenarios store (pressing.py)."""
 
     def _warm(self, key: str) -> tuple[Stage, int]:
         """The stage on which the service with these settings runs, and how many files it had made by then."""
@@ -179,19 +183,20 @@ class Nursery:
         return self._stages[key]
 
     def _new_stage(self, name: str) -> Stage:
-        return Stage(SCENARIOS[name], 0, self._patches, weak=True, kind=self._board)
+        return Stage(play_of(name), 0, self._patches, weak=True, kind=self._board)
 
     def run(self, seed: int, fixed: Draws | None = None) -> Seeded:
         """One run, in a fork. `fixed`: with these draws alone."""
         tape = Tape(seed, fixed)
         key = list(self._alike)[tape.draw("settings", len(self._alike), SPECIAL)]
         names = self._alike[key]
-        cold = SCENARIOS[names[0]] in FROM_THE_START and bool(tape.draw("start", 2, COLD))
+        cold = play_of(names[0]) in FROM_THE_START and bool(tape.draw("start", 2, COLD))
         if not cold:
             stage, _ = self._warm(key)
-            if key not in self._loaded:
-                self._loaded.add(key)
-                for module in _forked(lambda: self._needed(key)):
+            if key not in self._places:
+                needed = _forked(lambda: self._needed(key))
+                self._places[key] = needed["places"]
+                for module in needed["modules"]:
                     stage.robot.loader.load(module)
         found = _forked(lambda: self._judged(key, tape, cold=cold))
         found["events"] = [Event(*event) for event in found["events"]]
@@ -204,23 +209,27 @@ class Nursery:
         stage, Node.count = self._warm(key)
         return stage
 
-    def _needed(self, key: str) -> list[str]:
-        """The modules that its scenarios load."""
+    def _needed(self, key: str) -> dict[str, Any]:
+        """The modules that its scenarios load, and the records that they store."""
         stage = self._stage(key, cold=False)
+        machine = stage.machine
+        assert isinstance(machine, WeakMachine)
+        met = Met(machine)
         for name in self._alike[key]:
-            stage.take(SCENARIOS[name])
+            stage.take(play_of(name))
             stage.play(must_end=False)
         stage.prove_alive()
-        return stage.robot.loader.loaded()
+        return {"modules": stage.robot.loader.loaded(), "places": sorted(met.places)}
 
     def _judged(self, key: str, tape: Tape, *, cold: bool) -> dict[str, Any]:
         stage, names = self._stage(key, cold=cold), self._alike[key]
-        schedule, witness, rounds = Schedule(stage, tape, self._groups), stage.witness, list[str]()
+        schedule = Schedule(stage, tape, self._groups, self._places.get(key) or range(len(PLACES)))
+        witness, rounds = stage.witness, list[str]()
         for number in range(1 + tape.draw("skipped", self._rounds, 0.0), 1 + self._rounds):
             name = names[tape.draw(f"{number} scenario", len(names), OTHERS)]
             rounds.append(f"{number} {name}")
             witness.tell(f"round {number}: {name}")
-            stage.take(SCENARIOS[name])
+            stage.take(play_of(name))
             schedule.begin(number)
             stage.play(must_end=False)
             schedule.end()
@@ -257,6 +266,12 @@ class Nursery:
             kept = {label: value for label, value in run.draws.items() if not _before(label, skipped)}
             if skipped > 0 and (fails({**kept, "skipped": skipped}) or fails(kept)) is not None:
                 break
+        for each in range(1, number):
+            prefix = f"{each} "
+            if any(_is_event(label) and label.startswith(prefix) for label in best.draws):
+                fails(
+                    {key: value for key, value in best.draws.items() if not (_is_event(key) and key.startswith(prefix))}
+                )
         for most in SUFFIXES:
             last = set([label for label in best.draws if _is_event(label)][-most:])
             kept = {label: value for label, value in best.draws.items() if label in last or not _is_event(label)}
@@ -268,7 +283,7 @@ class Nursery:
 
 def _stays_down(name: str) -> bool:
     """Whether a process may be down until a reset, or for a minute if it is the gate, which passes resets on."""
-    return "restart.deaths" in SETTINGS.get(SCENARIOS[name], {})
+    return "restart.deaths" in SETTINGS.get(play_of(name), {})
 
 
 def _is_event(label: str) -> bool:

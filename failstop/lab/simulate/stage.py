@@ -14,12 +14,14 @@ from typing import Any
 from failstop.lab.machine.epoll import Epoll
 from failstop.lab.machine.kernel import FOREVER_NS, SIGCONT, SIGSTOP, SIGTERM
 from failstop.lab.machine.loading import Patches
+from failstop.lab.machine.mapped import Mapped
 from failstop.lab.machine.memory import WeakMachine
-from failstop.lab.machine.process import Process
+from failstop.lab.machine.process import Process, Thread
 from failstop.lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop.lab.simulate import marks
 from failstop.lab.simulate.order import Order, watch_looks, watch_rings
 from failstop.lab.simulate.witness import ASKED_NS, BACK_NS, ZEROS_NS, Witness
+from failstop.messages import layout
 from failstop.policy.layouts import BOARDS
 
 Continuation = Callable[["Stage", Any], object]
@@ -46,6 +48,7 @@ ARM_NS = 8_000 * MS
 RESTART_NS = 100 * MS
 """After its death the service is started again, as systemd does (RestartSec)."""
 DRIVER_NS = 500 * MS
+MOVING_AT = layout.SEGMENT_BY_NAME[layout.PORT_OWNER].offsets["moving"]
 STOP_PIPE = "/run/failstop/failstop/stop"
 
 
@@ -218,9 +221,9 @@ class Stage:
         robot._client().command(float("nan"), 0.0, 0.0, manual=False, source="cmd_vel")
         self.must_stop("a program commands what is no number", 30)
 
-    def hold_again(self, name: str, after_ms: int, ms: int) -> None:
-        """Run nothing of a process for so long, from a moment on that is so far away."""
-        self.machine.at(self.machine.now_ns + after_ms * MS, lambda: self.freeze(name, ms))
+    def hold_again(self, name: str, after_ms: int, ms: int, *, starved: bool = False) -> None:
+        """As freeze, from a moment on that is so far away."""
+        self.machine.at(self.machine.now_ns + after_ms * MS, lambda: self.freeze(name, ms, starved=starved))
 
     def hold_in_write(self, name: str, ms: int) -> None:
         """Run nothing of a process for so long, from its next write to the port on, whose bytes are then late."""
@@ -234,6 +237,22 @@ class Stage:
             heard(data)
 
         board.on_bytes = late
+
+    def hold_as_it_moves(self, ms: int) -> None:
+        """Starve the port owner for so long, from when it has said next that something moves."""
+        machine = self.machine
+        assert isinstance(machine, WeakMachine)
+        told = machine.on_store
+
+        def stored(thread: Thread, mapped: Mapped, at: int, made: int) -> None:
+            if told:
+                told(thread, mapped, at, made)
+            if thread.process.name == layout.PORT_OWNER and at == MOVING_AT and mapped.data[at]:
+                machine.on_store = told
+                self.witness.held(thread.process, ms * MS)
+                machine.hold(thread.process, ms * MS, starved=True)
+
+        machine.on_store = stored
 
     def suspend(self, name: str, ms: int) -> None:
         """SIGSTOP, and SIGCONT after so long."""

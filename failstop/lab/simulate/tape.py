@@ -38,7 +38,7 @@ class Tape:
         return value
 
 
-def shrunk(draws: Draws, fails: Callable[[Draws], Draws | None], most: int = 80) -> Draws:
+def shrunk(draws: Draws, fails: Callable[[Draws], Draws | None], most: int = 250) -> Draws:
     """The draws that a failure needs (delta debugging): parts of them are left out, in halves first and one by one at
     last. `fails`: the draws that a run with these has used, if it fails. At most `most` runs."""
     parts = 2

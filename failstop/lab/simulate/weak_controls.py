@@ -3,11 +3,10 @@ and the scenario in which seeds must see that it is missing."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import itertools
 
 from failstop.lab.machine.loading import Patches
-from failstop.lab.simulate.controls import PORT_OWNER_MODULE, SUPERVISOR_MODULE, Found, drawn
+from failstop.lab.simulate.controls import PORT_OWNER_MODULE, STOPPER_MODULE, SUPERVISOR_MODULE, Mutant
 from failstop.lab.simulate.kinds import MEMORY
 
 LATCH_MODULE, MONITOR_MODULE = "failstop.supervisor.latch", "failstop.supervisor.monitor"
@@ -26,29 +25,25 @@ def without(module: str, before: str, after: str, barrier: str = BARRIER) -> Pat
     return ((module, f"{before}{indent}{barrier}{after}", f"{before}{after}"),)
 
 
-@dataclass(frozen=True)
-class WeakControl:
-    """`row`: the litmus test, and of which process the barrier is."""
-
-    row: str
-    scenario: str
-    patches: Patches
-    groups: tuple[str, ...] = MEMORY
+def control(row: str, scenario: str, *patches: Patches) -> Mutant:
+    """A control in which memory alone is odd."""
+    return Mutant(row, scenario, tuple(itertools.chain.from_iterable(patches)), groups=MEMORY)
 
 
 PUT = without(CELL_MODULE, "", "        self._view[at : at + len(data)] = data\n")
+RESETS, ASKS, LASTS = "resets", "asks_and_looks", "stop_stays"
 WEAK_CONTROLS = (
-    WeakControl(
+    control(
         "cause, ready: supervisor",
-        "drive_and_stop",
+        RESETS,
         without(LATCH_MODULE, "        self.ready_word.set(0)\n", "        self._epoch_word.set(self.number)\n"),
     ),
-    WeakControl(
-        "cause, ready: gate",
-        "drive_and_stop",
+    control(
+        "cause, ready, reset decided: gate",
+        RESETS,
         without(GATE_MODULE, "", "        if entry := self._latch.read():\n"),
     ),
-    WeakControl(
+    control(
         "moving: port owner",
         "stopper_dies_while_telemetry_hangs",
         without(
@@ -57,30 +52,41 @@ WEAK_CONTROLS = (
             "        now_ns = monotonic_ns()\n        frame = motion[0]\n",
         ),
     ),
-    WeakControl(
+    control(
         "moving: supervisor",
-        "stopper_dies_while_telemetry_hangs",
+        "two_fall_silent",
         without(SUPERVISOR_MODULE, "", "        if self._moving_word.get():\n"),
+        (
+            (
+                SUPERVISOR_MODULE,
+                "                self.blackbox.latched(latch.stop, self.epoch)\n",
+                "                pass\n",
+            ),
+        ),
     ),
-    WeakControl("ring: any writer", "drive_and_stop", PUT),
-    WeakControl(
-        "ring: its readers", "drive_and_stop", without(CELL_MODULE, "", "        if self._check(", "Barrier()()\n")
+    control(
+        "look: supervisor", "starves_again", without(SUPERVISOR_MODULE, "", "        if self._moving_word.get():\n")
     ),
-    WeakControl(
+    control(
+        "look: stopper",
+        "starves_longer",
+        without(STOPPER_MODULE, "", "        return is_starved and not self._port_owner_moving.get()\n"),
+    ),
+    control("ring: any writer", "crowd", PUT),
+    control("ring: its readers", "drive", without(CELL_MODULE, "", "        if self._check(", "Barrier()()\n")),
+    control(
         "still: telemetry",
-        "drive_and_stop",
+        LASTS,
         without(
             TELEMETRY_MODULE,
             "        self._still_word.set(judge.still_ns)\n",
             "        self._judged_word.set(judge.judged_ns)\n",
         ),
     ),
-    WeakControl(
-        "still: supervisor", "drive_and_stop", without(MONITOR_MODULE, "", "        still_ns = self._still.get()\n")
-    ),
-    WeakControl(
+    control("still: supervisor", LASTS, without(MONITOR_MODULE, "", "        still_ns = self._still.get()\n")),
+    control(
         "unknown: telemetry",
-        "drive_and_stop",
+        LASTS,
         (
             (
                 TELEMETRY_MODULE,
@@ -89,44 +95,24 @@ WEAK_CONTROLS = (
             ),
         ),
     ),
-    WeakControl(
+    control(
         "unknown: supervisor",
-        "drive_and_stop",
+        LASTS,
         without(
             MONITOR_MODULE, "        still_ns = self._still.get()\n", "        if self._judged.get() != judged_ns:\n"
         ),
     ),
-    WeakControl(
-        "reply: gate",
-        "drive_and_stop",
-        (*PUT, *without(REQUESTS_MODULE, "", "            for index, answer in self._answers:\n")),
-    ),
-    WeakControl(
+    control("reply: gate", ASKS, PUT),
+    control(
         "reply: client",
-        "drive_and_stop",
+        ASKS,
         without(CLIENT_MODULE, "", "                return reply if number == asked", "Barrier()()\n"),
     ),
-    WeakControl(
-        "reset, asked: gate",
-        "drive_and_stop",
+    control(
+        "reset asked: gate",
+        RESETS,
         without(REQUESTS_MODULE, "", "        self._asked_word.set(self._asked_word.get() + 1)\n"),
     ),
-    WeakControl(
-        "reset, asked: supervisor", "drive_and_stop", without(LATCH_MODULE, "", "        reply = self.latch.reset(")
-    ),
-    WeakControl(
-        "reset, decided: supervisor",
-        "drive_and_stop",
-        without(LATCH_MODULE, "", "        self._decided_word.set(number)\n"),
-    ),
-    WeakControl(
-        "reset, decided: gate", "drive_and_stop", without(REQUESTS_MODULE, "", "        entry = self._decided.read()\n")
-    ),
+    control("reset asked: supervisor", RESETS, without(LATCH_MODULE, "", "        reply = self.latch.reset(")),
+    control("reset decided: supervisor", RESETS, without(LATCH_MODULE, "", "        self._decided_word.set(number)\n")),
 )
-
-
-def search_weak(seconds: float, wanted: Callable[[str], bool] = lambda row: True) -> Iterator[Found]:
-    """Each of them, by seeds for so long. `wanted`: asked with its row."""
-    for control in WEAK_CONTROLS:
-        if wanted(control.row):
-            yield drawn(control.row, seconds, control.patches, control.scenario, groups=control.groups)

@@ -1,0 +1,106 @@
+"""Scenarios for seeds alone: they are about the order in which shared memory is seen, and every single fault at each of
+their calls would show nothing that those of scenarios.py do not."""
+
+from __future__ import annotations
+
+from failstop.lab.simulate.scenarios import ARM_SETTINGS, SCENARIOS, Play, driving
+from failstop.lab.simulate.stage import SETTINGS, SPEED_MPS, Stage
+from failstop.messages import records
+
+FOR_SEEDS: dict[str, Play] = {}
+LOOKS, ASKS, RESETS = 40, 20, 6
+CROWD = 3
+"""So many programs ask at once."""
+
+
+def play_of(name: str) -> Play:
+    """The scenario of that name, of these or of all others."""
+    return SCENARIOS.get(name) or FOR_SEEDS[name]
+
+
+def for_seeds(play: Play) -> Play:
+    """Declare one."""
+    FOR_SEEDS[play.__name__] = play
+    return play
+
+
+@for_seeds
+def stop_stays(stage: Stage) -> None:
+    """A stop stays for a while, while a program looks at the robot, and asks for a stop again and again: so the
+    supervisor looks at what telemetry says."""
+    robot = driving(stage)
+    stage.stop(robot)
+    for _ in range(LOOKS):
+        robot.state  # noqa: B018
+        robot.estop("again")
+        stage.time.sleep(0.01)
+
+
+@for_seeds
+def crowd(stage: Stage) -> None:
+    """The gate is held up for a moment, in which each of several programs asks for something: it has several remarks at
+    once then, while stops that are asked for have the supervisor look for remarks."""
+    robots = [stage.connect() for _ in range(CROWD)]
+    for _ in range(CROWD):
+        stage.freeze("gate", 30)
+        for number, robot in enumerate(robots):
+            robot._client().tell("speed_limit", 100 - number)
+            robot._client().ask(records.LIMIT)
+        stage.time.sleep(0.026)
+        for _ in range(10):
+            robots[0].estop("again")
+            stage.time.sleep(0.003)
+    for robot in robots:
+        robot.close()
+
+
+@for_seeds
+def asks_and_looks(stage: Stage) -> None:
+    """A program asks for one thing after another, and looks at the state as soon as it has its answer."""
+    robot = stage.connect()
+    for step in range(ASKS):
+        robot.limit_speed(1 - step / 100)
+        robot.state  # noqa: B018
+
+
+@for_seeds
+def resets(stage: Stage) -> None:
+    """Stops and resets, one after another."""
+    robot = driving(stage)
+    for _ in range(RESETS):
+        stage.stop(robot)
+        stage.reset(robot)
+
+
+@for_seeds
+def two_fall_silent(stage: Stage) -> None:
+    """Telemetry hangs, and the stopper is starved: the supervisor notices both in one turn, and has just raised the
+    epoch for the one when it asks for the other whether anything moves."""
+    robot = driving(stage, 0.09)
+    stage.freeze("telemetry", 700)
+    stage.hold_again("stopper", 270, 400, starved=True)
+    stage.hold_again("supervisor", 480, 36)
+    stage.drive(robot, 0.44)
+    for step in range(6):  # a frame with each: one speed is told again after 200 ms alone
+        stage.drive(robot, 0.02, SPEED_MPS / (1 + step % 2))
+
+
+def _starves_again(name: str, ms: int) -> None:
+    def play(stage: Stage) -> None:
+        robot = stage.connect()
+        robot.wait_for("ready", stage.ready_s)
+        robot.arm.follow({"base": 0.02})
+        stage.time.sleep(0.001)
+        stage.freeze("port_owner", ms, starved=True)
+        stage.time.sleep(ms / 1000 - 0.006)
+        robot.arm.follow({"base": 0.0})
+        stage.hold_as_it_moves(140)
+        stage.time.sleep(0.05)
+
+    play.__doc__ = f"The port owner is starved for {ms} ms, and again as soon as it has said that it moves the arm."
+    FOR_SEEDS[name] = play
+    SETTINGS[play] = ARM_SETTINGS
+
+
+_starves_again("starves_again", 102)
+_starves_again("starves_longer", 252)
