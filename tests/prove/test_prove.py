@@ -238,7 +238,7 @@ def test_a_stand_that_is_left_while_the_service_hangs_is_safe(tmp_path: Path) ->
             stand.driver.enable()
             stand.run(5.0, lambda: any(board.wheels()))
             assert any(board.wheels())
-            pids = stand.look_up_pids()
+            pids = stand.service.pids()
             os.kill(pids["supervisor"], signal.SIGSTOP)
             os.kill(pids["port_owner"], signal.SIGSTOP)
             name = stand.name
