@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from failstop import NoService, Robot, instances
-from failstop.files import instance
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
 from tests.support.commands import FAILSTOP, failstop
@@ -63,21 +62,3 @@ def test_the_command_that_is_told_starts_the_same_service(name: str, tmp_path: P
             robot.enable()
         process.send_signal(signal.SIGTERM)
         assert process.wait(10.0) == 0
-
-
-@pytest.mark.parametrize(
-    ("groups", "name"),
-    [
-        ("0::/system.slice/failstop.service\n", instance.DEFAULT_NAME),
-        ("12:cpu:/\n1:name=systemd:/system.slice/failstop.service\n", instance.DEFAULT_NAME),
-        ("0::/system.slice/system-failstop.slice/failstop@left.service\n", "left"),
-        ("0::/user.slice/user-1000.slice/user@1000.service/app.slice/gnome-terminal.service\n", ""),
-        ("0::/\n", ""),
-        ("", ""),
-    ],
-)
-def test_a_service_s_unit_is_known_from_its_control_group(groups: str, name: str, tmp_path: Path) -> None:
-    (tmp_path / "cgroup").write_text(groups)
-    for each in (instance.DEFAULT_NAME, "left", "right"):
-        assert instances.by_its_unit(each, str(tmp_path / "cgroup")) is (each == name)
-        assert not instances.by_its_unit(each, str(tmp_path / "absent"))
