@@ -166,11 +166,6 @@ SHM: tuple[Reason, ...] = (
     Reason("files/instance.py", r"\n\+.*int\(os\.pread\(fd, 17, 0\)", "int() takes the line's end, the 17th byte"),
     Reason("instances.py", r"\n\+.*os\.pread\(fd, 33, 0\)", "no pid has 32 digits", same=False),
     Reason("instances.py", r"monotonic\(\) >= until_s", "two times at exact equality"),
-    Reason(
-        "shm/cell.py",
-        r"\n\+\s+super\(\)\.__init__\(view, offset, capacity, 3, crc_seed\)$",
-        "a reader of the newest value copies both cells at once and never counts them",
-    ),
     Reason("data.py", r"\n\+.*zip\(type\(self\)\.__annotations__, values, \):$", "strict=False is the default"),
     Reason("shm/cell.py", r"\n\+\s+self\._seen = 1$", "the numbers begin at 1"),
     Reason("messages/layout.py", r"\n\+.*.sensed.: 65, ", "room for a byte more", same=False),
