@@ -115,8 +115,8 @@ def take_descriptors() -> None:
 def take_stack() -> None:
     """See to it that this process, and those that it starts, have STACK_BYTES for their stacks, as take_descriptors()
     does. The first call that needs more ends a process by SIGSEGV, without a word. Raises OSError."""
-    needed = f"{STACK_BYTES // 1024} KB"
-    _take(resource.RLIMIT_STACK, STACK_BYTES, lambda most: _too_low("STACK", f"{most // 1024} KB", needed, "-s 8192"))
+    needed, how = f"{STACK_BYTES // 1024} KB", "`ulimit -s 8192`, or LimitSTACK="
+    _take(resource.RLIMIT_STACK, STACK_BYTES, lambda most: _too_low(f"RLIMIT_STACK is {most // 1024} KB", needed, how))
 
 
 def _take(which: int, least: int, told: Callable[[int], str]) -> None:
@@ -130,9 +130,9 @@ def _take(which: int, least: int, told: Callable[[int], str]) -> None:
 
 def no_descriptors(most: int) -> str:
     """Advice where RLIMIT_NOFILE, `most`, is too low."""
-    return _too_low("NOFILE", str(most), f"{DESCRIPTORS} open files", "-n 1024")
+    how = "`ulimit -n 1024`, or LimitNOFILE="
+    return _too_low(f"RLIMIT_NOFILE is {most}", f"{DESCRIPTORS} open files", how)
 
 
-def _too_low(name: str, most: str, needed: str, more: str) -> str:
-    how = f"`ulimit {more}`, or Limit{name}= of a systemd unit"
-    return f"RLIMIT_{name} is {most}, and {needed} are needed: raise it ({how})"
+def _too_low(what: str, needed: str, how: str) -> str:
+    return f"{what}, and {needed} are needed: raise it ({how} of a systemd unit)"

@@ -67,7 +67,6 @@ DESCRIBED: list[tuple[bytes, int, str]] = [
 ]
 
 NAN, INF = math.nan, math.inf
-BIG = 10**9
 
 # (the call, the field the message has to name); arguments as a user would pass them by mistake.
 BAD: list[tuple[Callable[..., bytes], tuple[Any, ...], str]] = [
