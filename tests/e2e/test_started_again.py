@@ -8,13 +8,16 @@ import re
 import signal
 import subprocess
 import sys
+from argparse import Namespace
 from pathlib import Path
 
 import pytest
 
 from failstop import NoService, Robot, instances
+from failstop.cli.commands import run
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
+from failstop.supervisor import status
 from tests.support.commands import FAILSTOP, failstop
 
 
@@ -62,3 +65,10 @@ def test_the_command_that_is_told_starts_the_same_service(name: str, tmp_path: P
             robot.enable()
         process.send_signal(signal.SIGTERM)
         assert process.wait(10.0) == 0
+
+
+def test_a_run_of_a_systemd_unit_is_started_again_by_systemd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "cgroup").write_text("0::/system.slice/system-failstop.slice/failstop@left.service\n")
+    monkeypatch.setattr(status, "CONTROL_GROUP", str(tmp_path / "cgroup"))
+    for name, again in (("left", "sudo systemctl start failstop@left"), ("right", "failstop run --name right")):
+        assert run._again(Namespace(name=name, config=None, device=None)) == again
