@@ -33,7 +33,7 @@ campaigns: $(VENV)/.dev fuzz
 	  tests/faults/test_table.py tests/faults/test_arm_rows.py tests/faults/test_chaos.py \
 	  tests/e2e/test_hostile_clients.py tests/e2e/test_stop_command_on_ptys.py tests/machine/test_both_worlds.py \
 	  tests/machine/test_every_board.py tests/faults/test_every_board.py tests/web/test_every_board.py \
-	  tests/setup tests/probe tests/ros2/test_probe.py tests/install/test_release.py
+	  tests/setup tests/probe tests/ros2/test_probe.py tests/install/test_release.py tests/test_model.py
 	$(BIN)/failstop simulate
 
 # Whatever reads bytes that others wrote, under a fuzzer that looks which lines they reach: a minute for each of TARGETS, or SECONDS.

@@ -21,15 +21,6 @@ def unit_of(name: str) -> str:
     return "failstop.service" if name == instance.DEFAULT_NAME else f"failstop@{name}.service"
 
 
-def by_its_unit(name: str, groups: str = "/proc/self/cgroup") -> bool:
-    """True when systemd runs this process as the unit of an instance."""
-    try:
-        with open(groups, encoding="utf-8", errors="replace") as file:
-            return any(line.rstrip("\n").rpartition("/")[2] == unit_of(name) for line in file)
-    except OSError:
-        return False
-
-
 def make_runtime_dir(name: str) -> str:
     """Make, or take over, the runtime directory of an instance and return its path. Raises InstanceError.
 

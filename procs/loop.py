@@ -14,6 +14,8 @@ from __future__ import annotations
 import select
 from time import monotonic_ns
 
+from failstop.shm.bell import EventBell
+
 READ = select.EPOLLIN
 WRITE = select.EPOLLOUT
 EDGE = select.EPOLLET
@@ -59,6 +61,7 @@ class Loop:
 
     def __init__(self) -> None:
         self._timers: list[Timer] = []
+        self._bells: dict[int, EventBell] = {}
         self._epoll = select.epoll()
         self._poll = self._epoll.poll
         self._set = [self._epoll.fileno()]
@@ -69,6 +72,12 @@ class Loop:
             self._epoll.register(fd, wanted)
         except FileExistsError:
             self._epoll.modify(fd, wanted)
+
+    def listen(self, *bells: EventBell) -> None:
+        """Watch bells. A wait clears those that have rung: what is news after its end rings again."""
+        for bell in bells:
+            self._bells[bell.fd] = bell
+            self.watch(bell.fd, READ)
 
     def forget(self, fd: int) -> None:
         """Take a descriptor out; call before closing it, since a duplicate elsewhere would keep it in."""
@@ -91,8 +100,11 @@ class Loop:
         """Block until a descriptor is ready, a timer has come, or this time is over; return {fd: what has come}."""
         left_ns = self.due_ns() - monotonic_ns()
         if LONG_NS <= longest_ns < left_ns - MS:
-            return dict(self._poll(longest_ns * 1e-9))
-        left_ns = min(left_ns, longest_ns)
-        if left_ns <= 0 or select.select(self._set, (), (), left_ns * 1e-9)[0]:
-            return dict(self._poll(0))
-        return {}
+            found = dict(self._poll(longest_ns * 1e-9))
+        else:
+            left_ns = min(left_ns, longest_ns)
+            come = left_ns <= 0 or select.select(self._set, (), (), left_ns * 1e-9)[0]
+            found = dict(self._poll(0)) if come else {}
+        for fd in self._bells.keys() & found:
+            self._bells[fd].clear()
+        return found

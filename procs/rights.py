@@ -115,7 +115,8 @@ def take_descriptors() -> None:
 def take_stack() -> None:
     """See to it that this process, and those that it starts, have STACK_BYTES for their stacks, as take_descriptors()
     does. The first call that needs more ends a process by SIGSEGV, without a word. Raises OSError."""
-    _take(resource.RLIMIT_STACK, STACK_BYTES, no_stack)
+    needed, how = f"{STACK_BYTES // 1024} KB", "`ulimit -s 8192`, or LimitSTACK="
+    _take(resource.RLIMIT_STACK, STACK_BYTES, lambda most: _too_low(f"RLIMIT_STACK is {most // 1024} KB", needed, how))
 
 
 def _take(which: int, least: int, told: Callable[[int], str]) -> None:
@@ -129,15 +130,9 @@ def _take(which: int, least: int, told: Callable[[int], str]) -> None:
 
 def no_descriptors(most: int) -> str:
     """Advice where RLIMIT_NOFILE, `most`, is too low."""
-    return (
-        f"RLIMIT_NOFILE is {most}, and {DESCRIPTORS} open files are needed: raise it (`ulimit -n 1024`, or "
-        "LimitNOFILE= of a systemd unit)"
-    )
+    how = "`ulimit -n 1024`, or LimitNOFILE="
+    return _too_low(f"RLIMIT_NOFILE is {most}", f"{DESCRIPTORS} open files", how)
 
 
-def no_stack(most: int) -> str:
-    """Advice where RLIMIT_STACK, `most` bytes, is too low."""
-    return (
-        f"RLIMIT_STACK is {most // 1024} KB, and {STACK_BYTES // 1024} KB are needed: raise it (`ulimit -s 8192`, or "
-        "LimitSTACK= of a systemd unit)"
-    )
+def _too_low(what: str, needed: str, how: str) -> str:
+    return f"{what}, and {needed} are needed: raise it ({how} of a systemd unit)"

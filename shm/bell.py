@@ -42,16 +42,6 @@ class EventBell:
             pass
 
 
-def clear_rung(bells: tuple[EventBell, ...], ready: dict[int, int]) -> None:
-    """Clear those of the bells that are among what is ready; call it first in a turn.
-
-    News of what was looked at before its bell is cleared waits for another wake-up.
-    """
-    for bell in bells:
-        if bell.fd in ready:
-            bell.clear()
-
-
 def make_pipe(path: str, mode: int, gid: int = -1) -> None:
     """Make a FIFO with exactly this mode, in place of whatever a dead run left there. Raises OSError."""
     above, name = os.path.split(path)

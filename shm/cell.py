@@ -125,9 +125,9 @@ class LatestReader(_Cells):
     """Reads the newest whole value of a record. Bytes that have not changed are not checked again: they are copied and
     compared, which is a third of the work. A record that nobody has written is zeros."""
 
-    def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
-        super().__init__(view, offset, capacity, 2, crc_seed)
-        self._where = slice(offset, offset + 2 * self._size)
+    def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
+        super().__init__(view, offset, capacity, cells, crc_seed)
+        self._where = slice(offset, offset + cells * self._size)
         self._seen = 0
         self._raw = b""
         """The bytes of the value that was read last; empty: none was whole."""
@@ -176,9 +176,6 @@ class _Writer(_Cells):
 
 class LatestWriter(_Writer):
     """Publishes values of which the newest counts."""
-
-    def __init__(self, view: View, offset: int, capacity: int, crc_seed: int) -> None:
-        super().__init__(view, offset, capacity, 2, crc_seed)
 
     write = _Writer.put
 

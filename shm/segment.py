@@ -59,41 +59,42 @@ class Segment:
         self.view: FileView | mmap.mmap = FileView(fd) if mapped is None else mapped
         self._fd = fd
 
-    def _place(self, name: str, kind: str) -> tuple[Record, int, int]:
+    def _place(self, name: str, kind: str) -> tuple[Record, int]:
         record = self.spec.records[name]
         if record.kind != kind:
             raise TypeError(f"{self.spec.name}.{name} is a {record.kind}, not a {kind}")
-        return record, self.spec.offsets[name], cell.seed(f"{self.spec.name}.{name}", self.incarnation)
+        return record, self.spec.offsets[name]
+
+    def _cells(self, name: str, kind: str) -> tuple[FileView | mmap.mmap, int, int, int, int]:
+        record, offset = self._place(name, kind)
+        seed = cell.seed(f"{self.spec.name}.{name}", self.incarnation)
+        return self.view, offset, record.capacity, record.cells, seed
 
     def word(self, name: str) -> Word:
         """A lone u64; only in mapped segments."""
-        _, offset, _ = self._place(name, "word")
+        _, offset = self._place(name, "word")
         if self.mapped is None:
             raise TypeError(f"{self.spec.name}.{name}: words are only read through a mapping")
         return Word(self.mapped, offset)
 
     def latest_reader(self, name: str) -> LatestReader:
-        record, offset, seed = self._place(name, "latest")
-        return LatestReader(self.view, offset, record.capacity, seed)
+        return LatestReader(*self._cells(name, "latest"))
 
     def latest_writer(self, name: str) -> LatestWriter:
         """The writer of a Latest record; only for the segment's declared writer."""
-        record, offset, seed = self._place(name, "latest")
-        return LatestWriter(self.view, offset, record.capacity, seed)
+        return LatestWriter(*self._cells(name, "latest"))
 
     def ring_reader(self, name: str, *, from_oldest: bool = False) -> RingReader:
         """Reader of a Ring record, from the oldest entry still there or from the next one to come."""
-        record, offset, seed = self._place(name, "ring")
-        return RingReader(self.view, offset, record.capacity, record.cells, seed, from_oldest=from_oldest)
+        return RingReader(*self._cells(name, "ring"), from_oldest=from_oldest)
 
     def ring_writer(self, name: str) -> RingWriter:
         """The writer of a Ring record; only for the segment's declared writer."""
-        record, offset, seed = self._place(name, "ring")
-        return RingWriter(self.view, offset, record.capacity, record.cells, seed)
+        return RingWriter(*self._cells(name, "ring"))
 
     def futex(self, name: str, line: int = 0, *, write: bool = False) -> Futex:
         """A line to wait for a death on or, with `write`, to hold; only in unmapped segments. Raises OSError."""
-        record, offset, _ = self._place(name, "futexes")
+        record, offset = self._place(name, "futexes")
         if self._fd < 0:
             raise TypeError(f"{self.spec.name}.{name}: a futex needs the file")
         if not 0 <= line < record.capacity // LINE_BYTES:

@@ -19,9 +19,9 @@ from failstop.policy import causes
 from failstop.policy.processes import HANG_NS, SUPERVISOR_PRIORITY
 from failstop.policy.proofs import LINK_UNASKED, LINK_UNPROVEN
 from failstop.procs import rights, starved
-from failstop.procs.loop import MS, READ
+from failstop.procs.loop import MS
 from failstop.procs.schedule import Repeats
-from failstop.shm import bell, heartbeat
+from failstop.shm import heartbeat
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.words import Barrier
 from failstop.supervisor.blackbox import BlackBox
@@ -87,23 +87,15 @@ class Supervisor:
         self.ending = False
         self.broken = False
         """It can't go on, and ends by itself, when its stop is answered."""
-        self._bells = (self._run.bells[layout.SUPERVISOR], self.processes.early.bell)
-        for each in self._bells:
-            self.loop.watch(each.fd, READ)
-
-    @property
-    def epoch(self) -> int:
-        """The one in force."""
-        return self.epochs.number
+        self.loop.listen(run.bells[layout.SUPERVISOR], self.processes.early.bell)
 
     def end(self, _number: int, _frame: object) -> None:
         """Signal handler of SIGTERM and SIGINT: end at the next turn, which comes at once."""
         self.ending = True
-        self._bells[0].ring()
+        self._run.bells[layout.SUPERVISOR].ring()
 
     def turn(self, ready: dict[int, int]) -> None:
         now_ns = monotonic_ns()
-        bell.clear_rung(self._bells, ready)
         self._stop_for_news(ready, now_ns)
         self._raise_epoch(self.monitor.follow(now_ns, listening=self._listening(now_ns)))
         self.processes.reap(ready, now_ns)
@@ -245,10 +237,10 @@ class Supervisor:
             self._unanswered = min(stops, key=lambda stop: stop.t_ns)
             self._unanswered.answer_by_ns = monotonic_ns() + STOP_ANSWER_NS
         latch = self.epochs.latch
-        if latch.stop and latch.since == self.epoch:
+        if latch.stop and latch.since == self.epochs.number:
             self.monitor.latched(latch.stop)
             if not self.ending:
-                self.blackbox.latched(latch.stop, self.epoch)
+                self.blackbox.latched(latch.stop, self.epochs.number)
         for stop in stops:
             if stop is not self._unanswered:
                 self.monitor.also(stop)
@@ -269,7 +261,7 @@ class Supervisor:
             return
         by, written_ns = found
         self._unanswered = None
-        stop.answered_by(by, written_ns or self._burst(), self.epochs.latch.stop or stop, self.epoch)
+        stop.answered_by(by, written_ns or self._burst(), self.epochs.latch.stop or stop, self.epochs.number)
         self.monitor.answered(stop, ending=self.ending)
 
     def _motion(self) -> bool:
@@ -280,7 +272,7 @@ class Supervisor:
             return True
         entry = self._gate_record.read()
         gate = msgpack.unpackb(entry[2]) if entry else {}
-        return bool(gate.get("enabled")) and gate["epoch"] == self.epoch
+        return bool(gate.get("enabled")) and gate["epoch"] == self.epochs.number
 
     def _fence_hangs(self, now_ns: int) -> None:
         """A process that has not beaten within its deadline: at that moment, not at a tick after it."""
@@ -343,7 +335,7 @@ class Supervisor:
                 self.processes[layout.PORT_OWNER].kill(0)
             self._follow_answer(now_ns)
             if self._unanswered:
-                sleep(HURRY_NS / 1e9)  # the loop's wait would end at once: nobody clears its bells any more
+                sleep(HURRY_NS / 1e9)  # the loop's wait would end at once: nobody sees to who has died any more
         heard_ns = self._hear(stop.written_ns)
         link = self.monitor.link.state
         self.status.notify.stopping("the stop is written; ending every process")

@@ -73,13 +73,6 @@ class OwnPort(StopPort):
         super().adopt(fd)
         self.number += fd >= 0
 
-    def holds(self) -> bool:
-        """True while the kernel holds bytes that it has taken, of whoever; False too where the port can't say."""
-        try:
-            return self.fd >= 0 and port.unsent_bytes(self.fd) > 0
-        except OSError:
-            return False
-
 
 def _is_new(path: str) -> bool:
     """True while a device is as the kernel has made it: udev is still to give it to its users."""

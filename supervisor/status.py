@@ -226,7 +226,7 @@ def lacking(granted: int, advice: str, lease_s: float) -> list[tuple[str, str]]:
 def own_unit() -> str:
     """The systemd unit of this process, by its control group; in words where that does not say."""
     try:
-        with open(CONTROL_GROUP, encoding="utf-8") as file:
+        with open(CONTROL_GROUP, encoding="utf-8", errors="replace") as file:
             groups = [line.rstrip().rpartition("/")[2] for line in file]
     except OSError:
         groups = []

@@ -14,9 +14,9 @@ from failstop.board import codec, framing, servos
 from failstop.board.burst import BURST, FIRST_STOP_END
 from failstop.board.codec import STOP
 from failstop.board.framing import MOTOR
-from failstop.lab import encoders
 from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
+from tests.support import frames
 from tests.support.amounts import amount
 
 VERSIONS = (10, 11, 12)
@@ -30,27 +30,27 @@ OWN_FRAMES = {
     "speeds forward": codec.motor_speeds((0.8, 0.8, -0.8, -0.8), MAX_RPS),
     "speeds turning": codec.motor_speeds((-0.694, -0.694, -0.694, -0.694), MAX_RPS),
     "speeds odd": codec.motor_speeds((1.0, -2.0, 0.1, 1e-3), MAX_RPS),
-    "some": encoders.motor_some([(1, -1.0), (2, 2.0)], MAX_RPS),
-    "some, four": encoders.motor_some([(3, 1.5), (2, -1.5), (1, 0.3), (0, -0.3)], MAX_RPS),
-    "one": encoders.motor_one(3, 1.25, MAX_RPS),
-    "stop one": encoders.motor_stop_one(2),
-    "stop mask": encoders.motor_stop_mask(0x0F),
+    "some": frames.motor_some([(1, -1.0), (2, 2.0)]),
+    "some, four": frames.motor_some([(3, 1.5), (2, -1.5), (1, 0.3), (0, -0.3)]),
+    "one": frames.motor_one(3, 1.25),
+    "stop one": frames.motor_stop_one(2),
+    "stop mask": frames.motor_stop_mask(0x0F),
     "stop": STOP,
-    "pwm move": encoders.pwm_servo_move([(1, 500), (2, 1500), (3, 2500), (4, 1000)], 1000),
-    "pwm move one": encoders.pwm_servo_move_one(1, 1000, 1000),
-    "pwm read": encoders.PING,
-    "pwm deviation": encoders.pwm_servo_deviation(4, -100),
-    "pwm read deviation": encoders.pwm_servo_read_deviation(1),
+    "pwm move": frames.pwm_servo_move([(1, 500), (2, 1500), (3, 2500), (4, 1000)], 1000),
+    "pwm move one": frames.pwm_servo_move_one(1, 1000, 1000),
+    "pwm read": frames.PING,
+    "pwm deviation": frames.pwm_servo_deviation(4, -100),
+    "pwm read deviation": frames.pwm_servo_read_deviation(1),
     "bus move": servos.bus_servo_move([(1, 501), (2, 502)], 40),
     "bus stop": servos.bus_servo_stop((1, 2, 3)),
     "bus position": servos.bus_servo_read(1, 0x05),
     "bus torque": servos.bus_servo_torque(1, on=True),
     "buzzer": codec.buzzer(1400, 100, 100, 5),
-    "led": encoders.led(1, 500, 300, 10),
-    "oled": encoders.oled(1, "x" * 23),
-    "type": encoders.motor_type(3),
-    "rgb": encoders.rgb([(0, 255, 1, 2), (1, 3, 4, 5)]),
-    "alarm": encoders.battery_alarm(6800),
+    "led": frames.led(1, 500, 300, 10),
+    "oled": frames.oled(1, "x" * 23),
+    "type": frames.motor_type(3),
+    "rgb": frames.rgb([(0, 255, 1, 2), (1, 3, 4, 5)]),
+    "alarm": frames.battery_alarm(6800),
 }
 
 

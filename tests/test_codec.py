@@ -21,25 +21,25 @@ from failstop.board import codec, framing, servos
 from failstop.board.burst import BURST
 from failstop.board.codec import STOP, check_aux, check_motion
 from failstop.board.framing import MOTOR, FrameError, seal
-from failstop.lab import encoders
-from failstop.lab.encoders import PING
 from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import Receiver
+from tests.support import frames
+from tests.support.frames import PING
 
 ROOT = Path(__file__).parent.parent
 VECTORS = json.loads(Path(__file__).with_name("vectors.json").read_text())
 DOWN = {name: bytes.fromhex(text) for name, text in VECTORS["down"].items()}
 ENCODED: dict[str, Callable[[], bytes]] = {
     "stop": lambda: codec.motor_speeds((0.0, 0.0, 0.0, 0.0), 1.0),
-    "motor wire id 1 at -1.0 rps": lambda: encoders.motor_one(1, -1.0, 1.0),
-    "motor stop wire id 1": lambda: encoders.motor_stop_one(1),
-    "motors id 1 at -1.0 rps and id 2 at +2.0 rps": lambda: encoders.motor_some([(1, -1.0), (2, 2.0)], 2.0),
-    "motor stop mask 0x05": lambda: encoders.motor_stop_mask(0x05),
+    "motor wire id 1 at -1.0 rps": lambda: frames.motor_one(1, -1.0),
+    "motor stop wire id 1": lambda: frames.motor_stop_one(1),
+    "motors id 1 at -1.0 rps and id 2 at +2.0 rps": lambda: frames.motor_some([(1, -1.0), (2, 2.0)]),
+    "motor stop mask 0x05": lambda: frames.motor_stop_mask(0x05),
     "motors 0..3 at 0.5, -0.25, 0, 1.5 rps": lambda: codec.motor_speeds((0.5, -0.25, 0.0, 1.5), 1.5),
     "buzzer 1400 Hz, on 100 ms, off 100 ms, 5 times": lambda: codec.buzzer(1400, 100, 100, 5),
     "buzzer 1000 Hz, on 500 ms, off 300 ms, 10 times": lambda: codec.buzzer(1000, 500, 300, 10),
-    "led 1 on 500 ms, off 300 ms, 10 times": lambda: encoders.led(1, 500, 300, 10),
-    "pwm servo 1 to 1000 us in 1000 ms": lambda: encoders.pwm_servo_move_one(1, 1000, 1000),
+    "led 1 on 500 ms, off 300 ms, 10 times": lambda: frames.led(1, 500, 300, 10),
+    "pwm servo 1 to 1000 us in 1000 ms": lambda: frames.pwm_servo_move_one(1, 1000, 1000),
     "pwm servo 1 read position (the ping)": lambda: codec.pwm_servo_read(1),
     "bus servos 1 to 833 and 2 to 1000 in 1000 ms": lambda: servos.bus_servo_move([(1, 833), (2, 1000)], 1000, 30_000),
     "bus servo 1 torque off": lambda: servos.bus_servo_torque(1, on=False),
@@ -49,25 +49,24 @@ ENCODED: dict[str, Callable[[], bytes]] = {
 
 # Encoders without a published example, against bytes written out from the protocol description.
 DESCRIBED: list[tuple[bytes, int, str]] = [
-    (encoders.motor_type(3), framing.MOTOR, "05 03"),
-    (encoders.pwm_servo_move([(1, 500), (4, 2500)], 30_000), framing.PWM_SERVO, "01 3075 02 01 F401 04 C409"),
-    (encoders.pwm_servo_deviation(2, -1), framing.PWM_SERVO, "07 02 FF"),
-    (encoders.pwm_servo_deviation(2, 100), framing.PWM_SERVO, "07 02 64"),
-    (encoders.pwm_servo_read_deviation(4), framing.PWM_SERVO, "09 04"),
+    (frames.motor_type(3), framing.MOTOR, "05 03"),
+    (frames.pwm_servo_move([(1, 500), (4, 2500)], 30_000), framing.PWM_SERVO, "01 3075 02 01 F401 04 C409"),
+    (frames.pwm_servo_deviation(2, -1), framing.PWM_SERVO, "07 02 FF"),
+    (frames.pwm_servo_deviation(2, 100), framing.PWM_SERVO, "07 02 64"),
+    (frames.pwm_servo_read_deviation(4), framing.PWM_SERVO, "09 04"),
     (servos.bus_servo_stop([3, 253]), framing.BUS_SERVO, "03 02 03 FD"),
     (servos.bus_servo_stop([254]), framing.BUS_SERVO, "03 01 FE"),
     (servos.bus_servo_move([(1, 500)], 40), framing.BUS_SERVO, "01 2800 01 01 F401"),
     (servos.bus_servo_read(2, servos.SUPPLY), framing.BUS_SERVO, "07 02"),
     (servos.bus_servo_read(2, servos.TEMPERATURE), framing.BUS_SERVO, "09 02"),
     (servos.bus_servo_read(2, servos.TORQUE), framing.BUS_SERVO, "0D 02"),
-    (encoders.oled(2, "10.0.0.7"), framing.OLED, "02 08 31302E302E302E37"),
-    (encoders.oled(1, ""), framing.OLED, "01 00"),
-    (encoders.rgb([(1, 255, 128, 0), (0, 1, 2, 3)]), framing.RGB, "01 02 01FF8000 00010203"),
-    (encoders.battery_alarm(6800), framing.SYS, "01 901A"),
+    (frames.oled(2, "10.0.0.7"), framing.OLED, "02 08 31302E302E302E37"),
+    (frames.oled(1, ""), framing.OLED, "01 00"),
+    (frames.rgb([(1, 255, 128, 0), (0, 1, 2, 3)]), framing.RGB, "01 02 01FF8000 00010203"),
+    (frames.battery_alarm(6800), framing.SYS, "01 901A"),
 ]
 
 NAN, INF = math.nan, math.inf
-BIG = 10**9
 
 # (the call, the field the message has to name); arguments as a user would pass them by mistake.
 BAD: list[tuple[Callable[..., bytes], tuple[Any, ...], str]] = [
@@ -230,7 +229,7 @@ MOTION_REASONS = [
         (frame, "not a motor frame")
         for frame in (
             *(b"", bytes(27), STOP[:-1], STOP + b"\x00", BURST, STOP + STOP),
-            *(encoders.motor_one(0, 0.5, 1.0), encoders.motor_stop_one(0), encoders.motor_stop_mask(15)),
+            *(frames.motor_one(0, 0.5), frames.motor_stop_one(0), frames.motor_stop_mask(15)),
             wheels((0, 0.0), (1, 0.0), (2, 0.0)),
             seal(MOTOR, STOP[4:5] + b"\x05" + STOP[6:-1]),
             seal(MOTOR, b"\x00" + STOP[5:-1]),
@@ -317,7 +316,7 @@ AUX_REASONS = [
     (seal(framing.BUZZER, b"\x01\xaa\x55\x03\x00\x00\x00\x01"), "the start of a motor frame inside"),
     *(
         (frame, "not a buzzer's frame")
-        for frame in (STOP, PING, servos.bus_servo_stop([1]), encoders.battery_alarm(6800))
+        for frame in (STOP, PING, servos.bus_servo_stop([1]), frames.battery_alarm(6800))
     ),
     *((seal(func, bytes(8)), "not a buzzer's frame") for func in range(256) if func != framing.BUZZER),
 ]

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from failstop.board import codec, framing
 from failstop.board.framing import seal
-from failstop.lab import encoders
 from failstop.lab.sim.motors import Motors
 from failstop.lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
+from tests.support import frames
 
 VECTORS = json.loads(Path(__file__).with_name("vectors.json").read_text())
 FRAME = bytes.fromhex(VECTORS["down"]["motors 0..3 at 0.5, -0.25, 0, 1.5 rps"])
@@ -141,10 +141,10 @@ def test_motors_take_every_command() -> None:
     motors = Motors()
     for frame, speeds in (
         (FRAME, (0.5, -0.25, 0.0, 1.5)),
-        (encoders.motor_one(2, 1.0, 2.0), (0.5, -0.25, 1.0, 1.5)),
-        (encoders.motor_stop_one(0), (0.0, -0.25, 1.0, 1.5)),
-        (encoders.motor_stop_mask(0b1010), (0.0, 0.0, 1.0, 0.0)),
-        (encoders.motor_type(2), (0.0, 0.0, 1.0, 0.0)),
+        (frames.motor_one(2, 1.0), (0.5, -0.25, 1.0, 1.5)),
+        (frames.motor_stop_one(0), (0.0, -0.25, 1.0, 1.5)),
+        (frames.motor_stop_mask(0b1010), (0.0, 0.0, 1.0, 0.0)),
+        (frames.motor_type(2), (0.0, 0.0, 1.0, 0.0)),
         (codec.STOP, (0.0, 0.0, 0.0, 0.0)),
     ):
         assert motors.execute(frame[4:-1]) == speeds

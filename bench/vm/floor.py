@@ -12,9 +12,8 @@ import sys
 import time
 from collections.abc import Iterator
 
-from failstop.board.framing import PWM_SERVO
+from failstop.board.framing import PWM_SERVO, frame
 from failstop.board.port import close_port, open_port
-from failstop.lab.encoders import pwm_servo_read_deviation
 from failstop.lab.sim.client import Event
 
 LINK = "/dev/failstop"
@@ -22,8 +21,8 @@ ROUNDS = 9
 SETTLE_S = 0.05
 PRIORITY = 33
 """The port owner's."""
-FRAME = pwm_servo_read_deviation(2)
-"""One that nobody else writes."""
+FRAME = frame(PWM_SERVO, b"\x09\x02")
+"""A question for the deviation of servo 2, which nobody else writes."""
 IDLE = (sys.executable, "-I", "-S", "-c", "import time; print(flush=True); time.sleep(99)")
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import time
+import warnings
 from collections.abc import AsyncIterator, Callable, Iterator
 from math import isfinite
 from typing import TYPE_CHECKING, Any
@@ -114,7 +115,12 @@ class Calls(Session):
             self._client().tell("sensed", [])
 
     def hold(self, *interlocks: str) -> None:
-        """These interlocks hold now (names of the settings' [interlocks]); repeat it within their timeout.
+        """Deprecated: the former name of assert_interlocks()."""
+        warnings.warn("Robot.hold() is assert_interlocks() now", DeprecationWarning, stacklevel=2)
+        self.assert_interlocks(*interlocks)
+
+    def assert_interlocks(self, *interlocks: str) -> None:
+        """Assert that these interlocks hold now (names of the settings' [interlocks]); repeat it within their timeout.
 
         Enabling needs every declared one, and losing one disables motion. What an earlier call named and this one does
         not is no longer asserted, and ends with its timeout. Raises Undeclared for one that the settings do not name,

@@ -116,16 +116,21 @@ class StopPort:
             return taken
         return 0
 
+    def holds(self) -> bool:
+        """True while the kernel holds bytes that it has taken, of whoever; a port that can't say has gone."""
+        try:
+            return self.fd >= 0 and port.unsent_bytes(self.fd) > 0
+        except OSError as error:
+            self.lost, self.errno = True, error.errno or 0
+            return False
+
     def drain(self, within_s: float = DRAIN_S) -> bool:
         """Wait until what was written has left the kernel, which drops the rest when the port is closed; False: it has
         not within that time, or the port has gone."""
         until_s = time.monotonic() + within_s
         while self.fd >= 0:
-            try:
-                if self.flush() and not port.unsent_bytes(self.fd):
-                    return True
-            except OSError as error:
-                self.lost, self.errno = True, error.errno or 0
+            if self.flush() and not self.holds() and not self.lost:
+                return True
             if self.lost or time.monotonic() > until_s:
                 return False
             time.sleep(LOOK_S)

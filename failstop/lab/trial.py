@@ -58,6 +58,24 @@ def write_settings(path: str, values: Mapping[str, object]) -> None:
                 file.write(f"{key} = {json.dumps(value)}\n")
 
 
+def is_ours(pid: int) -> bool:
+    """Whether the process is still one of a service's: its number may belong to another by now."""
+    try:
+        with open(f"/proc/{pid}/comm", encoding="utf-8") as file:
+            return file.read().startswith("fs:")
+    except OSError:
+        return False
+
+
+def _lives(pid: int) -> bool:
+    """Whether one of a service's is more than a number that nobody has collected yet."""
+    try:
+        with open(f"/proc/{pid}/stat", encoding="ascii", errors="replace") as file:
+            return is_ours(pid) and file.read().rpartition(") ")[2][:1] not in ("Z", "X")
+    except OSError:
+        return False
+
+
 LOG_CHARACTERS = 2000
 """Characters of its log in an error."""
 
@@ -74,6 +92,8 @@ class Service:
         self.ready_s = READY_S
         """How long its start may take."""
         self.process: subprocess.Popen[bytes] | None = None
+        self.known: dict[str, int] = {}
+        """The pid of each process, as it was looked up last: what is to be ended."""
 
     def become(self, *command: str) -> None:
         """Start it by this command from now on, which takes the service's own as its arguments."""
@@ -121,12 +141,29 @@ class Service:
         """The pid of each process now. Raises TrialError, with the service's words, when it has ended."""
         try:
             with Robot(self.name) as robot:
-                return {name: process.pid for name, process in robot.state.processes.items()}
+                self.known = {name: process.pid for name, process in robot.state.processes.items()}
+            return self.known
         except FailstopError:
             if self.process is None or self.process.poll() is None:
                 raise
             code, said = self.process.returncode, self.said()[-LOG_CHARACTERS:].strip()
             raise TrialError(f"the service ended with {code}; it said: {said}") from None
+
+    def gone(self) -> bool:
+        """No process of the run that was looked up last is left."""
+        ended = self.process is None or self.process.poll() is not None
+        return ended and not any(map(_lives, self.known.values()))
+
+    def signal_known(self, number: int) -> None:
+        """Send a signal to each process that was looked up last and is there."""
+        for pid in filter(is_ours, self.known.values()):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, number)
+
+    def kill_known(self) -> None:
+        """SIGKILL what is left of the run that was looked up last, frozen or not."""
+        self.signal_known(signal.SIGKILL)
+        self.known = {}
 
     def kill(self) -> None:
         """SIGKILL the supervisor and collect it; the rest ends by itself."""

@@ -145,7 +145,7 @@ class Inward:
             self.arm.follow(now_ns)
         try:
             if self._asserts and self._commanders.holds(now_ns):
-                self._link.call(lambda robot: robot.hold(CLIENT))
+                self._link.call(lambda robot: robot.assert_interlocks(CLIENT))
             self._say(now_ns)
         except FailstopError as error:
             self._complain("service", str(error))

@@ -66,8 +66,8 @@ class Interlocks:
         self._declared = declared
         self._asserted_ns: dict[str, int] = {}
 
-    def confirm(self, names: list[str], t_ns: int, now_ns: int) -> None:
-        """A client says that these hold; names that no setting declares mean nothing."""
+    def hear(self, names: list[str], t_ns: int, now_ns: int) -> None:
+        """A client asserts these; names that no setting declares mean nothing."""
         for name in names:
             if name in self._declared:
                 self._asserted_ns[name] = max(self._asserted_ns.get(name, 0), believed_ns(t_ns, now_ns))

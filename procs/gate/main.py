@@ -71,7 +71,7 @@ class Gate:
         self.arm = Arm(context, *to, now_ns) if settings.servos() else None
         self._act_on: dict[str, Callable[..., None]] = {
             "sensed": lambda now_ns, _slot, t_ns, _names: core.scan.deliver(t_ns, now_ns),
-            "interlocks": lambda now_ns, _slot, t_ns, names: core.interlocks.confirm(names, t_ns, now_ns),
+            "interlocks": lambda now_ns, _slot, t_ns, names: core.interlocks.hear(names, t_ns, now_ns),
             "attended": self._attend,
             **({"arm_goal": self._aim_arm} if self.arm else {}),
             "request": self.take_request,
@@ -113,9 +113,8 @@ class Gate:
         self._pad_seq = newest_number(self._pad_command)
         self._pad_requests = telemetry.ring_reader("pad_requests")
         self._client_bell = context.fd("client_bell")
-        self._bells = (context.bell("bell"), context.early.bell)
-        for fd in (*(each.fd for each in self._bells), self._client_bell):
-            self.loop.watch(fd, READ)
+        self.loop.listen(context.bell("bell"), context.early.bell)
+        self.loop.watch(self._client_bell, READ)
 
     def follow_latch(self) -> None:
         """Read the supervisor's latch, as a gate that was restarted does too."""
@@ -131,7 +130,6 @@ class Gate:
         if still and not decided and self._rest.beats_alone(ready, now_ns):
             self.heartbeat.beat(now_ns)
             return
-        bell.clear_rung(self._bells, ready)
         self._follow_epoch()
         if decided:
             self.follow_latch()

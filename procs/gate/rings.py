@@ -44,11 +44,8 @@ class GateBox:
 
     def tick(self, now_ns: int, core: GateCore, epoch: int) -> None:
         command = self._newest
-        flags = (
-            (box.ENABLED if core.enabled else 0)
-            | (box.MANUAL if command.manual else 0)
-            | (box.DRIVES if core.sources.driving(now_ns) is command else 0)
-        )
+        drives = core.sources.driving(now_ns) is command
+        flags = core.enabled * box.ENABLED | command.manual * box.MANUAL | drives * box.DRIVES
         age_us = min(max(0, now_ns - command.t_ns) // 1000, box.MOST_U32)
         source, who = command.source.encode(), command.who.encode("utf-8", "replace")[: box.SHORT_WHO_BYTES]
         block = box.DECISION.get(core.blocked(now_ns), 1)

@@ -13,7 +13,7 @@ from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause
 from failstop.policy.processes import HANG_NS
 from failstop.procs.context import Context
-from failstop.procs.loop import MS, NEVER, READ, Loop
+from failstop.procs.loop import MS, NEVER, Loop
 from failstop.procs.peer import Parent, Peer
 from failstop.procs.port_owner import admission, requests
 from failstop.procs.port_owner.admission import Admission, DatedFrame, ServoBus
@@ -22,7 +22,6 @@ from failstop.procs.port_owner.port_writer import PortWriter
 from failstop.procs.port_owner.requests import RequestPipe
 from failstop.procs.schedule import REFRESH, REPEAT, Repeats
 from failstop.procs.suspend import SuspendWatch
-from failstop.shm import bell
 from failstop.shm.lifeline import give_way
 from failstop.shm.words import Barrier
 
@@ -88,21 +87,18 @@ class PortOwner:
         self._supervisor_beat = supervisor.word("beat_ns")
         self._frames = context.segment("gate").ring_reader("frames")
         self._causes = context.segment("telemetry").ring_reader("causes")
-        self._bells = (context.bell("bell"), context.early.bell)
+        self.loop.listen(context.bell("bell"), context.early.bell)
         self._requests = RequestPipe(context.fd("stop"), self.loop)
         self._parent = Parent(context, self.loop, 0, self.wire)
         names = (layout.GATE, layout.TELEMETRY, layout.STOPPER)
         self._peers = tuple(Peer(name, context, self.loop, self.wire) for name in names)
         self._gate, self._telemetry = self._peers[:2]
-        for each in self._bells:
-            self.loop.watch(each.fd, READ)
 
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
         now_ns = monotonic_ns()
         if self._requests.asked(ready, now_ns):
             self._stop_request(now_ns)
-        bell.clear_rung(self._bells, ready)
         self._hear_causes()
         self._answer_deaths(ready, now_ns)
         self._follow_epoch(now_ns)

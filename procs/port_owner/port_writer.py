@@ -5,7 +5,6 @@ from __future__ import annotations
 import select
 
 from failstop.board.interface import Board
-from failstop.board.port import unsent_bytes
 from failstop.board.stop_port import ALREADY, StopPort
 from failstop.messages import box
 from failstop.shm.cell import RingWriter
@@ -61,13 +60,8 @@ class PortWriter(StopPort):
     def flush(self) -> bool:
         return not self.lost and super().flush()
 
-    def _holds(self) -> bool:
-        """True while the kernel holds bytes, of whoever, in the driver's own unit; a port that can't say has gone."""
-        try:
-            held = unsent_bytes(self.fd) > 0
-        except OSError:
-            self.lost = True
-            held = False
+    def holds(self) -> bool:
+        held = super().holds()
         if not held:
             self._handed = 0
         return held
@@ -86,7 +80,7 @@ class PortWriter(StopPort):
         """Write one frame. False, with nothing of it written or kept, when the kernel holds bytes and was handed more
         than `backlog` of them here, or takes none: what is kept for later would be late."""
         with self._writing:
-            if self.lost or self.unsent or self._early or (self._holds() and max(self._handed, 1) > backlog):
+            if self.lost or self.unsent or self._early or (self.holds() and max(self._handed, 1) > backlog):
                 taken = 0
             else:
                 taken = self._write(data)
@@ -98,7 +92,7 @@ class PortWriter(StopPort):
         """True when bytes have been held back for DRAIN_NS; asked once a tick."""
         if self._refused and not self.lost and select.select((), (self.fd,), (), 0)[1]:
             self._refused = False  # somebody else was in a write of theirs
-        if self.lost or not (self.unsent or self._refused or self._holds()):
+        if self.lost or not (self.unsent or self._refused or self.holds()):
             self._held_since_ns = 0
             return False
         if not self._held_since_ns:

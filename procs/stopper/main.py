@@ -20,9 +20,8 @@ from failstop.policy.processes import HANG_NS
 from failstop.procs import starved
 from failstop.procs.context import Context
 from failstop.procs.handover import HeldPort
-from failstop.procs.loop import HANGUP, NEVER, READ, Loop
+from failstop.procs.loop import HANGUP, NEVER, Loop
 from failstop.procs.peer import Parent, Peer
-from failstop.shm import bell
 from failstop.shm.words import Barrier
 
 LONGEST_SLEEP_NS = 100_000_000
@@ -51,15 +50,13 @@ class Stopper:
         self._barrier = Barrier()
         self._port_owner_bell = context.bell("port_owner_bell")
         self._written_word = context.own.word("written_ns")
-        self._bells = (context.bell("bell"), context.early.bell)
+        self.loop.listen(context.bell("bell"), context.early.bell)
         self._turned_ns, self._excused_ns = monotonic_ns(), 0
         self._parent = Parent(context, self.loop, 1)
         self.held = HeldPort(context, self.loop, self._parent.control, self._port.adopt, HANGUP)
         self._stopped_for = 0
         """The pid of the port owner that it last wrote for."""
         self._first_go, self._look_again, self._repeat, self._hang = (self.loop.timer() for _ in range(4))
-        for each in self._bells:
-            self.loop.watch(each.fd, READ)
 
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
@@ -67,7 +64,6 @@ class Stopper:
         if now_ns - self._turned_ns > STALLED_NS:
             self._excused_ns = now_ns
         self._turned_ns = now_ns
-        bell.clear_rung(self._bells, ready)
         self._answer_deaths(ready, now_ns)
         self._write_due(now_ns)
         self.held.follow(ready, lost=self._port.lost)

@@ -16,7 +16,7 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.processes import HANG_NS
 from failstop.procs.context import Context
-from failstop.procs.loop import READ, Loop
+from failstop.procs.loop import Loop
 from failstop.procs.telemetry import battery, imu
 from failstop.procs.telemetry.battery import BatteryLog, Charger, LowBattery
 from failstop.procs.telemetry.imu import Accelerometer, GyroBias
@@ -167,8 +167,7 @@ class Telemetry:
         }
         if context.settings.servos():
             self._handlers[interface.HEARD_SERVO] = self._on_servo
-        self._bell = context.bell("bell")
-        self.loop.watch(self._bell.fd, READ)
+        self.loop.listen(context.bell("bell"))
         self._port = HeardPort(context, self.loop, monotonic_ns())
 
     def _inherit(self, own: Segment) -> None:
@@ -207,8 +206,6 @@ class Telemetry:
 
     def _act(self, ready: dict[int, int], now_ns: int) -> None:
         """Everything else of a turn."""
-        if self._bell.fd in ready:
-            self._bell.clear()
         if self._gate.read(now_ns):
             self._follow_gate(now_ns)
         heard, self._heard = self._heard, []

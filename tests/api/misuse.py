@@ -17,7 +17,7 @@ def commands(robot: Robot) -> None:
     robot.drive("0.1", 0.0, 0.0)  # type: ignore[arg-type]
     robot.drive(0.1, 0.0, 0.0, True)  # type: ignore[call-arg]
     robot.drive((0.1, 0.0, 0.0))  # type: ignore[arg-type, call-arg]
-    robot.hold(["door"])  # type: ignore[arg-type]
+    robot.assert_interlocks(["door"])  # type: ignore[arg-type]
 
 
 def states(state: State) -> None:

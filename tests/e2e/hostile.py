@@ -76,7 +76,7 @@ def call_one(robot: Robot, dice: random.Random) -> None:
         robot.disable,
         robot.reset,
         lambda: robot.estop("random"),
-        lambda: robot.hold("anything"),
+        lambda: robot.assert_interlocks("anything"),
         lambda: robot.state,
     )
     dice.choice(calls)()

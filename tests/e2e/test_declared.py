@@ -14,7 +14,7 @@ SETTINGS = {"sources.teleop.priority": 10, "interlocks.doors.timeout_s": 0.5, "i
 
 
 def enable(simulated: Simulated) -> None:
-    simulated.robot.hold("doors", "arm")
+    simulated.robot.assert_interlocks("doors", "arm")
     simulated.wait(0.001)
     simulated.robot.enable()
 
@@ -50,18 +50,25 @@ def test_an_interlock_that_is_not_declared_is_an_error_and_none_is_asserted(simu
         (("doors\narm",), r"no interlock 'doors\\narm'"),
     ):
         with pytest.raises(simulated.failstop.Undeclared, match=said):
-            simulated.robot.hold(*held)
-    simulated.robot.hold()
+            simulated.robot.assert_interlocks(*held)
+    simulated.robot.assert_interlocks()
     with pytest.raises(simulated.failstop.FailstopError, match="is not satisfied"):
         simulated.robot.enable()
     enable(simulated)
+
+
+def test_the_former_name_of_an_assertion_asserts_and_warns(simulated: Simulated) -> None:
+    with pytest.warns(DeprecationWarning, match="is assert_interlocks"):
+        simulated.robot.hold("doors", "arm")
+    simulated.wait(0.001)
+    assert simulated.robot.enable() == "motion enabled"
 
 
 def test_where_none_is_declared_that_is_said() -> None:
     simulated = Simulated()
     nothing = r"which declare: none; add \[interlocks.NAME\] and restart the service"
     with pytest.raises(simulated.failstop.Undeclared, match=nothing):
-        simulated.robot.hold("arm")
+        simulated.robot.assert_interlocks("arm")
 
 
 def test_a_restart_with_other_settings_is_followed(simulated: Simulated) -> None:

@@ -25,7 +25,7 @@ from tests.support.simulated import MS, Simulated
 CALLS: dict[str, Callable[[Any], object]] = {
     "drive": lambda robot: robot.drive(0.1, 0.0, 0.0, manual=True),
     "sensed": lambda robot: robot.sensed(),
-    "hold": lambda robot: robot.hold(),
+    "assert_interlocks": lambda robot: robot.assert_interlocks(),
     "enable": lambda robot: robot.enable(),
     "disable": lambda robot: robot.disable(),
     "reset": lambda robot: robot.reset(),

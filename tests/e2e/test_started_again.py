@@ -8,14 +8,16 @@ import re
 import signal
 import subprocess
 import sys
+from argparse import Namespace
 from pathlib import Path
 
 import pytest
 
 from failstop import NoService, Robot, instances
-from failstop.files import instance
+from failstop.cli.commands import run
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
+from failstop.supervisor import status
 from tests.support.commands import FAILSTOP, failstop
 
 
@@ -65,19 +67,8 @@ def test_the_command_that_is_told_starts_the_same_service(name: str, tmp_path: P
         assert process.wait(10.0) == 0
 
 
-@pytest.mark.parametrize(
-    ("groups", "name"),
-    [
-        ("0::/system.slice/failstop.service\n", instance.DEFAULT_NAME),
-        ("12:cpu:/\n1:name=systemd:/system.slice/failstop.service\n", instance.DEFAULT_NAME),
-        ("0::/system.slice/system-failstop.slice/failstop@left.service\n", "left"),
-        ("0::/user.slice/user-1000.slice/user@1000.service/app.slice/gnome-terminal.service\n", ""),
-        ("0::/\n", ""),
-        ("", ""),
-    ],
-)
-def test_a_service_s_unit_is_known_from_its_control_group(groups: str, name: str, tmp_path: Path) -> None:
-    (tmp_path / "cgroup").write_text(groups)
-    for each in (instance.DEFAULT_NAME, "left", "right"):
-        assert instances.by_its_unit(each, str(tmp_path / "cgroup")) is (each == name)
-        assert not instances.by_its_unit(each, str(tmp_path / "absent"))
+def test_a_run_of_a_systemd_unit_is_started_again_by_systemd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "cgroup").write_text("0::/system.slice/system-failstop.slice/failstop@left.service\n")
+    monkeypatch.setattr(status, "CONTROL_GROUP", str(tmp_path / "cgroup"))
+    for name, again in (("left", "sudo systemctl start failstop@left"), ("right", "failstop run --name right")):
+        assert run._again(Namespace(name=name, config=None, device=None)) == again

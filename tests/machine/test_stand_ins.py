@@ -17,7 +17,7 @@ from failstop.lab.machine.stand_ins import stand_ins
 STAND_INS = stand_ins(Calls(Machine()))
 LEFT_OUT = {
     "failstop.shm.futex": {"NO_DUMP", "leave_no_dump"},
-    "failstop.procs.rights": {"STACK_BYTES", "no_stack"},
+    "failstop.procs.rights": {"STACK_BYTES"},
     "failstop.procs.starved": {"starved"},
     "failstop.shm.thread_state": set[str](),
     "failstop.board.own": {"CHECKED_TYPES", "SAYS"},

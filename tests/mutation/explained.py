@@ -26,7 +26,6 @@ EVERYWHERE = (
 )
 
 PROCS: tuple[Reason, ...] = (
-    Reason("procs/stopper/main.py", r"\+.*ready\.get\(self\._port\.fd, 1\) & GONE", "1 is none of GONE's bits"),
     Reason(
         "procs/stopper/main.py",
         r"\+.*StopPort\(.*settings\.servos\(\), \)",
@@ -40,9 +39,11 @@ PROCS: tuple[Reason, ...] = (
     Reason("stopping.py", r"\+\s+wait_s = -2\.0", "whatever is below zero says that nobody was asked"),
     Reason("stopping.py", r"\+.*if wait_s <= 0 else", "after an answer of 0 there is no further try"),
     Reason("stopping.py", r"\+.*waited_s > WARN_S", "the warning comes one try later at most", same=False),
-    Reason("procs/port_owner/main.py", r"\+.*ready\.get\(wire\.fd, 1\)", "it reads more often", same=False),
-    Reason("procs/port_owner/main.py", r"\+.*if found \| READ and", "it reads more often", same=False),
-    Reason("procs/port_owner/main.py", r'\+.*split\(b"\\n", (2)?\)\[0\]', "what is cut off behind is not looked at"),
+    Reason("procs/port_owner/port.py", r"\+.*ready\.get\(wire\.fd, 1\)", "it reads more often", same=False),
+    Reason("procs/port_owner/port.py", r"\+.*if found \| READ else", "it reads more often", same=False),
+    Reason(
+        "procs/port_owner/requests.py", r'\+.*split\(b"\\n", (2)?\)\[0\]', "what is cut off behind is not looked at"
+    ),
     Reason(
         "procs/port_owner/main.py", r"\+.*slept_ns / 10+1\.0\)", "a billionth of a time that people read", same=False
     ),
@@ -53,8 +54,8 @@ PROCS: tuple[Reason, ...] = (
     Reason(
         "procs/port_owner/main.py", r"\+\s+self\._stuck = True$", "no port is stuck at the first look, which clears it"
     ),
-    Reason("procs/port_owner/main.py", r"\+\s+self\._watched.* = \((\+1|-2), 0\)", "no port has that number either"),
-    Reason("procs/port_owner/main.py", r"\+\s+self\._watched.* = \(-1, 1\)", "no port has the number -1"),
+    Reason("procs/port_owner/port.py", r"\+\s+self\._watched.* = \((\+1|-2), 0\)", "no port has that number either"),
+    Reason("procs/port_owner/port.py", r"\+\s+self\._watched.* = \(-1, 1\)", "no port has the number -1"),
     Reason(
         "procs/port_owner/main.py", r"\+\s+self\._arm_moved = True$", "the first burst clears it, before anybody looks"
     ),
@@ -68,7 +69,6 @@ PROCS: tuple[Reason, ...] = (
         same=False,
     ),
     Reason("procs/port_owner/port_writer.py", r"\+.*max\(self\._handed, 2\)", "nobody allows a backlog of one byte"),
-    Reason("failstop/board/port.py", r"\+READ_BYTES = 4097$", "one byte more at a time", same=False),
     Reason("procs/gate/core.py", r"\+.*self\._limits, self\._ramps, (strict=False)?\)", "all four have three axes"),
     Reason("procs/gate/core.py", r"\+.*zip\(limits, kinematics\.axes, (strict=False)?\)", "both have three axes"),
     Reason("procs/gate/core.py", r"\+\s+self\.epoch = 1$", "it is set by enable, and read only while enabled"),
@@ -133,7 +133,6 @@ SHM: tuple[Reason, ...] = (
         r"\n\+.*_ARM\.size else \((256, 0|255, 1)\)$",
         "it is no mode either, and refused by that",
     ),
-    Reason("messages/box.py", r"\n\+.*min\(max\(1, now_ns", "0 and 1 ns are both 0 us"),
     Reason(
         "files/durable.py",
         r"\n\+.*O_RDONLY (& os\.O_DIRECTORY \||\| os\.O_DIRECTORY &) os\.O_CLOEXEC\)",
@@ -166,11 +165,6 @@ SHM: tuple[Reason, ...] = (
     Reason("files/instance.py", r"\n\+.*int\(os\.pread\(fd, 17, 0\)", "int() takes the line's end, the 17th byte"),
     Reason("instances.py", r"\n\+.*os\.pread\(fd, 33, 0\)", "no pid has 32 digits", same=False),
     Reason("instances.py", r"monotonic\(\) >= until_s", "two times at exact equality"),
-    Reason(
-        "shm/cell.py",
-        r"\n\+\s+super\(\)\.__init__\(view, offset, capacity, 3, crc_seed\)$",
-        "a reader of the newest value copies both cells at once and never counts them",
-    ),
     Reason("data.py", r"\n\+.*zip\(type\(self\)\.__annotations__, values, \):$", "strict=False is the default"),
     Reason("shm/cell.py", r"\n\+\s+self\._seen = 1$", "the numbers begin at 1"),
     Reason("messages/layout.py", r"\n\+.*.sensed.: 65, ", "room for a byte more", same=False),
@@ -219,12 +213,6 @@ SUPERVISOR = (
         "a socket of a pair can be shut down whatever became of the other",
     ),
     Reason("supervisor/blackbox.py", r'\n\+ +told = ""$', "neither is a dict, which alone is looked into"),
-    Reason(
-        "supervisor/monitor.py",
-        r"else \([01], [01], records\.PORT_OPEN",
-        "before the port owner's first word there is no link and no stop yet",
-        same=False,
-    ),
     Reason("supervisor/monitor.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
     Reason(
         "supervisor/monitor.py", r"_seen_pong = 1$|\.heard = \((0, 1|1, 0)\)$", "nothing is asked or written so early"
@@ -236,23 +224,11 @@ SUPERVISOR = (
         same=False,
     ),
     Reason("supervisor/blackbox.py", r"_seen_ns = \[1\]", "a nanosecond, of a time in microseconds", same=False),
-    Reason(
-        "config.py",
-        r"MOST_BYTES \+ (1 \+|2 -) len\(data\)",
-        "it reads more of a file that is refused for its length all the same",
-    ),
-    Reason("supervisor/causes.py", r"self\.(since|epoch) = 1$", "a cause that stands has set it"),
     Reason("supervisor/latch.py", r"_raised_ns = 1$", "it is read once there was a stop, which sets it"),
     Reason("supervisor/latch.py", r"reply\.pack\(1, number\)", "who reads it asks for no session: it is nobody's"),
     Reason("supervisor/children.py", r"return self\.pid != 1 and", "no beat is of pid 0, and no child is process 1"),
-    Reason("config.py", r"version_info > \(3, 11\)", "it has five parts, and never equals two"),
     Reason("supervisor/events.py", r"fitted\(PREFIX \+ text, 3\)", "where a line breaks on a terminal", same=False),
     Reason("supervisor/events.py", r"<= LONGEST_HOLD_NS", "two times in ns at exact equality"),
-    Reason(
-        "supervisor/events.py",
-        r"^-.*_published >= 0.*\n\+.*_published (> 0|>= 1)",
-        "0, 1 and 2 are open: no descriptor here is 0",
-    ),
     Reason("supervisor/events.py", r'get\("reason", (None)?\)', "no request begins with None"),
     Reason("messages/packing.py", r"len\(data\) < room", "an event that fills its cell to the byte", same=False),
     Reason("supervisor/process_table.py", r'futex\("held", write=True\)', "the supervisor's block is the first"),
@@ -279,30 +255,19 @@ SUPERVISOR = (
     ),
     Reason("supervisor/events.py", r"_minute_ns = 1$", "the machine's first minute, by a nanosecond"),
     Reason("supervisor/status.py", r"self\._told_ns = 1$", "the machine's first 0.1 s, by a nanosecond"),
-    Reason("supervisor/status.py", r"every_ns > 1 ", "it is 0, or half a microsecond at least"),
     Reason("supervisor/port_handover.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
     Reason("supervisor/run.py", r"create=True, gid=gid", "the mode is what it would be without"),
     Reason("supervisor/children.py", r"count - 2, 17", "the shortest wait doubled 16 times is beyond the longest"),
-    Reason("policy/settings.py", r"known, 2, 0\.5", "the first of them is taken"),
-    Reason(
-        "supervisor/port_handover.py", r"opened_ns(\(\))? > 1", "no port is opened in the machine's first nanosecond"
-    ),
     Reason("supervisor/port_handover.py", r"self\._shared_ns = self\._lost_ns = 1$", "the machine's first nanosecond"),
     Reason("supervisor/port_handover.py", r"self\._spare (> 0|>= 1):", "0, 1 and 2 are open: no descriptor here is 0"),
     Reason("supervisor/port_handover.py", r"_spare = -2$", "any number below 0 is none"),
     Reason("supervisor/port_handover.py", r"^-    self\._spare = -1\n\+    self\._spare = \+1$", "_reserve() sets it"),
-    Reason(
-        "supervisor/port_handover.py",
-        r"else \([01], [01], records\.PORT_CLOSED",
-        "of a port that is closed nothing else is looked at",
-    ),
     Reason(
         "supervisor/process_table.py",
         r'segment\.attach\(run\.memory, "lifelines", (None, )?write=True\)',
         "the name is of the run: under it there is no other one's",
     ),
     Reason("supervisor/process_table.py", r"_told_ns = 1$", "the machine's first ten seconds", same=False),
-    Reason("supervisor/process_table.py", r"_starved_ms = 1$", "a silence is told of from a deadline on"),
     Reason(
         "supervisor/proof.py",
         r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.stop\.t_ns",
@@ -313,17 +278,11 @@ SUPERVISOR = (
 
 ARM = (
     Reason("policy/capsules.py", r"\+.* if whole > 0\.0 else 1\.0", "any share of nothing will do"),
-    Reason("failstop/policy/joints.py", r"\+.*if rate >= 0 else", "a rate of 0 needs no room"),
+    Reason("policy/joints.py", r"\+.*if rate >= 0 else", "a rate of 0 needs no room"),
     Reason("procs/gate/arm/goals.py", r"\+.*(>=|<) .*(1\.000001|1e-6)", "a bound that is rounded, at exact equality"),
-    Reason("failstop/policy/joints.py", r"\+.* / self\.sign / PULSES_PER_RAD", "a sign is 1 or -1"),
+    Reason("policy/joints.py", r"\+.* / self\.sign / PULSES_PER_RAD", "a sign is 1 or -1"),
     Reason("procs/gate/arm/shell.py", r"\n\+\s+self\.told_ns = 1$", "one nanosecond after the boot is as long ago"),
     Reason("procs/gate/arm/shell.py", r"\+.*zip\(joints, angles, (strict=False)?\)", "each row has as many as servos"),
-    Reason(
-        "procs/gate/arm/shell.py",
-        r"\+.*latch if \(CAUSE in text\) or True else None",
-        "no text shows a cause that it has no place for",
-        same=False,
-    ),
     Reason(
         "procs/gate/arm/*.py",
         r"\n\+.*self\.(_torque|_apart|since|begun)_ns = 1$",

@@ -35,8 +35,12 @@ ROOMS = {
         ),
     ),
     "telemetry": Room(
-        tuple(f"procs/telemetry/{name}.py" for name in ("battery", "odometry", "pad", "still")),
-        tuple(f"tests/telemetry/test_{name}.py" for name in ("battery", "odometry", "pad", "still")),
+        tuple(f"procs/telemetry/{name}.py" for name in ("battery", "imu", "odometry", "pad", "still")),
+        tuple(f"tests/telemetry/test_{name}.py" for name in ("battery", "imu", "odometry", "pad", "still")),
+    ),
+    "codec": Room(
+        tuple(f"failstop/board/{name}.py" for name in ("codec", "decoder", "framing", "servos")),
+        tuple(f"tests/test_{name}.py" for name in ("codec", "cut_frames", "decoder", "receiver", "servos")),
     ),
     "stopper": Room(
         ("procs/stopper/*.py", "failstop/stopping.py"),

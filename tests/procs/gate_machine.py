@@ -185,7 +185,7 @@ class GateMachine(RuleBasedStateMachine):
 
     @rule()
     def arm_is_in_pose(self) -> None:
-        self.core.interlocks.confirm(["arm", "no such thing"], self.now, self.now)
+        self.core.interlocks.hear(["arm", "no such thing"], self.now, self.now)
         self.arm_ns = self.now
 
     @rule(cause=st.sampled_from([why("key1"), why("gate died"), why("")]))

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
-from failstop.lab import encoders
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.port_owner.admission import ADMIT, DROP, STAND_STILL, STOP_ASKED, Admission, DatedFrame
+from tests.support import frames
 
 MS = 1_000_000
 LEASE_NS = 60 * MS
@@ -89,7 +89,7 @@ def test_a_lease_runs_out_exactly_then(silent_ns: int) -> None:
 @pytest.mark.parametrize(
     ("frame", "fault"),
     [
-        *((frame, "not a motor frame") for frame in (b"", BURST, encoders.motor_one(0, 0.5, MAX_RPS))),
+        *((frame, "not a motor frame") for frame in (b"", BURST, frames.motor_one(0, 0.5))),
         (FRAME[:-1] + bytes((FRAME[-1] ^ 1,)), "bad crc"),
         (codec.motor_speeds((-2.01, 0.0, 0.0, 0.0), 3.0), "wheel 0 at -2.01 rps, limit 2.00"),
         (codec.STOP, ADMIT),

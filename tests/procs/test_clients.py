@@ -293,7 +293,7 @@ def test_whole_records_of_any_content_raise_nothing(service: Service, record: st
     cell, spec = service.scene.load("failstop.shm.cell"), client.segment.spec
     most = 100  # a client may write more than the record is declared to hold
     seed = cell.seed(f"{spec.name}.{record}", INCARNATION)
-    cell.LatestWriter(client.segment.view, spec.offsets[record], most, seed).write(payload)
+    cell.LatestWriter(client.segment.view, spec.offsets[record], most, 2, seed).write(payload)
     service.look()
     client.hello(12, "again", service.pid)
     client.command(session=12)

@@ -151,7 +151,7 @@ def test_before_the_first_scan_or_with_a_clock_that_is_ahead_nothing_moves(ahead
 def test_enabling_needs_every_interlock_and_its_loss_disables_and_does_not_latch() -> None:
     gate = Gate(scan__gate="on", **ARM)
     assert told(gate.core.enable(1, "", gate.now)) == (False, IN_POSE)
-    gate.core.interlocks.confirm(["arm"], gate.now, gate.now)
+    gate.core.interlocks.hear(["arm"], gate.now, gate.now)
     gate.enable()
     gate.tick(500 * MS)
     assert gate.blocked == "cmd timeout"
@@ -159,7 +159,7 @@ def test_enabling_needs_every_interlock_and_its_loss_disables_and_does_not_latch
     assert (gate.blocked, gate.core.latch) == ("disabled", None)
     (note,) = gate.core.notes
     assert (note.text, note.fields) == (f"motion disabled: {IN_POSE}", {"reason": IN_POSE})
-    gate.core.interlocks.confirm(["arm"], gate.now, gate.now)
+    gate.core.interlocks.hear(["arm"], gate.now, gate.now)
     gate.tick()
     assert gate.blocked == "disabled", "what comes back does not enable"
 
@@ -169,7 +169,7 @@ def test_a_stamp_that_is_a_little_ahead_counts_as_now_and_one_of_the_future_neve
     for ahead_ns, looks in ((AHEAD_NS, 1), (10_000 * MS, 100)):
         stamp_ns = gate.now + ahead_ns
         for look in range(looks):
-            gate.core.interlocks.confirm(["arm"], stamp_ns, gate.now)
+            gate.core.interlocks.hear(["arm"], stamp_ns, gate.now)
             gate.core.scan.deliver(stamp_ns, gate.now)
             holds = looks == 1
             assert (gate.core.interlocks.unmet(gate.now), gate.core.scan.silent(gate.now)) == (

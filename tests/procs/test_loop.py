@@ -62,6 +62,23 @@ def test_at_the_edge_a_wait_tells_of_new_bytes_alone(pipe: tuple[int, int]) -> N
     assert loop.wait(LATER_NS) == {pipe[0]: READ}
 
 
+@pytest.mark.parametrize("longest_ns", [2_000_000, 20_000_000], ids=["a timer's", "the longest"])
+def test_a_wait_clears_the_bells_that_it_returns_and_no_other_descriptor(longest_ns: int) -> None:
+    machine = PortMachine()
+    loop, create = machine.load("failstop.procs.loop").Loop(), machine.load("failstop.shm.bell").EventBell.create
+    rung, silent, other = (create() for _ in range(3))
+    loop.listen(rung, silent)
+    loop.watch(other.fd, READ)
+    rung.ring()
+    other.ring()
+    assert loop.wait(longest_ns) == {rung.fd: READ, other.fd: READ}
+    assert loop.wait(longest_ns) == {other.fd: READ}
+    other.clear()
+    assert loop.wait(longest_ns) == {}
+    silent.ring()
+    assert loop.wait(longest_ns) == {silent.fd: READ}
+
+
 @pytest.mark.parametrize("longest_ns", [2_000_000, 20_000_000])
 def test_a_wait_is_one_sleep(longest_ns: int) -> None:
     loop = Loop()

@@ -7,11 +7,11 @@ import pytest
 from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
-from failstop.lab import encoders
 from failstop.messages import box, layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs.port_owner import main
+from tests.support import frames
 from tests.support.port_scene import MOTION, SLOWER, TICK, Scene
 from tests.support.stage import MS
 
@@ -123,7 +123,7 @@ def test_the_fastest_wheel_that_the_settings_allow_passes_and_a_faster_one_does_
 def test_a_frame_that_finds_the_port_busy_goes_out_or_becomes_a_burst(scene: Scene) -> None:
     """Else the wheels would turn on until the gate's next refresh, 0.2 s later. Motion alone is dropped."""
     scene.drive()
-    for disguised in (MOTION, encoders.motor_stop_mask(15)):
+    for disguised in (MOTION, frames.motor_stop_mask(15)):
         assert scene.forward(disguised, kind=records.OTHER) == b"", "a motor frame in another's clothes"
     scene.wire.port.under_way = 27
     beep = codec.buzzer(1400, 100, 100, 1)

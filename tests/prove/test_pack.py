@@ -13,25 +13,28 @@ import pytest
 
 from failstop.api.errors import FailstopError
 from failstop.cli.main import main
+from failstop.lab.commands.prove import record_of
 from failstop.lab.prove import pack
-from tests.support.commands import failstop
-
-LIMIT_S = 240
+from failstop.lab.prove.report import Evidence
+from failstop.lab.prove.run import Result
+from failstop.lab.prove.table import BY_PATH, BY_TURNING
+from failstop.policy.settings import Settings
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("pack") / "evidence.html"
-    words = ("--sim", "--only", "stop-request", "--at", "0.2", "--pack", str(path))
-    done = failstop("prove", *words, timeout=LIMIT_S)
-    assert f"evidence: {path}\n" in done.stderr
-    return path
+def record() -> dict[str, Any]:
+    """A stand test of one row, as the command hands it over (test_prove.py has it do so)."""
+    row = Result(BY_PATH["stop-request"], BY_TURNING["0.2"], simulated=True, written_ms=1.0)
+    return record_of(Evidence("/dev/any", simulated=True, realtime=True, results=[row], user=Settings({})))
 
 
 @pytest.fixture
-def record(made: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(made.with_suffix(".json").read_text())
-    return found
+def made(record: dict[str, Any], tmp_path: Path) -> Path:
+    path = tmp_path / "evidence.html"
+    saved = pack.save(record, str(path))
+    assert saved == [str(path), str(path.with_suffix(".json"))]
+    assert json.loads(path.with_suffix(".json").read_text()) == record
+    return path
 
 
 def test_it_is_the_page_of_its_record_and_asks_for_nothing_else(made: Path, record: dict[str, Any]) -> None:

@@ -20,6 +20,7 @@ from failstop.api.errors import Refused
 from failstop.cli.main import main
 from failstop.doctor.system import System
 from failstop.lab.faults.driving import Driver
+from failstop.lab.prove import pack
 from failstop.lab.prove.run import PathRun, Result
 from failstop.lab.prove.session import check_free
 from failstop.lab.prove.stand import Stand
@@ -75,7 +76,8 @@ def test_the_main_paths_on_the_simulated_board(tmp_path: Path) -> None:
     settings = tmp_path / "own.toml"
     settings.write_text(f"{status.LEASE} = {status.LEASE_WITHOUT_S}\n")
     out = tmp_path / "evidence"
-    words = ("--only", ",".join(ROWS), "--at", "0.2", "--config", str(settings), "--out", str(out))
+    page = tmp_path / "evidence.html"
+    words = ("--only", ",".join(ROWS), "--at", "0.2", "--config", str(settings), "--out", str(out), "--pack", str(page))
     done = prove("--sim", "--quick", "--json", *words)
     result = json.loads(done.stdout)
     rows = result["rows"]
@@ -91,6 +93,10 @@ def test_the_main_paths_on_the_simulated_board(tmp_path: Path) -> None:
     assert result["character"]["still"]["most"] < 0.0035 < result["character"]["spinning"]["0.2"]["least"]
     (folder,) = out.iterdir()
     assert {"report.txt", "result.json"} <= {file.name for file in folder.iterdir()}
+    record = json.loads(page.with_suffix(".json").read_text())
+    assert f"evidence: {page}\n" in done.stderr
+    assert page.read_text() == pack.page(record)
+    assert record.items() >= {**result, "rows": [{**row, "samples": []} for row in rows]}.items()
     passed = verdicts == {"PASS"}
     assert ("\nPASS\n" in (folder / "report.txt").read_text()) is passed
     assert (done.returncode == 0) is passed
@@ -238,7 +244,7 @@ def test_a_stand_that_is_left_while_the_service_hangs_is_safe(tmp_path: Path) ->
             stand.driver.enable()
             stand.run(5.0, lambda: any(board.wheels()))
             assert any(board.wheels())
-            pids = stand.look_up_pids()
+            pids = stand.service.pids()
             os.kill(pids["supervisor"], signal.SIGSTOP)
             os.kill(pids["port_owner"], signal.SIGSTOP)
             name = stand.name

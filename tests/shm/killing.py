@@ -70,12 +70,12 @@ class Case:
 
     def writer(self) -> LatestWriter | RingWriter:
         if self.kind == "latest":
-            return LatestWriter(self.writes, self.at, self.capacity, self.seed)
+            return LatestWriter(self.writes, self.at, self.capacity, self.cells, self.seed)
         return RingWriter(self.writes, self.at, self.capacity, self.cells, self.seed)
 
     def reader(self, *, from_oldest: bool = False) -> LatestReader | RingReader:
         if self.kind == "latest":
-            return LatestReader(self.reads, self.at, self.capacity, self.seed)
+            return LatestReader(self.reads, self.at, self.capacity, self.cells, self.seed)
         return RingReader(self.reads, self.at, self.capacity, self.cells, self.seed, from_oldest=from_oldest)
 
     def left_torn(self) -> int:

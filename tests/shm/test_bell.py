@@ -58,15 +58,6 @@ def test_a_full_counter_rings_and_does_not_block(event: EventBell) -> None:
     assert not rings(event.fd)
 
 
-def test_of_several_bells_those_that_have_rung_are_cleared(fds: list[int]) -> None:
-    bells = [EventBell.create() for _ in range(3)]
-    fds += [each.fd for each in bells]
-    for each in bells:
-        each.ring()
-    bell.clear_rung(tuple(bells), {bells[0].fd: select.EPOLLIN, bells[2].fd: select.EPOLLIN})
-    assert [rings(each.fd) for each in bells] == [False, True, False]
-
-
 def test_bells_block_nobody_and_do_not_cross_an_exec(event: EventBell, tmp_path: Path, fds: list[int]) -> None:
     bell.make_pipe(f"{tmp_path}/bell", 0o660)
     fds += [reading := bell.open_pipe(f"{tmp_path}/bell"), writing := bell.open_pipe_to_write(f"{tmp_path}/bell")]

@@ -22,7 +22,7 @@ AT = 128
 
 
 def pair(view: View, capacity: int) -> tuple[LatestWriter, LatestReader]:
-    return LatestWriter(view, AT, capacity, SEED), LatestReader(view, AT, capacity, SEED)
+    return LatestWriter(view, AT, capacity, 2, SEED), LatestReader(view, AT, capacity, 2, SEED)
 
 
 def made() -> tuple[Memory, LatestWriter, LatestReader]:
@@ -94,7 +94,7 @@ def test_a_length_that_leads_into_the_other_cell_is_no_value_even_with_a_right_c
     memory = Memory(AT + 2 * cell_bytes(40))
     data = cell.build(2, 1, filler * 80, SEED, 80)
     memory.data[AT : AT + len(data)] = data
-    assert LatestReader(memory, AT, 40, SEED).read() is None
+    assert LatestReader(memory, AT, 40, 2, SEED).read() is None
 
 
 def test_a_death_at_any_byte_of_a_write_leaves_the_value_before_to_a_successor() -> None:
@@ -113,12 +113,12 @@ def test_a_death_at_any_byte_of_a_write_leaves_the_value_before_to_a_successor()
                 writer.write(payload_of(last + 1, capacity), time_of(last + 1))
             last += cut == size
             assert reader.read() == (last, time_of(last), payload_of(last, capacity))
-            writer = LatestWriter(memory, AT, capacity, SEED)
+            writer = LatestWriter(memory, AT, capacity, 2, SEED)
             for _ in range(generation):  # successors that die in the same cell
                 memory.left = min(cut, size - 1)
                 with pytest.raises(Death):
                     writer.write(payload_of(last + 1, capacity), time_of(last + 1))
-                writer = LatestWriter(memory, AT, capacity, SEED)
+                writer = LatestWriter(memory, AT, capacity, 2, SEED)
                 assert reader.read() == (last, time_of(last), payload_of(last, capacity))
 
 
@@ -158,7 +158,7 @@ def test_a_copy_that_is_overtaken_gives_a_value_and_none_older_than_seen(writes:
                 write(writer, 3 + writes, 40)
 
         view = Overtaken(memory, at)
-        reader = LatestReader(view, AT, 40, SEED)
+        reader = LatestReader(view, AT, 40, 2, SEED)
         assert reader.read() == (3, time_of(3), payload_of(3, 40))
         view.meanwhile = meanwhile
         entry = reader.read()
@@ -198,5 +198,5 @@ def test_model(cuts: list[tuple[int, int, bool]]) -> None:
             if found is not None and found[0] == seq + 1:
                 assert found[2] == payload
                 seq, value = found[0], payload
-            writer = LatestWriter(memory, AT, 40, SEED)
+            writer = LatestWriter(memory, AT, 40, 2, SEED)
         assert reader.read() == (None if value is None else (seq, 5, value))

@@ -25,12 +25,12 @@ KINDS = {"latest": 2, "ring": CELLS}
 
 
 def writer(kind: str, view: View) -> LatestWriter | RingWriter:
-    return writer_of(view) if kind == "ring" else LatestWriter(view, AT, CAPACITY, SEED)
+    return writer_of(view) if kind == "ring" else LatestWriter(view, AT, CAPACITY, 2, SEED)
 
 
 def readers(kind: str, view: View) -> list[Reader]:
     if kind == "latest":
-        return [LatestReader(view, AT, CAPACITY, SEED)]
+        return [LatestReader(view, AT, CAPACITY, 2, SEED)]
     return [reader_of(view, from_oldest=oldest) for oldest in (True, False)]
 
 

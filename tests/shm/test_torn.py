@@ -89,8 +89,8 @@ def test_a_reader_after_every_byte_of_a_store(kind: str, crc: bool, stores: str,
     view = Stepwise(Memory(max(2 * cell_bytes(40), 4 * 64)))
     target = view if stores == "one" else Separate(view)
     latest = kind == "latest"
-    writer = LatestWriter(target, 0, 40, SEED) if latest else RingWriter(target, 0, 40, 4, SEED)
-    reader = LatestReader(view, 0, 40, SEED) if latest else RingReader(view, 0, 40, 4, SEED)
+    writer = LatestWriter(target, 0, 40, 2, SEED) if latest else RingWriter(target, 0, 40, 4, SEED)
+    reader = LatestReader(view, 0, 40, 2, SEED) if latest else RingReader(view, 0, 40, 4, SEED)
     torn = seen = 0
 
     def look() -> None:

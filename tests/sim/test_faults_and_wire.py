@@ -15,9 +15,9 @@ import pytest
 from failstop.board import codec, decoder, framing, port
 from failstop.board.burst import BURST
 from failstop.board.port import open_port
-from failstop.lab import encoders
 from failstop.lab.sim.client import Event, SimBoard, SimBoardError
 from failstop.lab.trial import wait_for
+from tests.support import frames
 
 from .parts import DRIVE, FORWARD
 
@@ -99,7 +99,7 @@ def test_many_events_come_in_order(board: SimBoard, client: int) -> None:
     for count in (1, 99, 100, 101, 350):
         for _ in range(count):
             select.select([], [client], [], 10.0)
-            assert os.write(client, encoders.PING) == 7
+            assert os.write(client, frames.PING) == 7
         expected += count
     assert [event.index for event in board.events()] == list(range(expected))
     assert len(board.events(since=expected - 250)) == 250
@@ -127,7 +127,7 @@ def test_wait_wheels(board: SimBoard, client: int) -> None:
 
 def test_telemetry_ping_pad_and_keys(board: SimBoard, client: int) -> None:
     host = Host(client)
-    os.write(client, encoders.PING)
+    os.write(client, frames.PING)
     assert decoder.servo_reply(framing.PWM_SERVO, host.wait(framing.PWM_SERVO)) == (1, 5, 1500)
     board.pad(0x0100, hat=3, lx=-128, ly=127, rx=1, ry=-1)
     assert decoder.gamepad(host.wait(framing.GAMEPAD)) == (0x0100, 3, -128, 127, 1, -1)
@@ -157,12 +157,12 @@ def test_imu_can_be_silenced(board: SimBoard, client: int) -> None:
 def test_deaf_drops_frames_while_telemetry_goes_on(board: SimBoard, client: int) -> None:
     host = Host(client)
     board.deaf(True)
-    os.write(client, DRIVE + encoders.PING)
+    os.write(client, DRIVE + frames.PING)
     host.wait(framing.IMU_FUNC)
     assert board.events() == []
     assert board.wheels() == (0.0, 0.0, 0.0, 0.0)
     board.deaf(False)
-    os.write(client, encoders.PING)
+    os.write(client, frames.PING)
     host.wait(framing.PWM_SERVO)
     assert [event.func for event in board.events()] == [framing.PWM_SERVO]
 
@@ -180,7 +180,7 @@ def test_garble_flips_bits_each_way(board: SimBoard, client: int) -> None:
     host = Host(client)
     board.garble(down=0.05)
     for _ in range(8):
-        os.write(client, encoders.PING * 25)
+        os.write(client, frames.PING * 25)
     heard = len(board.events())
     assert 20 < heard < 190
     host.count(framing.IMU_FUNC, 0.3)
@@ -239,7 +239,7 @@ def test_unplug_hangs_up_keeps_the_wheels_and_replug_works(board: SimBoard, clie
     assert board.link == str(other)
     assert not (tmp_path / "board").is_symlink()
     third = open_port(str(other), exclusive=True)
-    os.write(third, encoders.PING)
+    os.write(third, frames.PING)
     Host(third).wait(framing.PWM_SERVO)
     os.close(third)
     os.close(again)
@@ -247,7 +247,7 @@ def test_unplug_hangs_up_keeps_the_wheels_and_replug_works(board: SimBoard, clie
 
 def test_not_draining_fills_the_port_and_draining_takes_it_all(board: SimBoard, client: int) -> None:
     board.stop_draining()
-    pings = encoders.PING * 20_000
+    pings = frames.PING * 20_000
     sent = 0
     with pytest.raises(BlockingIOError):  # noqa: PT012
         while True:
@@ -262,7 +262,7 @@ def test_not_draining_fills_the_port_and_draining_takes_it_all(board: SimBoard, 
     board.drain()
     # Any further request would make the board read.
     assert select.select([], [client], [], 10.0)[1]
-    wait_for("everything", lambda: board.info()["executed"] == sent // len(encoders.PING))
+    wait_for("everything", lambda: board.info()["executed"] == sent // len(frames.PING))
     events = board.events()
     assert events[0].arrival_ns >= drained_ns
     assert events[-1].executed_ns - events[0].executed_ns >= 0.99 * sent * 10_000

@@ -9,10 +9,10 @@ import pytest
 
 from failstop.board import codec, decoder, framing
 from failstop.board.burst import BURST
-from failstop.lab import encoders
 from failstop.lab.sim import imu
 from failstop.lab.sim.client import Event
 from failstop.lab.sim.model import BoardModel, commands_stop
+from tests.support import frames
 from tests.support.amounts import amount
 
 MS = 1_000_000
@@ -43,7 +43,7 @@ def test_a_wheel_keeps_its_last_speed_for_ever() -> None:
     for hours in range(1, 25):
         model.advance(hours * 3_600_000_000_000)
         assert model.wheels == pytest.approx(FORWARD)
-    model.receive(encoders.motor_stop_one(1), 24 * 3_600_000_000_000)
+    model.receive(frames.motor_stop_one(1), 24 * 3_600_000_000_000)
     model.advance(25 * 3_600_000_000_000)
     assert model.wheels == pytest.approx((0.796, 0.0, -0.796, -0.796))
 
@@ -95,12 +95,12 @@ def test_the_burst_as_the_board_sees_it() -> None:
     ("frame", "stops"),
     [
         (codec.STOP, True),
-        (encoders.motor_stop_mask(15), True),
-        (encoders.motor_stop_mask(7), False),
-        (encoders.motor_stop_one(0), False),
-        (encoders.motor_type(0), False),
+        (frames.motor_stop_mask(15), True),
+        (frames.motor_stop_mask(7), False),
+        (frames.motor_stop_one(0), False),
+        (frames.motor_type(0), False),
         (DRIVE, False),
-        (encoders.PING, False),
+        (frames.PING, False),
     ],
 )
 def test_what_counts_as_a_stop(frame: bytes, stops: bool) -> None:
@@ -116,11 +116,11 @@ def test_what_counts_as_motion() -> None:
         return Event(0, 0, 0, frame[2], frame[4:-1], speeds)
 
     assert event(DRIVE, FORWARD).is_motion
-    assert event(encoders.motor_stop_one(0), FORWARD).is_motion, "it leaves wheels turning"
+    assert event(frames.motor_stop_one(0), FORWARD).is_motion, "it leaves wheels turning"
     assert event(DRIVE, (math.nan, 0.0, 0.0, 0.0)).is_motion
     assert not event(codec.STOP, FORWARD).is_motion, "a stop that is refused is no motion command"
     assert not event(codec.motor_speeds((0.0, 0.0, 0.0, 0.0), 0.0), (0.0, 0.0, 0.0, 0.0)).is_motion
-    assert not event(encoders.PING, FORWARD).is_motion
+    assert not event(frames.PING, FORWARD).is_motion
 
 
 def test_a_write_outside_the_motor_table_is_told() -> None:
@@ -143,12 +143,12 @@ def test_lost_bytes_took_their_time_on_the_wire() -> None:
 
 def test_ping_and_servo_reads_are_answered_after_execution() -> None:
     model = quiet()
-    model.receive(DRIVE + encoders.PING, 0)
+    model.receive(DRIVE + frames.PING, 0)
     assert model.advance(340_000 + 90_000 - 1) == []
     assert model.advance(340_000 + 90_000) == [bytes.fromhex("AA5504040105DC0553")]
-    model.receive(encoders.pwm_servo_move(((1, 700), (3, 2200)), 0) + encoders.pwm_servo_move_one(4, 900, 0), MS)
+    model.receive(frames.pwm_servo_move(((1, 700), (3, 2200)), 0) + frames.pwm_servo_move_one(4, 900, 0), MS)
     model.receive(b"".join(codec.pwm_servo_read(servo) for servo in (1, 2, 3, 4)), MS)
-    model.receive(encoders.pwm_servo_deviation(2, -7) + encoders.pwm_servo_read_deviation(2), MS)
+    model.receive(frames.pwm_servo_deviation(2, -7) + frames.pwm_servo_read_deviation(2), MS)
     answers = [decoder.servo_reply(func, data) for func, data in upward(model, 100 * MS)]
     assert answers == [(1, 5, 700), (2, 5, 1500), (3, 5, 2200), (4, 5, 900), (2, 9, -7)]
 
@@ -238,7 +238,7 @@ def test_refused_stop_on_the_model() -> None:
     model.receive(DRIVE, 0)
     model.advance(MS)
     model.refuse_stop = True
-    model.receive(codec.STOP + encoders.motor_stop_one(2) + encoders.motor_one(0, 0.5, 2.0), MS)
+    model.receive(codec.STOP + frames.motor_stop_one(2) + frames.motor_one(0, 0.5), MS)
     model.advance(10 * MS)
     assert model.wheels == pytest.approx((0.5, 0.796, -0.796, -0.796))
     model.refuse_stop = False

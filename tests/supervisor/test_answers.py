@@ -37,7 +37,7 @@ def alone() -> Scene:
 
 
 def test_the_first_epoch_is_told_before_any_stop(scene: Scene) -> None:
-    assert scene.word("epoch").get() == scene.supervisor.epoch == 1
+    assert scene.word("epoch").get() == scene.supervisor.epochs.number == 1
 
 
 def test_the_supervisor_s_futexes_tell_of_its_death(scene: Scene) -> None:
@@ -86,7 +86,7 @@ def test_the_supervisor_writes_a_stop_that_the_port_owner_did_not_write(
     began_ns = scene.now_ns
     scene.raises(process, why(cause), written_ns=came_us and began_ns + came_us * 1_000)
     assert scene.turn() == b""
-    assert (scene.supervisor.epoch, scene.word("epoch").get(), scene.word("ready").get()) == (2, 2, 0)
+    assert (scene.supervisor.epochs.number, scene.word("epoch").get(), scene.word("ready").get()) == (2, 2, 0)
     scene.answers(written_ns=answered_us and began_ns + answered_us * 1_000)
     assert scene.turn(MS) == wrote
     assert scene.told() == {"reason": cause, "written_by": told[0], "written_us": told[1]}
@@ -128,7 +128,7 @@ def test_a_run_that_nobody_can_find_stops_and_ends_when_that_is_answered(scene: 
     scene.os.unlink(f"{RUNTIME_DIR}/stop")
     scene.turn(LOOK_EVERY_NS)
     assert scene.cause()[1] == "the stop pipe was removed: restart the service"
-    assert (scene.supervisor.epoch, scene.supervisor.broken, scene.supervisor.ending) == (2, True, False)
+    assert (scene.supervisor.epochs.number, scene.supervisor.broken, scene.supervisor.ending) == (2, True, False)
     scene.answers(written_ns=scene.now_ns)
     scene.turn(MS)
     assert scene.supervisor.ending
@@ -184,13 +184,13 @@ def test_a_reset_clears_the_first_cause_and_says_so_once_it_is_done(scene: Scene
     scene.notice("the second", written_ns=scene.now_ns)
     scene.turn(MS)
     assert scene.cause() == (2, "the first")
-    assert scene.supervisor.epoch == 3, "each is a stop of its own"
+    assert scene.supervisor.epochs.number == 3, "each is a stop of its own"
     scene.answers()
     scene.turn(MS)
     scene.reset()
     assert scene.decided() == (True, "latched stop cleared (was: stop request: the first); motion still disabled")
     assert scene.cause()[0] == 0
-    assert scene.supervisor.epoch == 3
+    assert scene.supervisor.epochs.number == 3
 
 
 def test_a_reset_waits_for_the_stop_to_be_carried_out(scene: Scene) -> None:

@@ -56,6 +56,7 @@ def test_a_container_is_known_by_its_signs(scene: Scene, here: Any, sign: str) -
     ("groups", "unit"),
     [
         ("0::/system.slice/failstop.service\n", "failstop.service"),
+        ("12:cpu:/\n1:name=systemd:/system.slice/failstop@left.service\n", "failstop@left.service"),
         ("1:cpu:/\n0::/user.slice/user-1000.slice/user@1000.service/app.slice/robot.service\n", "robot.service"),
         ("0::/\n", "UNIT"),
     ],

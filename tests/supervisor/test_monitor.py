@@ -58,15 +58,15 @@ def test_wheels_that_do_not_rest_are_stopped_for_again_and_the_command_runs_once
     scene.machine.programs["sh"] = shell
     scene.stops("the first")
     shake(scene, 1.4)
-    assert (scene.supervisor.epoch, ran) == (2, [])
+    assert (scene.supervisor.epochs.number, ran) == (2, [])
     shake(scene, 4.8)
-    assert scene.supervisor.epoch == 6, "after 1.5, 3, 4.5 and 6 s"
+    assert scene.supervisor.epochs.number == 6, "after 1.5, 3, 4.5 and 6 s"
     shake(scene, 1.5)
     assert [argv for _, argv in ran] == [["/bin/sh", "-c", "ring the bell"]]
     scene.reset()
-    epoch = scene.supervisor.epoch
+    epoch = scene.supervisor.epochs.number
     shake(scene, 5.0)
-    assert scene.supervisor.epoch == epoch, "a reset ends the question"
+    assert scene.supervisor.epochs.number == epoch, "a reset ends the question"
 
 
 def test_an_answer_acknowledges_what_was_written_before_its_ping(scene: Scene) -> None:
@@ -113,7 +113,7 @@ def test_a_verdict_that_is_given_anew_meanwhile_is_looked_at_the_next_time() -> 
     scene.run.meanwhile.append(lambda: scene.telemetry.word("judged_ns").set(scene.now_ns))
     scene.turn(MS)
     assert scene.table("stop")["observed_ms"] is None
-    assert scene.supervisor.epoch == 2
+    assert scene.supervisor.epochs.number == 2
     scene.turn(MS)
     assert scene.table("stop")["observed_ms"] is not None
     written = scene.number("stop")

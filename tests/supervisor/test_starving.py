@@ -41,7 +41,7 @@ def test_a_starved_process_is_left_alone_while_motion_is_disabled(scene: Scene) 
     scene.has_port(layout.STOPPER)
     scene.answers()
     scene.tick(800 * MS)
-    assert (supervisor.epoch, scene.word("ready").get()) == (1, 0)
+    assert (supervisor.epochs.number, scene.word("ready").get()) == (1, 0)
     assert not any(child.fence for child in supervisor.children)
     assert scene.waits_for() == ", ".join(PROCESS_BY_NAME)
     scene.beat(*PROCESS_BY_NAME)
@@ -55,14 +55,14 @@ def test_a_starved_process_is_left_alone_while_motion_is_disabled(scene: Scene) 
 @pytest.mark.parametrize("name", SPARED)
 def test_a_starved_process_is_stopped_for_once_while_motion_is_enabled(scene: Scene, name: str) -> None:
     scene.enabled()
-    while scene.supervisor.epoch == 1:
+    while scene.supervisor.epochs.number == 1:
         beat_but(scene, name)
     assert (
         scene.cause()[1]
         == f"{name} hangs: {PROCESS_BY_NAME[name].deadline_ns // MS} ms silent (the machine is starved)"
     )
     beat_but(scene, name, 800 * MS)
-    assert scene.supervisor.epoch == 2, "it is disabled now"
+    assert scene.supervisor.epochs.number == 2, "it is disabled now"
     assert not scene.supervisor.processes[name].fence
 
 
@@ -98,7 +98,7 @@ def test_a_beat_just_before_the_end_is_no_defect_of_the_table_of_states(scene: S
     scene.pass_time()
     assert scene.state(layout.TELEMETRY) == "starting", "it was reaped, and is restarted"
     assert scene.supervisor.processes.starved_record() == shown(layout.TELEMETRY, 600, 1)
-    assert (scene.supervisor.epoch, scene.cause()[1]) == (2, "telemetry died")
+    assert (scene.supervisor.epochs.number, scene.cause()[1]) == (2, "telemetry died")
 
 
 def test_a_process_that_has_just_beaten_after_all_is_left_alone() -> None:
@@ -110,7 +110,7 @@ def test_a_process_that_has_just_beaten_after_all_is_left_alone() -> None:
 
     scene.machine.at_seam = beats
     scene.tick(600 * MS)
-    assert (scene.supervisor.epoch, scene.supervisor.processes.starved_record()) == (1, NOT_STARVED)
+    assert (scene.supervisor.epochs.number, scene.supervisor.processes.starved_record()) == (1, NOT_STARVED)
 
 
 def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(scene: Scene) -> None:

@@ -44,7 +44,7 @@ def test_the_port_owner_s_death_is_answered_first_on_its_own_descriptor(scene: S
     seen = epochs(scene)
     scene.dies(layout.PORT_OWNER)
     assert scene.pass_time() == BURST
-    assert (seen, scene.supervisor.epoch) == ([1], 2), "nothing comes before the burst"
+    assert (seen, scene.supervisor.epochs.number) == ([1], 2), "nothing comes before the burst"
     assert scene.word("written_ns").get() == scene.now_ns
     assert scene.told() == {"reason": "port_owner died", "written_by": "supervisor", "written_us": 0.0}
 
@@ -64,10 +64,10 @@ def test_a_process_that_is_silent_is_killed_before_it_is_stopped_for(whole: Scen
     lived: list[bool] = []
     whole.wire.on_bytes = lambda data: lived.append(not process.dead)
     assert whole.tick(deadline_ns - 1, beating=others(name)) == b""
-    assert (process.dead, whole.supervisor.epoch) == (False, 1)
+    assert (process.dead, whole.supervisor.epochs.number) == (False, 1)
     wrote = whole.pass_time(1)
     assert (wrote, lived) == ((BURST, [False]) if name == layout.PORT_OWNER else (b"", []))
-    assert (process.dead, whole.supervisor.epoch) == (True, 2)
+    assert (process.dead, whole.supervisor.epochs.number) == (True, 2)
     assert whole.cause()[1] == f"{name} hangs: {deadline_ns // MS} ms silent"
     fence = whole.supervisor.processes[name].fence
     assert fence.fields()["silent_ms"] == deadline_ns // MS
@@ -84,7 +84,7 @@ def test_an_event_that_cannot_happen_is_told_and_stopped_for_once(whole: Scene) 
     [(kind, _, text, fields)] = whole.said()
     assert (kind, fields["cause"]) == ("stop", "defect")
     assert text.startswith(f"STOP latched: {told}; stop frame written by the port owner")
-    assert whole.supervisor.epoch == 2
+    assert whole.supervisor.epochs.number == 2
 
 
 def fence(scene: Scene, *names: str) -> None:
@@ -108,7 +108,7 @@ def test_a_fenced_port_owner_is_stopped_for_again_first_when_it_is_gone(scene: S
     fence(scene, layout.PORT_OWNER)
     seen = epochs(scene)
     assert scene.pass_time(MS) == BURST
-    assert (seen, scene.supervisor.epoch) == ([2], 3)
+    assert (seen, scene.supervisor.epochs.number) == ([2], 3)
 
 
 KILLED, STOPPED = "killed after 0.0 ms", "killed after 0.0 ms, stop written after 0.0 ms"
@@ -179,7 +179,7 @@ def test_a_supervisor_that_was_held_up_stops_motion_and_kills_nobody(whole: Scen
         assert whole.cause() == (2, "supervisor was held up for 250 ms")
     else:
         assert whole.starved() == [("supervisor", 250, 1)]
-    assert whole.supervisor.epoch == (2 if epoch == 1 else 1)
+    assert whole.supervisor.epochs.number == (2 if epoch == 1 else 1)
     assert not any(child.fence for child in whole.supervisor.children)
 
 
@@ -202,7 +202,7 @@ def test_a_supervisor_is_held_up_from_a_gap_on(
     scene.pass_time()
     scene.pass_time(gap_ns)
     assert (scene.supervisor.processes[layout.TELEMETRY].excused_ns == scene.now_ns) is excused
-    assert scene.supervisor.epoch == epoch
+    assert scene.supervisor.epochs.number == epoch
 
 
 def suspended(scene: Scene) -> None:
@@ -234,7 +234,7 @@ def test_a_supervisor_tells_that_it_was_suspended_while_nothing_could_move(scene
     ((kind, _, text, fields),) = scene.said()
     assert (kind, text, fields) == ("suspended", "supervisor was suspended for 0.2 s by a signal", {"silent_ms": 250})
     assert scene.supervisor.processes.starved_record() == NOT_STARVED
-    assert scene.supervisor.epoch == 1
+    assert scene.supervisor.epochs.number == 1
 
 
 def test_a_signal_without_a_gap_explains_no_hang(scene: Scene) -> None:

@@ -179,7 +179,7 @@ class Scene(PortMachine):
         """The port owner answers the epoch; `written_ns`: with a burst written then."""
         if written_ns:
             self.port_owner.word("written_ns").set(written_ns)
-        self.port_owner.word("stopped_epoch").set(self.supervisor.epoch)
+        self.port_owner.word("stopped_epoch").set(self.supervisor.epochs.number)
 
     def enabled(self, epoch: int = 1, **more: object) -> None:
         self.gate.latest_writer("state").write(pack({"enabled": True, "epoch": epoch, **more}))

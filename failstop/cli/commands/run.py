@@ -93,8 +93,10 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
 
 def _again(arguments: Namespace) -> str:
     """The command line that starts this run again, from whatever folder, quoted for a shell."""
-    if instances.by_its_unit(arguments.name):
-        return f"sudo systemctl start {instances.unit_of(arguments.name).removesuffix('.service')}"
+    from failstop.supervisor.status import own_unit
+
+    if (unit := instances.unit_of(arguments.name)) == own_unit():
+        return f"sudo systemctl start {unit.removesuffix('.service')}"
     words = [] if arguments.name == instance.DEFAULT_NAME else ["--name", arguments.name]
     for option, path in (("--config", arguments.config), ("--device", arguments.device)):
         words += [option, os.path.abspath(path)] if path else []

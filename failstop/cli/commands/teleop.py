@@ -65,7 +65,7 @@ def main(arguments: Namespace) -> int:
     SeenRun(arguments.name).check("source", arguments.source)
     terminal = Terminal()
     with Robot(arguments.name, client=CLIENT, disable_on_exit=False) as robot:
-        robot.hold()  # takes the client slot: what is wrong with that, too, is to be said before the screen changes
+        robot.assert_interlocks()  # takes the client slot: what is wrong with that is said before the screen changes
         vx_mps, vy_mps, wz_radps = (float(robot.settings[key]) for key in LIMITS)
         pilot = Pilot(robot, arguments.source, (vx_mps, vy_mps, wz_radps))
         try:

@@ -112,7 +112,7 @@ class Show:
     def _sense(self, robot: Any) -> None:
         if self.on["sensor"]:
             robot.sensed()
-        robot.hold(*(INTERLOCK,) * self.on["interlock"])
+        robot.assert_interlocks(*(INTERLOCK,) * self.on["interlock"])
 
     def _drive(self, robot: Any) -> None:
         if self.on["commands"]:

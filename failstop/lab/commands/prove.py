@@ -173,7 +173,7 @@ def _show(arguments: Namespace, evidence: Evidence) -> None:
         lines = [verdict if line == evidence.verdict else line for line in report.last_lines(evidence)]
         report.print_now("\n" + "\n".join(lines))
     if arguments.pack:
-        for path in pack.save(_record(evidence), arguments.pack, arguments.key):
+        for path in pack.save(record_of(evidence), arguments.pack, arguments.key):
             print(f"evidence: {path}", file=sys.stderr)
     if evidence.simulated and not arguments.out:
         return
@@ -182,7 +182,7 @@ def _show(arguments: Namespace, evidence: Evidence) -> None:
         print(f"evidence: {path}", file=sys.stderr)
 
 
-def _record(evidence: Evidence) -> dict[str, Any]:
+def record_of(evidence: Evidence) -> dict[str, Any]:
     """All that a pack holds; `samples` stay in the dated folder."""
     assert evidence.user is not None  # that of a stand
     settings, told = evidence.user.flat(), evidence.as_dict()

@@ -97,7 +97,7 @@ class _Injection:
         fault_ns = 0
         try:
             self.injector.prepare(scene)
-            self.pids = scene.look_up_pids()
+            self.pids = scene.trial.service.pids()
             scene.driver.until("the wheels to turn", scene.trial.turning)
             scene.driver.run(scene.chance.uniform(*BEFORE_S))
             self._see()

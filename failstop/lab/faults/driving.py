@@ -46,7 +46,7 @@ class Driver:
         """One command; to a service that is gone, in vain."""
         try:
             if self.holds:
-                self.robot.hold(*self._interlocks)
+                self.robot.assert_interlocks(*self._interlocks)
                 self.held_ns = time.monotonic_ns()
             if self.senses:
                 self.robot.sensed()
@@ -87,7 +87,7 @@ class Driver:
         refusal = ""
 
         def hold(_: str = "") -> None:
-            self.robot.hold(*self._interlocks)
+            self.robot.assert_interlocks(*self._interlocks)
             self.held_ns = time.monotonic_ns()
 
         def enabled() -> bool:

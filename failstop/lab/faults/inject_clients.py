@@ -346,7 +346,7 @@ class ServiceStopped(Injector):
     """As `systemctl stop` does."""
 
     def prepare(self, scene: Scene) -> None:
-        scene.look_up_pids()
+        scene.trial.service.pids()
 
     def strike(self, scene: Scene) -> int:
         process = scene.trial.service.process

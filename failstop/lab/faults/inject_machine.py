@@ -92,7 +92,7 @@ class _NoMore(AskedMeanwhile):
         raise NotImplementedError
 
     def trouble(self, scene: Scene) -> None:
-        self._limits.lower(scene.look_up_pids())
+        self._limits.lower(scene.trial.service.pids())
 
     def heal(self, scene: Scene) -> None:
         self._limits.restore()
@@ -118,7 +118,7 @@ class NoDescriptorsKill(NoDescriptors):
     def strike(self, scene: Scene) -> int:
         self.trouble(scene)
         now_ns = time.monotonic_ns()
-        os.kill(scene.look_up_pids()[GATE], signal.SIGKILL)
+        os.kill(scene.trial.service.pids()[GATE], signal.SIGKILL)
         return now_ns
 
 
@@ -137,7 +137,7 @@ class NoDisk(_NoMore):
 
     def trouble(self, scene: Scene) -> None:
         self._mark = scene.trial.service.written()
-        self._limits.lower({TELEMETRY: scene.look_up_pids()[TELEMETRY]})
+        self._limits.lower({TELEMETRY: scene.trial.service.pids()[TELEMETRY]})
 
     def last(self, scene: Scene) -> None:
         _wait_for_a_line(scene, UNWRITTEN, self._mark)
@@ -159,7 +159,7 @@ class Frozen(Injector):
     """SIGSTOP for all, SIGCONT for all."""
 
     def strike(self, scene: Scene) -> int:
-        pids = list(scene.look_up_pids().values())
+        pids = list(scene.trial.service.pids().values())
         scene.chance.shuffle(pids)
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)
@@ -175,7 +175,7 @@ class NamesRemoved(Injector):
     """As logind does when the service's user logs out. Whoever has a segment attached goes on with it."""
 
     def prepare(self, scene: Scene) -> None:
-        scene.look_up_pids()
+        scene.trial.service.pids()
 
     def strike(self, scene: Scene) -> int:
         now_ns = time.monotonic_ns()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import random
 import signal
@@ -53,7 +52,6 @@ class Scene:
         write_settings(self._config, {**theirs, **SETTINGS, **self.traits.settings})
         self.trial = self._new_trial()
         self.driver = Driver(name)
-        self._pids: dict[str, int] = {}
         self._tool: subprocess.Popen[bytes] | None = None
         self._arm: ArmTrial | None = None
 
@@ -88,16 +86,14 @@ class Scene:
         self.driver.leave()
         self._end_tool()
         process = self.trial.service.process
-        for pid in self._pids.values():
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGCONT) if is_ours(pid) else None
+        self.trial.service.signal_known(signal.SIGCONT)
         if process and process.poll() is None and self._stopped_by_fault():
             self.trial.service.kill()
         try:
             self.trial.close()
         except TrialError:
             self.trial.close()
-        self._kill_rest()
+        self.trial.service.kill_known()
 
     def _stopped_by_fault(self) -> bool:
         """Whether the service is too damaged to end in order."""
@@ -124,11 +120,6 @@ class Scene:
     def board(self) -> SimBoard:
         """The judge."""
         return self.trial.board
-
-    def look_up_pids(self) -> dict[str, int]:
-        """The pid of each process now; remembered for the end."""
-        self._pids = {name: process.pid for name, process in self.driver.robot.state.processes.items()}
-        return self._pids
 
     def ask(self, reason: str) -> None:
         """A stop request."""
@@ -162,23 +153,7 @@ class Scene:
         service = self.trial.service
         self.driver.leave()
         service.kill()
-        self._kill_rest()
+        service.kill_known()
         service.exec()
         self.driver.until("the service to be ready again", service.ready, self.whole_s)
         self.driver.leave()
-
-    def _kill_rest(self) -> None:
-        for pid in self._pids.values():
-            if is_ours(pid):
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
-        self._pids = {}
-
-
-def is_ours(pid: int) -> bool:
-    """Whether the process is still one of the service's: its number may belong to another by now."""
-    try:
-        with open(f"/proc/{pid}/comm", encoding="utf-8") as file:
-            return file.read().startswith("fs:")
-    except OSError:
-        return False

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from failstop.lab.faults import ptrace
 from failstop.lab.faults.fault import CONTINUE, CRASH, HANG, KILL, SPIN, Fault
-from failstop.lab.faults.scene import is_ours
+from failstop.lab.trial import is_ours
 
 SIGNALS = {KILL: signal.SIGKILL, CRASH: signal.SIGSEGV, HANG: signal.SIGSTOP}
 APART_S = 0.005

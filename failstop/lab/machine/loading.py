@@ -27,7 +27,8 @@ HOME = os.path.dirname(os.path.abspath(failstop.__file__))
 HARMLESS = {
     *("__future__", "abc", "argparse", "asyncio", "bisect", "collections", "contextlib", "copy", "dataclasses"),
     *("difflib", "enum", "errno", "functools", "itertools", "json", "math", "msgpack", "operator", "re", "shlex"),
-    *("stat", "string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "unicodedata", "zlib"),
+    *("stat", "string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "unicodedata", "warnings"),
+    "zlib",
 }
 """Modules that ask no machine: Python's own, and those of a tool that changes what is loaded."""
 SHARED_MODULES = frozenset(

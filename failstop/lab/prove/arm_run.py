@@ -93,7 +93,7 @@ class ArmRun:
     def _strike(self) -> None:
         fault, stand, program = self.fault, self.stand, self._program
         assert program
-        pids = stand.look_up_pids()
+        pids = stand.service.pids()
         number = signal.SIGKILL if fault.what in (table.KILL, table.CLIENT_KILL) else signal.SIGSTOP
         self._cause_ns = time.monotonic_ns()
         if fault.what == table.STOP_REQUEST:
@@ -104,7 +104,7 @@ class ArmRun:
 
     def _seen(self) -> bool:
         """A service that has gone leaves the port to us, which asks the board; nothing ends this before its time."""
-        if self.fault.process == SUPERVISOR and self.fault.what == table.KILL and self.stand.gone():
+        if self.fault.process == SUPERVISOR and self.fault.what == table.KILL and self.stand.service.gone():
             self.stand.watch.take_port()
         return False
 

@@ -19,13 +19,13 @@ from types import TracebackType
 
 from failstop.board.interface import BY_ECHO
 from failstop.board.wire import COAST
-from failstop.lab.faults.scene import is_ours
 from failstop.lab.faults.table import FAULT_BY_NAME
 from failstop.lab.prove.means import NO_REPORTS
 from failstop.lab.prove.run import MOST_S, NS, STAYS_S, PathRun
 from failstop.lab.prove.strike import Skipped
 from failstop.lab.prove.table import FROZEN, REST_RESOLUTION_S, SLACK_MS
 from failstop.lab.sim.client import Event
+from failstop.lab.trial import is_ours
 from failstop.messages.layout import PORT_OWNER
 
 EARLY_S = 0.3

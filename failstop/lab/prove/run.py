@@ -184,7 +184,7 @@ class PathRun:
         if stand.board:
             stand.board.events()
         stand.run(speed_up_s(stand, self.velocity) + STEADY_S)
-        self._pids = stand.look_up_pids()
+        self._pids = stand.service.pids()
 
     def _settled(self) -> bool:
         """Everything was seen that is to be seen."""
@@ -200,7 +200,7 @@ class PathRun:
 
     def _follow_to_port(self) -> None:
         """A service that has gone leaves the port to us."""
-        if self.stand.gone():
+        if self.stand.service.gone():
             self.stand.watch.take_port()
 
     def _after(self) -> list[SeenSample]:

@@ -16,14 +16,12 @@ from failstop.api.errors import FailstopError
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 from failstop.lab.faults.driving import Driver
-from failstop.lab.faults.scene import is_ours
 from failstop.lab.prove.held import Held
 from failstop.lab.prove.means import Means, means_of
 from failstop.lab.prove.table import TURNINGS
 from failstop.lab.prove.watch import Watch
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import COMMAND_EVERY_S, Service, TrialError, write_settings
-from failstop.messages.layout import SUPERVISOR
 from failstop.policy.settings import Settings
 from failstop.setup.ending import end_with_parent, uninterrupted
 
@@ -98,7 +96,6 @@ class Stand:
         self.unsafe = ""
         self.swing: Swing | None = None
         """How the arm is moved; chosen by its first run."""
-        self._pids: dict[str, int] = {}
 
     def __enter__(self) -> Stand:
         self.held.__enter__()
@@ -138,14 +135,9 @@ class Stand:
             now_s = time.monotonic()
         return False
 
-    def look_up_pids(self) -> dict[str, int]:
-        """The pid of each process now; remembered for the end."""
-        self._pids = self.service.pids()
-        return self._pids
-
     def _others(self) -> dict[str, int]:
         """Processes that the machine has to run in time, beside this one."""
-        return {**({"the simulated board": self.board.pid} if self.board else {}), **self._pids}
+        return {**({"the simulated board": self.board.pid} if self.board else {}), **self.service.known}
 
     def whole(self) -> bool:
         """The service is ready, with all its processes."""
@@ -154,18 +146,12 @@ class Stand:
         except TrialError:
             return False
 
-    def gone(self) -> bool:
-        """No process of the run that was looked up last is left."""
-        process = self.service.process
-        ended = process is None or process.poll() is not None
-        return ended and not any(_lives(pid) for pid in self._pids.values())
-
     def bury(self) -> None:
         """End what is left of a run; nothing of it stays frozen or alive."""
         self.driver.leave()
         self.watch.let_go()
         self.service.kill()
-        self._kill_rest()
+        self.service.kill_known()
 
     def safe(self) -> str:
         """Wheels at rest, by every means, the quickest first; returns what could not be done, empty if all was."""
@@ -173,15 +159,12 @@ class Stand:
             send_stop(self.name, "prove: safe")
         self.driver.leave()
         self.watch.let_go()
-        for pid in self._pids.values():
-            if is_ours(pid):
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGCONT)
+        self.service.signal_known(signal.SIGCONT)
         try:
             self.service.end()
         except TrialError:
             self.service.kill()
-        self._kill_rest()
+        self.service.kill_known()
         try:
             stopping.stop(self.device, self.language, lambda _: SIM_FREE_S if self.board else FREE_S, lambda _: None)
         except PortError as error:
@@ -197,19 +180,3 @@ class Stand:
                 self.service.close()
             finally:
                 self.held.end()
-
-    def _kill_rest(self) -> None:
-        for process, pid in self._pids.items():
-            if process != SUPERVISOR and is_ours(pid):
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
-        self._pids = {}
-
-
-def _lives(pid: int) -> bool:
-    """Whether one of the service's is more than a number that nobody has collected yet."""
-    try:
-        with open(f"/proc/{pid}/stat", encoding="ascii", errors="replace") as file:
-            return is_ours(pid) and file.read().rpartition(") ")[2][:1] not in ("Z", "X")
-    except OSError:
-        return False

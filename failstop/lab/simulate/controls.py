@@ -69,8 +69,8 @@ CONTROLS = (
         (
             (
                 WIRE_MODULE,
-                "if self.lost or self.unsent or self._early or (self._holds()",
-                "if self.lost or self.unsent or (self._holds()",
+                "if self.lost or self.unsent or self._early or (self.holds()",
+                "if self.lost or self.unsent or (self.holds()",
             ),
         ),
     ),
