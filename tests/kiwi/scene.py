@@ -19,10 +19,12 @@ import pytest
 
 from failstop.lab.faults.arm import ArmTrial
 from failstop.supervisor import status
+from tests.support.pages import blocks
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 PLUGIN = ROOT / "integrations" / "lerobot"
+PAGE = ROOT / "docs" / "lekiwi.md"
 REQUIRED = "FAILSTOP_LEROBOT"
 """The Python of an environment with the real LeRobot: `make lerobot` sets it. Without it the stand-in is tried."""
 FACTS: dict[str, Any] = json.loads((HERE / "facts.json").read_text())
@@ -75,16 +77,6 @@ class LeRobot:
         calibrations.mkdir(parents=True)
         (calibrations / "kiwi.json").write_text(json.dumps(CALIBRATION))
 
-    def start(self, *words: str) -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [self.python, *words],
-            env=self.environment,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-
     def run(self, *words: str, timeout_s: float = 240.0) -> str:
         """Run a program to its end; what it has printed."""
         done = subprocess.run(
@@ -115,17 +107,39 @@ def robot_with_an_arm() -> Iterator[ArmTrial]:
 
 
 @contextmanager
-def policy(lerobot: LeRobot, trial: ArmTrial, part: str) -> Iterator[subprocess.Popen[str]]:
-    """A policy's program that streams actions of `part`, arm or wheels, thirty a second; killed at the end."""
-    process = lerobot.start(str(ROOT / "bench/kiwi_policy.py"), trial.name, part)
-    assert process.stdout
+def started(lerobot: LeRobot, *words: str) -> Iterator[subprocess.Popen[str]]:
+    """A program that is killed at the end."""
+    process = subprocess.Popen(
+        [lerobot.python, *words],
+        env=lerobot.environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
     try:
-        said = list(takewhile(lambda line: line != "streams\n", process.stdout))
-        assert process.poll() is None, "".join(said)
         yield process
     finally:
         process.kill()
         process.communicate()
+
+
+@contextmanager
+def policy(lerobot: LeRobot, trial: ArmTrial, part: str) -> Iterator[subprocess.Popen[str]]:
+    """A policy's program that streams actions of `part`, arm or wheels, thirty a second; killed at the end."""
+    with started(lerobot, str(ROOT / "bench/kiwi_policy.py"), trial.name, part) as process:
+        assert process.stdout
+        said = list(takewhile(lambda line: line != "streams\n", process.stdout))
+        assert process.poll() is None, "".join(said)
+        yield process
+
+
+def of_the_page(about: str, service: str) -> str:
+    """The program of docs/lekiwi.md in which this word stands, for the simulated robot of that service."""
+    (found,) = (block.text for block in blocks(PAGE) if block.language == "python" and about in block.text)
+    program = found.replace('id="my_kiwi"', f"id='kiwi', service={service!r}, joints={JOINTS!r}")
+    assert program != found
+    return program
 
 
 def until(what: Any, timeout_s: float = 10.0) -> None:

@@ -1,11 +1,13 @@
 """LeRobot's own scripts with a teleoperator that needs no hands: `python scripted.py SCRIPT OPTION...`, SCRIPT one of
-teleoperate, record, replay; or `python scripted.py kiwi SERVICE`: a leader arm and a keyboard at once, as LeRobot's
-examples for LeKiwi have it. Never imported by a test; the real LeRobot alone has all of it."""
+teleoperate, record, replay; `python scripted.py both SERVICE NAME=JOINT...`: a leader arm and a keyboard at once, as
+LeRobot's examples for LeKiwi have it; `python scripted.py client PORT PORT`: a laptop that drives LeKiwi's host ahead.
+Never imported by a test; the real LeRobot alone has all of it."""
 
 from __future__ import annotations
 
 import importlib
 import sys
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,9 +82,24 @@ def both(service: str, joints: dict[str, str]) -> None:
     robot.disconnect()
 
 
+def client(commands: int, observations: int) -> None:
+    """A laptop, without end."""
+    from lerobot.robots.lekiwi import LeKiwiClient, LeKiwiClientConfig
+
+    ports = {"port_zmq_cmd": commands, "port_zmq_observations": observations}
+    robot = LeKiwiClient(LeKiwiClientConfig(remote_ip="127.0.0.1", cameras={}, connect_timeout_s=120, **ports))
+    robot.connect()
+    while True:
+        seen = robot.get_observation()
+        robot.send_action({name: float(seen[name]) for name in robot.action_features} | {"x.vel": 0.1})
+        time.sleep(1 / 30)
+
+
 if __name__ == "__main__":
     script, *words = sys.argv[1:]
-    if script == "kiwi":
+    if script == "client":
+        client(*map(int, words))
+    elif script == "both":
         both(words[0], dict(word.split("=") for word in words[1:]))
     else:
         sys.argv[1:] = words

@@ -4,6 +4,8 @@ says what moved."""
 from __future__ import annotations
 
 import json
+import socket
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ import pytest
 from failstop.lab.faults.arm import ArmTrial
 from failstop.lab.trial import wait_for
 
-from .scene import HERE, JOINTS, KIWI, RANGES, LeRobot
+from .scene import HERE, JOINTS, KIWI, RANGES, LeRobot, of_the_page, started
 
 SCRIPTED = str(HERE / "scripted.py")
 AT = {1: 540, 2: 440, 3: 580, 4: 580, 5: 580, 10: 440}
@@ -62,7 +64,7 @@ def test_teleoperation_drives_the_base(real: LeRobot, trial: ArmTrial) -> None:
 
 def test_a_leader_arm_and_a_keyboard_at_once(real: LeRobot, trial: ArmTrial) -> None:
     mark = trial.board.info()["executed"]
-    real.run(SCRIPTED, "kiwi", trial.name, *(f"{name}={of_settings}" for name, of_settings in JOINTS.items()))
+    real.run(SCRIPTED, "both", trial.name, *(f"{name}={of_settings}" for name, of_settings in JOINTS.items()))
     speeds = [event.speeds for event in trial.board.events(mark) if event.is_motion]
     assert speeds
     trial.board.wait_wheels(turning=False, timeout_s=5.0)
@@ -83,3 +85,21 @@ def test_what_was_recorded_is_replayed(real: LeRobot, trial: ArmTrial, tmp_path:
     away(trial)
     real.run(SCRIPTED, "replay", *options(trial), *dataset, "--dataset.episode=0")
     assert near(trial)
+
+
+def test_a_killed_host_of_a_laptop_s_leaves_the_wheels_standing(real: LeRobot, trial: ArmTrial) -> None:
+    with ExitStack() as rest:
+        listening = [rest.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(2)]
+        ports = [str(one.getsockname()[1]) for one in listening]
+    trial.robot.enable()
+    words = [
+        f"--host.{name}={port}" for name, port in zip(("port_zmq_cmd", "port_zmq_observations"), ports, strict=True)
+    ]
+    host = ("-c", of_the_page("lekiwi_host", trial.name), "--host.connection_time_s=600", *words)
+    with started(real, *host) as running, started(real, SCRIPTED, "client", *ports):
+        trial.board.wait_wheels(turning=True, timeout_s=200.0)
+        mark = trial.board.info()["executed"]
+        running.kill()
+        stop = trial.board.wait_for(lambda event: event.is_motor and not any(event.speeds), 10.0, mark)
+        wait_for("the gate's word", lambda: not trial.robot.state.enabled)
+        assert not [event for event in trial.board.events(stop.index + 1) if event.is_motion]

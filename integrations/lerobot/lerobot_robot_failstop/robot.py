@@ -229,6 +229,10 @@ class Failstop(Robot):  # type: ignore[misc]
             if why:
                 logger.warning("the %s stand%s still: %s (`failstop why`)", part, "" if part == "wheels" else "s", why)
 
+    def stop_base(self) -> None:
+        """Bring the wheels to rest, as LeKiwi's host asks for when it hears nothing."""
+        self._connected().drive(0.0, 0.0, 0.0, manual=self.config.manual, source=self.config.source, wait_s=0.0)
+
     def park(self) -> None:
         """Bring the arm to its tuck pose, then switch its torque off. Raises Refused, and lets nothing go then."""
         arm = self._connected().arm
