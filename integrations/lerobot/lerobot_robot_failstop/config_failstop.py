@@ -31,7 +31,7 @@ class FailstopConfig(RobotConfig):  # type: ignore[misc]
     after_stop: str = "raise"
     """A latched stop ends the run (raise: RobotStopped), or the actions go on without effect until the reset (wait)."""
     at_end: str = "hold"
-    """What disconnect() does to the arm: hold it, park it (tuck pose, then torque off), or release it at once."""
+    """End of the arm by disconnect(): hold it, park it (tuck pose, then torque off), or release it at once."""
     use_degrees: bool = False
     """Joints in degrees instead of -100 to 100, as LeKiwi's setting of that name; the gripper is 0 to 100 always."""
     teleop_keys: dict[str, str] = field(default_factory=lambda: dict(KEYS))

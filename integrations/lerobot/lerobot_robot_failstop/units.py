@@ -34,7 +34,7 @@ class Joint(Protocol):
 
 
 class Unit(Enum):
-    """What a number of a joint is in."""
+    """Unit of a joint's number."""
 
     SHARE = "-100 to 100 over the calibrated range"
     GRIP = "0 to 100 over the calibrated range"
