@@ -77,7 +77,7 @@ class LeRobot:
         calibrations.mkdir(parents=True)
         (calibrations / "kiwi.json").write_text(json.dumps(CALIBRATION))
 
-    def run(self, *words: str, timeout_s: float = 240.0) -> str:
+    def run(self, *words: str, timeout_s: float = 400.0) -> str:
         """Run a program to its end; what it has printed."""
         done = subprocess.run(
             [self.python, *words],

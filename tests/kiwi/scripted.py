@@ -22,11 +22,11 @@ TO = 20.0
 
 @TeleoperatorConfig.register_subclass("scripted")
 @dataclass(kw_only=True)
-class ScriptedConfig(TeleoperatorConfig):
+class ScriptedConfig(TeleoperatorConfig):  # type: ignore[misc]
     x: float = 0.0
 
 
-class Scripted(Teleoperator):
+class Scripted(Teleoperator):  # type: ignore[misc]
     """Every joint to one number, the base ahead."""
 
     config_class = ScriptedConfig
@@ -58,11 +58,11 @@ def both(service: str, joints: dict[str, str]) -> None:
     from lerobot.teleoperators.keyboard import KeyboardTeleop, KeyboardTeleopConfig
     from lerobot.teleoperators.so_leader import SO100Leader, SO100LeaderConfig
 
-    class Leader(SO100Leader):
+    class Leader(SO100Leader):  # type: ignore[misc]
         def get_action(self) -> dict[str, float]:
             return {f"{joint}.pos": TO for joint in JOINTS}
 
-    class Keyboard(KeyboardTeleop):
+    class Keyboard(KeyboardTeleop):  # type: ignore[misc]
         def get_action(self) -> dict[str, None]:
             return {"w": None}
 

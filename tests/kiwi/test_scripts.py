@@ -16,6 +16,7 @@ from failstop.lab.trial import wait_for
 
 from .scene import HERE, JOINTS, KIWI, RANGES, LeRobot, of_the_page, started
 
+pytestmark = pytest.mark.timeout(900)
 SCRIPTED = str(HERE / "scripted.py")
 AT = {1: 540, 2: 440, 3: 580, 4: 580, 5: 580, 10: 440}
 """Pulses by servo where every joint's number is 20, by hand: of the inverted one 800 - 0.6 * 600."""
