@@ -14,7 +14,7 @@ from failstop.lab.trial import wait_for
 
 from .scene import LeRobot, policy
 
-ENDS = [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGSTOP]
+ENDS = [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGSTOP]
 
 
 @pytest.mark.parametrize("end", ENDS)

@@ -67,9 +67,11 @@ def test_the_arm_follows_in_the_numbers_of_the_calibration(trial: ArmTrial, make
     assert seen["front"] == robot.observation_features["front"] == (2, 4, 3)
 
 
-def test_the_wheels_turn_as_lekiwi_s_numbers_say(trial: ArmTrial, make: Any) -> None:
-    robot = make()
+@pytest.mark.parametrize("joints", [JOINTS, {}])
+def test_the_wheels_turn_as_lekiwi_s_numbers_say(trial: ArmTrial, make: Any, joints: dict[str, str]) -> None:
+    robot = make(joints=joints)
     robot.connect()
+    assert list(robot.action_features) == [*(f"arm_{name}.pos" for name in joints), "x.vel", "y.vel", "theta.vel"]
     trial.robot.enable()
 
     def turns() -> bool:

@@ -88,19 +88,22 @@ def test_what_was_recorded_is_replayed(real: LeRobot, trial: ArmTrial, tmp_path:
     assert near(trial)
 
 
-def test_a_killed_host_of_a_laptop_s_leaves_the_wheels_standing(real: LeRobot, trial: ArmTrial) -> None:
+def test_the_wheels_stand_when_the_laptop_ends_and_when_the_host_does(real: LeRobot, trial: ArmTrial) -> None:
     with ExitStack() as rest:
         listening = [rest.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(2)]
         ports = [str(one.getsockname()[1]) for one in listening]
-    trial.robot.enable()
-    words = [
-        f"--host.{name}={port}" for name, port in zip(("port_zmq_cmd", "port_zmq_observations"), ports, strict=True)
-    ]
+    words = [f"--host.port_zmq_cmd={ports[0]}", f"--host.port_zmq_observations={ports[1]}"]
     host = ("-c", of_the_page("lekiwi_host", trial.name), "--host.connection_time_s=600", *words)
-    with started(real, *host) as running, started(real, SCRIPTED, "client", *ports):
-        trial.board.wait_wheels(turning=True, timeout_s=200.0)
-        mark = trial.board.info()["executed"]
-        running.kill()
-        stop = trial.board.wait_for(lambda event: event.is_motor and not any(event.speeds), 10.0, mark)
-        wait_for("the gate's word", lambda: not trial.robot.state.enabled)
-        assert not [event for event in trial.board.events(stop.index + 1) if event.is_motion]
+    trial.robot.enable()
+    with started(real, *host) as running:
+        with started(real, SCRIPTED, "client", *ports):
+            trial.board.wait_wheels(turning=True, timeout_s=200.0)
+        trial.board.wait_wheels(turning=False, timeout_s=10.0)
+        assert trial.robot.state.enabled
+        with started(real, SCRIPTED, "client", *ports):
+            trial.board.wait_wheels(turning=True, timeout_s=200.0)
+            mark = trial.board.info()["executed"]
+            running.kill()
+            stop = trial.board.wait_for(lambda event: event.is_motor and not any(event.speeds), 10.0, mark)
+            wait_for("the gate's word", lambda: not trial.robot.state.enabled)
+            assert not [event for event in trial.board.events(stop.index + 1) if event.is_motion]
