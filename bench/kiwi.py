@@ -83,16 +83,22 @@ class Bench:
         return at_ns
 
 
+def off(turns: list[list[int]]) -> list[int]:
+    """How far from the period the turns began, ns."""
+    begun = [turn[0] for turn in turns]
+    return [abs(after - before - round(PERIOD_MS * 1e6)) for before, after in itertools.pairwise(begun)]
+
+
 def streaming(bench: Bench, seconds: float) -> Iterator[Row]:
-    """Thirty turns a second with everything read back, while the arm moves."""
+    """Thirty turns a second with everything read back, while the arm moves; beside it a loop that does nothing."""
     progress("streaming")
     bench.ready()
-    with bench.policy("arm", str(seconds)) as process:
+    with bench.policy("arm", str(seconds)) as process, bench.policy("nothing", str(seconds)) as idle:
         assert process.stdout
-        turns = json.loads(process.stdout.read())
-    begun = [turn[0] for turn in turns]
-    off = [abs(after - before - round(PERIOD_MS * 1e6)) for before, after in itertools.pairwise(begun)]
-    yield stats.timing("30 Hz, all read back: a turn's period off by", off, p50_ms=None, p99_ms=JITTER_MS)
+        assert idle.stdout
+        turns, bare = json.loads(process.stdout.read()), json.loads(idle.stdout.read())
+    yield stats.timing("30 Hz, all read back: a turn's period off by", off(turns), p50_ms=None, p99_ms=JITTER_MS)
+    yield stats.timing("of it a loop beside it that does nothing", off(bare), p50_ms=None, p99_ms=None)
     for name, index in (("get_observation()", 1), ("send_action()", 2)):
         yield stats.timing(f"{name} of nine numbers", [turn[index] for turn in turns], p50_ms=None, p99_ms=None)
 
