@@ -7,7 +7,7 @@ if TYPE_CHECKING:
     from failstop.board.interface import Board
     from failstop.board.wire import Wire
 
-KINDS = ("arduino", "hoverboard", "ugv")
+KINDS = ("arduino", "feetech", "hoverboard", "ugv")
 """Those of this room that a Wire describes."""
 
 
