@@ -16,7 +16,7 @@ from failstop.lab.trial import Trial, wait_for
 from failstop.policy.layouts import BOARDS
 from failstop.policy.proofs import ACKNOWLEDGED_BY, NEVER_SEEN, SEEN_BY
 
-HEARD = {"arduino": BY_ANSWER, "hoverboard": BY_ECHO, "ugv": BY_ANSWER, "rrc": BY_ANSWER}
+HEARD = {"arduino": BY_ANSWER, "feetech": BY_ECHO, "hoverboard": BY_ECHO, "ugv": BY_ANSWER, "rrc": BY_ANSWER}
 
 
 def test_every_board_says_what_can_prove_its_stop() -> None:

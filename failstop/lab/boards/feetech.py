@@ -25,11 +25,11 @@ from failstop.lab.boards.line import ReceiverModel
 BYTE_NS = 10_000
 PING = 0x01
 MEMORY = 71
-MODE, POSITION, SPEED, SUPPLY, TEMPERATURE, MOVING = 33, 56, 58, 62, 63, 66
+MODE_AT, POSITION_AT, SPEED_AT, SUPPLY_AT, TEMPERATURE_AT, MOVING_AT = 33, 56, 58, 62, 63, 66
 DELAY_NS = 30_000
 """From a question to its answer, where the return delay is set to 0."""
 LONGEST_DELAY_NS = 510_000
-ARM = (1, 2, 3, 4, 5, 6)
+ARM_IDS = (1, 2, 3, 4, 5, 6)
 MIDDLE = 2048
 SHORTEST = 2
 STEP_NS = 1_000_000
@@ -79,11 +79,11 @@ class Bus:
     heard already of a packet that was cut; `turns`: its wheels turn as they are told, and joints go to their goals."""
 
     def __init__(self, delay_ns: int = DELAY_NS, seed: int = 0, heard: bytes = b"", *, turns: bool = False) -> None:
-        self.memory = {servo: bytearray(MEMORY) for servo in (*ARM, *codec.WHEELS)}
+        self.memory = {servo: bytearray(MEMORY) for servo in (*ARM_IDS, *codec.WHEELS)}
         for servo, memory in self.memory.items():
-            memory[SUPPLY], memory[TEMPERATURE] = 118, 31
-            memory[MODE] = servo in codec.WHEELS
-            for at in (codec.GOAL_POSITION, POSITION):
+            memory[SUPPLY_AT], memory[TEMPERATURE_AT] = 118, 31
+            memory[MODE_AT] = servo in codec.WHEELS
+            for at in (codec.GOAL_POSITION, POSITION_AT):
                 memory[at : at + 2] = MIDDLE.to_bytes(2, "little")
         self.turns = turns
         self.wheels: tuple[float, ...] = (0.0,) * len(codec.WHEELS)
@@ -212,7 +212,9 @@ class Bus:
         for servo in asked:
             ear.ids.discard(servo)
             if self.turns and servo in codec.WHEELS:
-                self.memory[servo][SPEED : SPEED + 2] = self.memory[servo][codec.GOAL_SPEED : codec.GOAL_SPEED + 2]
+                self.memory[servo][SPEED_AT : SPEED_AT + 2] = self.memory[servo][
+                    codec.GOAL_SPEED : codec.GOAL_SPEED + 2
+                ]
             data = bytearray(codec.packet(servo, 0, bytes(self.memory[servo][address : address + size])))
             begin_ns += self._delay_ns
             self._answers.append((begin_ns, servo, data))
@@ -224,14 +226,14 @@ class Bus:
         if passed_ns < STEP_NS:
             return
         self._moved_ns = at_ns
-        for servo in ARM:
+        for servo in ARM_IDS:
             memory = self.memory[servo]
-            here, goal = self.word(servo, POSITION), self.word(servo, codec.GOAL_POSITION)
-            memory[MOVING] = here != goal and memory[codec.TORQUE] == 1
-            if memory[MOVING]:
+            here, goal = self.word(servo, POSITION_AT), self.word(servo, codec.GOAL_POSITION)
+            memory[MOVING_AT] = here != goal and memory[codec.TORQUE] == 1
+            if memory[MOVING_AT]:
                 most = (self.word(servo, codec.GOAL_SPEED) or FULL_SPEED) * passed_ns // 1_000_000_000
                 here += max(-most, min(most, goal - here))
-                memory[POSITION : POSITION + 2] = here.to_bytes(2, "little")
+                memory[POSITION_AT : POSITION_AT + 2] = here.to_bytes(2, "little")
 
 
 def _any_state(rng: random.Random) -> Bus:
