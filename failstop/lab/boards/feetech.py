@@ -44,7 +44,7 @@ def checked(packet: bytes) -> bool:
 
 
 class Ear:
-    """What a few servos have heard of a packet, byte by byte; all that heard the same share one."""
+    """A packet as a few servos have heard it, byte by byte; all that heard the same share one."""
 
     __slots__ = ("ids", "packet")
 
@@ -196,7 +196,7 @@ class Bus:
         return servo in codec.WHEELS and not GOAL_BYTES.isdisjoint(range(address, address + len(data)))
 
     def _note(self, at_ns: int) -> None:
-        """What the wheels are told now."""
+        """Keep the speeds that the wheels are told now."""
         self.wheels = tuple(codec.signed(self.word(wheel, codec.GOAL_SPEED)) for wheel in codec.WHEELS)
         self.commands.append((at_ns, self.wheels))
 
