@@ -22,6 +22,12 @@ SPEEDS = {"rrc": 4, "arduino": 2, "feetech": 3, "hoverboard": 2, "ugv": 2}
 """Speeds in a frame of each. A board of the user's own takes as many as its layout has wheels."""
 WITHOUT_IMU = ("arduino", "feetech", "hoverboard")
 """Kinds of boards without an IMU."""
+RANGES = {"rrc": (1000, 1500), "feetech": (4095, 4096)}
+"""Boards with an arm's servos: the last of a servo's pulses, and how many make a turn."""
+WHEELS_SERVOS = {"feetech": (7, 8, 9)}
+"""Servos that are the wheels', on boards whose arm is on the same bus."""
+OF_JOINTS = {"feetech": {"zero": 2048, "high": 4095}}
+"""Other defaults of joints, by the kind of board."""
 ACKERMANN = "ackermann"
 LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (2,)}
 """Wheels that each may have. A known board drives the most that it has speeds for; an own board has the fewest."""

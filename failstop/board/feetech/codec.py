@@ -10,8 +10,8 @@ from __future__ import annotations
 from struct import Struct
 
 from failstop.board.framing import counted, number
-from failstop.board.wire import Answer, Battery, Obeyed, Reader, Sample, Wheels, beyond
-from failstop.data import Data
+from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE
+from failstop.board.wire import Answer, Battery, Obeyed, Reader, Sample, Servo, Wheels, beyond
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 HEAD = b"\xff\xff"
 EVERY_SERVO = 0xFE
 READ, WRITE, SYNC_READ, SYNC_WRITE = 0x02, 0x03, 0x82, 0x83
-TORQUE, GOAL_POSITION, GOAL_SPEED = 40, 42, 46
+TORQUE_SWITCH, GOAL_POSITION, GOAL_SPEED = 40, 42, 46
 """Addresses in a servo's memory."""
 
 WHEELS = (7, 8, 9)
@@ -33,6 +33,8 @@ UNIT = "steps a second"
 SIZES = (18, 19)
 """How much of each wheel's memory the questions ask for, from the goal speed on: an answer tells by its length which
 one it answers, as it says nothing else of it."""
+READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 2), SUPPLY: (62, 3), TEMPERATURE: (63, 4)}
+"""Address and size of each question to a servo of the arm; here too the size tells which one is answered."""
 
 LONGEST_REPLY = 64
 _SIGN = 0x8000
@@ -86,7 +88,7 @@ BURST = (FILLER + STOP) * STOPS
 """A stop is heard at once, behind any cut packet; behind an answer that it fell into, when that is over; and behind a
 length that was garbled, for which a servo waits through up to 255 bytes."""
 
-TORQUE_ON = sync_write(TORQUE, 1, b"".join(bytes((wheel, 1)) for wheel in WHEELS))
+TORQUE_ON = sync_write(TORQUE_SWITCH, 1, b"".join(bytes((wheel, 1)) for wheel in WHEELS))
 QUESTIONS = tuple(packet(EVERY_SERVO, SYNC_READ, bytes((GOAL_SPEED, size, *WHEELS))) for size in SIZES)
 
 
@@ -108,12 +110,14 @@ def check_motion(frame: bytes, limit: float) -> str:
     return beyond(found, limit, LIMIT)
 
 
-class Reply(Sample, Data):
-    """A servo's answer that is none to a question for the wheels."""
-
-    servo: int
-    error: int
-    data: bytes
+def _of_the_arm(servo: int, data: bytes) -> list[Sample]:
+    """The answer to one of READS; a write to one id is answered without data."""
+    found = [what for what, (_, size) in READS.items() if size == len(data)]
+    if not found or servo in WHEELS:
+        return []
+    (what,) = found
+    value = int.from_bytes(data, "little") if what == POSITION else data[0] * (100 if what == SUPPLY else 1)
+    return [Servo(servo, what, value)]
 
 
 class Replies(Reader):
@@ -138,15 +142,15 @@ class Replies(Reader):
             if sum(data[at + 2 : end]) & 0xFF != 0xFF:
                 at += 1
                 continue
-            found += self._heard(servo, data[at + 4], data[at + 5 : end - 1])
+            found += self._heard(servo, data[at + 5 : end - 1])
             at = end
         # Without a head, its first byte may still be the last that came.
         self._kept = data[at:] if at >= 0 else data[-1:]
         return found
 
-    def _heard(self, servo: int, error: int, data: bytes) -> list[Sample]:
+    def _heard(self, servo: int, data: bytes) -> list[Sample]:
         if servo not in WHEELS or len(data) not in SIZES:
-            return [Reply(servo, error, data)]
+            return _of_the_arm(servo, data)
         due = WHEELS[len(self._wheels)]
         if servo != due or any(len(data) != len(other) for other in self._wheels):
             self._wheels = []

@@ -30,6 +30,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from failstop.board.interface import Board
+
 _MS = 1_000_000
 ANSWERS_NS = 2_500_000
 """Three answers of 25 bytes, and before each the longest return delay that a servo comes with, 0.51 ms (LeRobot sets it
@@ -38,6 +40,12 @@ to 0)."""
 
 def _answers(size: int) -> Callable[[Sample], bool]:
     return lambda sample: isinstance(sample, Answer) and sample.text == str(size)
+
+
+def _with_arm(wire: Wire, per_rps: float) -> Board:
+    from failstop.board.feetech.arm import FeetechBoard
+
+    return FeetechBoard(wire, per_rps)
 
 
 WIRE = Wire(
@@ -84,4 +92,5 @@ WIRE = Wire(
             program="lerobot.robots.lekiwi.lekiwi_host",
         ),
     ),
+    board=_with_arm,
 )

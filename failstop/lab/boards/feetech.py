@@ -94,6 +94,8 @@ class Bus:
         """Bytes of the host that met an answer."""
         self.broadcast_speeds = 0
         """Writes of a speed that name no id: arm servos would take 0 for their fastest."""
+        self.blocked: set[int] = set()
+        """Joints that are held where they are."""
         self._ears = [Ear(set(self.memory))]
         self._quiet = True
         """Every servo waits for the head of a packet."""
@@ -229,7 +231,7 @@ class Bus:
         for servo in ARM_IDS:
             memory = self.memory[servo]
             here, goal = self.word(servo, POSITION_AT), self.word(servo, codec.GOAL_POSITION)
-            memory[MOVING_AT] = here != goal and memory[codec.TORQUE] == 1
+            memory[MOVING_AT] = here != goal and memory[codec.TORQUE_SWITCH] == 1 and servo not in self.blocked
             if memory[MOVING_AT]:
                 most = (self.word(servo, codec.GOAL_SPEED) or FULL_SPEED) * passed_ns // 1_000_000_000
                 here += max(-most, min(most, goal - here))
