@@ -19,7 +19,7 @@ from failstop.board.interface import (
     Board,
     Hearing,
 )
-from failstop.board.wire import ECHOED, OBSERVED, Battery, Imu, Obeyed, Sample, Servo, Wheels
+from failstop.board.wire import ECHOED, OBSERVED, Battery, Imu, Obeyed, Sample, ServoAnswer, Wheels
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def _said(sample: Sample) -> list[Said]:
         return [(HEARD_OBEYED, sample.speeds)]
     if isinstance(sample, Battery):
         return [(HEARD_BATTERY, (round(sample.volts * 1000),))]
-    if isinstance(sample, Servo):
+    if isinstance(sample, ServoAnswer):
         return [(HEARD_SERVO, (sample.servo, sample.what, sample.value))]
     if isinstance(sample, Imu):
         accel = (value / _GRAVITY for value in sample.accel)

@@ -159,7 +159,7 @@ class Imu(Sample, Data):
     gyro: tuple[float, float, float]
 
 
-class Servo(Sample, Data):
+class ServoAnswer(Sample, Data):
     """An arm's servo, what it was asked (one of servos.READS) and its answer, in the unit that is named there."""
 
     servo: int

@@ -135,7 +135,9 @@ FAMILIES = {
     ),
     "joints": (
         Setting("servo", 0, "", 1, 100, "the id of the joint's bus servo; every joint has one of its own"),
-        Setting("zero", 500, "", 0, 4095, "pulses (0.24 degrees each) at which the joint's angle is zero"),
+        Setting(
+            "zero", 500, "", 0, 4095, "pulses (0.24 degrees each, LeKiwi's 0.088) at which the joint's angle is zero"
+        ),
         _word("sign", 1, "-1: more pulses are a smaller angle", (1, -1)),
         Setting("low", 0, "", 0, 4094, "a joint is sent below so many pulses only on its way back up"),
         Setting("high", 1000, "", 1, 4095, "a joint is sent above so many pulses only on its way back down"),

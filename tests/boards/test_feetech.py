@@ -51,7 +51,7 @@ def test_control_one_stop_frame_is_lost_in_the_answers_until_it_is_repeated() ->
 
 
 def test_no_answer_is_taken_from_other_bytes() -> None:
-    """What was sent down comes back on some adapters; garbage has no check."""
+    """Some adapters send back what is sent down; garbled answers fail their check."""
     reader, rng = codec.Replies(), random.Random(0)
     down = (codec.BURST, *codec.QUESTIONS, codec.TORQUE_ON, codec.motion((5, -5, 0), codec.LIMIT))
     assert [reader.feed(frame) for frame in down] == [[]] * len(down)

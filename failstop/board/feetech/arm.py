@@ -66,7 +66,7 @@ class FeetechBoard(Described):
         return bus.SERVO_MOVE if len(frame) == frame[3] + 4 else bus.TORQUE_ON
 
     def check_servos(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """What the functions above make of its own fields, and nothing else."""
+        """The very bytes that the functions above make of the fields in it pass, and nothing else."""
         try:
             ids, made = self._made_again(frame)
         except (ValueError, IndexError, StopIteration):  # a FrameError is a ValueError

@@ -11,7 +11,7 @@ from struct import Struct
 
 from failstop.board.framing import counted, number
 from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE
-from failstop.board.wire import Answer, Battery, Obeyed, Reader, Sample, Servo, Wheels, beyond
+from failstop.board.wire import Answer, Battery, Obeyed, Reader, Sample, ServoAnswer, Wheels, beyond
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def _of_the_arm(servo: int, data: bytes) -> list[Sample]:
         return []
     (what,) = found
     value = int.from_bytes(data, "little") if what == POSITION else data[0] * (100 if what == SUPPLY else 1)
-    return [Servo(servo, what, value)]
+    return [ServoAnswer(servo, what, value)]
 
 
 class Replies(Reader):
