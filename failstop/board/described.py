@@ -145,6 +145,10 @@ class Described(Board):
         """Raises FrameError."""
         raise FrameError(_NO_ARM)
 
+    def servo_look(self, servos: Sequence[int]) -> bytes:
+        """It has none."""
+        return b""
+
     def servo_torque(self, servo: int, on: bool, at: int) -> bytes:
         """Raises FrameError."""
         raise FrameError(_NO_ARM)

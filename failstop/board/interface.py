@@ -134,6 +134,11 @@ class Board:
         """The frame that asks a servo for one of servos.READS. Raises FrameError."""
         raise NotImplementedError
 
+    def servo_look(self, servos: Sequence[int]) -> bytes:
+        """The frame that asks a few servos for their positions at once, also while they move; empty: it has none.
+        Raises FrameError."""
+        raise NotImplementedError
+
     def servo_torque(self, servo: int, on: bool, at: int) -> bytes:
         """The frame that switches a servo's torque, which stands `at` these pulses. Raises FrameError."""
         raise NotImplementedError

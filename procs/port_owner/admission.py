@@ -23,7 +23,8 @@ A frame for the servos is written only when these rows hold too:
       its servos within bounds (Board.check_servos)
     no motion frame was written since the last stop,         drop: an arm moves while the wheels stand
       or the board's arm may move beside
-    a question: nothing is before it, no servo moves         drop: a silent servo holds the receiver for 5 ms
+    a question: nothing is before it, and no servo moves     drop: a silent servo holds the receiver for 5 ms
+      where that may hold a stop up
     the receiver is held for less than HELD_NS by what is    wait: it is what a stop may have to wait; those behind it
       before it and itself                                   wait too, until they are too old
 
@@ -157,7 +158,8 @@ class ServoBus:
         if wheels_move and not self._board.arm_beside_wheels:
             return NEVER
         if self._board.servo_what(frame) in READS:
-            return now_ns if now_ns >= max(self._free_ns, self._rest_ns) else NEVER
+            rest_ns = 0 if self._board.arm_beside_wheels else self._rest_ns
+            return now_ns if now_ns >= max(self._free_ns, rest_ns) else NEVER
         return max(now_ns, self._free_ns + self._board.servo_ns(frame) - HELD_NS)
 
     def wrote(self, frame: bytes, now_ns: int) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -68,6 +69,7 @@ def test_goals_are_a_whole_frame_for_the_arm_alone() -> None:
         board.servo_torque(2, True, 2048),
         board.servo_torque(2, False, 0),
         *(board.servo_read(3, what) for what in servos.READS),
+        board.servo_look([1, 2, 3]),
     ]
     for frame in made:
         assert board.check_servos(frame, range(1, 7), 60) == ""
@@ -115,6 +117,27 @@ def test_wheels_and_arm_move_at_once_and_stop_at_once(kiwi: Kiwi, process: str) 
     stops = [event.executed_ns for event in kiwi.simulated.board.events() if event.is_stop]
     assert stops[0] - fault_ns < 5 * MS
     assert not any(kiwi.bus.wheels)
+
+
+@pytest.mark.slow
+def test_a_policy_is_streamed_in_time_and_every_joint_is_seen_meanwhile(kiwi: Kiwi) -> None:
+    """All nine servos are read back while the wheels turn and the joints move; judged by when goals come to a servo."""
+    kiwi.simulated.enable()
+    kiwi.drive(0.5)
+    ages: list[float] = []
+    before = len(kiwi.bus.aimed)
+    for _ in range(60):
+        kiwi.drive(0.033)
+        ages += [joint.age_s for joint in kiwi.arm.state.joints.values()]
+    assert kiwi.bus.collisions == 0
+    assert sorted(ages)[len(ages) // 2] < 0.035
+    assert max(ages) < 0.1
+    came = [at_ns for at_ns, servo in kiwi.bus.aimed[before:] if servo == IDS["roll"]]
+    late_ns = sorted(abs(after - first - 40 * MS) for first, after in pairwise(came))
+    assert len(late_ns) > 40
+    assert late_ns[-1 - len(late_ns) // 100] < 5 * MS
+    seen = [joint.pulses for joint in kiwi.arm.state.joints.values()]
+    assert seen == pytest.approx(kiwi.at(POSITION_AT), abs=0.06 * SPEED * PER_RAD)
 
 
 @pytest.mark.slow

@@ -53,13 +53,20 @@ class FeetechBoard(Described):
         """The question to one servo."""
         return codec.packet(_id(servo), codec.READ, bytes(codec.READS[what]))
 
+    def servo_look(self, servos: Sequence[int]) -> bytes:
+        """A sync read, of no more servos than a question to the wheels."""
+        counted("servos", servos, 1, len(codec.WHEELS))
+        distinct("servo id", servos)
+        ids = bytes([_id(servo) for servo in servos])
+        return codec.packet(codec.EVERY_SERVO, codec.SYNC_READ, bytes(codec.READS[bus.POSITION]) + ids)
+
     def servo_torque(self, servo: int, on: bool, at: int) -> bytes:
         """The torque; before it is switched on the goal becomes the place where the servo is."""
         return (_goals([(servo, max(0, min(at, HIGHEST)))]) if on else b"") + _torque(servo, on)
 
     def servo_what(self, frame: bytes) -> int:
         """By what it asks for or writes."""
-        if frame[4] == codec.READ:
+        if frame[4] in (codec.READ, codec.SYNC_READ):
             return next(what for what, asked in codec.READS.items() if bytes(asked) == frame[5:7])
         if frame[5] == codec.TORQUE_SWITCH:
             return bus.TORQUE_OFF
@@ -79,6 +86,9 @@ class FeetechBoard(Described):
         """Servos in a frame, and the frame for what it says."""
         if frame[4] == codec.READ:
             return [frame[2]], self.servo_read(frame[2], self.servo_what(frame))
+        if frame[4] == codec.SYNC_READ:
+            looked = list(frame[_ROWS_AT:-1])
+            return looked, self.servo_look(looked)
         if frame[5] == codec.TORQUE_SWITCH:
             return [frame[_ROWS_AT]], _torque(frame[_ROWS_AT], False)
         rows = frame[_ROWS_AT : frame[3] + 3]
@@ -91,4 +101,5 @@ class FeetechBoard(Described):
 
     def servo_ns(self, frame: bytes) -> int:
         """Its own time on the line, or that of the answer."""
-        return ANSWER_NS if frame[4] == codec.READ else len(frame) * self.port.byte_ns
+        asked = {codec.READ: 1, codec.SYNC_READ: len(frame) - _ROWS_AT - 1}.get(frame[4], 0)
+        return asked * ANSWER_NS or len(frame) * self.port.byte_ns

@@ -94,6 +94,8 @@ class Bus:
         """Bytes of the host that met an answer."""
         self.broadcast_speeds = 0
         """Writes of a speed that name no id: arm servos would take 0 for their fastest."""
+        self.aimed: list[tuple[int, int]] = []
+        """When which joint was sent somewhere."""
         self.blocked: set[int] = set()
         """Joints that are held where they are."""
         self._ears = [Ear(set(self.memory))]
@@ -173,12 +175,12 @@ class Bus:
             address, size = data[:2]
             for at in range(2, len(data) - size, size + 1):
                 if data[at] in ear.ids:
-                    told |= self._store(data[at], address, data[at + 1 : at + 1 + size])
+                    told |= self._store(data[at], address, data[at + 1 : at + 1 + size], at_ns)
         elif kind == codec.WRITE and data:
             named = ear.ids if to == codec.EVERY_SERVO else ear.ids & {to}
             self.broadcast_speeds += to == codec.EVERY_SERVO and data[0] in GOAL_BYTES
             for servo in sorted(named):
-                told |= self._store(servo, data[0], data[1:])
+                told |= self._store(servo, data[0], data[1:], at_ns)
             asked = [] if to == codec.EVERY_SERVO else list(named)
             data = b"\0\0"
         elif kind in (codec.READ, PING) and to in ear.ids:
@@ -190,11 +192,13 @@ class Bus:
         if len(data) > 1:
             self._answer(asked, data[0], data[1], ear, at_ns)
 
-    def _store(self, servo: int, address: int, data: bytes) -> bool:
+    def _store(self, servo: int, address: int, data: bytes, at_ns: int) -> bool:
         """Whether it is a wheel's goal speed, or a part of one."""
         if address + len(data) > MEMORY:
             return False
         self.memory[servo][address : address + len(data)] = data
+        if address == codec.GOAL_POSITION:
+            self.aimed.append((at_ns, servo))
         return servo in codec.WHEELS and not GOAL_BYTES.isdisjoint(range(address, address + len(data)))
 
     def _note(self, at_ns: int) -> None:

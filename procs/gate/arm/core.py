@@ -8,7 +8,7 @@ dies stands when its last move ends. What was stopped on its way is read before 
 from __future__ import annotations
 
 from failstop.board.interface import Board
-from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES
+from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, POSITION
 from failstop.policy.causes import Cause
 from failstop.policy.joints import Joint, from_settings, too_far
 from failstop.policy.settings import Settings
@@ -42,6 +42,7 @@ class ArmCore:
         self.tolerance = int(settings["arm.drive_tolerance"])
         self.ignore_absent = settings.text("arm.absent") == "ignore"
         self._reader = ServoReader(self.joints, now_ns)
+        self._looks = bool(self.joints) and bool(board.servo_look([self.joints[0].servo]))
         self._space = Space(settings, self.joints)
         self._stream = Stream(settings, board, self._space)
         self._trajectory: Trajectory | None = None
@@ -204,7 +205,7 @@ class ArmCore:
             self._end_stream()
             return b"", True
         if self._stream.on and (followed := self.followed):
-            return self._move(followed, now_ns, hold)
+            return self._move(followed, now_ns, hold) if now_ns >= self._stream.due_ns else (self._look(now_ns), hold)
         if frame := self._hold_back(now_ns):
             return frame, hold
         wanted = wanted or [joint for joint in self.joints if not joint.known]
@@ -241,7 +242,7 @@ class ArmCore:
         if self.letting_go:
             return self._torque_ns
         if self._stream.on:
-            return self._stream.due_ns
+            return min(self._stream.due_ns, self._reader.look_ns) if self._looks else self._stream.due_ns
         joints = self._to_stream()
         return self._free_ns() if joints and not self._unknown(joints) else self._reader.due_ns()
 
@@ -336,8 +337,6 @@ class ArmCore:
 
     def _move(self, followed: Trajectory | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:
         """The moves that are due, as step(). A trajectory that would hit something ends; a goal waits."""
-        if now_ns < self._stream.due_ns:
-            return b"", hold
         frame, hit = self._stream.move(followed, now_ns)
         if hit and isinstance(followed, Trajectory):
             followed.finish(hit)
@@ -347,7 +346,17 @@ class ArmCore:
         self._reader.moved(now_ns)
         return frame, hold
 
+    def _look(self, now_ns: int) -> bytes:
+        """Ask where joints on their way are, on a board that can tell."""
+        joints = self._reader.look(self.joints, now_ns) if self._looks else []
+        return self._board.servo_look([joint.servo for joint in joints]) if joints else b""
+
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
+        if self._looks and self._stream.on and what == POSITION and value is not None:
+            for joint in self.joints:
+                if joint.servo == servo:
+                    joint.measured, joint.measured_ns, joint.misses = value, t_ns, 0
+            return
         if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._stream.on:
             # A servo turned beyond what a move can say is as near as one can.
             joint.position = float(max(0, min(joint.measured or 0, joint.highest)))
