@@ -5,7 +5,11 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
+<<<<<<< HEAD
 .PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot
+=======
+.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate seeds model board mutants docs site browser screens fleet feetech ros2 web deb release reproduce package-test vm wheels clean vm-arm64
+>>>>>>> h/feetech
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -165,6 +169,16 @@ fleet: $(VENV)/.dev
 	$(BIN)/pytest --numprocesses 0 tests/fleet
 	$(BIN)/python -m bench.fleet
 	$(BIN)/python -m bench.fleet_flood
+
+# Two foreign hosts of Feetech servos on the simulated bus: FRAMES of each, and as many answers, are made and read alike.
+FRAMES ?= 100000
+feetech: $(VENV)/feetech/.installed
+	$(VENV)/feetech/bin/python -m tests.boards.feetech_hosts --frames $(FRAMES)
+
+$(VENV)/feetech/.installed: pyproject.toml | $(VENV)/bin/python
+	@$(BIN)/python -m venv $(VENV)/feetech
+	@$(VENV)/feetech/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) . 'feetech-servo-sdk==1.0.0' 'rustypot==1.13.1'
+	@touch $@
 
 # The bridge against a real ROS 2 (CONTRIBUTING.md says what is needed), and the stand-in beside it, which the same tests judge.
 # ROS: another setup.sh than the newest; ROS_PYTHON: that ROS's own Python.

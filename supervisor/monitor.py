@@ -166,7 +166,8 @@ class Monitor:
         if not sent_ns or sent_ns > arrival_ns:
             return  # an answer to a question that nobody has asked, or that was asked again meanwhile
         self.link.answered(sent_ns)
-        self._acknowledge(sent_ns, arrival_ns)
+        if not self._echo_ns:  # else it says by its echo whether it took the stop: an answer proves less
+            self._acknowledge(sent_ns, arrival_ns)
 
     def _acknowledge(self, sent_ns: int, arrival_ns: int) -> None:
         """The board has answered, or obeyed, what was sent then."""

@@ -26,6 +26,7 @@ from failstop.policy.settings import Settings
 from failstop.procs.loop import Timer
 from failstop.procs.peer import LEAVE_AFTER_NS
 from failstop.procs.schedule import Pings
+from tests.support.boards import wide
 from tests.support.rooms import imports, package
 from tests.support.states import latched, stop
 
@@ -128,16 +129,17 @@ def test_every_kind_of_board_has_all_of_the_interface(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_board_of_two_speeds_is_told_no_more_than_its_limit(kind: str) -> None:
+def test_a_described_board_is_told_no_more_than_its_limit(kind: str) -> None:
     board = board_of(*Settings({"board.kind": kind}).board())
     most = board.most_rps
-    fast = board.motor_speeds((most, -most), most)
+    fast = board.motor_speeds(wide(most, -most, board.wheels), most)
     assert board.check_motion(fast, most) == ""
     assert board.check_motion(fast, most * 0.9) != ""
-    assert board.motor_speeds((0.5, 0.0), 1.0) != board.motor_speeds((0.0, 0.5), 1.0)
+    one, other = (board.motor_speeds(wide(*pair, board.wheels), 1.0) for pair in ((0.5, 0.0), (0.0, 0.5)))
+    assert one != other
     for bad in (nan, inf, 1.001):
         with pytest.raises(FrameError):
-            board.motor_speeds((0.0, bad), 1.0)
+            board.motor_speeds(wide(0.0, bad, board.wheels), 1.0)
 
 
 THE_LIST = {"failstop/board/kinds.py", "failstop/policy/layouts.py"}

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tests.support.rooms import CORE, ROOT, modules
 
-OTHER_BOARDS = ("arduino", "hoverboard", "ugv")
+OTHER_BOARDS = {"arduino", "feetech", "hoverboard", "ugv"}
 """Folders of the board room that define what the room's own modules do, each for another board."""
 EVERYWHERE = {
     "BATTERY": "the record and the cause: each has its own name in capitals, in records.py and in causes.py",
@@ -55,7 +55,7 @@ def defined(paths: list[Path]) -> dict[str, list[str]]:
 
 def core() -> dict[str, list[str]]:
     paths = [path for room in CORE for path in modules(room)]
-    return defined([path for path in paths if not any(board in path.parts for board in OTHER_BOARDS)])
+    return defined([path for path in paths if OTHER_BOARDS.isdisjoint(path.relative_to(ROOT).parts)])
 
 
 def test_a_name_is_defined_once_in_the_core() -> None:

@@ -14,11 +14,12 @@ from failstop.board.interface import (
     HEARD_IMU,
     HEARD_OBEYED,
     HEARD_PONG,
+    HEARD_SERVO,
     HEARD_WHEELS,
     Board,
     Hearing,
 )
-from failstop.board.wire import ECHOED, OBSERVED, Battery, Imu, Obeyed, Sample, Wheels
+from failstop.board.wire import ECHOED, OBSERVED, Battery, Imu, Obeyed, Sample, ServoAnswer, Wheels
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -65,6 +66,8 @@ def _said(sample: Sample) -> list[Said]:
         return [(HEARD_OBEYED, sample.speeds)]
     if isinstance(sample, Battery):
         return [(HEARD_BATTERY, (round(sample.volts * 1000),))]
+    if isinstance(sample, ServoAnswer):
+        return [(HEARD_SERVO, (sample.servo, sample.what, sample.value))]
     if isinstance(sample, Imu):
         accel = (value / _GRAVITY for value in sample.accel)
         return [(HEARD_IMU, (*accel, *(value * 180 / pi for value in sample.gyro)))]
@@ -80,7 +83,7 @@ class Described(Board):
         "wheels",
     )  # fmt: skip
 
-    usb_alone = False
+    usb_alone = arm_beside_wheels = holds_by_goal = False
 
     def __init__(self, wire: Wire, per_rps: float) -> None:
         """`per_rps`: a speed of one turn a second, in its unit."""
@@ -142,9 +145,17 @@ class Described(Board):
         """Raises FrameError."""
         raise FrameError(_NO_ARM)
 
-    def servo_torque(self, servo: int, on: bool) -> bytes:
+    def servo_look(self, servos: Sequence[int]) -> bytes:
+        """It has none."""
+        return b""
+
+    def servo_torque(self, servo: int, on: bool, at: int) -> bytes:
         """Raises FrameError."""
         raise FrameError(_NO_ARM)
+
+    def servo_what(self, frame: bytes) -> int:
+        """None passes."""
+        return 0
 
     def check_servos(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
         """None may be written."""

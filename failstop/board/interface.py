@@ -91,6 +91,11 @@ class Board:
     """It is at a USB port of its own and nowhere else: not behind an adapter, not on serial pins."""
     commanders: tuple[Commander, ...]
     """Those beside failstop who can command its wheels."""
+    arm_beside_wheels: bool
+    """Its arm may move while the wheels may turn: no stop waits for a servo."""
+    holds_by_goal: bool
+    """A servo goes on to its last goal, which a stop leaves as it is: a few degrees ahead in a stream of moves. Where
+    it lags behind, it is sent where it is read."""
 
     def burst_with(self, servos: Sequence[int]) -> bytes:
         """The burst, and in the same write behind it what stops these servos of an arm; for none the burst."""
@@ -129,8 +134,17 @@ class Board:
         """The frame that asks a servo for one of servos.READS. Raises FrameError."""
         raise NotImplementedError
 
-    def servo_torque(self, servo: int, on: bool) -> bytes:
-        """The frame that switches a servo's torque. Raises FrameError."""
+    def servo_look(self, servos: Sequence[int]) -> bytes:
+        """The frame that asks a few servos for their positions at once, also while they move; empty: it has none.
+        Raises FrameError."""
+        raise NotImplementedError
+
+    def servo_torque(self, servo: int, on: bool, at: int) -> bytes:
+        """The frame that switches a servo's torque, which stands `at` these pulses. Raises FrameError."""
+        raise NotImplementedError
+
+    def servo_what(self, frame: bytes) -> int:
+        """The command, of those in servos.py, that a frame that has passed is."""
         raise NotImplementedError
 
     def check_servos(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:

@@ -12,6 +12,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from failstop.board.interface import Board
+
 VOCABULARY = 1
 """The number of this vocabulary. It is raised when a description that held would be refused, or mean another thing."""
 
@@ -157,6 +159,14 @@ class Imu(Sample, Data):
     gyro: tuple[float, float, float]
 
 
+class ServoAnswer(Sample, Data):
+    """An arm's servo, what it was asked (one of servos.READS) and its answer, in the unit that is named there."""
+
+    servo: int
+    what: int
+    value: int
+
+
 class Answer(Sample, Data):
     """A line that only answers, and is never sent unasked."""
 
@@ -213,6 +223,9 @@ class Wire(Data):
     usb: tuple[str, ...] = ()
     """Vendor:product, in hexadecimal, of USB ports of its own; an adapter's say nothing of the board behind it."""
     commanders: tuple[Commander, ...] = ()
+    board: Callable[[Wire, float], Board] | None = None
+    """(wire, a turn a second in its unit): the board, where it has an arm; None: what described.py makes of the
+    wire."""
 
 
 def two_speeds(speeds: Sequence[float], limit: float, most: float, unit: str) -> tuple[float, float]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from math import copysign, isfinite, pi, sqrt
 
+from failstop.policy.layouts import BOARDS, RANGES
 from failstop.policy.settings import Settings
 
-PULSES_PER_REVOLUTION = 1500
-"""Of a bus servo: a pulse is 0.24 degrees."""
+PULSES_PER_REVOLUTION = RANGES[BOARDS[0]][1]
+"""Of the first board's bus servos: a pulse is 0.24 degrees."""
 PULSES_PER_RAD = PULSES_PER_REVOLUTION / (2 * pi)
 MOST_MISSES = 4
 """Questions in a row without an answer: it counts as silent."""
@@ -17,15 +18,24 @@ MOST_MISSES = 4
 class Joint:
     """One joint: its bounds, and what is known of it."""
 
-    def __init__(self, name: str, table: dict[str, float | str]) -> None:
+    def __init__(
+        self,
+        name: str,
+        table: dict[str, float | str],
+        highest: int = RANGES[BOARDS[0]][0],
+        a_turn: int = PULSES_PER_REVOLUTION,
+    ) -> None:
+        """`highest`: the last of its pulses; `a_turn`: so many make one."""
         number = {key: float(value) for key, value in table.items() if not isinstance(value, str)}
         self.name = name
         self.servo = int(number["servo"])
         self.zero = number["zero"]
         self.sign = number["sign"]
         self.low, self.high = number["low"], number["high"]
-        self.speed = number["speed_radps"] * PULSES_PER_RAD
-        self.acceleration = number["acceleration_radps2"] * PULSES_PER_RAD
+        self.highest, self.per_rad = highest, a_turn / (2 * pi)
+        self.speed_radps = number["speed_radps"]
+        self.speed = self.speed_radps * self.per_rad
+        self.acceleration = number["acceleration_radps2"] * self.per_rad
         self.tuck, self.drive = int(number["tuck"]), int(number["drive"])
         self.judged = table["judged"] == "on"
         self.position = 0.0
@@ -55,11 +65,11 @@ class Joint:
 
     def turned(self, angle_rad: float) -> float:
         """A change of the angle, or a rate of it, as one in pulses."""
-        return self.sign * angle_rad * PULSES_PER_RAD
+        return self.sign * angle_rad * self.per_rad
 
     def rad(self, pulses: float) -> float:
         """Pulses, as an angle in rad."""
-        return (pulses - self.zero) * self.sign / PULSES_PER_RAD
+        return (pulses - self.zero) * self.sign / self.per_rad
 
     def range_rad(self) -> tuple[float, float]:
         """The angles that it may be sent to, the smaller first."""
@@ -105,7 +115,8 @@ class Joint:
 
 def from_settings(settings: Settings) -> list[Joint]:
     """The arm's joints in the order of the settings; none without an arm."""
-    joints = [Joint(name, table) for name, table in settings.named["joints"].items()]
+    of_board = RANGES.get(settings.text("board.kind"), ())
+    joints = [Joint(name, table, *of_board) for name, table in settings.named["joints"].items()]
     for joint in joints:
         if joint.servo == int(settings["arm.base_servo"]):
             pan = int(settings["arm.drive_pan"])

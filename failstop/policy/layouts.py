@@ -16,12 +16,18 @@ if TYPE_CHECKING:
 
     Values = Mapping[str, float | str]
 
-BOARDS = ("rrc", "arduino", "hoverboard", "ugv")
+BOARDS = ("rrc", "arduino", "feetech", "hoverboard", "ugv")
 """The kinds of boards, each a folder of the board room that describes it."""
-SPEEDS = {"rrc": 4, "arduino": 2, "hoverboard": 2, "ugv": 2}
+SPEEDS = {"rrc": 4, "arduino": 2, "feetech": 3, "hoverboard": 2, "ugv": 2}
 """Speeds in a frame of each. A board of the user's own takes as many as its layout has wheels."""
-WITHOUT_IMU = ("arduino", "hoverboard")
+WITHOUT_IMU = ("arduino", "feetech", "hoverboard")
 """Kinds of boards without an IMU."""
+RANGES = {"rrc": (1000, 1500), "feetech": (4095, 4096)}
+"""Boards with an arm's servos: the last of a servo's pulses, and how many make a turn."""
+WHEELS_SERVOS = {"feetech": (7, 8, 9)}
+"""Servos that are the wheels', on boards whose arm is on the same bus."""
+OF_JOINTS = {"feetech": {"zero": 2048, "high": 4095}}
+"""Other defaults of joints, by the kind of board."""
 ACKERMANN = "ackermann"
 LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (2,)}
 """Wheels that each may have. A known board drives the most that it has speeds for; an own board has the fewest."""
@@ -84,8 +90,12 @@ OF_THE_BASE = (
 DEFAULTS: dict[str, dict[str, float | str]] = {
     "omni3": {"wheels.diameter_m": 0.1, "wheels.sign_3": 1},
     ACKERMANN: {"wheels.id_1": 1, "wheels.id_2": 3, "wheels.sign_2": -1},
+    "feetech": {"limits.vx_mps": 0.1, "limits.vy_mps": 0.1, "limits.wz_radps": 0.5},
 }
-"""Other defaults of a layout. Those of omni3 are LeKiwi's (lerobot's lekiwi.py), those of ackermann ROSOrin's."""
+"""Other defaults of a layout, or of a kind of board. Those of omni3 are LeKiwi's (lerobot's lekiwi.py), those of
+ackermann ROSOrin's; limits are what LeKiwi's servos can turn in every direction at once."""
+_FIRST_LAYOUT = {2: "differential", 3: "omni3"}
+"""The layout of a board of so many speeds, where none is set."""
 _GEOMETRY: dict[str, tuple[str, ...]] = {
     "wheels.wheelbase_m": ("mecanum", "differential", ACKERMANN),
     "wheels.track_m": ("mecanum", "differential", ACKERMANN),
@@ -122,12 +132,13 @@ def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
     kind = str(values["board.kind"])
     if kind in WITHOUT_IMU:
         values["board.imu"] = "off"
-    if SPEEDS.get(kind, 2) == 2 and "wheels.layout" not in changed:
-        values["wheels.layout"] = "differential"
+    if "wheels.layout" not in changed:
+        values["wheels.layout"] = _FIRST_LAYOUT.get(SPEEDS.get(kind, 2), values["wheels.layout"])
     if "wheels.layout" not in changed and kind == BOARDS[0]:
         values["wheels.layout"] = robots.LAYOUT_OF.get(str(values["board.robot"]), values["wheels.layout"])
     layout = str(values["wheels.layout"])
-    values |= {key: value for key, value in DEFAULTS.get(layout, {}).items() if key not in changed}
+    for of in (layout, kind):
+        values |= {key: value for key, value in DEFAULTS.get(of, {}).items() if key not in changed}
     absent = _absent(layout, wheel_count(kind, layout))
     if kind != BOARDS[0]:
         absent["board.robot"] = f"it names a robot with the board {BOARDS[0]}, and board.kind is {kind}"

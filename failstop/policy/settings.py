@@ -93,7 +93,7 @@ DECLARED = (
     ),
     Setting("arm.pose_speed", 0.5, "", 0.05, 1.0, "share of each joint's speed on the way to a pose"),
     Setting("arm.drive_tolerance", 30, "", 1, 200, "pulses that a joint may be off the drive pose to enable motion"),
-    Setting("arm.drive_pan", -1, "", -1, 1000, "where the base joint is for driving; -1: wherever it is"),
+    Setting("arm.drive_pan", -1, "", -1, 4095, "where the base joint is for driving; -1: wherever it is"),
     Setting("arm.base_servo", 1, "", 1, 100, "the servo of the joint that arm.drive_pan is for"),
     _word("arm.absent", "refuse", "enabling motion while no servo of the arm answers", ("refuse", "ignore")),
     _word("arm.auto_tuck", "on", "an arm that is left alone goes to its tuck pose", SWITCH),
@@ -135,14 +135,16 @@ FAMILIES = {
     ),
     "joints": (
         Setting("servo", 0, "", 1, 100, "the id of the joint's bus servo; every joint has one of its own"),
-        Setting("zero", 500, "", 0, 1000, "pulses (0.24 degrees each) at which the joint's angle is zero"),
+        Setting(
+            "zero", 500, "", 0, 4095, "pulses (0.24 degrees each, LeKiwi's 0.088) at which the joint's angle is zero"
+        ),
         _word("sign", 1, "-1: more pulses are a smaller angle", (1, -1)),
-        Setting("low", 0, "", 0, 999, "a joint is sent below so many pulses only on its way back up"),
-        Setting("high", 1000, "", 1, 1000, "a joint is sent above so many pulses only on its way back down"),
+        Setting("low", 0, "", 0, 4094, "a joint is sent below so many pulses only on its way back up"),
+        Setting("high", 1000, "", 1, 4095, "a joint is sent above so many pulses only on its way back down"),
         Setting("speed_radps", 1.0, "rad/s", 0.01, 6.0, "fastest turn of the joint"),
         Setting("acceleration_radps2", 4.0, "rad/s2", 0.05, 50.0, "ramp of the joint"),
-        Setting("tuck", -1, "", -1, 1000, "pulses in the tuck pose; -1: the joint is no part of it"),
-        Setting("drive", -1, "", -1, 1000, "pulses in the drive pose; -1: the joint is no part of it"),
+        Setting("tuck", -1, "", -1, 4095, "pulses in the tuck pose; -1: the joint is no part of it"),
+        Setting("drive", -1, "", -1, 4095, "pulses in the drive pose; -1: the joint is no part of it"),
         _word("turns", "none", "axis on which the joint turns the links after it: vertical, across, their own", TURNS),
         Setting("length_m", 0.0, "m", 0.0, 2.0, "from this joint to the next one"),
         Setting("radius_m", 0.03, "m", 0.0, 0.5, "radius of the link from this joint to the next one"),
@@ -224,9 +226,12 @@ class Settings:
 
     def _fill_named(self) -> None:
         """Put in the defaults, in the order of the declarations."""
+        joints = layouts.OF_JOINTS.get(self.text("board.kind"), {})
         for family, tables in self.named.items():
+            of_board = joints if family == "joints" else {}
             for name, given in tables.items():
-                table = {setting.key: given.get(setting.key, setting.default) for setting in FAMILIES[family]}
+                defaults = {setting.key: setting.default for setting in FAMILIES[family]} | of_board
+                table = {key: given.get(key, default) for key, default in defaults.items()}
                 if family == "sources" and "timeout_s" not in given:
                     table["timeout_s"] = self["gate.command_timeout_s"]
                 tables[name] = table
@@ -250,16 +255,17 @@ class Settings:
         if every["gate.refresh_s"] < every["gate.period_s"]:
             raise SettingError(f"{said('gate.refresh_s')} must not be shorter than {said('gate.period_s')}")
         layouts.check_base(self.values)
-        if self.values["board.kind"] != BOARDS[0] and self.named["joints"]:
+        kind = self.text("board.kind")
+        if kind not in layouts.RANGES and self.named["joints"]:
             joint = next(iter(self.named["joints"]))
-            raise SettingError(f"joints.{joint}: board.kind {self.values['board.kind']} has no servos")
+            raise SettingError(f"joints.{joint}: board.kind {kind} has no servos")
         for family, key in (("sources", "priority"), ("joints", "servo")):
             all_differ({f"{family}.{name}.{key}": table[key] for name, table in self.named[family].items()})
         if self.values.get("steering.kind") == "bus":
             joints = {f"joints.{name}.servo": table["servo"] for name, table in self.named["joints"].items()}
             all_differ({"steering.servo": self.values["steering.servo"], **joints})
         for name, table in self.named["joints"].items():
-            _check_joint(f"joints.{name}", table)
+            _check_joint(f"joints.{name}", table, kind)
 
     def __getitem__(self, key: str) -> float:
         """A number, in the unit its name ends in."""
@@ -337,10 +343,16 @@ class Settings:
         return cls(changed)
 
 
-def _check_joint(key: str, table: dict[str, float | str]) -> None:
+def _check_joint(key: str, table: dict[str, float | str], kind: str) -> None:
     servo, low, high = (int(table[name]) for name in ("servo", "low", "high"))
     if not servo:
         raise SettingError(f"{key}.servo is missing: every joint has the id of its servo, 1 to 100")
+    if servo in layouts.WHEELS_SERVOS.get(kind, ()):
+        raise SettingError(f"{key}.servo = {servo}: that is a wheel's on board.kind {kind}")
+    highest, _ = layouts.RANGES[kind]
+    for name in ("zero", "low", "high", "tuck", "drive"):
+        if int(table[name]) > highest:
+            raise SettingError(f"{key}.{name} = {table[name]:g}: board.kind {kind} has the pulses 0 to {highest}")
     if low >= high:
         raise SettingError(f"{key}.low = {low} must be less than {key}.high = {high}")
     for name in ("tuck", "drive"):

@@ -27,7 +27,7 @@ failstop setup --afresh                # forget what was left
 """
 QUESTIONS = {
     "port": "the board's port",
-    "board": "its kind: rrc, arduino, hoverboard, ugv, or the path of a folder of your own",
+    "board": "its kind: rrc, arduino, feetech, hoverboard, ugv, or the path of a folder of your own",
     "robot": "the robot's name, or other",
     "layout": "how body velocity becomes wheel speeds, for a robot without a name",
     "stand": "yes: the wheels are off the ground and free",

@@ -69,7 +69,9 @@ class Trial:
         self._speeds = SPEEDS.get(self._kind, board_of(self._kind, 1.0, 0.0).wheels)
         self._words = names(self._count)
         self._way = "the way that turns the robot to the left" if self._count == 3 else "forward"
-        self._rps = RPS
+        self._fastest = min(FASTEST_RPS, board_of(*settings.board()).most_rps / 2)
+        """Half of what the board takes: a wheel has to turn for two ways at once."""
+        self._rps = min(RPS, self._fastest)
 
     def step(self) -> dict[str, object]:
         """Ids and signs, found by turning the wheels. Raises Left."""
@@ -132,7 +134,7 @@ class Trial:
                 return answer
             talk.draft.forget(key)
             if answer == FASTER:
-                self._rps = min(FASTEST_RPS, 2 * self._rps)
+                self._rps = min(self._fastest, 2 * self._rps)
 
     def _turn(self, id_: int) -> None:
         rim = rim_mps(self._rps, self._diameter_m)
@@ -166,7 +168,7 @@ class Trial:
         elif "steering.servo" in settings.flat():
             tries[1] = ("turn", "Do the steered wheels point to the left?", (rim, 0.0, rim / reach_m))
         wanted = [key for key, _, _ in tries if key not in talk.given and talk.draft.answers.get(key) != YES]
-        limits = {"limits.vx_mps": rim, "limits.wz_radps": max(0.01, rim / reach_m)}
+        limits = {"limits.vx_mps": rim, "limits.vy_mps": 0.01, "limits.wz_radps": max(0.01, rim / reach_m)}
         for key, question, velocity in tries:
             if key in wanted:
                 talk.say("All wheels together, for a second ...", style.DIM)

@@ -37,7 +37,11 @@ MOST_IGNORED = 64
 class GateCore:
     """The gate's knowledge: enabled, the latch, the sources and their commands, the velocity."""
 
-    def __init__(self, settings: Settings, kinematics: Chassis, now_ns: int) -> None:
+    def __init__(
+        self, settings: Settings, kinematics: Chassis, now_ns: int, *, arm_beside_wheels: bool = False
+    ) -> None:
+        self.arm_waits = not arm_beside_wheels
+        """The arm moves while motion is disabled alone."""
         acceleration = settings["limits.acceleration_mps2"]
         limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
         self._most = tuple(limit * axis for limit, axis in zip(limits, kinematics.axes, strict=True))
@@ -90,7 +94,7 @@ class GateCore:
 
     def arm_closed(self) -> str:
         """Why the arm takes no goal now; empty when it does."""
-        return IS_LATCHED if self.latch is not None else WHEELS_ENABLED if self.enabled else ""
+        return IS_LATCHED if self.latch is not None else WHEELS_ENABLED if self.enabled and self.arm_waits else ""
 
     def due_ns(self, now_ns: int) -> int | None:
         """When what moves the wheels now stops counting: they stop then, not at a later tick; None: nothing does."""

@@ -52,7 +52,8 @@ class Gate:
         self._board = context.board
         self._max_rps = kinematics.max_wheel_rps(settings) * 1.0005
         self._lease_ns = settings.ns("gate.lease_s")
-        self.core = GateCore(settings, kinematics.from_settings(settings), now_ns)
+        beside = context.board.arm_beside_wheels
+        self.core = GateCore(settings, kinematics.from_settings(settings), now_ns, arm_beside_wheels=beside)
         self._said = SelfReports(now_ns)
         self._barrier = Barrier()
         self._looked_ns, self._rings, self._ticking = 0, 0, False
@@ -164,15 +165,16 @@ class Gate:
 
     def _turn_arm(self, arm: Arm, now_ns: int) -> None:
         self._stop(arm.hear(self.core.arm_closed(), now_ns), now_ns)
-        if not self.core.enabled:
+        waits = self.core.enabled and self.core.arm_waits
+        if not waits:
             arm.step(now_ns)
         if request := arm.answer_waiter(now_ns):
             reply = self.core.enable(self.epoch, self._missing(), now_ns)
-            if reply.done:
+            if reply.done and self.core.arm_waits:
                 arm.core.forget()
             self.requests.settle(request, reply, now_ns)
         arm.tell(self.core.arm_closed(), now_ns)
-        self._arm_due.set(now_ns + TELL_NS if self.core.enabled else arm.core.due_ns)
+        self._arm_due.set(now_ns + TELL_NS if waits else arm.core.due_ns)
 
     def _follow_clients(self, news: Iterator[News], now_ns: int) -> None:
         for slot, record, values in news:
@@ -282,7 +284,7 @@ class Gate:
         """Motion, if nothing is against it; with an arm that is to be folded, its way to the drive pose first."""
         way = None
         if self.arm and not self.core.enabled and not self.core.refusal(self._missing(), now_ns):
-            way = self.arm.enable(request, now_ns)
+            way = self.arm.enable(request, now_ns, beside=not self.core.arm_waits)
         return way or self.core.enable(self.epoch, self._missing(), now_ns)
 
     def _disable(self, _request: Request, now_ns: int) -> Reply:

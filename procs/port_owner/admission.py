@@ -21,8 +21,10 @@ A frame for the servos is written only when these rows hold too:
     check                                                    else
     the robot has an arm, and the frame is a whole one for   stop
       its servos within bounds (Board.check_servos)
-    no motion frame was written since the last stop          drop: an arm moves while the wheels stand
-    a question: nothing is before it, no servo moves         drop: a silent servo holds the receiver for 5 ms
+    no motion frame was written since the last stop,         drop: an arm moves while the wheels stand
+      or the board's arm may move beside
+    a question: nothing is before it, and no servo moves     drop: a silent servo holds the receiver for 5 ms
+      where that may hold a stop up
     the receiver is held for less than HELD_NS by what is    wait: it is what a stop may have to wait; those behind it
       before it and itself                                   wait too, until they are too old
 
@@ -50,7 +52,6 @@ from failstop.procs.loop import MS, NEVER
 ADMIT, DROP, STAND_STILL, STOP_ASKED = range(4)
 DatedFrame = tuple[bytes, int, int]
 """A motion frame of the gate's, the epoch in which motion was enabled, and when it was made."""
-_COMMAND_AT = 4
 MOST_WAITING = 16
 
 
@@ -154,16 +155,17 @@ class ServoBus:
 
     def due_ns(self, frame: bytes, now_ns: int, *, wheels_move: bool) -> int:
         """When a frame without a fault may be written, now or soon; NEVER: it is dropped."""
-        if wheels_move:
+        if wheels_move and not self._board.arm_beside_wheels:
             return NEVER
-        if frame[_COMMAND_AT] in READS:
-            return now_ns if now_ns >= max(self._free_ns, self._rest_ns) else NEVER
+        if self._board.servo_what(frame) in READS:
+            rest_ns = 0 if self._board.arm_beside_wheels else self._rest_ns
+            return now_ns if now_ns >= max(self._free_ns, rest_ns) else NEVER
         return max(now_ns, self._free_ns + self._board.servo_ns(frame) - HELD_NS)
 
     def wrote(self, frame: bytes, now_ns: int) -> bool:
         """Account for a frame that was written; True when a servo moves by it."""
         self._free_ns = max(self._free_ns, now_ns) + self._board.servo_ns(frame)
-        moves = frame[_COMMAND_AT] == SERVO_MOVE
+        moves = self._board.servo_what(frame) == SERVO_MOVE
         if moves:
             self._rest_ns = now_ns + LONGEST_MOVE_NS
         return moves

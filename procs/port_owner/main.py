@@ -257,6 +257,7 @@ class PortOwner:
             verdict = self._decide(move, now_ns, self.bus)
             if verdict == admission.ADMIT:
                 due_ns = self.bus.due_ns(move[0], now_ns, wheels_move=self.admission.wheels_move)
+                due_ns = max(due_ns, self.wire.free_ns)
                 if now_ns < due_ns < NEVER:
                     break
             self.bus.waiting.popleft()

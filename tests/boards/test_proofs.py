@@ -19,7 +19,7 @@ from failstop.lab.trial import Trial, wait_for
 from failstop.policy.layouts import BOARDS
 from failstop.policy.proofs import ACKNOWLEDGED_BY, NEVER_SEEN, SEEN_BY
 
-HEARD = {"arduino": BY_ANSWER, "hoverboard": BY_ECHO, "ugv": BY_ANSWER, "rrc": BY_ANSWER}
+HEARD = {"arduino": BY_ANSWER, "feetech": BY_ECHO, "hoverboard": BY_ECHO, "ugv": BY_ANSWER, "rrc": BY_ANSWER}
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """The models of the receivers against recordings of the firmware itself, which was built and run outside this
-repository: its own receiving code as native programs, and the AVR's program in simavr."""
+repository: its own receiving code as native programs, and the AVR's program in simavr. Feetech's firmware is not
+public: there foreign hosts judge."""
 
 from __future__ import annotations
 
@@ -9,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from failstop.board.feetech import codec as feetech
+from failstop.board.wire import Battery, Obeyed, Wheels
 from failstop.lab.boards.arduino import Arduino
+from failstop.lab.boards.feetech import Bus
 from failstop.lab.boards.hoverboard import BYTE_NS, Hoverboard
 from failstop.lab.boards.ugv import Ugv
 
@@ -89,3 +93,27 @@ def test_the_ugv_s_receiver_does_what_its_firmware_did() -> None:
                 board.beat()
             assert [*board.speeds, *board.pwm] == pytest.approx([*speeds, *pwm], rel=1e-5, abs=1e-5)
             assert (board.controlled, board.torque_off) == (controlled, torque_off)
+
+
+def test_two_foreign_hosts_and_failstop_tell_feetech_s_servos_the_same() -> None:
+    """A case down: a frame in hex, and the goal speeds in it; up: a question, its answers, goal speeds, speeds, the
+    lowest supply in V / 10 (tests/boards/feetech_hosts.py)."""
+    recorded = json.loads((HERE / "recorded_feetech.json").read_text())
+    assert {name.split()[0] for name in recorded} == {"feetech-servo-sdk", "rustypot"}
+    bus, now_ns = Bus(), 0
+    for case in [case for host in recorded.values() for case in host]:
+        frame, *told = case
+        if len(told) == 1:
+            assert feetech.motion(told[0], feetech.LIMIT).hex() == frame
+            for value in bytes.fromhex(frame):
+                now_ns += 10_000
+                bus.byte(now_ns, value)
+            assert bus.wheels == tuple(told[0])
+            continue
+        answers, goals, speeds, decivolts = told
+        assert bytes.fromhex(frame) in feetech.QUESTIONS
+        wheels, obeyed, battery, _ = feetech.Replies().feed(bytes.fromhex(answers))
+        assert isinstance(wheels, Wheels)
+        assert isinstance(obeyed, Obeyed)
+        assert isinstance(battery, Battery)
+        assert [*obeyed.speeds, *wheels.speeds, battery.volts] == [*goals, *speeds, decivolts / 10]

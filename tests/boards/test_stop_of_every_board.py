@@ -28,7 +28,7 @@ from failstop.lab.boards.line import (
     stop_writes,
 )
 from tests.support.amounts import LONG, amount
-from tests.support.boards import EVERY_KIND
+from tests.support.boards import EVERY_KIND, wide
 
 MS = 1_000_000
 BEGIN_NS = 20 * MS
@@ -57,10 +57,11 @@ class Trial:
             *self.wire.port.opening,
         ]
 
-    def _speeds(self) -> Iterator[tuple[float, float]]:
+    def _speeds(self) -> Iterator[tuple[float, ...]]:
         for share in (1.0, 0.37, 0.1, 0.012):
             speed = self.fastest * share
-            yield from ((speed, speed), (-speed, -speed), (speed, -speed / 2), (0.0, speed))
+            for left, right in ((speed, speed), (-speed, -speed), (speed, -speed / 2), (0.0, speed)):
+                yield wide(left, right, self.wire.motion.wheels)
 
     def cuts(self) -> list[bytes]:
         """Bytes that may stand before a stop: none, every frame cut anywhere or whole, and the receiver's own."""

@@ -21,7 +21,7 @@ from failstop.lab.boards.line import arrivals, model_of, play
 from failstop.policy.kinematics import from_settings
 from failstop.policy.settings import Settings
 from tests.support.amounts import amount
-from tests.support.boards import EVERY_KIND
+from tests.support.boards import EVERY_KIND, wide
 
 MS = 1_000_000
 every_board = pytest.mark.parametrize("kind", EVERY_KIND)
@@ -44,7 +44,7 @@ def test_frames_are_the_ones_that_the_firmware_s_own_algorithm_makes() -> None:
 def test_every_board_keeps_what_the_vocabulary_promises(kind: str) -> None:
     wire = wire_of(kind)
     motion = wire.motion
-    assert motion.rest == motion.frame((0.0, -0.0), 0.0)
+    assert motion.rest == motion.frame(wide(0.0, -0.0, motion.wheels), 0.0)
     assert motion.check(motion.rest, 0.0) == ""
     assert all(row[0] == 0 and list(row) == sorted(set(row)) for row in wire.stop.repeats_ns)
     assert len(set(wire.stop.repeats_ns)) == len(wire.stop.repeats_ns) == 3
@@ -52,14 +52,22 @@ def test_every_board_keeps_what_the_vocabulary_promises(kind: str) -> None:
         assert motion.check(question.ask, motion.limit)
     for bad in (nan, inf, -inf, motion.limit * 1.01):
         with pytest.raises(FrameError):
-            motion.frame((0.0, bad), motion.limit)
+            motion.frame(wide(0.0, bad, motion.wheels), motion.limit)
     with pytest.raises(FrameError):
         motion.frame((0.0,), motion.limit)
 
 
 def test_an_unknown_kind_of_board_is_refused() -> None:
-    with pytest.raises(ValueError, match="it must be one of arduino, hoverboard, ugv"):
+    with pytest.raises(ValueError, match="it must be one of arduino, feetech, hoverboard, ugv"):
         wire_of("os")
+
+
+def obeyed_of(kind: str, rng: random.Random, frame: bytes) -> list[tuple[float, ...]]:
+    """Speeds that a receiver in any state is told, by a stop and then this frame twice."""
+    wire, receiver = wire_of(kind), model_of(kind).any_state(rng)
+    writes = [(0, wire.stop.writes[0].data), (13 * MS, frame), (25 * MS, frame)]
+    play(receiver, arrivals(writes, wire.port.byte_ns), 42 * MS)
+    return [speeds for _, speeds in receiver.commands]
 
 
 @every_board
@@ -68,44 +76,40 @@ def test_speeds_are_sent_within_a_step_and_never_larger(kind: str) -> None:
     rng = random.Random(kind)
     for _ in range(200):
         limit = motion.apart / 2
-        speeds = (rng.uniform(-limit, limit), rng.uniform(-limit, limit))
+        speeds = tuple(rng.uniform(-limit, limit) for _ in range(motion.wheels))
         frame = motion.frame(speeds, limit)
         assert motion.check(frame, limit) == ""
-        receiver = model_of(kind).any_state(rng)
-        byte_ns = wire_of(kind).port.byte_ns
-        play(receiver, arrivals([(MS, frame), (13 * MS, frame)], byte_ns), 30 * MS)
-        for sent, obeyed in zip(speeds, receiver.commands[-1][1], strict=True):
+        for sent, obeyed in zip(speeds, obeyed_of(kind, rng, frame)[-1], strict=True):
             assert abs(obeyed) <= abs(sent)
             assert abs(obeyed - sent) < 2 * motion.step
 
 
 @every_board
 def test_what_the_check_lets_through_moves_no_wheel_beyond_the_limit(kind: str) -> None:
-    motion, byte_ns = wire_of(kind).motion, wire_of(kind).port.byte_ns
+    motion = wire_of(kind).motion
     rng = random.Random(kind)
     passed = 0
     for _ in range(amount(300, 20_000)):
         full = motion.apart / 2
-        frame = bytearray(motion.frame((rng.uniform(-full, full), rng.uniform(-full, full)), full))
+        frame = bytearray(motion.frame([rng.uniform(-full, full) for _ in range(motion.wheels)], full))
         if rng.random() < 0.7:
             frame[rng.randrange(len(frame))] = rng.choice((0x30, 0x39, 0x2D, rng.randrange(256)))
         limit = full * rng.choice((0.3, 1.0))
         if motion.check(bytes(frame), limit):
             continue
         passed += 1
-        receiver = model_of(kind).any_state(rng)
-        play(receiver, arrivals([(MS, bytes(frame)), (13 * MS, bytes(frame))], byte_ns), 30 * MS)
-        assert all(abs(speed) <= limit for _, speeds in receiver.commands for speed in speeds)
+        assert all(abs(speed) <= limit for speeds in obeyed_of(kind, rng, bytes(frame)) for speed in speeds)
     assert passed > 5
 
 
-@every_board
+@pytest.mark.parametrize("kind", [kind for kind in EVERY_KIND if wire_of(kind).watchdog.acts_ns])
 def test_the_board_s_own_watchdog_stops_the_wheels_when_the_host_is_gone(kind: str) -> None:
     wire = wire_of(kind)
     full = wire.motion.apart / 2
     receiver = model_of(kind).any_state(random.Random(kind))
     arm_ns = wire.watchdog.after_ns
-    writes = [(MS, wire.motion.frame((full, full), full)), (12 * MS, wire.motion.frame((full, full), full))]
+    driven = wire.motion.frame((full,) * wire.motion.wheels, full)
+    writes = [(MS, driven), (12 * MS, driven)]
     if wire.watchdog.arm:
         arm_ns = 500 * MS
         writes.append((MS - 1, wire.watchdog.arm(arm_ns)))
@@ -175,10 +179,10 @@ def test_a_frame_tells_the_speeds_that_it_sets(kind: str) -> None:
     rng, per_rps = random.Random(kind), motion.per_rps(0.08)
     most = min(motion.apart / 2, motion.limit) / per_rps
     for _ in range(100):
-        left, right = rng.uniform(-most, most), rng.uniform(-most, most)
-        told = board.speeds(board.motor_speeds((left, right), most))
-        assert told == pytest.approx((left, right), abs=2 * motion.step / per_rps)
-    assert board.speeds(board.stop) == (0.0, 0.0)
+        speeds = tuple(rng.uniform(-most, most) for _ in range(board.wheels))
+        told = board.speeds(board.motor_speeds(speeds, most))
+        assert told == pytest.approx(speeds, abs=2 * motion.step / per_rps)
+    assert board.speeds(board.stop) == (0.0,) * board.wheels
     assert not any(board.speeds(ask) for ask in board.pings)
 
 

@@ -293,7 +293,9 @@ def test_a_robot_without_an_imu_says_so_and_waits_for_none() -> None:
     assert (shown["imu"], shown["stop"]["observed"], shown["stop"]["unseen"]) == (False, "", "no IMU")
 
 
-@pytest.mark.parametrize(("kind", "imu"), [("arduino", False), ("hoverboard", False), ("ugv", True)])
+@pytest.mark.parametrize(
+    ("kind", "imu"), [("arduino", False), ("feetech", False), ("hoverboard", False), ("ugv", True)]
+)
 def test_of_each_board_it_is_known(kind: str, imu: bool) -> None:
     assert Settings({"board.kind": kind}).on("board.imu") is imu
 

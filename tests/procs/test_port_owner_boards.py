@@ -51,7 +51,7 @@ def writes(scene: Scene, for_ns: int) -> list[tuple[int, bytes]]:
     return found
 
 
-@pytest.mark.parametrize("kind", ["hoverboard", "arduino", "ugv"])
+@pytest.mark.parametrize("kind", ["hoverboard", "arduino", "feetech", "ugv"])
 def test_a_stop_goes_out_at_once_and_again_at_the_port_owner_s_own_times(kind: str) -> None:
     scene = made(kind)
     scene.turn()

@@ -15,6 +15,7 @@ from tests.support.amounts import LONG
 MOST_ANSWERS = 25
 PROOFS = 3
 TWO = {0: "left+", 1: "right-"}
+THREE = {0: "rear-", 1: "left+", 2: "right+"}
 FOUR = {0: "rr-", 1: "fl+", 2: "fr-", 3: "rl+"}
 LEFT = ("left", "fl", "rl")
 ROBOTS = {
@@ -23,6 +24,7 @@ ROBOTS = {
     "tracks": ("rrc", "landerpi-tracks", FOUR),
     "arduino": ("arduino", "", TWO),
     "hoverboard": ("hoverboard", "", TWO),
+    "feetech": ("feetech", "", THREE),
 }
 """Each: the kind of board, the robot's name where there are names for it, how it is wired."""
 IN_SHORT = ("ugv",)
@@ -49,6 +51,7 @@ def unproved(person: Person) -> None:
 @pytest.mark.parametrize("robot", ROBOTS if LONG else IN_SHORT)
 def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, place: Path) -> None:
     kind, name, wheels = ROBOTS[robot]
+    named = [wheel[:-1] for wheel in wheels.values()]
     port = str(place / "b")
     with SimBoard(port, board=kind) as board, Person(place, *([] if LONG else ["--prove", "no"])) as person:
         person.says("Which port is the board at?", port)
@@ -56,21 +59,24 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
         if name:
             listed = person.reads("The robot's number?")
             person.types(listed.split(f" {name} ")[0].split()[-1])
+        if wheels is THREE:
+            person.says("How are its wheels?", "omni3")
         person.says("Type yes:", "yes")
         wiring = Wiring(board, wheels)
         for id_ in wheels:
             person.reads(f"Id {id_}: which wheel, which way?")
             person.types(wiring.seen())
-        person.reads("Did every wheel turn forward?")
-        assert set(wiring.together().values()) == {1}
+        person.reads("and the rear one stand?" if wheels is THREE else "Did every wheel turn forward?")
+        assert wiring.together() == ({"left": -1, "right": 1} if wheels is THREE else dict.fromkeys(named, 1))
         person.types("yes")
-        person.reads("Did the left wheels turn backward")
-        assert wiring.together() == {wheel[:-1]: -1 if wheel[:-1] in LEFT else 1 for wheel in wheels.values()}
+        person.reads("Did all three turn" if wheels is THREE else "Did the left wheels turn backward")
+        assert wiring.together() == {name: -1 if name in LEFT and wheels is not THREE else 1 for name in named}
         person.types("yes")
-        for question in ("Wheel diameter", "Distance of left and right", "Fastest forward", "Fastest turn"):
+        across = "Distance of each wheel from the middle" if wheels is THREE else "Distance of left and right"
+        for question in ("Wheel diameter", across, "Fastest forward", "Fastest turn"):
             if question == "Distance of left and right" and robot == "rrc":
                 person.says("Distance of front and rear axle", "")
-            if question == "Fastest turn" and robot == "rrc":
+            if question == "Fastest turn" and (robot == "rrc" or wheels is THREE):
                 person.says("Fastest sideways", "")
             person.says(question, "")
         (proved if LONG else unproved)(person)
@@ -81,7 +87,7 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
     assert person.answers < MOST_ANSWERS
     assert not person.wide(80)
     made = config.load(str(place / "etc/failstop/failstop.toml"))
-    words = {0: "left", 1: "right"} if len(wheels) == 2 else {0: "fl", 1: "rl", 2: "fr", 3: "rr"}
+    words = {2: ("left", "right"), 3: ("left", "rear", "right"), 4: ("fl", "rl", "fr", "rr")}[len(wheels)]
     found = {
         id_: f"{words[at]}{'+' if sign > 0 else '-'}" for at, (id_, sign) in enumerate(mounted_wheels(made.values))
     }

@@ -69,7 +69,11 @@ WRONG: dict[str, tuple[dict[str, str], tuple[str, ...], str]] = {
     "no path": ({"port": "ttyUSB0"}, (), "type a path such as /dev/ttyACM0, or unplug"),
     "no serial port": ({"port": "/dev/null"}, (), "/dev/null is no serial port"),
     "a folder": ({"port": "/tmp"}, (), "/tmp is no serial port"),
-    "no kind": ({"board": "esp32"}, (), "type rrc, arduino, hoverboard, ugv, or the path of a folder of your own"),
+    "no kind": (
+        {"board": "esp32"},
+        (),
+        "type rrc, arduino, feetech, hoverboard, ugv, or the path of a folder of your own",
+    ),
     "wrong kind": (
         {"board": "rrc"},
         (),

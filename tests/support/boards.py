@@ -18,6 +18,11 @@ every_board = pytest.mark.parametrize("simulated", BOARDS, indirect=True)
 """A test on the simulated machine, with each board in turn."""
 
 
+def wide(left: float, right: float, wheels: int) -> tuple[float, ...]:
+    """Speeds for as many wheels: those of two sides, in turn."""
+    return tuple((left, right)[wheel % 2] for wheel in range(wheels))
+
+
 def own_folder(at: Path) -> str:
     """The smallest board of failstop's, as a user would have it: the same modules, in a folder that failstop does not
     know."""

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from failstop.board.interface import Said, Value
 
+_SUB_COMMAND_AT = 4
 _REPEATS_NS = (20_000_000, 100_000_000)
 _SPEEDS = Struct(f"<6x{'Bf' * framing.WHEELS}")
 
@@ -116,6 +117,7 @@ class Rrc(Board):
     most_rps = codec.RPS_CEILING
     usb = ("1a86:55d4",)
     usb_alone = True
+    arm_beside_wheels = holds_by_goal = False
     commanders = (
         Commander(
             who="a gamepad at the board, or Bluetooth, drives it where the firmware does so without the host",
@@ -169,9 +171,17 @@ class Rrc(Board):
         """A bus servo is asked."""
         return bus.bus_servo_read(servo, what)
 
-    def servo_torque(self, servo: int, on: bool) -> bytes:
-        """A bus servo's torque."""
+    def servo_look(self, servos: Sequence[int]) -> bytes:
+        """It asks one servo after the other, while none moves."""
+        return b""
+
+    def servo_torque(self, servo: int, on: bool, at: int) -> bytes:
+        """A bus servo's torque. It holds where it is."""
         return bus.bus_servo_torque(servo, on)
+
+    def servo_what(self, frame: bytes) -> int:
+        """The sub-command of a bus servo's frame."""
+        return frame[_SUB_COMMAND_AT]
 
     def check_servos(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
         """A bus servo's frame, as the encoders make it."""

@@ -27,7 +27,7 @@ GROUPS = {
     "device": "The board's port.",
     "board": "The board, by its kind, and the unit of its speeds where that is not the usual one.",
     "gate": "The gate decides every motor frame.",
-    "limits": "Speeds and ramps that no command passes.",
+    "limits": "Speeds and ramps that no command passes. Defaults for LeKiwi's servos: 0.1, 0.1, 0.5.",
     "wheels": "The base. Wheels 1 to 4: front left, rear left, front right, rear right; of two: left, right; of three: "
     "left, rear, right. Defaults of omni3: LeKiwi's, 0.1 m; of ackermann: ROSOrin's, 0.085 m, ids 1 and 3.",
     "steering": "The servo that steers a base of the layout ackermann; a stop leaves it as it is.",
@@ -48,7 +48,7 @@ GROUPS = {
     "sources": "Who may command, and who goes before whom: [sources.NAME]. "
     f"{FIRST_SOURCE} is always there, with priority 0; give every other source a different one.",
     "arm": "An arm on the same board: its stream, its poses, its warnings. Without joints there is none.",
-    "joints": "The arm's joints: [joints.NAME]. Positions are pulses of 0.24 degrees.",
+    "joints": "The arm's joints, [joints.NAME], in pulses. Defaults for LeKiwi's servos: zero 2048, high 4095.",
     "interlocks": "What a client has to assert, again and again, for motion to be enabled: [interlocks.NAME].",
 }
 

@@ -23,7 +23,6 @@ from failstop.cli.screen.terminal import Terminal
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line, Span
 from failstop.messages import box
 from failstop.messages.layout import GATE
-from failstop.policy.joints import PULSES_PER_RAD
 from failstop.policy.settings import FIRST_SOURCE
 
 EXAMPLES = """\
@@ -237,7 +236,7 @@ class Pilot:
         joint = joints[min(self.joint, len(joints) - 1)]
         with self._noted():
             arm = self.robot.arm
-            arm.jog({joint: TURNS[key] * arm.joints[joint].speed / PULSES_PER_RAD * self.percent / 100})
+            arm.jog({joint: TURNS[key] * arm.joints[joint].speed_radps * self.percent / 100})
             against = arm.state.closed or arm.state.refused
             self.note = (against or f"joint {joint}", WARN if against else PLAIN)
         return True

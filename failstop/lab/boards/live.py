@@ -41,7 +41,7 @@ class LiveModel(BoardModel):
         wire = wire_of(kind)
         self._byte_ns = wire.port.byte_ns
         self._per_rps = wire.motion.per_rps(DIAMETER_M)
-        self._board = model_of(kind).live()
+        self.receiver = model_of(kind).live()
         self.wheels = (0.0,) * wire.motion.wheels
         self._start_ns = self._passed_ns = start_ns
         self._coming: deque[tuple[int, int, int]] = deque()
@@ -73,7 +73,7 @@ class LiveModel(BoardModel):
     def restart(self, t_ns: int, deaf_ns: int) -> None:
         """Its processor begins anew: the wheels stand, and for so long what it is sent is lost."""
         self._coming.clear()
-        self._board = model_of(self._kind).live()
+        self.receiver = model_of(self._kind).live()
         self._hears_ns = self._start_ns = self._passed_ns = t_ns + deaf_ns
         self._commands = self._said = 0
         self.wheels = (0.0,) * len(self.wheels)
@@ -95,10 +95,10 @@ class LiveModel(BoardModel):
             at_ns, value, read_ns = self._coming.popleft()
             self._pass(at_ns - self._byte_ns)
             self._read_ns = read_ns
-            self._board.byte(at_ns - self._start_ns, value)
+            self.receiver.byte(at_ns - self._start_ns, value)
         # A line on which a byte has begun is not idle.
         self._pass(min(now_ns, self._coming[0][0] - self._byte_ns) if self._coming else now_ns)
-        said = self._board.said[self._said :]
+        said = self.receiver.said[self._said :]
         self._said += len(said)
         return [self._garbled(data, self.garble_up) if self.garble_up else data for _, data in said]
 
@@ -106,11 +106,11 @@ class LiveModel(BoardModel):
         """Time until then, in steps."""
         while self._passed_ns < until_ns:
             self._passed_ns = min(self._passed_ns + STEP_NS, until_ns)
-            self._board.until(self._passed_ns - self._start_ns)
+            self.receiver.until(self._passed_ns - self._start_ns)
             self._take()
 
     def _take(self) -> None:
-        board = self._board
+        board = self.receiver
         for at_ns, speeds in board.commands[self._commands :]:
             told = self._rps(speeds)
             frame = Frame(self.executed_total, self._read_ns, at_ns + self._start_ns, MOTOR, _command(told), told, ())

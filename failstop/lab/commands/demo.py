@@ -9,9 +9,11 @@ from argparse import ArgumentParser, Namespace
 
 from failstop.cli import style
 from failstop.cli.style import FAIL, OK, PLAIN, STRONG, paint
+from failstop.lab.boards.traits import traits_of
 from failstop.lab.sim.options import add_board
 from failstop.lab.trial import Stopped, Trial
 from failstop.messages import layout
+from failstop.policy.settings import Settings
 from failstop.ros2.command import find_rclpy
 
 TYPE_CHECKING = False
@@ -82,7 +84,8 @@ def main(arguments: Namespace) -> int:
         _done(f"first stop frame {(first.arrival_ns - trial.service.started_ns) / 1e6:.0f} ms after exec")
         _step("enable")
         _done(trial.robot.enable())
-        _show_drive(trial)
+        limits = Settings(traits_of(arguments.board).settings)
+        _show_drive(trial, *(limits[f"limits.{axis}"] for axis in ("vx_mps", "vy_mps", "wz_radps")))
         rows = [_kill(trial, process) for _ in range(arguments.rounds) for process in ORDER]
         rows += _ros2(trial) if arguments.ros2 else []
         _step("disable, end the service")
@@ -128,12 +131,12 @@ def _paragraph(*spans: Span) -> None:
     style.show(style.wrap(list(spans), style.width(), 0))
 
 
-def _show_drive(trial: Trial) -> None:
-    """Drive forward, sideways and turning, and show what the wheels do."""
+def _show_drive(trial: Trial, vx_mps: float, vy_mps: float, wz_radps: float) -> None:
+    """Drive forward, sideways and turning, as fast as the settings allow, and show what the wheels do."""
     for what, velocity in (
-        ("forward 0.2 m/s", (0.2, 0, 0)),
-        ("left 0.2 m/s", (0, 0.2, 0)),
-        ("turn 1 rad/s", (0, 0, 1)),
+        (f"forward {vx_mps:g} m/s", (vx_mps, 0, 0)),
+        (f"left {vy_mps:g} m/s", (0, vy_mps, 0)),
+        (f"turn {wz_radps:g} rad/s", (0, 0, wz_radps)),
     ):
         _step(f"drive {what}")
         trial.drive(0.9, velocity)

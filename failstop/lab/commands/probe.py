@@ -124,7 +124,9 @@ def _frame(text: str) -> bytes:
 
 def _serial(arguments: Namespace) -> Card:
     if not arguments.board:
-        raise FailstopError("which board? give --board: rrc, arduino, hoverboard, ugv, or a folder of your own")
+        raise FailstopError(
+            "which board? give --board: rrc, arduino, feetech, hoverboard, ugv, or a folder of your own"
+        )
     board = board_of(arguments.board, DIAMETER_M, 0.0)
     sent = _frame(arguments.frame) if arguments.frame else serial.frame_of(board)
     names = _rows(arguments.rows, serial.ROWS)

@@ -22,12 +22,14 @@ from failstop.lab.prove.table import TURNINGS
 from failstop.lab.prove.watch import Watch
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import COMMAND_EVERY_S, Service, TrialError, write_settings
+from failstop.policy.kinematics import max_wheel_rps
 from failstop.policy.settings import Settings
 from failstop.setup.ending import end_with_parent, uninterrupted
 
 if TYPE_CHECKING:
     from failstop.lab.prove.swing import Swing
 
+SPEEDS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
 LOOK_EVERY_S = 0.001
 FREE_S = 5.0
 """The port is to be had again within this time after the service's end."""
@@ -63,11 +65,15 @@ class StandService(Service):
 def settings_for(user: dict[str, object]) -> dict[str, object]:
     """The user's settings, with limits that let the velocities of the table pass. Raises SettingError."""
     fastest = [max(abs(velocity.command[axis]) for velocity in TURNINGS) for axis in (0, 2)]
-    limits: dict[str, object] = {}
     have = Settings({**user})
-    for key, needed in zip(("limits.vx_mps", "limits.wz_radps"), fastest, strict=True):
+    limits = {key: have[key] for key in SPEEDS}
+    for key, needed in zip((SPEEDS[0], SPEEDS[-1]), fastest, strict=True):
         limits[key] = max(have[key], needed)
     kept = {key: value for key, value in user.items() if key != "device.path"}
+    fastest_rps, most_rps = max_wheel_rps(Settings({**kept, **limits})), board_of(*have.board()).most_rps
+    if fastest_rps > most_rps:
+        # A base that is slower than the table goes as fast as its wheels can in every direction at once.
+        limits = {key: value * 0.999 * most_rps / fastest_rps for key, value in limits.items()}
     return {**kept, **OVERRIDES, **limits}
 
 

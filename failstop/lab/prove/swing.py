@@ -9,7 +9,7 @@ import sys
 from failstop.api.arm import Arm
 from failstop.api.errors import FailstopError
 from failstop.lab.prove.watch import Move, Reading
-from failstop.policy.joints import PULSES_PER_RAD, Joint
+from failstop.policy.joints import Joint
 from failstop.procs.gate.arm.reader import AGREE
 from failstop.setup.ending import end_with_parent
 
@@ -42,7 +42,7 @@ class Swing:
     @property
     def rate_radps(self) -> float:
         """How fast."""
-        return self.joint.speed / PULSES_PER_RAD
+        return self.joint.speed_radps
 
     def begin(self, name: str) -> subprocess.Popen[bytes]:
         """Have a program move it; the program ends with this one."""

@@ -8,13 +8,13 @@ dies stands when its last move ends. What was stopped on its way is read before 
 from __future__ import annotations
 
 from failstop.board.interface import Board
-from failstop.board.servos import HIGHEST_POSITION
+from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, POSITION
 from failstop.policy.causes import Cause
 from failstop.policy.joints import Joint, from_settings, too_far
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Trajectory
-from failstop.procs.gate.arm.reader import QUIET_NS, ServoReader
+from failstop.procs.gate.arm.reader import AGREE, QUIET_NS, ServoReader
 from failstop.procs.gate.arm.stream import Space, Stream
 
 ENDED = "the goals before it were ended: pause first"
@@ -42,6 +42,7 @@ class ArmCore:
         self.tolerance = int(settings["arm.drive_tolerance"])
         self.ignore_absent = settings.text("arm.absent") == "ignore"
         self._reader = ServoReader(self.joints, now_ns)
+        self._looks = bool(self.joints) and bool(board.servo_look([self.joints[0].servo]))
         self._space = Space(settings, self.joints)
         self._stream = Stream(settings, board, self._space)
         self._trajectory: Trajectory | None = None
@@ -52,6 +53,8 @@ class ArmCore:
         """When the servos' bus is free of the last torque."""
         self.due_ns = now_ns
         """When to step again, without any news. Set by each step alone, and later than it."""
+        self._left: dict[Joint, float] = {}
+        """The last goals of servos that go on to them (Board.holds_by_goal), and are not yet known to be there."""
         self.letting_go: list[Joint] = []
         """Joints whose torque is still to be switched off."""
         self.active_ns = 0
@@ -140,7 +143,7 @@ class ArmCore:
             trajectory.finish(why, dropped=True)
             trajectory.stopped_for = cause
         self._goal = None
-        self._stream.end()
+        self._end_stream()
         return was
 
     def stop(self, why: str, cause: Cause | None = None) -> None:
@@ -148,6 +151,11 @@ class ArmCore:
         self.end_streams()
         self.letting_go.clear()
         self.drop(why, cause)
+
+    def _end_stream(self) -> None:
+        if self._board.holds_by_goal:
+            self._left |= {joint: joint.position for joint in self._stream.joints}
+        self._stream.end()
 
     def end_streams(self, but: int | None = None) -> None:
         """Those of all sessions but one: they count again after a pause."""
@@ -165,6 +173,7 @@ class ArmCore:
         self.forget()
         for joint in self.joints:
             joint.loaded = False
+        self._left.clear()
         self.active_ns, self.released = 0, True
         self.letting_go, self._torque_ns = self.joints.copy(), now_ns + TORQUE_APART_NS
 
@@ -193,13 +202,28 @@ class ArmCore:
             else:
                 self._begin(joints, now_ns)
         elif not set(joints) <= set(self._stream.joints):
-            self._stream.end()
+            self._end_stream()
             return b"", True
         if self._stream.on and (followed := self.followed):
-            return self._move(followed, now_ns, hold)
+            return self._move(followed, now_ns, hold) if now_ns >= self._stream.due_ns else (self._look(now_ns), hold)
+        if frame := self._hold_back(now_ns):
+            return frame, hold
         wanted = wanted or [joint for joint in self.joints if not joint.known]
         question = self._reader.ask([joint for joint in wanted if not joint.silent], now_ns)
         return self._board.servo_read(question[0].servo, question[1]) if question else b"", hold
+
+    def _hold_back(self, now_ns: int) -> bytes:
+        """Send joints that lag behind the last goals of a stream that ended to where they are: all of them at once, in
+        as many frames, since nothing is read while one moves."""
+        if any(not (joint.known or joint.silent) for joint in self._left):
+            return b""
+        behind = {joint: goal for joint, goal in self._left.items() if abs(joint.position - goal) > AGREE}
+        now = [joint for joint in behind if joint.known][:MOST_MOVES]
+        self._left = {joint: behind[joint] for joint in behind if joint.known and joint not in now}
+        if not now:
+            return b""
+        self._reader.moved(now_ns)
+        return self._board.servo_move([(joint.servo, round(joint.position)) for joint in now], LONGEST_MOVE_MS)
 
     def _unknown(self, joints: list[Joint]) -> list[Joint]:
         return [joint for joint in self._space.wanted(joints) if not joint.known]
@@ -218,7 +242,7 @@ class ArmCore:
         if self.letting_go:
             return self._torque_ns
         if self._stream.on:
-            return self._stream.due_ns
+            return min(self._stream.due_ns, self._reader.look_ns) if self._looks else self._stream.due_ns
         joints = self._to_stream()
         return self._free_ns() if joints and not self._unknown(joints) else self._reader.due_ns()
 
@@ -230,7 +254,7 @@ class ArmCore:
         if self.trajectory:
             return False
         was = self.streaming()
-        self._stream.end()
+        self._end_stream()
         return was
 
     def _follow_trajectory(self, now_ns: int) -> list[Joint]:
@@ -244,7 +268,7 @@ class ArmCore:
         if silent and (asked or trajectory.phase != goals.FINDING):
             servos = _listed("servo", [str(joint.servo) for joint in silent])
             trajectory.finish(f"{_named(silent)}: no answer from {servos}")
-            self._stream.end()
+            self._end_stream()
             return []
         if trajectory.phase == goals.FINDING:
             if unknown := [joint for joint in trajectory.joints if not joint.known]:
@@ -265,10 +289,10 @@ class ArmCore:
     def _watch_end(self, trajectory: Trajectory, now_ns: int) -> None:
         there = all(abs(joint.position - end) <= NEAR for joint, end in trajectory.ends.items())
         if trajectory.left_s(now_ns) <= 0.0 and there:
-            self._stream.end()
+            self._end_stream()
             trajectory.phase, trajectory.since_ns = goals.SETTLING, now_ns
         elif now_ns - trajectory.begun_ns > trajectory.length_s * 1e9 + LOST_NS:
-            self._stream.end()
+            self._end_stream()
             trajectory.finish("it did not get there in time")
 
     def _check_end(self, trajectory: Trajectory, now_ns: int) -> list[Joint]:
@@ -293,13 +317,13 @@ class ArmCore:
         joint = next(joint for joint in joints if not joint.loaded)
         joint.loaded = True
         self._torque_ns = now_ns + TORQUE_APART_NS
-        return self._board.servo_torque(joint.servo, True)
+        return self._board.servo_torque(joint.servo, True, round(joint.position))
 
     def _let_go(self, now_ns: int) -> bytes:
         if now_ns < self._torque_ns:
             return b""
         self._torque_ns = now_ns + TORQUE_APART_NS
-        return self._board.servo_torque(self.letting_go.pop(0).servo, False)
+        return self._board.servo_torque(self.letting_go.pop(0).servo, False, 0)
 
     def _begin(self, joints: list[Joint], now_ns: int) -> None:
         """Begin to stream: from here on each of these joints is sent a move every period."""
@@ -308,25 +332,34 @@ class ArmCore:
                 trajectory.finish(fault)
                 return
             trajectory.phase = goals.ON_ITS_WAY
+        self._left = {joint: goal for joint, goal in self._left.items() if joint not in joints}
         self._stream.begin(joints, now_ns)
 
     def _move(self, followed: Trajectory | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:
         """The moves that are due, as step(). A trajectory that would hit something ends; a goal waits."""
-        if now_ns < self._stream.due_ns:
-            return b"", hold
         frame, hit = self._stream.move(followed, now_ns)
         if hit and isinstance(followed, Trajectory):
             followed.finish(hit)
-            self._stream.end()
+            self._end_stream()
             return b"", True
         self.active_ns = now_ns
         self._reader.moved(now_ns)
         return frame, hold
 
+    def _look(self, now_ns: int) -> bytes:
+        """Ask where joints on their way are, on a board that can tell."""
+        joints = self._reader.look(self.joints, now_ns) if self._looks else []
+        return self._board.servo_look([joint.servo for joint in joints]) if joints else b""
+
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
+        if self._looks and self._stream.on and what == POSITION and value is not None:
+            for joint in self.joints:
+                if joint.servo == servo:
+                    joint.measured, joint.measured_ns, joint.misses = value, t_ns, 0
+            return
         if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._stream.on:
             # A servo turned beyond what a move can say is as near as one can.
-            joint.position = float(max(0, min(joint.measured or 0, HIGHEST_POSITION)))
+            joint.position = float(max(0, min(joint.measured or 0, joint.highest)))
             joint.known = True
 
     def pose_name(self) -> str:

@@ -13,7 +13,7 @@ from operator import itemgetter
 
 from failstop.data import Data
 from failstop.policy.causes import Cause
-from failstop.policy.joints import PULSES_PER_RAD, Joint
+from failstop.policy.joints import Joint
 
 FOLLOW = "follow"
 JOG = "jog"
@@ -117,7 +117,7 @@ class Trajectory:
 def too_fast(rates: dict[Joint, float]) -> str:
     """A joint that may not turn at that rate, with its limit; empty: each may."""
     for joint, rate in rates.items():
-        most = joint.speed / PULSES_PER_RAD
+        most = joint.speed_radps
         if not isfinite(rate) or abs(rate) > most * 1.000001:
             return f"joint {joint.name} at {rate:g} rad/s: allowed is up to {most:g}"
     return ""
@@ -131,6 +131,6 @@ def too_fast_between(rows: list[Waypoint]) -> str:
         for joint, a in begin.items():
             rate = abs(end[joint] - a) / (t1 - t0)
             if rate > joint.speed * 1.000001:
-                most, asked = joint.speed / PULSES_PER_RAD, rate / PULSES_PER_RAD
+                most, asked = joint.speed_radps, rate / joint.per_rad
                 return f"joint {joint.name} at {asked:.3f} rad/s between {t0:g} and {t1:g} s: allowed is up to {most:g}"
     return ""

@@ -23,6 +23,10 @@ IDLE_NS = 150_000_000
 """Between two questions that nobody waits for."""
 AGREE = 5
 """Pulses by which two readings of a servo that stands may differ."""
+LOOK_NS = 16_000_000
+"""Between two looks at joints on their way, where the board takes such questions: each of six has 30 a second."""
+LOOKED = 3
+"""Joints in a look."""
 _OTHERS = (TEMPERATURE, TORQUE, SUPPLY)
 
 
@@ -37,7 +41,17 @@ class ServoReader:
         self._quiet_ns = now_ns + QUIET_NS
         self._distrust = False
         self._turn = 0
-        self._idle = 0
+        self._idle = self._looked = 0
+        self.look_ns = now_ns
+        """When joints on their way may be looked at again."""
+
+    def look(self, joints: list[Joint], now_ns: int) -> list[Joint]:
+        """The joints of the next look; empty: none is due."""
+        if now_ns < self.look_ns:
+            return []
+        self.look_ns, at = now_ns + LOOK_NS, self._looked
+        self._looked = at + LOOKED if at + LOOKED < len(joints) else 0
+        return joints[at : at + LOOKED]
 
     def moved(self, now_ns: int) -> None:
         """A servo was sent somewhere: no question before it stands."""

@@ -10,7 +10,7 @@ from failstop.messages import box, records
 from failstop.messages.packing import Note
 from failstop.policy import causes
 from failstop.policy.causes import Cause, Reply, refused
-from failstop.policy.joints import PULSES_PER_RAD, too_far
+from failstop.policy.joints import too_far
 from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.arm import goals
@@ -139,7 +139,7 @@ class Arm:
         joint = self.core.joints[index]
         self._pad_joint = joint.name
         if share:
-            rate = share * joint.speed / PULSES_PER_RAD
+            rate = share * joint.speed_radps
             return self._take(Goal(goals.JOG, PAD_PUBLISHER, PAD_SOURCE, t_ns, {joint: rate}), closed, now_ns)
         self.core.pause(PAD_PUBLISHER)
         if self.core.moved_by(PAD_PUBLISHER):
@@ -225,9 +225,10 @@ class Arm:
             self._requests.answer(request, refused(fault, trajectory.stopped_for) if fault else there)
         return None
 
-    def enable(self, request: Request, now_ns: int) -> Reply | None:
+    def enable(self, request: Request, now_ns: int, *, beside: bool) -> Reply | None:
         """To the drive pose; answer_waiter() returns this request, if that is what was read back. None: the settings
-        have no drive pose, so the arm stands where it is, and motion may be enabled now."""
+        have no drive pose, so the arm stands where it is, or may go on `beside` the wheels; motion may be enabled
+        now."""
         if self.core.letting_go:
             return refused("the arm is being released: ask again in a moment")
         waiter = self._waiter
@@ -235,6 +236,8 @@ class Arm:
             return refused(f"{waiter.request.who} is enabling motion")
         trajectory = self.core.pose(goals.DRIVE, SERVICE, request.who)
         reply = None
+        if trajectory is None and beside:
+            return None
         if trajectory is None:
             self._give_up(WHEELS_ENABLED, now_ns)
         else:

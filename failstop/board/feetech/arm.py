@@ -1,0 +1,105 @@
+"""The arm on the wheels' bus: servos in position mode, in steps of 4096 a turn.
+
+A stop writes nothing to them. Moves are a stream of goals, each a period ahead at most: without the next one a servo
+stands at the last, its torque on. Nothing here names a wheel, and nothing but positions, torques and reads passes.
+"""
+
+from __future__ import annotations
+
+from failstop.board import servos as bus
+from failstop.board.described import Described
+from failstop.board.feetech import codec
+from failstop.board.framing import FrameError, counted, distinct, integer
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+HIGHEST = codec.TURN - 1
+ANSWER_NS = 1_000_000
+"""The return delay that a servo comes with, and its answer."""
+_ROWS_AT = 7
+
+
+def _id(servo: int) -> int:
+    if servo in codec.WHEELS:
+        raise FrameError(f"servo id is {servo}, must be none of the wheels'")
+    return integer("servo id", servo, 1, bus.HIGHEST_ID)
+
+
+def _goals(positions: Sequence[tuple[int, int]]) -> bytes:
+    counted("moves", positions, 1, bus.MOST_MOVES)
+    distinct("servo id", [servo for servo, _ in positions])
+    rows = (bytes((_id(servo),)) + integer("position", at, 0, HIGHEST).to_bytes(2, "little") for servo, at in positions)
+    return codec.sync_write(codec.GOAL_POSITION, 2, b"".join(rows))
+
+
+def _torque(servo: int, on: bool) -> bytes:
+    return codec.sync_write(codec.TORQUE_SWITCH, 1, bytes((_id(servo), on)))
+
+
+class FeetechBoard(Described):
+    """The wheels that its wire describes, and an arm."""
+
+    __slots__ = ()
+
+    arm_beside_wheels = holds_by_goal = True
+
+    def servo_move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
+        """Goals for a few servos, in one frame. A servo takes its own time for the small step."""
+        return _goals(positions)
+
+    def servo_read(self, servo: int, what: int) -> bytes:
+        """The question to one servo."""
+        return codec.packet(_id(servo), codec.READ, bytes(codec.READS[what]))
+
+    def servo_look(self, servos: Sequence[int]) -> bytes:
+        """A sync read, of no more servos than a question to the wheels."""
+        counted("servos", servos, 1, len(codec.WHEELS))
+        distinct("servo id", servos)
+        ids = bytes([_id(servo) for servo in servos])
+        return codec.packet(codec.EVERY_SERVO, codec.SYNC_READ, bytes(codec.READS[bus.POSITION]) + ids)
+
+    def servo_torque(self, servo: int, on: bool, at: int) -> bytes:
+        """The torque; before it is switched on the goal becomes the place where the servo is."""
+        return (_goals([(servo, max(0, min(at, HIGHEST)))]) if on else b"") + _torque(servo, on)
+
+    def servo_what(self, frame: bytes) -> int:
+        """By what it asks for or writes."""
+        if frame[4] in (codec.READ, codec.SYNC_READ):
+            return next(what for what, asked in codec.READS.items() if bytes(asked) == frame[5:7])
+        if frame[5] == codec.TORQUE_SWITCH:
+            return bus.TORQUE_OFF
+        return bus.SERVO_MOVE if len(frame) == frame[3] + 4 else bus.TORQUE_ON
+
+    def check_servos(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
+        """The very bytes that the functions above make of the fields in it pass, and nothing else."""
+        try:
+            ids, made = self._made_again(frame)
+        except (ValueError, IndexError, StopIteration):  # a FrameError is a ValueError
+            return "no frame for an arm's servos"
+        if made != frame:
+            return "not as this board's frames for an arm are written"
+        return next((f"servo {servo} is none of the arm's" for servo in ids if servo not in servos), "")
+
+    def _made_again(self, frame: bytes) -> tuple[list[int], bytes]:
+        """Servos in a frame, and the frame for what it says."""
+        if frame[4] == codec.READ:
+            return [frame[2]], self.servo_read(frame[2], self.servo_what(frame))
+        if frame[4] == codec.SYNC_READ:
+            looked = list(frame[_ROWS_AT:-1])
+            return looked, self.servo_look(looked)
+        if frame[5] == codec.TORQUE_SWITCH:
+            return [frame[_ROWS_AT]], _torque(frame[_ROWS_AT], False)
+        rows = frame[_ROWS_AT : frame[3] + 3]
+        moves = [(rows[at], rows[at + 1] | rows[at + 2] << 8) for at in range(0, len(rows), 3)]
+        ids = [servo for servo, _ in moves]
+        if self.servo_what(frame) == bus.TORQUE_ON:
+            ((servo, at),) = moves[:1]
+            return ids, self.servo_torque(servo, True, at)
+        return ids, _goals(moves)
+
+    def servo_ns(self, frame: bytes) -> int:
+        """Its own time on the line, or that of the answer."""
+        asked = {codec.READ: 1, codec.SYNC_READ: len(frame) - _ROWS_AT - 1}.get(frame[4], 0)
+        return asked * ANSWER_NS or len(frame) * self.port.byte_ns

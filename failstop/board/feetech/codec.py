@@ -1,0 +1,169 @@
+"""Packets of Feetech's STS servos: `FF FF | id | length | instruction | data | check`, little-endian.
+
+`length` counts the instruction, the data and the check, which is the inverted sum of everything behind the head. A
+servo answers with the same form, its error bits in the place of the instruction. Speeds have their sign in bit 15
+(Feetech's memory table; feetech-servo-sdk 1.0.0 makes the same bytes).
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+
+from failstop.board.framing import counted, number
+from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE
+from failstop.board.wire import Answer, Battery, Obeyed, Reader, Sample, ServoAnswer, Wheels, beyond
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+HEAD = b"\xff\xff"
+EVERY_SERVO = 0xFE
+READ, WRITE, SYNC_READ, SYNC_WRITE = 0x02, 0x03, 0x82, 0x83
+TORQUE_SWITCH, GOAL_POSITION, GOAL_SPEED = 40, 42, 46
+"""Addresses in a servo's memory."""
+
+WHEELS = (7, 8, 9)
+"""Ids of the wheels' servos, as LeKiwi has them: left, rear, right."""
+LIMIT = 3000.0
+"""The fastest that LeKiwi tells a wheel."""
+TURN = 4096
+"""Steps of a turn."""
+UNIT = "steps a second"
+SIZES = (18, 19)
+"""How much of each wheel's memory the questions ask for, from the goal speed on: an answer tells by its length which
+one it answers, as it says nothing else of it."""
+READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 2), SUPPLY: (62, 3), TEMPERATURE: (63, 4)}
+"""Address and size of each question to a servo of the arm; here too the size tells which one is answered."""
+
+LONGEST_REPLY = 64
+_SIGN = 0x8000
+_SPEEDS = Struct("<BHBHBH")
+_WHEEL = Struct("<H10xHxxB")
+"""Of a wheel's memory from the goal speed on: that, the present speed, the supply in V / 10."""
+
+
+def packet(servo: int, instruction: int, data: bytes) -> bytes:
+    """The packet, unchecked."""
+    body = bytes((servo, len(data) + 2, instruction)) + data
+    return HEAD + body + bytes((~sum(body) & 0xFF,))
+
+
+def sync_write(address: int, size: int, rows: bytes) -> bytes:
+    """The packet that writes at this address of several servos: in each row the id, then so many bytes. No servo
+    answers it. Never for ids that it does not name: a servo in position mode takes speed 0 for its fastest."""
+    return packet(EVERY_SERVO, SYNC_WRITE, bytes((address, size)) + rows)
+
+
+def _word(speed: float) -> int:
+    """Towards zero; zero has no sign."""
+    steps = int(speed)
+    return steps if steps >= 0 else -steps | _SIGN
+
+
+def signed(word: int) -> float:
+    """Steps a second."""
+    return -float(word & ~_SIGN) if word & _SIGN else float(word)
+
+
+def _written(speeds: Sequence[float]) -> bytes:
+    left, rear, right = map(_word, speeds)
+    return sync_write(GOAL_SPEED, 2, _SPEEDS.pack(WHEELS[0], left, WHEELS[1], rear, WHEELS[2], right))
+
+
+def motion(speeds: Sequence[float], limit: float) -> bytes:
+    """The packet that sets all wheels, each within plus or minus `limit`. Raises FrameError."""
+    counted("speeds", speeds, len(WHEELS), len(WHEELS))
+    number("limit", limit, 0.0, LIMIT, UNIT)
+    return _written([number("speed of a wheel", speed, -limit, limit, UNIT) for speed in speeds])
+
+
+STOP = motion((0.0, 0.0, 0.0), 0.0)
+_MOTION_HEAD = STOP[:7]
+
+FILLER = bytes(24)
+"""More than the rest of any packet of this module that was cut, or of an answer: it makes no speed of what is next."""
+STOPS = 7
+BURST = (FILLER + STOP) * STOPS
+"""A stop is heard at once, behind any cut packet; behind an answer that it fell into, when that is over; and behind a
+length that was garbled, for which a servo waits through up to 255 bytes."""
+
+TORQUE_ON = sync_write(TORQUE_SWITCH, 1, b"".join(bytes((wheel, 1)) for wheel in WHEELS))
+QUESTIONS = tuple(packet(EVERY_SERVO, SYNC_READ, bytes((GOAL_SPEED, size, *WHEELS))) for size in SIZES)
+
+
+def speeds(frame: bytes) -> tuple[float, ...] | None:
+    """Of all wheels, in steps a second; None for other bytes."""
+    if len(frame) != len(STOP) or frame[:7] != _MOTION_HEAD or sum(frame[2:]) & 0xFF != 0xFF:
+        return None
+    fields = _SPEEDS.unpack(frame[7:-1])
+    return tuple(map(signed, fields[1::2])) if fields[::2] == WHEELS else None
+
+
+def check_motion(frame: bytes, limit: float) -> str:
+    """Why these bytes must not be written as a motion packet; "" when they may. Never raises on bytes."""
+    found = speeds(frame)
+    if found is None:
+        return "not a whole packet of the wheels' speeds"
+    if _written(found) != frame:
+        return "not as this board's motion packets are written"
+    return beyond(found, limit, LIMIT)
+
+
+def _of_the_arm(servo: int, data: bytes) -> list[Sample]:
+    """The answer to one of READS; a write to one id is answered without data."""
+    found = [what for what, (_, size) in READS.items() if size == len(data)]
+    if not found or servo in WHEELS:
+        return []
+    (what,) = found
+    value = int.from_bytes(data, "little") if what == POSITION else data[0] * (100 if what == SUPPLY else 1)
+    return [ServoAnswer(servo, what, value)]
+
+
+class Replies(Reader):
+    """The servos' answers. Those of the wheels count when all three have come, in their order."""
+
+    def __init__(self) -> None:
+        self._kept = b""
+        self._wheels: list[bytes] = []
+
+    def feed(self, chunk: bytes) -> list[Sample]:
+        """The samples that these bytes complete."""
+        data, at = self._kept + chunk, 0
+        found: list[Sample] = []
+        while (at := data.find(HEAD, at)) >= 0 and at + 4 <= len(data):
+            servo, length = data[at + 2 : at + 4]
+            if servo >= EVERY_SERVO or not 2 <= length <= LONGEST_REPLY:
+                at += 1
+                continue
+            end = at + 4 + length
+            if end > len(data):
+                break
+            if sum(data[at + 2 : end]) & 0xFF != 0xFF:
+                at += 1
+                continue
+            found += self._heard(servo, data[at + 5 : end - 1])
+            at = end
+        # Without a head, its first byte may still be the last that came.
+        self._kept = data[at:] if at >= 0 else data[-1:]
+        return found
+
+    def _heard(self, servo: int, data: bytes) -> list[Sample]:
+        if servo not in WHEELS or len(data) not in SIZES:
+            return _of_the_arm(servo, data)
+        due = WHEELS[len(self._wheels)]
+        if servo != due or any(len(data) != len(other) for other in self._wheels):
+            self._wheels = []
+        if servo != WHEELS[len(self._wheels)]:
+            return []
+        self._wheels.append(data)
+        if len(self._wheels) < len(WHEELS):
+            return []
+        goals, now, decivolts = zip(*(_WHEEL.unpack_from(each) for each in self._wheels), strict=True)
+        self._wheels = []
+        return [
+            Wheels(tuple(map(signed, now)), ()),
+            Obeyed(tuple(map(signed, goals))),
+            Battery(min(decivolts) / 10),
+            Answer(str(len(data))),
+        ]

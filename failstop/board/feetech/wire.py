@@ -1,0 +1,96 @@
+"""The Feetech bus: a stop is told at once and again within the same write, since a servo that answers hears nothing.
+
+One line serves both ways. A stop that begins amid an answer is garbled, and garbles it; the burst goes on for longer
+than the three answers to a question take, and each writer repeats it. Nothing but a stop is written before the line has
+been silent for as long as that, so that no other answer comes in its way. Nothing acknowledges a sync write: the
+questions ask each wheel for the goal speed that it obeys, and for its present speed.
+"""
+
+from __future__ import annotations
+
+from failstop.board.feetech import codec
+from failstop.board.wire import (
+    ECHOED,
+    OBSERVED,
+    ZERO,
+    Answer,
+    Commander,
+    Motion,
+    Pace,
+    Port,
+    Question,
+    Sample,
+    TimedStop,
+    Watchdog,
+    Wire,
+    Write,
+)
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from failstop.board.interface import Board
+
+_MS = 1_000_000
+ANSWERS_NS = 2_500_000
+"""Three answers of 25 bytes, and before each the longest return delay that a servo comes with, 0.51 ms (LeRobot sets it
+to 0)."""
+
+
+def _answers(size: int) -> Callable[[Sample], bool]:
+    return lambda sample: isinstance(sample, Answer) and sample.text == str(size)
+
+
+def _with_arm(wire: Wire, per_rps: float) -> Board:
+    from failstop.board.feetech.arm import FeetechBoard
+
+    return FeetechBoard(wire, per_rps)
+
+
+WIRE = Wire(
+    name="Feetech STS3215 (LeKiwi)",
+    port=Port(baud=1_000_000, dtr=False, rts=False, deaf_ns=0, opening=(codec.BURST, codec.TORQUE_ON)),
+    stop=TimedStop(
+        writes=(Write(0, codec.BURST),),
+        after_ns=0,
+        repeats_ns=tuple(tuple(at * _MS for at in row) for row in ((0, 8, 103), (0, 11, 113), (0, 17, 127))),
+    ),
+    pace=Pace(idle_ns=ANSWERS_NS, unanswered=1),
+    watchdog=Watchdog(
+        after_ns=0,
+        does=ZERO,
+        arm=None,
+        set_ns=0,
+        fed_by="it has none: a servo keeps its goal speed for ever",
+    ),
+    motion=Motion(
+        wheels=len(codec.WHEELS),
+        unit=codec.UNIT,
+        limit=codec.LIMIT,
+        per_rps=lambda _diameter_m: codec.TURN,
+        step=1.0,
+        apart=2 * codec.LIMIT,
+        frame=codec.motion,
+        rest=codec.STOP,
+        check=codec.check_motion,
+        speeds=codec.speeds,
+    ),
+    questions=tuple(
+        Question(f"{size} bytes of each wheel", ask, _answers(size))
+        for size, ask in zip(codec.SIZES, codec.QUESTIONS, strict=True)
+    ),
+    reader=codec.Replies,
+    proofs=(ECHOED, OBSERVED),
+    ping_ns=100 * _MS,
+    # The answers, and an adapter that holds bytes back for 16 ms.
+    echo_ns=20 * _MS,
+    commanders=(
+        Commander(
+            who="LeRobot's own host writes to the bus, and its wheels keep their speed when it dies",
+            remedy="end it; lerobot_robot_failstop takes its place",
+            program="lerobot.robots.lekiwi.lekiwi_host",
+        ),
+    ),
+    board=_with_arm,
+)

@@ -1,0 +1,89 @@
+"""Feetech's half-duplex bus: a stop amid the servos' answers, and what the service writes beside it."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import pytest
+
+from failstop.board.feetech import codec
+from failstop.board.feetech.wire import ANSWERS_NS
+from failstop.board.kinds import wire_of
+from failstop.board.wire import Wheels
+from failstop.lab.boards.feetech import DELAY_NS, LONGEST_DELAY_NS, Bus
+from failstop.lab.boards.line import arrivals, play, stop_writes
+from tests.support.simulated import Simulated
+
+MS = 1_000_000
+BYTE_NS = wire_of("feetech").port.byte_ns
+WRITER = 0
+ASKED_NS = MS + len(codec.QUESTIONS[-1]) * BYTE_NS
+"""When the question is over, and the servos may answer."""
+
+
+def stopped_ns(bus: Bus, phase_ns: int, stop: bytes = codec.BURST) -> int:
+    """How long after a stop was begun, so long after a question, the wheels are told to stop for good."""
+    begin_ns = ASKED_NS + phase_ns
+    repeats = [(at_ns, stop) for at_ns, _ in stop_writes(wire_of("feetech").stop, WRITER, begin_ns, BYTE_NS)]
+    writes = [(0, codec.motion((1000, -1000, 500), codec.LIMIT)), (MS, codec.QUESTIONS[-1]), *repeats]
+    play(bus, arrivals(writes, BYTE_NS), 200 * MS)
+    assert not any(bus.wheels)
+    last = max(at_ns for at_ns, speeds in bus.commands if any(speeds))
+    return min(at_ns for at_ns, _ in bus.commands if at_ns > last) - begin_ns
+
+
+@pytest.mark.claim("BOARD-2")
+@pytest.mark.parametrize("delay_ns", [DELAY_NS, LONGEST_DELAY_NS])
+def test_a_stop_that_falls_into_the_answers_is_heard_when_they_are_over(delay_ns: int) -> None:
+    """In the same write, at the latest at its last stop frame."""
+    garbled = 0
+    for phase_ns in range(0, ANSWERS_NS, MS // 40):
+        bus = Bus(delay_ns, seed=phase_ns)
+        assert stopped_ns(bus, phase_ns) <= ANSWERS_NS
+        garbled += bus.collisions > 0
+    assert garbled > 30
+
+
+def test_control_one_stop_frame_is_lost_in_the_answers_until_it_is_repeated() -> None:
+    found = [stopped_ns(Bus(seed=phase_ns), phase_ns, codec.STOP) for phase_ns in range(0, MS // 2, MS // 40)]
+    assert min(found) > wire_of("feetech").stop.repeats_ns[WRITER][1]
+
+
+def test_no_answer_is_taken_from_other_bytes() -> None:
+    """Some adapters send back what is sent down; garbled answers fail their check."""
+    reader, rng = codec.Replies(), random.Random(0)
+    down = (codec.BURST, *codec.QUESTIONS, codec.TORQUE_ON, codec.motion((5, -5, 0), codec.LIMIT))
+    assert [reader.feed(frame) for frame in down] == [[]] * len(down)
+    answers = [codec.packet(wheel, 0, bytes(codec.SIZES[0])) for wheel in codec.WHEELS]
+    assert len(codec.Replies().feed(b"".join(answers))) == 4
+    for _ in range(300):
+        at, bit = rng.randrange(3), rng.randrange(8)
+        garbled = [bytearray(answer) for answer in answers]
+        garbled[at][rng.randrange(len(garbled[at]))] ^= 1 << bit
+        assert not any(isinstance(each, Wheels) for each in codec.Replies().feed(b"".join(map(bytes, garbled))))
+    assert not codec.Replies().feed(b"".join(answers[::-1]))
+
+
+@pytest.fixture(scope="module")
+def driven() -> Simulated:
+    simulated = Simulated(kind="feetech")
+    simulated.enable()
+    return simulated
+
+
+def bus_of(simulated: Simulated) -> Bus:
+    model: Any = simulated.lab.board.model
+    bus = model.receiver
+    assert isinstance(bus, Bus)
+    return bus
+
+
+@pytest.mark.slow
+def test_nothing_but_a_stop_meets_an_answer(driven: Simulated) -> None:
+    driven.drive(2.0)
+    bus = bus_of(driven)
+    assert len(bus.said) > 3 * 10
+    assert len(bus.commands) > 20
+    assert (bus.collisions, bus.broadcast_speeds) == (0, 0)
+    assert driven.robot.state.battery_v == pytest.approx(11.8)

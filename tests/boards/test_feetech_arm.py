@@ -1,0 +1,154 @@
+"""The arm on Feetech's bus, beside the wheels: a policy's goals in, and what a stop leaves of them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from failstop.board import servos
+from failstop.board.feetech import codec
+from failstop.board.framing import FrameError
+from failstop.board.kinds import board_of
+from failstop.lab.boards.feetech import MIDDLE, POSITION_AT, Bus
+from failstop.policy.setting import SettingError
+from failstop.policy.settings import Settings
+from tests.support.simulated import MS, Simulated
+
+NAMES = ("pan", "lift", "elbow", "flex", "roll", "gripper")
+IDS = dict(zip(NAMES, range(1, 7), strict=True))
+JOINTS = {f"joints.{name}.servo": servo for name, servo in IDS.items()} | {"arm.auto_tuck": "off"}
+PER_RAD = 4096 / 6.283185
+SPEED = 0.6
+HOLDS_NS = 60 * MS
+
+
+class Kiwi:
+    """A LeKiwi on the simulated machine, and its policy."""
+
+    def __init__(self) -> None:
+        self.simulated = Simulated(JOINTS, kind="feetech")
+        model: Any = self.simulated.lab.board.model
+        self.bus: Bus = model.receiver
+        self.arm = self.simulated.robot.arm
+        self.angle = 0.0
+        self.arm.follow(dict.fromkeys(NAMES, 0.0))
+        self.simulated.wait_for("its torque", lambda: self.follow(0.0) and self.torques() == {1})
+
+    def torques(self) -> set[int]:
+        return {self.bus.memory[servo][codec.TORQUE_SWITCH] for servo in IDS.values()}
+
+    def at(self, address: int) -> list[int]:
+        return [self.bus.word(servo, address) for servo in IDS.values()]
+
+    def follow(self, rate: float = SPEED) -> bool:
+        """A policy's goal for every joint, 30 times a second."""
+        self.simulated.wait(0.033)
+        self.angle += rate * 0.033
+        self.arm.follow(dict.fromkeys(NAMES, self.angle))
+        return True
+
+    def drive(self, seconds: float) -> None:
+        """Both at once."""
+        for _ in range(round(seconds / 0.033)):
+            self.follow()
+            self.simulated.robot.sensed()
+            self.simulated.robot.drive(0.1, 0.0, 0.0)
+
+
+@pytest.fixture
+def kiwi() -> Kiwi:
+    return Kiwi()
+
+
+def test_goals_are_a_whole_frame_for_the_arm_alone() -> None:
+    board = board_of("feetech", 0.1, 0.0)
+    made = [
+        board.servo_move([(1, 0), (6, 4095)], 40),
+        board.servo_torque(2, True, 2048),
+        board.servo_torque(2, False, 0),
+        *(board.servo_read(3, what) for what in servos.READS),
+        board.servo_look([1, 2, 3]),
+    ]
+    for frame in made:
+        assert board.check_servos(frame, range(1, 7), 60) == ""
+        assert board.check_servos(frame, (5,), 60)
+        assert board.check_motion(frame, codec.LIMIT)
+        for at in range(8 * len(frame)):
+            garbled = bytearray(frame)
+            garbled[at // 8] ^= 1 << at % 8
+            assert board.check_servos(bytes(garbled), range(1, 254), 60)
+        for end in range(len(frame)):
+            assert board.check_servos(frame[:end], range(1, 7), 60) or frame[:end] == board.servo_move([(2, 2048)], 40)
+    for frame in (*board.pings, board.stop, codec.TORQUE_ON, codec.packet(254, codec.WRITE, b"\x2e\0\0")):
+        assert board.check_servos(frame, range(1, 254), 60)
+    for wrong in ((7, 2048), (0, 5), (3, 4096), (3, -1)):
+        with pytest.raises(FrameError):
+            board.servo_move([wrong], 40)
+
+
+@pytest.mark.parametrize(("key", "value", "told"), [("servo", 8, "a wheel's"), ("high", 5000, "1 to 4095")])
+def test_a_joint_that_the_bus_has_not_is_refused(key: str, value: int, told: str) -> None:
+    with pytest.raises(SettingError, match=told):
+        Settings({"board.kind": "feetech", "joints.pan.servo": 1, f"joints.pan.{key}": value})
+    with pytest.raises(SettingError, match="0 to 1000"):
+        Settings({"joints.pan.servo": 1, "joints.pan.zero": 2048})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("process", ["gate", "port_owner", "supervisor"])
+def test_wheels_and_arm_move_at_once_and_stop_at_once(kiwi: Kiwi, process: str) -> None:
+    """Goals of the servos are the judge: the wheels' zero, the joints' left where they are, torque on."""
+    assert kiwi.at(codec.GOAL_POSITION) == kiwi.at(POSITION_AT) == [MIDDLE] * 6, "nothing jumps as it gets its torque"
+    kiwi.simulated.enable()
+    kiwi.drive(1.0)
+    assert kiwi.bus.collisions == kiwi.bus.broadcast_speeds == 0
+    assert any(kiwi.bus.wheels)
+    assert kiwi.at(POSITION_AT) == pytest.approx([MIDDLE + kiwi.angle * PER_RAD] * 6, abs=0.15 * SPEED * PER_RAD)
+    fault_ns = kiwi.simulated.now_ns()
+    kiwi.simulated.board.events()
+    kiwi.simulated.die(process)
+    kiwi.simulated.wait(HOLDS_NS / 1e9)
+    held = kiwi.at(POSITION_AT)
+    kiwi.simulated.wait(0.3)
+    assert kiwi.at(POSITION_AT) == held
+    assert kiwi.torques() == {1}
+    stops = [event.executed_ns for event in kiwi.simulated.board.events() if event.is_stop]
+    assert stops[0] - fault_ns < 5 * MS
+    assert not any(kiwi.bus.wheels)
+
+
+@pytest.mark.slow
+def test_a_policy_is_streamed_in_time_and_every_joint_is_seen_meanwhile(kiwi: Kiwi) -> None:
+    """All nine servos are read back while the wheels turn and the joints move; judged by when goals come to a servo."""
+    kiwi.simulated.enable()
+    kiwi.drive(0.5)
+    ages: list[float] = []
+    before = len(kiwi.bus.aimed)
+    for _ in range(60):
+        kiwi.drive(0.033)
+        ages += [joint.age_s for joint in kiwi.arm.state.joints.values()]
+    assert kiwi.bus.collisions == 0
+    assert sorted(ages)[len(ages) // 2] < 0.035
+    assert max(ages) < 0.1
+    came = [at_ns for at_ns, servo in kiwi.bus.aimed[before:] if servo == IDS["roll"]]
+    late_ns = sorted(abs(after - first - 40 * MS) for first, after in pairwise(came))
+    assert len(late_ns) > 40
+    assert late_ns[-1 - len(late_ns) // 100] < 5 * MS
+    seen = [joint.pulses for joint in kiwi.arm.state.joints.values()]
+    assert seen == pytest.approx(kiwi.at(POSITION_AT), abs=0.06 * SPEED * PER_RAD)
+
+
+@pytest.mark.slow
+def test_a_joint_that_lags_behind_its_goal_is_held_where_it_is(kiwi: Kiwi) -> None:
+    blocked = IDS["elbow"]
+    kiwi.drive(0.3)
+    kiwi.bus.blocked.add(blocked)
+    kiwi.drive(0.5)
+    behind = kiwi.bus.word(blocked, codec.GOAL_POSITION) - kiwi.bus.word(blocked, POSITION_AT)
+    assert behind > 50
+    kiwi.simulated.robot.estop("hand in the arm")
+    kiwi.simulated.wait(1.0)
+    assert kiwi.bus.word(blocked, codec.GOAL_POSITION) == kiwi.bus.word(blocked, POSITION_AT)
+    assert kiwi.torques() == {1}
