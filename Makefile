@@ -5,11 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-<<<<<<< HEAD
-.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot
-=======
-.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate seeds model board mutants docs site browser screens fleet feetech ros2 web deb release reproduce package-test vm wheels clean vm-arm64
->>>>>>> h/feetech
+.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
