@@ -34,7 +34,7 @@ def deprecated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(public, "DEPRECATED", NEW)
 
 
-def test_an_attribute_and_a_method_give_what_the_new_ones_give_and_warn_where_they_are_used() -> None:
+def test_an_attribute_and_a_method_give_what_the_new_ones_give_and_warn() -> None:
     with pytest.warns(DeprecationWarning, match=r"Robot\.halted is deprecated, .*: use turning") as told:
         assert Robot().halted == 7
     assert [Path(each.filename) for each in told] == [Path(__file__)]
@@ -73,7 +73,7 @@ def test_the_record_has_every_name_and_says_which_are_deprecated(monkeypatch: py
 
     monkeypatch.setattr(State, "stands", version.Renamed("still"), raising=False)
     lines = public.text().splitlines()
-    assert {line for line in lines if public.GONE in line} == {
+    assert {line for line in lines if public.DEPRECATED_FOR in line} == {
         "option config --sample; deprecated: config --example",
         "setting gate.silence_s; deprecated: gate.command_timeout_s",
         "python State.stands; deprecated: still",

@@ -20,7 +20,7 @@ from failstop.supervisor.kinds import EVENT_KINDS
 from failstop.version import DEPRECATED, Renamed
 
 PLACE = "docs/dev/public.txt"
-GONE = "; deprecated: "
+DEPRECATED_FOR = "; deprecated: "
 """Between a name and what to use instead."""
 MEMBER = re.compile(r"\| `(?:await )?(?P<name>\w+)(?:\((?P<given>.*)\))?[^`]*` \|")
 """A row of the reference."""
@@ -34,8 +34,8 @@ def text() -> str:
 def lost(before: str, now: str, *, minor: bool) -> list[str]:
     """The names of an earlier release's file that are gone and may not be: in a patch version all, in a `minor` one
     those that were not deprecated there."""
-    kept = {line.partition(GONE)[0] for line in now.splitlines()}
-    names = (line.partition(GONE) for line in before.splitlines())
+    kept = {line.partition(DEPRECATED_FOR)[0] for line in now.splitlines()}
+    names = (line.partition(DEPRECATED_FOR) for line in before.splitlines())
     return [name for name, deprecated, _ in names if name not in kept and not (minor and deprecated)]
 
 
@@ -57,8 +57,12 @@ def _deprecated() -> Iterator[str]:
     for home in ("session", *(module for _, module, _ in reference.SECTIONS)):
         for owner, value in vars(importlib.import_module(f"failstop.api.{home}")).items():
             old = vars(value).items() if isinstance(value, type) else ()
-            yield from (f"python {owner}.{name}{GONE}{each.new}" for name, each in old if isinstance(each, Renamed))
-    yield from (f"{'option' if ' ' in word else 'setting'} {word}{GONE}{new}" for word, new in DEPRECATED.items())
+            yield from (
+                f"python {owner}.{name}{DEPRECATED_FOR}{each.new}" for name, each in old if isinstance(each, Renamed)
+            )
+    yield from (
+        f"{'option' if ' ' in word else 'setting'} {word}{DEPRECATED_FOR}{new}" for word, new in DEPRECATED.items()
+    )
 
 
 def _arguments(given: str) -> list[str]:
