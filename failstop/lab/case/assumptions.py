@@ -13,7 +13,7 @@ class Assumption:
     """As a claim names it."""
     says: str
     by: str
-    """The proofs that take it for granted: kinds of citations (cited.py), or what a person reads."""
+    """The proofs that take it for granted: kinds of citations (cited.py), claims, or parts of the service."""
     wrong: str
     """The consequence where it does not hold."""
     checked: str

@@ -55,11 +55,12 @@ def hazards_page() -> str:
 
 
 def _soon(claim: Claim) -> str:
-    return _link(claim, "dev/") if claim.bound_ms is None else f"{_link(claim, 'dev/')} ({claim.bound_ms:g} ms)"
+    return _link(claim) if claim.bound_ms is None else f"{_link(claim)} ({claim.bound_ms:g} ms)"
 
 
-def _link(claim: Claim, folder: str) -> str:
-    return f"[{claim.name}]({folder}evidence.md#{claim.name.lower()})"
+def _link(claim: Claim) -> str:
+    """For a page of docs/."""
+    return f"[{claim.name}](dev/evidence.md#{claim.name.lower()})"
 
 
 def claims_table() -> str:
@@ -67,7 +68,7 @@ def claims_table() -> str:
     lines = ["| | claim | p99, at most | counted |", "|---|---|---|---|"]
     for claim in claims.CLAIMS:
         bound = "" if claim.bound_ms is None else f"{claim.bound_ms:g} ms"
-        lines.append(f"| {_link(claim, 'dev/')} | {claim.says} | {bound} | {claim.counted} |")
+        lines.append(f"| {_link(claim)} | {claim.says} | {bound} | {claim.counted} |")
     return "\n".join(lines)
 
 
@@ -80,10 +81,11 @@ def evidence_page(root: Path) -> str:
     lines = [EVIDENCE_HEAD]
     for claim in claims.CLAIMS:
         taken = gaps.taken_by(by_claim[claim.name], assumptions.ASSUMPTIONS)
-        assumed = ", ".join(map(_taken, claim.assumes))
-        besides = ", ".join(_taken(name) for name in taken if name not in claim.assumes)
+        assumed = f"*Assumes* {', '.join(map(_taken, claim.assumes))}."
+        if besides := [_taken(name) for name in taken if name not in claim.assumes]:
+            assumed += f" *Its proofs assume* {', '.join(besides)}."
         lines += [f"## {claim.name}", "", claim.says, ""]
-        lines += [f"*Falsified by* {claim.falsified}. *Assumes* {assumed}. *Its proofs assume* {besides}.", ""]
+        lines += [f"*Falsified by* {claim.falsified}. {assumed}", ""]
         lines += ["| carried by | | found last |", "|---|---|---|"]
         carried = sorted(by_claim[claim.name], key=lambda row: cited.CARRIERS.index(row.kind))
         reached = "; ".join(row.what for row in carried if row.kind == cited.MARK)
