@@ -18,8 +18,9 @@ MOST_RECORDS = 8
 """At most so many in a round, and one at least."""
 OFTEN = (0.3, 0.95)
 """Between these is how often an event comes at an access to one of them."""
-SELDOMER = 0.5
-"""After each event at a record the next one there is so much less often: some are accessed at every turn."""
+SELDOMER, SELDOM = 0.5, 0.06
+"""After each event at a record the next one there is so much less often, but not below that: some are accessed at every
+turn."""
 ALONE, MEMORY_ALONE = 0.6, 0.9
 """In so many rounds nothing else comes: what needs a certain moment is not moved by other events. The second where
 memory alone is odd."""
@@ -109,6 +110,6 @@ class Pressing:
             if segment == each[0] and at in each[1]:
                 if self._dice.random() >= each[2]:
                     return False
-                each[2] *= SELDOMER
+                each[2] = max(SELDOMER * each[2], SELDOM)
                 return True
         return False
