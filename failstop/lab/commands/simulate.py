@@ -55,7 +55,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="ROW",
         help="take parts of the protocol out, and see that each is missed; ROW: those alone, each with its story",
     )
-    add("--page", metavar="FILE", help="with --controls: those of every board, and what became of them as a page")
+    add("--page", metavar="FILE", help="with --controls: those of every board, and renew their rows in this page")
     add("--list", action="store_true", help="list the scenarios")
     add("--marks", action="store_true", help="print how often each mark was reached")
 
@@ -139,8 +139,12 @@ def _controls(board: str, jobs: int, wanted: str, file: str) -> int:
         if asked(row):
             print(f"not expressed: {row}: {why}")
     if file:
+        before = ""
+        if os.path.exists(file):
+            with open(file, encoding="utf-8") as page:
+                before = page.read()
         with open(file, "w", encoding="utf-8") as page:
-            page.write(control_runs.page(every, CONTROL_S))
+            page.write(control_runs.page(every, CONTROL_S, before))
     return int(not all(found.wrong for found in every))
 
 

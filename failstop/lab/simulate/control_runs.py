@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from failstop.lab.simulate.campaign import Plan, explore, of_board
 from failstop.lab.simulate.controls import CONTROLS, NOT_EXPRESSED, Mutant
@@ -12,12 +12,12 @@ from failstop.lab.simulate.seeds import ROUNDS, commit, seeds, used_s
 from failstop.lab.simulate.weak_controls import WEAK_CONTROLS
 
 BOTH = (*CONTROLS, *WEAK_CONTROLS)
-SHORT = 3
-"""So many scenarios a run where memory alone is odd: those before the one that goes wrong are in the way of
-telling how."""
+SHORT = 1
+"""So many scenarios a run where memory alone is odd: each begins on the service as it was started."""
 ENOUGH = 6
 """A run that needs more deviations is looked for again, while there is time."""
-COLUMNS = ("taken out", "scenario", "found by", "s", "deviations", "what is wrong then")
+COLUMNS = ("taken out", "scenario", "found by", "s", "deviations", "what is wrong then", "commit")
+NOT_YET = "not looked for" + " |" * (len(COLUMNS) - 2)
 HEAD = "| " + " | ".join(COLUMNS) + " |\n|" + "---|" * len(COLUMNS)
 
 PAGE = """\
@@ -27,12 +27,13 @@ PAGE = """\
 goes wrong on the [simulated machine](simulation.md). A campaign that finds nothing on the code as it is says something
 only if it finds each of these.
 
-Made on commit {commit}. Each part is looked for by seeds of one scenario, seed 0 first, for {seconds} s of one core at
-most; *s* is the time of a processor until the first run that was wrong, in which the service is started too. Of such a
-run draws are left out for as long as it stays wrong. What is left are its *deviations*; 0 says that the scenario itself
-shows it. {count} parts, {gaps} of them not found; {most} deviations at most.
+Each part is looked for by seeds of one scenario, seed 0 first, for {seconds} s of one core at most; *s* is the time of
+a processor until the first run that was wrong, in which the service is started too. Of such a run draws are left out
+for as long as it stays wrong. What is left are its *deviations*; 0 says that the scenario itself shows it. The last
+column is the commit at which that row was looked for.
 
-`failstop simulate --controls 'no epoch*'` looks for one alone, and tells the story of what it finds.
+`failstop simulate --controls 'no epoch*'` looks for one alone, and tells the story of what it finds; with `--page FILE`
+it renews the rows that it has looked for.
 
 ## Failing rows of the model
 
@@ -70,12 +71,14 @@ class Found:
     draws: int = 0
     wrong: str = ""
     story: str = ""
+    commit: str = ""
+    """That it was looked for at."""
 
     def text(self) -> str:
         """One line of the table."""
         where = f"`{self.control.scenario}{of_board(self.control.board)}`"
         told = f"{self.runs} {self.by}" if self.wrong else f"NOT FOUND by {self.runs} {self.by}"
-        last = f"{self.draws if self.wrong else ''} | {self.wrong}"
+        last = f"{self.draws if self.wrong else ''} | {self.wrong} | {self.commit}"
         return f"| {self.control.row} | {where} | {told} | {self.took_s:.1f} | {last} |"
 
 
@@ -93,17 +96,18 @@ def search(control: Mutant, seconds: float) -> Found:
             wrong, story = seed.violations[0], seed.text()
             best = Found(control, "seeds", first.runs, first.took_s, len(seed.draws), wrong, story)
     if best:
-        return best
+        return replace(best, commit=commit())
     if control.groups:
-        return Found(control, "seeds", runs, took_s)
+        return Found(control, "seeds", runs, took_s, commit=commit())
     begun_s = used_s()
     plan = Plan(control.scenario, most=1, patches=control.patches, fault=control.fault, first=True, board=control.board)
     single = explore(plan)
     by = f"single faults, and not by {runs} seeds"
     if not single.wrong:
-        return Found(control, by, single.runs, used_s() - begun_s)
+        return Found(control, by, single.runs, used_s() - begun_s, commit=commit())
     run = single.wrong[0]
-    return Found(control, by, single.runs, used_s() - begun_s, int(bool(run.fault)), run.violations[0], run.text())
+    took_s, faults = used_s() - begun_s, int(bool(run.fault))
+    return Found(control, by, single.runs, took_s, faults, run.violations[0], run.text(), commit())
 
 
 def searched(seconds: float, jobs: int, wanted: Callable[[Mutant], bool]) -> Iterator[Found]:
@@ -116,19 +120,14 @@ def _searched(todo: tuple[Mutant, float]) -> Found:
     return search(*todo)
 
 
-def page(found: Iterable[Found], seconds: float) -> str:
-    """The page about these."""
-    rows = {each.control: each for each in found}
-    gaps = sum(not each.wrong for each in rows.values())
-    most = max((each.draws for each in rows.values()), default=0)
-    return PAGE.format(
-        commit=commit(),
-        seconds=f"{seconds:g}",
-        count=len(rows),
-        gaps=gaps,
-        most=most,
-        head=HEAD,
-        model="\n".join(rows[each].text() for each in CONTROLS if each in rows),
-        memory="\n".join(rows[each].text() for each in WEAK_CONTROLS if each in rows),
-        others="\n".join(f"| {row} | {why} |" for row, why in NOT_EXPRESSED.items()),
-    )
+def page(found: Iterable[Found], seconds: float, before: str = "") -> str:
+    """The page about these, and about all others what it said `before`."""
+    lines = {line.split(" | ")[0].removeprefix("| "): line for line in before.splitlines() if line.startswith("| ")}
+    lines |= {each.control.row: each.text() for each in found}
+
+    def line(control: Mutant) -> str:
+        return lines.get(control.row) or f"| {control.row} | `{control.scenario}` | {NOT_YET}"
+
+    model, memory = ("\n".join(map(line, controls)) for controls in (CONTROLS, WEAK_CONTROLS))
+    others = "\n".join(f"| {row} | {why} |" for row, why in NOT_EXPRESSED.items())
+    return PAGE.format(seconds=f"{seconds:g}", head=HEAD, model=model, memory=memory, others=others)

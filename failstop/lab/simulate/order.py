@@ -37,6 +37,7 @@ PAIRS = (
 )
 MOVING, EPOCH = "port_owner.moving", "supervisor.epoch"
 """Each of two processes stores one and then loads the other: one of them must see the other's."""
+NAMED = {each for pair in PAIRS for each in (pair.first, pair.then)} | {MOVING, EPOCH}
 
 
 @dataclass
@@ -90,11 +91,10 @@ class Order:
         spec = layout.SEGMENT_BY_NAME.get(segment)
         if spec is None:
             return {}
-        wanted = {each for pair in PAIRS for each in (pair.first, pair.then)} | {MOVING}
         found: dict[int, Watched] = {}
         own = self._runs.setdefault(path.rpartition(".")[0], ServiceRun())
         for name, begin in spec.offsets.items():
-            if (whole := f"{segment}.{name}") in wanted:
+            if (whole := f"{segment}.{name}") in NAMED:
                 record = own.records[whole] = Watched(whole, own)
                 size = spec.records[name].size()
                 found[begin] = found[begin + (size // 2 if spec.records[name].kind == "latest" else 0)] = record

@@ -1,7 +1,7 @@
 """Pressing: a few records of shared memory in each round at which events of memory come far more often than elsewhere.
 
-Two accesses whose order matters are met by chance once in some thousand rounds. Which records they are of is not told
-here: each round draws some of all that a process acts on.
+Two accesses whose order matters are met by chance once in some thousand rounds. Each round draws some of all records
+that a process acts on, and those that order.py judges more often.
 """
 
 from __future__ import annotations
@@ -12,20 +12,26 @@ from typing import Any
 
 from failstop.lab.machine.memory import WeakMachine
 from failstop.lab.machine.process import Thread
+from failstop.lab.simulate.order import NAMED
 from failstop.messages import layout
 
 MOST_RECORDS = 8
 """At most so many in a round, and one at least."""
 OFTEN = (0.3, 0.95)
 """Between these is how often an event comes at an access to one of them."""
-SELDOMER = 0.5
-"""After each event at a record the next one there is so much less often: some are accessed at every turn."""
+SELDOMER, SELDOM = 0.5, 0.5
+"""After each event at a record the next one there is so much less often, but never below that for all of them together:
+some are accessed at every turn."""
 ALONE, MEMORY_ALONE = 0.6, 0.9
 """In so many rounds nothing else comes: what needs a certain moment is not moved by other events. The second where
 memory alone is odd."""
 READ_BY_NO_PROCESS = ("everyone", "clients", "its successor, clients")
 """Readers of records that decide nothing (messages/layout.py), but for the beats."""
 BEAT = "beat_ns"
+
+
+def _begin(segment: str, name: str) -> int:
+    return layout.SEGMENT_BY_NAME[segment].offsets[name]
 
 
 def _places() -> list[tuple[str, range]]:
@@ -40,6 +46,14 @@ def _places() -> list[tuple[str, range]]:
 
 
 PLACES = _places()
+JUDGED = {
+    number
+    for number, (segment, place) in enumerate(PLACES)
+    if any(each[0] == segment and _begin(*each) in place for each in (name.split(".", 1) for name in NAMED))
+}
+"""Those whose order order.py judges."""
+JUDGED_TOO = 2
+"""So many times more than others they are drawn."""
 
 
 class Segments:
@@ -82,7 +96,8 @@ class Pressing:
 
     def __init__(self, dice: Random, machine: WeakMachine, places: Collection[int]) -> None:
         self._dice, self.segments = dice, Segments(machine)
-        self._places = [PLACES[number] for number in sorted(places)]
+        here = sorted(places)
+        self._places = [PLACES[number] for number in (*here, *(JUDGED_TOO * [each for each in here if each in JUDGED]))]
         self._here: list[list[Any]] = []
         """The segment, the place in it, and how often an event comes there now."""
         self.alone = False
@@ -109,6 +124,6 @@ class Pressing:
             if segment == each[0] and at in each[1]:
                 if self._dice.random() >= each[2]:
                     return False
-                each[2] *= SELDOMER
+                each[2] = max(SELDOMER * each[2], SELDOM / len(self._here))
                 return True
         return False

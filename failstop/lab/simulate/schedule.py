@@ -57,6 +57,8 @@ AT_RARE = (0.02, 1.0)
 it is n times as seldom. What is stored often is met by the distances too."""
 LOOKS, LATES = frozenset(EARLIER.values()), frozenset(LATER.values())
 MEETS = LOOKS.union(RACES.values())
+FARTHER, FARTHEST = 0.5, 4
+"""How often an event that comes behind an access comes one call further away, and at most how many."""
 HEAVY = 4
 """At most so many events of a round are more than a pause."""
 ORDERS = 1 << 16
@@ -97,6 +99,8 @@ class Schedule:
         """How often each process has stored at each place."""
         self._marked: Thread | None = None
         """At its next call or access an event comes."""
+        self._far = 0
+        """Or behind so many more of them."""
         self._marked_for: Collection[str] = DRAWN_KINDS
         """One of these."""
         self._pressing = Pressing(tape.dice, machine, places)
@@ -200,7 +204,7 @@ class Schedule:
         if self._free:
             self._due -= 1
             at_word = call in ("load", "store")
-            if thread is self._marked or (
+            if (thread is self._marked and self._is_far()) or (
                 call == "store" and not self._pressing.alone and self._is_rare(thread, about[1])
             ):
                 kinds, self._marked, self._marked_for = self._marked_for, None, DRAWN_KINDS
@@ -211,6 +215,9 @@ class Schedule:
                     self._come(thread, call, about, key, LOOKS if call == "load" else MEETS)
                 else:
                     self._marked, self._marked_for = thread, LOOKS if call == "load" else LATES
+                    self._far = 0
+                    while self._far < FARTHEST and self._tape.dice.random() < FARTHER:
+                        self._far += 1
             elif self._due <= 0:
                 self._due = self._gap()
                 if self._tape.dice.random() < WEIGHTS.get(process.name, 0.2):
@@ -235,12 +242,17 @@ class Schedule:
             return False
         if dice.random() < 0.5:
             return True
-        self._marked, self._marked_for = thread, DRAWN_KINDS
+        self._marked, self._marked_for, self._far = thread, DRAWN_KINDS, 0
         return False
+
+    def _is_far(self) -> bool:
+        """Whether the marked thread has come to where its event is."""
+        self._far -= 1
+        return self._far < 0
 
     def _mark(self, thread: Thread) -> None:
         """It has seen that a store is late: what comes next is worth an event, as often as not of its own loads."""
-        self._marked = thread
+        self._marked, self._far = thread, 0
         self._marked_for = LOOKS if self._tape.dice.random() < 0.5 else DRAWN_KINDS
 
     def _come(

@@ -45,7 +45,7 @@ WEAK_CONTROLS = (
     ),
     control(
         "moving: port owner",
-        "stopper_dies_while_telemetry_hangs",
+        "two_fall_silent",
         without(
             PORT_OWNER_MODULE,
             "        self._moving_word.set(1)\n",
