@@ -146,7 +146,7 @@ def test_every_encoder_is_in_the_tables() -> None:
         if isfunction(found) and found.__module__ == module.__name__ and found.__annotations__["return"] == "bytes"
     }
     refused = {encoder.__name__ for encoder, _, _ in BAD}
-    assert {name for name in made if not name.startswith("_")} - {"seal"} == refused
+    assert {name for name in made if not name.startswith("_") and "__mutmut" not in name} - {"seal"} == refused
 
 
 limits = st.floats(0.0, codec.RPS_CEILING)

@@ -159,5 +159,6 @@ def test_a_drain_waits_for_the_bytes_under_way_but_not_for_ever(
     began_ns = machine.now_ns
     assert own.drain() is not (gone or (held > 0 and not free_after_ms))
     assert machine.now_ns - began_ns == pytest.approx(waited_ms * MS, abs=0 if gone else MS)
-    assert own.lost is gone
+    assert (own.lost, own.errno) == (gone, errno.EIO * gone)
     assert wire.read() == bytes(held) + rest
+    assert not StopPort(-1, BOARD).holds()

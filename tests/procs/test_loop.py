@@ -71,12 +71,10 @@ def test_a_wait_clears_the_bells_that_it_returns_and_no_other_descriptor(longest
     loop.watch(other.fd, READ)
     rung.ring()
     other.ring()
+    machine.at_next("read", lambda: [bell.ring() for bell in (rung, silent)])
     assert loop.wait(longest_ns) == {rung.fd: READ, other.fd: READ}
+    assert loop.wait(longest_ns) == {silent.fd: READ, other.fd: READ}, "it has rung since"
     assert loop.wait(longest_ns) == {other.fd: READ}
-    other.clear()
-    assert loop.wait(longest_ns) == {}
-    silent.ring()
-    assert loop.wait(longest_ns) == {silent.fd: READ}
 
 
 @pytest.mark.parametrize("longest_ns", [2_000_000, 20_000_000])
