@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate seeds model board mutants docs site browser screens fleet feetech ros2 web deb release reproduce package-test vm wheels clean vm-arm64
+.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate seeds model board mutants docs site browser screens fleet feetech ros2 lerobot web deb release reproduce package-test vm wheels clean vm-arm64
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -67,6 +67,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/mypy packaging/deb/*.py packaging/release.py
+	$(BIN)/mypy integrations/lerobot
 
 bench: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,bench]'
@@ -173,6 +174,18 @@ $(VENV)/ros2/.installed: pyproject.toml
 	@$(ROS_PYTHON) -m venv --system-site-packages $(VENV)/ros2
 	@$(VENV)/ros2/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[test]' 'numpy<2'
 	@touch $@
+
+# The robot for LeRobot with the real LeRobot of the package index, which brings PyTorch: gigabytes, where the index has none that is for
+# processors alone. LEROBOT: the Python of an environment that has it already, with failstop's own dependencies and pip.
+LEROBOT ?= $(VENV)/lerobot/bin/python
+lerobot: $(VENV)/.dev $(LEROBOT)
+	FAILSTOP_LEROBOT=$(abspath $(LEROBOT)) $(BIN)/pytest --numprocesses 0 tests/kiwi
+
+$(VENV)/lerobot/bin/python:
+	@echo "installing LeRobot into $(VENV)/lerobot ..."
+	@$(PYTHON) -m venv $(VENV)/lerobot
+	@$(VENV)/lerobot/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) . 'lerobot[lekiwi]==0.4.4' || \
+	  { rm -rf $(VENV)/lerobot; exit 1; }
 
 # The operator's page in a real browser, Debian's chromium, and under attack. Needs root where there is no chromium yet.
 web: $(VENV)/.dev browser

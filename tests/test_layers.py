@@ -156,7 +156,7 @@ def test_nobody_imports_a_linked_room_by_its_folder() -> None:
 
 
 MOST_LINES = 400
-TOPS = ("failstop", "procs", "shm", "supervisor", "bench", "tests", "packaging", "model", "examples")
+TOPS = ("failstop", "procs", "shm", "supervisor", "bench", "tests", "packaging", "model", "examples", "integrations")
 MADE = ("build", "__pycache__")
 """Folders of what is built."""
 

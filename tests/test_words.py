@@ -11,11 +11,11 @@ from pathlib import Path
 from failstop.policy.settings import DECLARED
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("failstop", "procs", "shm", "supervisor", "bench", "packaging", "model")
+ROOMS = ("failstop", "procs", "shm", "supervisor", "bench", "packaging", "model", "integrations")
 MADE = "build"
 """A folder of what is built."""
 STANDIN = "standin"
-"""A folder of what stands in for ROS: its modules say what ROS's do."""
+"""A folder of what stands in for ROS, or for LeRobot: its modules say what theirs do."""
 LEANS = re.compile(r"(who|whom|whose|whoever|what|whatever|which|whichever|the same|and|but|nor|or)\b", re.IGNORECASE)
 MAY_LEAN = re.compile(rf"#[#: ]*{LEANS.pattern}", LEANS.flags)
 
@@ -57,7 +57,7 @@ def test_no_docstring_or_comment_begins_with_a_word_that_leans_on_another_senten
 
 
 def test_no_docstring_of_the_tests_begins_so() -> None:
-    left_out = {ROOT / "tests" / "ros2" / STANDIN}
+    left_out = {ROOT / "tests" / room / STANDIN for room in ("ros2", "kiwi")}
     paths = [path for path in sorted((ROOT / "tests").rglob("*.py")) if not left_out & set(path.parents)]
     found = [(path, line, text) for path in paths for line, text in docstrings(path)]
     assert len(found) > 1000

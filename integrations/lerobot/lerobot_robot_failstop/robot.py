@@ -1,0 +1,272 @@
+"""Failstop: a robot for LeRobot with LeKiwi's names, that moves through a failstop service.
+
+It commands, and holds nothing: the service owns the port, limits what is asked for, and stops wheels and arm when this
+program dies or falls silent. Numbers are LeKiwi's: m/s, deg/s, and -100 to 100 over a joint's calibrated range.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Callable, Collection
+from functools import cached_property
+from typing import Any
+
+from lerobot.cameras.utils import make_cameras_from_configs
+from lerobot.robots import Robot
+from lerobot.utils.constants import HF_LEROBOT_CALIBRATION, ROBOTS
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+
+from failstop import Block, Blocked, Driving, FailstopError, Preempted, Refused, State
+from failstop import Robot as Service
+from lerobot_robot_failstop import keys
+from lerobot_robot_failstop.config_failstop import FailstopConfig
+from lerobot_robot_failstop.units import Reach, Scale, Unit, base_numbers, base_velocity
+
+CALIBRATED_AS = "lekiwi"
+"""The name under which LeRobot keeps the calibration that its own host has written."""
+FRESH_S = 0.1
+"""A joint's reading of that age is an observation; an older one gives way to where the joint was sent."""
+VELOCITIES = ("x.vel", "y.vel", "theta.vel")
+logger = logging.getLogger(__name__)
+
+
+def _why_not(answer: Driving | Preempted | Blocked) -> str:
+    """Why the wheels do not obey; empty: they do, or the gate has not looked yet."""
+    if isinstance(answer, Preempted):
+        return f"{answer.by} drives"
+    return answer.why if isinstance(answer, Blocked) and answer.block is not Block.NO_COMMAND else ""
+
+
+class RobotStopped(RuntimeError):
+    """A stop is latched: its message says why, what proves it, and what to do."""
+
+
+class Failstop(Robot):  # type: ignore[misc]
+    """LeKiwi by way of a failstop service on this machine."""
+
+    config_class = FailstopConfig
+    name = "lekiwi_client"
+    """LeRobot compares it with the robot of a dataset that is gone on with, and takes a leader arm and a keyboard
+    together for a robot of this name alone."""
+
+    def __init__(self, config: FailstopConfig) -> None:
+        if config.calibration_dir is None:
+            config.calibration_dir = HF_LEROBOT_CALIBRATION / ROBOTS / CALIBRATED_AS
+        super().__init__(config)
+        self.config = config
+        self.cameras = make_cameras_from_configs(config.cameras)
+        self._service: Service | None = None
+        self._scales: dict[str, Scale] = {}
+        self._level = 0
+        self._told = dict.fromkeys(("wheels", "arm"), "")
+        """The last news of each part for people."""
+
+    @property
+    def _numbers(self) -> dict[str, type]:
+        return dict.fromkeys((*(f"arm_{joint}.pos" for joint in self.config.joints), *VELOCITIES), float)
+
+    @cached_property
+    def observation_features(self) -> dict[str, Any]:
+        """The type of each number, and the shape of each camera's picture."""
+        pictures = {name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()}
+        return {**self._numbers, **pictures}
+
+    @cached_property
+    def action_features(self) -> dict[str, type]:
+        """The type of each number."""
+        return self._numbers
+
+    @property
+    def is_connected(self) -> bool:
+        """Between connect() and disconnect()."""
+        return self._service is not None
+
+    @property
+    def is_calibrated(self) -> bool:
+        """A calibration file of LeRobot's is there for each joint."""
+        return all(f"arm_{joint}" in self.calibration for joint in self.config.joints)
+
+    def calibrate(self) -> None:
+        """Raise RuntimeError, with what to do: the service has the port, and takes calibrations over alone."""
+        raise RuntimeError(
+            "failstop takes a calibration over and makes none: stop the service, calibrate by `lerobot-calibrate"
+            f" --robot.type=lekiwi --robot.id={self.id} --robot.port=PORT`, and start it again"
+        )
+
+    def configure(self) -> None:
+        """Do nothing: failstop's settings configure the robot."""
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Connect to the service, read where the arm is, and open the cameras. Enables motion if the config says so.
+        Raises DeviceNotConnectedError without a service, or for an arm that can't be read; ValueError for a
+        calibration that does not fit the settings."""
+        if self.is_connected:
+            raise DeviceAlreadyConnectedError(f"{self} is connected already")
+        with contextlib.ExitStack() as undo:
+            try:
+                service = undo.enter_context(contextlib.closing(Service(self.config.service, client="lerobot")))
+                self._scales = self._scaled(service)
+                self._read_arm(service)
+                for camera in self.cameras.values():
+                    camera.connect()
+                    undo.callback(camera.disconnect)
+                if self.config.enable:
+                    service.enable()
+            except FailstopError as error:
+                raise DeviceNotConnectedError(f"{self}: {error}") from error
+            undo.pop_all()
+            self._service = service
+        if calibrate and not self.is_calibrated:
+            logger.info("%s has no calibration file: its joints' ranges are those of failstop's settings", self)
+
+    def _scaled(self, service: Service) -> dict[str, Scale]:
+        """LeRobot's numbers by each of its joints."""
+        declared = service.arm.joints if self.config.joints else {}
+        found = {}
+        for name, of_settings in self.config.joints.items():
+            if of_settings not in declared:
+                raise ValueError(
+                    f"failstop's settings have no joint {of_settings!r} for arm_{name}: they name {', '.join(declared)}"
+                    " (robot.joints maps one to the other)"
+                )
+            joint, reach = declared[of_settings], None
+            if self.calibration:
+                row = self.calibration.get(f"arm_{name}")
+                if row is None or row.id != joint.servo:
+                    says = "has no such joint" if row is None else f"says servo {row.id}"
+                    raise ValueError(
+                        f"arm_{name} is servo {joint.servo} by failstop's settings; {self.calibration_fpath} {says}"
+                    )
+                reach = Reach(row.range_min, row.range_max, bool(row.drive_mode))
+            whole = Unit.DEGREES if self.config.use_degrees else Unit.SHARE
+            found[name] = Scale(name, joint, reach, Unit.GRIP if name == "gripper" else whole)
+        return found
+
+    def _read_arm(self, service: Service) -> None:
+        """Have it read where nobody knows where a joint is."""
+        arm = service.state.arm
+        if self._scales and (arm is None or any(joint.at_rad is None for joint in arm.joints.values())):
+            try:
+                service.arm.read()
+            except Refused as error:
+                raise DeviceNotConnectedError(
+                    f"{self}: where the arm is was not read yet, and can't be now: {error}; connect again with motion"
+                    " disabled and no stop latched (`failstop why`)"
+                ) from error
+
+    def _connected(self) -> Service:
+        if self._service is None:
+            raise DeviceNotConnectedError(f"{self} is not connected: call connect() first")
+        return self._service
+
+    def get_observation(self) -> dict[str, Any]:
+        """Where each joint is, the velocity that the service commands, and a picture of each camera. Raises
+        DeviceNotConnectedError when the service has gone."""
+        service = self._connected()
+        try:
+            state = service.state
+        except FailstopError as error:
+            raise DeviceNotConnectedError(f"{self}: {error}") from error
+        found: dict[str, Any] = {f"arm_{name}.pos": scale.number(angle) for name, scale, angle in self._joints(state)}
+        found |= base_numbers(*state.body_vel)
+        for name, camera in self.cameras.items():
+            found[name] = camera.read_latest()
+        if state.arm and self._scales:
+            self._tell("arm", state.arm.refused)
+        return found
+
+    def _joints(self, state: State) -> list[tuple[str, Scale, float]]:
+        """The angle of each joint, rad: as read, where that is fresh, and else where it was sent."""
+        found = []
+        for name, scale in self._scales.items():
+            joint = state.arm.joints.get(self.config.joints[name]) if state.arm else None
+            fresh = joint is not None and joint.age_s is not None and joint.age_s <= FRESH_S
+            angle = None if joint is None else joint.angle_rad if fresh else joint.at_rad
+            if angle is None:
+                raise DeviceNotConnectedError(f"{self}: where arm_{name} is was not read yet; `failstop arm` reads it")
+            found.append((name, scale, angle))
+        return found
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, float]:
+        """Hand an action on, and return it as the service was asked for it: joints within the settings' range. A
+        velocity that the action does not have is zero where it has another. Raises RobotStopped for a latched stop
+        (after_stop), ValueError for a number that is not finite or a name that LeKiwi does not have, and
+        DeviceNotConnectedError when the service has gone."""
+        service = self._connected()
+        if unknown := sorted(set(action) - set(self.action_features)):
+            raise ValueError(f"no action {unknown[0]!r}: there are {', '.join(self.action_features)}")
+        angles = {
+            name: scale.angle_rad(float(action[key]))
+            for name, scale in self._scales.items()
+            if (key := f"arm_{name}.pos") in action
+        }
+        given = {name: float(action.get(name, 0.0)) for name in VELOCITIES}
+        sent = {f"arm_{name}.pos": self._scales[name].number(angle) for name, angle in angles.items()}
+        try:
+            if angles:
+                service.arm.follow({self.config.joints[name]: angle for name, angle in angles.items()})
+            if not set(VELOCITIES) & set(action):
+                self._look(service, service.state.cause is not None)
+                return sent
+            answer = service.drive(
+                *base_velocity(*given.values()), manual=self.config.manual, source=self.config.source, wait_s=0.0
+            )
+            self._look(service, isinstance(answer, Blocked) and answer.block is Block.LATCHED)
+            self._tell("wheels", _why_not(answer) if any(given.values()) else "")
+        except FailstopError as error:
+            raise DeviceNotConnectedError(f"{self}: {error}") from error
+        return {**sent, **given}
+
+    def _look(self, service: Service, latched: bool) -> None:
+        if latched and self.config.after_stop == "raise":
+            raise RobotStopped(str(service.why()))
+
+    def _tell(self, part: str, why: str) -> None:
+        """Tell people why a part stands, when that is news."""
+        if why != self._told[part]:
+            self._told[part] = why
+            if why:
+                logger.warning("the %s stand%s still: %s (`failstop why`)", part, "" if part == "wheels" else "s", why)
+
+    def stop_base(self) -> None:
+        """Bring the wheels to rest, as LeKiwi's host asks for when it hears nothing."""
+        self._connected().drive(0.0, 0.0, 0.0, manual=self.config.manual, source=self.config.source, wait_s=0.0)
+
+    def park(self) -> None:
+        """Bring the arm to its tuck pose, then switch its torque off. Raises Refused, and lets nothing go then."""
+        arm = self._connected().arm
+        arm.pose("tuck")
+        arm.release()
+
+    def release(self) -> None:
+        """Switch the arm's torque off where it is: it falls. Raises Refused while motion is enabled."""
+        self._connected().arm.release()
+
+    def disconnect(self) -> None:
+        """Leave: the wheels stop, motion that this robot enabled is disabled, and the arm is held, parked or released
+        (at_end)."""
+        service = self._connected()
+        ends: dict[str, Callable[[], None]] = {"park": self.park, "release": self.release}
+        try:
+            if self._scales and (end := ends.get(self.config.at_end)):
+                self._end(service, end)
+        finally:
+            self._service = None
+            with contextlib.ExitStack() as rest:
+                rest.callback(service.close)
+                for camera in self.cameras.values():
+                    rest.callback(camera.disconnect)
+
+    def _end(self, service: Service, end: Callable[[], None]) -> None:
+        try:
+            if self.config.enable:
+                service.disable()
+            end()
+        except Refused as error:
+            logger.warning("the arm is held and not let go: %s", error)
+
+    def _from_keyboard_to_base_action(self, pressed_keys: Collection[str]) -> dict[str, float]:
+        """The velocity by LeKiwi's keys: LeRobot's scripts for LeKiwi ask for it by this name."""
+        self._level = keys.level_after(self._level, pressed_keys, self.config.teleop_keys)
+        return keys.velocity(self._level, pressed_keys, self.config.teleop_keys)

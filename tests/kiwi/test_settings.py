@@ -1,0 +1,52 @@
+"""A calibration file of LeRobot's becomes failstop's settings."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from lerobot_robot_failstop.__main__ import main
+
+from failstop import config
+
+from .scene import CALIBRATION, RANGES
+
+WITHOUT = {name: row for name, row in CALIBRATION.items() if name != "arm_gripper"}
+EMPTY = CALIBRATION | {"arm_gripper": {**CALIBRATION["arm_gripper"], "range_min": 600}}
+
+
+def test_the_settings_have_the_servos_and_ranges_of_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "kiwi.json"
+    file.write_text(json.dumps(CALIBRATION))
+    assert main([str(file)]) == 0
+    settings = tmp_path / "arm.toml"
+    settings.write_text(capsys.readouterr().out)
+    found = config.load(str(settings)).named["joints"]
+    wanted = {name: (servo, low, high) for name, (servo, _, low, high) in RANGES.items()}
+    assert {name: (row["servo"], row["low"], row["high"]) for name, row in found.items()} == wanted
+    assert found["gripper"]["zero"] == 500
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (None, "No such file"),
+        ("{", "Expecting property name"),
+        ("[]", "is it LeKiwi's calibration?"),
+        (json.dumps(WITHOUT), "no arm_gripper with id, range_min, range_max: is it LeKiwi's calibration?"),
+        (json.dumps(EMPTY), "arm_gripper has a range from 600 to 600: calibrate it again"),
+    ],
+)
+def test_what_is_no_calibration_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: Any, told: str
+) -> None:
+    file = tmp_path / "kiwi.json"
+    if text is not None:
+        file.write_text(text)
+    assert main([str(file)]) == 1
+    assert told in capsys.readouterr().err
+    assert main([]) == 2
