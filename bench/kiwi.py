@@ -25,6 +25,7 @@ from bench.report import progress
 from bench.stats import Row
 from failstop.lab.faults.arm import ArmTrial, judge
 from failstop.lab.faults.arm_table import ARM_FAULT_BY_NAME, BY_ITSELF_MS, GOAL_MS, STOP_MS
+from failstop.lab.stopped import judge as stopped_by
 from failstop.lab.trial import wait_for
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -105,16 +106,27 @@ def streaming(bench: Bench, seconds: float) -> Iterator[Row]:
 
 def wheels(bench: Bench, fault: signal.Signals, count: int, bar_ms: float) -> Row:
     """The policy is struck while the base drives."""
-    found = []
+    found: list[int] = []
+    wrong: list[str] = []
     for turn in range(count):
         progress(f"{fault.name} while driving, {turn + 1} of {count}")
         bench.ready()
         bench.trial.robot.enable()
         mark = bench.trial.board.info()["executed"]
         at_ns = bench.struck("wheels", fault)
-        stop = bench.trial.board.wait_for(lambda e: e.is_motor and not any(e.speeds), 10.0, mark)
-        found.append(stop.arrival_ns - at_ns)
-    return stats.timing(f"{fault.name} of the policy while driving -> wheels zero", found, p50_ms=None, p99_ms=bar_ms)
+        stopped = stopped_by(bench.trial.board.events(mark), at_ns, was_turning=True)
+        if stopped.stop_ns is None or stopped.motion_after:
+            wrong.append(f"{stopped.motion_after} motion frames after the stop" if stopped.stop_ns else "no stop")
+        found += [stopped.stop_ns] if stopped.stop_ns is not None else []
+    timed = stats.timing(f"{fault.name} of the policy while driving -> wheels zero", found, p50_ms=None, p99_ms=bar_ms)
+    return judged(timed, wrong)
+
+
+def judged(timed: Row, wrong: list[str]) -> Row:
+    """The row, with what went wrong beside the times."""
+    timed.result += f"  {wrong}" if wrong else ""
+    timed.met = timed.met and not wrong
+    return timed
 
 
 def arm(bench: Bench, fault: signal.Signals, count: int, bar_ms: float) -> Row:
@@ -131,9 +143,7 @@ def arm(bench: Bench, fault: signal.Signals, count: int, bar_ms: float) -> Row:
         found.append(round((rested.rest_ms or 0) * 1e6))
         wrong += [*rested.wrong, *(["a servo is limp"] if board.limp() else [])]
     timed = stats.timing(f"{fault.name} of the policy -> every joint stands", found, p50_ms=None, p99_ms=bar_ms)
-    timed.result += f"  {wrong}" if wrong else ""
-    timed.met = timed.met and not wrong
-    return timed
+    return judged(timed, wrong)
 
 
 def main() -> int:

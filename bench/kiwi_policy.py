@@ -2,7 +2,8 @@
 numbers, 30 times a second, as LeRobot's own loops do. It says `streams` with the first, and at the end, as JSON, when
 each turn began, and how long it took to observe and to act, in ns.
 
-PART: arm, whose joints go to and fro; wheels, with the joints as they are observed; or nothing, a loop alone.
+PART: arm, whose joints go to and fro; wheels, with the joints as they are observed; both, where a board moves them at
+once; or nothing, a loop alone.
 """
 
 from __future__ import annotations
@@ -14,6 +15,9 @@ import time
 
 from lerobot.robots import make_robot_from_config
 from lerobot_robot_failstop import FailstopConfig
+from lerobot_robot_failstop.config_failstop import JOINTS as KIWIS
+
+from failstop import Robot
 
 JOINTS = {"shoulder_pan": "base", "shoulder_lift": "shoulder", "elbow_flex": "elbow"}
 JOINTS |= {"wrist_flex": "wrist", "wrist_roll": "roll", "gripper": "gripper"}
@@ -26,18 +30,20 @@ def main(service: str, part: str, seconds: float = math.inf) -> None:
     """Stream for so long."""
     robot = None
     if part != "nothing":
-        robot = make_robot_from_config(FailstopConfig(id="kiwi", service=service, joints=JOINTS))
+        with Robot(service) as found:
+            joints = JOINTS if "base" in found.arm.joints else dict(zip(KIWIS, KIWIS, strict=True))
+        robot = make_robot_from_config(FailstopConfig(id="kiwi", service=service, joints=joints))
         robot.connect()
     begun_ns = time.monotonic_ns()
     turns: list[tuple[int, int, int]] = []
     while (now_ns := time.monotonic_ns()) - begun_ns < seconds * 1e9:
         action = robot.get_observation() if robot else {}
         seen_ns = time.monotonic_ns()
-        if part == "arm":
+        if part in ("arm", "both"):
             t = (now_ns - begun_ns) / 1e9 % STROKE_S
             action |= {f"arm_{joint}.pos": 40 * min(t, STROKE_S - t) for joint in JOINTS}
             action |= dict.fromkeys(("x.vel", "y.vel", "theta.vel"), 0.0)
-        else:
+        if part in ("wheels", "both"):
             action["x.vel"] = 0.1
         if robot:
             robot.send_action(action)

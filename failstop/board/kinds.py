@@ -39,7 +39,7 @@ def watchdog_of(kind: str) -> tuple[float, str]:
     if kind not in KINDS:
         return 0.0, ""
     watchdog = wire_of(kind).watchdog
-    return watchdog.acts_ns / 1e9, watchdog.does
+    return watchdog.acts_ns / 1e9, watchdog.does if watchdog.acts_ns else ""
 
 
 def board_of(

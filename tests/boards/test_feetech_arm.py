@@ -31,10 +31,13 @@ class Kiwi:
         self.simulated = Simulated(JOINTS, kind="feetech")
         model: Any = self.simulated.lab.board.model
         self.bus: Bus = model.receiver
-        self.arm = self.simulated.robot.arm
         self.angle = 0.0
         self.arm.follow(dict.fromkeys(NAMES, 0.0))
         self.simulated.wait_for("its torque", lambda: self.follow(0.0) and self.torques() == {1})
+
+    @property
+    def arm(self) -> Any:
+        return self.simulated.robot.arm
 
     def torques(self) -> set[int]:
         return {self.bus.memory[servo][codec.TORQUE_SWITCH] for servo in IDS.values()}

@@ -135,6 +135,7 @@ def test_the_furthest_follows_the_settings(changed: dict[str, Any], latest: str)
     ("kind", "told"),
     [
         ("rrc", "it drives on: failstop knows of no watchdog that this board has."),
+        ("feetech", "it drives on: failstop knows of no watchdog that this board has."),
         ("ugv", "the board's own watchdog has it stand after 0.12 m."),
         ("hoverboard", "the board's own watchdog acts after 0.16 m: its wheels roll on without current."),
     ],

@@ -15,7 +15,7 @@ from .scene import HERE, PLUGIN, LeRobot, robot_with_an_arm
 sys.path[:0] = [str(HERE / "standin"), str(PLUGIN)]
 
 
-@pytest.fixture(scope="session", params=["stand-in", "real"])
+@pytest.fixture(scope="module", params=["stand-in", "real"])
 def lerobot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> LeRobot:
     return LeRobot(request.param, tmp_path_factory.mktemp("lerobot"))
 

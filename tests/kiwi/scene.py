@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from failstop.lab.faults.arm import ArmTrial
+from failstop.lab.trial import Trial
 from failstop.supervisor import status
 from tests.support.pages import blocks
 
@@ -125,8 +126,8 @@ def started(lerobot: LeRobot, *words: str) -> Iterator[subprocess.Popen[str]]:
 
 
 @contextmanager
-def policy(lerobot: LeRobot, trial: ArmTrial, part: str) -> Iterator[subprocess.Popen[str]]:
-    """A policy's program that streams actions of `part`, arm or wheels, thirty a second; killed at the end."""
+def policy(lerobot: LeRobot, trial: Trial, part: str) -> Iterator[subprocess.Popen[str]]:
+    """A policy's program that streams actions of `part` (bench/kiwi_policy.py), thirty a second; killed at the end."""
     with started(lerobot, str(ROOT / "bench/kiwi_policy.py"), trial.name, part) as process:
         assert process.stdout
         said = list(takewhile(lambda line: line != "streams\n", process.stdout))

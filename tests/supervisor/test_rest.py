@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.board.interface import SUPERVISOR_ROW
-from failstop.messages import layout
+from failstop.messages import layout, records
 from failstop.procs.loop import READ
 from failstop.supervisor.main import AT_REST_NS, BEATS_ALONE, EXCUSE_NS, TICK_NS
 from tests.support.stage import MS
@@ -109,16 +109,21 @@ def test_a_port_owner_that_serves_repeats_its_own_stop() -> None:
     assert stops(scene, 60 * MS) == []
 
 
-def test_a_report_of_zeros_acknowledges_what_was_written_long_enough_before() -> None:
-    scene = made("hoverboard")
+@pytest.mark.parametrize(("kind", "link"), [("hoverboard", b"unasked"), ("feetech", b"alive")])
+def test_a_report_of_zeros_acknowledges_what_was_written_long_enough_before(kind: str, link: bytes) -> None:
+    """Of a board that can report them nothing else does: a servo that answers may have lost the stop."""
+    scene = made(kind)
     scene.stops("the first")
     written_ns = scene.port_owner.word("written_ns").get()
     obeyed, echo_ns = scene.telemetry.word("obeyed_ns"), scene.port.board.echo_ns
+    scene.port_owner.word("ping_0").set(written_ns + 1)
     scene.turn(echo_ns)
+    if scene.port.board.pings:
+        scene.telemetry.word("pong").set(records.pack_pong(written_ns + 2 * MS, 0))
     obeyed.set(written_ns + echo_ns - 1)
     scene.turn(MS)
     assert scene.table("stop")["acknowledged_us"] is None, "it may be of before"
     obeyed.set(written_ns + echo_ns)
     scene.turn(MS)
     assert scene.table("stop")["acknowledged_us"] > 0
-    assert scene.read("link") == b"unasked"
+    assert scene.read("link") == link

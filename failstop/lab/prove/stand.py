@@ -29,7 +29,7 @@ from failstop.setup.ending import end_with_parent, uninterrupted
 if TYPE_CHECKING:
     from failstop.lab.prove.swing import Swing
 
-SPEEDS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
+OF_SPEEDS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
 LOOK_EVERY_S = 0.001
 FREE_S = 5.0
 """The port is to be had again within this time after the service's end."""
@@ -66,8 +66,8 @@ def settings_for(user: dict[str, object]) -> dict[str, object]:
     """The user's settings, with limits that let the velocities of the table pass. Raises SettingError."""
     fastest = [max(abs(velocity.command[axis]) for velocity in TURNINGS) for axis in (0, 2)]
     have = Settings({**user})
-    limits = {key: have[key] for key in SPEEDS}
-    for key, needed in zip((SPEEDS[0], SPEEDS[-1]), fastest, strict=True):
+    limits = {key: have[key] for key in OF_SPEEDS}
+    for key, needed in zip((OF_SPEEDS[0], OF_SPEEDS[-1]), fastest, strict=True):
         limits[key] = max(have[key], needed)
     kept = {key: value for key, value in user.items() if key != "device.path"}
     fastest_rps, most_rps = max_wheel_rps(Settings({**kept, **limits})), board_of(*have.board()).most_rps

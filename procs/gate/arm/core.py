@@ -353,9 +353,9 @@ class ArmCore:
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
         if self._looks and self._stream.on and what == POSITION and value is not None:
-            for joint in self.joints:
-                if joint.servo == servo:
-                    joint.measured, joint.measured_ns, joint.misses = value, t_ns, 0
+            for moving in self.joints:
+                if moving.servo == servo:
+                    moving.measured, moving.measured_ns, moving.misses = value, t_ns, 0
             return
         if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._stream.on:
             # A servo turned beyond what a move can say is as near as one can.

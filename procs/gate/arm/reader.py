@@ -23,7 +23,7 @@ IDLE_NS = 150_000_000
 """Between two questions that nobody waits for."""
 AGREE = 5
 """Pulses by which two readings of a servo that stands may differ."""
-LOOK_NS = 16_000_000
+LOOKS_APART_NS = 16_000_000
 """Between two looks at joints on their way, where the board takes such questions: each of six has 30 a second."""
 LOOKED = 3
 """Joints in a look."""
@@ -49,7 +49,7 @@ class ServoReader:
         """The joints of the next look; empty: none is due."""
         if now_ns < self.look_ns:
             return []
-        self.look_ns, at = now_ns + LOOK_NS, self._looked
+        self.look_ns, at = now_ns + LOOKS_APART_NS, self._looked
         self._looked = at + LOOKED if at + LOOKED < len(joints) else 0
         return joints[at : at + LOOKED]
 
