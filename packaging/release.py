@@ -131,7 +131,7 @@ def twice(version: str, folder: Path, wheels: Path) -> list[Path]:
         os.umask(umask)
         run(*words, cwd=place, environ=os.environ | world | {"HOME": str(place)})
     if differs := first_difference(*outs):
-        raise ReleaseError(f"two builds of {version} are not equal: {differs}{explained(*outs, differs)}")
+        raise ReleaseError(f"two builds of {version} are not equal: {differs}{explained(outs[0], outs[1], differs)}")
     return sorted(outs[0].iterdir())
 
 
