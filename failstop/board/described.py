@@ -19,7 +19,8 @@ from failstop.board.interface import (
     Board,
     Hearing,
 )
-from failstop.board.wire import ECHOED, OBSERVED, Battery, Imu, Obeyed, Sample, ServoAnswer, Wheels
+from failstop.board.servos import ServoAnswer
+from failstop.board.wire import ECHOED, OBSERVED, Battery, Imu, Obeyed, Sample, Wheels
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

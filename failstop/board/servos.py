@@ -14,6 +14,8 @@ from struct import Struct
 
 from failstop.board import framing
 from failstop.board.framing import BUS_SERVO, HEAD, FrameError, crc8, frame
+from failstop.board.wire import Sample
+from failstop.data import Data
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -50,6 +52,14 @@ MOST_STOPS = HELD_NS // STOP_NS
 _U16 = Struct("<H")
 _ID_U16 = Struct("<BH")
 _MOVES_AT = 4
+
+
+class ServoAnswer(Sample, Data):
+    """An arm's servo, what it was asked (one of READS) and its answer, as bus_servo_read() names its unit."""
+
+    servo: int
+    what: int
+    value: int
 
 
 def bus_ns(func: int, data: bytes) -> int:

@@ -159,14 +159,6 @@ class Imu(Sample, Data):
     gyro: tuple[float, float, float]
 
 
-class ServoAnswer(Sample, Data):
-    """An arm's servo, what it was asked (one of servos.READS) and its answer, in the unit that is named there."""
-
-    servo: int
-    what: int
-    value: int
-
-
 class Answer(Sample, Data):
     """A line that only answers, and is never sent unasked."""
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from struct import Struct
 
 from failstop.board.framing import counted, number
-from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE
-from failstop.board.wire import Answer, Battery, Obeyed, Reader, Sample, ServoAnswer, Wheels, beyond
+from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE, ServoAnswer
+from failstop.board.wire import Answer, Battery, Obeyed, Reader, Sample, Wheels, beyond
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
