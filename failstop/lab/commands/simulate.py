@@ -128,7 +128,7 @@ def _controls(board: str, jobs: int, wanted: str, file: str) -> int:
     if not any(map(asked, known)):
         raise FailstopError(f"no control {wanted}; there are: {'; '.join(known)}")
     boards = BOARDS if file else (board,)
-    print(control_runs.HEAD, flush=True)
+    print(control_runs.TABLE_HEAD, flush=True)
     every = []
     for found in control_runs.searched(CONTROL_S, jobs, lambda each: asked(each.row) and each.board in boards):
         every.append(found)
