@@ -65,14 +65,14 @@ def main(arguments: Namespace) -> int:
     try:
         from failstop.lab.boards.traits import traits_of
         from failstop.lab.simulate import campaign, marks
-        from failstop.lab.simulate.for_seeds import FOR_SEEDS, play_of
+        from failstop.lab.simulate.for_seeds import for_seeds_of, play_of
         from failstop.lab.simulate.scenarios import scenarios_of
     except ModuleNotFoundError as error:
         raise FailstopError(f"this needs the package {error.name}: `pip install {error.name}`") from None
 
     board, traits = arguments.board, traits_of(arguments.board)
     known = scenarios_of(traits)
-    there = known if not (arguments.scenario or arguments.list) else [*known, *FOR_SEEDS]
+    there = known if not (arguments.scenario or arguments.list) else [*known, *for_seeds_of(traits)]
     names = matching(arguments.scenario, {name: name for name in there}, "no scenario {}: --list has them")
     if arguments.list:
         for name in names:
