@@ -9,7 +9,6 @@ from random import Random
 import pytest
 
 from failstop.lab.machine.files import Regular
-from failstop.lab.machine.loading import HOME
 from failstop.lab.machine.memory import WeakMachine
 from failstop.lab.simulate import control_runs, controls, seeds
 from failstop.lab.simulate.control_runs import BOTH
@@ -81,20 +80,20 @@ def test_a_barrier_that_is_taken_out_is_missed(row: str) -> None:
 
 
 def test_the_page_of_controls_has_each_of_them_and_no_other() -> None:
-    lines = (Path(HOME) / "docs/dev/controls.md").read_text(encoding="utf-8").splitlines()
+    lines = (Path(__file__).parents[2] / "docs/dev/controls.md").read_text(encoding="utf-8").splitlines()
     rows = [line.split(" | ")[0].removeprefix("| ") for line in lines if line.startswith("| ")]
     wanted = {each.row for each in BOTH} | controls.NOT_EXPRESSED.keys()
     assert sorted(row for row in rows if row not in HEADS) == sorted(wanted)
 
 
-def test_a_round_presses_on_records_that_are_there_and_not_for_ever() -> None:
+def test_a_round_presses_on_records_that_are_there_and_seldomer_in_time() -> None:
     machine = WeakMachine()
     segment = machine.root.folder("/dev/shm")
     epoch = PLACES[0]
     segment.put(f"failstop.1.{epoch[0]}", file := Regular())
     pressing = Pressing(Random(1), machine, [0])
     pressing.begin(memory=True, others=True)
-    assert 1 <= sum(pressing.comes(file, epoch[1].start) for _ in range(1000)) < 30
+    assert 1 <= sum(pressing.comes(file, epoch[1].start) for _ in range(1000)) < 600
     assert not any(pressing.comes(file, epoch[1].stop) for _ in range(100))
     pressing.begin(memory=False, others=True)
     assert not any(pressing.comes(file, epoch[1].start) for _ in range(100))

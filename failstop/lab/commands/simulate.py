@@ -65,14 +65,14 @@ def main(arguments: Namespace) -> int:
     try:
         from failstop.lab.boards.traits import traits_of
         from failstop.lab.simulate import campaign, marks
-        from failstop.lab.simulate.for_seeds import FOR_SEEDS, play_of
+        from failstop.lab.simulate.for_seeds import for_seeds_of, play_of
         from failstop.lab.simulate.scenarios import scenarios_of
     except ModuleNotFoundError as error:
         raise FailstopError(f"this needs the package {error.name}: `pip install {error.name}`") from None
 
     board, traits = arguments.board, traits_of(arguments.board)
     known = scenarios_of(traits)
-    there = known if not (arguments.scenario or arguments.list) else [*known, *FOR_SEEDS]
+    there = known if not (arguments.scenario or arguments.list) else [*known, *for_seeds_of(traits)]
     names = matching(arguments.scenario, {name: name for name in there}, "no scenario {}: --list has them")
     if arguments.list:
         for name in names:
@@ -128,7 +128,7 @@ def _controls(board: str, jobs: int, wanted: str, file: str) -> int:
     if not any(map(asked, known)):
         raise FailstopError(f"no control {wanted}; there are: {'; '.join(known)}")
     boards = BOARDS if file else (board,)
-    print(control_runs.HEAD, flush=True)
+    print(control_runs.TABLE_HEAD, flush=True)
     every = []
     for found in control_runs.searched(CONTROL_S, jobs, lambda each: asked(each.row) and each.board in boards):
         every.append(found)

@@ -18,7 +18,7 @@ ENOUGH = 6
 """A run that needs more deviations is looked for again, while there is time."""
 COLUMNS = ("taken out", "scenario", "found by", "s", "deviations", "what is wrong then", "commit")
 NOT_YET = "not looked for" + " |" * (len(COLUMNS) - 2)
-HEAD = "| " + " | ".join(COLUMNS) + " |\n|" + "---|" * len(COLUMNS)
+TABLE_HEAD = "| " + " | ".join(COLUMNS) + " |\n|" + "---|" * len(COLUMNS)
 
 PAGE = """\
 # What is taken out, and missed
@@ -130,4 +130,4 @@ def page(found: Iterable[Found], seconds: float, before: str = "") -> str:
 
     model, memory = ("\n".join(map(line, controls)) for controls in (CONTROLS, WEAK_CONTROLS))
     others = "\n".join(f"| {row} | {why} |" for row, why in NOT_EXPRESSED.items())
-    return PAGE.format(seconds=f"{seconds:g}", head=HEAD, model=model, memory=memory, others=others)
+    return PAGE.format(seconds=f"{seconds:g}", head=TABLE_HEAD, model=model, memory=memory, others=others)

@@ -3,8 +3,9 @@ their calls would show nothing that those of scenarios.py do not."""
 
 from __future__ import annotations
 
+from failstop.lab.boards.traits import HAS_ARM, Traits
 from failstop.lab.simulate.scenarios import ARM_SETTINGS, SCENARIOS, Play, driving
-from failstop.lab.simulate.stage import SETTINGS, SPEED_MPS, Stage
+from failstop.lab.simulate.stage import NEEDS, SETTINGS, SPEED_MPS, Stage
 from failstop.messages import records
 
 FOR_SEEDS: dict[str, Play] = {}
@@ -18,9 +19,15 @@ def play_of(name: str) -> Play:
     return SCENARIOS.get(name) or FOR_SEEDS[name]
 
 
+def for_seeds_of(traits: Traits) -> list[str]:
+    """The names of those that a board can have."""
+    return [name for name, play in FOR_SEEDS.items() if NEEDS[play] <= traits.parts]
+
+
 def for_seeds(play: Play) -> Play:
-    """Declare one."""
+    """Declare one that any board can have."""
     FOR_SEEDS[play.__name__] = play
+    NEEDS[play] = frozenset()
     return play
 
 
@@ -99,7 +106,7 @@ def _starves_again(name: str, ms: int) -> None:
 
     play.__doc__ = f"The port owner is starved for {ms} ms, and again as soon as it has said that it moves the arm."
     FOR_SEEDS[name] = play
-    SETTINGS[play] = ARM_SETTINGS
+    SETTINGS[play], NEEDS[play] = ARM_SETTINGS, frozenset((HAS_ARM,))
 
 
 _starves_again("starves_again", 102)

@@ -73,7 +73,7 @@ class Segments:
         return self._names[node.number]
 
     def places(self, node: Any, at: int) -> list[int]:
-        """Where in PLACES an access is: one or none."""
+        """An access by its number in PLACES: one or none."""
         segment = self.name(node)
         return [number for number, (name, place) in enumerate(PLACES) if name == segment and at in place]
 
@@ -92,7 +92,7 @@ class Met:
 
 
 class Pressing:
-    """What the rounds of a run press on, of these records."""
+    """The records that the rounds of a run press on, out of these."""
 
     def __init__(self, dice: Random, machine: WeakMachine, places: Collection[int]) -> None:
         self._dice, self.segments = dice, Segments(machine)

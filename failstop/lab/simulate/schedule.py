@@ -100,7 +100,7 @@ class Schedule:
         self._marked: Thread | None = None
         """At its next call or access an event comes."""
         self._far = 0
-        """Or behind so many more of them."""
+        """So many more calls lie between."""
         self._marked_for: Collection[str] = DRAWN_KINDS
         """One of these."""
         self._pressing = Pressing(tape.dice, machine, places)
@@ -272,7 +272,7 @@ class Schedule:
         group = dice.choice(list(groups))
         self._heavy -= group not in LIGHT
         kind = dice.choice(list(groups[group]))
-        least = 0 if kinds is DRAWN_KINDS else MEASURES // 2  # what is to be met there needs its time
+        least = 0 if kinds is DRAWN_KINDS else MEASURES // 2  # to be met there takes its time
         value = 1 + DRAWN_KINDS.index(kind) * MEASURES + dice.randrange(least, MEASURES)
         self._happen(f"{self._round} {self._label(place)}", value, groups[group][kind], thread, call, about)
 

@@ -27,7 +27,7 @@ from failstop.lab.machine.loading import HOME, Patches
 from failstop.lab.machine.memory import WeakMachine
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.campaign import of_board
-from failstop.lab.simulate.for_seeds import FOR_SEEDS, play_of
+from failstop.lab.simulate.for_seeds import for_seeds_of, play_of
 from failstop.lab.simulate.kinds import GROUP_OF
 from failstop.lab.simulate.pressing import PLACES, Met
 from failstop.lab.simulate.scenarios import scenarios_of
@@ -161,7 +161,9 @@ class Nursery:
         """`board`: its kind, as the setting board.kind. `groups`: those of schedule.py that are on; empty: by each
         seed's own draw. `rounds`: so many scenarios a run."""
         self._board, traits = board, traits_of(board)
-        self._names = names or [name for name in (*scenarios_of(traits), *FOR_SEEDS) if not _stays_down(name)]
+        self._names = names or [
+            name for name in (*scenarios_of(traits), *for_seeds_of(traits)) if not _stays_down(name)
+        ]
         self._alike: dict[str, list[str]] = {}
         """Scenarios by their settings, the simplest first: one run is of one kind."""
         for name in sorted(self._names, key=lambda name: name != SIMPLEST):
