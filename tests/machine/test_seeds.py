@@ -20,7 +20,7 @@ from failstop.lab.simulate.tape import Draws, Tape, shrunk
 
 OWN_STOP = next(each for each in CONTROLS if each.row == "own stop does not refuse motion")
 MOST_DRAWS = 6
-QUICK = ("look: supervisor", "reply: client")
+QUICK = ("reply: client", "unknown: supervisor")
 HEADS = (control_runs.COLUMNS[0], "row")
 
 
