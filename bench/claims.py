@@ -24,13 +24,15 @@ CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("systemd: stops missed", ("SEVERAL-1", "END-1")),
     ("systemd: motion frames after", ("MOVE-2",)),
     (r"bridge (killed|stopped \(SIGSTOP\)) while driving", ("CLIENT-1",)),
+    (r"(killed|stopped \(SIGSTOP\)) while the base drives|SIG\w+ of the policy while driving", ("CLIENT-1",)),
+    (r"(killed|stopped) while the arm moves|SIG\w+ of the policy -> every joint", ("ARM-1",)),
     ("second publisher", ("CLIENT-1",)),
 )
 CARRY_NONE = (
     "processor|memory|start to first state|systemd: boot -> READY",
     r"drive\(\) -> motor frame|cmd_vel published to motor frame|one way, ",
     "kills that found the wheels at rest|systemd: wheels found at rest",
-    "streaming jitter|moves of the gate|follow at|arm in the settings but absent",
+    "streaming jitter|30 Hz, |30 Hz with |moves of the gate|follow at|arm in the settings but absent",
     "failstop against the fastest peer",
 )
 """Rows that no claim needs: what the service costs, how soon it begins or obeys, whether a measurement was a good one,

@@ -111,7 +111,8 @@ def robot_with_an_arm() -> Iterator[ArmTrial]:
 def started(lerobot: LeRobot, *words: str) -> Iterator[subprocess.Popen[str]]:
     """A program that is killed at the end."""
     process = subprocess.Popen(
-        [lerobot.python, *words],
+        # Where the tests run without a terminal, SIGHUP may be ignored, which a child inherits.
+        ["env", "--default-signal=HUP", lerobot.python, *words],
         env=lerobot.environment,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,

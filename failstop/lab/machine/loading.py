@@ -34,7 +34,7 @@ HARMLESS = {
 SHARED_MODULES = frozenset(
     f"failstop.{name}"
     for name in (
-        *("data", "version", "messages.box", "messages.records"),
+        *("data", "messages.box", "messages.records"),
         *(f"policy.{each}" for each in ("capsules", "causes", "joints", "kinematics", "layouts")),
         *(f"policy.{each}" for each in ("processes", "proofs", "robots")),
         *("policy.setting", "policy.settings"),

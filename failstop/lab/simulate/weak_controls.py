@@ -59,7 +59,7 @@ WEAK_CONTROLS = (
         (
             (
                 SUPERVISOR_MODULE,
-                "                self.blackbox.latched(latch.stop, self.epoch)\n",
+                "                self.blackbox.latched(latch.stop, self.epochs.number)\n",
                 "                pass\n",
             ),
         ),
