@@ -32,10 +32,13 @@ def test_events_and_requests_of_several_tasks(trial: Trial) -> None:
     async def stop_is_told() -> list[str]:
         async with Robot.connect(trial.name) as robot:
             events = robot.events()
-            asker = asyncio.create_task(_ask(robot))
+            told = asyncio.Event()  # what lasts for less than the supervisor's next look is no event
+            asker = asyncio.create_task(_ask(robot, told))
             found: list[str] = []
             async for event in events:
                 found.append(event.kind)
+                if found.count("enabled") == 2:
+                    told.set()
                 if event.kind == "stop":
                     break
             await asker
@@ -108,8 +111,9 @@ def test_nothing_that_holds_the_wheels_makes_the_loop_wait(trial: Trial, monkeyp
     assert not trial.robot.state.enabled
 
 
-async def _ask(robot: AsyncRobot) -> None:
+async def _ask(robot: AsyncRobot, told: asyncio.Event) -> None:
     await asyncio.gather(robot.enable(), robot.disable(), robot.enable())
+    await told.wait()
     robot.estop("enough")
     await robot.wait_for("latched", 5.0)
     with pytest.raises(Refused):
