@@ -116,7 +116,7 @@ def last(wanted: str, folder: Path) -> Path:
 def lintian(packages: list[Path]) -> list[stats.Row]:
     """Its errors and warnings, overrides that say of nothing, and those without a reason above them."""
     if not (program := shutil.which("lintian")):
-        return [stats.Row("lintian", "skipped: not installed (apt install lintian)", "-", None, {})]
+        return [debian_tests.skipped("lintian", "lintian")]
     progress("lintian")
     done = subprocess.run(
         [program, "--allow-root", "--display-info", "--tag-display-limit", "0", *packages],

@@ -134,8 +134,8 @@ def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
         values["board.imu"] = "off"
     if "wheels.layout" not in changed:
         values["wheels.layout"] = _FIRST_LAYOUT.get(SPEEDS.get(kind, 2), values["wheels.layout"])
-    if "wheels.layout" not in changed and kind == BOARDS[0]:
-        values["wheels.layout"] = robots.LAYOUT_OF.get(str(values["board.robot"]), values["wheels.layout"])
+        if kind == BOARDS[0]:
+            values["wheels.layout"] = robots.LAYOUT_OF.get(str(values["board.robot"]), values["wheels.layout"])
     layout = str(values["wheels.layout"])
     for of in (layout, kind):
         values |= {key: value for key, value in DEFAULTS.get(of, {}).items() if key not in changed}

@@ -11,7 +11,7 @@ from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.doctor.system import System
 from failstop.files.instance import check_name
-from failstop.policy.layouts import ACKERMANN, LAYOUTS, NUMBERS, SPEEDS, STEERED
+from failstop.policy.layouts import ACKERMANN, BOARDS, LAYOUTS, NUMBERS, SPEEDS, STEERED
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 from failstop.setup import boards, finish, ports, robots, sizes
@@ -27,7 +27,7 @@ failstop setup --afresh                # forget what was left
 """
 QUESTIONS = {
     "port": "the board's port",
-    "board": "its kind: rrc, arduino, feetech, hoverboard, ugv, or the path of a folder of your own",
+    "board": f"its kind: {', '.join(BOARDS)}, or the path of a folder of your own",
     "robot": "the robot's name, or other",
     "layout": "how body velocity becomes wheel speeds, for a robot without a name",
     "stand": "yes: the wheels are off the ground and free",

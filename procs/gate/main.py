@@ -284,7 +284,7 @@ class Gate:
         """Motion, if nothing is against it; with an arm that is to be folded, its way to the drive pose first."""
         way = None
         if self.arm and not self.core.enabled and not self.core.refusal(self._missing(), now_ns):
-            way = self.arm.enable(request, now_ns, beside=not self.core.arm_waits)
+            way = self.arm.enable(request, now_ns)
         return way or self.core.enable(self.epoch, self._missing(), now_ns)
 
     def _disable(self, _request: Request, now_ns: int) -> Reply:

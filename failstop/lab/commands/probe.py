@@ -17,6 +17,7 @@ from failstop.lab.probe import ros2, serial
 from failstop.lab.probe.card import Card, Row
 from failstop.lab.prove.session import check_free
 from failstop.lab.sim.options import add_board
+from failstop.policy.layouts import BOARDS
 from failstop.setup.ending import interruptible
 
 EXAMPLES = """\
@@ -124,9 +125,7 @@ def _frame(text: str) -> bytes:
 
 def _serial(arguments: Namespace) -> Card:
     if not arguments.board:
-        raise FailstopError(
-            "which board? give --board: rrc, arduino, feetech, hoverboard, ugv, or a folder of your own"
-        )
+        raise FailstopError(f"which board? give --board: {', '.join(BOARDS)}, or a folder of your own")
     board = board_of(arguments.board, DIAMETER_M, 0.0)
     sent = _frame(arguments.frame) if arguments.frame else serial.frame_of(board)
     names = _rows(arguments.rows, serial.ROWS)

@@ -63,6 +63,12 @@ class Watched:
     """By process: the newest store that it has seen; 0: none."""
 
 
+def shared_path(machine: WeakMachine, node: Any) -> str:
+    """The path of a file of shared memory, by its Node; empty: it is none."""
+    files = machine.root.folder("/dev/shm").names.items()
+    return next((path for path, file in files if file is node), "")
+
+
 class Order:
     """Watches the loads of a machine's processes."""
 
@@ -85,8 +91,7 @@ class Order:
 
     def _watched(self, mapped: Mapped) -> dict[int, Watched]:
         """The watched records of a file by their places: latest records have two cells, and are read from the first."""
-        files = self.machine.root.folder("/dev/shm").names.items()
-        path = next((path for path, file in files if file is mapped.node), "")
+        path = shared_path(self.machine, mapped.node)
         segment = path.rpartition(".")[2]
         spec = layout.SEGMENT_BY_NAME.get(segment)
         if spec is None:

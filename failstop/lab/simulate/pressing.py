@@ -12,7 +12,7 @@ from typing import Any
 
 from failstop.lab.machine.memory import WeakMachine
 from failstop.lab.machine.process import Thread
-from failstop.lab.simulate.order import NAMED
+from failstop.lab.simulate.order import NAMED, shared_path
 from failstop.messages import layout
 
 MOST_RECORDS = 8
@@ -67,9 +67,7 @@ class Segments:
     def name(self, node: Any) -> str:
         """Empty: the file is none."""
         if node.number not in self._names:
-            files = self._machine.root.folder("/dev/shm").names.items()
-            path = next((path for path, file in files if file is node), "")
-            self._names[node.number] = path.rpartition(".")[2]
+            self._names[node.number] = shared_path(self._machine, node).rpartition(".")[2]
         return self._names[node.number]
 
     def places(self, node: Any, at: int) -> list[int]:

@@ -348,14 +348,12 @@ class ArmCore:
 
     def _look(self, now_ns: int) -> bytes:
         """Ask where joints on their way are, on a board that can tell."""
-        joints = self._reader.look(self.joints, now_ns) if self._looks else []
+        joints = self._reader.look(now_ns) if self._looks else []
         return self._board.servo_look([joint.servo for joint in joints]) if joints else b""
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
         if self._looks and self._stream.on and what == POSITION and value is not None:
-            for moving in self.joints:
-                if moving.servo == servo:
-                    moving.measured, moving.measured_ns, moving.misses = value, t_ns, 0
+            self._reader.seen(servo, value, t_ns)
             return
         if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._stream.on:
             # A servo turned beyond what a move can say is as near as one can.

@@ -45,13 +45,19 @@ class ServoReader:
         self.look_ns = now_ns
         """When joints on their way may be looked at again."""
 
-    def look(self, joints: list[Joint], now_ns: int) -> list[Joint]:
+    def look(self, now_ns: int) -> list[Joint]:
         """The joints of the next look; empty: none is due."""
         if now_ns < self.look_ns:
             return []
         self.look_ns, at = now_ns + LOOKS_APART_NS, self._looked
-        self._looked = at + LOOKED if at + LOOKED < len(joints) else 0
-        return joints[at : at + LOOKED]
+        self._looked = at + LOOKED if at + LOOKED < len(self._joints) else 0
+        return self._joints[at : at + LOOKED]
+
+    def seen(self, servo: int, value: int, t_ns: int) -> None:
+        """A position of a joint on its way: one reading is enough, as nothing is sent by it."""
+        for joint in self._joints:
+            if joint.servo == servo:
+                joint.measured, joint.measured_ns, joint.misses = value, t_ns, 0
 
     def moved(self, now_ns: int) -> None:
         """A servo was sent somewhere: no question before it stands."""

@@ -45,6 +45,7 @@ class Arm:
     def __init__(self, context: Context, frames: Frames, requests: Requests, notes: list[Note], now_ns: int) -> None:
         settings = context.settings
         self.core = ArmCore(settings, context.board, now_ns)
+        self._beside = context.board.arm_beside_wheels
         self._frames, self._requests, self._notes = frames, requests, notes
         self._box = context.own.ring_writer("arm_box")
         self._boxed, self._boxed_ns = ("", ""), 0
@@ -225,10 +226,9 @@ class Arm:
             self._requests.answer(request, refused(fault, trajectory.stopped_for) if fault else there)
         return None
 
-    def enable(self, request: Request, now_ns: int, *, beside: bool) -> Reply | None:
+    def enable(self, request: Request, now_ns: int) -> Reply | None:
         """To the drive pose; answer_waiter() returns this request, if that is what was read back. None: the settings
-        have no drive pose, so the arm stands where it is, or may go on `beside` the wheels; motion may be enabled
-        now."""
+        have no drive pose, so the arm stands where it is, or goes on beside the wheels; motion may be enabled now."""
         if self.core.letting_go:
             return refused("the arm is being released: ask again in a moment")
         waiter = self._waiter
@@ -236,7 +236,7 @@ class Arm:
             return refused(f"{waiter.request.who} is enabling motion")
         trajectory = self.core.pose(goals.DRIVE, SERVICE, request.who)
         reply = None
-        if trajectory is None and beside:
+        if trajectory is None and self._beside:
             return None
         if trajectory is None:
             self._give_up(WHEELS_ENABLED, now_ns)
