@@ -35,15 +35,17 @@ class Renamed:
 
     def __init__(self, new: str) -> None:
         self.new = new
-        self.text = ""
+        self.old = ""
 
     def __set_name__(self, owner: type, name: str) -> None:
-        self.text = f"{owner.__name__}.{name} is deprecated, and the next minor version may lack it: use {self.new}"
+        self.old = name
 
     def __get__(self, instance: object, owner: type | None = None) -> Any:
         if instance is None:
             return self
         import warnings
 
-        warnings.warn(self.text, DeprecationWarning, stacklevel=2)
+        old = f"{type(instance).__name__}.{self.old}"
+        text = f"{old} is deprecated, and the next minor version may lack it: use {self.new}"
+        warnings.warn(text, DeprecationWarning, stacklevel=2)
         return getattr(instance, self.new)

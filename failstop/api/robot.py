@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import time
-import warnings
 from collections.abc import AsyncIterator, Callable, Iterator
 from math import isfinite
 from typing import TYPE_CHECKING, Any
@@ -25,6 +24,7 @@ from failstop.api.snapshot import Block, Sample, State, Velocity
 from failstop.messages import records
 from failstop.policy.causes import Cause
 from failstop.policy.settings import FIRST_SOURCE
+from failstop.version import Renamed
 
 if TYPE_CHECKING:
     from failstop.api.why import Why
@@ -114,11 +114,6 @@ class Calls(Session):
         with self._lock:
             self._client().tell("sensed", [])
 
-    def hold(self, *interlocks: str) -> None:
-        """Deprecated: the former name of assert_interlocks()."""
-        warnings.warn("Robot.hold() is assert_interlocks() now", DeprecationWarning, stacklevel=2)
-        self.assert_interlocks(*interlocks)
-
     def assert_interlocks(self, *interlocks: str) -> None:
         """Assert that these interlocks hold now (names of the settings' [interlocks]); repeat it within their timeout.
 
@@ -130,6 +125,8 @@ class Calls(Session):
             run = self._current()
             run.check("interlock", *interlocks)
             self._slot(run).tell("interlocks", interlocks)
+
+    hold = Renamed("assert_interlocks")
 
     def attend(self, who: str, proven_ns: int | None = None) -> None:
         """An operator of this name is there now, or was at `proven_ns` (CLOCK_MONOTONIC, ns), such as when a question

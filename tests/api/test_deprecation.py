@@ -74,6 +74,7 @@ def test_the_record_has_every_name_and_says_which_are_deprecated(monkeypatch: py
     monkeypatch.setattr(State, "stands", version.Renamed("still"), raising=False)
     lines = public.text().splitlines()
     assert {line for line in lines if public.DEPRECATED_FOR in line} == {
+        *(f"python {owner}.hold; deprecated: assert_interlocks" for owner in ("Robot", "AsyncRobot")),
         "option config --sample; deprecated: config --example",
         "setting gate.silence_s; deprecated: gate.command_timeout_s",
         "python State.stands; deprecated: still",

@@ -58,7 +58,7 @@ def test_an_interlock_that_is_not_declared_is_an_error_and_none_is_asserted(simu
 
 
 def test_the_former_name_of_an_assertion_asserts_and_warns(simulated: Simulated) -> None:
-    with pytest.warns(DeprecationWarning, match="is assert_interlocks"):
+    with pytest.warns(DeprecationWarning, match=r"Robot\.hold is deprecated, .*: use assert_interlocks"):
         simulated.robot.hold("doors", "arm")
     simulated.wait(0.001)
     assert simulated.robot.enable() == "motion enabled"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import inspect
 import re
 from collections.abc import Iterator
 
@@ -54,12 +55,13 @@ def _python() -> Iterator[str]:
 
 def _deprecated() -> Iterator[str]:
     """Old names that are still taken, each with the new one."""
-    for home in ("session", *(module for _, module, _ in reference.SECTIONS)):
-        for owner, value in vars(importlib.import_module(f"failstop.api.{home}")).items():
-            old = vars(value).items() if isinstance(value, type) else ()
-            yield from (
-                f"python {owner}.{name}{DEPRECATED_FOR}{each.new}" for name, each in old if isinstance(each, Renamed)
-            )
+    for home in {module for _, module, _ in reference.SECTIONS}:
+        for owner, shown in vars(importlib.import_module(f"failstop.api.{home}")).items():
+            if not isinstance(shown, type) or owner.startswith("_") or owner in reference.PAGE_OF:
+                continue
+            for name in dir(shown):
+                if isinstance(old := inspect.getattr_static(shown, name), Renamed):
+                    yield f"python {owner}.{name}{DEPRECATED_FOR}{old.new}"
     yield from (
         f"{'option' if ' ' in word else 'setting'} {word}{DEPRECATED_FOR}{new}" for word, new in DEPRECATED.items()
     )
