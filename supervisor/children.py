@@ -8,6 +8,7 @@ from failstop.data import Data
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.processes import Process
+from failstop.policy.settings import Settings
 from failstop.procs.loop import NEVER, Timer
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
@@ -82,15 +83,12 @@ class Fence(Data):
 class Child:
     """One row of the process table as it is now."""
 
-    def __init__(
-        self, row: Process, beat: HeartbeatReader, restart: Timer, limits: tuple[int, int, int], lease_ns: int
-    ) -> None:
-        """`limits`: the settings restart.deaths, window_s and backoff_s, the latter in ns; `lease_ns`: gate.lease_s. A
-        machine that can't run one process sooner runs no other sooner, so no deadline is shorter than a lease."""
+    def __init__(self, row: Process, beat: HeartbeatReader, restart: Timer, settings: Settings) -> None:
+        """A machine that can't run one process sooner runs no other sooner, so no deadline is shorter than a lease."""
         self.row = row
         self.beat = beat
-        self._limits = limits
-        self._deadline_ns = max(row.deadline_ns, lease_ns)
+        self._settings = settings
+        self._deadline_ns = max(row.deadline_ns, settings.ns("gate.lease_s"))
         self._deaths: list[int] = []
         """Times of its deaths, as long as they count."""
         self.state = WAITING
@@ -136,10 +134,10 @@ class Child:
     def restart_wait_ns(self, now_ns: int) -> int | None:
         """It has died: the first time in the window it is restarted at once, the next after a doubling wait, and after
         the limit (None) it is down, and the service stopped, until people reset, rather than loop."""
-        most, window_ns, backoff_ns = self._limits
+        window_ns, backoff_ns = self._settings.ns("restart.window_s"), self._settings.ns("restart.backoff_s")
         self._deaths = [t for t in self._deaths if now_ns - t < window_ns] + [now_ns]
         count = len(self._deaths)
-        if count >= most:
+        if count >= self._settings["restart.deaths"]:
             return None
         return 0 if count == 1 else min(backoff_ns << min(count - 2, 16), LONGEST_WAIT_NS)
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.processes import PROCESS_BY_NAME, PROCESSES, SUPERVISOR_PRIORITY, Process
+from failstop.policy.settings import Settings
 from failstop.procs.loop import Timer
 from failstop.supervisor import children
 from failstop.supervisor.children import (
@@ -51,7 +52,10 @@ LEASE_NS = 60_000_000
 def child(
     state: str, limits: tuple[int, int, int] = (5, 10**10, 10**8), row: Process = PROCESSES[0], lease_ns: int = LEASE_NS
 ) -> Child:
-    made = Child(row, None, Timer(), limits, lease_ns)  # type: ignore[arg-type]
+    settings, (deaths, window_ns, backoff_ns) = Settings(), limits
+    settings.values |= {"restart.deaths": deaths, "restart.window_s": window_ns / S}
+    settings.values |= {"restart.backoff_s": backoff_ns / S, "gate.lease_s": lease_ns / S}
+    made = Child(row, None, Timer(), settings)  # type: ignore[arg-type]
     made.state = state
     return made
 
