@@ -173,10 +173,7 @@ def proven() -> bool:
 
 def _hold_until_the_end(word: Futex, kept: list[object]) -> None:
     """Of a thread, which is this alone."""
-    held = None
     try:
-        held = word.hold()
-    except OSError:
-        pass
-    finally:
-        kept.append(held)
+        kept.append(word.hold())
+    except Exception:  # whatever it is: who waits for this is not to wait for ever
+        kept.append(None)
