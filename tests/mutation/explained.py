@@ -223,7 +223,12 @@ SUPERVISOR = (
         "a byte, a nanosecond more",
         same=False,
     ),
-    Reason("supervisor/blackbox.py", r"_seen_ns = \[1\]", "a nanosecond, of a time in microseconds", same=False),
+    Reason(
+        "supervisor/blackbox.py",
+        r"_silences = \[\((1, \w+|0, 1)\)\]",
+        "a nanosecond, of a time in microseconds",
+        same=False,
+    ),
     Reason("supervisor/latch.py", r"_raised_ns = 1$", "it is read once there was a stop, which sets it"),
     Reason("supervisor/latch.py", r"reply\.pack\(1, number\)", "who reads it asks for no session: it is nobody's"),
     Reason("supervisor/children.py", r"return self\.pid != 1 and", "no beat is of pid 0, and no child is process 1"),
