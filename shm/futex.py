@@ -175,5 +175,5 @@ def _hold_until_the_end(word: Futex, kept: list[object]) -> None:
     """Of a thread, which is this alone."""
     try:
         kept.append(word.hold())
-    except Exception:  # whatever it is: who waits for this is not to wait for ever
+    except Exception:  # after any error too: proven() waits until there is something
         kept.append(None)
