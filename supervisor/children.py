@@ -29,24 +29,28 @@ HUNG = "hanging"  # silent past its deadline, which the machine explains: not ki
 FENCED = "fenced"  # killed for hanging, and not gone yet
 DEAD = "dead"  # that is known, and answered; still to be reaped
 
-EVENTS = ("started", "runs", "spared", "beats", "killed", "died", "reaped", "given up", "recalled")
-"""The events of a process, in the words that people read. Spared: it is silent, which the machine explains."""
-STARTED, RUNS, SPARED, BEATS, KILLED, TERMINATED, REAPED, GIVEN_UP, RECALLED = range(len(EVENTS))
-
+STARTED, RUNS, SPARED, BEATS, KILLED, TERMINATED, REAPED, GIVEN_UP, RECALLED = range(9)
 NO = None
-NEXT: dict[str, tuple[str | None, ...]] = {
-    #          STARTED   RUNS     SPARED    BEATS     KILLED  TERMINATED  REAPED   GIVEN_UP  RECALLED
-    WAITING:  (STARTING, NO,      NO,       WAITING,  NO,     NO,         NO,      DOWN,     NO),
-    DOWN:     (STARTING, NO,      NO,       DOWN,     NO,     NO,         NO,      NO,       WAITING),
-    STARTING: (NO,       RUNNING, STARTING, STARTING, FENCED, DEAD,       NO,      NO,       NO),
-    RUNNING:  (NO,       NO,      HUNG,     RUNNING,  FENCED, DEAD,       NO,      NO,       NO),
-    HUNG:     (NO,       NO,      HUNG,     RUNNING,  FENCED, DEAD,       NO,      NO,       NO),
-    FENCED:   (NO,       NO,      NO,       FENCED,   NO,     DEAD,       NO,      NO,       NO),
-    DEAD:     (NO,       NO,      NO,       DEAD,     NO,     NO,         WAITING, NO,       NO),
-}  # fmt: skip
-"""The next state, by state and event; NO: it cannot happen, and is a defect, which leaves the state as it is and stops
-the robot. A gate that is down is started after a while all the same. A process that was spared may beat before it says
-that it runs, and just before its end, of which the news may come sooner than the beat."""
+TRANSITIONS: tuple[tuple[tuple[str, str, str], tuple[str | None, ...]], ...] = (
+    #                                                WAITING   DOWN      STARTING  RUNNING  HUNG     FENCED  DEAD
+    (("started", "restart_due", "start"),           (STARTING, STARTING, NO,       NO,      NO,      NO,     NO)),
+    (("runs", "watch_early", "watch_early"),        (NO,       NO,       RUNNING,  NO,      NO,      NO,     NO)),
+    (("spared", "_fence_hangs", "_answer_silence"), (NO,       NO,       STARTING, HUNG,    HUNG,    NO,     NO)),
+    (("beats", "follow_spared", "tell_starved"),    (WAITING,  DOWN,     STARTING, RUNNING, RUNNING, FENCED, DEAD)),
+    (("killed", "_fence_hangs", "_answer_silence"), (NO,       NO,       FENCED,   FENCED,  FENCED,  NO,     NO)),
+    (("died", "_stop_for_news", "_collect"),        (NO,       NO,       DEAD,     DEAD,    DEAD,    DEAD,   NO)),
+    (("reaped", "reap", "_plan_restart"),           (NO,       NO,       NO,       NO,      NO,      NO,     WAITING)),
+    (("given up", "_plan_restart", "_plan_restart"), (DOWN,     NO,       NO,       NO,      NO,      NO,     NO)),
+    (("recalled", "turn", "recall"),                (NO,       WAITING,  NO,       NO,      NO,      NO,     NO)),
+)  # fmt: skip
+"""The events of a process, each with its word for people, the method of the supervisor that looks for it, the one that
+acts on it, and the next state from each. Spared: it is silent, which the machine explains. NO: it cannot happen, and is
+a defect, which leaves the state as it is and stops the robot. A gate that is down is started after a while all the
+same. A process that was spared may beat before it says that it runs, and just before its end, of which the news may
+come sooner than the beat."""
+EVENTS = tuple(word for (word, _, _), _ in TRANSITIONS)
+_OF_STATES = zip(*(after for _, after in TRANSITIONS), strict=True)
+NEXT = dict(zip((WAITING, DOWN, STARTING, RUNNING, HUNG, FENCED, DEAD), _OF_STATES, strict=True))
 ALIVE = tuple(state for state, row in NEXT.items() if row[TERMINATED])
 
 
@@ -114,7 +118,7 @@ class Child:
         """Its predecessor was killed by a signal."""
 
     def on(self, event: int) -> None:
-        """Follow one of EVENTS to the state that NEXT gives; one that cannot happen is kept as a defect."""
+        """Follow an event to the state that its row gives; one that cannot happen is kept as a defect."""
         after = NEXT[self.state][event]
         if after is None:
             self.defects.append(causes.DEFECT(self.row.name, EVENTS[event], self.state))
