@@ -298,6 +298,7 @@ ARM = (
     Reason("procs/gate/arm/stream.py", r"\n\+.*again_ns >= now_ns", "two times in ns at exact equality"),
     Reason("procs/gate/arm/reader.py", r"_distrust = None$", "both are false"),
     Reason("procs/gate/arm/reader.py", r"\n\+\s+self\._turn = 1$", "any joint may be the first", same=False),
+    Reason("procs/gate/arm/core.py", r"\+.*, False, 1\)", "a torque that is switched off moves no servo to any place"),
     Reason("procs/gate/arm/core.py", r"\n\+.* - end\) < NEAR", "half a pulse at exact equality"),
     Reason("procs/gate/arm/*.py", r"\n\+.*zip\(group, before, (strict=False)?\)", "both are of the same joints"),
     Reason(

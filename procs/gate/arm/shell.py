@@ -118,9 +118,9 @@ class Arm:
         return self._take(Goal(GOAL_MODES[mode], slot.session, slot.who(), t_ns, ends), closed, now_ns)
 
     def _take(self, goal: Goal, closed: str, now_ns: int) -> Cause | None:
-        """A second publisher of goals latches."""
+        """A second publisher of goals latches; while the arm takes no goals there is no first."""
         if rival := self._rival(goal.session, goal.who, now_ns):
-            return None if closed else rival
+            return rival
         self.core.take(goal, closed, now_ns)
         return None
 
