@@ -27,7 +27,6 @@ class Context:
     """A started process's own segment, heartbeat, settings, and the descriptors it inherited."""
 
     def __init__(self, process: str, words: dict[str, str], priority: int, *, outlives_parent: bool) -> None:
-        self.process = process
         self.instance = words.pop("name")
         self.incarnation = int(words.pop("run"), 16)
         self.memory = segments.memory(self.instance, self.incarnation)

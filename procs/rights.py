@@ -8,7 +8,7 @@ import ctypes
 import gc
 import os
 import resource
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from failstop.shm import futex
 from failstop.shm.heartbeat import EARLY_NEWS, MEMORY_LOCKED, REALTIME
@@ -78,11 +78,9 @@ def take_rights(priority: int) -> int:
     granted = 0
     futex.leave_no_dump()
     _limit(resource.RLIMIT_RTTIME, None)
-    try:
+    with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
         granted |= REALTIME
-    except PermissionError:
-        pass
     if _libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) == 0:
         granted |= MEMORY_LOCKED
     if futex.proven():
@@ -107,31 +105,26 @@ def _limit(which: int, soft: int | None) -> None:
         resource.setrlimit(which, (soft, hard))
 
 
-def take_descriptors() -> None:
-    """See to it that DESCRIPTORS can be open; the limit that a process may raise itself is raised. Raises OSError."""
-    _take(resource.RLIMIT_NOFILE, DESCRIPTORS, no_descriptors)
-
-
-def take_stack() -> None:
-    """See to it that this process, and those that it starts, have STACK_BYTES for their stacks, as take_descriptors()
-    does. The first call that needs more ends a process by SIGSEGV, without a word. Raises OSError."""
-    needed, how = f"{STACK_BYTES // 1024} KB", "`ulimit -s 8192`, or LimitSTACK="
-    _take(resource.RLIMIT_STACK, STACK_BYTES, lambda most: _too_low(f"RLIMIT_STACK is {most // 1024} KB", needed, how))
-
-
-def _take(which: int, least: int, told: Callable[[int], str]) -> None:
-    soft, hard = resource.getrlimit(which)
-    if soft == resource.RLIM_INFINITY or soft >= least:
-        return
-    if hard != resource.RLIM_INFINITY and hard < least:
-        raise OSError(told(hard))
-    resource.setrlimit(which, (least, hard))
+def take_room() -> None:
+    """See to it that this process, and those that it starts, can have DESCRIPTORS open, and have STACK_BYTES for their
+    stacks: the first call that needs more ends a process by SIGSEGV, without a word. A limit that a process may raise
+    itself is raised. Raises OSError."""
+    needed = (resource.RLIMIT_NOFILE, DESCRIPTORS, no_descriptors), (resource.RLIMIT_STACK, STACK_BYTES, _no_stack)
+    for which, least, told in needed:
+        soft, hard = resource.getrlimit(which)
+        if 0 <= hard < least:
+            raise OSError(told(hard))
+        if 0 <= soft < least:
+            resource.setrlimit(which, (least, hard))
 
 
 def no_descriptors(most: int) -> str:
     """Advice where RLIMIT_NOFILE, `most`, is too low."""
-    how = "`ulimit -n 1024`, or LimitNOFILE="
-    return _too_low(f"RLIMIT_NOFILE is {most}", f"{DESCRIPTORS} open files", how)
+    return _too_low(f"RLIMIT_NOFILE is {most}", f"{DESCRIPTORS} open files", "`ulimit -n 1024`, or LimitNOFILE=")
+
+
+def _no_stack(most: int) -> str:
+    return _too_low(f"RLIMIT_STACK is {most >> 10} KB", f"{STACK_BYTES >> 10} KB", "`ulimit -s 8192`, or LimitSTACK=")
 
 
 def _too_low(what: str, needed: str, how: str) -> str:

@@ -25,10 +25,6 @@ class SuspendWatch:
 
     def slept_ns(self) -> int:
         """The time slept since the last call, in ns; 0 when there was no sleep."""
-        now_ns = gained_ns()
-        slept_ns = now_ns - self._gained_ns
-        if slept_ns < SLEPT_NS:
-            self._gained_ns = max(self._gained_ns, now_ns)
-            return 0
-        self._gained_ns = now_ns
-        return slept_ns
+        before_ns, now_ns = self._gained_ns, gained_ns()
+        self._gained_ns = max(before_ns, now_ns)
+        return now_ns - before_ns if now_ns - before_ns >= SLEPT_NS else 0

@@ -173,10 +173,7 @@ def proven() -> bool:
 
 def _hold_until_the_end(word: Futex, kept: list[object]) -> None:
     """Of a thread, which is this alone."""
-    held = None
     try:
-        held = word.hold()
-    except OSError:
-        pass
-    finally:
-        kept.append(held)
+        kept.append(word.hold())
+    except Exception:  # after any error too: proven() waits until there is something
+        kept.append(None)

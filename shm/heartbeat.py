@@ -59,6 +59,6 @@ class Heartbeat:
 
     def state(self, state: int, now_ns: int) -> None:
         """Publish BEAT_STARTING, BEAT_RUNNING or BEAT_STOPPING. A start that took long was no silence."""
-        self._words.cpu_ns.set(process_time_ns())
-        self._words.ns.set(now_ns)
+        self.last_ns = now_ns
+        self.beat(now_ns)
         self._words.state.set(state)

@@ -46,10 +46,8 @@ class BlackBox:
         self._environment = environment(run.settings)
         self._ring = run.own.ring_writer("box")
         self._beats = [run.views[which].word("beat_ns") for which in layout.PROCESS_NAMES]
-        self._ages_ns = [0] * len(self._beats)
-        """The longest silence of each process since the last sample."""
-        self._seen_ns = [0] * len(self._beats)
-        """The time at which that silence was seen."""
+        self._silences = [(0, 0)] * len(self._beats)
+        """The longest silence of each process since the last sample, and when it was seen, in ns."""
         self._waiting: list[tuple[int, dict[str, object]]] = []
         """When to start a saver, and with what."""
         self._savers: dict[int, _socket.socket] = {}
@@ -70,10 +68,8 @@ class BlackBox:
 
     def follow(self, now_ns: int, *, ready: bool) -> None:
         """Once a turn, at its end, and before the supervisor's own beat."""
-        for index, beat in enumerate(self._beats):
-            age_ns = now_ns - (beat.get() or now_ns)
-            if age_ns >= self._ages_ns[index]:
-                self._ages_ns[index], self._seen_ns[index] = age_ns, now_ns
+        ages = ((now_ns - (beat.get() or now_ns), now_ns) for beat in self._beats)
+        self._silences = list(map(max, self._silences, ages))
         if now_ns - self._sampled_ns >= SAMPLE_NS:
             self._sample(now_ns)
         if ready and self._for_dead_run:
@@ -86,9 +82,9 @@ class BlackBox:
 
     def _sample(self, now_ns: int) -> None:
         self._sampled_ns = now_ns
-        silent_us = [age_ns // 1000 for age_ns in self._ages_ns]
-        self._ring.put(box.pack_beats(silent_us, [(now_ns - seen_ns) // 1000 for seen_ns in self._seen_ns]), now_ns)
-        self._ages_ns = [0] * len(self._beats)
+        silent_us = [age_ns // 1000 for age_ns, _ in self._silences]
+        self._ring.put(box.pack_beats(silent_us, [(now_ns - seen_ns) // 1000 for _, seen_ns in self._silences]), now_ns)
+        self._silences = [(0, now_ns)] * len(self._beats)
 
     def begin(self) -> None:
         """Start the saver for a run before this one that was not ended in order. It copies nothing, and takes no

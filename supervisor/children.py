@@ -8,6 +8,7 @@ from failstop.data import Data
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.processes import Process
+from failstop.policy.settings import Settings
 from failstop.procs.loop import NEVER, Timer
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
@@ -28,24 +29,28 @@ HUNG = "hanging"  # silent past its deadline, which the machine explains: not ki
 FENCED = "fenced"  # killed for hanging, and not gone yet
 DEAD = "dead"  # that is known, and answered; still to be reaped
 
-EVENTS = ("started", "runs", "spared", "beats", "killed", "died", "reaped", "given up", "recalled")
-"""The events of a process, in the words that people read. Spared: it is silent, which the machine explains."""
-STARTED, RUNS, SPARED, BEATS, KILLED, TERMINATED, REAPED, GIVEN_UP, RECALLED = range(len(EVENTS))
-
+STARTED, RUNS, SPARED, BEATS, KILLED, TERMINATED, REAPED, GIVEN_UP, RECALLED = range(9)
 NO = None
-NEXT: dict[str, tuple[str | None, ...]] = {
-    #          STARTED   RUNS     SPARED    BEATS     KILLED  TERMINATED  REAPED   GIVEN_UP  RECALLED
-    WAITING:  (STARTING, NO,      NO,       WAITING,  NO,     NO,         NO,      DOWN,     NO),
-    DOWN:     (STARTING, NO,      NO,       DOWN,     NO,     NO,         NO,      NO,       WAITING),
-    STARTING: (NO,       RUNNING, STARTING, STARTING, FENCED, DEAD,       NO,      NO,       NO),
-    RUNNING:  (NO,       NO,      HUNG,     RUNNING,  FENCED, DEAD,       NO,      NO,       NO),
-    HUNG:     (NO,       NO,      HUNG,     RUNNING,  FENCED, DEAD,       NO,      NO,       NO),
-    FENCED:   (NO,       NO,      NO,       FENCED,   NO,     DEAD,       NO,      NO,       NO),
-    DEAD:     (NO,       NO,      NO,       DEAD,     NO,     NO,         WAITING, NO,       NO),
-}  # fmt: skip
-"""The next state, by state and event; NO: it cannot happen, and is a defect, which leaves the state as it is and stops
-the robot. A gate that is down is started after a while all the same. A process that was spared may beat before it says
-that it runs, and just before its end, of which the news may come sooner than the beat."""
+TRANSITIONS: tuple[tuple[tuple[str, str, str], tuple[str | None, ...]], ...] = (
+    #                                                WAITING   DOWN      STARTING  RUNNING  HUNG     FENCED  DEAD
+    (("started", "restart_due", "start"),           (STARTING, STARTING, NO,       NO,      NO,      NO,     NO)),
+    (("runs", "watch_early", "watch_early"),        (NO,       NO,       RUNNING,  NO,      NO,      NO,     NO)),
+    (("spared", "_fence_hangs", "_answer_silence"), (NO,       NO,       STARTING, HUNG,    HUNG,    NO,     NO)),
+    (("beats", "follow_spared", "tell_starved"),    (WAITING,  DOWN,     STARTING, RUNNING, RUNNING, FENCED, DEAD)),
+    (("killed", "_fence_hangs", "_answer_silence"), (NO,       NO,       FENCED,   FENCED,  FENCED,  NO,     NO)),
+    (("died", "_stop_for_news", "_collect"),        (NO,       NO,       DEAD,     DEAD,    DEAD,    DEAD,   NO)),
+    (("reaped", "reap", "_plan_restart"),           (NO,       NO,       NO,       NO,      NO,      NO,     WAITING)),
+    (("given up", "_plan_restart", "_plan_restart"), (DOWN,     NO,       NO,       NO,      NO,      NO,     NO)),
+    (("recalled", "turn", "recall"),                (NO,       WAITING,  NO,       NO,      NO,      NO,     NO)),
+)  # fmt: skip
+"""The events of a process, each with its word for people, the method of the supervisor that looks for it, the one that
+acts on it, and the next state from each. Spared: it is silent, which the machine explains. NO: it cannot happen, and is
+a defect, which leaves the state as it is and stops the robot. A gate that is down is started after a while all the
+same. A process that was spared may beat before it says that it runs, and just before its end, of which the news may
+come sooner than the beat."""
+EVENTS = tuple(word for (word, _, _), _ in TRANSITIONS)
+_OF_STATES = zip(*(after for _, after in TRANSITIONS), strict=True)
+NEXT = dict(zip((WAITING, DOWN, STARTING, RUNNING, HUNG, FENCED, DEAD), _OF_STATES, strict=True))
 ALIVE = tuple(state for state, row in NEXT.items() if row[TERMINATED])
 
 
@@ -82,15 +87,12 @@ class Fence(Data):
 class Child:
     """One row of the process table as it is now."""
 
-    def __init__(
-        self, row: Process, beat: HeartbeatReader, restart: Timer, limits: tuple[int, int, int], lease_ns: int
-    ) -> None:
-        """`limits`: the settings restart.deaths, window_s and backoff_s, the latter in ns; `lease_ns`: gate.lease_s. A
-        machine that can't run one process sooner runs no other sooner, so no deadline is shorter than a lease."""
+    def __init__(self, row: Process, beat: HeartbeatReader, restart: Timer, settings: Settings) -> None:
+        """A machine that can't run one process sooner runs no other sooner, so no deadline is shorter than a lease."""
         self.row = row
         self.beat = beat
-        self._limits = limits
-        self._deadline_ns = max(row.deadline_ns, lease_ns)
+        self._settings = settings
+        self._deadline_ns = max(row.deadline_ns, settings.ns("gate.lease_s"))
         self._deaths: list[int] = []
         """Times of its deaths, as long as they count."""
         self.state = WAITING
@@ -116,7 +118,7 @@ class Child:
         """Its predecessor was killed by a signal."""
 
     def on(self, event: int) -> None:
-        """Follow one of EVENTS to the state that NEXT gives; one that cannot happen is kept as a defect."""
+        """Follow an event to the state that its row gives; one that cannot happen is kept as a defect."""
         after = NEXT[self.state][event]
         if after is None:
             self.defects.append(causes.DEFECT(self.row.name, EVENTS[event], self.state))
@@ -136,10 +138,10 @@ class Child:
     def restart_wait_ns(self, now_ns: int) -> int | None:
         """It has died: the first time in the window it is restarted at once, the next after a doubling wait, and after
         the limit (None) it is down, and the service stopped, until people reset, rather than loop."""
-        most, window_ns, backoff_ns = self._limits
+        window_ns, backoff_ns = self._settings.ns("restart.window_s"), self._settings.ns("restart.backoff_s")
         self._deaths = [t for t in self._deaths if now_ns - t < window_ns] + [now_ns]
         count = len(self._deaths)
-        if count >= most:
+        if count >= self._settings["restart.deaths"]:
             return None
         return 0 if count == 1 else min(backoff_ns << min(count - 2, 16), LONGEST_WAIT_NS)
 

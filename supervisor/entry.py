@@ -17,13 +17,10 @@ from failstop.supervisor.main import Supervisor
 from failstop.supervisor.port_handover import OwnPort
 from failstop.supervisor.run import Run
 
-SUPERVISOR_COMM = "fs:supervisor"
-"""The supervisor's name as the kernel shows it."""
-
 
 def start(words: dict[str, str]) -> int:
     """Run the service; returns the exit code."""
-    rights.name_process(SUPERVISOR_COMM)
+    rights.name_process("fs:supervisor")
     # A parent may have left signals ignored or blocked, and exec hands that on: without SIGCHLD no child can be
     # collected, and a blocked signal can't end the service. SIGHUP stays ignored where it is: a user of nohup wants
     # that. SIGCONT is asked for (main.py), and lets a process go on all the same: a handler might run too late.
@@ -35,7 +32,6 @@ def start(words: dict[str, str]) -> int:
     notify = Notify.taken_from(os.environ, os.getpid())
     journal = Outbox(JOURNAL) if is_journal(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:
-        rights.take_descriptors()
         run = Run(settings, words["name"], words["dir"], journal, words["again"])
         supervisor = _found(run, port, notify)
     except (AttachError, InstanceError, OSError) as error:

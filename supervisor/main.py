@@ -75,8 +75,7 @@ class Supervisor:
         self._barrier = Barrier()
         self._written_word = run.own.word("written_ns")
         self._port_owner_written = run.views[layout.PORT_OWNER].word("written_ns")
-        self._stops = run.views[layout.PORT_OWNER].ring_reader("stops")
-        self._gate_stops = run.views[layout.GATE].ring_reader("stops")
+        self._stops = {name: run.views[name].ring_reader("stops") for name in (layout.PORT_OWNER, layout.GATE)}
         self.status.publish(self.status.missing(stopping=False))
         self._unanswered: Stop | None = None
         self._due = self.loop.timer()
@@ -217,7 +216,7 @@ class Supervisor:
     def _collect(self, dead: list[Child], now_ns: int, burst_ns: int, suspended_ns: int) -> list[Stop]:
         """Every stop that this wake-up brings. `burst_ns`: when the port owner's death was answered."""
         stops = []
-        for process, ring in ((layout.PORT_OWNER, self._stops), (layout.GATE, self._gate_stops)):
+        for process, ring in self._stops.items():
             while entry := ring.next():
                 _, cause_ns, written_ns, cause = records.STOPPED.unpack(entry[2])
                 stops.append(Stop(cause_ns, process, explained(causes.read(cause), suspended_ns), written_ns))

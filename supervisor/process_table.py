@@ -40,11 +40,8 @@ class ProcessTable:
         self.early = EarlyNews(lifelines)
         self._words = {"name": run.name, "run": f"{run.incarnation:x}", "dir": run.runtime_dir, "parent": os.getpid()}
         self._environment = starter.environment(run.settings)
-        restart = run.settings.ns("restart.window_s"), run.settings.ns("restart.backoff_s")
-        limits = int(run.settings["restart.deaths"]), *restart
-        lease_ns = run.settings.ns("gate.lease_s")
         self.children = [
-            Child(row, HeartbeatReader(run.views[row.name]), run.loop.timer(), limits, lease_ns) for row in PROCESSES
+            Child(row, HeartbeatReader(run.views[row.name]), run.loop.timer(), run.settings) for row in PROCESSES
         ]
         self._advice = advice
         self._starved_told_ns = self._starved_ns = self._starved_times = 0

@@ -6,6 +6,7 @@ from __future__ import annotations
 import ast
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 from tests.support.rooms import CORE, ROOT, modules
@@ -53,6 +54,7 @@ def defined(paths: list[Path]) -> dict[str, list[str]]:
     return found
 
 
+@cache
 def core() -> dict[str, list[str]]:
     paths = [path for room in CORE for path in modules(room)]
     return defined([path for path in paths if OTHER_BOARDS.isdisjoint(path.relative_to(ROOT).parts)])

@@ -68,9 +68,8 @@ class Interlocks:
 
     def hear(self, names: list[str], t_ns: int, now_ns: int) -> None:
         """A client asserts these; names that no setting declares mean nothing."""
-        for name in names:
-            if name in self._declared:
-                self._asserted_ns[name] = max(self._asserted_ns.get(name, 0), believed_ns(t_ns, now_ns))
+        for name in self._declared.keys() & names:
+            self._asserted_ns[name] = max(self._asserted_ns.get(name, 0), believed_ns(t_ns, now_ns))
 
     def unmet(self, now_ns: int) -> str:
         """The refusal's text of the first condition that does not hold; empty when all do."""

@@ -47,10 +47,8 @@ class OpenPort:
 
     def begin(self, now_ns: int) -> None:
         """Go on after the first burst: the port counts as open once the board hears and was told."""
-        if self._wire.lost or self.hears_ns <= now_ns:
-            self._hear(now_ns)
-        else:
-            self._hears.set(self.hears_ns)
+        self._hears.set(now_ns if self._wire.lost else self.hears_ns)
+        self.follow(now_ns)
 
     def _hear(self, now_ns: int) -> None:
         """The board hears. What it is to be told may be refused, and a stop may cut it off: then the port is not open

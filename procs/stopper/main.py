@@ -37,11 +37,9 @@ class Stopper:
     """The process's state; one turn() a wake-up."""
 
     def __init__(self, context: Context) -> None:
-        supervisor = context.segment("supervisor")
         port_owner = context.segment("port_owner")
         self.heartbeat = context.heartbeat
         self.loop = Loop()
-        self._epoch_word = supervisor.word("epoch")
         self._port = StopPort(context.fd("port"), context.board, context.settings.servos())
         self._repeats_ns = context.board.repeats_ns[STOPPER_ROW]
         self._port_owner = Peer(layout.PORT_OWNER, context, self.loop, self._port)
@@ -112,14 +110,12 @@ class Stopper:
                 self._look_again.set(NEVER)
                 self._burst(now_ns)
         elif self._repeat.take(now_ns):
-            if self._parent.orphaned_ns:
-                if self._port_owner_written.get() < self._parent.orphaned_ns:
-                    self._fence()
-                self._write()
-            elif self._succeeded():
+            if not self._parent.orphaned_ns and self._succeeded():
                 self._repeat.set(NEVER)  # the new one repeats its stop itself
-            else:
-                self._write()
+                return
+            if self._port_owner_written.get() < self._parent.orphaned_ns:
+                self._fence()
+            self._write()
 
     def _hangs_ns(self) -> int:
         """When the port owner counts as hanging unless it beats before; NEVER: none runs, or it is fenced already."""
@@ -133,14 +129,12 @@ class Stopper:
         machine starves is given as long again, while it moves nothing."""
         if died := self._port_owner.follow():
             self._port_owner_died(died, now_ns)
-        self._hang.set(self._hangs_ns())
-        if not self._hang.due(now_ns):
-            return
-        if self._spares(now_ns):
-            self._excused_ns = now_ns
-        else:
-            self._fence()  # before the burst: it may wake up between the two
-            self._burst(now_ns)
+        if now_ns >= self._hangs_ns():
+            if self._spares(now_ns):
+                self._excused_ns = now_ns
+            else:
+                self._fence()  # before the burst: it may wake up between the two
+                self._burst(now_ns)
         self._hang.set(self._hangs_ns())
 
     def _spares(self, now_ns: int) -> bool:

@@ -59,7 +59,8 @@ class GyroBias:
         """How much of time the bias is an average of; tau_s once it is no plain average any more."""
         self._tracks = settings.on("imu.tracking")
         """Else the bias never moves after the calibration."""
-        self._samples: list[Vector] | None = [] if settings.on("board.imu") else None
+        self.samples: list[Vector] | None = [] if settings.on("board.imu") else None
+        """Those of the calibration; None from its outcome on."""
         self._since_ns = 0
         self._last_ns: int | None = None
         self._resting_since_ns: int | None = None
@@ -69,11 +70,6 @@ class GyroBias:
         """False: the calibration was given up, as the robot did not stand still."""
         self.tracking = False
         """Whether the last sample moved the bias."""
-
-    @property
-    def calibrating(self) -> bool:
-        """True from the start until the calibration's outcome."""
-        return self._samples is not None
 
     def inherit(self, bias_radps: Vector) -> None:
         """Go on with the bias that an earlier run of this process had found."""
@@ -90,14 +86,14 @@ class GyroBias:
             return ""
         self._resting_since_ns = None
         self.tracking = False
-        return self._not_stationary("it was told to drive") if self.calibrating else ""
+        return self._not_stationary("it was told to drive") if self.samples is not None else ""
 
     def take(self, rate_radps: Vector, t_ns: int) -> str:
         """One raw sample. Returns a line for the journal when a calibration ends, else an empty text."""
         gap_ns = LONGEST_GAP_NS + 1 if self._last_ns is None else t_ns - self._last_ns
         self._last_ns = t_ns
-        if self._samples is not None:
-            return self._calibrate(self._samples, rate_radps, t_ns, gap_ns)
+        if self.samples is not None:
+            return self._calibrate(self.samples, rate_radps, t_ns, gap_ns)
         self._track(rate_radps, t_ns, gap_ns)
         return ""
 
@@ -121,14 +117,14 @@ class GyroBias:
         ]
         if max(stds) > self._std_radps:
             return self._not_stationary(f"std {_dps(stds)} deg/s")
-        self._samples = None
+        self.samples = None
         self.bias_radps = means
         self.calibrated = True
         self._averaged_s = (t_ns - self._since_ns) * 1e-9
         return f"gyro bias {_dps(means)} deg/s from {count} samples, std {_dps(stds)} deg/s"
 
     def _not_stationary(self, why: str) -> str:
-        self._samples = None
+        self.samples = None
         self.stationary = False
         kept = "the bias found before is kept" if self.calibrated else "the bias stays zero until tracking moves it"
         return f"{NOT_STATIONARY} ({why}): {kept}"

@@ -7,20 +7,19 @@ from typing import Any
 import pytest
 
 from failstop.messages import box, layout
-from tests.support.simulated import MS, Simulated
+from tests.support.simulated import MS, PATIENCE_S, Simulated
 
 SETTINGS = {"limits.vx_mps": 0.35, "sources.teleop.priority": 10}
 
 
 def read_until(simulated: Simulated, robot: Any, wanted: str, count: int) -> list[Any]:
-    """Samples of one kind, at least so many."""
+    """Samples of one kind, at least so many: looked for often enough that the newest of each are all."""
     found: list[Any] = []
-
-    def enough() -> bool:
-        found.extend(sample for sample in robot.samples() if type(sample).__name__ == wanted)
-        return len(found) >= count
-
-    simulated.wait_for(f"{count} of {wanted}", enough)
+    until_ns = simulated.now_ns() + round(PATIENCE_S * 1e9)
+    while len(found) < count:
+        assert simulated.now_ns() < until_ns, f"{len(found)} of {count} of {wanted}"
+        simulated.wait(0.001)
+        found += [sample for sample in robot.samples() if type(sample).__name__ == wanted]
     return found
 
 

@@ -105,14 +105,14 @@ def test_a_row_that_does_not_hold_is_told_and_its_scene_is_left_nowhere(scene: S
         ("board-garbles-up", {"bar_ms": 5.0, "cleared": "enable"}, garbled),
         ("stop-request", {"latched": (), "cleared": "by itself", "bar_ms": None}, asked),
     )
-    before = scene.trial.service.pids()
+    before = scene.service.pids()
     for index, (name, changes, told) in enumerate(lies):
         lie = dataclasses.replace(FAULT_BY_NAME[name], **changes)
         outcome = inject_one(scene, lie, index, "lies", seen_s=0.3)
         for each in told:
             assert any(each in text for text in outcome.wrong), (each, outcome.wrong)
             assert each in outcome.story("lies")
-    assert not set(before.values()) & set(scene.trial.service.pids().values()), "a failed scene is made anew"
+    assert not set(before.values()) & set(scene.service.pids().values()), "a failed scene is made anew"
     assert not any(Path(f"/proc/{pid}").exists() for pid in before.values()), "and left nowhere"
     assert not inject_one(scene, KILL_GATE, 0, "and on").wrong, "the next scene is whole"
 

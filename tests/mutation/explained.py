@@ -223,7 +223,12 @@ SUPERVISOR = (
         "a byte, a nanosecond more",
         same=False,
     ),
-    Reason("supervisor/blackbox.py", r"_seen_ns = \[1\]", "a nanosecond, of a time in microseconds", same=False),
+    Reason(
+        "supervisor/blackbox.py",
+        r"_silences = \[\((1, \w+|0, 1)\)\]",
+        "a nanosecond, of a time in microseconds",
+        same=False,
+    ),
     Reason("supervisor/latch.py", r"_raised_ns = 1$", "it is read once there was a stop, which sets it"),
     Reason("supervisor/latch.py", r"reply\.pack\(1, number\)", "who reads it asks for no session: it is nobody's"),
     Reason("supervisor/children.py", r"return self\.pid != 1 and", "no beat is of pid 0, and no child is process 1"),
@@ -293,6 +298,7 @@ ARM = (
     Reason("procs/gate/arm/stream.py", r"\n\+.*again_ns >= now_ns", "two times in ns at exact equality"),
     Reason("procs/gate/arm/reader.py", r"_distrust = None$", "both are false"),
     Reason("procs/gate/arm/reader.py", r"\n\+\s+self\._turn = 1$", "any joint may be the first", same=False),
+    Reason("procs/gate/arm/core.py", r"\+.*, False, 1\)", "a torque that is switched off moves no servo to any place"),
     Reason("procs/gate/arm/core.py", r"\n\+.* - end\) < NEAR", "half a pulse at exact equality"),
     Reason("procs/gate/arm/*.py", r"\n\+.*zip\(group, before, (strict=False)?\)", "both are of the same joints"),
     Reason(

@@ -197,7 +197,7 @@ def test_ended_stream_counts_again_after_its_timeout_or_its_pause(bench: ArmBenc
     bench.goal()
     assert bench.core.why_not() == ""
     for but, why in ((ME, ""), (OTHER, ENDED), (None, ENDED)):
-        bench.core.end_streams(but)
+        bench.core.stop("stopped", but=but)
         bench.goal()
         assert bench.core.why_not() == why
         bench.core.pause(ME)
@@ -293,7 +293,7 @@ def test_joint_is_off_beyond_the_tolerance_and_a_pose_named_when_none_judged_is(
         for joint in core.joints:  # base and gripper are not judged
             joint.measured = places.get(joint.name, joint.drive)
         assert core.pose_name() == name
-    assert core.off_pose("drive").startswith("joint elbow (servo 3) is 39")
+    assert core.off(core.judged("drive")).startswith("joint elbow (servo 3) is 39")
     core.joints[2].measured = core.joints[2].drive
     core.joints[1].known = False
     assert core.pose_name() == "", "all that is judged must be known"

@@ -13,7 +13,7 @@ from failstop.lab.faults.arm_table import SWINGING as SWUNG
 from failstop.lab.prove import arm_run
 from failstop.lab.prove.arm_run import ArmRun
 from failstop.lab.prove.run import Result
-from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.swing import Swing
 from failstop.lab.prove.table import ARM_PATHS, BY_ARM_PATH, SWINGING, plan
 from failstop.lab.prove.watch import Move, moves
@@ -34,25 +34,25 @@ STEP = PULSES_PER_RAD * 0.04
 
 
 @pytest.fixture(scope="module")
-def enabled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stand, float]]:
+def enabled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ProveStand, float]]:
     """A stand that every test leaves whole, and how long it took to enable motion for the first time."""
     place = tmp_path_factory.mktemp("stand")
-    with SimBoard(place / "board") as board, Stand(board.link, SETTINGS, str(place), board) as made:
+    with SimBoard(place / "board") as board, ProveStand(board.link, SETTINGS, str(place), board) as made:
         begun_s = time.monotonic()
         made.driver.enable()
         yield made, time.monotonic() - begun_s
 
 
 @pytest.fixture
-def stand(enabled: tuple[Stand, float]) -> Stand:
+def stand(enabled: tuple[ProveStand, float]) -> ProveStand:
     return enabled[0]
 
 
-def one(stand: Stand, name: str) -> Result:
+def one(stand: ProveStand, name: str) -> Result:
     return ArmRun(stand, BY_ARM_PATH[name], SWINGING).take()
 
 
-def before_read_back(stand: Stand, wait_s: float, does: Callable[[], None]) -> Result:
+def before_read_back(stand: ProveStand, wait_s: float, does: Callable[[], None]) -> Result:
     """The run of a requested stop: `does` is done when it waits for so long, in order to read where the joint is."""
     run = stand.run
 
@@ -69,12 +69,12 @@ def before_read_back(stand: Stand, wait_s: float, does: Callable[[], None]) -> R
 
 
 @pytest.mark.slow
-def test_what_enabling_asks_for_is_asserted_all_the_way_to_the_drive_pose(enabled: tuple[Stand, float]) -> None:
+def test_what_enabling_asks_for_is_asserted_all_the_way_to_the_drive_pose(enabled: tuple[ProveStand, float]) -> None:
     assert enabled[1] > 2 * SETTINGS["interlocks.dock.timeout_s"]  # type: ignore[operator]
 
 
 @pytest.mark.slow
-def test_what_is_read_back_is_when_it_stood(stand: Stand) -> None:
+def test_what_is_read_back_is_when_it_stood(stand: ProveStand) -> None:
     at_once = one(stand, "arm-stop-request")
     assert firm(at_once.wrong) == []
     assert at_once.arm is not None
@@ -90,7 +90,7 @@ def test_what_is_read_back_is_when_it_stood(stand: Stand) -> None:
 
 
 @pytest.mark.slow
-def test_a_stop_that_is_not_made_fails(stand: Stand) -> None:
+def test_a_stop_that_is_not_made_fails(stand: ProveStand) -> None:
     result = ArmRun(stand, BY_ARM_PATH["arm-stop-request"], SWINGING, lambda *_: None).take()
     assert result.verdict == "FAIL"
     assert result.rest_s is not None
@@ -102,7 +102,7 @@ def test_a_stop_that_is_not_made_fails(stand: Stand) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("by_hand", "wrong"), [(1000, "at rest after"), (0, "it did not follow before the stop")])
-def test_a_joint_that_stands_elsewhere_fails(stand: Stand, by_hand: int, wrong: str) -> None:
+def test_a_joint_that_stands_elsewhere_fails(stand: ProveStand, by_hand: int, wrong: str) -> None:
 
     def moved() -> None:
         assert stand.board
@@ -115,7 +115,7 @@ def test_a_joint_that_stands_elsewhere_fails(stand: Stand, by_hand: int, wrong: 
 
 
 @pytest.mark.slow
-def test_a_joint_that_goes_on_after_the_read_back_fails(stand: Stand) -> None:
+def test_a_joint_that_goes_on_after_the_read_back_fails(stand: ProveStand) -> None:
     assert stand.board
     board = stand.board
     result = before_read_back(stand, arm_run.STAYS_S, lambda: board.servo(BASE.servo, position=400))

@@ -17,7 +17,7 @@ from failstop.lab.faults.steps import Steps
 from failstop.lab.faults.table import FAULT_BY_NAME
 from failstop.lab.prove import campaign
 from failstop.lab.prove.run import PathRun, Result
-from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.table import BY_PATH, BY_TURNING, of_fault
 from failstop.lab.sim.client import SimBoard
 from tests.prove.noise import SIMULATED
@@ -107,7 +107,7 @@ def test_a_run_that_breaks_off_is_stopped_looked_at_and_begun_anew(tmp_path: Pat
             raise OSError("nobody is there")
 
     path, velocity = of_fault(FAULT_BY_NAME["kill-gate+stopper"]), BY_TURNING["0.2"]
-    with SimBoard(tmp_path / "board") as board, Stand(board.link, {}, str(tmp_path)) as stand:
+    with SimBoard(tmp_path / "board") as board, ProveStand(board.link, {}, str(tmp_path)) as stand:
         for stops in (True, False):
             board.refuse_stop(not stops)
             result = PathRun(stand, SIMULATED, path, velocity, None, Fails(1)).take()

@@ -23,7 +23,7 @@ from failstop.lab.faults.driving import Driver
 from failstop.lab.prove import pack
 from failstop.lab.prove.run import PathRun, Result
 from failstop.lab.prove.session import check_free
-from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.table import BY_PATH, BY_TURNING
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, wait_for
@@ -46,15 +46,15 @@ def prove(*words: str, said: str = "") -> subprocess.CompletedProcess[str]:
 
 
 @contextlib.contextmanager
-def on_stand(place: Path, **settings: object) -> Iterator[Stand]:
+def on_stand(place: Path, **settings: object) -> Iterator[ProveStand]:
     """Its rows are not excused by what else this machine does (test_starved_rows.py)."""
     settings[status.LEASE] = status.LEASE_WITHOUT_S
-    with SimBoard(place / "board") as board, Stand(board.link, settings, str(place), board) as stand:
+    with SimBoard(place / "board") as board, ProveStand(board.link, settings, str(place), board) as stand:
         stand.held.starved = lambda *_: ""  # type: ignore[method-assign]
         yield stand
 
 
-def one(stand: Stand, path: str, velocity: str = "0.2") -> Result:
+def one(stand: ProveStand, path: str, velocity: str = "0.2") -> Result:
     """A row; one in which a busy machine had no wheel turn proves nothing, and is taken again."""
     wanted = BY_PATH[path].leased(status.LEASE_WITHOUT_S)
     for _ in range(TRIES):
@@ -239,7 +239,7 @@ def test_a_test_that_is_killed_takes_its_service_along(board: SimBoard) -> None:
 @pytest.mark.slow
 def test_a_stand_that_is_left_while_the_service_hangs_is_safe(tmp_path: Path) -> None:
     with SimBoard(tmp_path / "board") as board:
-        with Stand(board.link, {}, str(tmp_path), board) as stand:
+        with ProveStand(board.link, {}, str(tmp_path), board) as stand:
             stand.driver.velocity = (0.2, 0.0, 0.0)
             stand.driver.enable()
             stand.run(5.0, lambda: any(board.wheels()))

@@ -22,7 +22,7 @@ from failstop.lab.prove.character import MOUNTED, Runaway, Unfit
 from failstop.lab.prove.held import WOKEN_LATE_NS, Held, waited_ns
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.run import PathRun, Result, judge_latch
-from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.table import ARM_PATHS, BY_PATH, BY_TURNING, PATHS
 from failstop.lab.sim.client import Event, SimBoard
 from failstop.lab.trial import wait_for
@@ -272,8 +272,8 @@ LEASE: dict[str, object] = {"gate.lease_s": 0.2}
 
 
 @contextlib.contextmanager
-def on_stand(tmp_path: Path) -> Iterator[Stand]:
-    with SimBoard(tmp_path / "board") as board, Stand(board.link, LEASE, str(tmp_path), board) as stand:
+def on_stand(tmp_path: Path) -> Iterator[ProveStand]:
+    with SimBoard(tmp_path / "board") as board, ProveStand(board.link, LEASE, str(tmp_path), board) as stand:
         yield stand
 
 
@@ -285,7 +285,7 @@ def test_a_session_that_the_machine_spoils_ends_as_invalid(tmp_path: Path, error
         raise error
 
     with SimBoard(tmp_path / "board") as board:
-        stand = Stand(board.link, {}, str(tmp_path), board)
+        stand = ProveStand(board.link, {}, str(tmp_path), board)
         found = session.session([], [], stand, say=breaks_off)
     assert found.verdict == verdict
     assert str(error) in found.ended

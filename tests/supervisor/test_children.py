@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
+import inspect
 from collections.abc import Sequence
 
 import pytest
@@ -12,8 +14,9 @@ from hypothesis import strategies as st
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.processes import PROCESS_BY_NAME, PROCESSES, SUPERVISOR_PRIORITY, Process
+from failstop.policy.settings import Settings
 from failstop.procs.loop import Timer
-from failstop.supervisor import children
+from failstop.supervisor import children, main, process_table
 from failstop.supervisor.children import (
     DEAD,
     DOWN,
@@ -32,6 +35,7 @@ from failstop.supervisor.children import (
 
 STATES = (WAITING, DOWN, STARTING, RUNNING, HUNG, FENCED, DEAD)
 SHORT = {"WA": WAITING, "DO": DOWN, "ST": STARTING, "RU": RUNNING, "HU": HUNG, "FE": FENCED, "DE": DEAD}
+CONSTANTS = ("STARTED", "RUNS", "SPARED", "BEATS", "KILLED", "TERMINATED", "REAPED", "GIVEN_UP", "RECALLED")
 CELLS = """
     ST  -   -   WA  -   -   -   DO  -
     ST  -   -   DO  -   -   -   -   WA
@@ -51,7 +55,10 @@ LEASE_NS = 60_000_000
 def child(
     state: str, limits: tuple[int, int, int] = (5, 10**10, 10**8), row: Process = PROCESSES[0], lease_ns: int = LEASE_NS
 ) -> Child:
-    made = Child(row, None, Timer(), limits, lease_ns)  # type: ignore[arg-type]
+    settings, (deaths, window_ns, backoff_ns) = Settings(), limits
+    settings.values |= {"restart.deaths": deaths, "restart.window_s": window_ns / S}
+    settings.values |= {"restart.backoff_s": backoff_ns / S, "gate.lease_s": lease_ns / S}
+    made = Child(row, None, Timer(), settings)  # type: ignore[arg-type]
     made.state = state
     return made
 
@@ -85,6 +92,24 @@ def test_no_state_and_no_event_is_left_out() -> None:
     assert set(NEXT) == set(STATES) == set(declared)
     assert {len(row) for row in NEXT.values()} == {len(EVENTS)}
     assert all(any(column) for column in zip(*NEXT.values(), strict=True))
+
+
+def test_the_methods_that_a_row_names_are_those_that_bring_its_event_about() -> None:
+    """A method of the child that only passes an event on stands for whoever calls it; the end of the service does what
+    every death does."""
+    modules = (children, main, process_table)
+    methods = [
+        (node.name, ast.unparse(node))
+        for module in modules
+        for node in ast.walk(ast.parse(inspect.getsource(module)))
+        if isinstance(node, ast.FunctionDef)
+    ]
+    of_child = {name for name in vars(Child) if not name.startswith("__")} - {"on", "kill"}
+    for constant, (word, *named) in zip(CONSTANTS, (words for words, _ in children.TRANSITIONS), strict=True):
+        tell = {name for name, text in methods if f".on({constant})" in text} - {"kill"}
+        callers = {name for each in tell & of_child for name, text in methods if f"child.{each}(" in text}
+        assert tell - of_child | callers <= set(named), word
+        assert set(named) <= {name for name, _ in methods}, word
 
 
 @pytest.mark.parametrize("state", STATES)

@@ -51,7 +51,7 @@ def test_3_s_of_samples_give_their_mean_which_is_logged_with_count_and_deviation
     tested = gyro()
     rates = [dps(1.0, -2.0, 0.5 + (0.1 if i % 2 else -0.1) + i / 1e6) for i in range(3 * RATE_HZ + 2)]
     assert calibrate(tested, rates[:-2]) == []
-    assert tested.calibrating
+    assert tested.samples is not None
     (note,) = calibrate(tested, rates[-2:], start_ns=3 * RATE_HZ * PERIOD_NS)
     assert tested.calibrated
     assert tested.bias_radps == pytest.approx(dps(1.0, -2.0, 0.5 + 330.5 / 2e6), abs=1e-5)
@@ -101,7 +101,7 @@ def test_after_a_calibration_that_failed_the_bias_is_zero_and_it_is_told_once() 
     tested = gyro()
     (note,) = calibrate(tested, spread(5.0, seconds=10.0))
     assert "the bias stays zero until tracking moves it" in note
-    assert not tested.calibrating
+    assert tested.samples is None
     assert tested.bias_radps == (0.0, 0.0, 0.0)
     assert tested.corrected((0.1, 0.2, 0.3)) == (0.1, 0.2, 0.3)
 
@@ -260,7 +260,7 @@ def calibrated(**changed: Any) -> tuple[GyroBias, int]:
     tested = gyro(**changed)
     tested.follow(False, 0)
     t_ns = 10 * S
-    while tested.calibrating:
+    while tested.samples is not None:
         t_ns += S // 100
         tested.take((0.0, 0.0, 0.0), t_ns)
     return tested, t_ns

@@ -9,12 +9,19 @@ from pathlib import Path
 
 import pytest
 
+from bench.web.browser import Browser
 from bench.web.parts import Web
 from failstop.lab.trial import Trial
 from tests.support.leases import LEASES
 from tests.support.shared_trial import IMU_HZ
 
 _numbers = itertools.count()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with Browser() as running:
+        yield running
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,7 @@ from bench.web.viewer import Viewer
 from failstop.api.errors import Refused
 from failstop.api.robot import Robot
 from failstop.lab.trial import Trial, judge, wait_for
+from tests.web.driving_parts import enable_soon
 
 LEASE_S = 1.0
 SETTINGS = f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n[web]\npairing = "on"\n'
@@ -56,18 +57,6 @@ def paired() -> dict[Web, dict[str, str]]:
     return {}
 
 
-def enabled(trial: Trial) -> None:
-    """Enable as soon as somebody attends."""
-
-    def enable() -> bool:
-        with contextlib.suppress(Refused):
-            trial.enable()
-            return True
-        return False
-
-    wait_for("motion to be enabled", enable)
-
-
 def stopped(trial: Trial, since_ns: int, reason: str) -> float:
     """Seconds from a moment to the stop, by the board's word. test_gate_attendance.py has its exact time."""
     wait_for("the stop", lambda: trial.robot.state.estop)
@@ -89,7 +78,7 @@ def test_nobody_attends_and_nothing_is_enabled(trial: Trial) -> None:
 def test_a_program_attends_and_leaves(trial: Trial) -> None:
     with driven(trial):
         trial.robot.attend("Anna")
-        enabled(trial)
+        enable_soon(trial)
         for _ in range(10):
             trial.robot.attend("Anna")
             time.sleep(0.05)
@@ -105,7 +94,7 @@ def test_a_program_attends_and_leaves(trial: Trial) -> None:
 def test_a_program_that_stops_renewing(trial: Trial) -> None:
     with driven(trial), Robot(trial.name) as other:
         other.attend("Anna")
-        enabled(trial)
+        enable_soon(trial)
         wait_for("motion", lambda: other.attend("Anna") or trial.turning())
         trial.board.events()
         last_ns = time.monotonic_ns()
@@ -125,7 +114,7 @@ def test_a_client_that_is_killed_has_left(trial: Trial) -> None:
                 time.sleep(0.05)
     os.read(reading, 1)
     with driven(trial):
-        enabled(trial)
+        enable_soon(trial)
         wait_for("motion", trial.turning)
         trial.board.events()
         killed_ns = time.monotonic_ns()
@@ -140,7 +129,7 @@ def moving(trial: Trial, viewer: Viewer) -> None:
     """The page's operator attends, and the robot drives."""
     viewer.attend()
     viewer.stay(0.2)
-    enabled(trial)
+    enable_soon(trial)
     viewer.stay(0.4)
     assert trial.turning()
     trial.board.events()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import signal
@@ -14,9 +13,9 @@ import pytest
 from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.parts import Web
 from failstop.api import distance
-from failstop.api.errors import Refused
 from failstop.lab.trial import Trial, judge, wait_for
 from failstop.policy.settings import Settings
+from tests.web.driving_parts import enable_soon
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 
@@ -26,12 +25,6 @@ IMU_HZ = 110.0
 SETTINGS = f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n[web]\npairing = "on"\n'
 WORD = "document.getElementById('word').textContent"
 SAID = "document.getElementById('stop-said').textContent"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with Browser() as running:
-        yield running
 
 
 @pytest.fixture(scope="module")
@@ -74,23 +67,13 @@ def paired(tab: Tab, web: Web) -> Tab:
     return tab
 
 
-def enabled(trial: Trial) -> None:
-    def enable() -> bool:
-        with contextlib.suppress(Refused):
-            trial.enable()
-            return True
-        return False
-
-    wait_for("motion to be enabled", enable)
-
-
 def driving(trial: Trial, tab: Tab) -> None:
     """Somebody attends by this page, and the robot drives."""
     trial.robot.disable()
     if tab.run("document.getElementById('attend').getAttribute('aria-pressed')") != "true":
         tab.tap("#attend")
     wait_for("the operator", lambda: trial.robot.state.attended_by == ("Anna",))
-    enabled(trial)
+    enable_soon(trial)
     trial.drive(0.3)
     assert trial.turning()
     trial.board.events()
@@ -215,7 +198,7 @@ def test_no_button_moves_while_the_state_changes(trial: Trial, paired: Tab) -> N
     paired.until(f"{WORD} === 'CAN MOVE'")
     paired.tap("#disable")
     paired.until(f"{WORD} === 'STOPPED'")
-    enabled(trial)
+    enable_soon(trial)
     paired.until(f"{WORD} === 'CAN MOVE'")
     trial.robot.estop("a hand near the left front wheel")
     paired.until(f"{WORD} === 'STOPPED' && document.getElementById('next').textContent.includes('RESET')")

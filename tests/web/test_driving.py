@@ -12,11 +12,10 @@ import pytest
 
 from bench.web.parts import Web
 from bench.web.viewer import Viewer
-from failstop.api.errors import Refused
 from failstop.lab.trial import Trial, judge, wait_for
 from failstop.web import driving
 from failstop.web.lease import answer_to
-from tests.web.driving_parts import COMMAND_S, DRIVING, LATE_S
+from tests.web.driving_parts import COMMAND_S, DRIVING, LATE_S, enable_soon
 
 pytestmark = pytest.mark.page
 SETTINGS = DRIVING
@@ -33,15 +32,7 @@ def anna(web: Web) -> dict[str, str]:
 
 def enable(trial: Trial, viewer: Viewer) -> None:
     """Enable as soon as somebody attends."""
-
-    def enabled() -> bool:
-        viewer.stay(0.1)
-        with contextlib.suppress(Refused):
-            trial.enable()
-            return True
-        return False
-
-    wait_for("motion to be enabled", enabled)
+    enable_soon(trial, lambda: viewer.stay(0.1))
     trial.board.events()
 
 

@@ -28,12 +28,6 @@ SETTINGS = '[web]\npairing = "on"\n'
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with Browser() as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
 def tab(browser: Browser, web: Web) -> Iterator[Tab]:
     """A paired phone."""
     found = browser.tab(f"{web.url}#{web.code()}")

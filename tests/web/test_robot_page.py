@@ -60,12 +60,6 @@ class Clicks:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with Browser() as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
 def page(browser: Browser) -> Iterator[Clicks]:
     found = Clicks(browser)
     yield found

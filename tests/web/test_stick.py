@@ -10,9 +10,8 @@ import pytest
 
 from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.parts import Web
-from failstop.api.errors import Refused
 from failstop.lab.trial import Trial, TrialError, judge, wait_for
-from tests.web.driving_parts import COMMAND_S, DRIVING, LATE_S
+from tests.web.driving_parts import COMMAND_S, DRIVING, LATE_S, enable_soon
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 SETTINGS = DRIVING
@@ -45,14 +44,7 @@ def takes_stick(trial: Trial, tab: Tab) -> None:
     tab.until("document.querySelector('#limit [aria-pressed=true]').dataset.percent === '100'")
     tab.tap("#limit [data-percent='50']")
     wait_for("the limit", lambda: trial.robot.state.speed_limit == 0.5)
-
-    def enabled() -> bool:
-        with contextlib.suppress(Refused):
-            trial.enable()
-            return True
-        return False
-
-    wait_for("motion to be enabled", enabled)
+    enable_soon(trial)
     tab.until(f"{WORD} === 'CAN MOVE'")
 
 

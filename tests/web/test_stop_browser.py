@@ -35,12 +35,6 @@ FIRST = 65
 """Tries; after 60 it is tried less often."""
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with Browser() as running:
-        yield running
-
-
 @pytest.fixture
 def front(web: Web) -> Iterator[Front]:
     """The server that the browser talks to."""

@@ -17,7 +17,7 @@ from failstop.lab.commands import check_json, matching
 from failstop.lab.prove import campaign, report
 from failstop.lab.prove.campaign import Draw
 from failstop.lab.prove.session import check_free, session
-from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.table import TURNINGS, Path
 from failstop.setup.ending import interruptible
 
@@ -41,7 +41,7 @@ def run(arguments: Namespace, seed: int, default_s: float) -> int:
     sys.stderr.write(WARNING.format(device=device))
     print(f"seed {seed}, {len(chosen)} stop paths", file=sys.stderr, flush=True)
     with interruptible(), tempfile.TemporaryDirectory(prefix="failstop-chaos-", ignore_cleanup_errors=True) as folder:
-        stand = Stand(device, config.read(path), folder)
+        stand = ProveStand(device, config.read(path), folder)
         width = max(len(path.name) for path in chosen)
         draws = _draws(arguments, chosen, seed, default_s)
         evidence = session(draws, TURNINGS, stand, say=report.print_now, tool="chaos", keep_all=False, width=width)

@@ -21,7 +21,7 @@ from failstop.lab.prove import pack, report, table
 from failstop.lab.prove.means import means_of
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.session import check_free, session
-from failstop.lab.prove.stand import Stand, settings_for
+from failstop.lab.prove.stand import ProveStand, settings_for
 from failstop.lab.prove.swing import REACH_RAD
 from failstop.lab.prove.table import BY_ARM_PATH, BY_PATH, BY_TURNING, Path, Turning
 from failstop.lab.sim.client import SimBoard
@@ -98,7 +98,7 @@ def main(arguments: Namespace) -> int:
         velocities = list(dict.fromkeys(velocity for path, velocity in plan if not path.arm))
         runs = ((path, velocity, random.Random()) for path, velocity in plan)
         ask, watcher = (report.print_now if asks else None for asks in (arguments.pad, not arguments.json))
-        stand = Stand(device, user, folder, board)
+        stand = ProveStand(device, user, folder, board)
         return session(runs, velocities, stand, quick=arguments.quick, say=say, ask=ask, watcher=watcher)
 
     with interruptible(), tempfile.TemporaryDirectory(prefix="failstop-prove-", ignore_cleanup_errors=True) as folder:

@@ -93,11 +93,11 @@ class _Injection:
         scene, fault = self.scene, self.fault
         scene.driver.velocity = _velocity(scene.chance)
         scene.driver.enable()
-        self.mark = scene.trial.service.written()
+        self.mark = scene.service.written()
         fault_ns = 0
         try:
             self.injector.prepare(scene)
-            self.pids = scene.trial.service.pids()
+            self.pids = scene.service.pids()
             scene.driver.until("the wheels to turn", scene.trial.turning)
             scene.driver.run(scene.chance.uniform(*BEFORE_S))
             self._see()
@@ -171,7 +171,7 @@ class _Injection:
             self._check("blocked: disabled", lambda: scene.driver.robot.state.blocked == "disabled")
 
     def _end_run(self) -> None:
-        service = self.scene.trial.service
+        service = self.scene.service
         if self.fault.injector in EXIT_CODES and service.process:
             code = service.process.wait(SEEN_S)
             if code != EXIT_CODES[self.fault.injector]:
@@ -184,7 +184,7 @@ class _Injection:
         return state.waiting_for is None and not any(state.processes[p].pid == self.pids.get(p) for p in again)
 
     def _logged(self) -> bool:
-        self.outcome.said = self.scene.trial.service.said(self.mark)
+        self.outcome.said = self.scene.service.said(self.mark)
         latched = [f"STOP latched: {self.latched}"] if self.latched else []
         return all(text in self.outcome.said for text in (self.fault.logged, *latched))
 
@@ -258,7 +258,7 @@ def _inject_one(scene: Scene, fault: Fault, index: int, seed: object, seen_s: fl
     except (TrialError, FailstopError, SimBoardError, OSError, subprocess.SubprocessError) as error:
         outcome.wrong.append(f"{type(error).__name__}: {error}")
     if outcome.wrong:
-        outcome.said = scene.trial.service.said(injection.mark)
+        outcome.said = scene.service.said(injection.mark)
         scene.renew()
     outcome.took_s = time.monotonic() - begun_s
     return outcome

@@ -126,7 +126,7 @@ class UsbDropUnwatched(UsbDrop):
         self._supervisor = 0
 
     def prepare(self, scene: Scene) -> None:
-        self._supervisor = scene.trial.service.pids()[SUPERVISOR]
+        self._supervisor = scene.service.pids()[SUPERVISOR]
 
     def strike(self, scene: Scene) -> int:
         scene.board.unplug()
@@ -202,7 +202,7 @@ class Unproven(Injector):
     """No whole frame has ever come from the board: a new run on a board that garbles everything."""
 
     def prepare(self, scene: Scene) -> None:
-        scene.trial.service.pids()
+        scene.service.pids()
         scene.board.garble(up=1.0)
         scene.restart()
         scene.driver.enable()

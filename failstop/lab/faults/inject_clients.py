@@ -346,10 +346,10 @@ class ServiceStopped(Injector):
     """As `systemctl stop` does."""
 
     def prepare(self, scene: Scene) -> None:
-        scene.trial.service.pids()
+        scene.service.pids()
 
     def strike(self, scene: Scene) -> int:
-        process = scene.trial.service.process
+        process = scene.service.process
         assert process
         now_ns = time.monotonic_ns()
         process.send_signal(signal.SIGTERM)

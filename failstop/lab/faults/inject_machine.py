@@ -92,7 +92,7 @@ class _NoMore(AskedMeanwhile):
         raise NotImplementedError
 
     def trouble(self, scene: Scene) -> None:
-        self._limits.lower(scene.trial.service.pids())
+        self._limits.lower(scene.service.pids())
 
     def heal(self, scene: Scene) -> None:
         self._limits.restore()
@@ -118,7 +118,7 @@ class NoDescriptorsKill(NoDescriptors):
     def strike(self, scene: Scene) -> int:
         self.trouble(scene)
         now_ns = time.monotonic_ns()
-        os.kill(scene.trial.service.pids()[GATE], signal.SIGKILL)
+        os.kill(scene.service.pids()[GATE], signal.SIGKILL)
         return now_ns
 
 
@@ -136,21 +136,21 @@ class NoDisk(_NoMore):
         return 0
 
     def trouble(self, scene: Scene) -> None:
-        self._mark = scene.trial.service.written()
-        self._limits.lower({TELEMETRY: scene.trial.service.pids()[TELEMETRY]})
+        self._mark = scene.service.written()
+        self._limits.lower({TELEMETRY: scene.service.pids()[TELEMETRY]})
 
     def last(self, scene: Scene) -> None:
         _wait_for_a_line(scene, UNWRITTEN, self._mark)
 
     def heal(self, scene: Scene) -> None:
-        mark = scene.trial.service.written()
+        mark = scene.service.written()
         super().heal(scene)
         # It tells of the same trouble again only when there has been a line without it.
         _wait_for_a_line(scene, WRITTEN_AGAIN, mark)
 
 
 def _wait_for_a_line(scene: Scene, text: str, mark: int) -> None:
-    service = scene.trial.service
+    service = scene.service
     with contextlib.suppress(TrialError):
         scene.driver.until(f"a line with {text!r}", lambda: text in service.said(mark), DISK_S)
 
@@ -159,7 +159,7 @@ class Frozen(Injector):
     """SIGSTOP for all, SIGCONT for all."""
 
     def strike(self, scene: Scene) -> int:
-        pids = list(scene.trial.service.pids().values())
+        pids = list(scene.service.pids().values())
         scene.chance.shuffle(pids)
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)
@@ -175,7 +175,7 @@ class NamesRemoved(Injector):
     """As logind does when the service's user logs out. Whoever has a segment attached goes on with it."""
 
     def prepare(self, scene: Scene) -> None:
-        scene.trial.service.pids()
+        scene.service.pids()
 
     def strike(self, scene: Scene) -> int:
         now_ns = time.monotonic_ns()

@@ -21,7 +21,7 @@ class Processes(Injector):
         return ptrace.unfit() if self.fault.struck(SPIN) else ""
 
     def prepare(self, scene: Scene) -> None:
-        self._pids = scene.trial.service.pids()
+        self._pids = scene.service.pids()
         self._steps = Steps(self.fault, scene.chance)
 
     def strike(self, scene: Scene) -> int:

@@ -9,13 +9,13 @@ import subprocess
 import sys
 import tempfile
 
-from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError
 from failstop.config import checked, read
 from failstop.lab.boards.traits import traits_of
 from failstop.lab.faults.arm import ArmTrial
 from failstop.lab.faults.driving import INTERLOCK, WHOLE_S, Driver
 from failstop.lab.sim.client import SimBoard
+from failstop.lab.stand import Stand
 from failstop.lab.trial import Trial, TrialError, write_settings
 from failstop.messages.layout import SUPERVISOR
 from failstop.policy.layouts import BOARDS
@@ -35,13 +35,15 @@ rights the service has."""
 GONE_S = 5.0
 
 
-class Scene:
+class Scene(Stand):
     """A context manager. `chance` is the injector's source of random choices."""
+
+    board: SimBoard
 
     def __init__(self, name: str, config: str | None = None, kind: str = BOARDS[0]) -> None:
         """`config`: a TOML file whose settings hold beside those of a campaign; `kind`: the board's. Raises
         SettingError."""
-        self.name, self.traits = name, traits_of(kind)
+        self.traits = traits_of(kind)
         self.chance = random.Random(0)
         self.was_turning = False
         """The board's word just before the fault."""
@@ -50,10 +52,14 @@ class Scene:
         theirs = read(config)
         checked(theirs, config)  # values that a campaign overrides are refused too
         write_settings(self._config, {**theirs, **SETTINGS, **self.traits.settings})
-        self.trial = self._new_trial()
-        self.driver = Driver(name)
         self._tool: subprocess.Popen[bytes] | None = None
         self._arm: ArmTrial | None = None
+        self._take_new(name)
+
+    def _take_new(self, name: str) -> None:
+        """A board, a service and a driving client that nothing was done to."""
+        self.trial = Trial(name, ("--config", self._config), kind=self.traits.kind)
+        super().__init__(self.trial.service, Driver(name), self.trial.board)
 
     @property
     def arm(self) -> ArmTrial:
@@ -69,9 +75,6 @@ class Scene:
             self._arm.close()
             self._arm = None
 
-    def _new_trial(self) -> Trial:
-        return Trial(self.name, ("--config", self._config), kind=self.traits.kind)
-
     def __enter__(self) -> Scene:
         self.trial.__enter__()
         return self
@@ -83,17 +86,13 @@ class Scene:
     def close(self) -> None:
         """End everything, whatever state it is in."""
         self.renew_arm()
-        self.driver.leave()
         self._end_tool()
-        process = self.trial.service.process
-        self.trial.service.signal_known(signal.SIGCONT)
+        process = self.service.process
+        self.service.signal_known(signal.SIGCONT)
         if process and process.poll() is None and self._stopped_by_fault():
-            self.trial.service.kill()
-        try:
-            self.trial.close()
-        except TrialError:
-            self.trial.close()
-        self.trial.service.kill_known()
+            self.service.kill()
+        self.end()
+        self.trial.close()
 
     def _stopped_by_fault(self) -> bool:
         """Whether the service is too damaged to end in order."""
@@ -107,30 +106,20 @@ class Scene:
     def renew(self) -> None:
         """A new board and a new service, after a fault that this one did not get over."""
         self.close()
-        self.trial = self._new_trial()
+        self._take_new(self.name)
         self.trial.__enter__()
-        self.driver = Driver(self.name)
 
     @property
     def whole_s(self) -> float:
         """A service is whole within so long, on a board that may be deaf first."""
         return WHOLE_S + self.traits.deaf_ns / 1e9
 
-    @property
-    def board(self) -> SimBoard:
-        """The judge."""
-        return self.trial.board
-
-    def ask(self, reason: str) -> None:
-        """A stop request."""
-        send_stop(self.name, reason)
-
     # The part of systemd.
 
     def start_stop_tool(self) -> None:
         """Do as ExecStopPost does, once the supervisor is gone."""
-        if self.trial.service.process:
-            self.trial.service.process.wait(GONE_S)
+        if self.service.process:
+            self.service.process.wait(GONE_S)
         command = [sys.executable, "-m", "failstop", "stop", "--device", self.trial.link, "--wait", "5"]
         self._tool = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
 
@@ -150,10 +139,7 @@ class Scene:
 
     def restart(self) -> None:
         """End what is left of the run, as systemd does, and start a new one; the clients go on commanding."""
-        service = self.trial.service
-        self.driver.leave()
-        service.kill()
-        service.kill_known()
-        service.exec()
-        self.driver.until("the service to be ready again", service.ready, self.whole_s)
+        self.bury()
+        self.service.exec()
+        self.driver.until("the service to be ready again", self.service.ready, self.whole_s)
         self.driver.leave()

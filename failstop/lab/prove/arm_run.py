@@ -19,7 +19,7 @@ from failstop.api.errors import FailstopError, Refused
 from failstop.lab.faults import arm_table as table
 from failstop.lab.prove import swing
 from failstop.lab.prove.run import WHOLE_S, Result, judge_latch, judge_written
-from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.swing import Swing
 from failstop.lab.prove.table import Path, Turning
 from failstop.lab.trial import TrialError
@@ -39,7 +39,7 @@ class ArmRun:
     """From the middle of the swing to a whole service with nothing latched."""
 
     def __init__(
-        self, stand: Stand, path: Path, velocity: Turning, request: Callable[[str, str], None] = send_stop
+        self, stand: ProveStand, path: Path, velocity: Turning, request: Callable[[str, str], None] = send_stop
     ) -> None:
         """`request`: what asks the service of this name for a stop."""
         assert path.arm

@@ -11,7 +11,7 @@ from failstop.lab.prove import shake, sight
 from failstop.lab.prove.run import MOST_S, NS, STAYS_S, STEADY_S, speed_up_s
 from failstop.lab.prove.shake import Noise
 from failstop.lab.prove.sight import ByImu, ByWheels, SeenSample, Sight, Unseen, Verdict
-from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.table import Turning
 from failstop.procs.telemetry.still import StillJudge
 
@@ -33,7 +33,7 @@ class Runaway(FailstopError):
     """The wheels do not stop."""
 
 
-def characterize(stand: Stand, velocities: Iterable[Turning], *, quick: bool) -> Sight:
+def characterize(stand: ProveStand, velocities: Iterable[Turning], *, quick: bool) -> Sight:
     """Measure. Raises Unfit, Runaway, TrialError, FailstopError."""
     share = 0.6 if quick else 1.0
     if stand.means.observed_by == BY_WHEELS:
@@ -42,7 +42,7 @@ def characterize(stand: Stand, velocities: Iterable[Turning], *, quick: bool) ->
     return Unseen() if stand.means.may_be_blind and not still else _by_imu(stand, still, velocities, share)
 
 
-def _by_imu(stand: Stand, stood: list[SeenSample], velocities: Iterable[Turning], share: float) -> ByImu:
+def _by_imu(stand: ProveStand, stood: list[SeenSample], velocities: Iterable[Turning], share: float) -> ByImu:
     configured = stand.settings["still.std_radps"]
     still = _noise(stood, "at rest")
     spinning = {}
@@ -62,7 +62,7 @@ def _by_imu(stand: Stand, stood: list[SeenSample], velocities: Iterable[Turning]
     return ByImu(still, spinning, limit, configured)
 
 
-def _by_wheels(stand: Stand, velocities: Iterable[Turning], share: float) -> ByWheels:
+def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -> ByWheels:
     """Nothing is known of how such robots roll: the bar of rest is made of how this one does."""
     stood = _collect(stand, STOOD_S)
     judged = sight.rests(stood)
@@ -91,7 +91,7 @@ def _by_wheels(stand: Stand, velocities: Iterable[Turning], share: float) -> ByW
     return found
 
 
-def _spin(stand: Stand, velocity: Turning, seconds: float) -> list[SeenSample]:
+def _spin(stand: ProveStand, velocity: Turning, seconds: float) -> list[SeenSample]:
     """The samples of wheels at speed."""
     stand.driver.velocity = velocity.command
     stand.driver.enable()
@@ -99,12 +99,12 @@ def _spin(stand: Stand, velocity: Turning, seconds: float) -> list[SeenSample]:
     return _collect(stand, seconds)
 
 
-def _come_to_rest(stand: Stand, velocity: Turning, verdict: Verdict) -> None:
+def _come_to_rest(stand: ProveStand, velocity: Turning, verdict: Verdict) -> None:
     if not stand.run(MOST_S, lambda: verdict.still(stand.watch.samples)):
         raise Runaway(RUNAWAY.format(velocity.words))
 
 
-def _collect(stand: Stand, seconds: float) -> list[SeenSample]:
+def _collect(stand: ProveStand, seconds: float) -> list[SeenSample]:
     stand.watch.forget()
     stand.run(seconds)
     return list(stand.watch.samples)

@@ -14,7 +14,7 @@ from failstop.lab.faults.fault import Wanted, fits, told
 from failstop.lab.faults.steps import Steps
 from failstop.lab.prove import held, shake, table
 from failstop.lab.prove.sight import SeenSample, Sight
-from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.strike import Ask, Skipped, strike
 from failstop.lab.prove.table import Path, Turning
 from failstop.lab.prove.watch import Watch
@@ -98,7 +98,7 @@ class PathRun:
 
     def __init__(
         self,
-        stand: Stand,
+        stand: ProveStand,
         sight: Sight,
         path: Path,
         velocity: Turning,
@@ -314,7 +314,7 @@ class PathRun:
                 self.result.wrong.append(f"the service ended with exit code {code}")
 
 
-def speed_up_s(stand: Stand, velocity: Turning) -> float:
+def speed_up_s(stand: ProveStand, velocity: Turning) -> float:
     """The ramp's time."""
     forward, _, turn = velocity.command
     settings = stand.settings

@@ -23,7 +23,7 @@ from failstop.lab.prove.held import repeat
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.run import PathRun, Result
 from failstop.lab.prove.sight import Sight
-from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.strike import Ask
 from failstop.lab.prove.table import FROZEN, Path, Turning
 from failstop.lab.sim.client import SimBoardError
@@ -43,7 +43,7 @@ Runs = Iterable[tuple[Path, Turning, random.Random]]
 def session(
     runs: Runs,
     velocities: Sequence[Turning],
-    stand: Stand,
+    stand: ProveStand,
     *,
     quick: bool = False,
     say: Callable[[str], None],
@@ -108,7 +108,7 @@ def until_valid(take: Callable[[], Result], spoiled: Callable[[Result], None]) -
 
 
 def _take(
-    stand: Stand, sight: Sight | None, path: Path, velocity: Turning, ask: Ask | None, chance: random.Random
+    stand: ProveStand, sight: Sight | None, path: Path, velocity: Turning, ask: Ask | None, chance: random.Random
 ) -> Result:
     if path.arm:
         return ArmRun(stand, path, velocity).take()
@@ -117,7 +117,9 @@ def _take(
     return run(stand, sight, path, velocity, ask, chance).take()
 
 
-def _characterize(stand: Stand, velocities: Sequence[Turning], *, quick: bool, say: Callable[[str], None]) -> Sight:
+def _characterize(
+    stand: ProveStand, velocities: Sequence[Turning], *, quick: bool, say: Callable[[str], None]
+) -> Sight:
     """Measured again where the machine spoils it."""
     for left in reversed(range(TAKES)):
         begun = stand.held.mark()

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import subprocess
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from failstop import config, stopping
-from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
@@ -21,7 +19,8 @@ from failstop.lab.prove.means import Means, means_of
 from failstop.lab.prove.table import TURNINGS
 from failstop.lab.prove.watch import Watch
 from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import COMMAND_EVERY_S, Service, TrialError, write_settings
+from failstop.lab.stand import Stand
+from failstop.lab.trial import COMMAND_EVERY_S, Service, write_settings
 from failstop.policy.kinematics import max_wheel_rps
 from failstop.policy.settings import Settings
 from failstop.setup.ending import end_with_parent, uninterrupted
@@ -77,14 +76,13 @@ def settings_for(user: dict[str, object]) -> dict[str, object]:
     return {**kept, **OVERRIDES, **limits}
 
 
-class Stand:
+class ProveStand(Stand):
     """A context manager. Whatever happens, the wheels are stopped at its end."""
 
     def __init__(self, device: str, user: dict[str, object], folder: str, board: SimBoard | None = None) -> None:
         """`user`: the settings of the user's file; `folder`: for files of this run; `board`: the simulated one, which
         then judges too. Raises SettingError."""
         self.device = device
-        self.board = board
         values = settings_for(user)
         self.user: Settings = config.checked(dict(user))
         self.settings: Settings = config.checked(dict(values))
@@ -92,9 +90,9 @@ class Stand:
         self.means: Means = means_of(self.settings.text("board.kind"), self.language, imu=self.settings.on("board.imu"))
         path = os.path.join(folder, "prove.toml")
         write_settings(path, values)
-        self.name = f"prove-{os.getpid()}"
-        self.service = StandService(self.name, device, folder, ("--config", path))
-        self.driver = Driver(self.name, "prove", tuple(self.settings.interlocks()))
+        service = StandService(f"prove-{os.getpid()}", device, folder, ("--config", path))
+        driver = Driver(service.name, "prove", tuple(self.settings.interlocks()))
+        super().__init__(service, driver, board)
         self.service.ready_s += self.language.port.deaf_ns / 1e9
         self.watch = Watch(device, self.language)
         self.driver.each = self.look
@@ -103,7 +101,7 @@ class Stand:
         self.swing: Swing | None = None
         """How the arm is moved; chosen by its first run."""
 
-    def __enter__(self) -> Stand:
+    def __enter__(self) -> ProveStand:
         self.held.__enter__()
         try:
             self.start()
@@ -117,10 +115,13 @@ class Stand:
 
     def start(self) -> None:
         """Start the service, and watch it. Raises TrialError."""
-        self.watch.let_go()
-        self.driver.leave()
+        self.let_go()
         self.service.start()
         self.watch.attach(self.name)
+
+    def let_go(self) -> None:
+        super().let_go()
+        self.watch.let_go()
 
     def look(self) -> None:
         """Take in what the board sent meanwhile."""
@@ -145,32 +146,11 @@ class Stand:
         """Processes that the machine has to run in time, beside this one."""
         return {**({"the simulated board": self.board.pid} if self.board else {}), **self.service.known}
 
-    def whole(self) -> bool:
-        """The service is ready, with all its processes."""
-        try:
-            return self.service.ready()
-        except TrialError:
-            return False
-
-    def bury(self) -> None:
-        """End what is left of a run; nothing of it stays frozen or alive."""
-        self.driver.leave()
-        self.watch.let_go()
-        self.service.kill()
-        self.service.kill_known()
-
     def safe(self) -> str:
         """Wheels at rest, by every means, the quickest first; returns what could not be done, empty if all was."""
         with contextlib.suppress(FailstopError):
-            send_stop(self.name, "prove: safe")
-        self.driver.leave()
-        self.watch.let_go()
-        self.service.signal_known(signal.SIGCONT)
-        try:
-            self.service.end()
-        except TrialError:
-            self.service.kill()
-        self.service.kill_known()
+            self.ask("prove: safe")
+        self.end()
         try:
             stopping.stop(self.device, self.language, lambda _: SIM_FREE_S if self.board else FREE_S, lambda _: None)
         except PortError as error:

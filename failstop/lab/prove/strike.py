@@ -5,9 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from failstop.api.client import send_stop
 from failstop.lab.prove import table
-from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.table import Path
 
 PRESS_S = 20.0
@@ -22,7 +21,7 @@ class Skipped(Exception):
     """The path can't be taken here; says why."""
 
 
-def strike(path: Path, stand: Stand, ask: Ask | None) -> int:
+def strike(path: Path, stand: ProveStand, ask: Ask | None) -> int:
     """Bring about what is not done to processes, while the wheels turn. `ask`: None when there is nobody to do
     anything. Raises Skipped."""
     driver = stand.driver
@@ -36,7 +35,7 @@ def strike(path: Path, stand: Stand, ask: Ask | None) -> int:
         return _press(stand, ask)
     now_ns = time.monotonic_ns()
     if path.kind == table.STOP_REQUEST:
-        send_stop(stand.name, "prove")
+        stand.ask("prove")
     elif path.kind == table.DISABLING:
         driver.robot.disable()
     elif stand.service.process:
@@ -44,7 +43,7 @@ def strike(path: Path, stand: Stand, ask: Ask | None) -> int:
     return now_ns
 
 
-def _press(stand: Stand, ask: Ask | None) -> int:
+def _press(stand: ProveStand, ask: Ask | None) -> int:
     """The frame's own time: what happens before it, in the pad and on the air, is not failstop's."""
     known = len(stand.watch.buttons)
     ignored = int(stand.settings["pad.mode_button"])

@@ -151,7 +151,7 @@ CONTROLS = (
         (
             (HANDOVER_MODULE, "written = StopPort(fd, self._board).burst()", "written = True"),
             (STOPPER_MODULE, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
-            (STOPPER_MODULE, "            else:\n                self._write()\n\n", "\n"),
+            (STOPPER_MODULE, "            self._write()\n\n    def _hangs_ns", "\n    def _hangs_ns"),
         ),
     ),
     Mutant(

@@ -146,9 +146,11 @@ class ArmCore:
         self._end_stream()
         return was
 
-    def stop(self, why: str, cause: Cause | None = None) -> None:
-        """As drop(), for a stop that is written already: it ends what was let go of, too, and every stream."""
-        self.end_streams()
+    def stop(self, why: str, cause: Cause | None = None, but: int | None = None) -> None:
+        """As drop(), for a stop that is written in any case: it ends what was let go of, too, and the streams of all
+        sessions but one, which count again after a pause."""
+        if self._goal and self._goal.session != but:
+            self._ended[self._goal.session] = self._goal.t_ns
         self.letting_go.clear()
         self.drop(why, cause)
 
@@ -156,11 +158,6 @@ class ArmCore:
         if self._board.holds_by_goal:
             self._left |= {joint: joint.position for joint in self._stream.joints}
         self._stream.end()
-
-    def end_streams(self, but: int | None = None) -> None:
-        """Those of all sessions but one: they count again after a pause."""
-        if self._goal and self._goal.session != but:
-            self._ended[self._goal.session] = self._goal.t_ns
 
     def forget(self) -> None:
         """Nobody reads from here on: where the joints are must be read again before they move."""
@@ -251,11 +248,7 @@ class ArmCore:
         if self._goal is None or self._fresh(self._goal, now_ns):
             return False
         self._goal = None
-        if self.trajectory:
-            return False
-        was = self.streaming()
-        self._end_stream()
-        return was
+        return not self.trajectory and self.drop("not renewed")
 
     def _follow_trajectory(self, now_ns: int) -> list[Joint]:
         """Bring the trajectory on by a phase, when one is over; returns the joints whose position it waits for."""
@@ -363,17 +356,14 @@ class ArmCore:
     def pose_name(self) -> str:
         """The pose that it was read to be in, drive or tuck; empty: another, or not known."""
         for purpose in (goals.DRIVE, goals.TUCK):
-            judged = self._judged(purpose)
+            judged = self.judged(purpose)
             if judged and all(joint.known for joint in judged) and not self.off(judged):
                 return purpose
         return ""
 
-    def _judged(self, purpose: str) -> dict[Joint, float]:
+    def judged(self, purpose: str) -> dict[Joint, float]:
+        """Where the joints that are judged are to be in a pose of the settings."""
         return {joint: end for joint, end in self._ends(purpose).items() if joint.judged}
-
-    def off_pose(self, purpose: str) -> str:
-        """As off(), of a pose of the settings, for the joints that are judged."""
-        return self.off(self._judged(purpose))
 
     def why_not(self) -> str:
         """Why the last goal of a stream was not taken, or is not followed further."""

@@ -118,9 +118,9 @@ class Arm:
         return self._take(Goal(GOAL_MODES[mode], slot.session, slot.who(), t_ns, ends), closed, now_ns)
 
     def _take(self, goal: Goal, closed: str, now_ns: int) -> Cause | None:
-        """A second publisher of goals latches."""
+        """A second publisher of goals latches; while the arm takes no goals there is no first."""
         if rival := self._rival(goal.session, goal.who, now_ns):
-            return None if closed else rival
+            return rival
         self.core.take(goal, closed, now_ns)
         return None
 
@@ -149,9 +149,7 @@ class Arm:
 
     def hold(self, request: Request, now_ns: int) -> Reply:
         """A client's request to stop the arm where it is."""
-        self.core.end_streams(request.session)
-        self._give_up(f"held by {request.who}", now_ns)
-        self.core.letting_go.clear()
+        self.core.stop(f"held by {request.who}", but=request.session)
         self._frames.stop(now_ns)
         return Reply(records.DONE, "arm held")
 
@@ -177,7 +175,7 @@ class Arm:
         if request.verb in (records.ARM_DRIVE, records.ARM_TUCK):
             purpose = goals.DRIVE if request.verb == records.ARM_DRIVE else goals.TUCK
             return self.core.pose(purpose, request.session, request.who) or f"the settings have no {purpose} pose"
-        if request.verb != records.ARM_MOVE or (path := request.about("arm_path")) is None:
+        if (path := request.about("arm_path")) is None:
             return "no trajectory came with the request"
         _, share, servos, rows = path
         if not set(servos) <= set(self._by_servo) or len(set(servos)) < len(servos) or not 0.0 < share <= 1.0:
@@ -234,14 +232,13 @@ class Arm:
         waiter = self._waiter
         if waiter and waiter.enables and waiter.request.session != request.session:
             return refused(f"{waiter.request.who} is enabling motion")
-        trajectory = self.core.pose(goals.DRIVE, SERVICE, request.who)
         reply = None
-        if trajectory is None and self._beside:
-            return None
-        if trajectory is None:
-            self._give_up(WHEELS_ENABLED, now_ns)
-        else:
+        if trajectory := self.core.pose(goals.DRIVE, SERVICE, request.who):
             reply = self._execute(Waiter(request, trajectory, enables=True), WHEELS_ENABLED, now_ns)
+        elif self._beside:
+            return None
+        else:
+            self._give_up(WHEELS_ENABLED, now_ns)
         self.core.forget()
         return reply
 
@@ -251,7 +248,7 @@ class Arm:
         absent = all(joint.silent for joint in core.joints if joint.drive >= 0)
         if absent and core.ignore_absent:
             return ""
-        fault = trajectory.outcome or core.off_pose(goals.DRIVE)
+        fault = trajectory.outcome or core.off(core.judged(goals.DRIVE))
         return f'{fault}; without the arm: arm.absent = "ignore"' if fault and absent else fault
 
     def _follow_tuck(self, closed: str, now_ns: int) -> None:
