@@ -48,7 +48,9 @@ def running(look: Look) -> list[Finding]:
         off = ok(f"{text} (board.imu is off)")
         found += warn(text, "", 'set board.imu = "off" for a robot without one') if state.device.imu else off
     wrong = state.arm.wrong if state.arm else ()
-    return found + [row for text in wrong for row in warn(f"the arm: {text}", f"failstop arm --name {look.name}")]
+    found += [row for text in wrong for row in warn(f"the arm: {text}", f"failstop arm --name {look.name}")]
+    hot = [f"{servo.name} is at {servo.temperature_c} C" for servo in state.servos.values() if servo.hot]
+    return found + [row for text in hot for row in warn(text, "", "let it rest, and see what it turns against")]
 
 
 def _not_running(look: Look) -> list[Finding]:

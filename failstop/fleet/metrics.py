@@ -105,6 +105,14 @@ def _joints(value: str) -> Read:
     return read
 
 
+def _servos(value: str) -> Read:
+    def read(state: State) -> list[Sample]:
+        known = {str(servo): getattr(row, value) for servo, row in state.servos.items()}
+        return _each("servo", {name: found for name, found in known.items() if found is not None})
+
+    return read
+
+
 def _rows() -> Iterator[Family]:
     def row(name: str, kind: str, doc: str, read: Read, *labels: str) -> Family:
         return Family(f"{NAMESPACE}_{name}", kind, doc, labels, read)
@@ -204,6 +212,14 @@ def _rows() -> Iterator[Family]:
         "arm_joint_temperature_celsius", GAUGE, "Of each servo, as it was read last", _joints("temperature_c"), "joint"
     )
     yield row("arm_joint_supply_volts", GAUGE, "Of each servo, likewise", _joints("supply_v"), "joint")
+    yield row(
+        "servo_temperature_celsius", GAUGE, "Of each servo of a bus, wheels' and joints'", _servos("temperature_c"),
+        "servo",
+    )  # fmt: skip
+    yield row(
+        "servo_load_ratio", GAUGE, "Share of the most that each gives, negative the other way round", _servos("load"),
+        "servo",
+    )  # fmt: skip
 
 
 LINKS = (LINK_UNPROVEN, LINK_ALIVE, LINK_DEAF, LINK_UNASKED)
