@@ -1,5 +1,5 @@
-"""LeKiwi's nine servos on one simulated bus, and a policy of LeRobot's that drives by the plugin:
-`python -m bench.kiwi`. With `--python` that of an environment with the real LeRobot (`make lerobot` makes one), else with the tests' stand-in.
+"""LeKiwi's nine servos on one simulated bus, and a policy of LeRobot's that drives by the plugin. With `--python` it
+runs in an environment with the real LeRobot (`make lerobot` makes one), else with the tests' stand-in.
 
 The simulated servos say when the wheels' goals are zero, when each joint stands, and whether it holds.
 """
@@ -82,6 +82,7 @@ class KiwiTrial(ArmTrial):
     def follow(self, seconds: float = 0.0) -> int:
         """Have the policy drive and move every joint; returns its pid, or that of its session, negative."""
         if self._follower is None:
+            self.settle()
             self.robot.arm.read()
             self._follower = self.program("both")
         wait_for("the policy to be connected", self._connected)

@@ -65,7 +65,15 @@ def test_row_beside_the_wheels(kiwi: ArmTrial, fault: ArmFault) -> None:
 
 def judged(row: ArmFault = BY_NAME["arm-kill-gate"], **changed: Any) -> tuple[str, ...]:
     """The faults of a run in which all was well but for what is given. Times are ms from the fault."""
-    given: dict[str, Any] = {"stop_ms": 3, "motion_after": 0, "turned": True, "from_ms": -20, "to_ms": 30, "limp": [], "latched": DIED}
+    given: dict[str, Any] = {
+        "stop_ms": 3,
+        "motion_after": 0,
+        "turned": True,
+        "from_ms": -20,
+        "to_ms": 30,
+        "limp": [],
+        "latched": DIED,
+    }
     given |= changed
     ns = None if given["stop_ms"] is None else given["stop_ms"] * MS
     stopped = Stopped(FAULT_NS, ns, ns, ns, given["motion_after"], given["turned"])

@@ -47,6 +47,7 @@ BEHIND_S = 0.4
 """A joint that stands so much behind where it was told to be did not follow before."""
 STAYS = 6
 """Pulses by which it may be read elsewhere later."""
+LET_GO = "joint {} has let go: its torque is off"
 
 
 class ArmRun:
@@ -111,7 +112,7 @@ class ArmRun:
             stand.driver.velocity = (0.0, 0.0, 0.0)
             stand.driver.enable()
             stand.driver.commands = False
-            stand.run(float(stand.settings[f"sources.{FIRST_SOURCE}.timeout_s"]))
+            stand.run(float(stand.settings.named["sources"][FIRST_SOURCE]["timeout_s"]))
         if stand.board:
             stand.board.events()
         self._program = found.begin(stand.name, self.result.velocity.command)
@@ -151,8 +152,8 @@ class ArmRun:
             result.board_ms = None if stop is None else (stop.arrival_ns - self._cause_ns) / 1e6
             if stop and (motion := sum(event.is_motion for event in after if event.index > stop.index)):
                 result.wrong.append(f"{motion} motion frames after the stop")
-            if limp := self.stand.board.limp() if self._sight else []:
-                result.wrong.append(f"servos {limp} have let go")
+            if found.joint.servo in self.stand.board.limp():
+                result.wrong.append(LET_GO.format(found.joint.name))
 
     def _judge_wheels(self, sight: Sight) -> None:
         """They turned until the cause, and come to rest."""
@@ -218,7 +219,7 @@ class ArmRun:
         result.arm["read"] = places[0]
         state = self.stand.driver.robot.state.arm
         if state and state.joints[found.joint.name].torque is False:
-            result.wrong.append(f"joint {found.joint.name} has let go: its torque is off")
+            result.wrong.append(LET_GO.format(found.joint.name))
         result.rest_s = (places[0] - result.arm["told"]) * self._way / found.joint.speed
         bar_s = self.path.rest_bar_s(result.velocity)
         if result.rest_s > bar_s:
