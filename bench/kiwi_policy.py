@@ -47,8 +47,9 @@ class Policy:
             self._connect()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._robot:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """One that is interrupted ends as it is."""
+        if self._robot and kind is None:
             self._robot.disconnect()
 
     def _connect(self) -> None:

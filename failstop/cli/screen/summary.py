@@ -133,7 +133,7 @@ def servos(state: State) -> list[Line]:
     hottest = max(state.servos.values(), key=lambda servo: servo.temperature_c or 0)
     loaded = max(state.servos.values(), key=lambda servo: abs(servo.load))
     heat = f"{hottest.name} at {hottest.temperature_c} C is the hottest"
-    load = f", {loaded.name} bears the most, {abs(loaded.load):.0%}"
+    load = f", {loaded.name} bears the most, {abs(loaded.load):.0%}" if loaded.load else ""
     return [[*row("servos", heat, WARN if hottest.hot else PLAIN), (load, PLAIN)]]
 
 
