@@ -6,11 +6,7 @@ import dataclasses
 import enum
 from typing import Any, Literal, NamedTuple
 
-from failstop.api.servos import ArmState as ArmState
-from failstop.api.servos import JointState as JointState
-from failstop.api.servos import ServoState as ServoState
-from failstop.messages import box
-from failstop.messages.records import POSE_VARIANCE, RATE_VARIANCE
+from failstop.messages import box, records
 from failstop.policy.causes import Cause
 from failstop.policy.layouts import WHEEL_NAMES
 
@@ -204,7 +200,7 @@ class Imu(NamedTuple):
     """m/s2."""
     rate_radps: tuple[float, ...]
     """rad/s, less the bias."""
-    rate_variance: float = RATE_VARIANCE
+    rate_variance: float = records.RATE_VARIANCE
     """Of each axis of the rate, (rad/s)2."""
 
 
@@ -229,7 +225,7 @@ class Odometry(NamedTuple):
     """Standard deviation of vx and vy, m/s, by the settings."""
     twist_std_radps: float
     """Standard deviation of wz, rad/s, by the settings."""
-    pose_variance: float = POSE_VARIANCE
+    pose_variance: float = records.POSE_VARIANCE
     """Of each of x, y (m2) and th (rad2): so large that nobody trusts the pose."""
 
 
@@ -250,6 +246,65 @@ class Pad(NamedTuple):
 
 Sample = Imu | Pad | Odometry
 """A sample, as `Robot.samples` gives it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class JointState:
+    """One joint of the arm."""
+
+    servo: int
+    """The id of its servo on the bus."""
+    angle_rad: float | None
+    """Measured, rad; None before a reading."""
+    pulses: int | None
+    """Its position in the servo's pulses."""
+    age_s: float | None
+    """Since it was read, s."""
+    commanded_rad: float | None
+    """Where it was sent, rad; None while it is not known where it is."""
+    torque: bool | None
+    """It holds; None: not known yet."""
+    temperature_c: int | None
+    """Of the servo, degrees Celsius."""
+    supply_v: float | None
+    """Of the servo, V."""
+
+    @property
+    def at_rad(self) -> float | None:
+        """Where it is as far as is known, rad: sent (no servo is asked while it moves), or read to be."""
+        return self.angle_rad if self.commanded_rad is None else self.commanded_rad
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmState:
+    """The arm."""
+
+    mode: str
+    """trajectory, follow, jog, or empty."""
+    phase: str
+    """How far a trajectory is."""
+    moving: bool
+    """It moves now."""
+    by: str
+    """The program that moves it; empty: none."""
+    closed: str
+    """Why it takes no goal; empty: it takes one."""
+    refused: str
+    """Why the last goal of a stream was not taken; empty: it was."""
+    released: bool
+    """Its torque is off."""
+    silent: tuple[int, ...]
+    """Servos that do not answer."""
+    wrong: tuple[str, ...]
+    """Faults of it, in words."""
+    pose: str
+    """drive, tuck, or empty."""
+    auto_tuck_s: float | None
+    """Until it tucks itself, s; None: it does not."""
+    pad_joint: str | None
+    """The joint that the gamepad turns."""
+    joints: dict[str, JointState]
+    """By name."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -318,8 +373,8 @@ class State:
     """Commanded angle of the steered wheels, rad, positive to the left. None: there are none, or the robot stands."""
     stands_within_m: float = 0.0
     """Stopping distance: from any fault that software answers until the robot stands, m, at the speed limit of now."""
-    servos: dict[int, ServoState] = dataclasses.field(default_factory=dict)
-    """By id; empty: the board tells nothing of them."""
+    servos: dict[str, tuple[float, int]] = dataclasses.field(default_factory=dict)
+    """By the part that each turns: load (a share of the most that it gives, signed) and temperature in degrees C."""
 
     @property
     def block(self) -> Block | None:
@@ -338,9 +393,7 @@ class State:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as in `failstop status --json`."""
-        return dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None)) | {
-            "cause": self.cause and self.cause.as_map(),
-            "imu": self.imu and self.imu._asdict(),
-            "odometry": self.odometry and self.odometry._asdict(),
-            "last_stop": self.last_stop and {**vars(self.last_stop), "cause": self.last_stop.cause.as_map()},
-        }
+        found = dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None))
+        found |= {"imu": self.imu and self.imu._asdict(), "odometry": self.odometry and self.odometry._asdict()}
+        stop = self.last_stop and {**vars(self.last_stop), "cause": self.last_stop.cause.as_map()}
+        return {**found, "cause": self.cause and self.cause.as_map(), "last_stop": stop}

@@ -13,13 +13,13 @@ import msgpack
 
 from failstop.api import distance, snapshot
 from failstop.api.client import SeenRun, attach
-from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, ServoState, State, Stop
+from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
 from failstop.board.kinds import watchdog_of
 from failstop.messages import box, layout, records
-from failstop.policy import causes
+from failstop.policy import causes, servos
 from failstop.policy.causes import Cause
 from failstop.policy.joints import Joint, from_settings
-from failstop.policy.layouts import ACKERMANN, WHEEL_NAMES, WHEELS_SERVOS
+from failstop.policy.layouts import ACKERMANN
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.policy.settings import Settings, mounted_wheels
 from failstop.shm import heartbeat
@@ -183,24 +183,8 @@ class StateReader(SeenRun):
             lease_s=self._lease_s,
             steering_rad=self._steering_rad(decided["wheels_rps"]),
             stands_within_m=distance.furthest(self._declared, decided["limit"] / 100)[0],
-            servos=self._servos(),
+            servos=servos.by_part(self._value("health") or (), self._declared),
         )
-
-    @cached_property
-    def _parts(self) -> dict[int, str]:
-        """The part that each servo turns."""
-        wheels = WHEELS_SERVOS.get(self._declared.text("board.kind"), ())
-        names = dict(zip(wheels, WHEEL_NAMES.get(len(wheels), ()), strict=True))
-        joints = {joint.servo: f"joint {name}" for name, joint in self.joints.items()}
-        return {**{servo: f"{name} wheel" for servo, name in names.items()}, **joints}
-
-    def _servos(self) -> dict[int, ServoState]:
-        hot_c = self._declared["arm.hot_c"]
-        return {
-            servo: ServoState(f"{self._parts[servo]} (servo {servo})", load, at_c or None, at_c >= hot_c)
-            for servo, load, at_c in self._value("health") or ()
-            if servo in self._parts
-        }
 
     def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:
         if found is None:
@@ -208,16 +192,11 @@ class StateReader(SeenRun):
         joints = {}
         for name, servo, commanded, measured, measured_ns, torque, temperature_c, supply_mv in found["joints"]:
             rad = self.joints[name].rad
-            joints[name] = JointState(
-                servo=servo,
-                angle_rad=None if measured is None else round(rad(measured), 4),
-                pulses=measured,
-                age_s=None if measured is None else _age_s(now_ns, measured_ns),
-                commanded_rad=None if commanded is None else round(rad(commanded), 4),
-                torque=torque,
-                temperature_c=temperature_c or None,
-                supply_v=supply_mv / 1000 or None,
-            )
+            angle_rad = None if measured is None else round(rad(measured), 4)
+            commanded_rad = None if commanded is None else round(rad(commanded), 4)
+            age_s = None if measured is None else _age_s(now_ns, measured_ns)
+            known = (temperature_c or None, supply_mv / 1000 or None)
+            joints[name] = JointState(servo, angle_rad, measured, age_s, commanded_rad, torque, *known)
         return _made(ArmState, found, joints=joints, silent=tuple(found["silent"]), wrong=tuple(found["wrong"]))
 
     def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:

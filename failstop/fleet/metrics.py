@@ -105,12 +105,8 @@ def _joints(value: str) -> Read:
     return read
 
 
-def _servos(value: str) -> Read:
-    def read(state: State) -> list[Sample]:
-        known = {str(servo): getattr(row, value) for servo, row in state.servos.items()}
-        return _each("servo", {name: found for name, found in known.items() if found is not None})
-
-    return read
+def _servos(at: int) -> Read:
+    return lambda state: _each("servo", {name: float(told[at]) for name, told in state.servos.items()})
 
 
 def _rows() -> Iterator[Family]:
@@ -213,12 +209,10 @@ def _rows() -> Iterator[Family]:
     )
     yield row("arm_joint_supply_volts", GAUGE, "Of each servo, likewise", _joints("supply_v"), "joint")
     yield row(
-        "servo_temperature_celsius", GAUGE, "Of each servo of a bus, wheels' and joints'", _servos("temperature_c"),
-        "servo",
+        "servo_temperature_celsius", GAUGE, "Of each servo of a bus, wheels' and joints'", _servos(1), "servo",
     )  # fmt: skip
     yield row(
-        "servo_load_ratio", GAUGE, "Share of the most that each gives, negative the other way round", _servos("load"),
-        "servo",
+        "servo_load_ratio", GAUGE, "Share of the most that each gives, signed", _servos(0), "servo",
     )  # fmt: skip
 
 

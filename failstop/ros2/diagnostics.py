@@ -98,9 +98,8 @@ def _battery(state: State) -> StatusMessage:
 
 
 def _servos(state: State) -> Iterator[StatusMessage]:
-    for servo in state.servos.values():
-        level, told = (WARN, "hot") if servo.hot else (OK, "not hot")
-        yield _status(servo.name, level, told, temperature_c=servo.temperature_c, load=round(servo.load, 2))
+    for name, (load, temperature_c) in state.servos.items():
+        yield _status(name, OK, f"{temperature_c} degrees C", temperature_c=temperature_c, load=load)
 
 
 def _rights(state: State) -> StatusMessage:

@@ -50,8 +50,7 @@ class GateState:
     def __init__(self, reader: LatestReader) -> None:
         self._reader = reader
         self._found: object = None
-        self._seq = 0
-        self._t_ns = 0
+        self._seq = self._t_ns = 0
         self.enabled = False
         self.latched = False
         self.epoch = 0
@@ -343,7 +342,8 @@ class Telemetry:
             self._files.append(BATTERY_LOG, due[0], battery.HEADER, due[1])
 
     def _on_pad(self, said: interface.Value, t_ns: int) -> None:
-        sample, data = said[:-1], said[-1]
+        buttons, hat, lx, ly, rx, ry, data = said
+        sample = (buttons, hat, lx, ly, rx, ry)
         news = self._pad.take(sample, data, t_ns)
         self._raise(news.cause)
         if news.command:

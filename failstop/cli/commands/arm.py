@@ -5,11 +5,10 @@ from __future__ import annotations
 import dataclasses
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Mapping
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
-from failstop.api.snapshot import ArmState, ServoState
+from failstop.api.snapshot import ArmState
 from failstop.api.words import span
 from failstop.cli import standard, style
 from failstop.cli.commands import add_name, seconds
@@ -67,8 +66,7 @@ def main(arguments: Namespace) -> int:
                 arm.read()
         except ValueError as error:
             raise FailstopError(str(error)) from None
-        lines = style.record(dataclasses.asdict(arm.state)) if arguments.json else _lines(arm.state, robot.state.servos)
-        style.show(lines)
+        style.show(style.record(dataclasses.asdict(arm.state)) if arguments.json else _lines(arm.state))
     return 0
 
 
@@ -82,9 +80,6 @@ def _jog(robot: Robot, rates: dict[str, float], for_s: float) -> str:
     return robot.arm.hold()
 
 
-NO_SERVOS: Mapping[int, ServoState] = {}
-
-
 def _values(words: list[str]) -> dict[str, float]:
     found = {}
     for word in words:
@@ -96,7 +91,7 @@ def _values(words: list[str]) -> dict[str, float]:
     return found
 
 
-def _lines(arm: ArmState, servos: Mapping[int, ServoState] = NO_SERVOS) -> list[style.Line]:
+def _lines(arm: ArmState) -> list[style.Line]:
     """All of the arm, its joints in a table."""
     head = [("arm", summary.arm_headline(arm)), *([("closed", arm.closed)] if arm.closed else [])]
     head += [("wrong", text) for text in arm.wrong]
@@ -108,8 +103,7 @@ def _lines(arm: ArmState, servos: Mapping[int, ServoState] = NO_SERVOS) -> list[
         commanded = "-" if joint.commanded_rad is None else f"{joint.commanded_rad:+.3f}"
         age = "never" if joint.age_s is None else f"{span(joint.age_s)} ago"
         heat = f", {joint.temperature_c} C" if joint.temperature_c else ""
-        load = f", load {abs(servos[joint.servo].load):.0%}" if joint.servo in servos else ""
-        torque = f"{TORQUES[joint.torque]}{heat}{load}"
+        torque = f"{TORQUES[joint.torque]}{heat}"
         rows.append((name, f" {joint.servo}", f" {angle}", f" {measured}", f" {commanded}", f" {age}", torque))
     table = style.table([[(cell, style.PLAIN) for cell in cells] for cells in rows])
     return [*(summary.row(label, text) for label, text in head), *table]

@@ -11,6 +11,7 @@ from failstop.api.snapshot import ArmState, Block, State
 from failstop.api.why import WAITS, explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
+from failstop.policy import servos
 from failstop.policy.proofs import WATCHDOGS
 from failstop.supervisor.kinds import EVENT_KINDS
 from failstop.supervisor.status import cost
@@ -40,7 +41,8 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
         rows.append(row("limit", f"speed limited to {100 * state.speed_limit:.0f} % of the settings'", WARN))
     if state.arm:
         rows.append(row("arm", arm_headline(state.arm)))
-    rows += [device(state), battery(state), *servos(state), _sensors(state)]
+    rows += [device(state), battery(state), _sensors(state)]
+    rows += [row("servos", servos.summary(state.servos))] if state.servos else []
     if state.clients:
         rows.append(row("clients", ", ".join(f"{client.name} (pid {client.pid})" for client in state.clients)))
     rows += [
@@ -124,17 +126,6 @@ def battery(state: State) -> Line:
         return row("battery", "not told by the board")
     found = row("battery", f"{state.battery_v:.2f} V", WARN if state.battery_v < verdict.BATTERY_LOW_V else PLAIN)
     return [*found, (f", charger {state.plugged}" if state.plugged != "unknown" else "", PLAIN)]
-
-
-def servos(state: State) -> list[Line]:
-    """The hottest and the most loaded; none where the board tells nothing of them."""
-    if not state.servos:
-        return []
-    hottest = max(state.servos.values(), key=lambda servo: servo.temperature_c or 0)
-    loaded = max(state.servos.values(), key=lambda servo: abs(servo.load))
-    heat = f"{hottest.name} at {hottest.temperature_c} C is the hottest"
-    load = f", {loaded.name} bears the most, {abs(loaded.load):.0%}" if loaded.load else ""
-    return [[*row("servos", heat, WARN if hottest.hot else PLAIN), (load, PLAIN)]]
 
 
 def _sensors(state: State) -> Line:

@@ -221,8 +221,7 @@ class Arm:
                 return request
             self._requests.answer(request, refused(f"{NOT_IN_POSE}: {fault}"))
         else:
-            fault = trajectory.outcome
-            there = Reply(records.DONE, "arm is there")
+            fault, there = trajectory.outcome, Reply(records.DONE, "arm is there")
             self._requests.answer(request, refused(fault, trajectory.stopped_for) if fault else there)
         return None
 
