@@ -1,7 +1,7 @@
-"""A policy of LeRobot's that drives by the plugin: `python -m bench.kiwi`. With `--python` that of an environment with
-the real LeRobot (`make lerobot` makes one), else with the tests' stand-in.
+"""LeKiwi's nine servos on one simulated bus, and a policy of LeRobot's that drives by the plugin. With `--python` it
+runs in an environment with the real LeRobot (`make lerobot` makes one), else with the tests' stand-in.
 
-The simulated board says when wheels and joints stand.
+The simulated servos say when the wheels' goals are zero, when each joint stands, and whether it holds.
 """
 
 from __future__ import annotations
@@ -16,72 +16,117 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from bench import BenchError, report, stats
 from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
-from failstop.lab.faults.arm import ArmTrial, judge
-from failstop.lab.faults.arm_table import ARM_FAULT_BY_NAME, BY_ITSELF_MS, GOAL_MS, STOP_MS
-from failstop.lab.stopped import judge as stopped_by
-from failstop.lab.trial import wait_for
+from failstop.lab.faults import arm, arm_table
+from failstop.lab.faults.arm import ArmTrial, Rested
+from failstop.lab.faults.arm_table import BESIDE_BY_NAME, BY_ITSELF_MS, GOAL_MS, ArmFault
+from failstop.lab.faults.table import FAULT_BY_NAME
+from failstop.lab.trial import Stopped, wait_for
+from failstop.messages.layout import PROCESS_NAMES
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAM = Path(__file__).with_name("kiwi_policy.py")
-SETTINGS: dict[str, object] = {"scan.gate": "off", "arm.auto_tuck": "off"}
+SETTINGS: dict[str, object] = {"scan.gate": "off"}
 PERIOD_MS = 1000 / 30
 JITTER_MS = 5.0
-COMMAND_MS = 300.0
-"""Age at which a command of the base counts no more (sources.cmd_vel.timeout_s)."""
+REPLY_MS = 1.5
+"""A stop that falls into an answer is heard behind it: the longest one's time, and that of the stop's own bytes."""
+PLUGIN = "lerobot"
+"""The plugin's name among the clients."""
 
 
-class Bench:
-    """The robot, and the interpreter of the policies."""
+class KiwiTrial(ArmTrial):
+    """The service, and a policy's program in the place of the client that moves wheels and arm. It streams on through
+    stops and starts of the service."""
 
-    def __init__(self, trial: ArmTrial, python: str, home: str, seed: int) -> None:
-        self.trial = trial
-        self.random = random.Random(seed)
+    def __init__(self, python: str, home: str) -> None:
+        """`python`: of an environment with the real LeRobot; empty: the stand-in."""
+        super().__init__("bench-kiwi", SETTINGS, kind="feetech")
         path = [ROOT, ROOT / "integrations/lerobot"] + ([] if python else [ROOT / "tests/kiwi/standin"])
-        self._words = [python or sys.executable, str(PROGRAM), trial.name]
+        self._python = python or sys.executable
         self._environment = {
             **os.environ,
             "PYTHONPATH": os.pathsep.join(map(str, path)),
             "HF_LEROBOT_HOME": home,
             "HF_HUB_OFFLINE": "1",
         }
+        self.whole_host = False
+        """Its client is the shell with all that runs in it, and not the policy alone."""
+        self._seconds = 0.5
+        self._struck = False
+        """Its client is what is struck."""
 
-    def policy(self, *words: str) -> subprocess.Popen[str]:
-        """A policy that streams."""
+    def program(self, *words: str) -> subprocess.Popen[bytes]:
+        """A policy's program, that streams, in a session of its own; of a whole host with another program beside it."""
+        command = [self._python, str(PROGRAM), self.name]
+        shell = ["/bin/sh", "-c", '"$1" "$2" "$3" nothing >/dev/null & exec "$@"', "host"] if self.whole_host else []
         process = subprocess.Popen(
-            [*self._words, *words], env=self._environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+            [*shell, *command, *words],
+            env=self._environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
         )
         assert process.stdout
-        if process.stdout.readline() != "streams\n":
-            process.kill()
+        if process.stdout.readline() != b"streams\n":
+            end(process)
             raise BenchError("the policy's program has ended: no LeRobot in that environment?")
         return process
 
-    def ready(self) -> None:
-        """Disabled, nothing latched, the arm in its drive pose and read."""
-        self.trial.settle()
-        self.trial.drive_pose()
-        self.trial.robot.arm.read()
+    def follow(self, seconds: float = 0.0) -> int:
+        """Have the policy drive and move every joint; returns its pid, or that of its session, negative."""
+        if self._follower is None:
+            self.settle()
+            self.robot.arm.read()
+            self._follower = self.program("both")
+        wait_for("the policy to be connected", self._connected)
+        self.enable()
+        self._follower.send_signal(signal.SIGUSR1)
+        wait_for("the arm to move", lambda: self._turns("follow"))
+        self.board.wait_wheels(turning=True, timeout_s=10.0)
+        time.sleep(seconds or self._seconds)
+        return -self._follower.pid if self.whole_host else self._follower.pid
 
-    def struck(self, part: str, fault: signal.Signals) -> int:
-        """Send a streaming policy this signal at a moment of chance; the time of it. The program is ended."""
-        with self.policy(part) as process:
-            if part == "wheels":
-                self.trial.board.wait_wheels(turning=True, timeout_s=10.0)
-            else:
-                wait_for("the arm to move", lambda: (arm := self.trial.robot.state.arm) and arm.moving)
-            time.sleep(self.random.uniform(0.2, 0.5))
-            at_ns = time.monotonic_ns()
-            process.send_signal(fault)
-            time.sleep(0.7)
-            process.kill()
-        return at_ns
+    def _connected(self) -> bool:
+        """The policy is there, and has had the arm read."""
+        state = self.robot.state
+        known = state.arm and all(joint.at_rad is not None for joint in state.arm.joints.values())
+        return bool(known) and any(client.name == PLUGIN for client in state.clients)
+
+    def stop_following(self) -> None:
+        """End a policy that was struck; another streams on."""
+        if self._follower and (self._struck or self._follower.poll() is not None):
+            self.end_policy()
+
+    def end_policy(self) -> None:
+        """End it, and all in its group."""
+        if self._follower:
+            end(self._follower)
+            self._follower = None
+
+    def strike(self, fault: ArmFault, chance: random.Random) -> Rested:
+        """One fault at a moment of chance."""
+        self._struck = not fault.process
+        self._seconds = chance.uniform(0.2, 0.5)
+        return arm.strike(self, fault)
+
+    def close(self) -> None:
+        self.end_policy()
+        super().close()
+
+
+def end(program: subprocess.Popen[bytes]) -> None:
+    """End all programs of a group."""
+    os.killpg(program.pid, signal.SIGKILL)
+    program.wait()
+    assert program.stdout
+    program.stdout.close()
 
 
 def off(turns: list[list[int]]) -> list[int]:
@@ -90,81 +135,108 @@ def off(turns: list[list[int]]) -> list[int]:
     return [abs(after - before - round(PERIOD_MS * 1e6)) for before, after in itertools.pairwise(begun)]
 
 
-def streaming(bench: Bench, seconds: float) -> Iterator[Row]:
-    """Thirty turns a second with everything read back, while the arm moves; beside it a loop that does nothing."""
+def streaming(trial: KiwiTrial, seconds: float) -> Iterator[Row]:
+    """Thirty turns a second with everything read back, while wheels and arm move; beside it a loop that does
+    nothing."""
     progress("streaming")
-    bench.ready()
-    with bench.policy("arm", str(seconds)) as process, bench.policy("nothing", str(seconds)) as idle:
-        assert process.stdout
-        assert idle.stdout
-        turns, bare = json.loads(process.stdout.read()), json.loads(idle.stdout.read())
-    yield stats.timing("30 Hz, all read back: a turn's period off by", off(turns), p50_ms=None, p99_ms=JITTER_MS)
+    trial.settle()
+    trial.robot.arm.read()
+    trial.enable()
+    policy, idle = trial.program("both", str(seconds)), trial.program("nothing", str(seconds))
+    assert policy.stdout
+    assert idle.stdout
+    turns, bare = json.loads(policy.stdout.readline()), json.loads(idle.stdout.readline())
+    for process in (policy, idle):
+        end(process)
+    trial.settle()
+    yield stats.timing(
+        "30 Hz, nine servos read back: a turn's period off by", off(turns), p50_ms=None, p99_ms=JITTER_MS
+    )
     yield stats.timing("of it a loop beside it that does nothing", off(bare), p50_ms=None, p99_ms=None)
     for name, index in (("get_observation()", 1), ("send_action()", 2)):
         yield stats.timing(f"{name} of nine numbers", [turn[index] for turn in turns], p50_ms=None, p99_ms=None)
 
 
-def wheels(bench: Bench, fault: signal.Signals, count: int, bar_ms: float) -> Row:
-    """The policy is struck while the base drives."""
-    found: list[int] = []
-    wrong: list[str] = []
+def driving(trial: KiwiTrial, count: int, chance: random.Random) -> Iterator[Row]:
+    """Each of failstop's processes is killed while an ordinary client drives; the arm holds."""
+    for process in PROCESS_NAMES:
+        found: list[Stopped] = []
+        for turn in range(count):
+            progress(f"kills of the {process} while driving, {turn + 1} of {count}")
+            trial.settle()
+            trial.enable()
+            pid = trial.service.pids()[process]
+            found.append(trial.kill(process, chance.uniform(0.1, 0.2)))
+            trial.recover(process, pid)
+        times = [stopped.executed_ns for stopped in found if stopped.executed_ns is not None]
+        yield wheels_row(f"kill {process} while driving", times, f"kill-{process}")
+        missed = sum(stopped.stop_ns is None or stopped.motion_after > 0 for stopped in found)
+        yield stats.count(f"stops missed, kills of the {process} while driving", missed, count)
+        yield stats.count(f"kills that found the wheels at rest, of the {process}", idle(found), count)
+
+
+def idle(found: Sequence[Stopped]) -> int:
+    """Kills that say nothing."""
+    return sum(not stopped.was_turning for stopped in found)
+
+
+def wheels_row(measure: str, times_ns: list[int], row: str) -> Row:
+    """To the wheels' goals, by the bar of a row of the fault table and one reply's time."""
+    bar_ms = FAULT_BY_NAME[row].bar_ms
+    assert bar_ms is not None
+    return stats.timing(
+        f"{measure} -> wheels' goals zero at the servos", times_ns, p50_ms=None, p99_ms=bar_ms + REPLY_MS
+    )
+
+
+def streamed(trial: KiwiTrial, fault: ArmFault, who: str, row: str, count: int, chance: random.Random) -> Iterator[Row]:
+    """One fault, again and again, while the policy drives and moves the arm. `row`: of the wheels, in the fault
+    table."""
+    found: list[Rested] = []
     for turn in range(count):
-        progress(f"{fault.name} while driving, {turn + 1} of {count}")
-        bench.ready()
-        bench.trial.robot.enable()
-        mark = bench.trial.board.info()["executed"]
-        at_ns = bench.struck("wheels", fault)
-        stopped = stopped_by(bench.trial.board.events(mark), at_ns, was_turning=True)
-        if stopped.stop_ns is None or stopped.motion_after:
-            wrong.append(f"{stopped.motion_after} motion frames after the stop" if stopped.stop_ns else "no stop")
-        found += [stopped.stop_ns] if stopped.stop_ns is not None else []
-    timed = stats.timing(f"{fault.name} of the policy while driving -> wheels zero", found, p50_ms=None, p99_ms=bar_ms)
-    return judged(timed, wrong)
-
-
-def judged(timed: Row, wrong: list[str]) -> Row:
-    """The row, with what went wrong beside the times."""
-    timed.result += f"  {wrong}" if wrong else ""
-    timed.met = timed.met and not wrong
-    return timed
-
-
-def arm(bench: Bench, fault: signal.Signals, count: int, bar_ms: float) -> Row:
-    """The policy is struck while the arm moves."""
-    row = ARM_FAULT_BY_NAME["arm-client-killed" if fault is signal.SIGKILL else "arm-client-hung"]
-    found, wrong = [], []
-    for turn in range(count):
-        progress(f"{fault.name} while the arm moves, {turn + 1} of {count}")
-        bench.ready()
-        board = bench.trial.board
-        legs, mark = board.joint_legs(), board.info()["executed"]
-        at_ns = bench.struck("arm", fault)
-        rested = judge(row, at_ns, board.events(mark), board.joint_track(legs), bench.trial.robot.state.cause)
-        found.append(round((rested.rest_ms or 0) * 1e6))
-        wrong += [*rested.wrong, *(["a servo is limp"] if board.limp() else [])]
-    timed = stats.timing(f"{fault.name} of the policy -> every joint stands", found, p50_ms=None, p99_ms=bar_ms)
-    return judged(timed, wrong)
+        progress(f"{who}, {turn + 1} of {count}")
+        found.append(trial.strike(fault, chance))
+    trial.end_policy()
+    wheels = [round(rested.wheels_ms * 1e6) for rested in found if rested.wheels_ms is not None]
+    rests = [round(rested.rest_ms * 1e6) for rested in found if rested.rest_ms is not None]
+    wrong = [rested.wrong for rested in found if rested.wrong]
+    yield wheels_row(f"{who} while driving", wheels, row)
+    stands_ms = BY_ITSELF_MS + (GOAL_MS if fault.what == arm_table.CLIENT_HANG else 0.0)
+    yield stats.timing(f"{who} -> every joint stands", rests, p50_ms=None, p99_ms=stands_ms)
+    missed = stats.count(f"stops missed, or an arm that does not hold: {who}", len(wrong), count)
+    missed.result += f" {wrong}" if wrong else ""
+    yield missed
 
 
 def main() -> int:
     """Measure; exit code 1 when a bar is missed."""
     parser = argparse.ArgumentParser(prog="python -m bench.kiwi", description=__doc__)
     parser.add_argument("--python", default="", help="of an environment with LeRobot (default: the stand-in)")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of streaming (default: 60)")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of streaming; 0: none (default: 60)")
     parser.add_argument("--kills", type=int, default=40, help="SIGKILLs of each kind (default: 40)")
-    parser.add_argument("--hangs", type=int, default=8, help="SIGSTOPs of each kind (default: 8)")
+    parser.add_argument("--hangs", type=int, default=8, help="SIGSTOPs of the policy (default: 8)")
     parser.add_argument("--seed", type=int, default=1, help="of the random moments")
     parser.add_argument("--out", default="bench/out/kiwi.json", help="where the JSON goes")
     arguments = parser.parse_args()
-    with Carriers() as carriers, tempfile.TemporaryDirectory() as home, ArmTrial("bench-kiwi", SETTINGS) as trial:
-        bench = Bench(trial, arguments.python, home, arguments.seed)
-        rows = list(streaming(bench, arguments.seconds))
-        for fault, count, late_ms, held_ms in (
-            (signal.SIGKILL, arguments.kills, STOP_MS, BY_ITSELF_MS + STOP_MS),
-            (signal.SIGSTOP, arguments.hangs, COMMAND_MS + 20.0, BY_ITSELF_MS + GOAL_MS),
+    begun_s, chance = time.monotonic(), random.Random(arguments.seed)
+    kills = arguments.kills
+    rows: list[Row] = []
+    with Carriers() as carriers, tempfile.TemporaryDirectory() as home, KiwiTrial(arguments.python, home) as trial:
+        rows += streaming(trial, arguments.seconds) if arguments.seconds else []
+        rows += driving(trial, kills, chance) if kills else []
+        for process in PROCESS_NAMES if kills else ():
+            name = f"kill-{process}"
+            who = f"SIGKILL of the {process} under the policy"
+            rows += streamed(trial, BESIDE_BY_NAME[f"arm-{name}"], who, name, kills, chance)
+        for who, fault, row, count, whole_host in (
+            ("SIGKILL of the policy", "arm-client-killed", "client-killed", kills, False),
+            ("SIGKILL of the policy and its host", "arm-client-killed", "client-killed", kills, True),
+            ("SIGSTOP of the policy", "arm-client-hung", "client-hung", arguments.hangs, False),
         ):
-            rows += [wheels(bench, fault, count, late_ms), arm(bench, fault, count, held_ms)] if count else []
+            trial.whole_host = whole_host
+            rows += streamed(trial, BESIDE_BY_NAME[fault], who, row, count, chance) if count else []
         machine = {"pty carriers": carriers.priority, "LeRobot": arguments.python or "the stand-in"}
+        machine["took_s"] = str(round(time.monotonic() - begun_s))
     return report.end(rows, arguments.out, machine)
 
 

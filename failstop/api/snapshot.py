@@ -6,8 +6,7 @@ import dataclasses
 import enum
 from typing import Any, Literal, NamedTuple
 
-from failstop.messages import box
-from failstop.messages.records import POSE_VARIANCE, RATE_VARIANCE
+from failstop.messages import box, records
 from failstop.policy.causes import Cause
 from failstop.policy.layouts import WHEEL_NAMES
 
@@ -201,7 +200,7 @@ class Imu(NamedTuple):
     """m/s2."""
     rate_radps: tuple[float, ...]
     """rad/s, less the bias."""
-    rate_variance: float = RATE_VARIANCE
+    rate_variance: float = records.RATE_VARIANCE
     """Of each axis of the rate, (rad/s)2."""
 
 
@@ -226,7 +225,7 @@ class Odometry(NamedTuple):
     """Standard deviation of vx and vy, m/s, by the settings."""
     twist_std_radps: float
     """Standard deviation of wz, rad/s, by the settings."""
-    pose_variance: float = POSE_VARIANCE
+    pose_variance: float = records.POSE_VARIANCE
     """Of each of x, y (m2) and th (rad2): so large that nobody trusts the pose."""
 
 
@@ -374,6 +373,8 @@ class State:
     """Commanded angle of the steered wheels, rad, positive to the left. None: there are none, or the robot stands."""
     stands_within_m: float = 0.0
     """Stopping distance: from any fault that software answers until the robot stands, m, at the speed limit of now."""
+    servos: dict[str, tuple[float, int]] = dataclasses.field(default_factory=dict)
+    """By the part that each turns: load (a share of the most that it gives, signed) and temperature in degrees C."""
 
     @property
     def block(self) -> Block | None:
@@ -392,9 +393,7 @@ class State:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as in `failstop status --json`."""
-        return dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None)) | {
-            "cause": self.cause and self.cause.as_map(),
-            "imu": self.imu and self.imu._asdict(),
-            "odometry": self.odometry and self.odometry._asdict(),
-            "last_stop": self.last_stop and {**vars(self.last_stop), "cause": self.last_stop.cause.as_map()},
-        }
+        found = dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None))
+        found |= {"imu": self.imu and self.imu._asdict(), "odometry": self.odometry and self.odometry._asdict()}
+        stop = self.last_stop and {**vars(self.last_stop), "cause": self.last_stop.cause.as_map()}
+        return {**found, "cause": self.cause and self.cause.as_map(), "last_stop": stop}

@@ -16,7 +16,7 @@ from failstop.api.client import SeenRun, attach
 from failstop.api.snapshot import ArmState, Imu, JointState, Odometry, Pad, Process, Sample, State, Stop
 from failstop.board.kinds import watchdog_of
 from failstop.messages import box, layout, records
-from failstop.policy import causes
+from failstop.policy import causes, servos
 from failstop.policy.causes import Cause
 from failstop.policy.joints import Joint, from_settings
 from failstop.policy.layouts import ACKERMANN
@@ -46,6 +46,7 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "port": (layout.PORT_OWNER, records.PORT.unpack),
     "imu": (layout.TELEMETRY, records.IMU.unpack),
     "battery": (layout.TELEMETRY, records.BATTERY.unpack),
+    "health": (layout.TELEMETRY, records.HEALTH.unpack),
     "bias": (layout.TELEMETRY, records.BIAS.unpack),
     "odometry": (layout.TELEMETRY, records.ODOMETRY.unpack),
     "pad": (layout.TELEMETRY, records.PAD.unpack),
@@ -182,6 +183,7 @@ class StateReader(SeenRun):
             lease_s=self._lease_s,
             steering_rad=self._steering_rad(decided["wheels_rps"]),
             stands_within_m=distance.furthest(self._declared, decided["limit"] / 100)[0],
+            servos=servos.by_part(self._value("health") or (), self._declared),
         )
 
     def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:
@@ -190,16 +192,11 @@ class StateReader(SeenRun):
         joints = {}
         for name, servo, commanded, measured, measured_ns, torque, temperature_c, supply_mv in found["joints"]:
             rad = self.joints[name].rad
-            joints[name] = JointState(
-                servo=servo,
-                angle_rad=None if measured is None else round(rad(measured), 4),
-                pulses=measured,
-                age_s=None if measured is None else _age_s(now_ns, measured_ns),
-                commanded_rad=None if commanded is None else round(rad(commanded), 4),
-                torque=torque,
-                temperature_c=temperature_c or None,
-                supply_v=supply_mv / 1000 or None,
-            )
+            angle_rad = None if measured is None else round(rad(measured), 4)
+            commanded_rad = None if commanded is None else round(rad(commanded), 4)
+            age_s = None if measured is None else _age_s(now_ns, measured_ns)
+            known = (temperature_c or None, supply_mv / 1000 or None)
+            joints[name] = JointState(servo, angle_rad, measured, age_s, commanded_rad, torque, *known)
         return _made(ArmState, found, joints=joints, silent=tuple(found["silent"]), wrong=tuple(found["wrong"]))
 
     def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:

@@ -11,6 +11,7 @@ from failstop.board.interface import (
     BY_IMU,
     BY_WHEELS,
     HEARD_BATTERY,
+    HEARD_HEALTH,
     HEARD_IMU,
     HEARD_OBEYED,
     HEARD_PONG,
@@ -20,7 +21,7 @@ from failstop.board.interface import (
     Hearing,
 )
 from failstop.board.servos import ServoAnswer
-from failstop.board.wire import ECHOED, OBSERVED, Battery, Imu, Obeyed, Sample, Wheels
+from failstop.board.wire import ECHOED, OBSERVED, Battery, Health, Imu, Obeyed, Sample, Wheels
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -69,6 +70,8 @@ def _said(sample: Sample) -> list[Said]:
         return [(HEARD_BATTERY, (round(sample.volts * 1000),))]
     if isinstance(sample, ServoAnswer):
         return [(HEARD_SERVO, (sample.servo, sample.what, sample.value))]
+    if isinstance(sample, Health):
+        return [(HEARD_HEALTH, sample.rows)]
     if isinstance(sample, Imu):
         accel = (value / _GRAVITY for value in sample.accel)
         return [(HEARD_IMU, (*accel, *(value * 180 / pi for value in sample.gyro)))]

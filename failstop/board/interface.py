@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW = range(3)
 """The writers of stops, as the rows of `repeats_ns`; whoever writes without a service has the last one's."""
 HEARD_IMU, HEARD_BATTERY, HEARD_PAD, HEARD_KEY, HEARD_SERVO, HEARD_PONG, HEARD_WHEELS, HEARD_OBEYED = range(8)
+HEARD_HEALTH = 8
 """The kinds of what a board says, as a Hearing tells them."""
 BY_ANSWER, BY_ECHO = "answer", "echo"
 """Proofs that a stop was parsed: the answer to a ping behind it, or the report of the command that is obeyed."""
@@ -33,7 +34,8 @@ class Hearing:
     HEARD_IMU: acceleration x y z in g, turn rate x y z in degrees a second. HEARD_BATTERY: mV. HEARD_PAD: the gamepad's
     buttons, hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY: id and event. HEARD_SERVO: id, what was asked, its
     answer. HEARD_PONG: the index of the ping that is answered. HEARD_WHEELS: (speeds, positions), what is not reported
-    empty. HEARD_OBEYED: the speeds of the command that it follows now.
+    empty. HEARD_OBEYED: the speeds of the command that it follows now. HEARD_HEALTH: of each servo its id, its load (-1
+    to 1) and its temperature in degrees Celsius.
     """
 
     __slots__ = ()

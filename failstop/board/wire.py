@@ -152,6 +152,13 @@ class Battery(Sample, Data):
     volts: float
 
 
+class Health(Sample, Data):
+    """Servos, as they say of themselves: of each its id, its load (a share of the most that it gives, negative the
+    other way round) and its temperature in degrees Celsius (0: not told yet)."""
+
+    rows: tuple[tuple[int, float, int], ...]
+
+
 class Imu(Sample, Data):
     """Acceleration in m/s^2 and turn rate in rad/s, by the axes of the board."""
 

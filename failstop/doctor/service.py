@@ -9,6 +9,7 @@ from failstop.board.interface import BY_IMU
 from failstop.doctor.look import Finding, Look, fail, ok, warn
 from failstop.files.instance import option
 from failstop.instances import unit_of
+from failstop.policy import servos
 from failstop.version import VERSION
 
 FIRST_REGULAR_UID = 1000
@@ -47,8 +48,9 @@ def running(look: Look) -> list[Finding]:
         text = "no IMU reports: nothing observes whether the wheels stand"
         off = ok(f"{text} (board.imu is off)")
         found += warn(text, "", 'set board.imu = "off" for a robot without one') if state.device.imu else off
-    wrong = state.arm.wrong if state.arm else ()
-    return found + [row for text in wrong for row in warn(f"the arm: {text}", f"failstop arm --name {look.name}")]
+    wrong = [f"the arm: {text}" for text in (state.arm.wrong if state.arm else ())]
+    wrong += servos.hot(state.servos, look.told)
+    return found + [row for text in wrong for row in warn(text, f"failstop status --name {look.name}")]
 
 
 def _not_running(look: Look) -> list[Finding]:

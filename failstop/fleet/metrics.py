@@ -105,6 +105,10 @@ def _joints(value: str) -> Read:
     return read
 
 
+def _servos(at: int) -> Read:
+    return lambda state: _each("servo", {name: float(told[at]) for name, told in state.servos.items()})
+
+
 def _rows() -> Iterator[Family]:
     def row(name: str, kind: str, doc: str, read: Read, *labels: str) -> Family:
         return Family(f"{NAMESPACE}_{name}", kind, doc, labels, read)
@@ -204,6 +208,12 @@ def _rows() -> Iterator[Family]:
         "arm_joint_temperature_celsius", GAUGE, "Of each servo, as it was read last", _joints("temperature_c"), "joint"
     )
     yield row("arm_joint_supply_volts", GAUGE, "Of each servo, likewise", _joints("supply_v"), "joint")
+    yield row(
+        "servo_temperature_celsius", GAUGE, "Of each servo of a bus, wheels' and joints'", _servos(1), "servo",
+    )  # fmt: skip
+    yield row(
+        "servo_load_ratio", GAUGE, "Share of the most that each gives, signed", _servos(0), "servo",
+    )  # fmt: skip
 
 
 LINKS = (LINK_UNPROVEN, LINK_ALIVE, LINK_DEAF, LINK_UNASKED)

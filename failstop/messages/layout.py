@@ -154,6 +154,7 @@ SEGMENTS = (
             _word("judged_ns", "supervisor"),  # the last IMU sample that still_ns is judged from; 0: none yet
             _latest("imu", records.IMU, "clients"),  # corrected, the rate less its bias
             _latest("battery", records.BATTERY, "clients"),
+            _latest("health", records.HEALTH, "clients"),
             _latest("bias", records.BIAS, "its successor, clients"),
             _latest("odometry", records.ODOMETRY, "its successor, clients"),
             _latest("pad", records.PAD, "clients"),

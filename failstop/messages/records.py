@@ -55,6 +55,7 @@ FOR_THE_LATCH, FOR_AN_INTERLOCK = 1, 2
 """Reasons of a refusal: what is latched, whose cause is told; an interlock, whose text is told."""
 ARM_FOLLOW, ARM_JOG = 1, 2
 MOST_JOINTS = 8
+MOST_SERVOS = 16
 MOST_ROWS = 200
 
 PAD_RESET, PAD_FRAME = 1, 2
@@ -229,6 +230,17 @@ def _unpack_answer(data: bytes) -> tuple[int | None]:
     return (value if answered else None,)
 
 
+def _pack_health(*rows: tuple[int, float, int]) -> bytes:
+    return b"".join(_SERVO_HEALTH.pack(servo, round(100 * load), at_c) for servo, load, at_c in rows[:MOST_SERVOS])
+
+
+def _unpack_health(data: bytes) -> tuple[tuple[int, float, int], ...]:
+    if len(data) % _SERVO_HEALTH.size:
+        raise ValueError(f"servos in {len(data)} bytes")
+    return tuple((servo, percent / 100, at_c) for servo, percent, at_c in _SERVO_HEALTH.iter_unpack(data))
+
+
+_SERVO_HEALTH = struct.Struct("<BbB")
 _LENGTH = struct.Struct("<H")
 _ANSWER = struct.Struct("<?i")
 _VALUE = struct.Struct("<Bd")
@@ -329,6 +341,9 @@ POSE_VARIANCE = 1e3
 """m^2 of x and y, rad^2 of th, to publish with the pose: dead reckoning is not to be trusted."""
 BATTERY: Payload[int, int] = Payload("<IB")
 """The battery's mV, and whether the charger is plugged in: an index of PLUGGED."""
+HEALTH = Shape("<", Tail(_pack_health, _unpack_health, MOST_SERVOS * 3))
+"""Servos, as they say of themselves: of each its id, load (-1 to 1, told in percent) and temperature (degrees Celsius;
+0: not told yet)."""
 PAD: Payload[int, int, int, int, int, int, int] = Payload("<HB4bB")
 """The gamepad's last frame: a bit a button, the hat, axes lx, ly, rx, ry of -128..127; an index of PAD_MODES."""
 PAD_COMMAND: Payload[float, float, float] = Payload("<3d")

@@ -28,7 +28,8 @@ def statuses(
     if state is None:
         rows = [_status("stop layer", ERROR, problem)]
     else:
-        rows = [_stop_layer(state), *_processes(state), _port(state), _link(state), _battery(state), _rights(state)]
+        rows = [_stop_layer(state), *_processes(state), _port(state), _link(state), _battery(state)]
+        rows += [*_servos(state), _rights(state)]
     rows.append(_status("ROS", WARN if wrong else OK, "; ".join(wrong or sees)))
     rows += [_status("not offered", OK, line) for line in lacks]
     return [{**row, "name": f"{node}: {row['name']}", "hardware_id": state.name if state else ""} for row in rows]
@@ -94,6 +95,11 @@ def _battery(state: State) -> StatusMessage:
         return _status("battery", OK, "not told by the board")
     level = WARN if state.battery_v < verdict.BATTERY_LOW_V else OK
     return _status("battery", level, f"{state.battery_v:.2f} V", charger=state.plugged)
+
+
+def _servos(state: State) -> Iterator[StatusMessage]:
+    for name, (load, temperature_c) in state.servos.items():
+        yield _status(name, OK, f"{temperature_c} degrees C", temperature_c=temperature_c, load=load)
 
 
 def _rights(state: State) -> StatusMessage:

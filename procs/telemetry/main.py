@@ -50,8 +50,7 @@ class GateState:
     def __init__(self, reader: LatestReader) -> None:
         self._reader = reader
         self._found: object = None
-        self._seq = 0
-        self._t_ns = 0
+        self._seq = self._t_ns = 0
         self.enabled = False
         self.latched = False
         self.epoch = 0
@@ -89,10 +88,9 @@ class GateState:
             vx, vy, wz = found["body_vel"]
             velocity = float(vx), float(vy), float(wz)
             enabled, latched, epoch = bool(found["enabled"]), found["estop"] is not None, int(found["epoch"])
-            tucks = bool(found["arm"]["tucks"]) if "arm" in found else False
+            self.tucks = bool(found["arm"]["tucks"]) if "arm" in found else False
         except (ValueError, KeyError, TypeError):
             return False
-        self.tucks = tucks
         self.enabled, self.latched, self.epoch, self.velocity, self.since_ns = enabled, latched, epoch, velocity, t_ns
         return True
 
@@ -137,7 +135,7 @@ class Telemetry:
     def _attach(self, context: Context) -> None:
         """Make the writers of its records, and the bells that it rings."""
         own = context.own
-        latest = ("imu", "bias", "odometry", "battery", "pad", "pad_command", "pad_arm")
+        latest = ("imu", "bias", "odometry", "battery", "health", "pad", "pad_command", "pad_arm")
         self._latest = {name: own.latest_writer(name) for name in latest}
         rings = ("causes", "pad_requests", "notes", "servos")
         self._rings = {name: own.ring_writer(name) for name in rings}
@@ -164,9 +162,9 @@ class Telemetry:
             interface.HEARD_PONG: self._on_pong,
             interface.HEARD_WHEELS: self._on_wheels,
             interface.HEARD_OBEYED: self._on_obeyed,
+            interface.HEARD_SERVO: self._on_servo,
+            interface.HEARD_HEALTH: self._on_health,
         }
-        if context.settings.servos():
-            self._handlers[interface.HEARD_SERVO] = self._on_servo
         self.loop.listen(context.bell("bell"))
         self._port = HeardPort(context, self.loop, monotonic_ns())
 
@@ -367,6 +365,9 @@ class Telemetry:
         self._rings["servos"].put(records.SERVO.pack(*answer), t_ns)
         self._box.put(box.pack_board(box.SERVO_KIND, *answer), t_ns)
         self._gate_bell.ring()
+
+    def _on_health(self, rows: interface.Value, t_ns: int) -> None:
+        self._latest["health"].write(records.HEALTH.pack(*rows), t_ns)
 
     def _on_pong(self, said: interface.Value, t_ns: int) -> None:
         self._pong_word.set(records.pack_pong(t_ns, said[0]))

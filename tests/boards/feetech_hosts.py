@@ -173,7 +173,7 @@ def held(host: Sdk | Rustypot, frames: int, rng: random.Random) -> list[list[Any
         size = rng.choice(codec.SIZES)
         question, answers, (goals, now, supplies) = host.read(size)
         assert question == codec.QUESTIONS[codec.SIZES.index(size)], (host.name, question.hex())
-        wheels, obeyed, battery, _ = codec.Replies().feed(answers)
+        wheels, obeyed, _, battery, _ = codec.Replies().feed(answers)
         assert isinstance(wheels, Wheels)
         assert isinstance(obeyed, Obeyed)
         assert isinstance(battery, Battery)

@@ -7,12 +7,14 @@ from typing import Any
 
 import pytest
 
+from failstop.board import servos
 from failstop.board.feetech import codec
 from failstop.board.feetech.wire import ANSWERS_NS
 from failstop.board.kinds import wire_of
-from failstop.board.wire import Wheels
+from failstop.board.wire import Battery, Health, Wheels
 from failstop.lab.boards.feetech import DELAY_NS, LONGEST_DELAY_NS, Bus
 from failstop.lab.boards.line import arrivals, play, stop_writes
+from failstop.messages import records
 from tests.support.simulated import Simulated
 
 MS = 1_000_000
@@ -56,7 +58,7 @@ def test_no_answer_is_taken_from_other_bytes() -> None:
     down = (codec.BURST, *codec.QUESTIONS, codec.TORQUE_ON, codec.motion((5, -5, 0), codec.LIMIT))
     assert [reader.feed(frame) for frame in down] == [[]] * len(down)
     answers = [codec.packet(wheel, 0, bytes(codec.SIZES[0])) for wheel in codec.WHEELS]
-    assert len(codec.Replies().feed(b"".join(answers))) == 4
+    assert len(codec.Replies().feed(b"".join(answers))) == 5
     for _ in range(300):
         at, bit = rng.randrange(3), rng.randrange(8)
         garbled = [bytearray(answer) for answer in answers]
@@ -87,3 +89,29 @@ def test_nothing_but_a_stop_meets_an_answer(driven: Simulated) -> None:
     assert len(bus.commands) > 20
     assert (bus.collisions, bus.broadcast_speeds) == (0, 0)
     assert driven.robot.state.battery_v == pytest.approx(11.8)
+
+
+def wheel(decivolts: int, load: int, temperature: int) -> bytes:
+    """A wheel's memory from its goal speed on."""
+    return bytes(14) + load.to_bytes(2, "little") + bytes((decivolts, temperature))
+
+
+def test_servos_tell_of_their_load_temperature_and_supply_once_a_second() -> None:
+    reader = codec.Replies()
+    position = bytes((0, 8, 0, 0)) + (0x400 | 250).to_bytes(2, "little") + bytes((118, 41))
+    assert [vars(sample) for sample in reader.feed(codec.packet(3, 0, position))] == [
+        {"servo": 3, "what": servos.POSITION, "value": 0x800}
+    ]
+    loads = {7: 100, 8: 0x400 | 1000, 9: 0}
+    answers = b"".join(codec.packet(id_, 0, wheel(118 + id_, load, 30 + id_)) for id_, load in loads.items())
+    told = [sample for _ in range(codec.TOLD_EVERY + 1) for sample in reader.feed(answers)]
+    health = [sample for sample in told if isinstance(sample, Health)]
+    assert [sample.rows for sample in health] == [((3, -0.25, 41), (7, 0.1, 37), (8, -1.0, 38), (9, 0.0, 39))] * 2
+    assert [sample.volts for sample in told if isinstance(sample, Battery)] == [12.5, 12.5]
+
+
+def test_health_is_told_in_whole_percent() -> None:
+    rows = ((3, -0.25, 41), (8, 1.023, 0))
+    assert records.HEALTH.unpack(records.HEALTH.pack(*rows)) == ((3, -0.25, 41), (8, 1.02, 0))
+    with pytest.raises(ValueError, match="servos in 4 bytes"):
+        records.HEALTH.unpack(bytes(4))

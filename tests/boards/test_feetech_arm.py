@@ -7,11 +7,12 @@ from typing import Any
 
 import pytest
 
-from failstop.board import servos
+from failstop.board import servos as questions
 from failstop.board.feetech import codec
 from failstop.board.framing import FrameError
 from failstop.board.kinds import board_of
 from failstop.lab.boards.feetech import MIDDLE, POSITION_AT, Bus
+from failstop.policy import servos
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 from tests.support.simulated import MS, Simulated
@@ -71,7 +72,7 @@ def test_goals_are_a_whole_frame_for_the_arm_alone() -> None:
         board.servo_move([(1, 0), (6, 4095)], 40),
         board.servo_torque(2, True, 2048),
         board.servo_torque(2, False, 0),
-        *(board.servo_read(3, what) for what in servos.READS),
+        *(board.servo_read(3, what) for what in questions.READS),
         board.servo_look([1, 2, 3]),
     ]
     for frame in made:
@@ -155,3 +156,28 @@ def test_a_joint_that_lags_behind_its_goal_is_held_where_it_is(kiwi: Kiwi) -> No
     kiwi.simulated.wait(1.0)
     assert kiwi.bus.word(blocked, codec.GOAL_POSITION) == kiwi.bus.word(blocked, POSITION_AT)
     assert kiwi.torques() == {1}
+
+
+def test_each_servo_s_load_and_temperature_are_told(kiwi: Kiwi) -> None:
+    loaded, hot_wheel = kiwi.bus.memory[IDS["elbow"]], kiwi.bus.memory[8]
+    loaded[60:62], hot_wheel[63] = (0x400 | 412).to_bytes(2, "little"), 70
+    kiwi.simulated.wait(8.0)
+    found = kiwi.simulated.robot.state.servos
+    assert found["joint elbow (servo 3)"] == (-0.41, 31)
+    assert found["rear wheel (servo 8)"] == (0.0, 70)
+    assert len(found) == 9
+    assert servos.summary(found) == (
+        "rear wheel (servo 8) at 70 C is the hottest, joint elbow (servo 3) bears the most, 41%"
+    )
+    assert servos.hot(found, Settings({"board.kind": "feetech"})) == ["rear wheel (servo 8) is at 70 C"]
+    assert servos.hot(found, Settings({"board.kind": "feetech", "arm.hot_c": 71})) == []
+
+
+def test_a_base_without_an_arm_tells_of_its_wheels() -> None:
+    simulated = Simulated(kind="feetech")
+    simulated.wait(1.0)
+    assert list(simulated.robot.state.servos) == [
+        "left wheel (servo 7)",
+        "rear wheel (servo 8)",
+        "right wheel (servo 9)",
+    ]

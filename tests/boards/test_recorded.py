@@ -112,7 +112,7 @@ def test_two_foreign_hosts_and_failstop_tell_feetech_s_servos_the_same() -> None
             continue
         answers, goals, speeds, decivolts = told
         assert bytes.fromhex(frame) in feetech.QUESTIONS
-        wheels, obeyed, battery, _ = feetech.Replies().feed(bytes.fromhex(answers))
+        wheels, obeyed, _, battery, _ = feetech.Replies().feed(bytes.fromhex(answers))
         assert isinstance(wheels, Wheels)
         assert isinstance(obeyed, Obeyed)
         assert isinstance(battery, Battery)

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.lab.boards.traits import HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, traits_of
+from failstop.lab.boards.traits import HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, traits_of
+from failstop.lab.faults.arm_table import BESIDE_BY_NAME
 from failstop.lab.faults.campaign import inject_one
 from failstop.lab.faults.fault import Fault
 from failstop.lab.faults.report import EVERY, rows_of
@@ -52,7 +53,9 @@ def test_a_row_is_absent_where_a_board_has_not_what_it_needs() -> None:
     for kind in EVERY_KIND:
         traits = traits_of(kind)
         absent = EVERY.keys() - rows_of(traits).keys()
-        assert {name for name in EVERY if name.startswith("arm-")} <= absent
+        arm = {name for name in EVERY if name.startswith("arm-")}
+        beside = set(BESIDE_BY_NAME) if HAS_ARM_BESIDE in traits.parts else set()
+        assert absent & arm == arm - beside
         assert ("board-deaf" in absent) == (HAS_PINGS not in traits.parts)
         assert {"pad-button", "board-key"} <= absent
         assert not traits.parts & {HAS_GAMEPAD, HAS_KEYS}

@@ -111,8 +111,8 @@ def robot_with_an_arm() -> Iterator[ArmTrial]:
 def started(lerobot: LeRobot, *words: str) -> Iterator[subprocess.Popen[str]]:
     """A program that is killed at the end."""
     process = subprocess.Popen(
-        # Where the tests run without a terminal, SIGHUP may be ignored, which a child inherits.
-        ["env", "--default-signal=HUP", lerobot.python, *words],
+        # Where the tests run without a terminal or in the background, these may be ignored, which a child inherits.
+        ["env", "--default-signal=HUP,INT", lerobot.python, *words],
         env=lerobot.environment,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,

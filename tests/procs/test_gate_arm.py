@@ -14,7 +14,7 @@ from failstop.messages import box, records
 from failstop.messages.packing import Note
 from failstop.policy import causes
 from failstop.policy.joints import PULSES_PER_RAD
-from tests.support.arm_settings import DRIVE, SERVOS, TUCK
+from tests.support.arm_settings import DRIVE, JOINTS, SERVOS, TUCK
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS
 
@@ -309,4 +309,16 @@ def test_tuck_that_can_not_begin_is_not_tried_again(arm_with: Make) -> None:
     scene.run(12.0)
     assert any("did not tuck itself" in text for _, text in news())
     scene.run(8.0)
+    assert news() == []
+
+
+def test_an_arm_without_a_tuck_pose_is_not_said_to_tuck_itself(arm_with: Make) -> None:
+    without = {f"joints__{name}__tuck": -1 for name in JOINTS}
+    scene = arm_with(arm__auto_tuck_s=5.0, arm__tuck_notice_s=2.0, **without)
+    news = notes(scene)
+    scene.execute({1: 0.5})
+    scene.finish()
+    scene.run(6.0)
+    assert scene.state()["auto_tuck_s"] is None
+    assert not scene.state()["tucks"]
     assert news() == []

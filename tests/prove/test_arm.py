@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from failstop.board.servos import bus_servo_move
+from failstop.board.kinds import board_of
+from failstop.board.rrc.board import BOARD
+from failstop.board.servos import bus_servo_move, bus_servo_stop
 from failstop.lab.faults.arm_table import ROWS
 from failstop.lab.faults.arm_table import SWINGING as SWUNG
 from failstop.lab.prove import arm_run
@@ -91,7 +93,7 @@ def test_what_is_read_back_is_when_it_stood(stand: ProveStand) -> None:
 
 @pytest.mark.slow
 def test_a_stop_that_is_not_made_fails(stand: ProveStand) -> None:
-    result = ArmRun(stand, BY_ARM_PATH["arm-stop-request"], SWINGING, lambda *_: None).take()
+    result = ArmRun(stand, BY_ARM_PATH["arm-stop-request"], SWINGING, request=lambda *_: None).take()
     assert result.verdict == "FAIL"
     assert result.rest_s is not None
     assert result.rest_s > 0.4
@@ -159,10 +161,20 @@ def track(*positions: float) -> list[Move]:
 
 
 def test_a_frame_s_moves() -> None:
-    data = bus_servo_move([(1, 500), (2, 600)], 40)[4:-1]
-    assert [(servo, position) for _, servo, position, _ in moves(7, data)] == [(1, 500), (2, 600)]
-    assert moves(7, data)[0][0] == 7
-    assert 40 * MS <= moves(7, data)[0][3] <= 60 * MS
+    frame = bus_servo_move([(1, 500), (2, 600)], 40)
+    found = moves(7, frame, BOARD)
+    assert [(servo, position) for _, servo, position, _ in found] == [(1, 500), (2, 600)]
+    assert found[0][0] == 7
+    assert 40 * MS <= found[0][3] <= 60 * MS
+    assert moves(7, bus_servo_stop([1, 2]), BOARD) == []
+
+
+def test_the_goals_of_servos_that_go_at_once() -> None:
+    board = board_of("feetech", 0.1, 0.0)
+    found = moves(7, board.servo_move([(1, 500), (6, 4095)], 40), board)
+    assert [(t_ns, servo, position) for t_ns, servo, position, _ in found] == [(7, 1, 500), (7, 6, 4095)]
+    assert SWING.at([(0, 1, 400, 1), *found], 8) == (500, 1)
+    assert moves(7, board.servo_look([1, 2]), board) == []
 
 
 def test_where_it_was_told_to_be_is_on_the_way_of_the_move_in_force() -> None:

@@ -34,6 +34,12 @@ def _goals(positions: Sequence[tuple[int, int]]) -> bytes:
     return codec.sync_write(codec.GOAL_POSITION, 2, b"".join(rows))
 
 
+def goals(frame: bytes) -> list[tuple[int, int]]:
+    """The goals in a frame of them, (id, position) each."""
+    rows = frame[_ROWS_AT : frame[3] + 3]
+    return [(rows[at], rows[at + 1] | rows[at + 2] << 8) for at in range(0, len(rows), 3)]
+
+
 def _torque(servo: int, on: bool) -> bytes:
     return codec.sync_write(codec.TORQUE_SWITCH, 1, bytes((_id(servo), on)))
 
@@ -91,8 +97,7 @@ class FeetechBoard(Described):
             return looked, self.servo_look(looked)
         if frame[5] == codec.TORQUE_SWITCH:
             return [frame[_ROWS_AT]], _torque(frame[_ROWS_AT], False)
-        rows = frame[_ROWS_AT : frame[3] + 3]
-        moves = [(rows[at], rows[at + 1] | rows[at + 2] << 8) for at in range(0, len(rows), 3)]
+        moves = goals(frame)
         ids = [servo for servo, _ in moves]
         if self.servo_what(frame) == bus.TORQUE_ON:
             ((servo, at),) = moves[:1]

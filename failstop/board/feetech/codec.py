@@ -11,7 +11,7 @@ from struct import Struct
 
 from failstop.board.framing import counted, number
 from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE, ServoAnswer
-from failstop.board.wire import Answer, Battery, Obeyed, Reader, Sample, Wheels, beyond
+from failstop.board.wire import Answer, Battery, Health, Obeyed, Reader, Sample, Wheels, beyond
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -33,14 +33,20 @@ UNIT = "steps a second"
 SIZES = (18, 19)
 """How much of each wheel's memory the questions ask for, from the goal speed on: an answer tells by its length which
 one it answers, as it says nothing else of it."""
-READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 2), SUPPLY: (62, 3), TEMPERATURE: (63, 4)}
-"""Address and size of each question to a servo of the arm; here too the size tells which one is answered."""
+READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 8), SUPPLY: (62, 3), TEMPERATURE: (63, 4)}
+"""Address and size of each question to a servo of the arm; here too the size tells which one is answered. Behind the
+position come load and temperature."""
+TOLD_EVERY = 10
+"""Answers of the wheels for one report of the supply and the servos' health: about one a second."""
 
 LONGEST_REPLY = 64
 _SIGN = 0x8000
+_LOAD_SIGN = 0x400
 _SPEEDS = Struct("<BHBHBH")
 _WHEEL = Struct("<H10xHxxB")
 """Of a wheel's memory from the goal speed on: that, the present speed, the supply in V / 10."""
+_HEALTH = Struct("<HxB")
+"""Of a servo's memory from the load on: that, the temperature."""
 
 
 def packet(servo: int, instruction: int, data: bytes) -> bytes:
@@ -64,6 +70,12 @@ def _word(speed: float) -> int:
 def signed(word: int) -> float:
     """Steps a second."""
     return -float(word & ~_SIGN) if word & _SIGN else float(word)
+
+
+def _health(data: bytes) -> tuple[float, int]:
+    """The load, as a share of the most that a servo gives, and the temperature."""
+    word, temperature = _HEALTH.unpack(data)
+    return (word & _LOAD_SIGN - 1) / (-1000 if word & _LOAD_SIGN else 1000), temperature
 
 
 def _written(speeds: Sequence[float]) -> bytes:
@@ -116,7 +128,7 @@ def _of_the_arm(servo: int, data: bytes) -> list[Sample]:
     if not found or servo in WHEELS:
         return []
     (what,) = found
-    value = int.from_bytes(data, "little") if what == POSITION else data[0] * (100 if what == SUPPLY else 1)
+    value = int.from_bytes(data[:2], "little") if what == POSITION else data[0] * (100 if what == SUPPLY else 1)
     return [ServoAnswer(servo, what, value)]
 
 
@@ -126,6 +138,8 @@ class Replies(Reader):
     def __init__(self) -> None:
         self._kept = b""
         self._wheels: list[bytes] = []
+        self._health: dict[int, tuple[float, int]] = {}
+        self._answers = 0
 
     def feed(self, chunk: bytes) -> list[Sample]:
         """The samples that these bytes complete."""
@@ -150,6 +164,8 @@ class Replies(Reader):
 
     def _heard(self, servo: int, data: bytes) -> list[Sample]:
         if servo not in WHEELS or len(data) not in SIZES:
+            if len(data) == READS[POSITION][1]:
+                self._health[servo] = _health(data[4:])
             return _of_the_arm(servo, data)
         due = WHEELS[len(self._wheels)]
         if servo != due or any(len(data) != len(other) for other in self._wheels):
@@ -160,10 +176,11 @@ class Replies(Reader):
         if len(self._wheels) < len(WHEELS):
             return []
         goals, now, decivolts = zip(*(_WHEEL.unpack_from(each) for each in self._wheels), strict=True)
+        self._health |= {wheel: _health(each[14:18]) for wheel, each in zip(WHEELS, self._wheels, strict=True)}
         self._wheels = []
-        return [
-            Wheels(tuple(map(signed, now)), ()),
-            Obeyed(tuple(map(signed, goals))),
-            Battery(min(decivolts) / 10),
-            Answer(str(len(data))),
-        ]
+        found = [Wheels(tuple(map(signed, now)), ()), Obeyed(tuple(map(signed, goals))), Answer(str(len(data)))]
+        if self._answers % TOLD_EVERY == 0:
+            health = tuple((servo, *told) for servo, told in self._health.items())
+            found += [Battery(min(decivolts) / 10), Health(health)]
+        self._answers += 1
+        return found

@@ -11,6 +11,7 @@ from failstop.api.snapshot import ArmState, Block, State
 from failstop.api.why import WAITS, explain, proofs
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line
+from failstop.policy import servos
 from failstop.policy.proofs import WATCHDOGS
 from failstop.supervisor.kinds import EVENT_KINDS
 from failstop.supervisor.status import cost
@@ -41,6 +42,7 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     if state.arm:
         rows.append(row("arm", arm_headline(state.arm)))
     rows += [device(state), battery(state), _sensors(state)]
+    rows += [row("servos", servos.summary(state.servos))] if state.servos else []
     if state.clients:
         rows.append(row("clients", ", ".join(f"{client.name} (pid {client.pid})" for client in state.clients)))
     rows += [

@@ -16,11 +16,12 @@ from __future__ import annotations
 
 import random
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from failstop.board.feetech import codec
 from failstop.board.wire import TimedStop, Write
-from failstop.lab.boards.line import ReceiverModel
+from failstop.lab.boards.line import Receiver, ReceiverModel
+from failstop.lab.sim.servos import Servos
 
 BYTE_NS = 10_000
 PING = 0x01
@@ -98,6 +99,10 @@ class Bus:
         """When which joint was sent somewhere."""
         self.blocked: set[int] = set()
         """Joints that are held where they are."""
+        self.silent: set[int] = set()
+        """Servos that obey and answer nothing."""
+        self.moved: Callable[[int, int, int, int, int], None] = lambda *_: None
+        """Called with each step of a joint: the servo, when and where it began, when and where it ended."""
         self._ears = [Ear(set(self.memory))]
         self._quiet = True
         """Every servo waits for the head of a packet."""
@@ -216,6 +221,8 @@ class Bus:
         if self._answers:
             begin_ns = self._answers[-1][0] + len(self._answers[-1][2]) * BYTE_NS
         for servo in asked:
+            if servo in self.silent:
+                continue
             ear.ids.discard(servo)
             if self.turns and servo in codec.WHEELS:
                 self.memory[servo][SPEED_AT : SPEED_AT + 2] = self.memory[servo][
@@ -231,15 +238,16 @@ class Bus:
         passed_ns = at_ns - self._moved_ns
         if passed_ns < STEP_NS:
             return
-        self._moved_ns = at_ns
+        before_ns, self._moved_ns = self._moved_ns, at_ns
         for servo in ARM_IDS:
             memory = self.memory[servo]
             here, goal = self.word(servo, POSITION_AT), self.word(servo, codec.GOAL_POSITION)
             memory[MOVING_AT] = here != goal and memory[codec.TORQUE_SWITCH] == 1 and servo not in self.blocked
             if memory[MOVING_AT]:
                 most = (self.word(servo, codec.GOAL_SPEED) or FULL_SPEED) * passed_ns // 1_000_000_000
-                here += max(-most, min(most, goal - here))
+                begin, here = here, here + max(-most, min(most, goal - here))
                 memory[POSITION_AT : POSITION_AT + 2] = here.to_bytes(2, "little")
+                self.moved(servo, before_ns, begin, at_ns, here)
 
 
 def _any_state(rng: random.Random) -> Bus:
@@ -256,6 +264,12 @@ def _every_state() -> Iterator[Bus]:
         yield Bus(heard=heard)
 
 
+def _joints(bus: Receiver, start_ns: int) -> Servos:
+    from failstop.lab.boards.feetech_joints import Joints
+
+    return Joints(bus, start_ns)
+
+
 MODEL = ReceiverModel(
     live=lambda: Bus(turns=True),
     any_state=_any_state,
@@ -266,4 +280,5 @@ MODEL = ReceiverModel(
     # A packet of motion that was cut, and another behind it: one check of 256 passes.
     fuses=True,
     stalls=True,
+    joints=_joints,
 )

@@ -13,6 +13,7 @@ from typing import Protocol
 from failstop.board import own
 from failstop.board.kinds import is_own
 from failstop.board.wire import TimedStop
+from failstop.lab.sim.servos import Servos
 
 BAR_NS = 12_000_000
 """From a stop's first write to the command at the wheels, where one or two write it: every board."""
@@ -61,6 +62,9 @@ class ReceiverModel:
     """Whether pieces of two frames can pass its check as one frame, with any speed, until the next stop."""
     stalls: bool
     """Whether its stop holds behind an adapter that stalls, and then sends everything at once."""
+    joints: Callable[[Receiver, int], Servos] | None = None
+    """(a live receiver, the moment that its times count from): an arm's servos on the same line. None: there are
+    none."""
 
 
 def model_of(kind: str) -> ReceiverModel:

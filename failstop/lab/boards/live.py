@@ -41,20 +41,27 @@ class LiveModel(BoardModel):
         wire = wire_of(kind)
         self._byte_ns = wire.port.byte_ns
         self._per_rps = wire.motion.per_rps(DIAMETER_M)
-        self.receiver = model_of(kind).live()
+        self._kind = kind
+        self._begin(start_ns)
         self.wheels = (0.0,) * wire.motion.wheels
-        self._start_ns = self._passed_ns = start_ns
+        self._passed_ns = start_ns
         self._coming: deque[tuple[int, int, int]] = deque()
         """When a byte has come through, which, and when it was read."""
         self._read_ns = start_ns
         """When the last byte that has come through was read."""
-        self._kind = kind
         self._busy_ns = 0
         """Until then it may still have to answer."""
         self._hears_ns = 0
         """When it has started: what came before is lost."""
         self._battery_ns = NEVER_NS
         self._commands = self._said = 0
+
+    def _begin(self, start_ns: int) -> None:
+        """A receiver that starts then."""
+        model = model_of(self._kind)
+        self.receiver, self._start_ns = model.live(), start_ns
+        if model.joints:
+            self.servos = model.joints(self.receiver, start_ns)
 
     def receive(self, chunk: bytes, t_ns: int) -> None:
         """Take in bytes that were read at t_ns."""
@@ -73,8 +80,8 @@ class LiveModel(BoardModel):
     def restart(self, t_ns: int, deaf_ns: int) -> None:
         """Its processor begins anew: the wheels stand, and for so long what it is sent is lost."""
         self._coming.clear()
-        self.receiver = model_of(self._kind).live()
-        self._hears_ns = self._start_ns = self._passed_ns = t_ns + deaf_ns
+        self._hears_ns = self._passed_ns = t_ns + deaf_ns
+        self._begin(self._passed_ns)
         self._commands = self._said = 0
         self.wheels = (0.0,) * len(self.wheels)
 

@@ -18,7 +18,8 @@ HAS_ARM, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU = "an arm", "a gamepad", "key
 HAS_CHECK = "a check in its frames"
 """A stop of which one bit was changed on the way turns no wheel."""
 HAS_BATTERY = "a battery that it reports"
-PARTS = (HAS_ARM, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU, HAS_CHECK, HAS_BATTERY)
+HAS_ARM_BESIDE = "an arm that moves beside the wheels"
+PARTS = (HAS_ARM, HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU, HAS_CHECK, HAS_BATTERY)
 CARRIED_OUT_NS = 100_000_000
 """So long after its first byte every stop has been carried out."""
 
@@ -55,6 +56,7 @@ def traits_of(kind: str) -> Traits:
     language = board_of(kind, DIAMETER_M, 0.0)
     has = {
         HAS_ARM: language.burst_with((1,)) != language.burst,
+        HAS_ARM_BESIDE: language.arm_beside_wheels,
         HAS_PINGS: bool(language.pings),
         HAS_IMU: language.observed_by == BY_IMU,
         # A Wire has no word for these.

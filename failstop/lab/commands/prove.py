@@ -23,7 +23,7 @@ from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.session import check_free, session
 from failstop.lab.prove.stand import ProveStand, settings_for
 from failstop.lab.prove.swing import REACH_RAD
-from failstop.lab.prove.table import BY_ARM_PATH, BY_PATH, BY_TURNING, Path, Turning
+from failstop.lab.prove.table import BY_ARM_PATH, BY_PATH, BY_TURNING, SWINGING, Path, Turning
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.sim.options import IMU_HZ, add_board
 from failstop.setup.ending import interruptible
@@ -95,7 +95,7 @@ def main(arguments: Namespace) -> int:
     say = (lambda _: None) if arguments.json else report.print_now
 
     def taken(device: str, user: dict[str, object], plan: Plan, board: SimBoard | None = None) -> Evidence:
-        velocities = list(dict.fromkeys(velocity for path, velocity in plan if not path.arm))
+        velocities = list(dict.fromkeys(velocity for _, velocity in plan if velocity != SWINGING))
         runs = ((path, velocity, random.Random()) for path, velocity in plan)
         ask, watcher = (report.print_now if asks else None for asks in (arguments.pad, not arguments.json))
         stand = ProveStand(device, user, folder, board)
@@ -129,9 +129,9 @@ def _plan(
     """The runs that this robot can have, in order, and whether its arm moves. Raises FailstopError where there are
     none, SettingError."""
     settings = config.checked(settings_for(user))
-    has_arm = bool(settings.servos())
-    means = means_of(settings.text("board.kind"), board_of(*settings.board()), imu=settings.on("board.imu"))
-    plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm)
+    has_arm, board = bool(settings.servos()), board_of(*settings.board())
+    means = means_of(settings.text("board.kind"), board, imu=settings.on("board.imu"))
+    plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm, beside=board.arm_beside_wheels)
     fitted = [(means.fitted(path), velocity) for path, velocity in plan if not means.lacks(path)]
     if not fitted:
         why = {means.lacks(path) for path, _ in plan} or {"the settings name no joints, and this is the arm's alone"}

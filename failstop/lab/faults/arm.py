@@ -13,15 +13,18 @@ import time
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.board.framing import BUS_SERVO
-from failstop.board.servos import SERVO_MOVE, SERVO_STOP
+from failstop.board.servos import LONGEST_MOVE_NS, SERVO_MOVE, SERVO_STOP
+from failstop.lab.boards.traits import traits_of
 from failstop.lab.faults import arm_table as table
 from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.fault import fits
 from failstop.lab.sim.client import Event
 from failstop.lab.sim.servos import Leg
-from failstop.lab.trial import Trial, wait_for, write_settings
+from failstop.lab.stopped import judge as stopped_by
+from failstop.lab.trial import READY_S, Stopped, Trial, wait_for, write_settings
 from failstop.messages.layout import SUPERVISOR
 from failstop.policy.causes import Cause
+from failstop.policy.layouts import BOARDS
 
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 963, 793), "elbow": (3, 46, 51), "wrist": (4, 131, 160)}
 JOINTS |= {"roll": (5, 498, 499), "gripper": (10, 629, 499)}
@@ -36,6 +39,13 @@ SETTINGS: dict[str, object] = {
     },
     "joints.gripper.judged": "off",
 }
+BESIDE: dict[str, object] = {
+    "restart.deaths": 100_000,
+    "restart.backoff_s": 0.001,
+    "arm.auto_tuck": "off",
+    **{f"joints.{name}.servo": servo for servo, name in enumerate(JOINTS, 1)},
+}
+"""Settings for an arm on the wheels' bus, as LeKiwi's: without poses."""
 FOLLOWER = """
 import sys, time
 from failstop.api.robot import Robot
@@ -46,6 +56,9 @@ with Robot(sys.argv[1], client="follower") as robot:
         t = (time.monotonic() - begun) % 8.0
         angle = 0.4 * min(t, 8.0 - t) - 0.8
         arm.follow(dict.fromkeys(arm.joints, angle))
+        if sys.argv[2:] == ["drives"]:
+            robot.sensed()
+            robot.drive(0.1, 0.0, 0.0, wait_s=0.0)
         time.sleep(0.02)
 """
 POSER = """
@@ -81,16 +94,24 @@ class Rested:
 class ArmTrial(Trial):
     """Board, service with an arm, and a client of its own that moves all of its joints."""
 
-    def __init__(self, name: str | None = None, changed: dict[str, object] | None = None) -> None:
-        super().__init__(name)
+    def __init__(
+        self, name: str | None = None, changed: dict[str, object] | None = None, kind: str = BOARDS[0]
+    ) -> None:
+        traits = traits_of(kind)
+        super().__init__(name, kind="" if kind == BOARDS[0] else kind)
+        self.beside = traits.language.arm_beside_wheels
+        """The program that moves the arm drives the wheels too."""
         path = os.path.join(self._directory.name, "arm.toml")
-        write_settings(path, {**SETTINGS, **(changed or {})})
+        write_settings(path, {**traits.settings, **(BESIDE if self.beside else SETTINGS), **(changed or {})})
         self.service._command += ["--config", path]
         self._follower: subprocess.Popen[bytes] | None = None
 
     def follow(self, seconds: float = 0.8) -> int:
-        """Have a program of its own move every joint; returns its pid."""
-        return self._begin(FOLLOWER, "follow", seconds)
+        """Have a program of its own move every joint, and where the arm may move beside them the wheels; returns its
+        pid."""
+        if self.beside:
+            self.enable()
+        return self._begin(FOLLOWER, "follow", seconds, *["drives"] * self.beside)
 
     def pose(self) -> int:
         """Have a program of its own enable motion, which brings the arm to its drive pose from far away."""
@@ -98,10 +119,13 @@ class ArmTrial(Trial):
             self.board.servo(servo, position=500)
         return self._begin(POSER, "trajectory", 0.3)
 
-    def _begin(self, program: str, mode: str, seconds: float) -> int:
+    def _begin(self, program: str, mode: str, seconds: float, *words: str) -> int:
         if self._follower is None:
-            self._follower = subprocess.Popen([sys.executable, "-c", program, self.name], stderr=subprocess.DEVNULL)
+            command = [sys.executable, "-c", program, self.name, *words]
+            self._follower = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         wait_for("the arm to move", lambda: self._turns(mode))
+        if self.beside:
+            self.board.wait_wheels(turning=True, timeout_s=READY_S)
         time.sleep(seconds)
         return self._follower.pid
 
@@ -143,6 +167,7 @@ class ArmTrial(Trial):
 
 
 NOT_TURNING = "no joint was turning at the fault"
+NOT_DRIVING = "the wheels were not turning at the fault"
 STRIKES = 3
 
 
@@ -151,7 +176,7 @@ def strike(trial: ArmTrial, fault: ArmFault) -> Rested:
     came while nothing turned, since the machine did not run the client, is tried again, STRIKES times in all."""
     for _ in range(STRIKES):
         rested = _strike(trial, fault)
-        if NOT_TURNING not in rested.wrong:
+        if not {NOT_TURNING, NOT_DRIVING} & set(rested.wrong):
             break
     return rested
 
@@ -162,7 +187,7 @@ def _strike(trial: ArmTrial, fault: ArmFault) -> Rested:
     assert fault.bar_ms is not None
     client = trial.pose() if fault.what == table.POSING else trial.follow()
     pids = trial.service.pids()
-    legs, mark = trial.board.joint_legs(), trial.board.info()["executed"]
+    legs, mark, turned = trial.board.joint_legs(), trial.board.info()["executed"], trial.turning()
     fault_ns = time.monotonic_ns()
     _begin(trial, fault, client, pids)
     time.sleep(fault.bar_ms / 1000 + 0.4)
@@ -178,7 +203,11 @@ def _strike(trial: ArmTrial, fault: ArmFault) -> Rested:
         trial.service.kill()
         trial.service.start()
     latched = _latched(trial, fault)
-    rested = judge(fault, fault_ns, events, track, latched)
+    if trial.beside:
+        stopped = stopped_by(events, fault_ns, turned)
+        rested = judge_beside(fault, stopped, track, latched, trial.board.limp(), tuple(events))
+    else:
+        rested = judge(fault, fault_ns, events, track, latched)
     trial.settle()
     return rested
 
@@ -249,6 +278,40 @@ def judge(fault: ArmFault, fault_ns: int, events: list[Event], track: list[Leg],
     wheels = next((event for event in events if event.is_stop and event.arrival_ns >= fault_ns), None)
     wheels_ms = None if wheels is None else (wheels.executed_ns - fault_ns) / 1e6
     return Rested(fault, rest_ms, stop_ms, wheels_ms, after, latched, tuple(wrong), fault_ns, tuple(events))
+
+
+def judge_beside(
+    fault: ArmFault,
+    stopped: Stopped,
+    track: list[Leg],
+    latched: Cause | None,
+    limp: list[int],
+    events: tuple[Event, ...],
+) -> Rested:
+    """The word of servos on the wheels' bus, which no stop is written to: the wheels are at zero, and every joint
+    stands at its last goal and holds."""
+    wrong, fault_ns = [], stopped.fault_ns
+    wheels_ms = None if stopped.executed_ns is None else stopped.executed_ns / 1e6
+    if fault.wheels_limit_ms is not None:
+        if wheels_ms is None:
+            wrong.append("the wheels were not stopped")
+        elif wheels_ms > fault.wheels_limit_ms:
+            wrong.append(f"the wheels were stopped after {wheels_ms:.0f} ms, the limit is {fault.wheels_limit_ms:.0f}")
+        if stopped.motion_after:
+            wrong.append(f"{stopped.motion_after} motion frames after the stop")
+    legs = [leg for leg in track if leg.begin != leg.end]
+    rest_ms = max([0.0, *((leg.end_ns - fault_ns) / 1e6 for leg in legs)])
+    if fault.limit_ms is not None and rest_ms > fault.limit_ms:
+        wrong.append(f"a joint turned until {rest_ms:.0f} ms, the limit is {fault.limit_ms:.0f}")
+    wrong += [f"servo {servo} has let go" for servo in limp]
+    if not fits(latched, fault.latched) if fault.latched else latched:
+        wrong.append(f"latched: {latched}")
+    wrong += [] if stopped.was_turning else [NOT_DRIVING]
+    # A servo is soon at each goal, and waits there for the next.
+    if not any(leg.begin_ns < fault_ns < leg.end_ns + LONGEST_MOVE_NS for leg in legs):
+        wrong.append(NOT_TURNING)
+    stop_ms = None if stopped.stop_ns is None else stopped.stop_ns / 1e6
+    return Rested(fault, rest_ms, stop_ms, wheels_ms, stopped.motion_after, latched, tuple(wrong), fault_ns, events)
 
 
 def _turned_ns(leg: Leg, track: list[Leg]) -> int:

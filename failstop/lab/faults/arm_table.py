@@ -7,8 +7,9 @@ from __future__ import annotations
 import dataclasses
 
 from failstop.board.servos import LONGEST_MOVE_MS
+from failstop.lab.boards.traits import Traits
 from failstop.lab.faults.fault import BY_ENABLE, BY_NEW_RUN, BY_RESET, LATE_MS, Wanted, told
-from failstop.lab.faults.processes import DEADLINES_MS, DEATH_OF, HANG_OF
+from failstop.lab.faults.processes import AT_ONCE_MS, DEADLINES_MS, DEATH_OF, HANG_OF
 from failstop.messages.layout import GATE, PROCESS_NAMES, SUPERVISOR
 from failstop.policy import causes
 
@@ -54,11 +55,24 @@ class ArmFault:
     """How the answer to an enable begins, behind `arm is not in the drive pose: joint elbow`."""
     weight: int = 1
     """How often a campaign draws it, against the others: it takes seconds."""
+    wheels_ms: float | None = None
+    """To the stop of the wheels, which turn meanwhile, where the arm may move beside them; None: that is not asked."""
 
     @property
     def limit_ms(self) -> float | None:
         """A joint that turns later than this fails."""
         return None if self.bar_ms is None else 1.5 * self.bar_ms + LATE_MS
+
+    @property
+    def wheels_limit_ms(self) -> float | None:
+        """Wheels that are stopped later than this fail."""
+        return None if self.wheels_ms is None else 1.5 * self.wheels_ms + LATE_MS
+
+    def at(self, traits: Traits) -> ArmFault:
+        """The row as it is for a board: the wheels' stop is later by the board's own line and loop."""
+        if self.wheels_ms is None:
+            return self
+        return dataclasses.replace(self, wheels_ms=self.wheels_ms + traits.own_ns / 1e6)
 
     def described(self) -> str:
         """The part of its line in docs/dev/faults.md that nothing is measured for."""
@@ -123,5 +137,31 @@ ROWS = (
     _servo("hot", "a servo is at 90 degrees, motion is to be enabled", ELSEWHERE, temperature_c=90),
 )
 ARM_FAULT_BY_NAME = {row.name: row for row in ROWS}
+COMMAND_MS = 320.0
+"""After so long without a new command the gate stops the wheels (sources.cmd_vel.timeout_s)."""
+
+
+def _beside(row: ArmFault) -> ArmFault:
+    """The row of an arm that moves beside turning wheels, told by the same program: as early as these are stopped it
+    has its last goal."""
+    wheels_ms: float | None = AT_ONCE_MS
+    bar_ms = row.bar_ms
+    first = row.first
+    if row.what == HANG:
+        first, wheels_ms = HANG_OF[row.process]
+        bar_ms = BY_ITSELF_MS + wheels_ms
+    elif row.what == CLIENT_HANG:
+        wheels_ms = COMMAND_MS
+    elif row.what == UNPLUG:
+        wheels_ms = None
+    return dataclasses.replace(
+        row, cause=row.cause.replace("the arm moves", BOTH_MOVE), first=first, bar_ms=bar_ms, wheels_ms=wheels_ms
+    )
+
+
+BOTH_MOVE = "wheels and arm move"
+BESIDE_ROWS = tuple(_beside(row) for row in ROWS if row.what not in (POSING, SERVO_FAULT))
+"""The rows of a board whose arm may move beside the wheels."""
+BESIDE_BY_NAME = {row.name: row for row in BESIDE_ROWS}
 SWINGING = (KILL, HANG, CLIENT_KILL, CLIENT_HANG, STOP_REQUEST)
 """Faults that can be injected on a stand, to an arm that a program moves."""

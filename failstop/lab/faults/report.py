@@ -9,7 +9,7 @@ from typing import Any
 
 from failstop.doctor.machine import facts
 from failstop.lab.boards.line import BAR_NS
-from failstop.lab.boards.traits import HAS_ARM, PARTS, Traits, traits_of
+from failstop.lab.boards.traits import HAS_ARM, HAS_ARM_BESIDE, PARTS, Traits, traits_of
 from failstop.lab.faults import arm_table, table
 from failstop.lab.faults.arm_table import ArmFault
 from failstop.lab.faults.campaign import Outcome
@@ -33,6 +33,8 @@ EVERY: dict[str, Fault | ArmFault] = {**table.FAULT_BY_NAME, **arm_table.ARM_FAU
 def rows_of(traits: Traits) -> dict[str, Fault | ArmFault]:
     """The rows that a board can have, with its bars."""
     arm = arm_table.ARM_FAULT_BY_NAME if HAS_ARM in traits.parts else {}
+    if HAS_ARM_BESIDE in traits.parts:
+        arm = {name: row.at(traits) for name, row in arm_table.BESIDE_BY_NAME.items()}
     return {name: row.at(traits) for name, row in table.FAULT_BY_NAME.items() if row.needs <= traits.parts} | arm
 
 
@@ -224,6 +226,8 @@ def other_boards() -> list[str]:
         for part in fault.needs:
             by_need.setdefault(part, []).append(f"`{fault.name}`")
     by_need[HAS_ARM] = ["all of *The arm moves*"]
+    beside = ", ".join(f"`{name}`" for name in arm_table.BESIDE_BY_NAME)
+    by_need[HAS_ARM_BESIDE] = [f"{beside}, while the wheels turn too: judged are both, and that no servo lets go"]
     return [
         *("", "## Another board", ""),
         "`failstop chaos --board NAME`, or the path of an own board's folder, injects the same rows at that board,",

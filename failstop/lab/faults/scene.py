@@ -65,7 +65,7 @@ class Scene(Stand):
     def arm(self) -> ArmTrial:
         """A board and a service of their own, with an arm; from when they are asked for first."""
         if self._arm is None:
-            self._arm = ArmTrial(f"{self.name}-arm")
+            self._arm = ArmTrial(f"{self.name}-arm", kind=self.traits.kind)
             self._arm.__enter__()
         return self._arm
 

@@ -3,6 +3,9 @@ stood: how far it is from where it was told to be at the cause, by the rate of i
 
 While it moves no servo is asked (it would hold the board's receiver), and after the stop it stands: so the time is read
 from the place. A servo that lags behind its goal stands earlier by that lag: what is judged is what it went on.
+
+Where the arm may move beside the wheels, the program that swings it drives too: the wheels have to come to rest, and
+the arm to stand with its torque on.
 """
 
 from __future__ import annotations
@@ -18,12 +21,23 @@ from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError, Refused
 from failstop.lab.faults import arm_table as table
 from failstop.lab.prove import swing
-from failstop.lab.prove.run import WHOLE_S, Result, judge_latch, judge_written
+from failstop.lab.prove.run import (
+    MOST_S,
+    NS,
+    STEADY_S,
+    WHOLE_S,
+    Result,
+    judge_latch,
+    judge_written,
+    speed_up_s,
+)
+from failstop.lab.prove.sight import Sight
 from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.swing import Swing
 from failstop.lab.prove.table import Path, Turning
 from failstop.lab.trial import TrialError
 from failstop.messages.layout import SUPERVISOR
+from failstop.policy.settings import FIRST_SOURCE
 
 SWUNG_S = 10.0
 AFTER_S = 0.4
@@ -33,19 +47,27 @@ BEHIND_S = 0.4
 """A joint that stands so much behind where it was told to be did not follow before."""
 STAYS = 6
 """Pulses by which it may be read elsewhere later."""
+LET_GO = "joint {} has let go: its torque is off"
 
 
 class ArmRun:
     """From the middle of the swing to a whole service with nothing latched."""
 
     def __init__(
-        self, stand: ProveStand, path: Path, velocity: Turning, request: Callable[[str, str], None] = send_stop
+        self,
+        stand: ProveStand,
+        path: Path,
+        velocity: Turning,
+        sight: Sight | None = None,
+        request: Callable[[str, str], None] = send_stop,
     ) -> None:
-        """`request`: what asks the service of this name for a stop."""
+        """`sight`: of the wheels, which are to turn too at this velocity; None: they stand. `request`: what asks the
+        service of this name for a stop."""
         assert path.arm
         self.stand = stand
         self.path = path
         self.fault = path.arm
+        self._sight = sight if any(velocity.command) else None
         self._request = request
         self.result = Result(path, velocity, stand.board is not None)
         self._swing: Swing | None = None
@@ -64,6 +86,8 @@ class ArmRun:
             self._strike()
             self.stand.run(self.path.reaction_bar_ms(simulated=result.simulated) / 1000 + AFTER_S, self._seen)
             self._judge_stop()
+            if self._sight:
+                self._judge_wheels(self._sight)
             self._recover()
             self._read_back()
         except (TrialError, FailstopError, OSError) as error:
@@ -84,9 +108,17 @@ class ArmRun:
             stand.driver.robot.arm, int(stand.settings["arm.base_servo"])
         )
         stand.driver.robot.arm.move({found.joint.name: found.middle_rad})
+        if self._sight:
+            stand.driver.velocity = (0.0, 0.0, 0.0)
+            stand.driver.enable()
+            stand.driver.commands = False
+            stand.run(float(stand.settings.named["sources"][FIRST_SOURCE]["timeout_s"]))
         if stand.board:
             stand.board.events()
-        self._program = found.begin(stand.name)
+        self._program = found.begin(stand.name, self.result.velocity.command)
+        if self._sight:
+            stand.run(SWUNG_S, lambda: stand.driver.robot.state.moving)
+            stand.run(speed_up_s(stand, self.result.velocity) + STEADY_S)
         if not stand.run(SWUNG_S, lambda: found.struck_now(stand.watch.moves)):
             raise TrialError(f"joint {found.joint.name} did not swing within {SWUNG_S:g} s")
 
@@ -118,6 +150,31 @@ class ArmRun:
             after = [event for event in self.stand.board.events() if event.arrival_ns >= self._cause_ns]
             stop = next((event for event in after if event.is_stop), None)
             result.board_ms = None if stop is None else (stop.arrival_ns - self._cause_ns) / 1e6
+            if stop and (motion := sum(event.is_motion for event in after if event.index > stop.index)):
+                result.wrong.append(f"{motion} motion frames after the stop")
+            if found.joint.servo in self.stand.board.limp():
+                result.wrong.append(LET_GO.format(found.joint.name))
+
+    def _judge_wheels(self, sight: Sight) -> None:
+        """They turned until the cause, and come to rest."""
+        result, samples = self.result, self.stand.watch.samples
+        verdict = sight.verdict(self._cause_ns)
+        self.stand.run(MOST_S, lambda: self._seen() or verdict.still(samples))
+        before = [sample for sample in samples if -0.55 * NS < sample[0] - self._cause_ns < 0]
+        if not sight.turning(before):
+            result.doubt("the wheels were not seen turning before the stop")
+        after = [sample for sample in samples if sample[0] >= self._cause_ns]
+        rest_ns = sight.rest_ns(before + after, result.velocity.name)
+        if not verdict.still(samples):
+            result.wrong.append("THE WHEELS DID NOT COME TO REST" if after else f"the {sight.source} is silent")
+            result.runaway = True
+        elif rest_ns is None:
+            result.doubt(f"no moment of rest in the samples of the {sight.source}")
+        else:
+            assert result.arm is not None
+            rest_s = result.arm["wheels_rest_s"] = round(max(0, rest_ns - self._cause_ns) / NS, 3)
+            if rest_s > (bar_s := sight.rest_bar_s(self.path, result.velocity)):
+                result.doubt(f"the wheels at rest after {rest_s:.2f} s, the bar is {bar_s:.2f}")
 
     def _recover(self) -> None:
         """To a service that is whole; the program that moved the arm is gone by then."""
@@ -160,6 +217,9 @@ class ArmRun:
             places.append(place)
         assert result.arm is not None
         result.arm["read"] = places[0]
+        state = self.stand.driver.robot.state.arm
+        if state and state.joints[found.joint.name].torque is False:
+            result.wrong.append(LET_GO.format(found.joint.name))
         result.rest_s = (places[0] - result.arm["told"]) * self._way / found.joint.speed
         bar_s = self.path.rest_bar_s(result.velocity)
         if result.rest_s > bar_s:

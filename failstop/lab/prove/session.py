@@ -111,7 +111,7 @@ def _take(
     stand: ProveStand, sight: Sight | None, path: Path, velocity: Turning, ask: Ask | None, chance: random.Random
 ) -> Result:
     if path.arm:
-        return ArmRun(stand, path, velocity).take()
+        return ArmRun(stand, path, velocity, sight).take()
     assert sight
     run = FrozenRun if path.kind == FROZEN else PathRun
     return run(stand, sight, path, velocity, ask, chance).take()

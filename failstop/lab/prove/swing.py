@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import subprocess
 import sys
+from collections.abc import Sequence
 
 from failstop.api.arm import Arm
 from failstop.api.errors import FailstopError
@@ -20,12 +21,14 @@ STEADY = 1.01
 PROGRAM = """
 import sys, time
 from failstop.api.robot import Robot
-name, joint, (middle, reach, rate) = sys.argv[1], sys.argv[2], map(float, sys.argv[3:])
+name, joint, (middle, reach, rate, *velocity) = sys.argv[1], sys.argv[2], map(float, sys.argv[3:])
 with Robot(name, client="prove arm") as robot:
     begun = time.monotonic()
     while True:
         x = (time.monotonic() - begun) * rate / reach % 4.0
         robot.arm.follow({joint: middle + reach * (x if x < 1.0 else 2.0 - x if x < 3.0 else x - 4.0)})
+        if any(velocity):
+            robot.drive(*velocity, wait_s=0.0)
         time.sleep(0.02)
 """
 
@@ -44,13 +47,10 @@ class Swing:
         """How fast."""
         return self.joint.speed_radps
 
-    def begin(self, name: str) -> subprocess.Popen[bytes]:
-        """Have a program move it; the program ends with this one."""
-        words = [
-            name,
-            self.joint.name,
-            *(f"{value:.6f}" for value in (self.middle_rad, self.reach_rad, self.rate_radps)),
-        ]
+    def begin(self, name: str, velocity: Sequence[float] = ()) -> subprocess.Popen[bytes]:
+        """Have a program move it, and drive at a velocity, if any is given; the program ends with this one."""
+        values = (self.middle_rad, self.reach_rad, self.rate_radps, *velocity)
+        words = [name, self.joint.name, *(f"{value:.6f}" for value in values)]
         command = [sys.executable, "-c", PROGRAM, *words]
         return subprocess.Popen(command, stderr=subprocess.DEVNULL, preexec_fn=end_with_parent)
 

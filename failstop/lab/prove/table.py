@@ -179,20 +179,24 @@ BY_PATH = {path.name: path for path in PATHS}
 BY_TURNING = {velocity.name: velocity for velocity in TURNINGS}
 ARM_PATHS = tuple(_moving(row) for row in arm_table.ROWS if row.what in arm_table.SWINGING)
 """Taken once each on a robot with an arm, while one of its joints swings."""
+BESIDE_PATHS = tuple(_moving(row) for row in arm_table.BESIDE_ROWS if row.what in arm_table.SWINGING)
+"""Taken instead where the arm may move beside the wheels, which turn too."""
 ARM_QUICK = ("arm-kill-gate", "arm-client-killed", "arm-stop-request")
 BY_ARM_PATH = {path.name: path for path in ARM_PATHS}
 
 
 def plan(
-    *, quick: bool, only: tuple[str, ...] = (), at: tuple[str, ...] = (), has_arm: bool = False
+    *, quick: bool, only: tuple[str, ...] = (), at: tuple[str, ...] = (), has_arm: bool = False, beside: bool = False
 ) -> list[tuple[Path, Turning]]:
     """Runs in order: every path at every velocity, or each once. `only` and `at` are names of the tables;
-    `has_arm`: the arm's too, but for a plan of velocities."""
+    `has_arm`: the arm's too, but for a plan of velocities; `beside`: it may move beside the wheels."""
     velocities = [velocity for velocity in TURNINGS if not at or velocity.name in at]
     names = only or (QUICK_NAMES if quick else tuple(BY_PATH))
     paths = [path for path in PATHS if path.name in names]
     moving = only or (() if at else ARM_QUICK if quick else tuple(BY_ARM_PATH))
-    swings = [(path, SWINGING) for path in ARM_PATHS if has_arm and path.name in moving]
+    swinging = TURNINGS[0] if beside else SWINGING
+    of_arm = BESIDE_PATHS if beside else ARM_PATHS
+    swings = [(path, swinging) for path in of_arm if has_arm and path.name in moving]
     if quick:
         return [(path, velocities[number % len(velocities)]) for number, path in enumerate(paths)] + swings
     return [(path, velocity) for velocity in velocities for path in paths] + swings

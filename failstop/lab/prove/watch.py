@@ -15,6 +15,7 @@ from struct import Struct
 
 from failstop.api.client import attach
 from failstop.board import servos
+from failstop.board.feetech.arm import FeetechBoard, goals
 from failstop.board.interface import (
     BY_IMU,
     HEARD_IMU,
@@ -44,14 +45,21 @@ ASK_EVERY_NS = 100_000_000
 
 _COMMAND_AT = 4
 _ID_POSITION = Struct("<BH")
+GOES_AT_ONCE_NS = 1
+"""The time of a move that says none: its servo goes as fast as it can."""
 Move = tuple[int, int, int, int]
 """(when it was made, servo, where to, ns that it takes)."""
 Reading = tuple[int, int, int]
 """(when its answer was read, servo, where it is)."""
 
 
-def moves(t_ns: int, data: bytes) -> list[Move]:
-    """The moves of one frame's data."""
+def moves(t_ns: int, frame: bytes, board: Board) -> list[Move]:
+    """The moves in a frame for the arm; none in one that asks, stops or switches a torque."""
+    if board.servo_what(frame) != servos.SERVO_MOVE:
+        return []
+    if isinstance(board, FeetechBoard):
+        return [(t_ns, servo, position, GOES_AT_ONCE_NS) for servo, position in goals(frame)]
+    data = frame[_COMMAND_AT:-1]
     took_ns = int.from_bytes(data[1:3], "little") * 1_000_000
     return [(t_ns, servo, position, took_ns) for servo, position in _ID_POSITION.iter_unpack(data[4:])]
 
@@ -152,8 +160,8 @@ class Watch:
             _, kind, body = records.FRAME.unpack(entry[2])
             if kind == records.WRITE_BURST or (kind == records.MOTION and body == self._board.stop):
                 self.zeros.append(entry[1])
-            elif kind == records.ARM and body[_COMMAND_AT] == servos.SERVO_MOVE:
-                self.moves += moves(entry[1], body[_COMMAND_AT:-1])
+            elif kind == records.ARM:
+                self.moves += moves(entry[1], body, self._board)
         # The port owner reads while no telemetry runs: in the order of time they are what the board has sent.
         for _, t_ns, data in sorted(chain(*(iter(ring.next, None) for ring in self._received)), key=itemgetter(1)):
             for kind, said in self._hearing.feed(data):

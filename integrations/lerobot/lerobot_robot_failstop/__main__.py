@@ -1,4 +1,5 @@
-"""`python -m lerobot_robot_failstop CALIBRATION.json`: failstop's [joints] of a calibration file of LeRobot."""
+"""`python -m lerobot_robot_failstop CALIBRATION.json`: failstop's settings for LeKiwi, with the [joints] of LeRobot's
+calibration file."""
 
 from __future__ import annotations
 
@@ -10,6 +11,11 @@ from typing import Any
 from lerobot_robot_failstop.config_failstop import JOINTS
 
 WANTED = ("id", "range_min", "range_max")
+HEAD = """\
+board.kind = "feetech"
+scan.gate = "off"   # LeKiwi has no obstacle sensor
+
+"""
 
 
 def tables(calibration: Any) -> str:
@@ -33,7 +39,7 @@ def main(words: list[str]) -> int:
         sys.stderr.write("usage: python -m lerobot_robot_failstop CALIBRATION.json\n")
         return 2
     try:
-        sys.stdout.write(tables(json.loads(Path(words[0]).read_text("utf-8"))))
+        sys.stdout.write(HEAD + tables(json.loads(Path(words[0]).read_text("utf-8"))))
     except (OSError, ValueError) as error:
         sys.stderr.write(f"{words[0]}: {error}\n")
         return 1

@@ -57,7 +57,7 @@ class Arm:
         self._pad_joint = ""
         self._by_servo = {joint.servo: joint for joint in self.core.joints}
         self._waiter: Waiter | None = None
-        self._tucks = settings.on("arm.auto_tuck")
+        self._tucks = settings.on("arm.auto_tuck") and any(joint.tuck >= 0 for joint in self.core.joints)
         self._tuck_after_ns, self._notice_s = settings.ns("arm.auto_tuck_s"), settings["arm.tuck_notice_s"]
         self._tuck_announced = False
         self._tucking: Trajectory | None = None
@@ -219,8 +219,7 @@ class Arm:
                 return request
             self._requests.answer(request, refused(f"{NOT_IN_POSE}: {fault}"))
         else:
-            fault = trajectory.outcome
-            there = Reply(records.DONE, "arm is there")
+            fault, there = trajectory.outcome, Reply(records.DONE, "arm is there")
             self._requests.answer(request, refused(fault, trajectory.stopped_for) if fault else there)
         return None
 

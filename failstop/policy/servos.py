@@ -1,0 +1,35 @@
+"""Servos of a bus: their loads and temperatures by the parts that they turn, and what is said of them. Pure."""
+
+from __future__ import annotations
+
+from failstop.policy.layouts import WHEEL_NAMES, WHEELS_SERVOS
+from failstop.policy.settings import Settings
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    Health = Mapping[str, tuple[float, int]]
+
+
+def by_part(rows: Iterable[tuple[int, float, int]], settings: Settings) -> dict[str, tuple[float, int]]:
+    """Load and temperature of each servo that turns a wheel or a joint, as in `rear wheel (servo 8)`. `rows`: the ids
+    with both (records.HEALTH)."""
+    wheels = WHEELS_SERVOS.get(settings.text("board.kind"), ())
+    parts = {servo: f"{name} wheel" for servo, name in zip(wheels, WHEEL_NAMES.get(len(wheels), ()), strict=False)}
+    parts |= {int(table["servo"]): f"joint {name}" for name, table in settings.named["joints"].items()}
+    return {f"{parts[servo]} (servo {servo})": (load, at_c) for servo, load, at_c in rows if servo in parts}
+
+
+def summary(servos: Health) -> str:
+    """The hottest, and the one that bears the most."""
+    hottest = max(servos, key=lambda name: servos[name][1])
+    loaded = max(servos, key=lambda name: abs(servos[name][0]))
+    load = abs(servos[loaded][0])
+    bears = f", {loaded} bears the most, {load:.0%}" if load else ""
+    return f"{hottest} at {servos[hottest][1]} C is the hottest{bears}"
+
+
+def hot(servos: Health, settings: Settings) -> list[str]:
+    """A text for each that is as hot as the setting arm.hot_c."""
+    return [f"{name} is at {at_c} C" for name, (_, at_c) in servos.items() if at_c >= settings["arm.hot_c"]]
