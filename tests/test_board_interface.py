@@ -65,7 +65,7 @@ USERS = {
     "stop port": "failstop/board/stop_port.py",
     **{user: f"procs/{user.replace(' ', '_')}" for user in ("gate", "port owner", "stopper", "telemetry")},
     "supervisor": "supervisor",
-    **{user: f"failstop/{user}" for user in ("doctor", "incidents")},
+    **{user: f"failstop/{user}" for user in ("doctor", "incidents", "setup")},
     "stop tool": "failstop/stopping.py",
     "command line": "failstop/cli",
     "API": "failstop/api",
@@ -144,8 +144,8 @@ def test_a_described_board_is_told_no_more_than_its_limit(kind: str) -> None:
 
 THE_LIST = {"failstop/board/kinds.py", "failstop/policy/layouts.py"}
 """The settings' list of kinds, and of those what is known before one is chosen."""
-OF_THE_BENCH = ("failstop/lab/", "failstop/setup/")
-"""Rooms that try boards out, and ask for one: they run no robot."""
+OF_THE_BENCH = "failstop/lab/"
+"""The room that tries boards out: it runs no robot."""
 
 
 def test_the_list_of_kinds_is_the_one_place_that_names_boards() -> None:

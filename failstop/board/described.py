@@ -83,7 +83,7 @@ class Described(Board):
 
     __slots__ = (
         "_motion", "_per_rps", "_wire", "acknowledged_by", "after_ns", "burst", "commanders", "echo_ns", "first_stop",
-        "idle_ns", "most_rps", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "stop", "usb",
+        "idle_ns", "most_rps", "name", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "stop", "usb",
         "wheels",
     )  # fmt: skip
 
@@ -93,7 +93,7 @@ class Described(Board):
         """`per_rps`: a speed of one turn a second, in its unit."""
         (write,) = wire.stop.writes
         self._wire, self._motion, self._per_rps = wire, wire.motion, per_rps
-        self.port = wire.port
+        self.name, self.port = wire.name, wire.port
         self.idle_ns = max(wire.stop.after_ns, wire.pace.idle_ns)
         self.after_ns = wire.stop.after_ns
         self.repeats_ns = tuple(row[1:] for row in wire.stop.repeats_ns)

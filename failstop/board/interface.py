@@ -54,6 +54,8 @@ class Board:
 
     __slots__ = ()
 
+    name: str
+    """For people: which board it is, as "an Arduino with ..."."""
     port: Port
     """How its serial port is set up, and how long it is deaf then."""
     idle_ns: int

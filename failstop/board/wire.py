@@ -206,6 +206,7 @@ class Wire(Data):
     """Everything that is known of one board's language."""
 
     name: str
+    """For people: which board it is, as "an Arduino with ..."."""
     port: Port
     stop: TimedStop
     pace: Pace

@@ -17,13 +17,6 @@ from failstop.supervisor.port_handover import OwnPort
 
 LIVE_S = 2.0
 ASK_S = 0.1
-NAMES = {
-    "rrc": "the STM32 controller of Hiwonder's robots",
-    "arduino": "an Arduino with ros_arduino_bridge",
-    "feetech": "a bus of Feetech servos (LeKiwi)",
-    "hoverboard": "a hoverboard with hoverboard-firmware-hack-FOC",
-    "ugv": "the driver board of a Waveshare UGV",
-}
 
 
 def kind_check(answer: str) -> str:
@@ -55,9 +48,10 @@ def step(talk: Talk, path: str) -> str:
             if wanted and kind != wanted:
                 talk.draft.forget("board")
                 raise Left(f"{text}: give --board {kind}, or plug the other board in")
-            talk.say(f"It is {NAMES.get(kind, kind)} ({kind}).")
+            board = boards[kind]
+            talk.say(f"It is {board.name} ({kind}).")
             talk.draft.keep("board", kind)
-            _live(talk, own.fd, boards[kind])
+            _live(talk, own.fd, board)
     except OSError as error:
         raise Left(f"{path} went away ({error.strerror}): is the plug in?") from None
     except (PortError, ValueError) as error:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -50,6 +52,16 @@ def test_a_layout_that_its_wire_does_not_drive_is_refused(folder: str, tmp_path:
     with pytest.raises(SettingError) as refused:
         checked_board(config.load(str(file)), str(file))
     assert str(refused.value) == f"{file}: board.kind {folder} takes 2 speeds, and wheels.layout omni3 has 3 wheels"
+
+
+def test_the_page_says_how_to_begin(tmp_path: Path) -> None:
+    """Its commands make a folder that drives as the smallest board does, judged by a receiver of its own."""
+    [told] = re.findall(r"```sh\n(mkdir .*?)```", (ROOT / "docs" / "dev" / "porting.md").read_text(), re.DOTALL)
+    subprocess.run(["sh", "-e", "-c", told.replace("/etc/failstop/boards", str(tmp_path))], cwd=ROOT, check=True)
+    folder = str(tmp_path / "tank")
+    assert board_of(folder, 0.08, 0.0).burst == board_of("arduino", 0.08, 0.0).burst
+    assert type(model_of(folder).live()).__module__ == f"{own.OWN_PACKAGE}.receiver"
+    assert not any("failstop.board.arduino" in path.read_text() for path in Path(folder).glob("*.py"))
 
 
 def test_its_wire_and_its_receiver_are_those_of_the_folder(folder: str) -> None:

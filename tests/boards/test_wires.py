@@ -137,7 +137,8 @@ def test_a_reader_takes_any_pieces_and_any_bytes(kind: str) -> None:
     play(receiver, arrivals(asks, wire.port.byte_ns), 400 * MS)
     said = b"".join(data for _, data in receiver.said)
     whole = fields(wire_of(kind).reader().feed(said))
-    assert len(whole) > 2
+    # Of a board that answers nothing and reports nothing there is nothing to read.
+    assert len(whole) > 2 or not (said or wire.questions or wire.proofs)
     reader = wire_of(kind).reader()
     assert [each for value in said for each in fields(reader.feed(bytes((value,))))] == whole
     for _ in range(100):

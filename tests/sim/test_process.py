@@ -201,6 +201,14 @@ def test_a_dead_boards_link_is_replaced(tmp_path: Path) -> None:
         os.close(open_port(board.link, exclusive=True))
 
 
+def test_it_says_which_setting_a_service_for_another_board_needs(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "failstop.lab.sim", "--device", str(tmp_path / "board"), "--board", "hoverboard"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().endswith(' --config FILE, which says board.kind = "hoverboard"\n')
+        process.terminate()
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_ends_clean_by_signal(number: signal.Signals, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "failstop.lab.sim", "--device", str(tmp_path / "board"), "--verbose"]

@@ -31,7 +31,7 @@ from failstop.board.wire import (
 _MS = 1_000_000
 
 WIRE = Wire(
-    name="ros_arduino_bridge",
+    name="an Arduino with ros_arduino_bridge",
     # Opening raises DTR, which resets the board; its bootloader waits 1.4 s for a program.
     port=Port(baud=57_600, dtr=True, rts=True, deaf_ns=2000 * _MS, opening=(codec.STOP,)),
     stop=TimedStop(

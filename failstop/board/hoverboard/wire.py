@@ -33,7 +33,7 @@ IDLE_NS = 200_000
 _MS = 1_000_000
 
 WIRE = Wire(
-    name="hoverboard-firmware-hack-FOC",
+    name="a hoverboard with hoverboard-firmware-hack-FOC",
     port=Port(baud=115_200, dtr=False, rts=False, deaf_ns=0, opening=()),
     stop=TimedStop(
         writes=(Write(IDLE_NS, codec.STOP),),

@@ -99,6 +99,7 @@ class Rrc(Board):
 
     __slots__ = ()
 
+    name = "the STM32 controller of Hiwonder's robots"
     port = ROSORIN_PORT
     idle_ns = after_ns = 0
     repeats_ns = (_REPEATS_NS, _REPEATS_NS, ())

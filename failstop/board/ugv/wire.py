@@ -30,7 +30,7 @@ WATCHDOG_NS = 500 * _MS
 """More than twice the time between two refreshes of a stop."""
 
 WIRE = Wire(
-    name="Waveshare UGV (ugv_base_ros)",
+    name="the driver board of a Waveshare UGV",
     # Its serial pins have no modem lines; on USB both lines on or both off leave the ESP32 running.
     port=Port(
         baud=115_200,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from failstop.cli.commands.config import GROUPS, literal
+from failstop.policy.layouts import RANGES
 from failstop.policy.settings import DECLARED, FAMILIES, LONGEST_NAME, MOST_OF_A_FAMILY
 
 TOGETHER = (
@@ -10,7 +11,9 @@ TOGETHER = (
     "`gate.period_s` <= `gate.refresh_s`",
     "`restart.backoff_s` < `restart.window_s`",
     "no two wheels have the same id; a robot of two or three wheels has no settings of the others",
-    'a `board.kind` of two speeds has `wheels.layout = "differential"`; only `rrc` has joints',
+    'a `board.kind` of two speeds has `wheels.layout = "differential"`; only '
+    + " and ".join(f"`{kind}`" for kind in RANGES)
+    + " have joints",
     "no two sources have the same priority",
     "no two joints have the same servo; `low` < `high`, and both poses between them",
     "`pad.mode_button` is exactly one bit",

@@ -10,6 +10,7 @@ from failstop.lab.sim.process import Simulator
 from failstop.lab.sim.pty_port import SimError
 from failstop.lab.sim.teller import Teller
 from failstop.lab.sim.usb.port import VHCI
+from failstop.policy.layouts import BOARDS
 
 
 def serve(options: Options) -> int:
@@ -27,7 +28,9 @@ def serve(options: Options) -> int:
 
 def _where(options: Options, simulator: Simulator) -> str:
     if not options.usb:
-        return f"simulated board at {options.link} ({simulator.node}): failstop run --device {options.link}"
+        run = f"failstop run --device {options.link}"
+        needs = "" if options.board == BOARDS[0] else f' --config FILE, which says board.kind = "{options.board}"'
+        return f"simulated board at {options.link} ({simulator.node}): {run}{needs}"
     if options.usb != VHCI:
         return f"simulated board on USB, for the machine at {options.usb}: its kernel names the port"
     return "simulated board on USB: failstop run --device /dev/ttyACM0, or as the kernel names it (failstop doctor)"
