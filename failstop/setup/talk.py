@@ -45,11 +45,13 @@ class Talk:
         line = [(" " * indent, style.PLAIN), (text, role)]
         style.show(style.wrap(line, min(WIDEST, style.width()), indent + hang))
 
-    def warn(self, text: str, remedy: str = "") -> None:
-        """A fault, and what helps."""
+    def warn(self, text: str, remedy: str = "", fix: str = "") -> None:
+        """A fault, and what helps. `fix`: a command that does, which stays whole to be copied."""
         self.say(text, style.WARN)
+        if fix:
+            style.show([[(f"     -> {fix}", style.STRONG)]])
         if remedy:
-            self.say(f"-> {remedy}", style.STRONG, 5, 3)
+            self.say(f"{'   ' if fix else '-> '}{remedy}", style.PLAIN if fix else style.STRONG, 5, 3)
 
     def ask(self, key: str, question: str, default: str = "", check: Check = str.strip, *, keep: bool = True) -> str:
         """The answer to a question. `default`: of an empty line; `keep`: it is taken up again from the draft. Raises

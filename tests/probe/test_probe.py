@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import math
 import os
@@ -20,6 +21,7 @@ import pytest
 
 from failstop.api.errors import FailstopError
 from failstop.board.kinds import board_of
+from failstop.cli import style
 from failstop.lab.boards.live import DIAMETER_M
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import FORMATS, Card, Row
@@ -224,6 +226,18 @@ def test_a_card_is_a_text_of_80_columns_a_picture_and_json(tmp_path: Path) -> No
     assert "never" in picture.read_text()
     ElementTree.fromstring(picture.read_text())
     assert [row["never"] for row in json.loads(data.read_text())["rows"]] == [True, False, False]
+
+
+def test_a_card_that_ended_early_says_why_in_each_form(tmp_path: Path) -> None:
+    why = "the watcher has ended, and the wheels were stopped: " + "repeat it " * 10
+    card = Card(
+        "\u673a\u5668\u4eba", "ugv", "", "mine", [Row("sigkill", ROWS["sigkill"], 0.2, judge.OWN_WORD)], ended=why
+    )
+    lines = card.text().splitlines()
+    assert {style.cells(line) for line in lines} == {80}
+    assert why.strip() in " ".join("".join(line.strip("|") for line in lines).split())
+    assert "Ended early: the watcher has ended" in card.svg()
+    assert "Ended early" not in dataclasses.replace(card, ended="").svg()
 
 
 def test_wrong_options_are_told() -> None:

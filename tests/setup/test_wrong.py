@@ -19,7 +19,7 @@ import psutil
 import pytest
 
 from failstop.lab.sim.client import SimBoard
-from failstop.setup import command, finish, ports, robots
+from failstop.setup import command, finish, robots
 from failstop.setup.draft import Draft
 from failstop.setup.rig import LEVER_M, alone, toml
 from failstop.setup.talk import Left, NotAnAnswer, Talk, option
@@ -164,7 +164,7 @@ def test_a_wrong_answer_ends_with_what_helps_and_is_taken_up_again(
 @pytest.mark.parametrize(
     ("mode", "sentences"),
     [
-        (0o600, ("User nobody may not open ", "which is of the group root -> the Debian package", "can't be used so")),
+        (0o600, ("User nobody may not open ", "which is of the group root. -> the Debian package", "can't be used so")),
         (0o666, ("this user may not write to ",)),
     ],
 )
@@ -222,11 +222,11 @@ def wait_for_its_end(port: str) -> None:
 def strike(fault: str, board: SimBoard, person: Person) -> None:
     """The fault."""
     if fault == "ctrl-c":
-        person.typist.type(b"\x03")
+        person.presses(b"\x03")
     elif fault == "hang-up":
-        person.typist.process.send_signal(signal.SIGHUP)
+        person.process.send_signal(signal.SIGHUP)
     elif fault == "sigkill":
-        person.typist.process.send_signal(signal.SIGKILL)
+        person.process.send_signal(signal.SIGKILL)
     elif fault == "unplug":
         board.unplug()
     else:
@@ -275,22 +275,6 @@ def test_what_was_not_proved_is_named(place: Path, capsys: pytest.CaptureFixture
     assert "1 of 2 stop paths on this robot" in said
     assert "not proved: kill-gate: the stand test said INVALID not proved: pad: this board has no gamepad" in said
     assert "failstop run --config /x/s.toml --name left & failstop enable --name left" in said
-
-
-def test_the_board_is_found_by_what_goes_and_comes(place: Path) -> None:
-    looks = iter([{"/dev/ttyS0", "/dev/ttyUSB0"}, {"/dev/ttyS0"}, {"/dev/ttyS0"}, {"/dev/ttyS0", "/dev/ttyUSB1"}])
-    assert ports.went(talk(place, unplugged="done", plugged="done"), lambda: next(looks)) == "/dev/ttyUSB1"
-    with pytest.raises(Left, match="no port went when the cable was pulled"):
-        ports.went(talk(place, unplugged="done"), lambda: {"/dev/ttyS0"})
-
-
-def test_a_name_that_stays_is_preferred(tmp_path: Path) -> None:
-    node, link = tmp_path / "ttyUSB0", tmp_path / "by-id/usb-board"
-    node.touch()
-    link.parent.mkdir()
-    link.symlink_to(node)
-    assert ports.stable(str(node), str(link.parent)) == str(link)
-    assert ports.stable(str(tmp_path / "other"), str(link.parent)) == str(tmp_path / "other")
 
 
 @pytest.mark.parametrize(
