@@ -74,7 +74,7 @@ def test_serial_pins_that_are_off_are_told_on_a_raspberry_pi_alone(tmp_path: Pat
     assert not ports.pins(Computer(tmp_path / "pc", {}))
 
 
-def test_a_command_that_helps_stays_on_its_line_and_what_is_to_be_done_besides_is_told(
+def test_a_command_that_helps_stays_on_its_line_and_advice_goes_with_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fix = "sudo systemctl disable --now " + "long-" * 20

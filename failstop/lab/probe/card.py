@@ -26,7 +26,7 @@ GREEN, AMBER, RED, GREY = "#1a7f37", "#bc4c00", "#cf222e", "#6e7781"
 LINE, WIDTH, MARGIN, TIMES_AT, BY_AT = 34, 760, 32, 450, 570
 VALUE, REASON = 64, 92
 """Letters of a value in the picture, and of why the probe ended."""
-ENDED = "Ended early: "
+EARLY = "Ended early: "
 RECKON = "Wheels off the ground. On the ground a base goes on for longer."
 
 
@@ -147,7 +147,7 @@ class Card:
             lines.append(_boxed(f"{row.words:<40} {row.found:>13}  {row.by or row.skipped}"))
             lines += [_boxed(f"  {row.remark}")] if row.remark else []
         lines += [edge, _boxed(self.verdict), _boxed(RECKON)]
-        ended = style.wrap([(f"{ENDED}{self.ended}", style.PLAIN)], COLUMNS - 2, 2) if self.ended else []
+        ended = style.wrap([(f"{EARLY}{self.ended}", style.PLAIN)], COLUMNS - 2, 2) if self.ended else []
         lines += [_boxed(style.plain(line)) for line in ended]
         return "\n".join([*lines, edge]) + "\n"
 
@@ -182,7 +182,7 @@ class Card:
         parts.append(_said(MARGIN, y + 62, RECKON, colour=GREY, size=14))
         if self.ended:
             y += 26
-            parts.append(_said(MARGIN, y + 62, cut(f"{ENDED}{self.ended}", REASON), colour=RED, size=14))
+            parts.append(_said(MARGIN, y + 62, cut(f"{EARLY}{self.ended}", REASON), colour=RED, size=14))
         height = y + 86
         frame = f'<rect width="{WIDTH}" height="{height}" rx="14" fill="#ffffff" stroke="#d0d7de"/>'
         head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{height}" font-family="sans-serif">'
