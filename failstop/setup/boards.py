@@ -20,7 +20,7 @@ ASK_S = 0.1
 NAMES = {
     "rrc": "the STM32 controller of Hiwonder's robots",
     "arduino": "an Arduino with ros_arduino_bridge",
-    "feetech": "a bus of Feetech servos (LeKiwi)",
+    "feetech": "a bus of Feetech servos, as LeKiwi has",
     "hoverboard": "a hoverboard with hoverboard-firmware-hack-FOC",
     "ugv": "the driver board of a Waveshare UGV",
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from failstop.api.errors import FailstopError
 from failstop.cli import style
@@ -134,6 +134,24 @@ def one_of(choices: Mapping[str, str]) -> Check:
         raise NotAnAnswer(f"type a number from 1 to {len(names)}")
 
     return check
+
+
+def word_of(words: Sequence[str]) -> Check:
+    """A check: one of these words, or the beginning of one alone."""
+
+    def check(answer: str) -> str:
+        if (found := begun(answer, words)) is None:
+            raise NotAnAnswer(f"type {', '.join(words)}")
+        return found
+
+    return check
+
+
+def begun(answer: str, words: Sequence[str]) -> str | None:
+    """The word that is meant: it, or its beginning where no other word begins so."""
+    text = answer.lower().strip()
+    found = [word for word in words if word == text] or [word for word in words if text and word.startswith(text)]
+    return found[0] if len(found) == 1 else None
 
 
 def number(least: float, most: float, unit: str) -> Check:

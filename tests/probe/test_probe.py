@@ -25,7 +25,7 @@ from failstop.cli import style
 from failstop.lab.boards.live import DIAMETER_M
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import FORMATS, Card, Row
-from failstop.lab.probe.serial import ROWS, SerialProbe, frame_of
+from failstop.lab.probe.serial import ROWS, SerialProbe, check_kind, frame_of
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
 from tests.support.amounts import LONG, amount
@@ -238,6 +238,20 @@ def test_a_card_that_ended_early_says_why_in_each_form(tmp_path: Path) -> None:
     assert why.strip() in " ".join("".join(line.strip("|") for line in lines).split())
     assert "Ended early: the watcher has ended" in card.svg()
     assert "Ended early" not in dataclasses.replace(card, ended="").svg()
+
+
+@pytest.mark.slow
+def test_a_board_of_another_kind_is_told_before_a_wheel_turns(tmp_path: Path) -> None:
+    words = ("probe", "serial", "--port", str(tmp_path / "b"), "--yes", "--out", str(tmp_path / "card"))
+    with SimBoard(tmp_path / "b", board="ugv") as board:
+        done = failstop(*words, "--board", "rrc")
+        assert done.returncode == 1
+        assert "the board that answers is ugv, not rrc: give --board ugv" in " ".join(done.stderr.split())
+        assert not list(tmp_path.glob("card*"))
+        assert not any(any(event.speeds) for event in board.events() if event.is_motor)
+        assert check_kind(board.link, "ugv") == ""
+        board.deaf(True)
+        assert "does not hear" in check_kind(board.link, "ugv")
 
 
 def test_wrong_options_are_told() -> None:

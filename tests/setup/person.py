@@ -22,9 +22,10 @@ class Person(Terminal):
         super().__init__(*FAILSTOP, "setup", *words, patience_s=PATIENCE_S, environ=environ)
 
     def wide(self, columns: int) -> list[str]:
-        """Lines that are longer than a terminal of so many columns, but for those with a path."""
+        """Lines that are longer than a terminal of so many columns, but for those that are copied: with a path, or a
+        board's frame."""
         lines = self.said.replace("\r", "").split("\n")
-        return [line for line in lines if len(line) > columns and "/" not in line]
+        return [line for line in lines if len(line) > columns and not {"/", "{"} & {*line}]
 
 
 class Wiring:

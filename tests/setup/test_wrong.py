@@ -19,10 +19,11 @@ import psutil
 import pytest
 
 from failstop.lab.sim.client import SimBoard
+from failstop.policy.layouts import BOARDS
 from failstop.setup import command, finish, robots
 from failstop.setup.draft import Draft
 from failstop.setup.rig import LEVER_M, alone, toml
-from failstop.setup.talk import Left, NotAnAnswer, Talk, option
+from failstop.setup.talk import Left, NotAnAnswer, Talk, option, word_of
 from failstop.setup.wheels import names, parsed
 from tests.setup.person import Person, is_motion
 from tests.support.amounts import LONG
@@ -284,6 +285,7 @@ def test_what_was_not_proved_is_named(place: Path, capsys: pytest.CaptureFixture
         ("RR -", "rr-"),
         ("rl forward", "rl+"),
         ("fr back", "fr-"),
+        ("r-", ""),
         ("again", "again"),
         ("x+", ""),
         ("fl", ""),
@@ -297,6 +299,23 @@ def test_a_wheel_and_its_way_are_understood(said: str, meant: str) -> None:
             parsed(said, names(4), spare=False)
 
 
+@pytest.mark.parametrize(("said", "meant"), [("l+", "left+"), ("ri b", "right-"), ("r+", ""), ("+", "")])
+def test_the_beginning_of_a_wheel_is_understood_where_no_other_begins_so(said: str, meant: str) -> None:
+    if meant:
+        assert parsed(said, names(3), spare=False) == meant
+    else:
+        with pytest.raises(NotAnAnswer, match="type the wheel"):
+            parsed(said, names(3), spare=False)
+
+
+def test_a_layout_is_answered_by_its_word_or_its_beginning() -> None:
+    check = word_of(["differential", "omni3"])
+    assert check("Omni") == "omni3"
+    for wrong in ("", "1", "mecanum"):
+        with pytest.raises(NotAnAnswer, match="type differential, omni3"):
+            check(wrong)
+
+
 def test_none_is_an_answer_only_where_an_id_may_be_spare() -> None:
     assert parsed("none", names(2), spare=True) == "none"
     with pytest.raises(NotAnAnswer, match="motors' supply"):
@@ -304,7 +323,7 @@ def test_none_is_an_answer_only_where_an_id_may_be_spare() -> None:
 
 
 def test_every_robot_is_data_that_settings_take() -> None:
-    found = {**robots.of_kind("rrc"), **robots.of_kind("ugv")}
+    found = {key: robot for kind in BOARDS for key, robot in robots.of_kind(kind).items()}
     assert len(found) == len(list(robots.FOLDER.glob("*.toml")))
     assert found["ugv-rover"].settings["wheels.track_m"] == 0.172
 

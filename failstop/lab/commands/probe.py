@@ -132,6 +132,8 @@ def _serial(arguments: Namespace) -> Card:
     if not os.path.exists(arguments.port):
         raise FailstopError(f"no port {arguments.port}: plug the board in; `failstop doctor --quick` lists ports")
     check_free(arguments.port)
+    if doubt := serial.check_kind(arguments.port, arguments.board):
+        _say(f"Not known to be {arguments.board}: {doubt}.")
     _consent(arguments, len(names) + 1)
     driver = arguments.driver or f"a throw-away process, one frame every {serial.PERIOD_S:g} s"
     card = Card(arguments.robot, arguments.board, arguments.firmware, driver)
