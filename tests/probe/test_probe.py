@@ -258,4 +258,8 @@ def test_wrong_options_are_told() -> None:
     done = failstop("probe", "serial", "--port", "/nowhere", "--board", "ugv")
     assert done.returncode == 1
     assert "no port /nowhere: plug the board in" in done.stderr
+    for pid in ("-1", "0", str(2**22 + 1)):
+        done = failstop("probe", "ros2", "--yes", "--driver-pid", pid)
+        assert done.returncode == 1
+        assert f"no process {pid}: " in done.stderr
     assert "no row 'nap'" in failstop("probe", "serial", "--port", "/nowhere", "--board", "ugv", "--rows", "nap").stderr

@@ -158,6 +158,9 @@ def _serial(arguments: Namespace) -> Card:
 
 def _ros2(arguments: Namespace) -> Card:
     names = _rows(arguments.rows, ros2.ROWS)
+    # A number below 1 would mean more than one process.
+    if (pid := arguments.driver_pid) is not None and (pid < 1 or not os.path.exists(f"/proc/{pid}")):
+        raise FailstopError(f"no process {pid}: `ps -ef` shows the driver's")
     _consent(arguments, len(names))
     card = Card(arguments.robot, f"behind {arguments.cmd_vel}", arguments.firmware, arguments.driver or "a ROS 2 node")
     try:
