@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import select
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from bench.vm.scene import FAILSTOP, LINK, SETTINGS, UNIT, Scene, sh, wrong_unless
 from bench.vm.table import Result
+from bench.vm.terminal import Terminal
 from failstop.lab.trial import TrialError, wait_for
 
 SAYS_S = 400.0
@@ -32,69 +30,9 @@ NEVER_S = 10.0
 CARD = "/run/vm-card"
 
 
-class Terminal:
-    """A context manager: a command at a terminal of its own, and what is typed there."""
-
-    def __init__(self, *words: str) -> None:
-        self._end, inner = os.openpty()
-        self._process = subprocess.Popen(
-            [FAILSTOP, *words],
-            stdin=inner,
-            stdout=inner,
-            stderr=inner,
-            start_new_session=True,
-            env={**os.environ, "NO_COLOR": "1"},
-        )
-        os.close(inner)
-        self._said = ""
-        self._read = 0
-        self.answers = 0
-
-    def __enter__(self) -> Terminal:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._process.kill()
-        self._process.wait()
-        os.close(self._end)
-
-    def reads(self, *texts: str) -> str:
-        """Wait for the first of these, behind all that was read before. Returns what was said. Raises TrialError."""
-        until_s = time.monotonic() + SAYS_S
-        while True:
-            # One line: where it is broken depends on lengths of paths.
-            flat = " ".join(self._said.split())
-            found = [at + len(text) for text in texts if (at := flat.find(text, self._read)) >= 0]
-            if found:
-                before, self._read = self._read, min(found)
-                return flat[before : self._read]
-            if time.monotonic() > until_s or not self._hears():
-                raise TrialError(f"it did not say {texts[0]!r}, but: {flat[-400:]}")
-
-    def _hears(self) -> bool:
-        if not select.select([self._end], [], [], 0.1)[0]:
-            return True
-        with contextlib.suppress(OSError):  # the command has ended
-            if data := os.read(self._end, 65536):
-                self._said += data.decode("utf-8", "replace")
-                return True
-        return False
-
-    def types(self, answer: str = "") -> None:
-        """Type a line."""
-        os.write(self._end, answer.encode() + b"\n")
-        self.answers += 1
-
-    def says(self, question: str, answer: str = "") -> None:
-        """Answer a question once it is put."""
-        self.reads(question)
-        self.types(answer)
-
-    def ends(self) -> int:
-        """Its exit code."""
-        with contextlib.suppress(TrialError):
-            self.reads("\0")
-        return self._process.wait(SAYS_S)
+def person_at(*words: str) -> Terminal:
+    """A failstop command at a terminal."""
+    return Terminal(FAILSTOP, *words, patience_s=SAYS_S)
 
 
 def turned(scene: Scene) -> dict[str, int]:
@@ -125,7 +63,7 @@ def setup(scene: Scene) -> Iterator[Result]:
     if code:
         raise TrialError(said[-300:])
     scene.whole()
-    with Terminal("setup", "--port", scene.node(), "--robot", "rosorin") as person:
+    with person_at("setup", "--port", scene.node(), "--robot", "rosorin") as person:
         person.reads("sudo systemctl stop failstop.service")
         person.reads(LEAVES)
         wrong_unless(found, setup_ends_well_beside_the_service=person.ends() == 1)
@@ -158,7 +96,7 @@ def setup(scene: Scene) -> Iterator[Result]:
 
 def _until_the_pull(scene: Scene, found: Result) -> int:
     """To the wheel of id PULLED, while which the plug is pulled."""
-    with Terminal("setup", "--afresh", "--port", scene.node(), "--robot", "rosorin") as person:
+    with person_at("setup", "--afresh", "--port", scene.node(), "--robot", "rosorin") as person:
         person.reads("(rrc)")
         scene.board.events()
         person.says("Type yes:", "yes")
@@ -180,7 +118,7 @@ def _until_the_pull(scene: Scene, found: Result) -> int:
 
 def _to_the_end(scene: Scene, found: Result) -> int:
     """Taken up again, to the settings."""
-    with Terminal("setup") as person:
+    with person_at("setup") as person:
         person.says("Go on with it?")
         scene.board.events()
         person.says("Type yes:", "yes")
@@ -217,7 +155,7 @@ def probe(scene: Scene) -> Iterator[Result]:
     found = Result("probe")
     sh("systemctl", "mask", "--runtime", "--now", UNIT)
     try:
-        with Terminal("probe", "serial", "--board", "rrc", "--port", scene.node(), "--yes", "--out", CARD) as person:
+        with person_at("probe", "serial", "--board", "rrc", "--port", scene.node(), "--yes", "--out", CARD) as person:
             person.reads("PULL THE BOARD'S PLUG NOW")
             events = scene.board.events()
             scene.board.unplug()

@@ -27,7 +27,8 @@ _COLOURS = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244"
 of at least 3.8; a theme's own yellow is 1.1 on white). A console with fewer shows the nearest that it has."""
 NO_TERMINAL_COLUMNS = 80
 LEAST_COLUMNS = 20
-PATH_IN_COMMAND = re.compile("`failstop run [^`]*/[^`]*`")
+_WHOLE = re.compile(r'`failstop run [^`]*/[^`]*`|^\{"[^ ]*\}')
+"""A word that is copied, and so never broken: a command with a path, and a board's frame of JSON."""
 _WORD = re.compile("(?:`[^`]*`|pid [0-9]+|[^ ])+ *| +")
 """A word: what is written without a space between; a command, and a process id with what it is of, as if it were so."""
 
@@ -128,10 +129,10 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
 
 def _pieces(text: str, room: int) -> Iterator[str]:
     """Pieces that are not broken, with the spaces after them: words, commands that fit in the room or as much of them
-    as does, and of a longer word the letters. A command with a path stays whole, so that it can be copied."""
+    as does, and of a longer word the letters. What is copied stays whole."""
     parts = re.compile(f".{{1,{max(1, room)}}}(?: +|$)|[^ ]+ *| +")
     for word in _WORD.findall(text):
-        if PATH_IN_COMMAND.search(word):
+        if _WHOLE.search(word):
             yield word
             continue
         for part in [word] if cells(word.rstrip(" ")) <= room else parts.findall(word):

@@ -17,7 +17,7 @@ from failstop.policy.settings import Settings
 from failstop.setup import boards, finish, ports, robots, sizes
 from failstop.setup.draft import Draft
 from failstop.setup.ending import interruptible
-from failstop.setup.talk import AGAIN, NO, YES, Left, Talk, one_of, option, yes_or_no
+from failstop.setup.talk import AGAIN, NO, YES, Left, Talk, one_of, option, word_of, yes_or_no
 from failstop.setup.wheels import Trial
 
 EXAMPLES = """\
@@ -134,12 +134,12 @@ def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object]]:
             talk.say(known[chosen].remark, style.WARN)
         return known[chosen].name, known[chosen].settings
     speeds = SPEEDS.get(kind)
-    layouts = {
-        layout: layout
+    layouts = [
+        layout
         for layout, counts in LAYOUTS.items()
         if (speeds is None or counts[0] <= speeds) and (layout != ACKERMANN or kind in STEERED)
-    }
+    ]
     if speeds == 2 and not is_own(kind):
         return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": "differential"}
-    layout = talk.ask("layout", f"How are its wheels? ({', '.join(layouts)})", "", one_of(layouts))
+    layout = talk.ask("layout", f"How are its wheels? ({', '.join(layouts)})", "", word_of(layouts))
     return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": layout}

@@ -58,12 +58,14 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str) -> d
     talk.step(6, "The proof")
     command = f"failstop prove --quick{option(name)}"
     if not here("prove"):
-        talk.warn("The stand test is not installed here, so that nothing is proved.", "sudo apt install failstop-lab")
+        talk.warn(
+            "The stand test is not installed here, so that nothing is proved.", fix="sudo apt install failstop-lab"
+        )
         talk.say(f"Then: {command}")
         return {}
     agreed = talk.given.pop("prove", "")
     if agreed and agreed != YES:
-        talk.warn("Not proved: it was left out.", command)
+        talk.warn("Not proved: it was left out.", fix=command)
         return {}
     if talk.silent and not agreed:
         raise Left("nobody is here to agree to the proof: give --prove yes, or --prove no")
@@ -179,7 +181,7 @@ def closing(talk: Talk, path: str, name: str, evidence: Mapping[str, Any]) -> No
     style.show([[], [("What is proved", style.STRONG)]])
     rows = evidence.get("rows", [])
     if not rows:
-        talk.warn("Nothing yet.", f"failstop prove --quick{option(name)}")
+        talk.warn("Nothing yet.", fix=f"failstop prove --quick{option(name)}")
     else:
         passed = sum(row["verdict"] == "PASS" for row in rows)
         talk.say(f"{passed} of {len(rows)} stop paths on this robot, its wheels in the air.", style.OK)

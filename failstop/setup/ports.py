@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection
 
 from failstop.board import asking, port
 from failstop.board.kinds import board_of
-from failstop.doctor.look import OK, SKIP, Finding, Look
+from failstop.doctor.look import FAIL, OK, SKIP, Finding, Look, fail
 from failstop.doctor.port import LINK, NO_DESCRIPTION, grabbers, held, permission
 from failstop.doctor.system import System
 from failstop.instances import unit_of
@@ -88,8 +88,8 @@ def choose(talk: Talk, system: System) -> str:
         talk.say(f"{number}  {path}   {what}")
     if not found and not talk.known("port"):
         talk.warn("There is no serial port here.", "plug the board in; `sudo dmesg | tail` says whether it came")
-        for text, remedy in pins(system):
-            talk.warn(text, remedy)
+        for row in pins(system):
+            _say(talk, row)
 
     def check(answer: str) -> str:
         if answer == UNPLUG:
@@ -116,30 +116,27 @@ def choose(talk: Talk, system: System) -> str:
     return path
 
 
-def pins(system: System) -> list[tuple[str, str]]:
-    """Reasons why the serial pins of a small computer are no port, each with the remedy."""
-    found = []
-    if RASPBERRY in (system.read("/proc/device-tree/model") or "") and not os.path.exists(system.path("/dev/serial0")):
-        found.append(
-            (
-                "The serial pins are off.",
-                "sudo raspi-config nonint do_serial_hw 0, then restart (a Pi 5: dtparam=uart0)",
-            )
-        )
-    return found
+def pins(system: System) -> list[Finding]:
+    """Reasons why the serial pins of a small computer are no port."""
+    raspberry = RASPBERRY in (system.read("/proc/device-tree/model") or "")
+    if raspberry and not os.path.exists(system.path("/dev/serial0")):
+        advice = "then restart; on a Pi 5 that is dtparam=uart0 in config.txt"
+        return fail("the serial pins are off", "sudo raspi-config nonint do_serial_hw 0", advice)
+    return []
 
 
-def console(system: System, path: str) -> list[tuple[str, str]]:
-    """A login or the kernel's own messages on this port, each with the remedy."""
+def console(system: System, path: str) -> list[Finding]:
+    """A login or the kernel's own messages on this port."""
     name, real = os.path.basename(path), os.path.basename(os.path.realpath(path))
     words = (system.read("/proc/cmdline") or "").split()
-    found = []
-    if any(word.startswith(f"console={tty}") for tty in (name, real) for word in words):
-        remedy = "sudo raspi-config nonint do_serial_cons 1, or take console= out of cmdline.txt; then restart"
-        found.append((f"The kernel writes its messages to {path}.", remedy))
+    found: list[Finding] = []
+    # The baud rate may follow, behind a comma.
+    if any(word.partition(",")[0] in (f"console={name}", f"console={real}") for word in words):
+        advice = "or take that console= out of cmdline.txt; then restart"
+        found += fail(f"the kernel writes its messages to {path}", "sudo raspi-config nonint do_serial_cons 1", advice)
     unit = f"serial-getty@{real}.service"
     if system.said("systemctl", "is-active", unit) is not None:
-        found.append((f"A login waits on {path}.", f"sudo systemctl disable --now {unit}"))
+        found += fail(f"a login waits on {path}", f"sudo systemctl disable --now {unit}")
     return found
 
 
@@ -147,10 +144,13 @@ def hindrances(path: str, system: System) -> list[Finding]:
     """Reasons why failstop can't have this port, or not for itself."""
     look = Look(device_path=path, system=system)
     found = [row for check in (permission, held, grabbers) for row in check(look)]
-    said = [Finding("fail", text, remedy) for text, remedy in console(system, path)]
     if name := next((holder.instance for holder in look.holders[0] if holder.instance), ""):
-        return [Finding("fail", f"the service {name!r} has {path} open", f"sudo systemctl stop {unit_of(name)}")]
-    return [*said, *(row for row in found if row.level not in (OK, SKIP))]
+        return fail(f"the service {name!r} has {path} open", f"sudo systemctl stop {unit_of(name)}")
+    return [*console(system, path), *(row for row in found if row.level not in (OK, SKIP))]
+
+
+def _say(talk: Talk, row: Finding) -> None:
+    talk.warn(f"{row.text[0].upper()}{row.text[1:]}.", row.advice, row.fix)
 
 
 def _let_end(path: str, system: System) -> None:
@@ -169,8 +169,8 @@ def step(talk: Talk, system: System) -> str:
         serious = False
         _let_end(path, system)
         for row in hindrances(path, system):
-            talk.warn(f"{row.text[0].upper()}{row.text[1:]}", row.fix or row.advice)
-            serious = serious or row.level == "fail"
+            _say(talk, row)
+            serious = serious or row.level == FAIL
         if serious:
             raise Left(f"{path} can't be used so: do what is said above")
     except port.PortError as error:

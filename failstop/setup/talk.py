@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from failstop.api.errors import FailstopError
 from failstop.cli import style
@@ -45,11 +45,13 @@ class Talk:
         line = [(" " * indent, style.PLAIN), (text, role)]
         style.show(style.wrap(line, min(WIDEST, style.width()), indent + hang))
 
-    def warn(self, text: str, remedy: str = "") -> None:
-        """A fault, and what helps."""
+    def warn(self, text: str, remedy: str = "", fix: str = "") -> None:
+        """A fault, and what helps. `fix`: a command that does, which stays whole to be copied."""
         self.say(text, style.WARN)
+        if fix:
+            style.show([[(f"     -> {fix}", style.STRONG)]])
         if remedy:
-            self.say(f"-> {remedy}", style.STRONG, 5, 3)
+            self.say(f"{'   ' if fix else '-> '}{remedy}", style.PLAIN if fix else style.STRONG, 5, 3)
 
     def ask(self, key: str, question: str, default: str = "", check: Check = str.strip, *, keep: bool = True) -> str:
         """The answer to a question. `default`: of an empty line; `keep`: it is taken up again from the draft. Raises
@@ -132,6 +134,24 @@ def one_of(choices: Mapping[str, str]) -> Check:
         raise NotAnAnswer(f"type a number from 1 to {len(names)}")
 
     return check
+
+
+def word_of(words: Sequence[str]) -> Check:
+    """A check: one of these words, or the beginning of one alone."""
+
+    def check(answer: str) -> str:
+        if (found := begun(answer, words)) is None:
+            raise NotAnAnswer(f"type {', '.join(words)}")
+        return found
+
+    return check
+
+
+def begun(answer: str, words: Sequence[str]) -> str | None:
+    """The word that is meant: it, or its beginning where no other word begins so."""
+    text = answer.lower().strip()
+    found = [word for word in words if word == text] or [word for word in words if text and word.startswith(text)]
+    return found[0] if len(found) == 1 else None
 
 
 def number(least: float, most: float, unit: str) -> Check:

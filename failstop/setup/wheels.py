@@ -9,7 +9,7 @@ from failstop.cli import style
 from failstop.policy.layouts import SPEEDS, WHEEL_NAMES, wheel_count
 from failstop.policy.settings import Settings
 from failstop.setup.rig import Rig, alone, rim_mps
-from failstop.setup.talk import YES, Left, NotAnAnswer, Talk, yes_or_no
+from failstop.setup.talk import YES, Left, NotAnAnswer, Talk, begun, yes_or_no
 
 SECONDS = 1.0
 RPS = 0.5
@@ -42,10 +42,9 @@ def parsed(answer: str, words: list[str], spare: bool) -> str:
         return text
     if text == NONE:
         raise NotAnAnswer(f"every id of this robot has a wheel: {SUPPLY} Then type {AGAIN_WORD} or {FASTER}")
-    for word in words:
-        for begin in dict.fromkeys((word, word[0] if len({each[0] for each in words}) == len(words) else word)):
-            if text.startswith(begin) and (way := WAYS.get(text[len(begin) :].strip())):
-                return f"{word}{'+' if way > 0 else '-'}"
+    for said, way in WAYS.items():
+        if text.endswith(said) and (word := begun(text.removesuffix(said), words)):
+            return f"{word}{'+' if way > 0 else '-'}"
     raise NotAnAnswer(f"type the wheel ({', '.join(words)}), then + for forward or - for backward, as {words[0]}+")
 
 
@@ -118,7 +117,7 @@ class Trial:
         wheels = ", ".join(f"{word} {name}" for word, name in zip(self._words, WHEEL_NAMES[self._count], strict=True))
         self._talk.say("One wheel after the other turns slowly for a second. Type which it was, and which way:")
         self._talk.say(f"wheel   {wheels}" if self._count == 4 else f"wheel   {', '.join(self._words)}", indent=5)
-        self._talk.say(f"way     + {self._way}, - the other way; as {self._words[0]}+", indent=5)
+        self._talk.say(f"way     + {self._way}, - the other way; as {self._words[0]}+", indent=5, hang=8)
         self._talk.say(f"else    {AGAIN_WORD}: once more; {FASTER}: twice as fast", indent=5)
 
     def _asked(self, id_: int, spare: bool) -> str:

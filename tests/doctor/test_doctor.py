@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from failstop.board.kinds import KINDS
+from failstop.board.kinds import KINDS, board_of
 from failstop.board.port import open_port
 from failstop.cli import style
 from failstop.cli.commands.doctor import ARROW, screen
@@ -200,3 +201,13 @@ def test_at_80_columns_no_word_is_cut_and_every_command_is_whole() -> None:
     assert {word for line in lines for word in line.split()} >= {"word", "advice"}
     assert lines[-1] == "1 warned, 1 not known"
     assert len(screen(found)) == 7, "a finding is a line where nobody looks at it"
+
+
+def test_at_80_columns_the_frames_of_a_remedy_are_whole() -> None:
+    remedies = [each.remedy for each in board_of("ugv", 1.0, 0.0).commanders]
+    frames = [found for remedy in remedies for found in re.findall(r"{\"T\"[^ ;]*}", remedy)]
+    shown = screen([("commanders", Finding(WARN, "", "", remedy)) for remedy in remedies], 80)
+    lines = [style.plain(line) for line in shown]
+    assert len(frames) >= 3
+    assert all(any(frame in line for line in lines) for frame in frames)
+    assert all(json.loads(frame) for frame in frames)

@@ -44,3 +44,12 @@ def test_a_kill_that_came_after_a_stop_is_done_again(times: int, capsys: pytest.
     assert said.count("kill -9 gate") == min(times + 1, 3)
     assert said.count("stopped before that (latched: gate hangs: 61 ms silent): is the machine busy?") == times
     assert row.fault() == ("the wheels were not turning" if times == 3 else "")
+
+
+def test_the_words_of_a_service_that_fails_at_its_end_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    row = demo.Row("gate", Stopped(0, 500_000, 550_000, 600_000, 0, was_turning=True))
+    words = "failstop: the board did not answer the last stop"
+    assert demo.judged([row], 0, words) == 0
+    assert words not in capsys.readouterr().out
+    assert demo.judged([row], 1, words) == 1
+    assert words in capsys.readouterr().out

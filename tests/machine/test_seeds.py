@@ -8,6 +8,7 @@ from random import Random
 
 import pytest
 
+from failstop.cli.main import main
 from failstop.lab.machine.files import Regular
 from failstop.lab.machine.memory import WeakMachine
 from failstop.lab.simulate import control_runs, controls, seeds
@@ -33,6 +34,30 @@ def test_a_tape_gives_again_what_was_drawn_and_nothing_else() -> None:
     assert again.drawn == drawn.drawn
     assert again.draw("another", 1000) == 0
     assert len(set(values.values())) > 10
+
+
+@pytest.mark.parametrize("value", [-1, 3, 10**400])
+def test_a_draw_that_cannot_be_is_nothing_odd(value: int) -> None:
+    assert Tape(0, {"a": value}).draw("a", 3) == 0
+
+
+@pytest.mark.parametrize(
+    "made_up",
+    [
+        b"",
+        b"\xff\xfe",
+        b"[" * 100_000,
+        b'{"draws": []}',
+        b'{"draws": {"settings": Infinity}}',
+        b'{"draws": {"settings": NaN}}',
+        b'{"draws": {"settings": "gate"}}',
+        b'{"draws": {"settings": ' + b"9" * 5000 + b"}}",
+    ],
+)
+def test_a_file_that_is_no_tape_is_told(made_up: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "tape").write_bytes(made_up)
+    assert main(["simulate", "--tape", str(tmp_path / "tape")]) == 1
+    assert "this is no tape: take all between the quotes" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("needed", [{"a"}, {"c", "j"}, {"a", "e", "h"}, set()])

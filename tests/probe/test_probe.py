@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import math
 import os
@@ -20,10 +21,11 @@ import pytest
 
 from failstop.api.errors import FailstopError
 from failstop.board.kinds import board_of
+from failstop.cli import style
 from failstop.lab.boards.live import DIAMETER_M
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import FORMATS, Card, Row
-from failstop.lab.probe.serial import ROWS, SerialProbe, frame_of
+from failstop.lab.probe.serial import ROWS, SerialProbe, check_kind, frame_of
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
 from tests.support.amounts import LONG, amount
@@ -226,8 +228,38 @@ def test_a_card_is_a_text_of_80_columns_a_picture_and_json(tmp_path: Path) -> No
     assert [row["never"] for row in json.loads(data.read_text())["rows"]] == [True, False, False]
 
 
+def test_a_card_that_ended_early_says_why_in_each_form(tmp_path: Path) -> None:
+    why = "the watcher has ended, and the wheels were stopped: " + "repeat it " * 10
+    card = Card(
+        "\u673a\u5668\u4eba", "ugv", "", "mine", [Row("sigkill", ROWS["sigkill"], 0.2, judge.OWN_WORD)], ended=why
+    )
+    lines = card.text().splitlines()
+    assert {style.cells(line) for line in lines} == {80}
+    assert why.strip() in " ".join("".join(line.strip("|") for line in lines).split())
+    assert "Ended early: the watcher has ended" in card.svg()
+    assert "Ended early" not in dataclasses.replace(card, ended="").svg()
+
+
+@pytest.mark.slow
+def test_a_board_of_another_kind_is_told_before_a_wheel_turns(tmp_path: Path) -> None:
+    words = ("probe", "serial", "--port", str(tmp_path / "b"), "--yes", "--out", str(tmp_path / "card"))
+    with SimBoard(tmp_path / "b", board="ugv") as board:
+        done = failstop(*words, "--board", "rrc")
+        assert done.returncode == 1
+        assert "the board that answers is ugv, not rrc: give --board ugv" in " ".join(done.stderr.split())
+        assert not list(tmp_path.glob("card*"))
+        assert not any(any(event.speeds) for event in board.events() if event.is_motor)
+        assert check_kind(board.link, "ugv") == ""
+        board.deaf(True)
+        assert "does not hear" in check_kind(board.link, "ugv")
+
+
 def test_wrong_options_are_told() -> None:
     done = failstop("probe", "serial", "--port", "/nowhere", "--board", "ugv")
     assert done.returncode == 1
     assert "no port /nowhere: plug the board in" in done.stderr
+    for pid in ("-1", "0", str(2**22 + 1)):
+        done = failstop("probe", "ros2", "--yes", "--driver-pid", pid)
+        assert done.returncode == 1
+        assert f"no process {pid}: " in done.stderr
     assert "no row 'nap'" in failstop("probe", "serial", "--port", "/nowhere", "--board", "ugv", "--rows", "nap").stderr

@@ -11,7 +11,7 @@ from failstop.lab.prove.arm_run import ArmRun
 from failstop.lab.prove.character import characterize
 from failstop.lab.prove.session import until_valid
 from failstop.lab.prove.sight import Sight
-from failstop.lab.prove.stand import Stand
+from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.table import BESIDE_PATHS, TURNINGS, plan
 from failstop.lab.sim.client import SimBoard
 from failstop.supervisor import status
@@ -19,15 +19,18 @@ from tests.prove.judged import firm
 
 
 @pytest.fixture(scope="module")
-def kiwi(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stand, Sight]]:
+def kiwi(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ProveStand, Sight]]:
     """A stand whose arm may move beside its wheels, and how these show that they stand."""
     place = tmp_path_factory.mktemp("kiwi")
     settings = {"board.kind": "feetech", status.LEASE: status.LEASE_WITHOUT_S, **BESIDE}
-    with SimBoard(place / "board", board="feetech") as board, Stand(board.link, settings, str(place), board) as made:
+    with (
+        SimBoard(place / "board", board="feetech") as board,
+        ProveStand(board.link, settings, str(place), board) as made,
+    ):
         yield made, characterize(made, TURNINGS[:1], quick=True)
 
 
-def beside(kiwi: tuple[Stand, Sight], name: str) -> ArmRun:
+def beside(kiwi: tuple[ProveStand, Sight], name: str) -> ArmRun:
     stand, sight = kiwi
     ((path, velocity),) = plan(quick=True, only=(name,), has_arm=True, beside=True)
     return ArmRun(stand, path, velocity, sight)
@@ -35,7 +38,7 @@ def beside(kiwi: tuple[Stand, Sight], name: str) -> ArmRun:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["arm-client-killed", "arm-kill-gate", "arm-stop-request"])
-def test_beside_the_wheels_both_are_judged(kiwi: tuple[Stand, Sight], name: str) -> None:
+def test_beside_the_wheels_both_are_judged(kiwi: tuple[ProveStand, Sight], name: str) -> None:
     result = until_valid(lambda: beside(kiwi, name).take(), lambda _: None)
     assert firm(result.wrong) == []
     assert result.arm is not None
@@ -44,7 +47,7 @@ def test_beside_the_wheels_both_are_judged(kiwi: tuple[Stand, Sight], name: str)
 
 
 @pytest.mark.slow
-def test_a_servo_that_lets_go_fails(kiwi: tuple[Stand, Sight], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_servo_that_lets_go_fails(kiwi: tuple[ProveStand, Sight], monkeypatch: pytest.MonkeyPatch) -> None:
     run = beside(kiwi, "arm-stop-request")
     board = run.stand.board
     assert board
@@ -53,7 +56,7 @@ def test_a_servo_that_lets_go_fails(kiwi: tuple[Stand, Sight], monkeypatch: pyte
 
 
 @pytest.mark.slow
-def test_wheels_that_do_not_stop_beside_the_arm_fail(kiwi: tuple[Stand, Sight]) -> None:
+def test_wheels_that_do_not_stop_beside_the_arm_fail(kiwi: tuple[ProveStand, Sight]) -> None:
     stand, sight = kiwi
     ((path, velocity),) = plan(quick=True, only=("arm-stop-request",), has_arm=True, beside=True)
     result = ArmRun(stand, path, velocity, sight, lambda *_: None).take()

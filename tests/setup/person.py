@@ -2,70 +2,30 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from pathlib import Path
 
+from bench.vm.terminal import Terminal
 from failstop.lab.sim.client import Event, SimBoard
 from tests.support.commands import FAILSTOP
-from tests.support.typist import Typist
 
 PATIENCE_S = 90.0
 """On a machine that is busy; nothing here depends on how long it takes."""
 
 
-class Person:
+class Person(Terminal):
     """A context manager: `failstop setup` in a terminal."""
 
     def __init__(self, place: Path, *words: str) -> None:
         """`place`: where it keeps everything."""
-        environ = {"STATE_DIRECTORY": str(place / "state"), "FAILSTOP_ROOT": str(place), "NO_COLOR": "1"}
-        self.typist = Typist([*FAILSTOP, "setup", *words], columns=80, environ=environ)
-        self._seen = 0
-        self.answers = 0
-
-    def __enter__(self) -> Person:
-        self.typist.__enter__()
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self.typist.__exit__(None, None, None)
-
-    def reads(self, text: str) -> str:
-        """Wait until it says that, behind all that was read before; returns what it said until then."""
-        until_s = time.monotonic() + PATIENCE_S
-        while (at := self._flat().find(text, self._seen)) < 0:
-            self.typist.look(0.05)
-            if self.typist.process.poll() is not None and text not in self._flat()[self._seen :]:
-                self.typist.look()
-                assert text in self._flat()[self._seen :], f"it ended without {text!r}:\n{self.typist.raw}"
-            assert time.monotonic() < until_s, f"it did not say {text!r}:\n{self.typist.raw}"
-        found = self._flat()[self._seen : at + len(text)]
-        self._seen = at + len(text)
-        return found
-
-    def _flat(self) -> str:
-        """All that was said, its lines joined: where it is broken depends on lengths of paths."""
-        return " ".join(self.typist.raw.split())
-
-    def says(self, question: str, answer: str) -> None:
-        """Answer a question once it is put."""
-        self.reads(question)
-        self.types(answer)
-
-    def types(self, answer: str) -> None:
-        """Type a line."""
-        self.typist.type(answer.encode() + b"\n")
-        self.answers += 1
-
-    def ends(self) -> int:
-        """Its exit code."""
-        return self.typist.end(PATIENCE_S)
+        environ = {"STATE_DIRECTORY": str(place / "state"), "FAILSTOP_ROOT": str(place)}
+        super().__init__(*FAILSTOP, "setup", *words, patience_s=PATIENCE_S, environ=environ)
 
     def wide(self, columns: int) -> list[str]:
-        """Lines that are longer than a terminal of so many columns, but for those with a path."""
-        lines = self.typist.raw.replace("\r", "").split("\n")
-        return [line for line in lines if len(line) > columns and "/" not in line]
+        """Lines that are longer than a terminal of so many columns, but for those that are copied: with a path, or a
+        board's frame."""
+        lines = self.said.replace("\r", "").split("\n")
+        return [line for line in lines if len(line) > columns and not {"/", "{"} & {*line}]
 
 
 class Wiring:

@@ -24,7 +24,8 @@ ROBOTS = {
     "tracks": ("rrc", "landerpi-tracks", FOUR),
     "arduino": ("arduino", "", TWO),
     "hoverboard": ("hoverboard", "", TWO),
-    "feetech": ("feetech", "", THREE),
+    "feetech": ("feetech", "other", THREE),
+    "lekiwi": ("feetech", "lekiwi", THREE),
 }
 """Each: the kind of board, the robot's name where there are names for it, how it is wired."""
 IN_SHORT = ("ugv",)
@@ -59,7 +60,7 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
         if name:
             listed = person.reads("The robot's number?")
             person.types(listed.split(f" {name} ")[0].split()[-1])
-        if wheels is THREE:
+        if name == "other":
             person.says("How are its wheels?", "omni3")
         person.says("Type yes:", "yes")
         wiring = Wiring(board, wheels)

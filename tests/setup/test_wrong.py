@@ -19,10 +19,11 @@ import psutil
 import pytest
 
 from failstop.lab.sim.client import SimBoard
-from failstop.setup import command, finish, ports, robots
+from failstop.policy.layouts import BOARDS
+from failstop.setup import command, finish, robots
 from failstop.setup.draft import Draft
 from failstop.setup.rig import LEVER_M, alone, toml
-from failstop.setup.talk import Left, NotAnAnswer, Talk, option
+from failstop.setup.talk import Left, NotAnAnswer, Talk, option, word_of
 from failstop.setup.wheels import names, parsed
 from tests.setup.person import Person, is_motion
 from tests.support.amounts import LONG
@@ -164,7 +165,7 @@ def test_a_wrong_answer_ends_with_what_helps_and_is_taken_up_again(
 @pytest.mark.parametrize(
     ("mode", "sentences"),
     [
-        (0o600, ("User nobody may not open ", "which is of the group root -> the Debian package", "can't be used so")),
+        (0o600, ("User nobody may not open ", "which is of the group root. -> the Debian package", "can't be used so")),
         (0o666, ("this user may not write to ",)),
     ],
 )
@@ -222,11 +223,11 @@ def wait_for_its_end(port: str) -> None:
 def strike(fault: str, board: SimBoard, person: Person) -> None:
     """The fault."""
     if fault == "ctrl-c":
-        person.typist.type(b"\x03")
+        person.presses(b"\x03")
     elif fault == "hang-up":
-        person.typist.process.send_signal(signal.SIGHUP)
+        person.process.send_signal(signal.SIGHUP)
     elif fault == "sigkill":
-        person.typist.process.send_signal(signal.SIGKILL)
+        person.process.send_signal(signal.SIGKILL)
     elif fault == "unplug":
         board.unplug()
     else:
@@ -277,22 +278,6 @@ def test_what_was_not_proved_is_named(place: Path, capsys: pytest.CaptureFixture
     assert "failstop run --config /x/s.toml --name left & failstop enable --name left" in said
 
 
-def test_the_board_is_found_by_what_goes_and_comes(place: Path) -> None:
-    looks = iter([{"/dev/ttyS0", "/dev/ttyUSB0"}, {"/dev/ttyS0"}, {"/dev/ttyS0"}, {"/dev/ttyS0", "/dev/ttyUSB1"}])
-    assert ports.went(talk(place, unplugged="done", plugged="done"), lambda: next(looks)) == "/dev/ttyUSB1"
-    with pytest.raises(Left, match="no port went when the cable was pulled"):
-        ports.went(talk(place, unplugged="done"), lambda: {"/dev/ttyS0"})
-
-
-def test_a_name_that_stays_is_preferred(tmp_path: Path) -> None:
-    node, link = tmp_path / "ttyUSB0", tmp_path / "by-id/usb-board"
-    node.touch()
-    link.parent.mkdir()
-    link.symlink_to(node)
-    assert ports.stable(str(node), str(link.parent)) == str(link)
-    assert ports.stable(str(tmp_path / "other"), str(link.parent)) == str(tmp_path / "other")
-
-
 @pytest.mark.parametrize(
     ("said", "meant"),
     [
@@ -300,6 +285,7 @@ def test_a_name_that_stays_is_preferred(tmp_path: Path) -> None:
         ("RR -", "rr-"),
         ("rl forward", "rl+"),
         ("fr back", "fr-"),
+        ("r-", ""),
         ("again", "again"),
         ("x+", ""),
         ("fl", ""),
@@ -313,6 +299,23 @@ def test_a_wheel_and_its_way_are_understood(said: str, meant: str) -> None:
             parsed(said, names(4), spare=False)
 
 
+@pytest.mark.parametrize(("said", "meant"), [("l+", "left+"), ("ri b", "right-"), ("r+", ""), ("+", "")])
+def test_the_beginning_of_a_wheel_is_understood_where_no_other_begins_so(said: str, meant: str) -> None:
+    if meant:
+        assert parsed(said, names(3), spare=False) == meant
+    else:
+        with pytest.raises(NotAnAnswer, match="type the wheel"):
+            parsed(said, names(3), spare=False)
+
+
+def test_a_layout_is_answered_by_its_word_or_its_beginning() -> None:
+    check = word_of(["differential", "omni3"])
+    assert check("Omni") == "omni3"
+    for wrong in ("", "1", "mecanum"):
+        with pytest.raises(NotAnAnswer, match="type differential, omni3"):
+            check(wrong)
+
+
 def test_none_is_an_answer_only_where_an_id_may_be_spare() -> None:
     assert parsed("none", names(2), spare=True) == "none"
     with pytest.raises(NotAnAnswer, match="motors' supply"):
@@ -320,7 +323,7 @@ def test_none_is_an_answer_only_where_an_id_may_be_spare() -> None:
 
 
 def test_every_robot_is_data_that_settings_take() -> None:
-    found = {**robots.of_kind("rrc"), **robots.of_kind("ugv")}
+    found = {key: robot for kind in BOARDS for key, robot in robots.of_kind(kind).items()}
     assert len(found) == len(list(robots.FOLDER.glob("*.toml")))
     assert found["ugv-rover"].settings["wheels.track_m"] == 0.172
 

@@ -49,7 +49,7 @@ def _with_arm(wire: Wire, per_rps: float) -> Board:
 
 
 WIRE = Wire(
-    name="a bus of Feetech servos (LeKiwi)",
+    name="a bus of Feetech servos, as LeKiwi has",
     port=Port(baud=1_000_000, dtr=False, rts=False, deaf_ns=0, opening=(codec.BURST, codec.TORQUE_ON)),
     stop=TimedStop(
         writes=(Write(0, codec.BURST),),

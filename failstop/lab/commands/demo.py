@@ -11,7 +11,7 @@ from failstop.cli import style
 from failstop.cli.style import FAIL, OK, PLAIN, STRONG, paint
 from failstop.lab.boards.traits import traits_of
 from failstop.lab.sim.options import add_board
-from failstop.lab.trial import Stopped, Trial
+from failstop.lab.trial import LOG_CHARACTERS, Stopped, Trial
 from failstop.messages import layout
 from failstop.policy.settings import Settings
 from failstop.ros2.command import find_rclpy
@@ -93,12 +93,20 @@ def main(arguments: Namespace) -> int:
         _done(trial.robot.disable())
         trial.leave()
         code = trial.service.end()
+        said = trial.service.said()
+    return judged(rows, code, said)
+
+
+def judged(rows: list[Row], code: int, said: str) -> int:
+    """Show the table, and what was wrong; returns the exit code. `code`, `said`: the service's own, and its words."""
     faults = [fault for row in rows if (fault := row.fault())]
     if code:
-        faults.append(f"the service ended with exit code {code}")
+        faults.append(f"the service ended with exit code {code}; it said last:")
     _table(rows)
     if faults:
         _paragraph(("FAILED: ", FAIL), ("; ".join(faults), PLAIN))
+        if code:
+            print(said[-LOG_CHARACTERS:].strip())
         return 1
     _paragraph(("Every kill was answered by a stop, and nothing moved again before the next enable.", OK))
     return 0

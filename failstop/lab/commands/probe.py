@@ -132,6 +132,8 @@ def _serial(arguments: Namespace) -> Card:
     if not os.path.exists(arguments.port):
         raise FailstopError(f"no port {arguments.port}: plug the board in; `failstop doctor --quick` lists ports")
     check_free(arguments.port)
+    if doubt := serial.check_kind(arguments.port, arguments.board):
+        _say(f"Not known to be {arguments.board}: {doubt}.")
     _consent(arguments, len(names) + 1)
     driver = arguments.driver or f"a throw-away process, one frame every {serial.PERIOD_S:g} s"
     card = Card(arguments.robot, arguments.board, arguments.firmware, driver)
@@ -156,6 +158,9 @@ def _serial(arguments: Namespace) -> Card:
 
 def _ros2(arguments: Namespace) -> Card:
     names = _rows(arguments.rows, ros2.ROWS)
+    # A number below 1 would mean more than one process.
+    if (pid := arguments.driver_pid) is not None and (pid < 1 or not os.path.exists(f"/proc/{pid}")):
+        raise FailstopError(f"no process {pid}: `ps -ef` shows the driver's")
     _consent(arguments, len(names))
     card = Card(arguments.robot, f"behind {arguments.cmd_vel}", arguments.firmware, arguments.driver or "a ROS 2 node")
     try:

@@ -178,7 +178,7 @@ def _tape(told: str, names: list[str] | None, board: str) -> int:
 
     if not told.lstrip().startswith("{"):
         try:
-            with open(told, encoding="utf-8") as file:
+            with open(told, encoding="utf-8", errors="replace") as file:
                 told = file.read()
         except OSError as error:
             raise FailstopError(
@@ -187,7 +187,7 @@ def _tape(told: str, names: list[str] | None, board: str) -> int:
     try:
         tape = json.loads(told)
         draws = {str(label): int(value) for label, value in tape["draws"].items()}
-    except (ValueError, TypeError, KeyError, AttributeError):
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
         raise FailstopError(
             "this is no tape: take all between the quotes that `failstop simulate` has printed"
         ) from None

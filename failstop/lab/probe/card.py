@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from typing import Any
 from xml.sax.saxutils import escape
 
-from failstop.cli.style import cut
+from failstop.cli import style
+from failstop.cli.style import cells, cut
 from failstop.lab.probe.judge import NEVER_S
 from failstop.version import VERSION
 
@@ -23,8 +24,9 @@ SHARP_S = 0.03
 """A time that is not known as well as that is shown with how well it is."""
 GREEN, AMBER, RED, GREY = "#1a7f37", "#bc4c00", "#cf222e", "#6e7781"
 LINE, WIDTH, MARGIN, TIMES_AT, BY_AT = 34, 760, 32, 450, 570
-VALUE = 64
-"""Letters of a value in the picture."""
+VALUE, REASON = 64, 92
+"""Letters of a value in the picture, and of why the probe ended."""
+EARLY = "Ended early: "
 RECKON = "Wheels off the ground. On the ground a base goes on for longer."
 
 
@@ -145,7 +147,8 @@ class Card:
             lines.append(_boxed(f"{row.words:<40} {row.found:>13}  {row.by or row.skipped}"))
             lines += [_boxed(f"  {row.remark}")] if row.remark else []
         lines += [edge, _boxed(self.verdict), _boxed(RECKON)]
-        lines += [_boxed(f"Ended early: {self.ended}")] if self.ended else []
+        ended = style.wrap([(f"{EARLY}{self.ended}", style.PLAIN)], COLUMNS - 2, 2) if self.ended else []
+        lines += [_boxed(style.plain(line)) for line in ended]
         return "\n".join([*lines, edge]) + "\n"
 
     def svg(self) -> str:
@@ -177,6 +180,9 @@ class Card:
         colour = RED if never else AMBER if self.slowest_s >= BAD_S else GREEN
         parts.append(_said(MARGIN, y + 36, self.verdict, colour=colour, size=20, weight="bold"))
         parts.append(_said(MARGIN, y + 62, RECKON, colour=GREY, size=14))
+        if self.ended:
+            y += 26
+            parts.append(_said(MARGIN, y + 62, cut(f"{EARLY}{self.ended}", REASON), colour=RED, size=14))
         height = y + 86
         frame = f'<rect width="{WIDTH}" height="{height}" rx="14" fill="#ffffff" stroke="#d0d7de"/>'
         head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{height}" font-family="sans-serif">'
@@ -193,12 +199,13 @@ class Card:
 
 
 def _boxed(line: str) -> str:
-    return f"| {cut(line, COLUMNS - 2):<{COLUMNS - 2}} |"
+    shown = cut(line, COLUMNS - 2)
+    return f"| {shown}{' ' * (COLUMNS - 2 - cells(shown))} |"
 
 
 def _said(x: int, y: int, text: str, *, colour: str = "#1f2328", size: int, weight: str = "normal") -> str:
-    style = f'font-size="{size}" font-weight="{weight}" fill="{colour}"'
-    return f'<text x="{x}" y="{y}" {style}>{escape(text)}</text>'
+    look = f'font-size="{size}" font-weight="{weight}" fill="{colour}"'
+    return f'<text x="{x}" y="{y}" {look}>{escape(text)}</text>'
 
 
 def rows_in_order(rows: Sequence[Row], names: Sequence[str]) -> list[Row]:

@@ -15,17 +15,20 @@ import time
 from collections.abc import Callable
 
 from failstop.api.errors import FailstopError
+from failstop.board import asking
 from failstop.board.interface import BY_IMU, HEARD_IMU, HEARD_WHEELS, Board
-from failstop.board.kinds import is_described, wire_of
-from failstop.board.port import has_lines, open_port
+from failstop.board.kinds import board_of, is_described, is_own, wire_of
+from failstop.board.port import PortError, has_lines, open_port
 from failstop.board.tap import Tap
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import Row
 from failstop.lab.probe.watcher import STOP_WORD, Orders, halting
 from failstop.lab.prove import shake
 from failstop.lab.prove.sight import SeenSample
+from failstop.policy.layouts import BOARDS
 from failstop.procs.telemetry.imu import RAD_PER_DEG
 from failstop.setup.ending import end_with_parent
+from failstop.supervisor.port_handover import OwnPort
 
 PERIOD_S = 0.1
 """Between two frames of the throw-away driver, as vendors' drivers have it."""
@@ -186,6 +189,7 @@ class SerialProbe:
             tells = _ends_at_rest(still) and bool(turning) and not _ends_at_rest(turning)
         if not tells:
             self._say("What the board reports does not tell turning wheels from resting ones: your key judges.")
+            self._say("Ctrl-C if no wheel has turned: its supply is off, or it does not know these frames.")
             self._by_key = True
 
     def _rest_ns(self) -> int | None:
@@ -300,6 +304,22 @@ class SerialProbe:
                     with contextlib.suppress(OSError):
                         pipe.close()
             self._driver = None
+
+
+def check_kind(path: str, kind: str) -> str:
+    """Ask the board what it is, behind a stop; no wheel turns by that. Returns what there is to doubt. Raises
+    FailstopError where another board answers: frames that it does not know would make a card of nothing."""
+    boards = {each: board_of(each, 1.0, 0.0) for each in dict.fromkeys((kind, *BOARDS))}
+    try:
+        with contextlib.closing(OwnPort.open_and_stop(path, boards[kind])) as own:
+            heard = asking.seek(own.fd, boards, time.monotonic_ns(), strangers=is_own(kind))
+    except (OSError, PortError) as error:
+        raise FailstopError(str(error)) from None
+    if heard[-1].known and heard[-1].kind != kind:
+        found = heard[-1].kind
+        raise FailstopError(f"the board that answers is {found}, not {kind}: give --board {found}, or plug {kind} in")
+    known, text, _ = asking.told_of(heard, kind, boards[kind])
+    return "" if known else text
 
 
 def _ends_at_rest(samples: list[SeenSample]) -> bool:

@@ -26,7 +26,7 @@ class Tape:
         """A number below `n`; `often`: for how many seeds it is more than 0."""
         if self.fixed is not None:
             value = self.fixed.get(label, 0)
-            value = value if value < n else 0
+            value = value if 0 <= value < n else 0
         else:
             value = self.dice.randrange(1, n) if n > 1 and self.dice.random() < often else 0
         return self.put(label, value)
