@@ -86,8 +86,9 @@ def two_fall_silent(stage: Stage) -> None:
     robot = driving(stage, 0.09)
     stage.freeze("telemetry", 700)
     stage.hold_again("stopper", 270, 400, starved=True)
-    stage.hold_again("supervisor", 480, 36)
+    stage.hold_again("supervisor", 476, 20)
     stage.drive(robot, 0.44)
+    stage.time.sleep(0.01)  # between two of the gate's own frames
     for step in range(6):  # a frame with each: one speed is told again after 200 ms alone
         stage.drive(robot, 0.02, SPEED_MPS / (1 + step % 2))
 
@@ -109,5 +110,5 @@ def _starves_again(name: str, ms: int) -> None:
     SETTINGS[play], NEEDS[play] = ARM_SETTINGS, frozenset((HAS_ARM,))
 
 
-_starves_again("starves_again", 102)
-_starves_again("starves_longer", 252)
+_starves_again("starves_again", 96)
+_starves_again("starves_longer", 246)
