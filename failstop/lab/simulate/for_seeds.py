@@ -10,6 +10,7 @@ from failstop.messages import records
 
 FOR_SEEDS: dict[str, Play] = {}
 LOOKS, ASKS, RESETS = 40, 20, 6
+STREAMED = 10
 CROWD = 3
 """So many programs ask at once."""
 
@@ -97,12 +98,12 @@ def _starves_again(name: str, ms: int) -> None:
     def play(stage: Stage) -> None:
         robot = stage.connect()
         robot.wait_for("ready", stage.ready_s)
-        robot.arm.follow({"base": 0.02})
-        stage.time.sleep(0.001)
         stage.freeze("port_owner", ms, starved=True)
-        stage.time.sleep(ms / 1000 - 0.006)
-        robot.arm.follow({"base": 0.0})
         stage.hold_as_it_moves(140)
+        stage.time.sleep(ms / 1000 - 0.02)
+        for step in range(STREAMED):  # whenever it goes on, there is a frame that is young
+            robot.arm.follow({"base": 0.02 * (step % 2)})
+            stage.time.sleep(0.004)
         stage.time.sleep(0.05)
 
     play.__doc__ = f"The port owner is starved for {ms} ms, and again as soon as it has said that it moves the arm."

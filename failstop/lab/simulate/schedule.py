@@ -209,7 +209,7 @@ class Schedule:
             ):
                 kinds, self._marked, self._marked_for = self._marked_for, None, DRAWN_KINDS
                 self._come(thread, call, about, key, kinds)
-            elif at_word and self._pressing.comes(about[0], about[1]):
+            elif at_word and self._pressing.comes(call, about[0], about[1]):
                 # Here, or at the call behind it, where a store may be late, or another load older than this one.
                 if self._tape.dice.random() < 0.5:
                     self._come(thread, call, about, key, LOOKS if call == "load" else MEETS)
