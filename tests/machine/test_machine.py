@@ -15,7 +15,7 @@ from failstop.lab.machine.robot import Robot
 from failstop.lab.simulate.control_runs import BOTH
 from failstop.lab.simulate.controls import Mutant
 from failstop.lab.simulate.for_seeds import FOR_SEEDS, play_of
-from failstop.lab.simulate.scenarios import SCENARIOS
+from failstop.lab.simulate.scenarios import SCENARIOS, driving
 from failstop.lab.simulate.stage import Stage
 from tests.support import rooms
 
@@ -127,3 +127,20 @@ def test_a_control_is_of_a_scenario_and_changes_source_that_is_there_once(contro
     loader, names = Loader(Machine(), control.patches), {name for name, _, _ in control.patches}
     assert names
     assert all(map(loader.load, names))
+
+
+def test_a_start_beside_a_port_owner_that_is_held_is_refused_and_a_later_one_drives() -> None:
+    """It has stopped for the supervisor's death, so nobody fences it, and holds the port longer than a start waits."""
+
+    def play(stage: Stage) -> None:
+        driving(stage)
+        stage.kill("supervisor")
+        stage.time.sleep(0.001)
+        stage.freeze("port_owner", 1_125, starved=True)
+        stage.time.sleep(1.3)
+
+    stage = Stage(play)
+    stage.run()
+    assert stage.witness.violations == []
+    assert "'failstop' is already running" in stage.robot.said
+    assert sum("supervisor" in text and "starts" in text for _, text in stage.witness.story) == 3

@@ -118,10 +118,10 @@ def test_a_round_presses_on_records_that_are_there_and_seldomer_in_time() -> Non
     segment.put(f"failstop.1.{epoch[0]}", file := Regular())
     pressing = Pressing(Random(1), machine, [0])
     pressing.begin(memory=True, others=True)
-    assert 1 <= sum(pressing.comes(file, epoch[1].start) for _ in range(1000)) < 600
-    assert not any(pressing.comes(file, epoch[1].stop) for _ in range(100))
+    assert 1 <= sum(pressing.comes("load", file, epoch[1].start) for _ in range(1000)) < 600
+    assert not any(pressing.comes("load", file, epoch[1].stop) for _ in range(100))
     pressing.begin(memory=False, others=True)
-    assert not any(pressing.comes(file, epoch[1].start) for _ in range(100))
+    assert not any(pressing.comes("load", file, epoch[1].start) for _ in range(100))
 
 
 def test_a_campaign_counts_its_faults() -> None:

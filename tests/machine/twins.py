@@ -32,6 +32,8 @@ VERBS: dict[str, Callable[..., object]] = {
     "limit": lambda stage, robot: robot.limit_speed(0.5),
     "wait_for": lambda stage, robot, what: robot.wait_for(what, 3.0),
     "kill": lambda stage, robot, process: stage.kill(process),
+    "freeze": lambda stage, robot, process, ms: stage.freeze(process, int(ms)),
+    "no_number": lambda stage, robot: stage.disturb_command(robot),
     "press": lambda stage, robot, key: stage.press(int(key)),
     "pipe": lambda stage, robot: stage.write_to_pipe(b"hand in the arm"),
     "unplug": lambda stage, robot: stage.unplug(),
@@ -56,6 +58,34 @@ SCRIPTS = {
     "driver_dies_and_motion_is_disabled": "connect, enable, lose_driver, 0.2",
     "speed_is_limited": "set_off, limit, drive, disable",
     "nothing_is_latched_and_a_reset_comes": "connect, reset",
+    "telemetry_dies_at_rest": "connect, kill telemetry, wait_for latched, 0.2",
+    "stopper_dies_at_rest": "connect, kill stopper, wait_for latched, 0.2",
+    "port_owner_dies_at_rest": "connect, kill port_owner, wait_for latched, 0.2",
+    "gate_hangs_at_rest": "connect, freeze gate 400, wait_for latched, 0.4",
+    "telemetry_hangs_at_rest": "connect, freeze telemetry 700, wait_for latched, 0.4",
+    "stopper_hangs_at_rest": "connect, freeze stopper 400, wait_for latched, 0.4",
+    "gate_dies_twice": (
+        "set_off, kill gate, wait_for latched, 0.2, enable, drive, kill gate, wait_for latched, 0.2, enable, drive"
+    ),
+    "telemetry_dies_and_it_drives_again": "set_off, kill telemetry, wait_for latched, 0.2, enable, drive, disable",
+    "stopper_dies_and_it_drives_again": "set_off, kill stopper, wait_for latched, 0.2, enable, drive, disable",
+    "port_owner_dies_while_a_stop_is_latched": "set_off, stop, 0.1, kill port_owner, 0.3, enable, drive, disable",
+    "gate_dies_while_a_stop_is_latched": "set_off, stop, 0.1, kill gate, 0.3, enable, drive, disable",
+    "supervisor_dies_while_a_stop_is_latched": "set_off, stop, 0.1, kill supervisor, connect, enable, drive, disable",
+    "pipe_gets_bytes_twice": "set_off, pipe, wait_for latched, 0.1, pipe, 0.1",
+    "key_is_pressed_while_a_stop_is_latched": "set_off, stop, 0.1, press 1, 0.1, enable, drive",
+    "key_is_pressed_while_motion_is_disabled": "connect, press 1, wait_for latched, 0.1, reset",
+    "board_is_replugged_while_a_stop_is_latched": (
+        "set_off, stop, 0.1, unplug, 0.1, replug, wait_for ready, 0.2, enable, drive, disable"
+    ),
+    "board_is_replugged_twice": (
+        "set_off, unplug, 0.1, replug, wait_for ready, 0.2, enable, drive, "
+        "unplug, 0.1, replug, wait_for ready, 0.2, enable, drive"
+    ),
+    "command_is_no_number": "set_off, no_number, wait_for latched, 0.1, enable, drive, disable",
+    "motion_is_disabled_and_enabled_again": "set_off, disable, 0.1, enable, drive, disable",
+    "one_program_follows_another": "set_off, disable, close, set_off, disable",
+    "reset_comes_after_each_of_two_stops": "set_off, stop, 0.1, reset, enable, drive, stop, 0.1, reset",
 }
 
 

@@ -76,6 +76,13 @@ class View:
     again: tuple[int, int] = (0, 0)
     """The one that was looked at last before the pause."""
 
+    def may_be_late(self, late: int) -> bool:
+        """Whether there are stores that this, of LATE, says anything else of than another does."""
+        if late in HALVES:
+            number, _ = HALVES[late]
+            return len(self.since) >= -number and len(self.since[number].data) > WORD_BYTES
+        return len(self.since) > (late == BUT_LAST)
+
 
 @dataclass(eq=False, slots=True)
 class Race:

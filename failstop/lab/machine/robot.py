@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -24,6 +23,7 @@ from failstop.lab.sim.model import Frame
 from failstop.policy.layouts import BOARDS
 
 DEVICE, SETTINGS = "/dev/ttyACM0", "/etc/failstop.toml"
+RUN = ("--config", SETTINGS, "--device", DEVICE, "--name", "failstop")
 MS = 1_000_000
 CLICKED = 0x20
 COMMAND_EVERY_S = 0.02
@@ -182,14 +182,11 @@ class Robot:
 
         def body(process: Process) -> int:
             self.streams(process)
-            run, refused = self.loader.load("failstop.cli.commands.run"), self.loader.load("failstop.api.errors")
             try:
-                run.main(Namespace(config=SETTINGS, device=DEVICE, name="failstop"))
+                code: int = self.loader.load("failstop.cli.main").main(["run", *RUN])
             except Replaced as program:
                 return self._child(process, program.argv[program.argv.index("supervisor") - 1 :])
-            except refused.FailstopError:
-                return 1
-            return 0
+            return code
 
         return self.machine.process("supervisor", body, dict(ENVIRON))
 

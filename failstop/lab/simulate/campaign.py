@@ -30,7 +30,7 @@ from failstop.lab.simulate.stage import Continuation, Stage
 from failstop.policy.layouts import BOARDS
 
 RUN_S = 60
-"""A run that takes longer in real time has gone astray."""
+"""A run that takes a processor for longer has gone astray."""
 ALONE = ("",)
 """Plan.branches of a scenario whose begin is another plan's."""
 SHARES = 2
@@ -186,12 +186,12 @@ class Explorer:
             self.stage.machine.at_seam = None  # each scenario's own plan goes on from here
             return rest
         for name in plan.branches[1:]:
-            signal.alarm(RUN_S)
+            signal.setitimer(signal.ITIMER_PROF, RUN_S)
             reader, writer = os.pipe()
             child = os.fork()
             if not child:
                 os.close(reader)
-                signal.alarm(RUN_S)
+                signal.setitimer(signal.ITIMER_PROF, RUN_S)
                 self._to, self._runs, self.run.scenario = writer, [], name
                 return DRIVEN[name]
             os.close(writer)
@@ -235,8 +235,7 @@ class Explorer:
             child = os.fork()
             if not child:
                 os.close(reader)
-                signal.signal(signal.SIGALRM, signal.SIG_DFL)
-                signal.alarm(RUN_S)
+                signal.setitimer(signal.ITIMER_PROF, RUN_S)
                 self._to = writer
                 self._begin(fault, where)
                 inject()

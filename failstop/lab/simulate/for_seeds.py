@@ -10,6 +10,7 @@ from failstop.messages import records
 
 FOR_SEEDS: dict[str, Play] = {}
 LOOKS, ASKS, RESETS = 40, 20, 6
+STREAMED = 10
 CROWD = 3
 """So many programs ask at once."""
 
@@ -86,8 +87,9 @@ def two_fall_silent(stage: Stage) -> None:
     robot = driving(stage, 0.09)
     stage.freeze("telemetry", 700)
     stage.hold_again("stopper", 270, 400, starved=True)
-    stage.hold_again("supervisor", 480, 36)
+    stage.hold_again("supervisor", 476, 20)
     stage.drive(robot, 0.44)
+    stage.time.sleep(0.01)  # between two of the gate's own frames
     for step in range(6):  # a frame with each: one speed is told again after 200 ms alone
         stage.drive(robot, 0.02, SPEED_MPS / (1 + step % 2))
 
@@ -96,12 +98,12 @@ def _starves_again(name: str, ms: int) -> None:
     def play(stage: Stage) -> None:
         robot = stage.connect()
         robot.wait_for("ready", stage.ready_s)
-        robot.arm.follow({"base": 0.02})
-        stage.time.sleep(0.001)
         stage.freeze("port_owner", ms, starved=True)
-        stage.time.sleep(ms / 1000 - 0.006)
-        robot.arm.follow({"base": 0.0})
         stage.hold_as_it_moves(140)
+        stage.time.sleep(ms / 1000 - 0.02)
+        for step in range(STREAMED):  # whenever it goes on, there is a frame that is young
+            robot.arm.follow({"base": 0.02 * (step % 2)})
+            stage.time.sleep(0.004)
         stage.time.sleep(0.05)
 
     play.__doc__ = f"The port owner is starved for {ms} ms, and again as soon as it has said that it moves the arm."
@@ -109,5 +111,5 @@ def _starves_again(name: str, ms: int) -> None:
     SETTINGS[play], NEEDS[play] = ARM_SETTINGS, frozenset((HAS_ARM,))
 
 
-_starves_again("starves_again", 102)
-_starves_again("starves_longer", 252)
+_starves_again("starves_again", 96)
+_starves_again("starves_longer", 246)

@@ -18,7 +18,7 @@ from failstop.messages import layout
 MOST_RECORDS = 8
 """At most so many in a round, and one at least."""
 OFTEN = (0.3, 0.95)
-"""Between these is how often an event comes at an access to one of them."""
+"""Between these is how often an event comes at a store, or at a load, of one of them."""
 SELDOMER, SELDOM = 0.5, 0.5
 """After each event at a record the next one there is so much less often, but never below that for all of them together:
 some are accessed at every turn."""
@@ -97,7 +97,7 @@ class Pressing:
         here = sorted(places)
         self._places = [PLACES[number] for number in (*here, *(JUDGED_TOO * [each for each in here if each in JUDGED]))]
         self._here: list[list[Any]] = []
-        """The segment, the place in it, and how often an event comes there now."""
+        """The segment, the place in it, and how often an event comes there now, by the access."""
         self.alone = False
         """Nothing comes in this round but there."""
 
@@ -107,7 +107,7 @@ class Pressing:
         often = OFTEN[0] * (OFTEN[1] / OFTEN[0]) ** dice.random()
         self._here = (
             [
-                [*place, often]
+                [*place, {"load": often, "store": often}]
                 for place in dice.sample(self._places, dice.randint(1, min(MOST_RECORDS, len(self._places))))
             ]
             if memory
@@ -115,13 +115,13 @@ class Pressing:
         )
         self.alone = memory and dice.random() < (ALONE if others else MEMORY_ALONE)
 
-    def comes(self, node: Any, at: int) -> bool:
+    def comes(self, access: str, node: Any, at: int) -> bool:
         """Whether an event comes at this access, or behind it."""
         segment = self.segments.name(node)
         for each in self._here:
             if segment == each[0] and at in each[1]:
-                if self._dice.random() >= each[2]:
+                if self._dice.random() >= each[2][access]:
                     return False
-                each[2] = max(SELDOMER * each[2], SELDOM / len(self._here))
+                each[2][access] = max(SELDOMER * each[2][access], SELDOM / len(self._here))
                 return True
         return False

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 from zlib import crc32
 
-from failstop.lab.machine.buffers import BEGIN_OF_FIRST, BUT_LAST, END_OF_FIRST, HALVES, WORD_BYTES, Store
+from failstop.lab.machine.buffers import BEGIN_OF_FIRST, END_OF_FIRST, WORD_BYTES
 from failstop.lab.machine.epoll import Epoll
 from failstop.lab.machine.memory import MET_NS, WeakMachine
 from failstop.lab.machine.process import Process, Thread
@@ -209,12 +209,12 @@ class Schedule:
             ):
                 kinds, self._marked, self._marked_for = self._marked_for, None, DRAWN_KINDS
                 self._come(thread, call, about, key, kinds)
-            elif at_word and self._pressing.comes(about[0], about[1]):
+            elif at_word and self._pressing.comes(call, about[0], about[1]):
                 # Here, or at the call behind it, where a store may be late, or another load older than this one.
                 if self._tape.dice.random() < 0.5:
                     self._come(thread, call, about, key, LOOKS if call == "load" else MEETS)
                 else:
-                    self._marked, self._marked_for = thread, LOOKS if call == "load" else LATES
+                    self._marked, self._marked_for = thread, self._kinds_behind(thread, call)
                     self._far = 0
                     while self._far < FARTHEST and self._tape.dice.random() < FARTHER:
                         self._far += 1
@@ -244,6 +244,11 @@ class Schedule:
             return True
         self._marked, self._marked_for, self._far = thread, DRAWN_KINDS, 0
         return False
+
+    def _kinds_behind(self, thread: Thread, call: str) -> Collection[str]:
+        """The kinds of events behind an access: behind a load a store that was made before it may be late as well."""
+        is_late = call == "store" or (self._machine.view(thread).since and self._tape.dice.random() < 0.5)
+        return LATES if is_late else LOOKS
 
     def _is_far(self) -> bool:
         """Whether the marked thread has come to where its event is."""
@@ -315,9 +320,9 @@ class Schedule:
             machine.pause(ns, late, early)
 
         yield PAUSES, pauses
-        since = machine.view(thread).since
-        for late, kind in LATER.items() if since else ():
-            if _may_be_late(since, late):
+        view = machine.view(thread)
+        for late, kind in LATER.items():
+            if view.may_be_late(late):
                 yield kind, lambda measure, late=late: pauses(measure, late)  # type: ignore[misc]
         size = about[2] if call in ("load", "store") else 0
         for early, kind in EARLIER.items():
@@ -391,10 +396,3 @@ class Schedule:
         stage = self._stage
         stage.unplug()
         self._later(ns, lambda: None if stage.robot.board.port else stage.replug())
-
-
-def _may_be_late(since: list[Store], late: int) -> bool:
-    if late in HALVES:
-        number, _ = HALVES[late]
-        return len(since) >= -number and len(since[number].data) > WORD_BYTES
-    return late != BUT_LAST or len(since) > 1

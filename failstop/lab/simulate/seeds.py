@@ -50,7 +50,7 @@ ROUNDS = 12
 EVERY_TWICE = 100
 """One of so many runs is made twice, the second time by its tape."""
 RUN_S = 60
-"""A run that takes longer in real time has gone astray."""
+"""A run that takes a processor for longer has gone astray."""
 EVENT_WORDS = 2
 SUFFIXES = (1, 2, 4, 8, 16, 32)
 """Of a failure's events only so many are kept, the last of them, before parts are left out: most need no others."""
@@ -350,8 +350,7 @@ def _forked(what: Callable[[], Any]) -> Any:
     if not child:
         gc.disable()
         os.close(reader)
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(RUN_S)
+        signal.setitimer(signal.ITIMER_PROF, RUN_S)
         try:
             data = json.dumps(what()).encode()
             while data:
