@@ -50,6 +50,8 @@ def heard_at(data: bytes, sent_baud: int, baud: int) -> bytes:
     while (begin := line.find(0, int(at))) >= 0:
         while at < begin:
             at += step / 16
+        if int(at) > begin:
+            continue  # a bit that is shorter than a look was missed
         places = [int(at + (bit + 1.5) * step) for bit in range(8)]
         found.append(sum((line[place] if place < len(line) else 1) << bit for bit, place in enumerate(places)))
         at += 9.5 * step
