@@ -329,7 +329,7 @@ def test_way_to_a_pose_takes_its_joints_there_at_the_share_of_their_speed() -> N
     assert ArmBench(**nowhere).core.pose(goals.TUCK, SERVICE, "me") is None
 
 
-def test_joints_on_their_way_are_looked_at_between_their_moves_where_the_board_can_tell() -> None:
+def test_joints_on_their_way_are_looked_at_where_the_board_can_tell() -> None:
     board = board_of("feetech", 0.1, 0.0)
     core = ArmCore(Settings({**ARM, "board.kind": "feetech"}), board, T0)
     for joint in core.joints:
