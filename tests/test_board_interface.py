@@ -28,6 +28,7 @@ from failstop.procs.peer import LEAVE_AFTER_NS
 from failstop.procs.schedule import Pings
 from tests.support.boards import wide
 from tests.support.rooms import imports, package
+from tests.support.starting import nodes
 from tests.support.states import latched, stop
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -88,8 +89,9 @@ def names(path: Path) -> set[str]:
     """Members of a board that one file uses."""
     return {
         node.attr
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.Attribute) and ast.unparse(node.value).rpartition(".")[2] in ("board", "_board")
+        for node in nodes(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute)
+        and getattr(node.value, "attr", getattr(node.value, "id", "")) in ("board", "_board")
     }
 
 

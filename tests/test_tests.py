@@ -59,7 +59,7 @@ def sources() -> dict[Path, list[ast.AST]]:
     """The nodes of each file that may have one of them; the stand-in of ROS has the names that ROS gives."""
     texts = {path: path.read_text("utf-8") for path in sorted(TESTS.rglob("*.py")) if "standin" not in path.parts}
     assert len(texts) > 300
-    return {path: list(ast.walk(ast.parse(text))) for path, text in texts.items() if MAY_HAVE_ONE.search(text)}
+    return {path: starting.nodes(ast.parse(text)) for path, text in texts.items() if MAY_HAVE_ONE.search(text)}
 
 
 def everywhere(wanted: Callable[[ast.AST], bool]) -> Iterator[str]:

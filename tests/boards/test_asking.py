@@ -3,6 +3,7 @@ turns. On the simulated machine, whose times are exact, with the receivers as ju
 
 from __future__ import annotations
 
+import functools
 import termios
 from collections.abc import Iterator
 from pathlib import Path
@@ -38,17 +39,19 @@ def bits(data: bytes) -> Iterator[int]:
     yield from (1,) * 10
 
 
+@functools.cache
 def heard_at(data: bytes, sent_baud: int, baud: int) -> bytes:
     """The bytes that a receiver of another speed takes them for: it looks in the middle of what it holds to be a bit,
     and takes a byte without a stop bit too."""
-    line = list(bits(data))
+    line = bytes(bits(data))
     found = bytearray()
     at = 0.0
     step = sent_baud / baud
-    while at < len(line):
-        if line[int(at)]:
+    while (begin := line.find(0, int(at))) >= 0:
+        while at < begin:
             at += step / 16
-            continue
+        if int(at) > begin:
+            continue  # a bit that is shorter than a look was missed
         places = [int(at + (bit + 1.5) * step) for bit in range(8)]
         found.append(sum((line[place] if place < len(line) else 1) << bit for bit, place in enumerate(places)))
         at += 9.5 * step

@@ -18,6 +18,7 @@ from failstop.policy.causes import BY_NUMBER
 from failstop.policy.settings import BY_KEY
 from tests.support import rooms
 from tests.support.pages import PAGES, ROOT
+from tests.support.starting import nodes
 
 TROUBLE = ROOT / "docs" / "troubleshooting.md"
 KEYS = {*BY_KEY, *OF_FLEET}
@@ -58,7 +59,7 @@ def _messages() -> Iterator[str]:
     yield from (kind.template for kind in BY_NUMBER.values())
     for room in OF_MESSAGES:
         for path in rooms.modules(room):
-            for node in ast.walk(ast.parse(path.read_text())):
+            for node in nodes(ast.parse(path.read_text())):
                 if isinstance(node, ast.Constant) and isinstance(node.value, str):
                     yield node.value
 

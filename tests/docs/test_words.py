@@ -11,6 +11,7 @@ import pytest
 
 from tests.support.pages import PAGES, ROOT
 from tests.support.rooms import modules
+from tests.support.starting import nodes
 
 WENT = {
     r"e-stop": "stop; latched stop",
@@ -43,9 +44,9 @@ NAMES = re.compile(r"\bfailstop estop\b|\bestop\(\)|\bRobot\.estop\b|\bscan or e
 
 def sentences(path: Path) -> Iterator[str]:
     """The texts of a module that people may see: those with a space, but for its documentation."""
-    tree = ast.parse(path.read_text())
-    alone = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    for node in ast.walk(tree):
+    found = nodes(ast.parse(path.read_text()))
+    alone = {id(node.value) for node in found if isinstance(node, ast.Expr)}
+    for node in found:
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in alone:
             yield from (line for line in node.value.splitlines() if " " in line)
 

@@ -286,6 +286,7 @@ ARM = (
     Reason("policy/joints.py", r"\+.*if rate >= 0 else", "a rate of 0 needs no room"),
     Reason("procs/gate/arm/goals.py", r"\+.*(>=|<) .*(1\.000001|1e-6)", "a bound that is rounded, at exact equality"),
     Reason("policy/joints.py", r"\+.* / self\.sign / self\.per_rad", "a sign is 1 or -1"),
+    Reason("policy/joints.py", r"\+.*(1e-6 < angle|angle < high \+)", "a bound that is rounded, at exact equality"),
     Reason("procs/gate/arm/shell.py", r"\n\+\s+self\.told_ns = 1$", "one nanosecond after the boot is as long ago"),
     Reason("procs/gate/arm/shell.py", r"\+.*zip\(joints, angles, (strict=False)?\)", "each row has as many as servos"),
     Reason(

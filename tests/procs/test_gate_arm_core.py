@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from failstop.board import servos
-from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES
+from failstop.board.kinds import board_of
+from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, POSITION
 from failstop.policy.joints import MOST_MISSES, PULSES_PER_RAD
+from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
-from failstop.procs.gate.arm.core import ENDED, FIND_NS, LOST_NS, SERVICE, TORQUE_APART_NS
+from failstop.procs.gate.arm.core import ENDED, FIND_NS, LOST_NS, SERVICE, TORQUE_APART_NS, ArmCore
 from failstop.procs.gate.arm.goals import Goal
-from failstop.procs.gate.arm.reader import APART_NS, QUIET_NS
+from failstop.procs.gate.arm.reader import APART_NS, LOOKS_APART_NS, QUIET_NS
 from failstop.procs.gate.arm.stream import MOVES_APART_NS
-from tests.support.arm_settings import SERVOS
+from tests.support.arm_settings import ARM, SERVOS
 
 from .arm_bench import ME, OTHER, SERVO_ANSWER_NS, ArmBench
 from .gate_bench import MS, T0, TICK
@@ -323,3 +327,28 @@ def test_way_to_a_pose_takes_its_joints_there_at_the_share_of_their_speed() -> N
     assert trajectory.outcome == ""
     nowhere = {f"joints__{joint.name}__tuck": -1 for joint in bench.core.joints}
     assert ArmBench(**nowhere).core.pose(goals.TUCK, SERVICE, "me") is None
+
+
+def test_joints_on_their_way_are_looked_at_where_the_board_can_tell() -> None:
+    board = board_of("feetech", 0.1, 0.0)
+    core = ArmCore(Settings({**ARM, "board.kind": "feetech"}), board, T0)
+    for joint in core.joints:
+        joint.known = joint.loaded = True
+        joint.position = 2048.0
+    first = core.joints[0]
+    core.take(Goal(goals.FOLLOW, ME, "client 11", T0, {first: first.rad(2100.0)}), "", T0)
+    frames = []
+    now = T0
+    while now < T0 + 120 * MS:
+        frame, hold = core.step(now)
+        assert not hold
+        frames.append((now, frame))
+        core.answer(first.servo, POSITION, 2050, now)
+        now = core.due_ns
+    looks = [(t_ns, frame) for t_ns, frame in frames if frame and board.servo_what(frame) == POSITION]
+    assert [frame for _, frame in looks[:3]] == [board.servo_look(each) for each in ([1, 2, 3], [4, 5, 10], [1, 2, 3])]
+    assert all(after - before >= LOOKS_APART_NS for (before, _), (after, _) in pairwise(looks))
+    assert len(looks) >= 6
+    assert sum(frame == b"" for _, frame in frames) <= 1, "it wakes for a move or a look"
+    assert (first.measured, first.measured_ns, first.known) == (2050, frames[-1][0], True)
+    assert first.position != 2050, "one reading moves no joint that is on its way"

@@ -15,7 +15,7 @@ from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE
 from failstop.policy.joints import MOST_MISSES, PULSES_PER_RAD, Joint, from_settings, too_far
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.goals import MOVE, Trajectory, too_fast, too_fast_between
-from failstop.procs.gate.arm.reader import AGREE, APART_NS, IDLE_NS, QUIET_NS, WAIT_NS, ServoReader
+from failstop.procs.gate.arm.reader import AGREE, APART_NS, IDLE_NS, LOOKS_APART_NS, QUIET_NS, WAIT_NS, ServoReader
 
 T0 = 100_000_000_000
 ANSWERED_NS = 2_000_000
@@ -63,6 +63,28 @@ def test_wanted_joints_are_asked_in_turn_at_first_twice_as_fast_as_the_bus_allow
     bench.reader.moved(bench.now + 7 * IDLE_NS)
     assert bench.reader.due_ns() == bench.now + 7 * IDLE_NS + QUIET_NS, "and again after a move"
     bench.ask()
+
+
+@pytest.mark.parametrize(
+    ("count", "looks"),
+    [(2, [[1, 2], [1, 2]]), (5, [[1, 2, 3], [4, 5], [1, 2, 3]]), (6, [[1, 2, 3], [4, 5, 6], [1, 2, 3]])],
+)
+def test_looks_go_over_the_joints_a_few_at_a_time(count: int, looks: list[list[int]]) -> None:
+    joints = from_settings(Settings({f"joints.j{servo}.servo": servo for servo in range(1, count + 1)}))
+    reader = ServoReader(joints, T0)
+    for step, servos in enumerate(looks):
+        due_ns = T0 + step * LOOKS_APART_NS
+        assert reader.look_ns == due_ns
+        assert reader.look(due_ns - 1) == []
+        assert [joint.servo for joint in reader.look(due_ns)] == servos
+
+
+def test_a_joint_on_its_way_is_where_one_reading_says(bench: Bench) -> None:
+    other, seen = bench.joints
+    seen.misses = MOST_MISSES
+    bench.reader.seen(9, 512, T0 + 5)
+    assert (seen.measured, seen.measured_ns, seen.misses, seen.known) == (512, T0 + 5, 0, False)
+    assert (other.measured, other.measured_ns) == (None, 0)
 
 
 def test_an_idle_reader_asks_each_joint_twice_for_its_place_and_once_for_the_rest(bench: Bench) -> None:

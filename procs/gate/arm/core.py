@@ -340,8 +340,8 @@ class ArmCore:
         return frame, hold
 
     def _look(self, now_ns: int) -> bytes:
-        """Ask where joints on their way are, on a board that can tell."""
-        joints = self._reader.look(now_ns) if self._looks else []
+        """Ask where joints on their way are; a board that can't tell has no frame for that."""
+        joints = self._reader.look(now_ns)
         return self._board.servo_look([joint.servo for joint in joints]) if joints else b""
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
