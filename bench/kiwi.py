@@ -7,6 +7,7 @@ The simulated servos say when the wheels' goals are zero, when each joint stands
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
 import json
 import os
@@ -23,6 +24,7 @@ from bench import BenchError, report, stats
 from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
+from failstop.api.errors import Refused
 from failstop.lab.faults import arm, arm_table
 from failstop.lab.faults.arm import ArmTrial, Rested
 from failstop.lab.faults.arm_table import BESIDE_BY_NAME, BY_ITSELF_MS, GOAL_MS, ArmFault
@@ -79,11 +81,21 @@ class KiwiTrial(ArmTrial):
             raise BenchError("the policy's program has ended: no LeRobot in that environment?")
         return process
 
+    def read(self) -> None:
+        """Have the arm read. A machine that is busy may be too late to hear its answers."""
+        wait_for("the arm to be read", self._read)
+
+    def _read(self) -> bool:
+        with contextlib.suppress(Refused):
+            self.robot.arm.read()
+            return True
+        return False
+
     def follow(self, seconds: float = 0.0) -> int:
         """Have the policy drive and move every joint; returns its pid, or that of its session, negative."""
         if self._follower is None:
             self.settle()
-            self.robot.arm.read()
+            self.read()
             self._follower = self.program("both")
         wait_for("the policy to be connected", self._connected)
         self.enable()
@@ -140,7 +152,7 @@ def streaming(trial: KiwiTrial, seconds: float) -> Iterator[Row]:
     nothing."""
     progress("streaming")
     trial.settle()
-    trial.robot.arm.read()
+    trial.read()
     trial.enable()
     policy, idle = trial.program("both", str(seconds)), trial.program("nothing", str(seconds))
     assert policy.stdout

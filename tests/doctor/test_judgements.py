@@ -76,6 +76,12 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("service", look(service=linked("unproven")), WARN, "waits for the board's first answer"),
     ("service", look(service=serving(waiting_for="the port")), WARN, "waits for the port"),
     ("service", look(service=serving(arm=arm(wrong=("it hangs",)))), WARN, "it hangs"),
+    (
+        "service",
+        look(service=serving(servos={"left wheel (servo 7)": (0.1, 70)})),
+        WARN,
+        "left wheel (servo 7) is at 70 C",
+    ),
     ("clients", look(service=serving(clients=(BRIDGE,))), WARN, "/a and /b drive"),
     ("ROS 2", look(**nodes("anna", "bob"), service=BRIDGED), WARN, "Fast DDS of anna is here"),
     ("unit", look(unit={}), WARN, "no unit"),

@@ -55,7 +55,10 @@ def test_without_a_service_there_is_up_alone() -> None:
 
 
 def test_every_family_has_samples_of_some_state_with_its_labels_and_no_others() -> None:
-    full = states.latched(scan_age_s=0.2, plugged="plugged", arm=states.arm("elbow", "wrist"))
+    servos = {"joint elbow (servo 3)": (-0.25, 41)}
+    full = states.latched(scan_age_s=0.2, plugged="plugged", arm=states.arm("elbow", "wrist"), servos=servos)
+    assert one(full, "servo_load_ratio", servo="joint elbow (servo 3)") == -0.25
+    assert one(full, "servo_temperature_celsius", servo="joint elbow (servo 3)") == 41
     seen = {family.name: samples for family, samples in metrics.collect(full)}
     assert set(seen) == {family.name for family in metrics.FAMILIES}
     for family in metrics.FAMILIES:

@@ -227,6 +227,7 @@ def test_diagnostics_of_a_service_that_is_well() -> None:
         ({"device": Device("/dev/x", "open", "unproven")}, "link", diagnostics.WARN),
         ({"battery_v": 9.0}, "battery", diagnostics.WARN),
         ({"battery_v": None}, "battery", diagnostics.OK),
+        ({"servos": {"rear wheel (servo 8)": (0.1, 41)}}, "rear wheel (servo 8)", diagnostics.OK),
         ({"processes": {"gate": states.process(state="down")}}, "process gate", diagnostics.ERROR),
         ({"processes": {"gate": states.process(state="waiting")}}, "process gate", diagnostics.WARN),
         ({"processes": {"gate": states.process(realtime=False)}}, "real-time rights", diagnostics.WARN),

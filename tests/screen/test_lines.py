@@ -248,3 +248,12 @@ def test_an_arm_is_said_to_hold_by_what_its_joints_tell(base: bool | None, wrist
     assert [row.split()[-3] for row in shown.splitlines()[-2:]] == [
         {True: "on,", False: "off,", None: "read,"}[torque] for torque in (base, wrist)
     ]
+
+
+def test_servos_are_a_row_where_the_board_tells_of_them() -> None:
+    servos = {"left wheel (servo 7)": (0.1, 31), "joint elbow (servo 3)": (-0.41, 30)}
+    said = shown(summary.lines(state(servos=servos), NOW_S, 160))
+    assert "servos    left wheel (servo 7) at 31 C is the hottest, joint elbow (servo 3) bears the most, 41%" in said
+    assert "servos" not in shown(summary.lines(state(), NOW_S, 160))
+    still = shown(summary.lines(state(servos={"left wheel (servo 7)": (0.0, 31)}), NOW_S, 160))
+    assert "bears" not in still

@@ -20,18 +20,19 @@ from collections.abc import Callable, Iterator
 
 from failstop.board.feetech import codec
 from failstop.board.wire import TimedStop, Write
+from failstop.lab.boards.feetech_joints import ARM_IDS, SUPPLY_AT, TEMPERATURE_AT, Joints
+from failstop.lab.boards.feetech_joints import MIDDLE as MIDDLE
+from failstop.lab.boards.feetech_joints import POSITION_AT as POSITION_AT
 from failstop.lab.boards.line import Receiver, ReceiverModel
 from failstop.lab.sim.servos import Servos
 
 BYTE_NS = 10_000
 PING = 0x01
 MEMORY = 71
-MODE_AT, POSITION_AT, SPEED_AT, SUPPLY_AT, TEMPERATURE_AT, MOVING_AT = 33, 56, 58, 62, 63, 66
+MODE_AT, SPEED_AT, MOVING_AT = 33, 58, 66
 DELAY_NS = 30_000
 """From a question to its answer, where the return delay is set to 0."""
 LONGEST_DELAY_NS = 510_000
-ARM_IDS = (1, 2, 3, 4, 5, 6)
-MIDDLE = 2048
 SHORTEST = 2
 STEP_NS = 1_000_000
 FULL_SPEED = 3000
@@ -265,8 +266,7 @@ def _every_state() -> Iterator[Bus]:
 
 
 def _joints(bus: Receiver, start_ns: int) -> Servos:
-    from failstop.lab.boards.feetech_joints import Joints
-
+    assert isinstance(bus, Bus)
     return Joints(bus, start_ns)
 
 

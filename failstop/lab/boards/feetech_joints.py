@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Protocol
+
 from failstop.board.feetech import codec
-from failstop.lab.boards.feetech import ARM_IDS, MIDDLE, POSITION_AT, SUPPLY_AT, TEMPERATURE_AT, Bus
-from failstop.lab.boards.line import Receiver
 from failstop.lab.sim.servos import Leg, Servo, Servos
 
+ARM_IDS = (1, 2, 3, 4, 5, 6)
+MIDDLE = 2048
+POSITION_AT, SUPPLY_AT, TEMPERATURE_AT = 56, 62, 63
 
-class Joint(Servo):
+
+class Bus(Protocol):
+    """The bus, as far as its joints are concerned (feetech.py)."""
+
+    memory: dict[int, bytearray]
+    blocked: set[int]
+    silent: set[int]
+    moved: Callable[[int, int, int, int, int], None]
+
+
+class BusJoint(Servo):
     """A servo in position mode, whose memory is the bus's."""
 
     __slots__ = ("_bus",)
@@ -25,12 +39,11 @@ class Joint(Servo):
 class Joints(Servos):
     """The servos of the arm, with the times of the board that the bus is behind."""
 
-    def __init__(self, bus: Receiver, start_ns: int) -> None:
+    def __init__(self, bus: Bus, start_ns: int) -> None:
         """`start_ns`: the moment that the bus's own times count from."""
-        assert isinstance(bus, Bus)
         super().__init__(start_ns, 0, ())
         self._bus, self._start_ns = bus, start_ns
-        joints = [Joint(bus, servo, start_ns) for servo in ARM_IDS]
+        joints = [BusJoint(bus, servo, start_ns) for servo in ARM_IDS]
         self.by_id = {joint.id: joint for joint in joints}
         bus.moved = self._moved
 
