@@ -80,8 +80,8 @@ class Described(Board):
 
     __slots__ = (
         "_motion", "_per_rps", "_wire", "acknowledged_by", "after_ns", "burst", "commanders", "echo_ns", "first_stop",
-        "idle_ns", "most_rps", "name", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "stop", "usb",
-        "wheels",
+        "idle_ns", "most_rps", "name", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "stop",
+        "usb", "wheels",
     )  # fmt: skip
 
     usb_alone = arm_beside_wheels = holds_by_goal = False
