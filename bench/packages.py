@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -63,8 +63,9 @@ def main() -> int:
         try:
             new = newest(arguments.debs, Path(folder))
             old = last(arguments.last, Path(folder))
-            rows = [*lintian(new), debian_tests.autopkgtest(new), debian_tests.piuparts(new)]
-            rows += lived(old, new[0], arguments.rounds)
+            ours = fitting(new, architecture())
+            rows = [*lintian(new), debian_tests.autopkgtest(ours), debian_tests.piuparts(ours)]
+            rows += lived(old, ours[0], arguments.rounds)
         except (BenchError, ContainerMissing) as error:
             print(f"failstop: {error}", file=sys.stderr)
             return 1
@@ -75,14 +76,22 @@ def newest(debs: Path | None, folder: Path) -> list[Path]:
     """The packages to judge, the robot's first. Raises BenchError."""
     if debs is None:
         return build(ROOT, folder / "new")
-    ours = subprocess.run(["dpkg", "--print-architecture"], check=True, capture_output=True, text=True).stdout.strip()
-    found = [
-        *debs.glob(f"failstop_*_{ours}.deb"),
-        *sorted(set(debs.glob("*.deb")) - set(debs.glob(f"failstop_*_{ours}.deb"))),
-    ]
-    if not debs.glob(f"failstop_*_{ours}.deb"):
+    found, ours = sorted(debs.glob("*.deb")), architecture()
+    robots = [path for path in fitting(found, ours) if path.name.startswith("failstop_")]
+    if not robots:
         raise BenchError(f"no package for {ours} in {debs}: make release VERSION=x builds them")
-    return found
+    return [*robots, *(path for path in found if path not in robots)]
+
+
+def architecture() -> str:
+    """This machine's, by Debian's word."""
+    words = ("dpkg", "--print-architecture")
+    return subprocess.run(words, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def fitting(packages: Sequence[Path], ours: str) -> list[Path]:
+    """Those that a machine of this architecture can install: a release has packages for others too."""
+    return [path for path in packages if path.stem.rpartition("_")[2] in (ours, "all")]
 
 
 def build(source: Path, out: Path) -> list[Path]:

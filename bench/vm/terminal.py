@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 ROWS, COLUMNS = 24, 80
 LOOK_S = 0.1
-SHOWN = 400
+SHOWN = 4000
 """Letters of what it has said, in an error."""
 
 

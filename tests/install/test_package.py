@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from bench import BenchError, packages
 from failstop.cli.commands import config
 from failstop.doctor.port import LINK
 from failstop.lab.pages import completion, man
@@ -104,3 +105,16 @@ def test_the_maintainer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 def test_without_the_systems_python_the_build_says_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
     assert build.main([], "/nowhere/python3") == 1
     assert "make deb PYTHON=/usr/bin/python3 VENV=.venv-deb" in capsys.readouterr().err
+
+
+def test_of_a_release_a_machine_installs_what_is_for_it_and_the_robots_comes_first(tmp_path: Path) -> None:
+    ours = packages.architecture()
+    for name in ("failstop-lab_0.2.0_all", f"failstop_0.2.0_{ours}", "failstop_0.2.0_other"):
+        (tmp_path / f"{name}.deb").touch()
+    found = packages.newest(tmp_path, tmp_path)
+    names = [path.stem for path in found]
+    assert names == [f"failstop_0.2.0_{ours}", "failstop-lab_0.2.0_all", "failstop_0.2.0_other"]
+    assert packages.fitting(found, ours) == found[:2]
+    found[0].unlink()
+    with pytest.raises(BenchError, match=f"no package for {ours}"):
+        packages.newest(tmp_path, tmp_path)
