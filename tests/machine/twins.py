@@ -79,7 +79,9 @@ SCRIPTS = {
     "stopper_dies_and_it_drives_again": "set_off, kill stopper, wait_for latched, 0.2, enable, drive, disable",
     "port_owner_dies_while_a_stop_is_latched": "set_off, stop, 0.1, kill port_owner, 0.3, enable, drive, disable",
     "gate_dies_while_a_stop_is_latched": "set_off, stop, 0.1, kill gate, 0.3, enable, drive, disable",
-    "supervisor_dies_while_a_stop_is_latched": "set_off, stop, 0.1, kill supervisor, until_gone, connect, enable, drive, disable",
+    "supervisor_dies_while_a_stop_is_latched": (
+        "set_off, stop, 0.1, kill supervisor, until_gone, connect, enable, drive, disable"
+    ),
     "pipe_gets_bytes_twice": "set_off, pipe, wait_for latched, 0.1, pipe, 0.1",
     "key_is_pressed_while_a_stop_is_latched": "set_off, stop, 0.1, press 1, 0.1, enable, drive",
     "key_is_pressed_while_motion_is_disabled": "connect, press 1, wait_for latched, 0.1, reset",
