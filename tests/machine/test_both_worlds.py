@@ -18,7 +18,7 @@ from tests.machine.twins import TWINS
 from tests.support.amounts import LONG
 
 KINDS = (
-    *("stop", "stop_again", "stop_outcome", "enabled", "disabled", "reset", "died", "fenced", "down"),
+    *("stop", "stop_again", "stop_also", "stop_outcome", "enabled", "disabled", "reset", "died", "fenced", "down"),
     *("device_lost", "device_back", "driver_gone", "unstill"),
 )
 HELD = (
@@ -41,10 +41,12 @@ TOLD_S = 2.6
 
 
 def told(event: Any) -> tuple[object, ...]:
-    """An event without its times and numbers: the kind, its cause and process, and what is proved."""
+    """An event without its times and numbers: the kind, its cause and process, and what is proved. Who notices a death
+    first decides whether it is told of as one more stop, or as one more cause of the same."""
     fields = event.fields
     proofs = tuple(fields.get(key) is not None for key in ("acknowledged_us", "observed_ms"))
-    return (event.kind, fields.get("cause"), fields.get("process"), proofs if event.kind == "stop_outcome" else ())
+    kind = "stop_again" if event.kind == "stop_also" else event.kind
+    return (kind, fields.get("cause"), fields.get("process"), proofs if event.kind == "stop_outcome" else ())
 
 
 def turns(speeds: Sequence[tuple[float, ...]]) -> list[bool]:

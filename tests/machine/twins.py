@@ -16,6 +16,13 @@ def _try_to_enable(stage: Any, robot: Any) -> None:
         robot.enable()
 
 
+def _until_gone(stage: Any, robot: Any) -> None:
+    """A program that connects before that finds the run that dies."""
+    with contextlib.suppress(stage.failstop.NoService):
+        while robot.state:
+            stage.time.sleep(0.005)
+
+
 BEGIN: dict[str, Callable[[Any], Any]] = {
     "connect": lambda stage: stage.connect(),
     "set_off": lambda stage: driving(stage, SHORT_S),
@@ -36,6 +43,7 @@ VERBS: dict[str, Callable[..., object]] = {
     "no_number": lambda stage, robot: stage.disturb_command(robot),
     "press": lambda stage, robot, key: stage.press(int(key)),
     "pipe": lambda stage, robot: stage.write_to_pipe(b"hand in the arm"),
+    "until_gone": _until_gone,
     "unplug": lambda stage, robot: stage.unplug(),
     "replug": lambda stage, robot: stage.replug(),
     "lose_driver": lambda stage, robot: stage.kill_driver(stage.start_driver(5.0)),
@@ -48,7 +56,7 @@ SCRIPTS = {
     "pipe_gets_bytes_while_motion_is_disabled": "connect, pipe, wait_for latched",
     "key_is_pressed_twice": "set_off, press 1, wait_for latched, 0.1, press 2, 0.1",
     "board_is_replugged_while_motion_is_disabled": ("connect, unplug, 0.1, replug, wait_for ready, 0.2, enable, drive"),
-    "supervisor_dies_at_rest": "connect, kill supervisor, connect, enable, drive",
+    "supervisor_dies_at_rest": "connect, kill supervisor, until_gone, connect, enable, drive",
     "port_owner_dies_twice": (
         "set_off, kill port_owner, wait_for latched, 0.2, enable, drive, "
         "kill port_owner, wait_for latched, 0.2, enable, drive"
@@ -71,7 +79,9 @@ SCRIPTS = {
     "stopper_dies_and_it_drives_again": "set_off, kill stopper, wait_for latched, 0.2, enable, drive, disable",
     "port_owner_dies_while_a_stop_is_latched": "set_off, stop, 0.1, kill port_owner, 0.3, enable, drive, disable",
     "gate_dies_while_a_stop_is_latched": "set_off, stop, 0.1, kill gate, 0.3, enable, drive, disable",
-    "supervisor_dies_while_a_stop_is_latched": "set_off, stop, 0.1, kill supervisor, connect, enable, drive, disable",
+    "supervisor_dies_while_a_stop_is_latched": (
+        "set_off, stop, 0.1, kill supervisor, until_gone, connect, enable, drive, disable"
+    ),
     "pipe_gets_bytes_twice": "set_off, pipe, wait_for latched, 0.1, pipe, 0.1",
     "key_is_pressed_while_a_stop_is_latched": "set_off, stop, 0.1, press 1, 0.1, enable, drive",
     "key_is_pressed_while_motion_is_disabled": "connect, press 1, wait_for latched, 0.1, reset",
