@@ -24,12 +24,8 @@ CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("systemd: stops missed", ("SEVERAL-1", "END-1")),
     ("systemd: motion frames after", ("MOVE-2",)),
     (r"bridge (killed|stopped \(SIGSTOP\)) while driving", ("CLIENT-1",)),
-    (
-        r"(killed|stopped \(SIGSTOP\)) while the base drives|SIG\w+ of the policy( and its host)? while driving",
-        ("CLIENT-1",),
-    ),
+    (r"SIG\w+ of the policy( and its host)? while driving", ("CLIENT-1",)),
     (r"SIGKILL of the \w+ under the policy while driving", ("DEATH-1",)),
-    (r"(killed|stopped) while the arm moves", ("ARM-1",)),
     ("second publisher", ("CLIENT-1",)),
 )
 CARRY_NONE = (

@@ -52,7 +52,7 @@ class Arm:
         if not points:
             raise ValueError("a trajectory needs at least one point")
         names = list(points[0][1])
-        servos = [self._joint(name).servo for name in names]
+        servos = [joint.servo for joint in self._named(points[0][1])]
         rows = []
         for t_s, angles in points:
             if set(angles) != set(names):
@@ -86,7 +86,7 @@ class Arm:
         self._goal(records.ARM_JOG, rates)
 
     def _goal(self, mode: int, values: Mapping[str, float]) -> None:
-        found = {self._joint(name).servo: float(value) for name, value in values.items()}
+        found = {joint.servo: float(value) for joint, value in self._named(values).items()}
         with self._session._lock:
             self._session._client().tell("arm_goal", mode, found, wake=True)
 
@@ -122,12 +122,12 @@ class Arm:
         if hit := on_the_way(Model(settings), start, rows):
             raise Refused(would_hit(*hit[1:], f"after {hit[0]:.2f} s " if rows[-1][0] else ""))
 
-    def _joint(self, name: str) -> Joint:
+    def _named(self, values: Mapping[str, float]) -> dict[Joint, float]:
         joints = self.joints
-        if name not in joints:
-            raise ValueError(f"no joint {name!r}: there are {', '.join(joints)}")
-        return joints[name]
+        if unknown := [name for name in values if name not in joints]:
+            raise ValueError(f"no joint {unknown[0]!r}: there are {', '.join(joints)}")
+        return {joints[name]: value for name, value in values.items()}
 
     def _check(self, angles: Mapping[str, float]) -> None:
-        if fault := too_far({self._joint(name): angle for name, angle in angles.items()}):
+        if fault := too_far(self._named(angles)):
             raise Refused(fault)
