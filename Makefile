@@ -97,7 +97,7 @@ simulate: $(VENV)/.dev
 	$(BIN)/failstop simulate --whole --marks $(if $(BOARD),--board $(BOARD))
 	$(BIN)/failstop simulate --seeds $(SEEDS) --day $(if $(BOARD),--board $(BOARD))
 
-# A minute of drawn runs, from the seed of the day on: CI has it beside `make test`.
+# A minute of drawn runs on each processor, from the seed of the day on.
 seeds: $(VENV)/.dev
 	$(BIN)/failstop simulate --seeds 60 --day
 

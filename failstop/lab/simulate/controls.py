@@ -55,7 +55,7 @@ class Mutant:
 CONTROLS = (
     Mutant(
         "no epoch in frames",
-        "reset_races_stop",
+        "stops_in_one_breath",
         ((ADMISSION_MODULE, "frame_epoch == epoch and epoch > self.stopped_in", "epoch > self.stopped_in"),),
     ),
     Mutant(

@@ -9,7 +9,7 @@ from failstop.lab.simulate.stage import NEEDS, SETTINGS, SPEED_MPS, Stage
 from failstop.messages import records
 
 FOR_SEEDS: dict[str, Play] = {}
-LOOKS, ASKS, RESETS = 40, 20, 6
+LOOKS, ASKS, RESETS, BREATHS = 40, 20, 6, 4
 STREAMED = 10
 CROWD = 3
 """So many programs ask at once."""
@@ -78,6 +78,19 @@ def resets(stage: Stage) -> None:
     for _ in range(RESETS):
         stage.stop(robot)
         stage.reset(robot)
+
+
+@for_seeds
+def stops_in_one_breath(stage: Stage) -> None:
+    """A program commands, and asks for a stop in the same breath: the gate is in the middle of its turn then."""
+    robot = driving(stage)
+    for _ in range(BREATHS):
+        robot.sensed()
+        robot.drive(SPEED_MPS, 0.0, 0.0)
+        stage.stop(robot)
+        stage.time.sleep(0.02)
+        stage.enable(robot)
+        stage.drive(robot, 0.02)
 
 
 @for_seeds
