@@ -264,6 +264,16 @@ def test_arm_that_is_used_again_before_it_tucks_is_announced_anew(arm_with: Make
     assert scene.state()["pose"] == "tuck" or scene.state()["by"] == "auto-tuck"
 
 
+def test_arm_that_the_gamepad_moved_last_tucks_itself(arm_with: Make) -> None:
+    """What the gamepad has said counts once, and is a share of the joint's own speed."""
+    scene = arm_with(arm__auto_tuck_s=2.0, arm__tuck_notice_s=0.5, joints__base__speed_radps=0.5)
+    scene.pad(0, 0.5)
+    scene.run(0.1)
+    assert (scene.state()["mode"], scene.state()["refused"]) == ("jog", "")
+    scene.run(3.0)
+    assert scene.state()["by"] == "auto-tuck"
+
+
 def test_released_arm_stays_limp_until_it_is_asked_to_move(arm_with: Make) -> None:
     scene = arm_with(arm__auto_tuck_s=1.0, arm__tuck_notice_s=0.5)
     scene.execute({1: 0.2})
