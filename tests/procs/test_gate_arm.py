@@ -265,7 +265,7 @@ def test_arm_that_is_used_again_before_it_tucks_is_announced_anew(arm_with: Make
 
 
 def test_arm_that_the_gamepad_moved_last_tucks_itself(arm_with: Make) -> None:
-    """What the gamepad has said counts once, and is a share of the joint's own speed."""
+    """The gamepad's word counts once, as a share of the speed that the joint may have."""
     scene = arm_with(arm__auto_tuck_s=2.0, arm__tuck_notice_s=0.5, joints__base__speed_radps=0.5)
     scene.pad(0, 0.5)
     scene.run(0.1)
