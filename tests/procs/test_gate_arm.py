@@ -307,6 +307,7 @@ def test_tuck_of_an_arm_left_alone_is_told_of_where_it_fails(arm_with: Make, how
     assert [level for level, _ in told[:2]] == {"fails": ["", "warning"], "is ended": [""]}.get(how, [])
     assert how != "fails" or told[1][1].startswith("the arm did not tuck itself: joint shoulder (servo 2) is 46")
     assert how != "is off" or scene.at(1) > 600
+    assert not scene.state()["tucks"], "nothing is announced any more"
 
 
 def test_tuck_that_can_not_begin_is_not_tried_again(arm_with: Make) -> None:
