@@ -264,6 +264,16 @@ def test_arm_that_is_used_again_before_it_tucks_is_announced_anew(arm_with: Make
     assert scene.state()["pose"] == "tuck" or scene.state()["by"] == "auto-tuck"
 
 
+def test_arm_that_the_gamepad_moved_last_tucks_itself(arm_with: Make) -> None:
+    """The gamepad's word counts once, as a share of the speed that the joint may have."""
+    scene = arm_with(arm__auto_tuck_s=2.0, arm__tuck_notice_s=0.5, joints__base__speed_radps=0.5)
+    scene.pad(0, 0.5)
+    scene.run(0.1)
+    assert (scene.state()["mode"], scene.state()["refused"]) == ("jog", "")
+    scene.run(3.0)
+    assert scene.state()["by"] == "auto-tuck"
+
+
 def test_released_arm_stays_limp_until_it_is_asked_to_move(arm_with: Make) -> None:
     scene = arm_with(arm__auto_tuck_s=1.0, arm__tuck_notice_s=0.5)
     scene.execute({1: 0.2})
@@ -297,6 +307,7 @@ def test_tuck_of_an_arm_left_alone_is_told_of_where_it_fails(arm_with: Make, how
     assert [level for level, _ in told[:2]] == {"fails": ["", "warning"], "is ended": [""]}.get(how, [])
     assert how != "fails" or told[1][1].startswith("the arm did not tuck itself: joint shoulder (servo 2) is 46")
     assert how != "is off" or scene.at(1) > 600
+    assert not scene.state()["tucks"], "nothing is announced any more"
 
 
 def test_tuck_that_can_not_begin_is_not_tried_again(arm_with: Make) -> None:

@@ -352,3 +352,29 @@ def test_joints_on_their_way_are_looked_at_where_the_board_can_tell() -> None:
     assert sum(frame == b"" for _, frame in frames) <= 1, "it wakes for a move or a look"
     assert (first.measured, first.measured_ns, first.known) == (2050, frames[-1][0], True)
     assert first.position != 2050, "one reading moves no joint that is on its way"
+
+
+def test_joints_that_lag_behind_goals_of_several_streams_are_sent_to_where_they_are() -> None:
+    board = board_of("feetech", 0.1, 0.0)
+    core = ArmCore(Settings({**ARM, "board.kind": "feetech", "arm.collision": "off"}), board, T0)
+    for joint in core.joints:
+        joint.known = joint.loaded = True
+        joint.position = 2048.0
+    now = T0
+    for joint in core.joints[:2]:
+        core.take(Goal(goals.FOLLOW, ME, "client 11", now, {joint: joint.rad(2100.0)}), "", now)
+        until_ns = now + 100 * MS
+        while now < until_ns:
+            core.step(now)
+            now = core.due_ns
+        core.drop("dropped")
+    questions = {board.servo_read(servo, POSITION): servo for servo in SERVOS}
+    both = board.servo_move([(servo, 2000) for servo in SERVOS[:2]], LONGEST_MOVE_MS)
+    for _ in range(200):
+        frame, _ = core.step(now)
+        if servo := questions.get(frame):
+            core.answer(servo, POSITION, 2000, now + SERVO_ANSWER_NS)
+        if frame == both:
+            break
+        now = max(core.due_ns, now + SERVO_ANSWER_NS)
+    assert frame == both
