@@ -119,6 +119,17 @@ def test_a_starved_machine_excuses_a_late_time_and_no_stop_that_is_not_there(wha
     assert made.result.verdict == ("INVALID" if what in EXCUSABLE else "FAIL"), made.result.wrong
 
 
+@pytest.mark.parametrize(("goes_on_ms", "verdict"), [(400.0, "INVALID"), (900.0, "FAIL")])
+def test_commands_that_pause_may_go_on_until_the_sensor_counts(goes_on_ms: float, verdict: str) -> None:
+    made = run("scan", latch=None)
+    made.stand.watch.zeros = [FAULT_NS + MS]
+    sees(event(0, 300.0, REST), event(1, goes_on_ms, TURNING), event(2, goes_on_ms + 100, REST))(made)
+    assert wrong(made) == ["1 motion frames after the stop"]
+    assert made.result.verdict == "FAIL"
+    made.result.starved = "held"
+    assert made.result.verdict == verdict
+
+
 def test_a_run_that_is_in_time_to_the_last_moment_is_right() -> None:
     assert wrong(run()) == wrong(run(events=[event(0, LATE_MS - 0.2, REST)])) == []
 
