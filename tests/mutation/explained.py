@@ -297,7 +297,9 @@ ARM = (
     Reason("procs/gate/arm/*.py", r"\n\+.*_boxed_ns = \(\"\", \"\"\), 1$", "the first change is told at once"),
     Reason("procs/gate/arm/*.py", r"\n\+.*1000000001\.0", "a billionth of a time", same=False),
     Reason("procs/gate/arm/shell.py", r"_tuck_announced = True$", "an arm that was not used yet announces nothing"),
-    Reason("procs/gate/arm/shell.py", r"\+.*(_boxed_ns > BOX_NS|>= self\._notice_s)", "two times at exact equality"),
+    Reason(
+        "procs/gate/arm/shell.py", r"\+.*(_boxed_ns > BOX_NS|(>=|<) self\._notice_s)", "two times at exact equality"
+    ),
     Reason("procs/gate/arm/shell.py", r"\+.*_box\.put\(.*, (None)?\)$", "it was put in this turn", same=False),
     Reason("procs/gate/arm/core.py", r"\+.*look\(now_ns\) if .*True", "the other boards have no frame for a look"),
     Reason("procs/gate/arm/stream.py", r"\n\+.*again_ns >= now_ns", "two times in ns at exact equality"),

@@ -264,6 +264,15 @@ def test_arm_that_is_used_again_before_it_tucks_is_announced_anew(arm_with: Make
     assert scene.state()["pose"] == "tuck" or scene.state()["by"] == "auto-tuck"
 
 
+def test_people_are_told_nothing_of_servos_that_are_well(scene: Scene) -> None:
+    scene.execute({1: 0.2})
+    assert scene.finish() == (records.DONE, "arm is there")
+    scene.run(2.0)
+    assert scene.state()["wrong"] == []
+    ring = scene.own.ring_reader("notes", from_oldest=True)
+    assert [note.text for entry in iter(ring.next, None) if (note := Note.unpack(entry[2])).kind == "arm"] == []
+
+
 def test_arm_that_the_gamepad_moved_last_tucks_itself(arm_with: Make) -> None:
     """The gamepad's word counts once, as a share of the speed that the joint may have."""
     scene = arm_with(arm__auto_tuck_s=2.0, arm__tuck_notice_s=0.5, joints__base__speed_radps=0.5)
