@@ -182,10 +182,13 @@ class Robot:
 
         def body(process: Process) -> int:
             self.streams(process)
+            command = self.loader.load("failstop.cli.main")
             try:
-                code: int = self.loader.load("failstop.cli.main").main(["run", *RUN])
+                code: int = command._main(["run", *RUN])
             except Replaced as program:
                 return self._child(process, program.argv[program.argv.index("supervisor") - 1 :])
+            except Exception as error:  # as main() does, which would keep an interrupt of the campaign's own
+                code = command._told(error)
             return code
 
         return self.machine.process("supervisor", body, dict(ENVIRON))
