@@ -23,6 +23,7 @@ U8 = st.integers(0, 255)
 I8 = st.integers(-128, 127)
 SPEED = st.floats(allow_nan=False)
 TOP = 2**64 - 1
+SERVO = st.tuples(U8, st.integers(-102, 102).map(lambda percent: percent / 100), U8)
 CAUSE = st.binary(max_size=causes.ARGUMENTS_BYTES + 2)
 """A packed one; what is in it is no matter of the records."""
 
@@ -56,6 +57,7 @@ ROUND_TRIPS: dict[str, tuple[Shape, tuple[st.SearchStrategy[object], ...]]] = {
     "latch": (records.LATCH, (U64, U64, U64, CAUSE)),
     "request": (records.REQUEST, (U64, U64, U8)),
     "imu": (records.IMU, (SPEED,) * 6),
+    "health": (records.HEALTH, (SERVO, SERVO)),
     "bias": (records.BIAS, (SPEED, SPEED, SPEED, st.booleans(), st.booleans())),
     "asserted": (records.ASSERTED, (U64, st.lists(st.sampled_from(["bumper", "front left", "arm"]), max_size=8))),
     "battery": (records.BATTERY, (U32, st.just(2))),
@@ -193,15 +195,20 @@ def test_any_bytes_of_a_client_s_arm_are_unpacked_or_a_value_error(payload: byte
 LEAST = (
     {"frame": 9, "stopped": 24, "port": 17, "latch": 24, "left": 8 * records.GOODBYES, "hello": 20, "reply": 20}
     | {"request": 17, "seen": 16, "command": 49, "asserted": 8, "said": 8, "imu": 48, "battery": 5, "bias": 26}
-    | {"odometry": 64, "pad_command": 24, "pad_request": 1, "pad": 8, "speed_limit": 9}
+    | {"odometry": 64, "pad_command": 24, "pad_request": 1, "pad": 8, "speed_limit": 9, "health": 0}
 )
 """Bytes of each at least; those of a text, a frame or names may have more."""
-LONGER = {"frame", "stopped", "port", "latch", "hello", "reply", "asserted", "said", "pad_request"}
+LONGER = {"frame", "stopped", "port", "latch", "hello", "reply", "asserted", "said", "pad_request", "health"}
 SHAPES = {name.lower(): found for name, found in vars(records).items() if isinstance(found, Shape)}
 
 
 def test_every_payload_is_under_test() -> None:
     assert SHAPES.keys() == set(LEAST) | {"arm_goal", "arm_path", "servo", "pad_arm"}
+
+
+def test_half_a_servo_is_damage() -> None:
+    with pytest.raises(ValueError, match=r"^servos in 4 bytes$"):
+        records.HEALTH.unpack(bytes(4))
 
 
 def test_a_shape_takes_its_numbers_and_its_tail_and_nothing_else() -> None:

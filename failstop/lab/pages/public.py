@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ast
 import importlib
-import inspect
 import re
 from collections.abc import Iterator
 
@@ -59,8 +58,8 @@ def _deprecated() -> Iterator[str]:
         for owner, shown in vars(importlib.import_module(f"failstop.api.{home}")).items():
             if not isinstance(shown, type) or owner.startswith("_") or owner in reference.PAGE_OF:
                 continue
-            for name in dir(shown):
-                if isinstance(old := inspect.getattr_static(shown, name), Renamed):
+            for name, old in (each for base in shown.__mro__ for each in vars(base).items()):
+                if isinstance(old, Renamed):
                     yield f"python {owner}.{name}{DEPRECATED_FOR}{old.new}"
     yield from (
         f"{'option' if ' ' in word else 'setting'} {word}{DEPRECATED_FOR}{new}" for word, new in DEPRECATED.items()
