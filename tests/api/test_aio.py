@@ -43,9 +43,10 @@ def test_events_and_requests_of_several_tasks(trial: Trial) -> None:
 
     found = asyncio.run(stop_is_told())
     assert found[-1] == "stop"
-    # What lasts for less than the supervisor's next look is no event.
-    happened = iter(["enabled", "disabled", "enabled", "stop"])
-    assert all(kind in happened for kind in found), found
+    # What lasts for less than the supervisor's next look is no event; others come of what the machine does meanwhile.
+    asked = ["enabled", "disabled", "enabled", "stop"]
+    happened = iter(asked)
+    assert all(kind in happened for kind in found if kind in asked), found
 
 
 def test_what_takes_no_await_goes_before_a_task_that_waits_for_its_answer(trial: Trial) -> None:

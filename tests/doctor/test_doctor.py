@@ -143,7 +143,7 @@ def test_a_running_service_is_looked_at_and_left_alone(doctor: Doctor, name: str
     with Trial(name) as trial:
         wait_for("the board's answer", lambda: trial.robot.state.device.link == "alive")
         _, found = doctor("--name", name)
-        assert found["service"][0]["level"] == "ok"
+        assert found["service"][0]["level"] == "ok", found["service"]
         assert f"failstop {VERSION}), " in found["service"][0]["text"]
         assert trial.link in found["port"][0]["text"]
         assert found["holders"][0]["level"] == "ok", found["holders"]

@@ -132,6 +132,6 @@ def test_enabled_while_latched_is_told() -> None:
 
 
 def test_a_service_that_ends_badly_is_told() -> None:
-    made = alone(trial=SimpleNamespace(service=SimpleNamespace(process=SimpleNamespace(wait=lambda _: 3))))
+    made = alone(service=SimpleNamespace(process=SimpleNamespace(wait=lambda _: 3)))
     made._end_run()
     assert made.outcome.wrong == ["the service ended with exit code 3"]

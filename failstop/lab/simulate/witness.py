@@ -120,6 +120,10 @@ class Witness:
         self._stops = {}
         self.tell("a program asks for motion")
 
+    def _asks_still(self) -> None:
+        if self._asking:
+            self.asks_for_motion()
+
     def is_granted(self) -> None:
         """enable() has returned: what moves from now on was asked for from now on."""
         self._board.catch_up()
@@ -271,8 +275,11 @@ class Witness:
             self.tell(f"{process.name} (pid {process.pid}) starts")
 
     def held(self, process: Process, ns: int) -> None:
-        """A process is not run for so long. Wheels that stand need no stop for it."""
+        """A process is not run for so long. Wheels that stand need no stop for it. A program that is held up in
+        enable() may send its request only behind that."""
         self._board.catch_up()
+        if self._asking and process.name not in SERVICE_PROCESSES:
+            self._machine.at(self._machine.now_ns + ns, self._asks_still)
         if ns > HANG_BAR_NS.get(process.name, ns) and any(self._board.model.wheels):
             self.must_stop(f"{process.name} is silent", HANG_BAR_NS[process.name])
         else:
