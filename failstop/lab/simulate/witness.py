@@ -168,10 +168,15 @@ class Witness:
     ) -> None:
         """`late`: the wheels turned when they were looked at last, and the board's own line and loop may be why.
         `left_ns`: how much of the bar is left, if not all."""
-        paused_ns = self._paused_ns
+        paused_ns, begun_ns = self._paused_ns, self._machine.now_ns
 
         def due() -> None:
             if self.asked_for_motion != asked:
+                return
+            if (port := self._board.port) and port.drained_ns > begun_ns:
+                # The board reads only now what the port had kept.
+                after_ns = self._wire_ns - self._machine.now_ns
+                self._judge_in(within_ns, why, asked, reached=True, after_ns=after_ns)
                 return
             if more_ns := self._paused_ns - paused_ns:
                 self._judge_in(within_ns, why, asked, reached=reached, late=late, left_ns=more_ns)
