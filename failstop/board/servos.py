@@ -55,7 +55,8 @@ _MOVES_AT = 4
 
 
 class ServoAnswer(Sample, Data):
-    """An arm's servo, what it was asked (one of READS) and its answer, as bus_servo_read() names its unit."""
+    """An arm's servo, what it was asked (one of READS) and its answer, as bus_servo_read() names its unit. A 0 is
+    no reading, but for the torque: some boards answer so when a servo did not."""
 
     servo: int
     what: int

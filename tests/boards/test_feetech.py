@@ -96,6 +96,17 @@ def wheel(decivolts: int, load: int, temperature: int) -> bytes:
     return bytes(14) + load.to_bytes(2, "little") + bytes((decivolts, temperature))
 
 
+def test_a_joint_at_its_first_pulse_and_a_servo_at_no_degrees_have_answered() -> None:
+    """A 0 is no reading to who asks, but for the torque."""
+    told = [
+        sample.value
+        for what, (_, size) in codec.READS.items()
+        for sample in codec.Replies().feed(codec.packet(6, 0, bytes(size)))
+        if isinstance(sample, servos.ServoAnswer) and sample.what == what
+    ]
+    assert dict(zip(codec.READS, told, strict=True)) == {what: what != servos.TORQUE for what in codec.READS}
+
+
 def test_servos_tell_of_their_load_temperature_and_supply_once_a_second() -> None:
     reader = codec.Replies()
     position = bytes((0, 8, 0, 0)) + (0x400 | 250).to_bytes(2, "little") + bytes((118, 41))

@@ -129,7 +129,8 @@ def _of_the_arm(servo: int, data: bytes) -> list[Sample]:
         return []
     (what,) = found
     value = int.from_bytes(data[:2], "little") if what == POSITION else data[0] * (100 if what == SUPPLY else 1)
-    return [ServoAnswer(servo, what, value)]
+    # To who asks, a 0 is no reading, but for the torque: the first pulse is told as the one beside it.
+    return [ServoAnswer(servo, what, value if what == TORQUE else max(value, 1))]
 
 
 class Replies(Reader):
