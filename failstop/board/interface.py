@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW = range(3)
 """The writers of stops, as the rows of `repeats_ns`; whoever writes without a service has the last one's."""
-HEARD_IMU, HEARD_BATTERY, HEARD_PAD, HEARD_KEY, HEARD_SERVO, HEARD_PONG, HEARD_WHEELS, HEARD_OBEYED = range(8)
-HEARD_HEALTH = 8
+HEARD_IMU, HEARD_BATTERY, HEARD_PAD, HEARD_KEY, HEARD_SERVO, HEARD_PONG, HEARD_WHEELS, HEARD_OBEYED, HEARD_HEALTH = (
+    range(9)
+)
 """The kinds of what a board says, as a Hearing tells them."""
 BY_ANSWER, BY_ECHO = "answer", "echo"
 """Proofs that a stop was parsed: the answer to a ping behind it, or the report of the command that is obeyed."""

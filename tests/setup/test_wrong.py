@@ -279,33 +279,29 @@ def test_what_was_not_proved_is_named(place: Path, capsys: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize(
-    ("said", "meant"),
+    ("wheels", "said", "meant"),
     [
-        ("fl+", "fl+"),
-        ("RR -", "rr-"),
-        ("rl forward", "rl+"),
-        ("fr back", "fr-"),
-        ("r-", ""),
-        ("again", "again"),
-        ("x+", ""),
-        ("fl", ""),
+        (4, "fl+", "fl+"),
+        (4, "RR -", "rr-"),
+        (4, "rl forward", "rl+"),
+        (4, "fr back", "fr-"),
+        (4, "r-", ""),
+        (4, "again", "again"),
+        (4, "x+", ""),
+        (4, "fl", ""),
+        (3, "l+", "left+"),
+        (3, "ri b", "right-"),
+        (3, "r+", ""),
+        (3, "+", ""),
     ],
 )
-def test_a_wheel_and_its_way_are_understood(said: str, meant: str) -> None:
+def test_a_wheel_and_its_way_are_understood(wheels: int, said: str, meant: str) -> None:
+    """Also by the beginning of a word where no other begins so."""
     if meant:
-        assert parsed(said, names(4), spare=False) == meant
+        assert parsed(said, names(wheels), spare=False) == meant
     else:
         with pytest.raises(NotAnAnswer, match="type the wheel"):
-            parsed(said, names(4), spare=False)
-
-
-@pytest.mark.parametrize(("said", "meant"), [("l+", "left+"), ("ri b", "right-"), ("r+", ""), ("+", "")])
-def test_the_beginning_of_a_wheel_is_understood_where_no_other_begins_so(said: str, meant: str) -> None:
-    if meant:
-        assert parsed(said, names(3), spare=False) == meant
-    else:
-        with pytest.raises(NotAnAnswer, match="type the wheel"):
-            parsed(said, names(3), spare=False)
+            parsed(said, names(wheels), spare=False)
 
 
 def test_a_layout_is_answered_by_its_word_or_its_beginning() -> None:
