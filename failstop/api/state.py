@@ -183,7 +183,7 @@ class StateReader(SeenRun):
             lease_s=self._lease_s,
             steering_rad=self._steering_rad(decided["wheels_rps"]),
             stands_within_m=distance.furthest(self._declared, decided["limit"] / 100)[0],
-            servos=servos.by_part(self._value("health") or (), self._declared),
+            servos=servos.by_part(rows, self._declared) if (rows := self._value("health")) else {},
         )
 
     def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:
