@@ -9,12 +9,18 @@ from collections.abc import Callable
 from bench import stats
 from failstop.lab.faults.crowd import Nobody
 from failstop.lab.sim.client import Event
-from failstop.lab.trial import Trial
+from failstop.lab.trial import LOG_CHARACTERS, Trial, TrialError
 
 
 def _until(trial: Trial, since_ns: int, answers: Callable[[Event], bool]) -> int:
-    """Time in ns from `since_ns` to the arrival of the first frame after it that answers."""
-    event = trial.board.wait_for(lambda found: found.arrival_ns >= since_ns and answers(found), 5.0)
+    """Time in ns from `since_ns` to the arrival of the first frame after it that answers. Raises TrialError, with what
+    the service tells of itself."""
+    try:
+        event = trial.board.wait_for(lambda found: found.arrival_ns >= since_ns and answers(found), 5.0)
+    except TimeoutError as error:
+        state = trial.robot.state
+        told = f"enabled: {state.enabled}, estop: {state.estop}, blocked: {state.blocked}, waits for: {state.waiting_for}"
+        raise TrialError(f"{error}\n{told}\n{trial.service.said()[-LOG_CHARACTERS:]}") from None
     return event.arrival_ns - since_ns
 
 

@@ -80,6 +80,10 @@ class Witness:
         """So often a program has asked for motion."""
         self._asking = False
         """A program has asked and has no answer yet."""
+        self._asked_ns = 0
+        """When a program asked for motion last."""
+        self._stopper_paused_ns = (0, 0)
+        """From when until when a thread of the stopper has paused last."""
         self._fastest_rps = 0.0
         """The speed that programs have asked for since they asked for motion last."""
         self._wire_ns = 0
@@ -115,7 +119,7 @@ class Witness:
         """A program calls enable()."""
         self._board.catch_up()
         self.asked_for_motion += 1
-        self._asking = True
+        self._asking, self._asked_ns = True, self._machine.now_ns
         self._forbidden, self._late = "", False
         self._stops = {}
         self.tell("a program asks for motion")
@@ -146,7 +150,15 @@ class Witness:
         own = thread.process.name == "port_owner"
         if own and thread is thread.process.threads[0]:
             return
+        if thread.process.name == "stopper" and self._repeats_late():
+            return
         self._stops.setdefault(own, (begun_ns + len(self._first_stop) * self._byte_ns, 0 if own else 1))
+
+    def _repeats_late(self) -> bool:
+        """Whether the stopper, which writes now, had looked for the last time before a program asked for motion: what
+        it repeats is a stop from before that."""
+        begun_ns, ended_ns = self._stopper_paused_ns
+        return begun_ns <= self._asked_ns and self._machine.now_ns < ended_ns + RESUMED_NS
 
     def must_stop(self, why: str, within_ns: int) -> None:
         """From `within_ns` on the wheels stand, until a program asks for motion again. What is on the wire before it
@@ -295,6 +307,8 @@ class Witness:
         if process.name in PORT_WRITERS:
             self._paused_ns += ns
             self._late_ns = max(self._late_ns, self._machine.now_ns + ns)
+        if process.name == "stopper":
+            self._stopper_paused_ns = self._machine.now_ns, self._machine.now_ns + ns
 
     def asked(self) -> None:
         """Somebody's bytes came to the stop pipe."""
