@@ -19,7 +19,9 @@ def _until(trial: Trial, since_ns: int, answers: Callable[[Event], bool]) -> int
         event = trial.board.wait_for(lambda found: found.arrival_ns >= since_ns and answers(found), 5.0)
     except TimeoutError as error:
         state = trial.robot.state
-        told = f"enabled: {state.enabled}, estop: {state.estop}, blocked: {state.blocked}, waits for: {state.waiting_for}"
+        told = (
+            f"enabled: {state.enabled}, estop: {state.estop}, blocked: {state.blocked}, waits for: {state.waiting_for}"
+        )
         raise TrialError(f"{error}\n{told}\n{trial.service.said()[-LOG_CHARACTERS:]}") from None
     return event.arrival_ns - since_ns
 

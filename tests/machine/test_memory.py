@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.buffers import BUT_LAST, EARLY, LATE, SAME_PLACE
+from failstop.lab.machine.buffers import BUT_LAST, EARLY, LATE, REST_OF_PLACE, SAME_PLACE
 from failstop.lab.machine.files import Regular
 from failstop.lab.machine.loading import Loader
 from failstop.lab.machine.memory import WeakMachine
@@ -186,6 +186,23 @@ def test_who_looks_again_may_see_again_what_it_saw() -> None:
 
     both.run(read, write)
     assert found == [0, 1, 0]
+
+
+def test_who_looks_again_at_a_torn_cell_may_see_it_torn_again_and_nowhere_newer() -> None:
+    both, found = Both(2, 0, REST_OF_PLACE), list[bytes]()
+    around = slice(CELL.start, CELL.stop + 8)
+
+    def read(words: Any, mapped: Any) -> None:
+        words.Word(mapped, A).get()
+        found.extend(mapped[each] for each in (CELL, around, CELL))
+
+    def write(words: Any, mapped: Any) -> None:
+        mapped[CELL] = NEW
+        mapped[slice(CELL.stop, CELL.stop + 8)] = NEW[:8]
+
+    both.run(read, write)
+    torn = NEW[:8] + OLD[8:]
+    assert found == [torn, torn + NEW[:8], torn]
 
 
 def test_a_wait_in_the_kernel_is_a_barrier() -> None:

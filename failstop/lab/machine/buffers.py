@@ -10,9 +10,9 @@ from failstop.lab.machine.process import Process, Thread
 WORD_BYTES = 8
 ALL, LAST, BUT_LAST, FIRST_HALF, SECOND_HALF, FIRST_HALF_BEFORE, SECOND_HALF_BEFORE = LATE = range(1, 8)
 """The stores that are late: some of those since the last barrier, or a half of the last one, or of the one before."""
-EVERY, FIRST, BUT_FIRST, BEGIN_OF_FIRST, END_OF_FIRST, SAME_PLACE = EARLY = range(1, 7)
+EVERY, FIRST, BUT_FIRST, BEGIN_OF_FIRST, END_OF_FIRST, SAME_PLACE, REST_OF_PLACE = EARLY = range(1, 8)
 """The loads that are early: some up to the next barrier, or a half of the first one, or those of the place that was
-looked at last before the pause."""
+looked at last before the pause, or those of the place that is looked at first behind it, but for its first word."""
 HALVES = {
     FIRST_HALF: (-1, True),
     SECOND_HALF: (-1, False),
@@ -71,10 +71,10 @@ class View:
     """How many there were since the pause."""
     seen: set[tuple[int, int]] = field(default_factory=set)
     """Places that were looked at since, and are not older at the next look."""
-    last: tuple[int, int] = (0, 0)
-    """The place that was looked at last."""
-    again: tuple[int, int] = (0, 0)
-    """The one that was looked at last before the pause."""
+    last: tuple[int, int, int] = (0, 0, 0)
+    """The bytes that were looked at last: the file's number, from where, to where."""
+    again: tuple[int, int, int] = (0, 0, 0)
+    """Those that are older at every look, of SAME_PLACE and REST_OF_PLACE."""
 
     def may_be_late(self, late: int) -> bool:
         """Whether there are stores that this, of LATE, says anything else of than another does."""

@@ -28,6 +28,7 @@ from failstop.lab.machine.buffers import (
     END_OF_FIRST,
     EVERY,
     HALVES,
+    REST_OF_PLACE,
     SAME_PLACE,
     WORD_BYTES,
     Race,
@@ -110,24 +111,29 @@ class WeakMachine(Machine):
                 self.on_late(thread)
         now = bytes(mapped.data[at:end])
         view = self.view(thread)
-        place = view.last = node.number, at
-        old = self._older(view, mapped, place, end, now) if view.before else None
+        view.last = node.number, at, end
+        old = self._older(view, mapped, at, end, now) if view.before else None
         if self.on_load:
             self.on_load(thread, mapped, at, self.stamp if old is None else view.before)
         return now if old is None else old
 
-    def _older(self, view: View, mapped: Mapped, place: tuple[int, int], end: int, now: bytes) -> bytes | None:
+    def _older(self, view: View, mapped: Mapped, at: int, end: int, now: bytes) -> bytes | None:
         """The bytes that a load finds there that was made early; None: this one was not."""
         view.loads += 1
-        at, first = place[1], view.loads == 1
-        if view.early == SAME_PLACE:
-            return self._as_of(view.before, mapped, at, now) if place == view.again else None
-        again = place in view.seen
-        view.seen.add(place)
+        number, first = mapped.node.number, view.loads == 1
+        half = (end - at) // 2 // WORD_BYTES * WORD_BYTES
+        if view.early == REST_OF_PLACE and first:
+            view.again = number, at + WORD_BYTES, end
+        if view.early in (SAME_PLACE, REST_OF_PLACE):
+            begin, stop = max(view.again[1], at) - at, min(view.again[2], end) - at
+            if number != view.again[0] or begin >= stop:
+                return None
+            return now[:begin] + self._as_of(view.before, mapped, at, now)[begin:stop] + now[stop:]
+        again = (number, at) in view.seen
+        view.seen.add((number, at))
         if again or (view.early == BUT_FIRST and first) or (view.early not in (EVERY, BUT_FIRST) and not first):
             return None
         old = self._as_of(view.before, mapped, at, now)
-        half = (end - at) // 2 // WORD_BYTES * WORD_BYTES
         if view.early == BEGIN_OF_FIRST:
             return old[:half] + now[half:]
         return now[:half] + old[half:] if view.early == END_OF_FIRST else old

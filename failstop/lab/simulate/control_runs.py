@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from failstop.lab.simulate.campaign import Plan, explore, of_board
 from failstop.lab.simulate.controls import CONTROLS, NOT_EXPRESSED, Mutant
-from failstop.lab.simulate.seeds import ROUNDS, commit, seeds, used_s
+from failstop.lab.simulate.seeds import ROUNDS, commit, seeds, stays_down, used_s
 from failstop.lab.simulate.weak_controls import WEAK_CONTROLS
 
 BOTH = (*CONTROLS, *WEAK_CONTROLS)
@@ -83,12 +83,13 @@ class Found:
 
 
 def search(control: Mutant, seconds: float) -> Found:
-    """Look for a control by seeds of its scenario for so long, and else by its single faults."""
-    rounds = SHORT if control.groups else ROUNDS
+    """Look for a control by seeds of its scenario for so long, where seeds may play it, and else by its single
+    faults."""
+    rounds, drawn_s = SHORT if control.groups else ROUNDS, 0.0 if stays_down(control.scenario) else seconds
     runs, took_s, best = 0, 0.0, None
-    while took_s < seconds and not (best and best.draws <= ENOUGH):
+    while took_s < drawn_s and not (best and best.draws <= ENOUGH):
         found = seeds(
-            runs, 1, seconds - took_s, control.patches, [control.scenario], control.board, control.groups, rounds
+            runs, 1, drawn_s - took_s, control.patches, [control.scenario], control.board, control.groups, rounds
         )
         runs, took_s = runs + found.runs, took_s + (found.found_s or found.took_s)
         if found.wrong and (best is None or len(found.wrong[0].draws) < best.draws):
@@ -102,7 +103,7 @@ def search(control: Mutant, seconds: float) -> Found:
     begun_s = used_s()
     plan = Plan(control.scenario, most=1, patches=control.patches, fault=control.fault, first=True, board=control.board)
     single = explore(plan)
-    by = f"single faults, and not by {runs} seeds"
+    by = f"single faults, and not by {runs} seeds" if runs else "single faults"
     if not single.wrong:
         return Found(control, by, single.runs, used_s() - begun_s, commit=commit())
     run = single.wrong[0]

@@ -144,6 +144,7 @@ CONTROLS = (
             (STOPPER_MODULE, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
             (PEER_MODULE, "        if self.named() == pid:\n            self._stop()\n", ""),
         ),
+        "held in the write",
     ),
     Mutant(
         "stays down, and no burst at the return",

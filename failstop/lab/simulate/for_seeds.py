@@ -111,15 +111,16 @@ def _starves_again(name: str, ms: int) -> None:
     def play(stage: Stage) -> None:
         robot = stage.connect()
         robot.wait_for("ready", stage.ready_s)
-        stage.freeze("port_owner", ms, starved=True)
+        left_ms = ms - round(1000 * robot.state.processes["port_owner"].age_s)
+        stage.freeze("port_owner", left_ms, starved=True)
         stage.hold_as_it_moves(140)
-        stage.time.sleep(ms / 1000 - 0.02)
+        stage.time.sleep(max(0, left_ms - 20) / 1000)
         for step in range(STREAMED):  # whenever it goes on, there is a frame that is young
             robot.arm.follow({"base": 0.02 * (step % 2)})
             stage.time.sleep(0.004)
         stage.time.sleep(0.05)
 
-    play.__doc__ = f"The port owner is starved for {ms} ms, and again as soon as it has said that it moves the arm."
+    play.__doc__ = f"The port owner is starved until {ms} ms after a beat, and again as it moves the arm."
     FOR_SEEDS[name] = play
     SETTINGS[play], NEEDS[play] = ARM_SETTINGS, frozenset((HAS_ARM,))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 
-from failstop.lab.machine.buffers import EARLY, LATE, SAME_PLACE
+from failstop.lab.machine.buffers import EARLY, LATE, REST_OF_PLACE, SAME_PLACE
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.witness import SERVICE_PROCESSES
 
@@ -41,6 +41,7 @@ EARLIER = dict(
             f"{PAUSES}, the first half of its next load is older",
             f"{PAUSES}, the second half of its next load is older",
             f"{PAUSES}, its next loads of where it looked last are older",
+            f"{PAUSES}, its next load and those of that place are older but for the first word",
         ),
         strict=True,
     )
@@ -50,6 +51,7 @@ RACES = {
     for early, text in EARLIER.items()
     if early != SAME_PLACE
 }
+TORN = EARLIER[REST_OF_PLACE]
 LOWERED = "a thread runs behind all others"
 REFUSES, KEEPS, BOARD_DEAF, PULLED = (
     "the port refuses",
@@ -60,7 +62,7 @@ REFUSES, KEEPS, BOARD_DEAF, PULLED = (
 BESIDE = [f"{name} dies beside{hears}" for name in SERVICE_PROCESSES for hears in ("", ", and a thread hears")]
 GROUPS: dict[str, tuple[str, ...]] = {
     "pauses": (PAUSES,),
-    "memory": (*LATER.values(), *EARLIER.values()),
+    "memory": (*LATER.values(), *(each for each in EARLIER.values() if each != TORN)),
     "order": (LOWERED,),
     "held": ("held", "held in the write"),
     "starved": ("starved",),
@@ -73,8 +75,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "port": (REFUSES, KEEPS),
     "board": (BOARD_DEAF, PULLED),
     "races": tuple(RACES.values()),
+    "torn": (TORN,),
 }
-MEMORY = ("memory", "races")
+MEMORY = ("memory", "races", "torn")
 LIGHT = ("pauses", "order", *MEMORY)
 DRAWN_KINDS = tuple(itertools.chain.from_iterable(GROUPS.values()))
 """A tape has their numbers: a new one comes last."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 from zlib import crc32
 
-from failstop.lab.machine.buffers import BEGIN_OF_FIRST, END_OF_FIRST, WORD_BYTES
+from failstop.lab.machine.buffers import BEGIN_OF_FIRST, END_OF_FIRST, REST_OF_PLACE, WORD_BYTES
 from failstop.lab.machine.epoll import Epoll
 from failstop.lab.machine.memory import MET_NS, WeakMachine
 from failstop.lab.machine.process import Process, Thread
@@ -326,7 +326,7 @@ class Schedule:
                 yield kind, lambda measure, late=late: pauses(measure, late)  # type: ignore[misc]
         size = about[2] if call in ("load", "store") else 0
         for early, kind in EARLIER.items():
-            if early not in (BEGIN_OF_FIRST, END_OF_FIRST):
+            if early not in (BEGIN_OF_FIRST, END_OF_FIRST, REST_OF_PLACE):
                 yield kind, lambda measure, early=early: pauses(measure, 0, early)  # type: ignore[misc]
             elif size <= WORD_BYTES:
                 continue

@@ -162,7 +162,7 @@ class Nursery:
         seed's own draw. `rounds`: so many scenarios a run."""
         self._board, traits = board, traits_of(board)
         self._names = names or [
-            name for name in (*scenarios_of(traits), *for_seeds_of(traits)) if not _stays_down(name)
+            name for name in (*scenarios_of(traits), *for_seeds_of(traits)) if not stays_down(name)
         ]
         self._alike: dict[str, list[str]] = {}
         """Scenarios by their settings, the simplest first: one run is of one kind."""
@@ -283,7 +283,7 @@ class Nursery:
         return best
 
 
-def _stays_down(name: str) -> bool:
+def stays_down(name: str) -> bool:
     """Whether a process may be down until a reset, or for a minute if it is the gate, which passes resets on."""
     return "restart.deaths" in SETTINGS.get(play_of(name), {})
 

@@ -73,7 +73,7 @@ WEAK_CONTROLS = (
         without(STOPPER_MODULE, "", "        return is_starved and not self._port_owner_moving.get()\n"),
     ),
     control("ring: any writer", "crowd", PUT),
-    control("ring: its readers", "drive", without(CELL_MODULE, "", "        if self._check(", "Barrier()()\n")),
+    control("ring: its readers", "crowd", without(CELL_MODULE, "", "        if self._check(", "Barrier()()\n")),
     control(
         "still: telemetry",
         LASTS,
