@@ -161,9 +161,7 @@ class Nursery:
         """`board`: its kind, as the setting board.kind. `groups`: those of schedule.py that are on; empty: by each
         seed's own draw. `rounds`: so many scenarios a run."""
         self._board, traits = board, traits_of(board)
-        self._names = names or [
-            name for name in (*scenarios_of(traits), *for_seeds_of(traits)) if not stays_down(name)
-        ]
+        self._names = names or [name for name in (*scenarios_of(traits), *for_seeds_of(traits)) if not stays_down(name)]
         self._alike: dict[str, list[str]] = {}
         """Scenarios by their settings, the simplest first: one run is of one kind."""
         for name in sorted(self._names, key=lambda name: name != SIMPLEST):
