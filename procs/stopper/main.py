@@ -1,12 +1,11 @@
 """The stopper's loop: it waits for the port owner's or the supervisor's death, or the port owner's silence, and writes
-the burst on its own descriptor of the port.
+the burst on its own descriptor of the port, and zeros again and again until there is another port owner.
 
 A port owner that is silent when it should have answered is fenced: SIGKILL, burst, and the burst again when it is gone,
 since a frame that it was about to write could still follow the first. The supervisor does that sooner, while it works.
 
-While the port owner lives it is the one that orders stops against motion, so at the supervisor's death the stopper
-lets it go first: a burst written beside a working port owner could be followed by a motion frame that was already on
-its way. It waits for the port owner's answer, but not long.
+While the port owner lives it is the one that orders stops against motion: a burst written beside one that works could
+be followed by a motion frame that was on its way. So at the supervisor's death the stopper lets it go first, not long.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ from failstop.procs.context import Context
 from failstop.procs.handover import HeldPort
 from failstop.procs.loop import HANGUP, NEVER, Loop
 from failstop.procs.peer import Parent, Peer
+from failstop.procs.schedule import Repeats
 from failstop.shm.words import Barrier
 
 LONGEST_SLEEP_NS = 100_000_000
@@ -40,8 +40,8 @@ class Stopper:
         port_owner = context.segment("port_owner")
         self.heartbeat = context.heartbeat
         self.loop = Loop()
+        self._repeats = Repeats(self.loop.timer(), context.board.repeats_ns[STOPPER_ROW], NEVER)
         self._port = StopPort(context.fd("port"), context.board, context.settings.servos())
-        self._repeats_ns = context.board.repeats_ns[STOPPER_ROW]
         self._port_owner = Peer(layout.PORT_OWNER, context, self.loop, self._port)
         self._port_owner_written = port_owner.word("written_ns")
         self._port_owner_moving = port_owner.word("moving")
@@ -54,7 +54,7 @@ class Stopper:
         self.held = HeldPort(context, self.loop, self._parent.control, self._port.adopt, HANGUP)
         self._stopped_for = 0
         """The pid of the port owner that it last wrote for."""
-        self._first_go, self._look_again, self._repeat, self._hang = (self.loop.timer() for _ in range(4))
+        self._first_go, self._look_again, self._hang = (self.loop.timer() for _ in range(3))
 
     def turn(self, ready: dict[int, int]) -> bool:
         """Handle one wake-up; False when it is time to exit."""
@@ -94,7 +94,7 @@ class Stopper:
     def _burst(self, now_ns: int) -> None:
         """Write the burst and plan its repeats."""
         self._write()
-        self._repeat.set(*(now_ns + after for after in self._repeats_ns))
+        self._repeats.restart(now_ns)
 
     def _write(self) -> None:
         if self._port.burst():
@@ -102,16 +102,16 @@ class Stopper:
 
     def _write_due(self, now_ns: int) -> None:
         """The burst after the port owner's first go, and the repeats of an earlier burst."""
-        self._repeat.wait(self._port.free_ns)
+        self._repeats.wait(self._port.free_ns)
         if self._first_go.ns != NEVER:
             self._look_again.set(now_ns + LOOK_AGAIN_NS)
             if self._port_owner_written.get() >= self._parent.orphaned_ns or self._first_go.due(now_ns):
                 self._first_go.set(NEVER)
                 self._look_again.set(NEVER)
                 self._burst(now_ns)
-        elif self._repeat.take(now_ns):
+        elif self._repeats.take(now_ns):
             if not self._parent.orphaned_ns and self._succeeded():
-                self._repeat.set(NEVER)  # the new one repeats its stop itself
+                self._repeats.end()  # the new one repeats its stop itself
                 return
             if self._port_owner_written.get() < self._parent.orphaned_ns:
                 self._fence()
