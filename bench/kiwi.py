@@ -169,7 +169,7 @@ def streaming(trial: KiwiTrial, seconds: float) -> Iterator[Row]:
         yield stats.timing(f"{name} of nine numbers", [turn[index] for turn in turns], p50_ms=None, p99_ms=None)
 
 
-def driving(trial: KiwiTrial, count: int, chance: random.Random) -> Iterator[Row]:
+def driving(trial: KiwiTrial, carriers: Carriers, count: int, chance: random.Random) -> Iterator[Row]:
     """Each of failstop's processes is killed while an ordinary client drives; the arm holds."""
     for process in PROCESS_NAMES:
         found: list[Stopped] = []
@@ -178,6 +178,7 @@ def driving(trial: KiwiTrial, count: int, chance: random.Random) -> Iterator[Row
             trial.settle()
             trial.enable()
             pid = trial.service.pids()[process]
+            carriers.first()
             found.append(trial.kill(process, chance.uniform(0.1, 0.2)))
             trial.recover(process, pid)
         times = [stopped.executed_ns for stopped in found if stopped.executed_ns is not None]
@@ -201,12 +202,15 @@ def wheels_row(measure: str, times_ns: list[int], row: str) -> Row:
     )
 
 
-def streamed(trial: KiwiTrial, fault: ArmFault, who: str, row: str, count: int, chance: random.Random) -> Iterator[Row]:
+def streamed(
+    trial: KiwiTrial, carriers: Carriers, fault: ArmFault, who: str, row: str, count: int, chance: random.Random
+) -> Iterator[Row]:
     """One fault, again and again, while the policy drives and moves the arm. `row`: of the wheels, in the fault
     table."""
     found: list[Rested] = []
     for turn in range(count):
         progress(f"{who}, {turn + 1} of {count}")
+        carriers.first()
         found.append(trial.strike(fault, chance))
     trial.end_policy()
     wheels = [round(rested.wheels_ms * 1e6) for rested in found if rested.wheels_ms is not None]
@@ -227,26 +231,29 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0, help="of streaming; 0: none (default: 60)")
     parser.add_argument("--kills", type=int, default=40, help="SIGKILLs of each kind (default: 40)")
     parser.add_argument("--hangs", type=int, default=8, help="SIGSTOPs of the policy (default: 8)")
+    parser.add_argument("--only", default="", metavar="TEXT", help="faults alone that have this in their names")
     parser.add_argument("--seed", type=int, default=1, help="of the random moments")
     parser.add_argument("--out", default="bench/out/kiwi.json", help="where the JSON goes")
     arguments = parser.parse_args()
     begun_s, chance = time.monotonic(), random.Random(arguments.seed)
-    kills = arguments.kills
+    kills, only = arguments.kills, arguments.only
     rows: list[Row] = []
     with Carriers() as carriers, tempfile.TemporaryDirectory() as home, KiwiTrial(arguments.python, home) as trial:
         rows += streaming(trial, arguments.seconds) if arguments.seconds else []
-        rows += driving(trial, kills, chance) if kills else []
+        rows += driving(trial, carriers, kills, chance) if kills and not only else []
         for process in PROCESS_NAMES if kills else ():
             name = f"kill-{process}"
             who = f"SIGKILL of the {process} under the policy"
-            rows += streamed(trial, BESIDE_BY_NAME[f"arm-{name}"], who, name, kills, chance)
+            fault = BESIDE_BY_NAME[f"arm-{name}"]
+            rows += streamed(trial, carriers, fault, who, name, kills, chance) if only in who else []
         for who, fault, row, count, whole_host in (
             ("SIGKILL of the policy", "arm-client-killed", "client-killed", kills, False),
             ("SIGKILL of the policy and its host", "arm-client-killed", "client-killed", kills, True),
             ("SIGSTOP of the policy", "arm-client-hung", "client-hung", arguments.hangs, False),
         ):
             trial.whole_host = whole_host
-            rows += streamed(trial, BESIDE_BY_NAME[fault], who, row, count, chance) if count else []
+            if count and only in who:
+                rows += streamed(trial, carriers, BESIDE_BY_NAME[fault], who, row, count, chance)
         machine = {"pty carriers": carriers.priority, "LeRobot": arguments.python or "the stand-in"}
         machine["took_s"] = str(round(time.monotonic() - begun_s))
     return report.end(rows, arguments.out, machine)
