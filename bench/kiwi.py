@@ -244,8 +244,8 @@ def main() -> int:
         for process in PROCESS_NAMES if kills else ():
             name = f"kill-{process}"
             who = f"SIGKILL of the {process} under the policy"
-            fault = BESIDE_BY_NAME[f"arm-{name}"]
-            rows += streamed(trial, carriers, fault, who, name, kills, chance) if only in who else []
+            struck = BESIDE_BY_NAME[f"arm-{name}"]
+            rows += streamed(trial, carriers, struck, who, name, kills, chance) if only in who else []
         for who, fault, row, count, whole_host in (
             ("SIGKILL of the policy", "arm-client-killed", "client-killed", kills, False),
             ("SIGKILL of the policy and its host", "arm-client-killed", "client-killed", kills, True),
