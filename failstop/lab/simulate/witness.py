@@ -88,6 +88,8 @@ class Witness:
         """The speed that programs have asked for since they asked for motion last."""
         self._wire_ns = 0
         """When the board will have read all that was written to it."""
+        self._kept_ns = 0
+        """When it will have read what a port had kept that did not drain: frames of whenever they were written."""
         self._stops: dict[bool, tuple[int, int]] = {}
         """Of the port owner's own threads, and of others: from when on so many more frames may turn the wheels, before
         a program asks for motion again."""
@@ -144,6 +146,8 @@ class Witness:
         for may be over by itself."""
         begun_ns = max(self._wire_ns, self._machine.now_ns)
         self._wire_ns = begun_ns + len(data) * self._byte_ns
+        if self._board.port and self._board.port.drained_ns == self._machine.now_ns:
+            self._kept_ns = self._wire_ns
         thread = self._machine.current
         if thread is None or self._asking or not data.startswith(self._first_stop):
             return
@@ -256,7 +260,8 @@ class Witness:
                     self._stops[own] = stop_ns, more - 1
                     if more < 1:
                         self.wrong("a frame turns the wheels behind a stop that was written early")
-            if not self._asking and max(map(abs, frame.speeds)) > self._fastest_rps + SLACK_RPS:
+            too_fast = max(map(abs, frame.speeds)) > self._fastest_rps + SLACK_RPS
+            if too_fast and not self._asking and frame.executed_ns > self._kept_ns:
                 self.wrong(f"the wheels turn faster than a program asks for since it may: {frame.speeds}")
         if frame.wild:
             self.wrong(f"a frame writes outside of the motors: {frame.wild}")
