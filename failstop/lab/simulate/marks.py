@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from failstop.lab.boards.traits import HAS_KEYS, HAS_PINGS, Traits
+from failstop.lab.boards.traits import HAS_ARM, HAS_KEYS, HAS_PINGS, Traits
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader
 from failstop.lab.simulate.witness import Witness
@@ -61,8 +61,9 @@ CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("state [a-z]+ (started|runs|reaped|recalled)", ("RETURN-1",)),
 )
 """The claims (lab/case/claims.py) that a mark carries, by the first pattern that fits its name."""
-OF_PARTS = {"cause key": HAS_KEYS, "cause deaf": HAS_PINGS}
-"""Marks that a board can reach which has this part alone (lab/boards/traits.py)."""
+OF_PARTS = {"cause key": HAS_KEYS, "cause deaf": HAS_PINGS, "admission hangs": HAS_ARM}
+"""Marks that a campaign reaches at a board which has this part alone (lab/boards/traits.py). Between the look at a lease
+and a frame it runs out where frames wait for the servos' bus."""
 ADMISSION = ("write", "drop", "burst", "request", "bad frame", "hangs")
 
 
