@@ -62,8 +62,8 @@ CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 """The claims (lab/case/claims.py) that a mark carries, by the first pattern that fits its name."""
 OF_PARTS = {"cause key": HAS_KEYS, "cause deaf": HAS_PINGS, "admission hangs": HAS_ARM}
-"""Marks that a campaign reaches at a board which has this part alone (lab/boards/traits.py). Between the look at a lease
-and a frame it runs out where frames wait for the servos' bus."""
+"""Marks that a campaign reaches at a board which has this part alone (lab/boards/traits.py). A lease runs out
+between the look at it and a frame where frames wait for the servos' bus."""
 ADMISSION = ("write", "drop", "burst", "request", "bad frame", "hangs")
 
 
