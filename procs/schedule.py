@@ -25,17 +25,17 @@ second to start, and until it has heard one nobody knows whether the board does.
 class Repeats:
     """Repeats of the last stop; `due`: when the next one is written."""
 
-    def __init__(self, due: Timer, after_ns: tuple[int, ...], now_ns: int) -> None:
-        """`after_ns`: how long after a stop it is written again."""
-        self._after_ns = after_ns
+    def __init__(self, due: Timer, after_ns: tuple[int, ...], now_ns: int, zero_ns: int = ZERO_EVERY_NS) -> None:
+        """`after_ns`: how long after a stop it is written again; `zero_ns`: the first zero, at no time of another's."""
+        self._after_ns = (*after_ns, zero_ns)
         self._bursts = 0
         self._due = due
         due.set(now_ns)
 
     def restart(self, now_ns: int) -> None:
         """Begin the repeats of a stop that was just written."""
-        self._bursts = len(self._after_ns)
-        self._due.set(*(now_ns + after for after in (*self._after_ns, ZERO_EVERY_NS)))
+        self._bursts = len(self._after_ns) - 1
+        self._due.set(*(now_ns + after for after in self._after_ns))
 
     def end(self) -> None:
         """Write nothing before the next stop: it would cut into motion, of this process or of another."""

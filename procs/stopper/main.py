@@ -21,7 +21,7 @@ from failstop.procs.context import Context
 from failstop.procs.handover import HeldPort
 from failstop.procs.loop import HANGUP, NEVER, Loop
 from failstop.procs.peer import Parent, Peer
-from failstop.procs.schedule import Repeats
+from failstop.procs.schedule import ZERO_EVERY_NS, Repeats
 from failstop.shm.words import Barrier
 
 LONGEST_SLEEP_NS = 100_000_000
@@ -40,7 +40,7 @@ class Stopper:
         port_owner = context.segment("port_owner")
         self.heartbeat = context.heartbeat
         self.loop = Loop()
-        self._repeats = Repeats(self.loop.timer(), context.board.repeats_ns[STOPPER_ROW], NEVER)
+        self._repeats = Repeats(self.loop.timer(), context.board.repeats_ns[STOPPER_ROW], NEVER, ZERO_EVERY_NS * 3 // 2)
         self._port = StopPort(context.fd("port"), context.board, context.settings.servos())
         self._port_owner = Peer(layout.PORT_OWNER, context, self.loop, self._port)
         self._port_owner_written = port_owner.word("written_ns")

@@ -45,7 +45,7 @@ def test_the_port_owner_s_death_is_answered_until_the_next_has_stopped_itself(sc
     scene.port_owner.kill()
     assert scene.turn() == BURST
     assert scene.own.word("written_ns").get() == scene.clock()
-    assert scene.written(500) == [(ms, BURST) for ms in (20, 100, 200, 400)], "a deaf board hears one of them later"
+    assert scene.written(500) == [(ms, BURST) for ms in (20, 100, 300, 500)], "zeros between the supervisor's"
     assert scene.stays
     following = scene.start(layout.PORT_OWNER)
     scene.turn()
@@ -147,7 +147,7 @@ def test_a_port_owner_that_hangs_is_fenced_before_the_burst(scene: Scene, holds_
     if holds_the_port:
         assert scene.next_ns() == scene.clock() + 20 * MS, "for the repeat, and not to look for a hang"
         assert scene.turn(MS, alive=False) == BURST, "again, now that nothing of it can follow"
-        assert scene.written(500, alive=False) == [(ms, BURST) for ms in (20, 100, 200, 400)]
+        assert scene.written(500, alive=False) == [(ms, BURST) for ms in (20, 100, 300, 500)]
         assert not any(lived)
 
 
