@@ -241,12 +241,11 @@ def main() -> int:
     with Carriers() as carriers, tempfile.TemporaryDirectory() as home, KiwiTrial(arguments.python, home) as trial:
         rows += streaming(trial, arguments.seconds) if arguments.seconds else []
         rows += driving(trial, carriers, kills, chance) if kills and not only else []
-        for process in PROCESS_NAMES if kills else ():
-            name = f"kill-{process}"
-            who = f"SIGKILL of the {process} under the policy"
-            struck = BESIDE_BY_NAME[f"arm-{name}"]
-            rows += streamed(trial, carriers, struck, who, name, kills, chance) if only in who else []
         for who, fault, row, count, whole_host in (
+            *(
+                (f"SIGKILL of the {name} under the policy", f"arm-kill-{name}", f"kill-{name}", kills, False)
+                for name in PROCESS_NAMES
+            ),
             ("SIGKILL of the policy", "arm-client-killed", "client-killed", kills, False),
             ("SIGKILL of the policy and its host", "arm-client-killed", "client-killed", kills, True),
             ("SIGSTOP of the policy", "arm-client-hung", "client-hung", arguments.hangs, False),

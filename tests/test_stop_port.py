@@ -10,8 +10,12 @@ import pytest
 
 from failstop.board import codec, stop_port
 from failstop.board.burst import BURST
+from failstop.board.interface import SUPERVISOR_ROW
+from failstop.board.kinds import board_of
 from failstop.board.rrc.board import BOARD
 from failstop.board.stop_port import DRAIN_S, TRIES, StopPort
+from failstop.policy.layouts import BOARDS
+from failstop.policy.settings import Settings
 from tests.support.ptys import Board, Pty, new_pty
 from tests.support.stage import MS, PortMachine
 
@@ -162,3 +166,16 @@ def test_a_drain_waits_for_the_bytes_under_way_but_not_for_ever(
     assert (own.lost, own.errno) == (gone, errno.EIO * gone)
     assert wire.read() == bytes(held) + rest
     assert not StopPort(-1, BOARD).holds()
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_a_stop_without_a_service_is_written_again_at_the_board_s_times(kind: str) -> None:
+    board = board_of(*Settings({"board.kind": kind}).board())
+    made, times = PortMachine(), list[int]()
+    made.wire.on_bytes = lambda data: times.append(made.clock())
+    own = made.load("failstop.board.stop_port").StopPort(made.open(made.wire), board)
+    begun_ns, after_ns = made.clock(), board.repeats_ns[SUPERVISOR_ROW]
+    own.burst()
+    own.repeat(after_ns)
+    assert times == [begun_ns, *(begun_ns + after for after in after_ns)]
+    assert made.wire.read() == board.burst * len(times)

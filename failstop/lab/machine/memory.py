@@ -121,7 +121,6 @@ class WeakMachine(Machine):
         """The bytes that a load finds there that was made early; None: this one was not."""
         view.loads += 1
         number, first = mapped.node.number, view.loads == 1
-        half = (end - at) // 2 // WORD_BYTES * WORD_BYTES
         if view.early == REST_OF_PLACE and first:
             view.again = number, at + WORD_BYTES, end
         if view.early in (SAME_PLACE, REST_OF_PLACE):
@@ -134,6 +133,7 @@ class WeakMachine(Machine):
         if again or (view.early == BUT_FIRST and first) or (view.early not in (EVERY, BUT_FIRST) and not first):
             return None
         old = self._as_of(view.before, mapped, at, now)
+        half = (end - at) // 2 // WORD_BYTES * WORD_BYTES
         if view.early == BEGIN_OF_FIRST:
             return old[:half] + now[half:]
         return now[:half] + old[half:] if view.early == END_OF_FIRST else old

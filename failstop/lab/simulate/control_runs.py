@@ -85,7 +85,8 @@ class Found:
 def search(control: Mutant, seconds: float) -> Found:
     """Look for a control by seeds of its scenario for so long, where seeds may play it, and else by its single
     faults."""
-    rounds, drawn_s = SHORT if control.groups else ROUNDS, 0.0 if stays_down(control.scenario) else seconds
+    rounds = SHORT if control.groups else ROUNDS
+    drawn_s = 0.0 if stays_down(control.scenario) else seconds
     runs, took_s, best = 0, 0.0, None
     while took_s < drawn_s and not (best and best.draws <= ENOUGH):
         found = seeds(
