@@ -9,8 +9,7 @@ Writing: (1) build the whole cell privately, (2) a barrier, (3) store it with ON
 Reading: (1) take ONE slice copy, (2) check the private copy, (3) use nothing but that copy.
 
 Integrity then needs no memory ordering: whatever mixture of old and new bytes a reader or a death in mid-write leaves,
-the CRC of the private copy decides, and a record that is not whole is not read. `struct.pack_into` on shared memory is
-never used: it zero-fills first, and a reader would see the zeros.
+the CRC of the private copy decides. `struct.pack_into` on shared memory is never used: a reader would see its zeros.
 
 A Latest is two cells, written in turn: the newest whole value counts. A Ring is a stream of entries.
 """
@@ -114,10 +113,10 @@ class _Cells:
         return max(self._whole(), default=0)
 
     def _whole(self) -> list[int]:
-        """Sequence numbers of all whole entries, in one copy: not for a hot path. A ring of zeros needs no check."""
+        """Sequence numbers of all whole entries, in one copy: not for a hot path. A cell without one needs no check."""
         raw, size = self._view[self._at : self._at + self._cells * self._size], self._size
-        cells = range(self._cells) if raw.count(0) < len(raw) else ()
-        found = ((i, check(raw[i * size : (i + 1) * size], self._seed)) for i in cells)
+        written = (i for i in range(self._cells) if any(raw[i * size + 8 : i * size + 16]))
+        found = ((i, check(raw[i * size : (i + 1) * size], self._seed)) for i in written)
         return [entry[0] for i, entry in found if entry and entry[0] % self._cells == i]
 
 
@@ -142,6 +141,7 @@ class LatestReader(_Cells):
         for _ in range(2):  # two writes that overtake a copy leave it without a value, or with one older than seen
             if (entry and entry[0] >= self._seen) or not raw.strip(b"\0"):
                 break
+            Barrier()()  # without it the loads of this copy may be as old as those of the one before
             raw = self._view[self._where]
             entry = self._newest(raw)
         self._raw, self._known = raw, entry

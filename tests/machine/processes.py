@@ -120,7 +120,7 @@ class Processes:
         """Forbid motion."""
         robot.disable()
 
-    def must_stop(self, why: str, within_ms: int) -> None:
+    def must_stop(self, why: str, within_ms: int, by: str = "") -> None:
         """Nobody judges times here."""
 
     def _pid(self, name: str) -> int:

@@ -46,6 +46,11 @@ def test_no_single_fault_turns_a_wheel_or_keeps_the_service_down() -> None:
     assert found.runs > 10
 
 
+def test_own_faults_leave_out_the_deaths_of_others() -> None:
+    every, own = (explored(Plan("drive", share=(0, 60), most=1, own=own)) for own in (False, True))
+    assert 0 < own.runs < every.runs
+
+
 @pytest.mark.parametrize("control", [each for each in CONTROLS if each.row in FOUND], ids=lambda control: control.row)
 def test_a_part_of_the_protocol_that_is_taken_out_is_missed(control: Mutant) -> None:
     found = explored(Plan(control.scenario, most=1, patches=control.patches, fault=control.fault, first=True))

@@ -205,6 +205,29 @@ def test_who_looks_again_at_a_torn_cell_may_see_it_torn_again_and_nowhere_newer(
     assert found == [torn, torn + NEW[:8], torn]
 
 
+def test_who_has_seen_a_record_torn_looks_again_behind_a_barrier() -> None:
+    """Else both of its cells could be as old as at the first look, and the older one be taken for the newest."""
+    both, found = Both(5, 0, REST_OF_PLACE), list[bytes]()
+    cell = both.loader.load("failstop.shm.cell")
+
+    def record(kind: Any, mapped: Any) -> Any:
+        return kind(mapped, CELL.start, 8, 2, 0)
+
+    def read(words: Any, mapped: Any) -> None:
+        writer, reader = record(cell.LatestWriter, mapped), record(cell.LatestReader, mapped)
+        for value in (OLD, OLD):
+            writer.write(value[:8])
+        found.extend(reader.read()[2] for _ in range(2))
+
+    def write(words: Any, mapped: Any) -> None:
+        writer = record(cell.LatestWriter, mapped)
+        for value in (OLD, NEW):
+            writer.write(value[:8])
+
+    both.run(read, write)
+    assert found == [OLD[:8], NEW[:8]]
+
+
 def test_a_wait_in_the_kernel_is_a_barrier() -> None:
     both, found = Both(3, BUT_LAST), list[int]()
     sleep = both.loader.system["time"].sleep

@@ -39,10 +39,10 @@ def report(outcomes: list[Outcome]) -> int:
     uncalled = Counter(it.path for it in outcomes if it.code == NOT_CALLED)
     for path, count in uncalled.items():
         print(f"{path}: {count} mutants of functions that only the running service calls, not judged")
-    untried = [it.name for it in outcomes if it.code in NOT_TRIED]
-    for name in untried:
-        print(f"{name}: its tests did not run")
-    judged = len(outcomes) - len(same) - uncalled.total() - len(untried)
+    untried = Counter(it.path for it in outcomes if it.code in NOT_TRIED)
+    for path, count in untried.items():
+        print(f"{path}: {count} mutants were not tried")
+    judged = len(outcomes) - len(same) - uncalled.total() - untried.total()
     real = len(survived) - len(same)
     share = real / judged if judged else 1.0
     print(

@@ -7,6 +7,7 @@ import errno
 import os
 import subprocess
 import sys
+import termios
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -15,15 +16,18 @@ import pytest
 from failstop import stopping
 from failstop.board import codec
 from failstop.board.burst import BURST
+from failstop.board.kinds import board_of
 from failstop.board.rrc.board import BOARD
 from failstop.lab.machine.kernel import TAKEDOWN_NS
 from failstop.lab.machine.loading import File
 from failstop.lab.machine.port import Port
 from failstop.lab.machine.process import Process
+from tests.support.arm_settings import SERVOS
 from tests.support.ptys import Board
 from tests.support.stage import MS, PortMachine, Wire
 
 MOTION = codec.motor_speeds((0.8, 0.8, -0.8, -0.8), 2.0)
+UGV = board_of("ugv", 0.08, 0.0)
 ABSENT = "/dev/ttyACM1"
 START_NS = PortMachine().clock()
 Stop = Callable[..., float]
@@ -75,6 +79,15 @@ def test_the_tool_writes_the_burst_and_takes_nobody_s_port(machine: PortMachine,
     assert machine.wire.read() == BURST
     assert (said, passed_s(machine)) == ([], 0.0)
     machine.os.close(fd)
+
+
+@pytest.mark.parametrize("board", [BOARD, UGV])
+def test_the_tool_speaks_as_fast_as_the_board_and_stops_an_arm_behind_the_wheels(
+    machine: PortMachine, board: Any
+) -> None:
+    machine.load("failstop.stopping").write(machine.wire.link, board, SERVOS)
+    assert machine.wire.read().startswith(board.burst_with(SERVOS))
+    assert machine.wire.port.settings[4:6] == [getattr(termios, f"B{board.port.baud}")] * 2
 
 
 def test_how_long_to_try_is_asked_once_after_the_first_try(machine: PortMachine, said: list[str], refused: Any) -> None:

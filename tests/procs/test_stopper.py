@@ -11,6 +11,7 @@ from failstop.policy.processes import HANG_NS, PROCESS_BY_NAME
 from failstop.procs import starved
 from failstop.procs.stopper.main import STALLED_NS
 from failstop.shm import heartbeat
+from tests.support.arm_settings import ARM, SERVOS
 from tests.support.stage import MS, Wire
 from tests.support.stopper_scene import Scene
 
@@ -34,8 +35,9 @@ def test_it_is_silent_while_all_is_well_and_sleeps_though_a_bell_was_rung(scene:
     assert scene.turn() == b""
     for rung in (scene.bell("bell"), scene.early.bell):
         rung.ring()
-        scene.turn()
+        assert rung.fd in scene.stopper.loop.wait(0), "it wakes up"
         assert scene.stopper.loop.wait(0) == {}
+        assert scene.turn() == b""
     scene.views[layout.PORT_OWNER].word("beat_state").set(heartbeat.BEAT_STARTING)
     assert scene.written(600, alive=False) == [], "a port owner that is only starting does not hang"
     assert scene.stays
@@ -55,6 +57,12 @@ def test_the_port_owner_s_death_is_answered_until_the_next_has_stopped_itself(sc
     assert scene.written(50) == [(20, BURST)], "it is named, and still starting"
     scene.runs(layout.PORT_OWNER)
     assert scene.written(500) == []
+
+
+def test_the_burst_stops_an_arm_too() -> None:
+    scene = Scene(changed=ARM)
+    scene.port_owner.kill()
+    assert scene.turn() == BOARD.burst_with(SERVOS)
 
 
 def test_at_the_early_news_the_first_stop_goes_out_before_the_loop_has_woken(scene: Scene) -> None:

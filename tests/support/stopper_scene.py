@@ -10,8 +10,8 @@ from tests.support.stage import MOST_LATE, MS, Stage
 class Scene(Stage):
     """A stopper at work on its stage, beside a port owner that the test plays."""
 
-    def __init__(self, *, open_port: bool = True, named: bool = True) -> None:
-        super().__init__(layout.STOPPER, open_port=open_port)
+    def __init__(self, *, open_port: bool = True, named: bool = True, changed: dict[str, object] | None = None) -> None:
+        super().__init__(layout.STOPPER, open_port=open_port, **changed or {})
         if named:
             self.port_owner = self.start(layout.PORT_OWNER)
         self.stays = True

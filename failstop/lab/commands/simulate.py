@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 EXAMPLES = """\
 failstop simulate                 # one call of each line of code, every fault
 failstop simulate --part 3/16     # of that a sixteenth
+failstop simulate --own           # without the deaths of others beside who makes the call
 failstop simulate --whole         # every call
 failstop simulate --board ugv     # another board, or a folder of your own
 failstop simulate --scenario replug --call 1041 --fault dies
@@ -40,6 +41,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--scenario", metavar="NAME,...", help="these scenarios alone; * stands for anything")
     add_board(parser)
     add("--whole", action="store_true", help="every call, not one of each line of code")
+    add("--own", action="store_true", help="only what happens to the process that makes the call")
     add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one a core)")
     add("--part", type=_part, default=(0, 1), metavar="K/N", help="the K-th of N parts of it")
     add("--call", type=int, metavar="N", help="one run alone: the fault comes at this call")
@@ -96,7 +98,8 @@ def main(arguments: Namespace) -> int:
         return _seed(arguments.seed, chosen, board)
     whole = len(names) == len(known) and arguments.part[1] == 1
     total, begun_s = campaign.Result(), time.monotonic()
-    todo = campaign.plans(names, 0 if arguments.whole else 1, board)[arguments.part[0] :: arguments.part[1]]
+    todo = campaign.plans(names, 0 if arguments.whole else 1, board, own=arguments.own)
+    todo = todo[arguments.part[0] :: arguments.part[1]]
     for done, (plan, result) in enumerate(campaign.results(todo, arguments.jobs), 1):
         total.merge(result)
         took_s = time.monotonic() - begun_s

@@ -33,6 +33,8 @@ class Port(Node):
         """When it has passed on last what it had kept, all at once."""
         self.refuses = False
         """It takes nothing for the moment."""
+        self.took_again_ns = 0
+        """When it has refused something last."""
         self.gone = False
         self.on_first_open: Callable[[], None] | None = None
         """Called when it is opened for the first time since it was plugged in."""
@@ -93,6 +95,8 @@ class Port(Node):
 
     def take_again(self) -> None:
         """It refuses nothing any more."""
+        if self.refuses:
+            self.took_again_ns = self.machine.now_ns
         self.refuses = False
         self.notify()
 

@@ -22,7 +22,7 @@ from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.process import Thread
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.equal import IS_HELD, Equal
-from failstop.lab.simulate.faults import faults, line_of
+from failstop.lab.simulate.faults import BESIDE, faults, line_of
 from failstop.lab.simulate.for_seeds import play_of
 from failstop.lab.simulate.places import BEFORE, Places
 from failstop.lab.simulate.scenarios import DRIVEN
@@ -118,6 +118,8 @@ class Plan:
     only: tuple[int, str] | None = None
     patches: Patches = ()
     fault: str = ""
+    own: bool = False
+    """Only what happens to the process that makes the call."""
     first: bool = False
     """The campaign ends with the first run that is wrong."""
     branches: tuple[str, ...] = ()
@@ -226,7 +228,7 @@ class Explorer:
         for fault, inject in faults(self.stage, thread, call, about):
             if self.stage.machine.at_seam is None:
                 return
-            if plan.fault not in ("", fault):
+            if plan.fault not in ("", fault) or (plan.own and BESIDE in fault):
                 continue
             if self._equal.tried(fault, thread):
                 self.result.equal += 1
@@ -311,14 +313,14 @@ def one(plan: Plan) -> JudgedRun:
     return explorer.run
 
 
-def plans(names: Iterable[str], most: int, board: str = BOARDS[0]) -> list[Plan]:
+def plans(names: Iterable[str], most: int, board: str = BOARDS[0], *, own: bool = False) -> list[Plan]:
     """Those of whole scenarios, in shares; what takes longest begins."""
     names = list(names)
     alike = tuple(name for name in names if name in DRIVEN)
     found: list[tuple[str, tuple[str, ...], int]] = [(alike[0], alike, BRANCHED)] if alike else []
     found += [(name, ALONE if name in alike else (), SHARES) for name in reversed(names)]
     return [
-        Plan(name, (share, shares), most, board=board, branches=branches)
+        Plan(name, (share, shares), most, board=board, branches=branches, own=own)
         for name, branches, shares in found
         for share in range(shares)
     ]

@@ -19,6 +19,8 @@ from failstop.lab.simulate.witness import PORT_WRITERS, SERVICE_PROCESSES
 
 Fault = tuple[str, Callable[[], None]]
 LONG_HOLD_NS = 300 * MS
+BESIDE = " dies beside"
+"""In the name of each fault that happens to another process than the one that makes the call."""
 LINES = 2
 """By so many lines of the call stack two calls are told apart."""
 ASLEEP_S = 20.0
@@ -74,9 +76,9 @@ def faults(
         for name in SERVICE_PROCESSES:
             other = stage.robot.named(name)
             if other and other is not process:
-                yield f"{name} dies beside", lambda other=other: _beside(stage, other)  # type: ignore[misc]
+                yield f"{name}{BESIDE}", lambda other=other: _beside(stage, other)  # type: ignore[misc]
                 if process.name == "port_owner":
-                    told = f"{name} dies beside, and a thread hears"
+                    told = f"{name}{BESIDE}, and a thread hears"
                     yield told, lambda other=other: _beside(stage, other, process)  # type: ignore[misc]
 
 

@@ -149,11 +149,11 @@ class Stage:
     def disable(self, robot: Any) -> None:
         """Forbid motion."""
         robot.disable()
-        self.must_stop("a program disabled motion", 30)
+        self.must_stop("a program disabled motion", 30, layout.GATE)
 
-    def must_stop(self, why: str, within_ms: int) -> None:
-        """From then on the wheels stand, until a program asks for motion again."""
-        self.witness.must_stop(why, within_ms * MS)
+    def must_stop(self, why: str, within_ms: int, by: str = "") -> None:
+        """From then on the wheels stand, until a program asks for motion again; `by`: the process that notices."""
+        self.witness.must_stop(why, within_ms * MS, by)
 
     def kill(self, name: str) -> None:
         """SIGKILL a process of the service."""
@@ -214,12 +214,12 @@ class Stage:
     def kill_driver(self, driver: Process) -> None:
         """SIGKILL that program."""
         self.machine.die(driver, -9)
-        self.must_stop("the program that drives is dead", 30)
+        self.must_stop("the program that drives is dead", 30, layout.GATE)
 
     def disturb_command(self, robot: Any) -> None:
         """Command what is no number, around the check of drive()."""
         robot._client().command(float("nan"), 0.0, 0.0, manual=False, source="cmd_vel")
-        self.must_stop("a program commands what is no number", 30)
+        self.must_stop("a program commands what is no number", 30, layout.GATE)
 
     def hold_again(self, name: str, after_ms: int, ms: int, *, starved: bool = False) -> None:
         """As freeze, from a moment on that is so far away."""
@@ -268,7 +268,7 @@ class Stage:
 
     def press(self, key: int) -> None:
         """A key of the board."""
-        self.witness.must_stop("a key was pressed", 30 * MS)
+        self.must_stop("a key was pressed", 30, layout.TELEMETRY)
         self.robot.board.press(key)
 
     def sleep_machine(self, seconds: float) -> None:

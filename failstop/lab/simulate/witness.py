@@ -8,6 +8,9 @@ one does.
 
 from __future__ import annotations
 
+from collections import Counter
+from functools import partial
+
 from failstop.board.framing import MOTOR
 from failstop.lab.boards.line import ADAPTER_BAR_NS
 from failstop.lab.machine.port import Port
@@ -38,6 +41,8 @@ DEATH_NS = 8 * MS
 who write it."""
 RESUMED_NS = 3 * MS
 """A port owner that was held up past its last look has written its one frame within so long of going on."""
+REPEAT_NS = 20 * MS
+"""From a stop to its first repeat."""
 ASKED_NS = 4 * MS
 BACK_NS = 30 * MS
 HANG_BAR_NS = {
@@ -88,15 +93,16 @@ class Witness:
         """The speed that programs have asked for since they asked for motion last."""
         self._wire_ns = 0
         """When the board will have read all that was written to it."""
-        self._kept_ns = 0
-        """When it will have read what a port had kept that did not drain: frames of whenever they were written."""
+        self._old_ns = 0
+        """When it will have read what was written before a program was granted motion last, or what a port had kept
+        that did not drain."""
         self._stops: dict[bool, tuple[int, int]] = {}
         """Of the port owner's own threads, and of others: from when on so many more frames may turn the wheels, before
         a program asks for motion again."""
-        self._late_ns = 0
-        """Until then a thread of who writes to the board may pause."""
-        self._paused_ns = 0
-        """For so long, all in all, threads of who writes to the board have paused: a bar is as much longer."""
+        self._late_ns: dict[str, int] = {}
+        """Until then a thread of each process may pause."""
+        self._paused_ns = Counter[str]()
+        """For so long, all in all, threads of each process have paused: a bar is as much longer."""
         self._fenced_ns = 0
         """Until then the stop for one that was fenced may be on its way."""
         self._late = False
@@ -131,10 +137,12 @@ class Witness:
             self.asks_for_motion()
 
     def is_granted(self) -> None:
-        """enable() has returned: what moves from now on was asked for from now on."""
+        """enable() has returned: what moves from now on was asked for from now on, but where another program drove."""
         self._board.catch_up()
         self._asking = False
-        self._fastest_rps = 0.0
+        self._old_ns = max(self._old_ns, self._wire_ns)
+        if not any(self._board.model.wheels):
+            self._fastest_rps = 0.0
 
     def asks_for(self, rps: float) -> None:
         """A program commands this speed of the wheels."""
@@ -147,7 +155,7 @@ class Witness:
         begun_ns = max(self._wire_ns, self._machine.now_ns)
         self._wire_ns = begun_ns + len(data) * self._byte_ns
         if self._board.port and self._board.port.drained_ns == self._machine.now_ns:
-            self._kept_ns = self._wire_ns
+            self._old_ns = self._wire_ns
         thread = self._machine.current
         if thread is None or self._asking or not data.startswith(self._first_stop):
             return
@@ -164,12 +172,15 @@ class Witness:
         begun_ns, ended_ns = self._stopper_paused_ns
         return begun_ns <= self._asked_ns and self._machine.now_ns < ended_ns + RESUMED_NS
 
-    def must_stop(self, why: str, within_ns: int) -> None:
+    def must_stop(self, why: str, within_ns: int, by: str = "") -> None:
         """From `within_ns` on the wheels stand, until a program asks for motion again. What is on the wire before it
-        goes first, and a thread that pauses goes on first."""
+        goes first, and a thread that pauses goes on first, of who writes to the board or of `by`, who notices."""
         self.tell(why)
-        after_ns = max(self._wire_ns, self._late_ns) - self._machine.now_ns
-        self._judge_in(within_ns, why, self.asked_for_motion, reached=True, after_ns=after_ns)
+        after_ns = max(self._wire_ns, self._late_until_ns(by)) - self._machine.now_ns
+        self._judge_in(within_ns, why, self.asked_for_motion, reached=True, after_ns=after_ns, by=by)
+
+    def _late_until_ns(self, by: str = "") -> int:
+        return max(self._late_ns.get(name, 0) for name in (*PORT_WRITERS, by))
 
     def _judge_in(
         self,
@@ -181,29 +192,35 @@ class Witness:
         after_ns: int = 0,
         late: bool = False,
         left_ns: int | None = None,
+        by: str = "",
     ) -> None:
         """`late`: the wheels turned when they were looked at last, and the board's own line and loop may be why.
         `left_ns`: how much of the bar is left, if not all."""
-        paused_ns, begun_ns = self._paused_ns, self._machine.now_ns
+        names, begun_ns = (*PORT_WRITERS, by), self._machine.now_ns
+        paused_ns = sum(self._paused_ns[name] for name in names)
+        again = partial(self._judge_in, within_ns, why, asked, by=by)
 
         def due() -> None:
             if self.asked_for_motion != asked:
                 return
-            if (port := self._board.port) and port.drained_ns > begun_ns:
+            now_ns, port = self._machine.now_ns, self._board.port
+            if port and port.drained_ns > begun_ns:
                 # The board reads only now what the port had kept.
-                after_ns = self._wire_ns - self._machine.now_ns
-                self._judge_in(within_ns, why, asked, reached=True, after_ns=after_ns)
+                again(reached=True, after_ns=self._wire_ns - now_ns)
                 return
-            if more_ns := self._paused_ns - paused_ns:
-                self._judge_in(within_ns, why, asked, reached=reached, late=late, left_ns=more_ns)
+            if port and port.took_again_ns + REPEAT_NS > begun_ns:
+                # What it has refused is written again with the first repeat.
+                again(reached=True, after_ns=port.took_again_ns + REPEAT_NS - now_ns)
+                return
+            if more_ns := sum(self._paused_ns[name] for name in names) - paused_ns:
+                again(reached=reached, late=late, left_ns=more_ns)
                 return
             self._board.catch_up()
             turn = any(self._board.model.wheels)
             if not (reached and self.reached()):
-                after_ns = self._wire_ns - self._machine.now_ns
-                self._judge_in(within_ns, why, asked, reached=self.reached(), after_ns=after_ns)
+                again(reached=self.reached(), after_ns=self._wire_ns - now_ns)
             elif turn and own_ns and not late:
-                self._judge_in(within_ns, why, asked, reached=True, late=True)
+                again(reached=True, late=True)
             else:
                 self._forbidden = self._forbidden or why
                 if turn:
@@ -227,7 +244,7 @@ class Witness:
         living = (each for each in self._living() if not each.held_until_ns)
         if port is None or not port.drains or port.refuses or self._board.model.deaf or self._unnoticed():
             return False
-        if self._machine.now_ns < max(self.hears_ns, self._late_ns, self._fenced_ns):
+        if self._machine.now_ns < max(self.hears_ns, self._late_until_ns(), self._fenced_ns):
             return False
         return any(_has(each, port) for each in living if each.name in PORT_WRITERS)
 
@@ -261,7 +278,7 @@ class Witness:
                     if more < 1:
                         self.wrong("a frame turns the wheels behind a stop that was written early")
             too_fast = max(map(abs, frame.speeds)) > self._fastest_rps + SLACK_RPS
-            if too_fast and not self._asking and frame.executed_ns > self._kept_ns:
+            if too_fast and not self._asking and frame.executed_ns > self._old_ns:
                 self.wrong(f"the wheels turn faster than a program asks for since it may: {frame.speeds}")
         if frame.wild:
             self.wrong(f"a frame writes outside of the motors: {frame.wild}")
@@ -309,10 +326,10 @@ class Witness:
 
     def late(self, process: Process, ns: int) -> None:
         """A thread of a process pauses for so long."""
-        if process.name in PORT_WRITERS:
-            self._paused_ns += ns
-            self._late_ns = max(self._late_ns, self._machine.now_ns + ns)
-        if process.name == "stopper":
+        name = process.name
+        self._paused_ns[name] += ns
+        self._late_ns[name] = max(self._late_ns.get(name, 0), self._machine.now_ns + ns)
+        if name == "stopper":
             self._stopper_paused_ns = self._machine.now_ns, self._machine.now_ns + ns
 
     def asked(self) -> None:
