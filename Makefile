@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable
 
-.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech
+.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -96,6 +96,10 @@ SEEDS ?= 14400
 simulate: $(VENV)/.dev
 	$(BIN)/failstop simulate --whole --marks $(if $(BOARD),--board $(BOARD))
 	$(BIN)/failstop simulate --seeds $(SEEDS) --day $(if $(BOARD),--board $(BOARD))
+
+# Every single fault of a process at its own calls, on the simulated machine: some minutes of two processors.
+faults: $(VENV)/.dev
+	$(BIN)/failstop simulate --own
 
 # A minute of drawn runs on each processor, from the seed of the day on.
 seeds: $(VENV)/.dev

@@ -192,10 +192,12 @@ class Witness:
         after_ns: int = 0,
         late: bool = False,
         left_ns: int | None = None,
+        zeros: bool = False,
         by: str = "",
     ) -> None:
         """`late`: the wheels turned when they were looked at last, and the board's own line and loop may be why.
-        `left_ns`: how much of the bar is left, if not all."""
+        `left_ns`: how much of the bar is left, if not all. `zeros`: the repeats of a stop, whose times are chosen
+        against the board's own loop, were moved by a pause, so it may have lost them: the zeros behind them count."""
         names, begun_ns = (*PORT_WRITERS, by), self._machine.now_ns
         paused_ns = sum(self._paused_ns[name] for name in names)
         again = partial(self._judge_in, within_ns, why, asked, by=by)
@@ -213,7 +215,7 @@ class Witness:
                 again(reached=True, after_ns=port.took_again_ns + REPEAT_NS - now_ns)
                 return
             if more_ns := sum(self._paused_ns[name] for name in names) - paused_ns:
-                again(reached=reached, late=late, left_ns=more_ns)
+                again(reached=reached, late=late, left_ns=more_ns, zeros=zeros)
                 return
             self._board.catch_up()
             turn = any(self._board.model.wheels)
@@ -221,6 +223,8 @@ class Witness:
                 again(reached=self.reached(), after_ns=self._wire_ns - now_ns)
             elif turn and own_ns and not late:
                 again(reached=True, late=True)
+            elif turn and own_ns and not zeros and self._late_until_ns() + ADAPTER_BAR_NS > now_ns:
+                again(reached=True, late=True, left_ns=ZEROS_NS, zeros=True)
             else:
                 self._forbidden = self._forbidden or why
                 if turn:
@@ -314,12 +318,13 @@ class Witness:
             self.tell(f"{process.name} (pid {process.pid}) starts")
 
     def held(self, process: Process, ns: int) -> None:
-        """A process is not run for so long. Wheels that stand need no stop for it. A program that is held up in
-        enable() may send its request only behind that."""
+        """A process is not run for so long. Wheels that stand need no stop for it, nor do those of a program before the
+        one that asks for motion, whose answer may come behind that. A program that is held up in enable() may send its
+        request only then."""
         self._board.catch_up()
         if self._asking and process.name not in SERVICE_PROCESSES:
             self._machine.at(self._machine.now_ns + ns, self._asks_still)
-        if ns > HANG_BAR_NS.get(process.name, ns) and any(self._board.model.wheels):
+        if ns > HANG_BAR_NS.get(process.name, ns) and any(self._board.model.wheels) and not self._asking:
             self.must_stop(f"{process.name} is silent", HANG_BAR_NS[process.name])
         else:
             self.tell(f"{process.name} is held up for {ns / MS:g} ms")
