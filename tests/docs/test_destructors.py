@@ -61,6 +61,7 @@ def test_a_program_stops_the_wheels_where_the_table_says_so(number: int, board: 
         with open(board.link, "wb", buffering=0) as port:
             port.write(b'\n{"T":1,"L":0,"R":0}\n')
         board.wait_wheels(False, STANDS_S)
+        board.events()
         program = subprocess.Popen([sys.executable, str(script)], stderr=subprocess.DEVNULL)
         try:
             board.wait_for(lambda event: event.is_motion, MOVES_S)
@@ -70,6 +71,8 @@ def test_a_program_stops_the_wheels_where_the_table_says_so(number: int, board: 
                 hung(program.pid)
             else:
                 program.wait(MOVES_S)
+            if stops:  # by a frame of its own, which the board may still have to read, and not by the board's watchdog
+                board.wait_for(lambda event: not event.is_motion, STANDS_S)
             board.events()
             assert any(board.wheels()) is not stops, f"ended by {end}"
         finally:
