@@ -135,7 +135,7 @@ class GateCore:
             text = f"command from {command.who} ignored: {why}"
             self.notes.append(Note("ignored", text, {"who": command.who, "source": command.source}))
 
-    def client_gone(self, session: int, now_ns: int, *, parted: bool = False) -> Cause | None:
+    def client_gone(self, session: int, now_ns: int, *, parted: bool) -> Cause | None:
         """A client has gone, having `parted` in order or not: its commands are dropped, and if it drove, that is told.
         The death of a driver disables motion, or returns the cause to stop for, as the settings say."""
         driving, driver = self.sources.driving(now_ns), self._drivers.pop(session, None)

@@ -23,6 +23,7 @@ EVERYWHERE = (
     Reason("*", r"^-.*(fd|_port) (<|>=) 0.*\n\+.*(fd|_port) (<=|>) 0", "0, 1 and 2 are open: no descriptor here is 0"),
     Reason("*", r"^-.*(fd|_port) (<|>=) 0.*\n\+.*(fd|_port) (<|>=) 1", "0, 1 and 2 are open: no descriptor here is 0"),
     Reason("*", r"^-\s+\w+ = False\n\+\s+\w+ = None$", "both are false"),
+    Reason("*", r"^-.*zip\(.*, strict=True\).*\n\+.*zip\(.*, (strict=False)?\)", "what is zipped has one length"),
 )
 
 PROCS: tuple[Reason, ...] = (
@@ -35,8 +36,6 @@ PROCS: tuple[Reason, ...] = (
     Reason("stopping.py", r"\+\s+wait_s = -2\.0", "whatever is below zero says that nobody was asked"),
     Reason("stopping.py", r"\+.*if wait_s <= 0 else", "after an answer of 0 there is no further try"),
     Reason("stopping.py", r"\+.*waited_s > WARN_S", "the warning comes one try later at most", same=False),
-    Reason("procs/port_owner/port.py", r"\+.*ready\.get\(wire\.fd, 1\)", "it reads more often", same=False),
-    Reason("procs/port_owner/port.py", r"\+.*if found \| READ else", "it reads more often", same=False),
     Reason(
         "procs/port_owner/requests.py", r'\+.*split\(b"\\n", (2)?\)\[0\]', "what is cut off behind is not looked at"
     ),
@@ -55,8 +54,13 @@ PROCS: tuple[Reason, ...] = (
     Reason(
         "procs/port_owner/main.py", r"\+\s+self\._arm_moved = True$", "the first burst clears it, before anybody looks"
     ),
-    Reason("procs/port_owner/*.py", r"\+.*causes\.(HANGS|MUTE)\(.*\) / MS\)", "a cause makes it whole"),
-    Reason("procs/port_owner/admission.py", r"\+\s+self\._(free|rest)_ns = 1$", "the first nanosecond of the machine"),
+    Reason("procs/port_owner/*.py", r"\+.*causes\.(HANGS|MUTE)\(.*\)? / MS\)", "a cause makes it whole"),
+    Reason(
+        "procs/port_owner/admission.py",
+        r"\+\s+(self\._(free|rest|stopped)_ns = 1$|rest_ns = 1 if )",
+        "the first nanosecond of the machine",
+    ),
+    Reason("procs/port_owner/admission.py", r"\+\s+if epoch >= before:", "it is told of an epoch that has changed"),
     Reason("procs/port_owner/port_writer.py", r"\+\s+self\._refused = True$", "the burst that follows sets it"),
     Reason(
         "procs/port_owner/port_writer.py",
@@ -65,13 +69,12 @@ PROCS: tuple[Reason, ...] = (
         same=False,
     ),
     Reason("procs/port_owner/port_writer.py", r"\+.*max\(self\._handed, 2\)", "nobody allows a backlog of one byte"),
-    Reason("procs/gate/core.py", r"\+.*self\._limits, self\._ramps, (strict=False)?\)", "all four have three axes"),
-    Reason("procs/gate/core.py", r"\+.*zip\(limits, kinematics\.axes, (strict=False)?\)", "both have three axes"),
     Reason("procs/gate/core.py", r"\+\s+self\.epoch = 1$", "it is set by enable, and read only while enabled"),
     Reason("procs/gate/core.py", r"\+\s+self\._sent_ns = 1$", "one nanosecond after the boot is as long ago"),
+    Reason("procs/gate/core.py", r"\+\s+self\._ramps_on = True$", "until the first frame, which sets it, one is due"),
     Reason(
         "procs/gate/conditions.py",
-        r"\+.*(\.get\(name, 1\)|\.get\(session, \(1, \"\"\)\)|default=1\))",
+        r"\+.*(\.get\(name, 1\)|\.get\(session, \(1, who\)\)|default=1\))",
         "one nanosecond after the boot is as long ago",
     ),
     Reason(
@@ -79,16 +82,25 @@ PROCS: tuple[Reason, ...] = (
         r"\+\s+age_s = .* if (\(self\.delivered_ns\) or True else 0\.0|self\.delivered_ns else 1\.0)$",
         "the age of a scan that never came is not told",
     ),
-    Reason("procs/gate/requests.py", r"\+.*_replied = \[\((1, 0|0, 1)\)\]", "no session is 0, and no number below 0"),
+    Reason(
+        "procs/gate/requests.py",
+        r"\+.*( else \((1, 0|0, 1), refused\(\"\"\)\)|return \((1, 0|0, 1)\) if reply\.done == .*)$",
+        "no session that asks is 0, and no number",
+    ),
+    Reason("procs/gate/requests.py", r"\+.*about\(\"seen\"\) or \(1, 0\)", "the first of them is not used"),
     Reason(
         "procs/gate/requests.py",
         r"\+.*_asked_ns\.get\((verb|each), 1\)",
         "one nanosecond after the boot is as long ago",
     ),
+    Reason("procs/gate/sources.py", r"\+\s+self\._asked_ns = (\+1|-2)$", "a turn of that time is none of a real clock"),
 )
 
 TELEMETRY = (
     Reason("procs/telemetry/battery.py", r"PLUGGED_IN if step_mv (>= 0|> 1) else", "a step is at least 10 mV"),
+    Reason("procs/telemetry/imu.py", r"\+\s+self\._since_ns = 1$", "the first sample sets it"),
+    Reason("procs/telemetry/imu.py", r"\+.*LONGEST_GAP_NS \+ 2 if", "either is longer than the longest"),
+    Reason("procs/telemetry/imu.py", r"\+.*0 <= gap_ns <= LONGEST_GAP_NS", "a sample of no time moves nothing"),
     Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns < 0:", "a step of no time moves nothing"),
     Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns <= 1:", "the next step counts the ns", same=False),
     Reason(
@@ -122,7 +134,6 @@ TELEMETRY = (
 
 SHM: tuple[Reason, ...] = (
     Reason("shm/bell.py", r"\n\+.*os\.read\(self\.fd, 9\)", "an eventfd gives 8 bytes"),
-    Reason("messages/box.py", r"\n\+.*zip\(times\[:5\], times\[5:\], (strict=False)?\)", "both halves are of five"),
     Reason("messages/box.py", r"\n\+.*3e\+38", "the same number"),
     Reason(
         "messages/box.py",
@@ -284,7 +295,6 @@ ARM = (
     Reason("policy/joints.py", r"\+.* / self\.sign / self\.per_rad", "a sign is 1 or -1"),
     Reason("policy/joints.py", r"\+.*(1e-6 < angle|angle < high \+)", "a bound that is rounded, at exact equality"),
     Reason("procs/gate/arm/shell.py", r"\n\+\s+self\.told_ns = 1$", "one nanosecond after the boot is as long ago"),
-    Reason("procs/gate/arm/shell.py", r"\+.*zip\(joints, angles, (strict=False)?\)", "each row has as many as servos"),
     Reason(
         "procs/gate/arm/*.py",
         r"\n\+.*self\.(_torque|_apart|since|begun)_ns = 1$",
@@ -303,7 +313,6 @@ ARM = (
     Reason("procs/gate/arm/reader.py", r"\n\+\s+self\._turn = 1$", "any joint may be the first", same=False),
     Reason("procs/gate/arm/core.py", r"\+.*, False, 1\)", "a torque that is switched off moves no servo to any place"),
     Reason("procs/gate/arm/core.py", r"\n\+.* - end\) < NEAR", "half a pulse at exact equality"),
-    Reason("procs/gate/arm/*.py", r"\n\+.*zip\(group, before, (strict=False)?\)", "both are of the same joints"),
     Reason(
         "procs/gate/arm/core.py", r"\+.*measured_ns <= trajectory", "nothing is read in the turn that begins to read"
     ),

@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 
 from failstop.board import codec
 from failstop.board.burst import BURST
+from failstop.board.kinds import board_of
 from failstop.board.rrc.board import BOARD
+from failstop.board.servos import POSITION
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.procs.port_owner.admission import ADMIT, DROP, STAND_STILL, STOP_ASKED, Admission, DatedFrame
+from failstop.procs.port_owner.admission import ADMIT, DROP, STAND_STILL, STOP_ASKED, Admission, DatedFrame, ServoBus
 from tests.support import frames
 
 MS = 1_000_000
@@ -119,6 +121,19 @@ def test_a_frame_of_another_epoch_or_one_that_was_stopped_in_is_dropped(
         assert not admission.wheels_move
     admitted = frame_epoch == epoch and epoch > max(stops, default=0)
     assert decided((FRAME, frame_epoch, NOW), admission, epoch=epoch) == (ADMIT if admitted else DROP)
+
+
+def test_a_zero_frame_of_a_dead_epoch_is_dropped_before_anything_was_written() -> None:
+    """The wheels stand."""
+    assert decided((codec.STOP, EPOCH - 1, NOW)) == DROP
+
+
+def test_an_arm_beside_the_wheels_is_asked_while_servos_and_wheels_move() -> None:
+    board = board_of("feetech", 0.1, 0.0)
+    bus, move = ServoBus(board, (1,)), board.servo_move([(1, 2048)], 20)
+    assert bus.wrote(move, NOW)
+    free_ns = NOW + board.servo_ns(move)
+    assert bus.due_ns(board.servo_read(1, POSITION), free_ns, wheels_move=True) == free_ns
 
 
 @pytest.mark.parametrize(

@@ -140,6 +140,7 @@ def test_an_enable_goes_to_the_pose_and_says_how_far_it_is(scene: Scene) -> None
     scene.run(0.3)
     assert scene.answered()[0] == records.UNDER_WAY
     assert scene.finish() == (records.DONE, "motion enabled")
+    assert scene.told() == ["motion enabled by test"]
     assert [scene.at(servo) for servo in SERVOS[1:]] == pytest.approx(DRIVE[1:], abs=2)
     questions = scene.said.copy()
     scene.run(1.0)

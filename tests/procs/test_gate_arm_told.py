@@ -101,6 +101,18 @@ def test_reply_is_not_for_who_has_the_slot_next(scene: Scene) -> None:
     assert scene.answered()[0] == records.UNDER_WAY
 
 
+def test_a_successor_refuses_the_request_that_a_gate_left_under_way(scene: Scene) -> None:
+    scene.execute({1: 0.2})
+    scene.run(0.2)
+    assert scene.answered()[0] == records.UNDER_WAY
+    scene.stop("gate died")
+    scene.clock.now_ns += 80 * MS
+    scene.start_gate()
+    scene.turn()
+    text = "asked before the last stop (gate died): see to that, then ask again"
+    assert scene.answered() == (records.REFUSED, text)
+
+
 @pytest.mark.parametrize(
     ("verb", "client", "done"),
     [

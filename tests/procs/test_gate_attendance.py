@@ -86,6 +86,9 @@ def test_a_stamp_from_the_future_proves_nothing() -> None:
         assert (gone(gate) is None) is attends
     gate.now += LEASE + 1
     assert gone(gate) is not None, "it counts from when it was heard"
+    attendance = Attendance(LEASE, on=True)
+    attendance.hear(1, "Anna", MS + AHEAD_NS + 1, MS)
+    assert attendance.names(MS) == [], "nor while the machine is younger than a lease"
 
 
 def test_the_gate_wakes_when_the_lease_ends_and_when_the_last_operator_leaves() -> None:

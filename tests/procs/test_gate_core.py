@@ -53,6 +53,13 @@ def test_a_stop_is_latched_with_its_first_reason_until_it_is_answered(driving: G
     assert driving.blocked == "estop: gate died"
 
 
+def test_a_latch_of_the_first_epoch_ends_by_the_supervisor_s_word_too(gate: Gate) -> None:
+    gate.core.follow(why("key1"), 1)
+    assert gate.blocked == "estop: key1"
+    gate.core.follow(None, 1)
+    assert gate.blocked == "disabled"
+
+
 def test_a_frame_goes_out_every_refresh_and_at_once_while_blocked(driving: Gate) -> None:
     sent = []
     for tick in range(1, 41):
@@ -67,6 +74,17 @@ def test_a_frame_goes_out_every_refresh_and_at_once_while_blocked(driving: Gate)
         frames = [gate.step() for _ in range(50)]
         assert [n for n, frame in enumerate(frames) if frame is not None] == list(range(0, 50, ticks))
         assert set(frames) == {None, NO_SPEEDS}
+
+
+def test_the_gate_rests_until_the_next_frame_is_due_and_not_while_it_ramps(gate: Gate) -> None:
+    assert gate.core.rests(gate.now + 3_600_000 * MS), "disabled"
+    gate.enable()
+    gate.drive(FORWARD, 5)
+    assert not gate.core.rests(gate.now), "it ramps"
+    gate.drive(FORWARD, 35)
+    gate.take(FORWARD)
+    assert gate.step(200 * MS) is not None
+    assert [gate.core.rests(gate.now + 200 * MS + late_ns) for late_ns in (0, 1)] == [True, False]
 
 
 # Limits and ramps.
@@ -85,6 +103,13 @@ def test_each_axis_ramps_a_tick_at_a_time_to_its_limit(
     assert [v[axis] for v in found] == pytest.approx([sign * min(limit, step * (n + 1)) for n in range(60)])
     assert found[-1][axis] == sign * limit, "the limit itself, not nearly"
     assert all(v[other] == 0.0 for v in found for other in range(3) if other != axis)
+
+
+def test_a_step_that_comes_late_ramps_for_two_periods_at_most(gate: Gate) -> None:
+    gate.enable()
+    for elapsed_ns, vx in ((30 * MS, 0.015), (40 * MS, 0.035), (290 * MS, 0.055)):
+        assert gate.take(FORWARD) == ""
+        assert gate.tick(elapsed_ns) == pytest.approx(vx)
 
 
 SMALLER = {"vx_mps": 0.35, "vy_mps": 0.1, "wz_radps": 0.2, "acceleration_mps2": 1.0}

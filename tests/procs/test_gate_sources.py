@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from failstop.messages.records import FOR_AN_INTERLOCK
 from failstop.policy import kinematics
 from failstop.policy.settings import PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import AHEAD_NS
@@ -150,7 +151,8 @@ def test_before_the_first_scan_or_with_a_clock_that_is_ahead_nothing_moves(ahead
 
 def test_enabling_needs_every_interlock_and_its_loss_disables_and_does_not_latch() -> None:
     gate = Gate(scan__gate="on", **ARM)
-    assert told(gate.core.enable(1, "", gate.now)) == (False, IN_POSE)
+    refusal = gate.core.enable(1, "", gate.now)
+    assert (told(refusal), refusal.refused_for) == ((False, IN_POSE), FOR_AN_INTERLOCK)
     gate.core.interlocks.hear(["arm"], gate.now, gate.now)
     gate.enable()
     gate.tick(500 * MS)
@@ -162,6 +164,13 @@ def test_enabling_needs_every_interlock_and_its_loss_disables_and_does_not_latch
     gate.core.interlocks.hear(["arm"], gate.now, gate.now)
     gate.tick()
     assert gate.blocked == "disabled", "what comes back does not enable"
+
+
+def test_an_interlock_holds_by_its_own_name_alone() -> None:
+    gate = Gate(**ARM, **{"interlocks.lid.timeout_s": 0.5, "interlocks.lid.refusal": "the lid is open"})
+    for asserted, unmet in ((["lid", "other"], IN_POSE), (["arm"], "")):
+        gate.core.interlocks.hear(asserted, gate.now, gate.now)
+        assert gate.core.interlocks.unmet(gate.now) == unmet
 
 
 def test_a_stamp_that_is_a_little_ahead_counts_as_now_and_one_of_the_future_never() -> None:

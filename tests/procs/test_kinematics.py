@@ -27,13 +27,13 @@ def base(layout: str, board: str = "rrc", changed: Mapping[str, object] | None =
 
 ROBOT, TWO_SIDED, TWO_SPEEDS = "mecanum", "two sides", "two speeds"
 LEKIWI, OMNI, STEERED = "LeKiwi", "omni wheels", "steered"
-BASES: dict[str, tuple[str, ...]] = {
-    ROBOT: ("mecanum",),
-    TWO_SIDED: ("differential",),
+BASES = {
+    ROBOT: ("mecanum", "rrc"),
+    TWO_SIDED: ("differential", "rrc"),
     TWO_SPEEDS: ("differential", "ugv"),
     LEKIWI: ("omni3", "/own"),
-    OMNI: ("omni3",),
-    STEERED: ("ackermann",),
+    OMNI: ("omni3", "rrc"),
+    STEERED: ("ackermann", "rrc"),
 }
 
 

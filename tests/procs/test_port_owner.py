@@ -57,11 +57,11 @@ def test_a_key_that_rings_before_the_bell_is_cleared_is_heard_in_the_same_turn(s
     assert scene.answer() == (BURST, ["key1"])
 
 
-def test_a_bell_that_was_rung_does_not_keep_it_awake(scene: Scene) -> None:
+def test_a_bell_that_was_rung_wakes_it_once(scene: Scene) -> None:
     scene.turn()
     for rung in (scene.bell("bell"), scene.early.bell):
         rung.ring()
-        scene.turn()
+        assert rung.fd in scene.owner.loop.wait(0)
         assert scene.owner.loop.wait(0) == {}
 
 
@@ -101,6 +101,21 @@ def test_a_stop_ends_the_motion_queued_before_it_and_not_what_comes_after(scene:
     assert scene.forward(SLOWER, elapsed_ns=TICK).endswith(BURST + SLOWER)
     assert disable() == BURST, "at once when something moves"
     assert scene.reasons() == []
+
+
+def test_a_stop_of_the_gate_s_is_written_from_20_ms_after_the_last_on(scene: Scene) -> None:
+    last_ns = scene.word("written_ns")
+    for after_ns, written_ns in ((TICK - 1, last_ns), (1, last_ns + TICK)):
+        scene.forward(b"disabled", kind=records.WRITE_BURST, elapsed_ns=after_ns)
+        assert scene.word("written_ns") == written_ns
+
+
+def test_motion_that_the_gate_sends_while_a_stop_is_latched_is_a_stop(scene: Scene) -> None:
+    scene.turn()
+    latch = records.LATCH.pack(1, scene.clock(), scene.clock(), causes.KEY(1).pack())
+    scene.views[layout.SUPERVISOR].latest_writer("latch").write(latch)
+    scene.put()
+    assert scene.answer() == (BURST, ["internal error: gate: motion while a stop is latched"])
 
 
 def test_a_zero_frame_is_never_too_late(scene: Scene) -> None:

@@ -104,13 +104,49 @@ def test_the_port_counts_as_open_when_the_board_hears_and_has_been_told() -> Non
     assert scene.asked
 
 
+@pytest.mark.parametrize("kind", ["arduino", "ugv"])
+def test_a_port_that_comes_back_counts_as_open_when_its_board_hears_again(kind: str) -> None:
+    scene = made(kind, open_port=False)
+    scene.turn()
+    assert scene.port_state() == records.PORT_LOST, "that there is none is told at once"
+    scene.replug(2)
+    assert scene.turn().startswith(scene.board.burst)
+    writes(scene, scene.board.port.deaf_ns - 1)
+    assert (scene.port_state(), scene.asked) == (records.PORT_LOST, [])
+    scene.turn(1)
+    assert scene.port_state() == records.PORT_OPEN
+    writes(scene, TICK)
+    assert scene.asked == [0]
+
+
+def test_a_board_is_told_all_at_once_though_its_port_holds_the_first_of_it() -> None:
+    scene = made("ugv")
+    scene.turn()
+    writes(scene, scene.board.port.deaf_ns - 1)
+    scene.wire.port.drains = False
+    assert b"".join(scene.board.port.opening) in scene.turn(1)
+    assert scene.port_state() == records.PORT_OPEN
+
+
+def test_motion_to_a_board_without_pings_goes_behind_nothing_under_way() -> None:
+    scene = hoverboard()
+    scene.wire.port.under_way = 1
+    assert scene.forward(motion(scene)) == b""
+    scene.wire.port.under_way = 0
+    assert scene.forward(motion(scene)) == motion(scene)
+
+
 def test_a_successor_does_not_tell_it_again() -> None:
+    """It asks at once: the board was not opened again."""
+
     def was_open(scene: Scene) -> None:
         record = scene.views[layout.PORT_OWNER].latest_writer("port")
         record.write(records.PORT.pack(1, scene.clock(), records.PORT_OPEN, scene.wire.link))
 
     scene = made("ugv", before=was_open)
-    wrote = scene.turn() + b"".join(data for _, data in writes(scene, 6000 * MS))
+    wrote = scene.turn()
+    assert scene.asked
+    wrote += b"".join(data for _, data in writes(scene, 6000 * MS))
     assert scene.board.port.opening[1] not in wrote
 
 

@@ -8,7 +8,7 @@ from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
 from failstop.messages import layout, records
 from failstop.policy.processes import HANG_NS
-from failstop.procs.loop import READ
+from failstop.procs.loop import GONE, READ
 from failstop.shm import heartbeat
 from tests.support.port_scene import MOTION, TICK, Scene
 from tests.support.stage import MS
@@ -208,6 +208,13 @@ def test_a_device_lost_is_told_and_a_burst_waits_for_its_return(scene: Scene) ->
     assert scene.owner.loop.wait(0) == {}, "the plug was pulled under half a stop"
 
 
+@pytest.mark.parametrize("told", [GONE, READ, GONE | READ])
+def test_a_hang_up_is_a_loss_whether_it_is_told_or_read(scene: Scene, told: int) -> None:
+    scene.wire.unplug()
+    scene.owner.port.serve({scene.owner.wire.fd: told})
+    assert scene.owner.wire.lost
+
+
 @pytest.mark.parametrize(("frame", "new"), [(True, True), (False, True), (True, False)])
 def test_a_device_that_has_just_gone_or_has_a_successor_is_lost_first(scene: Scene, frame: bool, new: bool) -> None:
     """Else what was let pass for the old port would go to the new one, behind the stop."""
@@ -261,9 +268,27 @@ def test_bytes_from_the_board_go_into_the_ring_in_order_while_no_telemetry_runs(
     assert kept(b"") == b""
     scene.wire.port.send(b"it reads")
     assert scene.owner.loop.wait(0) == {}
+    assert kept(b"") == b""
     telemetry.kill()
     scene.turn()
     assert kept(b", or not") == b"it reads, or not"
     scene.wire.port.send(b"imu")
     scene.ask_to_stop(b"hand near wheel")
     assert scene.turn().startswith(BURST), "they hold up no stop"
+
+
+@pytest.mark.parametrize("heard", [False, True])
+def test_half_a_stop_keeps_nobody_from_reading_what_the_board_sends(heard: bool) -> None:
+    """Telemetry reads it where it runs, and the port owner does not."""
+    scene = Scene()
+    received = scene.segment(layout.PORT_OWNER).ring_reader("received", from_oldest=True)
+    if heard:
+        scene.start(layout.TELEMETRY)
+    scene.turn()
+    scene.wire.port.takes(50)
+    scene.ask_to_stop(b"hand near wheel")
+    assert scene.turn() == BURST[:50]
+    scene.wire.port.takes(0)
+    scene.wire.port.send(b"imu")
+    scene.turn()
+    assert b"".join(entry[2] for entry in iter(received.next, None)) == (b"" if heard else b"imu")

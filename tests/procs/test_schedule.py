@@ -51,6 +51,13 @@ def test_a_ping_is_due_right_after_a_stop_but_for_the_gap(after_ns: int, due_ns:
     assert pings.due(T0 + due_ns)
 
 
+def test_a_ping_that_was_put_off_is_due_then_whatever_is_stopped_meanwhile() -> None:
+    pings = Pings(4, PERIOD, Timer(), T0)
+    pings.wait(T0 + PERIOD)
+    pings.stopped(T0 + MS)
+    assert [pings.due(T0 + PERIOD - 1), pings.due(T0 + PERIOD)] == [False, True]
+
+
 def test_the_first_pings_follow_each_other_so_that_an_answer_is_heard_soon() -> None:
     due, now_ns = Timer(), T0
     pings = Pings(4, PERIOD, due, T0, quick=2)
@@ -122,6 +129,17 @@ def test_a_ping_that_is_not_taken_is_not_counted_and_motion_goes_behind_one_alon
     scene.wire.port.under_way = 0
     scene.turn(PING_GAP_NS)
     assert len(scene.asked) == len(asked) + 1, "it is asked again soon"
+
+
+@pytest.mark.parametrize(("more", "asks"), [(0, 1), (1, 0)])
+def test_a_ping_goes_behind_two_bursts_under_way_and_behind_no_more(scene: Scene, more: int, asks: int) -> None:
+    before = settled(scene)
+    scene.turn()
+    scene.wire.port.under_way = 1
+    for data in (BOARD.burst, BOARD.burst, bytes(more)):
+        assert not data or scene.owner.wire.frame(data, backlog=3 * len(BOARD.burst))
+    scene.turn(PERIOD)
+    assert len(scene.asked) == before + asks
 
 
 @pytest.mark.parametrize("when", ["before the look", "between the look and the write"])

@@ -75,7 +75,7 @@ def test_a_deviation_over_0_3_deg_per_s_on_any_axis_is_not_stationary(axis: int,
     tested = gyro()
     (note,) = calibrate(tested, [(*rate[-axis:], *rate[:-axis]) for rate in spread(std_dps)])  # type: ignore[misc]
     assert note.startswith("gyro bias" if stands else "robot not stationary during gyro calibration")
-    assert tested.calibrated is stands
+    assert tested.calibrated is tested.stationary is stands
     exact = gyro(calibration_s=0.1, calibration_std_dps=0.25)
     for z_dps, t_ns in ((-0.25, 0), (0.25, S // 10)):
         exact.take(dps(0.0, 0.0, z_dps), t_ns)
@@ -124,6 +124,10 @@ def test_told_to_drive_it_is_not_stationary_however_quiet_the_gyro() -> None:
     assert tested.follow(True, 2 * S) == ""
     assert calibrate(tested, [dps(0.1, 0.1, 0.1)] * 600, start_ns=3 * S) == []
     assert not tested.calibrated
+
+
+def test_a_robot_without_an_imu_that_is_told_to_drive_hears_of_no_calibration() -> None:
+    assert GyroBias(Settings({"board.imu": "off"})).follow(True, S) == ""
 
 
 def test_a_restarted_one_keeps_the_bias_it_had_until_it_has_a_new_one() -> None:
@@ -187,8 +191,8 @@ def test_it_follows_the_reading_with_a_time_constant_of_20_s() -> None:
 
 @pytest.mark.parametrize(
     ("tau_s", "gap_ns", "weight"),
-    [(20.0, S // 10, 0.005), (20.0, S // 2, 0.025), (20.0, S // 2 + 1, 0.0), (0.1, S // 4, 1.0)],
-    ids=["dt over tau", "the longest", "after a gap", "at most 1"],
+    [(20.0, S // 10, 0.005), (0.1, 1, 1e-8), (20.0, S // 2, 0.025), (20.0, S // 2 + 1, 0.0), (0.1, S // 4, 1.0)],
+    ids=["dt over tau", "the shortest", "the longest", "after a gap", "at most 1"],
 )
 def test_the_weight_of_a_reading_is_its_time_over_the_constant(tau_s: float, gap_ns: int, weight: float) -> None:
     tested = resting(tau_s)
