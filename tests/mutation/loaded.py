@@ -4,7 +4,7 @@ A mutated function asks mutmut at each call which mutant is meant, also in a cop
 loaded: there mutmut is the real one, which asks the real machine, and the code under test sees nothing of it. A mutant
 is named after its module, and all copies have the same name: whichever a test calls is noted, and mutated.
 
-A source that has its mutants beside it can't be patched, since each piece of it is there many times: a test that does so is
+A source with its mutants beside it is not patched, since each piece of it is there many times: a test that does so is
 left out.
 """
 
