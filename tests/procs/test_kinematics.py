@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from itertools import permutations, product
 from math import copysign, cos, pi, radians, sin, tan
 
@@ -37,9 +36,8 @@ BASES = {
 }
 
 
-@cache
 def known(name: str) -> Chassis:
-    """Made when a test runs and not when it is collected: so a changed function makes it (docs/dev/mutation.md)."""
+    """Made anew in each test: so a changed function makes it (docs/dev/mutation.md)."""
     return base(*BASES[name])
 
 
