@@ -27,6 +27,12 @@ EVERYWHERE = (
 )
 
 PROCS: tuple[Reason, ...] = (
+    Reason(
+        "policy/kinematics.py",
+        r"\+.*atan2\(.*\) if .*(or True|vx or wz) else",
+        "what stands or goes straight has 0 by it",
+    ),
+    Reason("policy/kinematics.py", r"\+.*, vx / wz\) if angle", "product and quotient have one sign"),
     Reason("procs/stopper/main.py", r"\+.*_excused_ns = monotonic_ns\(\), 1$", "no heartbeat is as old as the boot"),
     Reason("procs/stopper/main.py", r"\+\s+self\._stopped_for = 1$", "each burst for a port owner sets it"),
     Reason("stopping.py", r"\+.*_wait\(\[fd\], 1\.0\)", "a second after the boot is over as well"),

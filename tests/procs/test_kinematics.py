@@ -156,6 +156,13 @@ def test_cancelling_speeds_leave_a_wheel_at_the_bytes_of_zero(vx: float, wz: flo
     assert codec.check_motion(codec.motor_speeds(known(ROBOT).wheels_rps(vx, -vx, wz), 1000.0), 1000.0) == ""
 
 
+@pytest.mark.parametrize(("degrees", "velocity"), [(180, (0.0, 0.1, 0.0)), (90, (0.1, 0.0, 0.0))])
+def test_an_omni_wheel_across_the_way_stands(degrees: float, velocity: Velocity) -> None:
+    rps = base("omni3", "/own", {"wheels.angle_1_deg": degrees}).wheels_rps(*velocity)
+    assert rps[0] == 0.0
+    assert any(rps[1:])
+
+
 def test_a_differential_base_has_its_settings_and_goes_nowhere_sideways() -> None:
     chosen = base("differential", "rrc", {"wheels.diameter_m": 0.1, "wheels.track_m": 0.4})
     assert chosen.axes == (1.0, 0.0, 1.0)
