@@ -135,6 +135,7 @@ def _refused(stage: Stage, process: Process, call: str, number: int) -> Callable
 
 def _shortened(stage: Stage, process: Process, *, asked: bool = False) -> None:
     stage.witness.tell(f"a write of {process.name} is taken by half")
+    stage.witness.cut()
     stage.machine.shortened = True
     if asked:
         ask_beside(stage)
@@ -142,6 +143,7 @@ def _shortened(stage: Stage, process: Process, *, asked: bool = False) -> None:
 
 def _cut(stage: Stage, process: Process, opened: Open, data: bytes) -> None:
     stage.witness.tell(f"half of a write of {process.name} is on the wire")
+    stage.witness.cut()
     opened.node.write(opened, data[: len(data) // 2])
     stage.machine.die(process, -9)
 

@@ -12,7 +12,8 @@ from collections import Counter
 from functools import partial
 
 from failstop.board.framing import MOTOR
-from failstop.lab.boards.line import ADAPTER_BAR_NS
+from failstop.board.kinds import is_described
+from failstop.lab.boards.line import ADAPTER_BAR_NS, model_of
 from failstop.lab.machine.port import Port
 from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import MS, Robot
@@ -66,7 +67,9 @@ class Witness:
     def __init__(self, robot: Robot) -> None:
         self._robot, self._machine, self._board = robot, robot.machine, robot.board
         self._traits, language = robot.board.traits, robot.board.traits.language
-        self._first_stop, self._byte_ns = language.first_stop, language.port.byte_ns
+        self._first_stop, self._stop, self._byte_ns = language.first_stop, language.stop, language.port.byte_ns
+        self._loses_stops = language.after_ns > 0
+        self._fuses = is_described(self._traits.kind) and model_of(self._traits.kind).fuses
         self._shortest_ns = len(language.stop) * self._byte_ns
         """On the wire: no frame of motion is shorter than that of zeros."""
         self.violations: list[str] = []
@@ -103,6 +106,10 @@ class Witness:
         """Until then a thread of each process may pause."""
         self._paused_ns = Counter[str]()
         """For so long, all in all, threads of each process have paused: a bar is as much longer."""
+        self._told_to_stand = False
+        """By what was written last."""
+        self._cut_ns = 0
+        """When half of a write was on the wire last."""
         self._fenced_ns = 0
         """Until then the stop for one that was fenced may be on its way."""
         self._late = False
@@ -154,6 +161,7 @@ class Witness:
         for may be over by itself."""
         begun_ns = max(self._wire_ns, self._machine.now_ns)
         self._wire_ns = begun_ns + len(data) * self._byte_ns
+        self._told_to_stand = data.endswith(self._stop)
         if self._board.port and self._board.port.drained_ns == self._machine.now_ns:
             self._old_ns = self._wire_ns
         thread = self._machine.current
@@ -282,10 +290,14 @@ class Witness:
                     if more < 1:
                         self.wrong("a frame turns the wheels behind a stop that was written early")
             too_fast = max(map(abs, frame.speeds)) > self._fastest_rps + SLACK_RPS
-            if too_fast and not self._asking and frame.executed_ns > self._old_ns:
+            if too_fast and not self._asking and frame.executed_ns > self._old_ns and not self._may_be_fused():
                 self.wrong(f"the wheels turn faster than a program asks for since it may: {frame.speeds}")
         if frame.wild:
             self.wrong(f"a frame writes outside of the motors: {frame.wild}")
+
+    def _may_be_fused(self) -> bool:
+        """Whether this frame may be of pieces of two: at some boards one such passes the check, with any speed."""
+        return self._fuses and self._machine.now_ns < self._cut_ns + self._traits.late_ns
 
     def _was_on_its_way(self) -> bool:
         """A port owner that was held up past its last look may still write that one frame (S2 of docs/dev/model.md),
@@ -318,13 +330,14 @@ class Witness:
             self.tell(f"{process.name} (pid {process.pid}) starts")
 
     def held(self, process: Process, ns: int) -> None:
-        """A process is not run for so long. Wheels that stand need no stop for it, nor do those of a program before the
-        one that asks for motion, whose answer may come behind that. A program that is held up in enable() may send its
-        request only then."""
+        """A process is not run for so long. Wheels that stand need no stop for it; nor do those of a board that may have
+        lost the stop it was told; nor those of a program before the one that asks for motion, whose answer may come
+        behind that. A program that is held up in enable() may send its request only then."""
         self._board.catch_up()
         if self._asking and process.name not in SERVICE_PROCESSES:
             self._machine.at(self._machine.now_ns + ns, self._asks_still)
-        if ns > HANG_BAR_NS.get(process.name, ns) and any(self._board.model.wheels) and not self._asking:
+        turn = any(self._board.model.wheels) and not (self._loses_stops and self._told_to_stand)
+        if ns > HANG_BAR_NS.get(process.name, ns) and turn and not self._asking:
             self.must_stop(f"{process.name} is silent", HANG_BAR_NS[process.name])
         else:
             self.tell(f"{process.name} is held up for {ns / MS:g} ms")
@@ -336,6 +349,10 @@ class Witness:
         self._late_ns[name] = max(self._late_ns.get(name, 0), self._machine.now_ns + ns)
         if name == "stopper":
             self._stopper_paused_ns = self._machine.now_ns, self._machine.now_ns + ns
+
+    def cut(self) -> None:
+        """Half of a write is on the wire."""
+        self._cut_ns = self._machine.now_ns
 
     def asked(self) -> None:
         """Somebody's bytes came to the stop pipe."""
