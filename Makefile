@@ -97,9 +97,10 @@ simulate: $(VENV)/.dev
 	$(BIN)/failstop simulate --whole --marks $(if $(BOARD),--board $(BOARD))
 	$(BIN)/failstop simulate --seeds $(SEEDS) --day $(if $(BOARD),--board $(BOARD))
 
-# Every single fault of a process at its own calls, on the simulated machine: some minutes of two processors.
+# Every single fault of a process at its own calls, on the simulated machine: five minutes of two processors. PART=3/4: a part of it.
+PART ?=
 faults: $(VENV)/.dev
-	$(BIN)/failstop simulate --own
+	$(BIN)/failstop simulate --own $(if $(PART),--part $(PART))
 
 # A minute of drawn runs on each processor, from the seed of the day on.
 seeds: $(VENV)/.dev
