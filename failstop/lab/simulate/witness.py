@@ -330,9 +330,9 @@ class Witness:
             self.tell(f"{process.name} (pid {process.pid}) starts")
 
     def held(self, process: Process, ns: int) -> None:
-        """A process is not run for so long. Wheels that stand need no stop for it; nor do those of a board that may have
-        lost the stop it was told; nor those of a program before the one that asks for motion, whose answer may come
-        behind that. A program that is held up in enable() may send its request only then."""
+        """A process is not run for so long. Wheels that stand need no stop for it; nor do those of a board that may
+        have lost the stop it was told; nor those of a program before the one that asks for motion, whose answer may
+        come behind that. A program that is held up in enable() may send its request only then."""
         self._board.catch_up()
         if self._asking and process.name not in SERVICE_PROCESSES:
             self._machine.at(self._machine.now_ns + ns, self._asks_still)
