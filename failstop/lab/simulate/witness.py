@@ -219,7 +219,7 @@ class Witness:
                 again(reached=True, after_ns=self._wire_ns - now_ns)
                 return
             if port and port.took_again_ns + REPEAT_NS > begun_ns:
-                # What it has refused is written again with the first repeat.
+                # A stop that it refused is written again with the first repeat.
                 again(reached=True, after_ns=port.took_again_ns + REPEAT_NS - now_ns)
                 return
             if more_ns := sum(self._paused_ns[name] for name in names) - paused_ns:
