@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 EXAMPLES = """\
 failstop simulate                 # one call of each line of code, every fault
 failstop simulate --part 3/16     # of that a sixteenth
-failstop simulate --own           # without the deaths of others beside who makes the call
+failstop simulate --own           # only what befalls the caller itself
 failstop simulate --whole         # every call
 failstop simulate --board ugv     # another board, or a folder of your own
 failstop simulate --scenario replug --call 1041 --fault dies
