@@ -34,7 +34,7 @@ class Port(Node):
         self.refuses = False
         """It takes nothing for the moment."""
         self.took_again_ns = 0
-        """When it has refused something last."""
+        """When it has ended to refuse last."""
         self.gone = False
         self.on_first_open: Callable[[], None] | None = None
         """Called when it is opened for the first time since it was plugged in."""

@@ -134,16 +134,14 @@ def _refused(stage: Stage, process: Process, call: str, number: int) -> Callable
 
 
 def _shortened(stage: Stage, process: Process, *, asked: bool = False) -> None:
-    stage.witness.tell(f"a write of {process.name} is taken by half")
-    stage.witness.cut()
+    stage.witness.cut(f"a write of {process.name} is taken by half")
     stage.machine.shortened = True
     if asked:
         ask_beside(stage)
 
 
 def _cut(stage: Stage, process: Process, opened: Open, data: bytes) -> None:
-    stage.witness.tell(f"half of a write of {process.name} is on the wire")
-    stage.witness.cut()
+    stage.witness.cut(f"half of a write of {process.name} is on the wire")
     opened.node.write(opened, data[: len(data) // 2])
     stage.machine.die(process, -9)
 

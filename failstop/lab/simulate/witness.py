@@ -190,6 +190,9 @@ class Witness:
     def _late_until_ns(self, by: str = "") -> int:
         return max(self._late_ns.get(name, 0) for name in (*PORT_WRITERS, by))
 
+    def _all_paused_ns(self, by: str) -> int:
+        return sum(self._paused_ns[name] for name in (*PORT_WRITERS, by))
+
     def _judge_in(
         self,
         within_ns: int,
@@ -206,8 +209,7 @@ class Witness:
         """`late`: the wheels turned when they were looked at last, and the board's own line and loop may be why.
         `left_ns`: how much of the bar is left, if not all. `zeros`: the repeats of a stop, whose times are chosen
         against the board's own loop, were moved by a pause, so it may have lost them: the zeros behind them count."""
-        names, begun_ns = (*PORT_WRITERS, by), self._machine.now_ns
-        paused_ns = sum(self._paused_ns[name] for name in names)
+        begun_ns, paused_ns = self._machine.now_ns, self._all_paused_ns(by)
         again = partial(self._judge_in, within_ns, why, asked, by=by)
 
         def due() -> None:
@@ -222,7 +224,7 @@ class Witness:
                 # A stop that it refused is written again with the first repeat.
                 again(reached=True, after_ns=port.took_again_ns + REPEAT_NS - now_ns)
                 return
-            if more_ns := sum(self._paused_ns[name] for name in names) - paused_ns:
+            if more_ns := self._all_paused_ns(by) - paused_ns:
                 again(reached=reached, late=late, left_ns=more_ns, zeros=zeros)
                 return
             self._board.catch_up()
@@ -350,8 +352,9 @@ class Witness:
         if name == "stopper":
             self._stopper_paused_ns = self._machine.now_ns, self._machine.now_ns + ns
 
-    def cut(self) -> None:
+    def cut(self, told: str) -> None:
         """Half of a write is on the wire."""
+        self.tell(told)
         self._cut_ns = self._machine.now_ns
 
     def asked(self) -> None:
