@@ -45,9 +45,8 @@ class PortOwner:
         self._motion_backlog = max((len(ping) for ping in board.pings), default=0)
         """A ping (70 us of wire) is no backlog that motion has to stay behind."""
         self._held: DatedFrame | None = None
-        """The newest motion, while the line has to be silent before it."""
+        """The newest motion, while the line has to be silent before it; `_line`: until when."""
         self._line = self.loop.timer()
-        """When it has been."""
         self.suspend = SuspendWatch()
         self._lapse = self.loop.timer()
         """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
@@ -144,7 +143,6 @@ class PortOwner:
         if self.wire.lost or self.wire.unsent:
             return 0
         self._written_word.set(written_ns)
-        self._moving_word.set(0)
         return written_ns
 
     def _stop_request(self, now_ns: int) -> None:
@@ -320,8 +318,7 @@ class PortOwner:
     def _take_held(self) -> DatedFrame | None:
         """The motion that waits for a silent line; from now on nothing waits for that, whatever becomes of it."""
         motion, self._held = self._held, None
-        if motion:
-            self._line.set(NEVER)
+        self._line.set(NEVER)
         return motion
 
     def _write_motion(self, motion: DatedFrame) -> None:
@@ -375,11 +372,14 @@ class PortOwner:
         self.port.publish(now_ns)
 
     def _repeat(self, now_ns: int) -> None:
+        """Write what is due. Behind the last repeat alone nothing moves: a board may lose a stop or two."""
         self.repeats.wait(self.wire.free_ns)
         if (due := self.repeats.take(now_ns)) == REPEAT:
             self.wire.burst()
         elif due == REFRESH:
             self.wire.frame(self.board.refresh)
+        if due and not (self.repeats.left or self.wire.lost or self.wire.unsent):
+            self._moving_word.set(0)
 
 
 def run(context: Context) -> int:

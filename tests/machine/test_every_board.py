@@ -39,6 +39,25 @@ def test_a_part_of_a_boards_own_stop_that_is_taken_out_is_missed(control: Mutant
     assert explore(plan).wrong
 
 
+def _starves_behind_a_lost_stop(stage: Stage) -> None:
+    robot, model = stage.connect(), stage.robot.board.model
+    stage.enable(robot)
+    stage.drive(robot, 0.5)
+    model.deaf = True
+    robot.disable()
+    stage.time.sleep(0.01)
+    stage.freeze("port_owner", 2_000, starved=True)
+    model.deaf = False
+    stage.time.sleep(2.5)
+
+
+def test_a_port_owner_that_starves_behind_a_lost_stop_is_not_spared() -> None:
+    stage = Stage(_starves_behind_a_lost_stop, kind="hoverboard")
+    stage.run()
+    assert stage.witness.violations == []
+    assert "port_owner died" in stage.witness.causes
+
+
 def test_a_board_in_a_folder_of_ones_own_drives_on_it(tmp_path: Path) -> None:
     stage = Stage(SCENARIOS["replug"], kind=own_folder(tmp_path / "tank"))
     stage.run()

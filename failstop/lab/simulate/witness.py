@@ -68,7 +68,6 @@ class Witness:
         self._robot, self._machine, self._board = robot, robot.machine, robot.board
         self._traits, language = robot.board.traits, robot.board.traits.language
         self._first_stop, self._stop, self._byte_ns = language.first_stop, language.stop, language.port.byte_ns
-        self._loses_stops = language.after_ns > 0
         self._fuses = is_described(self._traits.kind) and model_of(self._traits.kind).fuses
         self._shortest_ns = len(language.stop) * self._byte_ns
         """On the wire: no frame of motion is shorter than that of zeros."""
@@ -106,8 +105,6 @@ class Witness:
         """Until then a thread of each process may pause."""
         self._paused_ns = Counter[str]()
         """For so long, all in all, threads of each process have paused: a bar is as much longer."""
-        self._told_to_stand = False
-        """By what was written last."""
         self._cut_ns = 0
         """When half of a write was on the wire last."""
         self._fenced_ns = 0
@@ -161,7 +158,6 @@ class Witness:
         for may be over by itself."""
         begun_ns = max(self._wire_ns, self._machine.now_ns)
         self._wire_ns = begun_ns + len(data) * self._byte_ns
-        self._told_to_stand = data.endswith(self._stop)
         if self._board.port and self._board.port.drained_ns == self._machine.now_ns:
             self._old_ns = self._wire_ns
         thread = self._machine.current
@@ -332,14 +328,13 @@ class Witness:
             self.tell(f"{process.name} (pid {process.pid}) starts")
 
     def held(self, process: Process, ns: int) -> None:
-        """A process is not run for so long. Wheels that stand need no stop for it; nor do those of a board that may
-        have lost the stop it was told; nor those of a program before the one that asks for motion, whose answer may
-        come behind that. A program that is held up in enable() may send its request only then."""
+        """A process is not run for so long. Wheels that stand need no stop for it; nor do those of a program before the
+        one that asks for motion, whose answer may come behind that. A program that is held up in enable() may send its
+        request only then."""
         self._board.catch_up()
         if self._asking and process.name not in SERVICE_PROCESSES:
             self._machine.at(self._machine.now_ns + ns, self._asks_still)
-        turn = any(self._board.model.wheels) and not (self._loses_stops and self._told_to_stand)
-        if ns > HANG_BAR_NS.get(process.name, ns) and turn and not self._asking:
+        if ns > HANG_BAR_NS.get(process.name, ns) and any(self._board.model.wheels) and not self._asking:
             self.must_stop(f"{process.name} is silent", HANG_BAR_NS[process.name])
         else:
             self.tell(f"{process.name} is held up for {ns / MS:g} ms")
