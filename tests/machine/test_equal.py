@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import pytest
 
+from failstop.lab.machine.kernel import STEP_NS
 from failstop.lab.machine.process import Thread
 from failstop.lab.simulate.equal import ASKS, IS_HELD, IS_STARVED, SLEEPS, Equal
-from failstop.lab.simulate.faults import faults
+from failstop.lab.simulate.faults import UNSEEN, faults
 from failstop.lab.simulate.scenarios import DRIVEN, SCENARIOS
 from failstop.lab.simulate.stage import Continuation, Stage
 
@@ -67,6 +69,25 @@ def test_a_process_that_is_starved_is_one_that_is_held_where_nobody_asks_why() -
         asked.append(held[2] > 0)
         assert held == starved or asked[-1]
     assert not all(asked)
+
+
+@pytest.mark.parametrize("fault", ["dies", IS_HELD])
+def test_a_fault_at_a_call_that_nobody_sees_is_that_at_the_next_one(fault: str) -> None:
+    """But for that call and its time."""
+    calls, stage = [], Stage(SCENARIOS[SCENARIO])
+    stage.machine.at_seam = lambda thread, call, about: calls.append((thread.number, call, stage.explored))
+    stage.run()
+    told = [
+        (at, at + 1)
+        for at, (each, then) in enumerate(pairwise(calls), 1)
+        if each[0] == then[0] and each[1] in UNSEEN and then[1] not in UNSEEN and each[2]
+    ]
+    assert len(told) > SAMPLES
+    for first, second in told[:: len(told) // SAMPLES]:
+        (one, *judged), (other, *judged_too) = played(first, fault), played(second, fault)
+        assert judged == judged_too
+        assert abs(len(one) - len(other)) <= 1
+        assert abs(one[-1][2] - other[-1][2]) <= STEP_NS
 
 
 def begin(name: str) -> Calls:
