@@ -136,7 +136,9 @@ def mutate(where: Path, rooms: list[str]) -> int:
     copy(where)
     settle(where, rooms)
     retry(where)
-    subprocess.run([*MUTMUT, "run"], cwd=where, check=True)
+    # Each mutant's tests read the compiled ones, which takes a third less of its time.
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    subprocess.run([*MUTMUT, "run"], cwd=where, check=True, env=env)
     return report(outcomes(where))
 
 
