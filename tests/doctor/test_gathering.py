@@ -17,7 +17,6 @@ from failstop.board.rrc.board import BOARD
 from failstop.doctor import machine, port, stop_path, table
 from failstop.doctor.look import FAIL, Look
 from failstop.doctor.system import Holder, System
-from failstop.instances import unit_of
 from tests.support.ptys import new_pty, open_fds
 
 
@@ -46,11 +45,6 @@ def test_the_governors_of_all_cores(tmp_path: Path) -> None:
         write(tmp_path, f"{folder}/{core}/cpufreq/scaling_governor", governor)
     (tmp_path / "sys/devices/system/cpu/cpufreq").mkdir()
     assert "CPU governor powersave:" in machine.processor(Look(system=System(str(tmp_path))))[0].text
-
-
-def test_units_by_name() -> None:
-    assert unit_of("failstop") == "failstop.service"
-    assert unit_of("left") == "failstop@left.service"
 
 
 def test_an_own_folder_that_can_not_be_used_is_told_and_its_port_left_alone(tmp_path: Path) -> None:

@@ -251,7 +251,12 @@ SUPERVISOR = (
     Reason("messages/packing.py", r"len\(data\) < room", "an event that fills its cell to the byte", same=False),
     Reason("supervisor/process_table.py", r'futex\("held", write=True\)', "the supervisor's block is the first"),
     Reason("supervisor/children.py", r"silent_ns: int = 1,", "a nanosecond, of what is told in ms", same=False),
-    Reason("supervisor/status.py", r"open\(CONTROL_GROUP, (encoding=None)?\)", "the service runs in C.UTF-8"),
+    Reason(
+        "supervisor/status.py",
+        r"open\(CONTROL_GROUP, (encoding=None, )?errors=",
+        "units have names in ASCII, and each locale has that",
+    ),
+    Reason("supervisor/status.py", r"\n\+.*\{LEASE_S \* 1001\.0:\.0f\}", "60 and 60.06 are both told as 60"),
     Reason(
         "supervisor/stops.py",
         r"self\.(epoch|answer_by_ns) = 1$",

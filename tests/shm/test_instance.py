@@ -132,6 +132,8 @@ def test_a_trap_in_the_shared_place_is_refused(on: SimpleNamespace, bases: list[
     with pytest.raises(on.instance.InstanceError, match=r"^no runtime directory for 'robot'") as refused:
         on.instances.make_runtime_dir("robot")
     assert bases[2] in str(refused.value)
+    told = f"; {place} belongs to uid {OTHER}: not trusted; remove it, or run as that user"
+    assert str(refused.value).endswith(told) is (trap == "other user's")
     assert "\n" not in str(refused.value)
     assert on.os.listdir("/tmp/target") == []
 
@@ -248,6 +250,11 @@ def test_all_that_listen_are_found_by_name(on: SimpleNamespace, bases: list[str]
 def test_a_command_names_every_instance_but_the_default_one() -> None:
     assert instance.option("failstop") == ""
     assert instance.option("robot") == " --name robot"
+
+
+def test_every_instance_but_the_default_one_has_a_unit_of_its_name() -> None:
+    assert instances.unit_of("failstop") == "failstop.service"
+    assert instances.unit_of("left") == "failstop@left.service"
 
 
 def test_a_lock_that_can_not_be_made_or_written_is_told(on: SimpleNamespace, bases: list[str]) -> None:

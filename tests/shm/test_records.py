@@ -287,6 +287,13 @@ def test_what_the_port_owner_says_of_one_port_is_not_said_of_another(state: int)
     assert records.port_state(None, 7) == closed
 
 
+@pytest.mark.parametrize("before", [b"", b"damaged"])
+def test_a_goodbye_where_none_lay_is_of_its_session_alone(before: bytes) -> None:
+    said = records.goodbye(7, before)
+    assert set(records.LEFT.unpack(said)) == {7, records.NOBODY}
+    assert records.LEFT.unpack(records.goodbye(8, said))[:3] == (8, 7, records.NOBODY)
+
+
 def test_what_can_not_be_printed_is_not_shown() -> None:
     assert records.printable("a\x1b[2J\u00e9\n\u202e\U0001f916") == "a?[2J\u00e9??\U0001f916"
 

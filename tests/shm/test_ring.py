@@ -47,6 +47,16 @@ def test_an_idle_ring_costs_one_copy_a_look() -> None:
         assert drain(reader) == [writer.seq]
 
 
+@pytest.mark.parametrize("size", [0, 1, CAPACITY - 1, CAPACITY, CAPACITY + 1, 3 * CAPACITY, 3 * CAPACITY + 1])
+def test_bytes_of_any_length_come_whole_in_as_few_entries_as_hold_them(size: int) -> None:
+    _, writer, reader = ring()
+    data = bytes(range(size))
+    writer.put_all(data, 77)
+    found = list(iter(reader.next, None))
+    assert b"".join(payload for _, _, payload in found) == data
+    assert [(seq, t_ns) for seq, t_ns, _ in found] == [(seq, 77) for seq in range(1, -(-size // CAPACITY) + 1)]
+
+
 @pytest.mark.parametrize("read", range(CELLS + 2))
 def test_lapping_counts_exactly_what_was_lost(read: int) -> None:
     for ahead in (*range(1, 3 * CELLS + 2), 10 * CELLS):

@@ -8,12 +8,14 @@ import os
 import struct
 from types import SimpleNamespace
 
+import pytest
+
 from failstop.messages import segments
 from failstop.messages.layout import PROCESS_NAMES
 from tests.support.children import NOBODY
 
 from .segments import NAMES, RUN, create_all, path_of
-from .simulated import kill, living, open_fds, put, refusing
+from .simulated import kill, living, open_fds, put, refusing, user
 
 
 def test_a_dead_run_is_one_s_own(on: SimpleNamespace) -> None:
@@ -67,6 +69,18 @@ def test_a_run_lives_as_long_as_its_supervisor(on: SimpleNamespace) -> None:
     kill(on, supervisor)
     assert not on.segments.living(run)
     assert on.segments.dead_runs("r") == [run]
+
+
+def test_every_user_can_ask_again_and_again_whether_an_owner_s_run_lives(on: SimpleNamespace) -> None:
+    supervisor = living(on, lambda: on.segments.create("r", "supervisor", RUN))
+    with user(on, NOBODY):
+        with pytest.raises(on.segments.AttachError, match="is not the service's: "):
+            on.segments.open_life("r", 1)
+        life = on.segments.open_life("r", 0)
+        for _ in range(2):
+            assert on.segments.lives(life)
+        kill(on, supervisor)
+        assert not on.segments.lives(life)
 
 
 def test_it_is_the_supervisor_s_segment_that_tells_so(on: SimpleNamespace) -> None:

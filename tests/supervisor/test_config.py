@@ -12,9 +12,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from failstop import config
+from failstop.board.kinds import wire_of
 from failstop.cli import main as cli
+from failstop.policy.kinematics import max_wheel_rps
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import DECLARED, Settings
+from failstop.supervisor.fit import checked_board
+from tests.support.boards import own_folder
 from tests.support.supervisor_scene import Scene
 
 
@@ -285,6 +289,43 @@ def test_the_smallest_speed_of_a_board_is_told_and_smaller_limits_are_refused(
     code, _, err = run(capsys, "config", "--check", str(file))
     assert code == 1
     assert "the board's smallest speed of a wheel is 0.25 m/s, and the limits are 0.11: raise [limits]" in err
+
+
+def asked(kind: str, *, most: float = 0.0, least: float = 0.0) -> Settings:
+    """Settings of which the fastest wheel is so many times the most, or the least, that the board takes."""
+    given: dict[str, object] = {"board.kind": kind, "wheels.diameter_m": 0.0625}
+    motion, fastest_rps = wire_of(kind).motion, max_wheel_rps(Settings(given))
+    per_rps = most * motion.limit / fastest_rps if most else least * motion.step / fastest_rps
+    return Settings({**given, "board.per_rps": per_rps})
+
+
+@pytest.mark.parametrize("kind", ["arduino", "ugv"])
+def test_limits_that_are_just_what_a_board_takes_are_right(kind: str) -> None:
+    for settings in (asked(kind, most=1.0), asked(kind, least=1.0)):
+        assert checked_board(settings, None).name == wire_of(kind).name
+
+
+FAST = "the board takes 0.728 turns of a wheel a second, and the limits are 1.46: lower [limits], or see board.per_rps"
+SLOW = (
+    "the board's smallest speed of a wheel is 0.57 m/s, and the limits are 0.29: raise [limits], or see board.per_rps"
+)
+
+
+@pytest.mark.parametrize("path", ["/etc/failstop.toml", None])
+def test_what_a_board_does_not_take_is_refused_with_the_file_it_is_in(path: str | None, tmp_path: Path) -> None:
+    folder = own_folder(tmp_path / "tank")
+    refused = [
+        (
+            Settings({"board.kind": folder, "wheels.layout": "omni3"}),
+            f"board.kind {folder} takes 2 speeds, and wheels.layout omni3 has 3 wheels",
+        ),
+        (asked("arduino", most=2.0), FAST),
+        (asked("arduino", least=0.5), SLOW),
+    ]
+    for settings, text in refused:
+        with pytest.raises(SettingError) as error:
+            checked_board(settings, path)
+        assert str(error.value) == f"{path or 'settings'}: {text}"
 
 
 @pytest.mark.parametrize("words", [["config", "--check"], ["config", "--config"], ["run", "--config"]])

@@ -7,6 +7,7 @@ import signal
 import pytest
 
 from failstop.board.burst import BURST
+from failstop.board.interface import SUPERVISOR_ROW
 from failstop.lab.machine.kernel import TAKEDOWN_NS
 from failstop.messages import layout, records
 from failstop.policy.processes import PROCESS_BY_NAME
@@ -22,8 +23,12 @@ STOPPING = ("stopping", "service is stopping; stop frame written by the port own
 
 @pytest.fixture
 def scene() -> Scene:
+    return whole()
+
+
+def whole(settings: dict[str, object] | None = None) -> Scene:
     """Every process runs; the port owner has stopped already for the end that is to come."""
-    made = Scene(*PROCESS_BY_NAME)
+    made = Scene(*PROCESS_BY_NAME, settings=settings)
     made.pass_time()
     made.keep_beating()
     made.port_owner.word("written_ns").set(made.now_ns)
@@ -72,6 +77,15 @@ def test_a_board_that_has_never_answered_is_waited_for_a_while_and_is_no_failure
     assert told[1][1].endswith("whether the board hears is not known (link unproven)")
     assert scene.now_ns == began_ns + main.HEAR_NS + KILLED_NS
     assert scene.word("beat_ns").get() > began_ns, "its own beat goes on: nobody stops for its silence"
+
+
+def test_a_board_that_can_not_answer_is_not_waited_for() -> None:
+    scene = whole({"board.kind": "hoverboard"})
+    began_ns, repeats_ns = scene.now_ns, scene.port.board.repeats_ns[SUPERVISOR_ROW]
+    well, told = end(scene)
+    assert well
+    assert told[1][1].endswith("this board acknowledges nothing (link unasked)")
+    assert scene.now_ns == began_ns + KILLED_NS + repeats_ns[-1]
 
 
 def test_a_board_that_does_not_hear_the_last_stop_is_a_failure(scene: Scene) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -67,6 +68,14 @@ def test_the_unit_is_that_of_the_control_group(scene: Scene, here: Any, groups: 
     assert here.own_unit() == unit
 
 
+def test_a_control_group_whose_name_is_no_text_hides_no_unit(here: Any, tmp_path: Path) -> None:
+    """The kernel's own, read as a file of the real machine."""
+    groups = tmp_path / "cgroup"
+    groups.write_bytes(b"1:cpu:/\xff\n0::/system.slice/failstop.service\n")
+    here.open = lambda path, **how: groups.open(**how)
+    assert here.own_unit() == "failstop.service"
+
+
 def test_people_are_told_what_is_lacking() -> None:
     realtime = ("SCHED_FIFO", f"{status.NO_REALTIME}, and {status.cost(0.2)}; give it rights")
     early_news = ("robust futexes", status.NO_EARLY_NEWS)
@@ -79,7 +88,9 @@ def test_people_are_told_what_is_lacking() -> None:
 def test_a_lease_is_told_with_what_it_costs() -> None:
     late = "after 200 ms instead of 60 to 100 (gate.lease_s)"
     assert status.cost(0.2) == f"a hang of gate, supervisor or port owner is stopped for {late}"
+    assert status.cost(1.5).endswith("is stopped for after 1500 ms instead of 60 to 100 (gate.lease_s)")
     assert status.cost(0.06) == "some have no cause, since gate.lease_s is as short as 60 ms"
+    assert status.cost(0.05946).endswith(" as short as 59 ms")
 
 
 def leased(scene: Scene, chosen: dict[str, object]) -> float:

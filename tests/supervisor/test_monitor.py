@@ -103,14 +103,13 @@ def test_an_answer_whose_question_was_asked_anew_meanwhile_proves_nothing(scene:
 
 def test_a_verdict_that_is_given_anew_meanwhile_is_looked_at_the_next_time() -> None:
     """Its two words may be of different moments: still of before, judged of now."""
-    look = "still_ns = self._still.get()"
-    meanwhile = f"{look}; self._run.meanwhile and self._run.meanwhile.pop()()"
-    scene = Scene(layout.PORT_OWNER, patches=(("failstop.supervisor.monitor", look, meanwhile),))
-    scene.run.meanwhile = []
+    between, release = "failstop.shm.words", "self._release()"
+    acts, act = "LINE_BYTES = 64; MEANWHILE = []", f"{release}; MEANWHILE and MEANWHILE.pop()()"
+    scene = Scene(layout.PORT_OWNER, patches=((between, "LINE_BYTES = 64", acts), (between, release, act)))
     scene.stops("the first")
     shake(scene, 0.1)
     scene.judge(still=True)
-    scene.run.meanwhile.append(lambda: scene.telemetry.word("judged_ns").set(scene.now_ns))
+    scene.load(between).MEANWHILE.append(lambda: scene.telemetry.word("judged_ns").set(scene.now_ns))
     scene.turn(MS)
     assert scene.table("stop")["observed_ms"] is None
     assert scene.supervisor.epochs.number == 2

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import fcntl
 import os
+import termios
 import threading
 from collections.abc import Iterator
 
@@ -17,6 +18,7 @@ from failstop.board.rrc.board import BOARD
 from failstop.board.wire import Port
 from failstop.supervisor.port_handover import OwnPort
 from tests.support.ptys import Pty, new_pty
+from tests.support.stage import MS
 from tests.support.supervisor_scene import DEVICE, Scene
 from tests.support.unprivileged import unprivileged
 
@@ -66,7 +68,7 @@ def given_to(group: int, mode: int) -> Iterator[tuple[Pty, int, int]]:
 @pytest.mark.skipif(os.geteuid() != 0, reason="gives a device away as udev does: only root")
 def test_a_run_waits_for_a_device_that_udev_is_still_to_give_away() -> None:
     with given_to(0, 0o600) as (pty, reader, tried):
-        udev = threading.Thread(target=lambda: os.read(reader, 1) and os.chmod(pty.link, 0o666))
+        udev = threading.Thread(target=lambda: os.read(reader, 1) and os.chmod(pty.link, 0o666), daemon=True)
         udev.start()
         assert unprivileged(lambda: opened_by_nobody(pty.link, tried)) == "opened"
         udev.join()
@@ -129,6 +131,21 @@ def test_a_refused_port_is_tried_again_for_a_while(
     assert (scene.now_ns - began_ns) / 1e9 == pytest.approx(waited_s, abs=0.01)
     assert len(tried) >= 1 + waited_s / 0.02, "it is stopped soon after it is free"
     assert told == (tried[:-1] if kind == "busy" else []), "who holds it is looked at each time"
+
+
+def test_a_device_where_one_may_not_look_is_refused_at_once(scene: Scene) -> None:
+    """Nobody can see whether it is new."""
+    scene.machine.root.folder("/dev").mode, scene.me.uid = 0o700, 7
+    began_ns = scene.now_ns
+    assert open_and_stop(scene, []) == "permission"
+    assert scene.now_ns - began_ns < 10 * MS
+
+
+def test_the_port_is_opened_at_its_board_s_speed() -> None:
+    scene = Scene(settings={"board.kind": "hoverboard"})
+    scene.port.close()
+    scene.load("failstop.supervisor.port_handover").OwnPort.open_and_stop(DEVICE, scene.port.board)
+    assert scene.wire.port.settings[4:6] == [termios.B115200] * 2
 
 
 def test_each_port_of_a_run_has_a_number(scene: Scene) -> None:

@@ -63,10 +63,12 @@ def test_the_command_line_becomes_the_supervisor_with_its_lock_and_port(scene: S
     scene.me.environ |= {"NOTIFY_SOCKET": "/run/notify", "SHELL": "/bin/sh"}
     here, lock, port = scene.load("failstop.supervisor.starter"), scene.os.dup(0), scene.port.fd
     expected = here.environment(scene.settings)
+    replaced, programs = scene.os.execve, []
+    scene.os.execve = lambda path, *rest: programs.append(path) or replaced(path, *rest)
     with pytest.raises(Replaced) as found:
         here.become_supervisor("left", "/run/x", scene.settings, lock, port, "failstop run --name left")
     arguments = found.value.argv
-    assert arguments[0] == scene.system["sys"].executable
+    assert [arguments[0]] == programs == [scene.system["sys"].executable]
     words = ["name=left", "dir=/run/x", f"lock={lock}", f"port={port}", "again=failstop run --name left"]
     assert arguments[4:] == ["supervisor", *words]
     assert scene.me.environ == {**expected, "NOTIFY_SOCKET": "/run/notify"}

@@ -132,7 +132,9 @@ def test_a_command_that_can_not_be_started_or_killed_is_told_of(call: str, numbe
         stop_unheeded(scene)
     scene.refuse(call, OSError(number, os.strerror(number)))
     stop_unheeded(scene)
-    assert any(text in told for level, told, _ in commands(scene) if level == "error")
+    [fields] = [fields for level, told, fields in commands(scene) if level == "error" and text in told]
+    if call == "spawn":
+        assert fields == {"state": "failed", "reason": text.partition(": ")[2]}
     assert len(pids(scene)) == (2 if call == "kill" else 0), "it keeps no stop from its own"
 
 

@@ -160,9 +160,9 @@ def test_causes_that_came_together_are_told_once_until_the_next_latch(scene: Sce
 def test_the_processes_remarks_are_passed_on_and_a_damaged_one_is_left_out(scene: Scene) -> None:
     ring = scene.gate.ring_writer("notes")
     ring.put(b"damaged")
-    ring.put(Note("refused", "no reset yet", {"who": "nav"}, level="warning").pack())
+    ring.put(Note("refused", "no reset yet", {"who": "nav"}, level="warning", step="wait").pack())
     scene.supervisor.processes.pass_notes()
-    assert told(scene) == [("refused", "no reset yet", {"process": "gate", "who": "nav"}, "warning")]
+    assert told(scene) == [("refused", "no reset yet; next: wait", {"process": "gate", "who": "nav"}, "warning")]
 
 
 WROTE = "stop frame written by the port owner after 80 us"

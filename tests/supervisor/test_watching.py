@@ -58,6 +58,12 @@ def test_the_supervisor_wakes_those_who_are_to_answer_an_epoch(scene: Scene) -> 
     assert all(map(scene.rung, asked))
 
 
+def test_whoever_sees_a_new_epoch_finds_a_service_that_is_not_ready(scene: Scene) -> None:
+    scene.word("ready").set(1)
+    scene.supervisor.epochs.raise_for([scene.made_stop(why("key1"), layout.GATE)], scene.now_ns)
+    assert (scene.word("epoch").get(), scene.word("ready").get()) == (2, 0)
+
+
 @pytest.mark.parametrize("name", list(PROCESS_BY_NAME))
 def test_a_process_that_is_silent_is_killed_before_it_is_stopped_for(whole: Scene, name: str) -> None:
     process, deadline_ns = whole.employ(name), PROCESS_BY_NAME[name].deadline_ns
@@ -230,11 +236,19 @@ def test_a_supervisor_tells_that_it_was_suspended_while_nothing_could_move(scene
     scene.supervisor.status.ever = True
     scene.pass_time()
     suspended(scene)
-    scene.pass_time(HANG_NS)
+    scene.pass_time(HANG_NS + 10 * MS + 1)
     ((kind, _, text, fields),) = scene.said()
-    assert (kind, text, fields) == ("suspended", "supervisor was suspended for 0.2 s by a signal", {"silent_ms": 250})
+    assert (kind, text, fields) == ("suspended", "supervisor was suspended for 0.3 s by a signal", {"silent_ms": 260})
     assert scene.supervisor.processes.starved_record() == NOT_STARVED
     assert scene.supervisor.epochs.number == 1
+
+
+def test_a_supervisor_that_was_held_up_waits_for_no_signal(scene: Scene) -> None:
+    """It looks whether one has come."""
+    waited_s: list[float] = []
+    scene.system["signal"].sigtimedwait = lambda wanted, timeout_s: waited_s.append(timeout_s)
+    scene.pass_time(EXCUSE_NS)
+    assert waited_s == [0]
 
 
 def test_a_signal_without_a_gap_explains_no_hang(scene: Scene) -> None:
@@ -286,8 +300,9 @@ def test_a_reset_starts_one_anew_that_is_down(scene: Scene, name: str) -> None:
 def test_a_gate_that_is_down_is_tried_again_since_it_hears_the_resets(scene: Scene) -> None:
     die_too_often(scene, layout.GATE)
     down_ns = scene.now_ns
-    text = scene.events()[-1]["text"]
-    assert text.endswith("; it is restarted in 60 s, since nobody else could hear a reset")
+    text = "gate died too often and is down, the wheels stopped"
+    again = "it is restarted in 60 s, since nobody else could hear a reset"
+    assert scene.events()[-1]["text"] == f"{text}; {again}"
     while scene.state(layout.GATE) == "down" and scene.now_ns < down_ns + 2 * GATE_AGAIN_NS:
         scene.pass_time(200 * MS)
     assert scene.state(layout.GATE) == "starting"

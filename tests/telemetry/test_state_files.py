@@ -1,4 +1,4 @@
-"""Files under the state directory: where they are, whole or not at all, and never a crash."""
+"""Files under the state directory: whole or not at all, and never a crash."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from typing import Any
 
 import pytest
 
-from failstop.files import root
-from failstop.files.root import state_directory
 from failstop.messages import layout
 from failstop.procs.telemetry.state_files import MOST_JOBS, StateFiles, append_line, write_whole
 from tests.support.stage import Stage
@@ -59,26 +57,6 @@ def refused(wanted: str, error: Exception) -> Callable[..., None]:
             raise error
 
     return refuse
-
-
-@pytest.fixture
-def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder in place of /var/lib/failstop."""
-    monkeypatch.setenv(root.VARIABLE, str(tmp_path))
-    (tmp_path / "var" / "lib").mkdir(parents=True)
-    return tmp_path / "var" / "lib" / "failstop"
-
-
-def test_the_state_directory_is_the_first_that_is_given(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOME", "/home/x")
-    assert state_directory("robot", {}) == "/home/x/.local/state/failstop/robot"
-    assert state_directory("robot", {"XDG_STATE_HOME": "/elsewhere"}) == "/elsewhere/failstop/robot"
-    base.mkdir()
-    for _ in range(2):
-        assert state_directory("robot", {"XDG_STATE_HOME": "/home/x"}) == str(base / "robot")
-        (base / "robot").mkdir(exist_ok=True)
-    assert state_directory("robot", {"STATE_DIRECTORY": "/given:/other"}) == "/given"
-    assert state_directory("robot", {"STATE_DIRECTORY": "/given"}, "/chosen") == "/chosen"
 
 
 def test_a_new_file_starts_with_the_header_and_a_torn_line_spoils_no_other(tmp_path: Path) -> None:

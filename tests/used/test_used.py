@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 NAMESPACES = ("unshare", "--mount", "--pid", "--fork", "--kill-child=KILL", "--mount-proc")
 PART = (
     "tests/incidents/test_find.py",
+    "tests/shm/test_root.py",
     "tests/telemetry/test_state_files.py",
     "tests/doctor/test_gathering.py::test_all_of_it_is_looked_at_without_a_port",
     "tests/screen/test_follow.py::test_there_must_be_one_at_first",

@@ -153,8 +153,10 @@ class Signals(Module):
         process = self._calls.process("sigaction", number)
         if self._machine.current is not process.threads[0]:
             raise ValueError("signal only works in main thread")
+        if handler is None:
+            raise TypeError("signal handler must be signal.SIG_IGN, signal.SIG_DFL, or a callable object")
         before = process.handlers.get(number, signal.SIG_DFL)
-        if handler in (signal.SIG_DFL, None):
+        if handler == signal.SIG_DFL:
             process.handlers.pop(number, None)
         else:
             process.handlers[number] = handler
