@@ -209,6 +209,7 @@ SHM: tuple[Reason, ...] = (
 )
 
 SUPERVISOR = (
+    Reason("supervisor/main.py", r"\n\+.*missing\(stopping=True\)\)$", "no process runs yet: those are named instead"),
     Reason("supervisor/main.py", r"\n\+.*self\._burst\(\) > 1$", "it is 0 or a time"),
     Reason("supervisor/main.py", r"\n\+.*\(heard_ns > 1 or", "it is 0 or as long as an answer takes"),
     Reason("supervisor/main.py", r"\n\+.*wait\(monotonic_ns\(\) - HURRY_NS\)", "it looks without a rest", same=False),
@@ -228,7 +229,9 @@ SUPERVISOR = (
     Reason("supervisor/blackbox.py", r'\n\+ +told = ""$', "neither is a dict, which alone is looked into"),
     Reason("supervisor/monitor.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
     Reason(
-        "supervisor/monitor.py", r"_seen_pong = 1$|\.heard = \((0, 1|1, 0)\)$", "nothing is asked or written so early"
+        "supervisor/monitor.py",
+        r"_seen_pong = (self\._seen_obeyed = )?1$|\.heard = \((0, 1|1, 0)\)$",
+        "nothing is asked or written so early",
     ),
     Reason(
         "supervisor/blackbox.py",
@@ -250,6 +253,7 @@ SUPERVISOR = (
     Reason("supervisor/events.py", r'get\("reason", (None)?\)', "no request begins with None"),
     Reason("messages/packing.py", r"len\(data\) < room", "an event that fills its cell to the byte", same=False),
     Reason("supervisor/process_table.py", r'futex\("held", write=True\)', "the supervisor's block is the first"),
+    Reason("supervisor/children.py", r"\n\+\s+self\.block = 1$", "a start sets it, and without one it is not read"),
     Reason("supervisor/children.py", r"silent_ns: int = 1,", "a nanosecond, of what is told in ms", same=False),
     Reason(
         "supervisor/status.py",
@@ -266,7 +270,7 @@ SUPERVISOR = (
     Reason("supervisor/proof.py", r"_deaf_ns / 2", "a number is compared with the half, whole or not"),
     Reason(
         "supervisor/run.py",
-        r"segment\.attach\(self\.memory, (layout\.SUPERVISOR|each), (None)?(, )?(write=True)?\)",
+        r"\n\+.*segments\.attach\(self\.memory, (layout\.SUPERVISOR|each), (None)?(, )?(write=True)?\)",
         "the names are of the run: under them there is no other one's",
     ),
     Reason("supervisor/main.py", r"\n\+.*(gap|silent)_ns / MS\)", "a cause makes a whole number of its ms"),
@@ -276,6 +280,7 @@ SUPERVISOR = (
         r"self\.(_(looked|beat|absent|answered|next|gate|shared|tried|sampled|missing)|started|excused)_ns = 1$",
         "the first nanosecond of the machine, which nobody looks at",
     ),
+    Reason("supervisor/events.py", r"\n\+.*if step else 0\), (None)?\)$", "nobody reads the time of an event's cell"),
     Reason("supervisor/events.py", r"_minute_ns = 1$", "the machine's first minute, by a nanosecond"),
     Reason("supervisor/status.py", r"self\._told_ns = 1$", "the machine's first 0.1 s, by a nanosecond"),
     Reason("supervisor/port_handover.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
@@ -287,8 +292,13 @@ SUPERVISOR = (
     Reason("supervisor/port_handover.py", r"^-    self\._spare = -1\n\+    self\._spare = \+1$", "_reserve() sets it"),
     Reason(
         "supervisor/process_table.py",
-        r'segment\.attach\(run\.memory, "lifelines", (None, )?write=True\)',
+        r'\n\+.*segments\.attach\(run\.memory, "lifelines", (None, )?write=True\)',
         "the name is of the run: under it there is no other one's",
+    ),
+    Reason(
+        "supervisor/process_table.py",
+        r"\n\+.*(_starved =|else) \(1, \"\"\)$",
+        "each silence that is told of is longer than 1 ms, and nobody's is not shown",
     ),
     Reason("supervisor/process_table.py", r"_told_ns = 1$", "the machine's first ten seconds", same=False),
     Reason(

@@ -350,6 +350,7 @@ def test_joints_on_their_way_are_looked_at_where_the_board_can_tell() -> None:
     assert all(after - before >= LOOKS_APART_NS for (before, _), (after, _) in pairwise(looks))
     assert len(looks) >= 6
     assert sum(frame == b"" for _, frame in frames) <= 1, "it wakes for a move or a look"
+    assert core.step(now - 1) == (b"", False), "news may wake it when nothing is due"
     assert (first.measured, first.measured_ns, first.known) == (2050, frames[-1][0], True)
     assert first.position != 2050, "one reading moves no joint that is on its way"
 

@@ -59,11 +59,11 @@ def test_a_flood_is_told_of_a_few_times_a_second_and_after_a_rest_everything_aga
 
 @pytest.mark.parametrize("size", [0, 10, 300, 5_000])
 def test_a_note_fits_its_slot_and_comes_back(size: int) -> None:
-    note = Note("refused", "\u2713" * size, {"who": "\udcff" * size, "pid": 7}, level="warning")
+    note = Note("refused", "\u2713" * size, {"who": "\udcff" * size, "pid": 7}, level="warning", step="wait")
     data = note.pack()
     assert len(data) <= NOTE_BYTES
     found = Note.unpack(data)
-    assert (found.kind, found.level) == ("refused", "warning")
+    assert (found.kind, found.level, found.step) == ("refused", "warning", "wait")
     assert ("\u2713" * size).startswith(found.text)
     assert found.fields == {"who": "?" * (size if size < 64 else 64), "pid": 7}
 

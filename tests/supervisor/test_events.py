@@ -14,6 +14,7 @@ from pathlib import Path
 import msgpack
 import pytest
 
+from failstop.api.events import unpack
 from failstop.notify import Outbox
 from failstop.supervisor import kinds
 from failstop.supervisor.events import (
@@ -231,9 +232,20 @@ def test_every_event_fits_into_its_cell(size: int) -> None:
 
 
 def test_fields_that_do_not_fit_however_short_are_left_out() -> None:
-    data = ring_entry(1, 1.0, "note", "info", "text", {f"field_{i}": "x" * 30 for i in range(100)})
+    data = ring_entry(1, 1.0, "note", "info", "a text for people", {f"field_{i}": "x" * 30 for i in range(100)})
     assert len(data) <= EVENT_BYTES
-    assert msgpack.unpackb(data)["fields"] == {}
+    found = unpack(1, data)
+    assert found
+    assert (found.text, found.next, found.fields) == ("a text for people", "", {})
+
+
+@pytest.mark.parametrize("step", ["", "restart it; next: look again"])
+def test_programs_find_the_step_apart_from_the_text(scene: Scene, step: str) -> None:
+    scene.run.events.tell("note", "the port; next: the board", step=step)
+    scene.run.events.flush()
+    found = unpack(1, msgpack.packb(scene.events()[0]))
+    assert found
+    assert (found.what, found.next) == ("the port; next: the board", step)
 
 
 def test_the_journal_s_entry_has_a_level_and_an_id_for_every_kind() -> None:

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from failstop.board.rrc.board import BOARD
-from failstop.messages import layout, records
+from failstop.messages import layout, records, segments
+from failstop.policy.settings import Settings
 from failstop.procs.loop import NEVER, READ
-from failstop.shm.futex import BLOCKS
+from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.supervisor.children import TERMINATED
-from failstop.supervisor.process_table import TRY_AGAIN_NS
+from failstop.supervisor.port_handover import OwnPort
+from failstop.supervisor.process_table import TRY_AGAIN_NS, ProcessTable
+from failstop.supervisor.run import Run
 from tests.support.stage import Early
 from tests.support.supervisor_scene import Scene
+from tests.support.waiting import until
 
 
 @pytest.fixture
@@ -193,3 +199,24 @@ def test_every_restart_is_counted(scene: Scene, processes: Any, gate: Any) -> No
         assert gate.times_restarted == times
         assert gate.restart.ns == NEVER
         gate.kill(20.0)
+
+
+def test_the_kernel_tells_each_watcher_of_the_end_of_the_supervisor(tmp_path: Path) -> None:
+    """The thread that makes the table stands for the supervisor."""
+    run, stack_bytes = Run(Settings(), f"t{os.getpid()}", str(tmp_path)), threading.stack_size()
+    made: list[ProcessTable] = []
+    supervisor = threading.Thread(target=lambda: made.append(ProcessTable(run, OwnPort(-1, BOARD), "")))
+    supervisor.start()
+    supervisor.join()
+    threading.stack_size(stack_bytes)
+    lifelines, first = segments.attach(run.memory, "lifelines"), layout.SUPERVISOR_BLOCK * PER_BLOCK
+    lines = [lifelines.futex("held", first + watcher) for watcher in range(PER_BLOCK)]
+    run.remove()
+    assert made, "it could hold them"
+    until(lambda: all(line.told() for line in lines), "the news")
+    for line in lines:
+        line.close()
+    lifelines.close()
+    for fd in {fd for name in layout.PROCESS_NAMES for fd in run.descriptors(name, -1).values() if fd >= 0}:
+        os.close(fd)
+    os.close(made[0].early.bell.fd)

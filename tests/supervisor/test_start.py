@@ -176,7 +176,7 @@ def test_a_service_speaks_to_the_journal_where_that_has_its_stderr(robot: Robot,
 def test_it_is_known_how_a_service_was_started(robot: Robot) -> None:
     begun(robot)
     last = robot.loader.load("failstop.files.instance").last("failstop")
-    assert (last.device, last.command) == (DEVICE, f"failstop run {' '.join(RUN[:-2])}")
+    assert (last.device, last.board, last.command) == (DEVICE, "rrc", f"failstop run {' '.join(RUN[:-2])}")
 
 
 def test_a_service_that_can_t_begin_tells_the_journal_why(robot: Robot) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import atexit
 import contextlib
 import os
+import signal
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -31,9 +33,11 @@ def is_inheritable(fd: int) -> bool:
 
 @pytest.fixture
 def child(pipe: tuple[int, int]) -> Iterator[int]:
-    """A started process, with something that waits in the place of the real program."""
+    """A process started as by the supervisor, which blocks SIGCONT; its program only waits."""
     environ = {**starter.environment(Settings()), "OUT": str(pipe[1])}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCONT])
     pid = starter.spawn([sys.executable, "-I", "-S", "-c", SHOW], environ, [pipe[1]])
+    signal.pthread_sigmask(signal.SIG_SETMASK, before)
     yield pid
     os.kill(pid, 9)
     os.waitpid(pid, 0)
@@ -44,6 +48,10 @@ def test_each_process_has_a_session_of_its_own(child: int) -> None:
     at once, with nobody left to stop the wheels."""
     assert os.getsid(child) == child
     assert os.getpgid(child) == child
+
+
+def test_a_process_begins_with_no_signal_blocked(child: int) -> None:
+    assert "\nSigBlk:\t0000000000000000\n" in Path(f"/proc/{child}/status").read_text()
 
 
 def test_the_descriptors_it_is_given_are_its_own_and_no_other(child: int, pipe: tuple[int, int]) -> None:
