@@ -10,7 +10,7 @@ import pytest
 from failstop.lab.machine.kernel import STEP_NS
 from failstop.lab.machine.process import Thread
 from failstop.lab.simulate.equal import ASKS, IS_HELD, IS_STARVED, SLEEPS, Equal
-from failstop.lab.simulate.faults import UNSEEN, faults
+from failstop.lab.simulate.faults import INTERNAL, faults
 from failstop.lab.simulate.scenarios import DRIVEN, SCENARIOS
 from failstop.lab.simulate.stage import Continuation, Stage
 
@@ -73,14 +73,14 @@ def test_a_process_that_is_starved_is_one_that_is_held_where_nobody_asks_why() -
 
 @pytest.mark.parametrize("fault", ["dies", IS_HELD])
 def test_a_fault_at_a_call_that_nobody_sees_is_that_at_the_next_one(fault: str) -> None:
-    """But for that call and its time."""
+    """The two differ by that call and its time."""
     calls, stage = [], Stage(SCENARIOS[SCENARIO])
     stage.machine.at_seam = lambda thread, call, about: calls.append((thread.number, call, stage.explored))
     stage.run()
     told = [
         (at, at + 1)
         for at, (each, then) in enumerate(pairwise(calls), 1)
-        if each[0] == then[0] and each[1] in UNSEEN and then[1] not in UNSEEN and each[2]
+        if each[0] == then[0] and each[1] in INTERNAL and then[1] not in INTERNAL and each[2]
     ]
     assert len(told) > SAMPLES
     for first, second in told[:: len(told) // SAMPLES]:

@@ -186,7 +186,7 @@ def test_a_stop_in_an_epoch_not_seen_yet_refuses_it_and_the_next_is_answered(sce
     assert scene.forward(epoch=3) == BURST, "it is looked at again just before the write"
 
 
-def test_it_says_that_it_moves_from_before_the_write_until_its_stop_has_been_repeated(scene: Scene) -> None:
+def test_it_says_that_it_moves_until_its_stop_has_been_repeated(scene: Scene) -> None:
     """That the epoch is looked at in between is in test_pairs.py."""
     repeats_ms = [at_ns // MS for at_ns in scene.board.repeats_ns[PORT_OWNER_ROW]]
     scene.turn()

@@ -3,7 +3,7 @@ happen there; the fork goes on with the fault and is judged.
 
 A fork of this process is a copy of the whole simulated machine, so a run costs only what comes after its fault. Clock
 readings are no places for a fault: what happens at one is seen by nobody before the next call. Calls that only their
-own process can see (faults.UNSEEN) are places for their own refusals alone, but where every call is tried.
+own process can see (faults.INTERNAL) are places for their own refusals alone, but where every call is tried.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.process import Thread
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.equal import IS_HELD, Equal
-from failstop.lab.simulate.faults import BESIDE, REFUSALS, UNSEEN, faults, line_of
+from failstop.lab.simulate.faults import BESIDE, INTERNAL, REFUSALS, faults, line_of
 from failstop.lab.simulate.for_seeds import play_of
 from failstop.lab.simulate.places import BEFORE, Places
 from failstop.lab.simulate.scenarios import DRIVEN
@@ -231,7 +231,7 @@ class Explorer:
                 return
             if plan.fault not in ("", fault) or (plan.own and BESIDE in fault):
                 continue
-            if plan.most and call in UNSEEN and fault not in REFUSALS:
+            if plan.most and call in INTERNAL and fault not in REFUSALS:
                 continue
             if self._equal.tried(fault, thread):
                 self.result.equal += 1
