@@ -315,6 +315,7 @@ ARM = (
     Reason("procs/gate/arm/goals.py", r"\+.*(>=|<) .*(1\.000001|1e-6)", "a bound that is rounded, at exact equality"),
     Reason("policy/joints.py", r"\+.* / self\.sign / self\.per_rad", "a sign is 1 or -1"),
     Reason("policy/joints.py", r"\+.*(1e-6 < angle|angle < high \+)", "a bound that is rounded, at exact equality"),
+    Reason("policy/joints.py", r"\n\+\s+self\.stepped_ns = 1$", "a stream that begins sets it"),
     Reason("procs/gate/arm/shell.py", r"\n\+\s+self\.told_ns = 1$", "one nanosecond after the boot is as long ago"),
     Reason(
         "procs/gate/arm/*.py",
@@ -329,6 +330,18 @@ ARM = (
     ),
     Reason("procs/gate/arm/shell.py", r"\+.*_box\.put\(.*, (None)?\)$", "it was put in this turn", same=False),
     Reason("procs/gate/arm/core.py", r"\+.*look\(now_ns\) if .*True", "the other boards have no frame for a look"),
+    Reason(
+        "procs/gate/arm/core.py",
+        r"\n\+.*now_ns > trajectory\.since_ns \+ QUIET_NS",
+        "two times in ns at exact equality",
+    ),
+    Reason(
+        "procs/gate/arm/core.py",
+        r"\n\+.*joint\.measured or 1,",
+        "no reading of 0 counts, and a pulse more is not seen",
+        same=False,
+    ),
+    Reason("procs/gate/arm/stream.py", r"\n\+.*\* 1001\)", "longer by a thousandth, and rounded", same=False),
     Reason("procs/gate/arm/stream.py", r"\n\+.*again_ns >= now_ns", "two times in ns at exact equality"),
     Reason("procs/gate/arm/reader.py", r"_distrust = None$", "both are false"),
     Reason("procs/gate/arm/reader.py", r"\n\+\s+self\._turn = 1$", "any joint may be the first", same=False),

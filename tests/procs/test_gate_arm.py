@@ -333,6 +333,14 @@ def test_tuck_that_can_not_begin_is_not_tried_again(arm_with: Make) -> None:
     assert news() == []
 
 
+def test_an_arm_of_which_one_joint_has_a_tuck_pose_at_0_tucks_itself(arm_with: Make) -> None:
+    others = {f"joints__{name}__tuck": -1 for name in JOINTS}
+    scene = arm_with(arm__auto_tuck_s=5.0, **{**others, "joints__base__tuck": 0})
+    scene.execute({1: 0.5})
+    scene.finish()
+    assert scene.state()["auto_tuck_s"] == 5
+
+
 def test_an_arm_without_a_tuck_pose_is_not_said_to_tuck_itself(arm_with: Make) -> None:
     without = {f"joints__{name}__tuck": -1 for name in JOINTS}
     scene = arm_with(arm__auto_tuck_s=5.0, arm__tuck_notice_s=2.0, **without)

@@ -7,6 +7,7 @@ from itertools import pairwise
 import pytest
 
 from failstop.board import servos
+from failstop.board.interface import Board
 from failstop.board.kinds import board_of
 from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, POSITION
 from failstop.policy.joints import MOST_MISSES, PULSES_PER_RAD
@@ -14,7 +15,7 @@ from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import ENDED, FIND_NS, LOST_NS, SERVICE, TORQUE_APART_NS, ArmCore
 from failstop.procs.gate.arm.goals import Goal
-from failstop.procs.gate.arm.reader import APART_NS, LOOKS_APART_NS, QUIET_NS
+from failstop.procs.gate.arm.reader import AGREE, APART_NS, LOOKS_APART_NS, QUIET_NS
 from failstop.procs.gate.arm.stream import MOVES_APART_NS
 from tests.support.arm_settings import ARM, SERVOS
 
@@ -43,6 +44,7 @@ def test_release_switches_one_torque_after_the_other_off_until_the_arm_is_used_a
         (begun_ns + number * TORQUE_APART_NS, bytes((servos.TORQUE_OFF, servo)))
         for number, servo in enumerate(SERVOS, 1)
     ]
+    assert bench.holds == [], "its caller has written the stop"
     bench.now += SERVO_ANSWER_NS
     bench.goal()
     assert (bench.core.active_ns, bench.core.released) == (bench.now, False)
@@ -58,6 +60,8 @@ def test_torques_are_switched_on_one_after_the_other_before_the_first_move(bench
     asked_ns = bench.now
     bench.execute((0.0, 600.0), joints=6)
     bench.look()
+    bench.until(lambda: bench.times(servos.TORQUE_ON))
+    assert bench.core.due_ns == bench.now + TORQUE_APART_NS, "it sleeps until the next may be sent"
     bench.until(lambda: len(bench.times(servos.SERVO_MOVE)) > 3)
     on = bench.times(servos.TORQUE_ON)
     assert on == [on[0] + number * TORQUE_APART_NS for number in range(6)]
@@ -229,6 +233,9 @@ def test_journey_that_pauses_at_its_end_is_not_over_before_its_time(bench: ArmBe
     bench.until(lambda: trajectory.phase != goals.ON_ITS_WAY)
     assert 3000 * MS <= bench.now - began_ns <= 3000 * MS + 2 * PERIOD_NS
     assert trajectory.phase == goals.SETTLING
+    settling_ns = bench.now
+    bench.until(lambda: trajectory.phase != goals.SETTLING)
+    assert (trajectory.phase, bench.now - settling_ns >= QUIET_NS) == (goals.CHECKING, True)
     assert bench.until(lambda: trajectory.done) < 0.2
 
 
@@ -329,12 +336,19 @@ def test_way_to_a_pose_takes_its_joints_there_at_the_share_of_their_speed() -> N
     assert ArmBench(**nowhere).core.pose(goals.TUCK, SERVICE, "me") is None
 
 
-def test_joints_on_their_way_are_looked_at_where_the_board_can_tell() -> None:
+def feetech(arm: dict[str, object], **changed: object) -> tuple[ArmCore, Board]:
+    """An arm whose servos tell where they are while they move, and go on to their last goal."""
     board = board_of("feetech", 0.1, 0.0)
-    core = ArmCore(Settings({**ARM, "board.kind": "feetech"}), board, T0)
+    values = {key.replace("__", "."): value for key, value in changed.items()}
+    core = ArmCore(Settings({**arm, **values, "board.kind": "feetech"}), board, T0)
     for joint in core.joints:
         joint.known = joint.loaded = True
         joint.position = 2048.0
+    return core, board
+
+
+def test_joints_on_their_way_are_looked_at_where_the_board_can_tell() -> None:
+    core, board = feetech(ARM)
     first = core.joints[0]
     core.take(Goal(goals.FOLLOW, ME, "client 11", T0, {first: first.rad(2100.0)}), "", T0)
     frames = []
@@ -355,27 +369,57 @@ def test_joints_on_their_way_are_looked_at_where_the_board_can_tell() -> None:
     assert first.position != 2050, "one reading moves no joint that is on its way"
 
 
-def test_joints_that_lag_behind_goals_of_several_streams_are_sent_to_where_they_are() -> None:
-    board = board_of("feetech", 0.1, 0.0)
-    core = ArmCore(Settings({**ARM, "board.kind": "feetech", "arm.collision": "off"}), board, T0)
-    for joint in core.joints:
-        joint.known = joint.loaded = True
-        joint.position = 2048.0
+def test_the_only_joint_of_an_arm_is_looked_at_on_its_way() -> None:
+    core, board = feetech({"joints.base.servo": 4})
+    core.take(Goal(goals.JOG, ME, "client 11", T0, {core.joints[0]: 0.1}), "", T0)
+    frames, now = [], T0
+    while now < T0 + 60 * MS:
+        frames.append(core.step(now)[0])
+        now = core.due_ns
+    assert frames.count(board.servo_look([4])) == 4
+
+
+TURNS = 400
+"""Enough for an idle reader to ask each joint several times."""
+
+
+def moves_after(core: ArmCore, board: Board, position: int, now: int) -> list[bytes]:
+    """The moves that are sent from now on, while each servo says that it is at one position."""
+    questions = {board.servo_read(servo, what): (servo, what) for servo in SERVOS for what in servos.READS}
+    found = []
+    for _ in range(TURNS):
+        frame, _ = core.step(now)
+        if question := questions.get(frame):
+            core.answer(*question, position, now + SERVO_ANSWER_NS)
+        elif frame:
+            found.append(frame)
+        now = max(core.due_ns, now + SERVO_ANSWER_NS)
+    return found
+
+
+def test_joints_that_lag_behind_the_goals_of_streams_are_sent_once_where_they_are() -> None:
+    core, board = feetech(ARM, arm__collision="off")
     now = T0
-    for joint in core.joints[:2]:
+    for joint in core.joints[:3]:
         core.take(Goal(goals.FOLLOW, ME, "client 11", now, {joint: joint.rad(2100.0)}), "", now)
         until_ns = now + 100 * MS
         while now < until_ns:
             core.step(now)
             now = core.due_ns
         core.drop("dropped")
-    questions = {board.servo_read(servo, POSITION): servo for servo in SERVOS}
-    both = board.servo_move([(servo, 2000) for servo in SERVOS[:2]], LONGEST_MOVE_MS)
-    for _ in range(200):
-        frame, _ = core.step(now)
-        if servo := questions.get(frame):
-            core.answer(servo, POSITION, 2000, now + SERVO_ANSWER_NS)
-        if frame == both:
-            break
-        now = max(core.due_ns, now + SERVO_ANSWER_NS)
-    assert frame == both
+    assert moves_after(core, board, 2000, now) == [
+        board.servo_move([(servo, 2000) for servo in group], LONGEST_MOVE_MS) for group in (SERVOS[:2], SERVOS[2:3])
+    ]
+
+
+@pytest.mark.parametrize(("off", "lags"), [(0, False), (AGREE, False), (-AGREE, False), (AGREE + 1, True)])
+def test_joint_that_stands_at_its_last_goal_is_sent_nothing_more(off: int, lags: bool) -> None:
+    core, board = feetech(ARM, arm__collision="off")
+    joint = core.joints[0]
+    core.take(Goal(goals.JOG, ME, "client 11", T0, {joint: 0.0}), "", T0)
+    core.step(T0)
+    core.drop("dropped")
+    there = round(joint.position) + off
+    assert moves_after(core, board, there, core.due_ns) == (
+        [board.servo_move([(joint.servo, there)], LONGEST_MOVE_MS)] if lags else []
+    )

@@ -22,10 +22,10 @@ ANSWERED_NS = 2_000_000
 
 
 class Bench:
-    """A reader of two joints, whose questions come exactly when they are due."""
+    """A reader of two joints, or as many as there are servos, whose questions come exactly when they are due."""
 
-    def __init__(self) -> None:
-        self.joints = from_settings(Settings({"joints.a.servo": 4, "joints.b.servo": 9}))
+    def __init__(self, servos: tuple[int, ...] = (4, 9)) -> None:
+        self.joints = from_settings(Settings({f"joints.{'abc'[at]}.servo": servo for at, servo in enumerate(servos)}))
         self.reader = ServoReader(self.joints, T0)
         self.now = T0
 
@@ -49,16 +49,19 @@ def bench() -> Bench:
     return Bench()
 
 
-def test_wanted_joints_are_asked_in_turn_at_first_twice_as_fast_as_the_bus_allows(bench: Bench) -> None:
+@pytest.mark.parametrize("servos", [(4, 9), (4, 9, 2)])
+def test_wanted_joints_are_asked_in_turn_at_first_twice_as_fast_as_the_bus_allows(servos: tuple[int, ...]) -> None:
+    bench, count = Bench(servos), len(servos)
     questions, times = [], []
-    for _ in range(8):
+    for _ in range(4 * count):
         questions.append(bench.ask(*bench.joints))
         times.append(bench.now)
         bench.say(questions[-1], 500)
     assert times[0] == T0 + QUIET_NS, "the first waits until every servo stands"
     assert {what for _, what in questions} == {POSITION}
-    assert [len(list(asked)) for _, asked in groupby(questions)] == [2, 2, 1, 1, 1, 1]
-    assert [after - before for before, after in pairwise(times)] == [APART_NS] * 7
+    assert [len(list(asked)) for _, asked in groupby(questions)] == [2] * count + [1] * 2 * count
+    assert {len(set(questions[at : at + count])) for at in range(2 * count, 4 * count, count)} == {count}
+    assert {after - before for before, after in pairwise(times)} == {APART_NS}
     assert bench.reader.free_ns() == times[-1] + APART_NS
     bench.reader.moved(bench.now + 7 * IDLE_NS)
     assert bench.reader.due_ns() == bench.now + 7 * IDLE_NS + QUIET_NS, "and again after a move"
@@ -146,9 +149,11 @@ def test_an_answer_behind_one_of_no_servo_or_of_0_counts_for_nothing(bench: Benc
     assert bench.say(bench.ask(joint), 500) is joint
 
 
-def test_servo_that_gives_no_answer_is_silent_until_something_answers(bench: Bench) -> None:
+@pytest.mark.parametrize("before", [500, None], ids=["after an answer", "from the beginning"])
+def test_servo_that_gives_no_answer_is_silent_until_something_answers(bench: Bench, before: int | None) -> None:
     joint = bench.joints[0]
-    bench.say(bench.ask(joint), 500)
+    if before:
+        bench.say(bench.ask(joint), before)
     bench.ask(joint)
     for number in range(1, MOST_MISSES + 3):
         begun_ns = bench.now
@@ -158,17 +163,18 @@ def test_servo_that_gives_no_answer_is_silent_until_something_answers(bench: Ben
         assert joint.misses == min(number, MOST_MISSES)
     assert joint.silent
     assert bench.say(question, 300) is None
-    assert not joint.silent
+    assert (joint.silent, joint.misses) == (False, 0)
     assert joint.unpaired is None, "it may be the value of another question"
 
 
-def test_torque_is_the_only_answer_that_may_be_0_and_says_nothing_of_the_cable(bench: Bench) -> None:
+@pytest.mark.parametrize("on", [False, True])
+def test_torque_is_the_only_answer_that_may_be_0_and_says_nothing_of_the_cable(bench: Bench, on: bool) -> None:
     joint = bench.joints[0]
     while (question := bench.ask())[1] != TORQUE or question[0] is not joint:
         bench.say(question, 500)
     joint.misses = 2
-    assert bench.say(question, 0) is None
-    assert joint.loaded is False
+    assert bench.say(question, int(on)) is None
+    assert joint.loaded is on
     assert joint.misses == 2
     assert bench.say(bench.ask(joint), 500) is joint, "and nothing after it is distrusted"
     assert joint.misses == 0

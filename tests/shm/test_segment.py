@@ -175,6 +175,16 @@ def test_records_are_reached_as_what_they_are(name: str) -> None:
     made.close()
 
 
+def test_a_reader_of_a_ring_begins_with_the_next_entry_or_with_the_oldest(name: str) -> None:
+    writer = segments.create(name, "gate", RUN).ring_writer("frames")
+    writer.put(b"before", 1)
+    seen = segments.attach(name, "gate", RUN)
+    late, oldest = seen.ring_reader("frames"), seen.ring_reader("frames", from_oldest=True)
+    writer.put(b"after", 2)
+    assert list(iter(late.next, None)) == [(2, 2, b"after")]
+    assert list(iter(oldest.next, None)) == [(1, 1, b"before"), (2, 2, b"after")]
+
+
 def test_create_takes_nothing_that_is_there(on: SimpleNamespace) -> None:
     """A run's names are its own: what has one was made by somebody else."""
     for there in ("file", "link"):

@@ -90,6 +90,16 @@ def test_memory_that_was_scribbled_over_is_read_as_what_was_written(kind: str) -
         assert list(read(late)) == [(seq, 5, b"new")]
 
 
+def test_a_slice_of_a_file_is_that_of_its_bytes(fds: list[int]) -> None:
+    fds.append(fd := os.memfd_create("file"))
+    view, data = FileView(fd), bytes(range(200))
+    view[0 : len(data)] = data
+    view[70:80] = b"0123456789"
+    data = data[:70] + b"0123456789" + data[80:]
+    for where in (slice(0, 64), slice(64, 128), slice(70, 80), slice(100, 300)):
+        assert view[where] == data[where]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_file_that_was_cut_is_read_as_far_as_it_goes(kind: str, fds: list[int]) -> None:
     size = AT + KINDS[kind] * SIZE
