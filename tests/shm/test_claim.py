@@ -48,6 +48,12 @@ def holder(path: str, *indexes: int) -> Child:
     return child
 
 
+def test_a_client_makes_no_claim_file(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        claim.open_claims(str(tmp_path / "claims"))
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(("own", "gid", "wanted"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
 def test_the_file_s_mode_and_group_are_exact(on: SimpleNamespace, own: int, gid: int, wanted: int) -> None:
     for mask, mode in itertools.product((0o000, 0o022, 0o077, 0o777), (0o660, 0o644, 0o600)):
