@@ -184,6 +184,7 @@ SHM: tuple[Reason, ...] = (
     Reason("shm/lifeline.py", r"\n\+.*os\.eventfd\(0, \)", "EFD_CLOEXEC is the default"),
     Reason("shm/lifeline.py", r"\n\+.*poll\.register\(self\.fd, \)", "a pidfd has no events but this one"),
     Reason("shm/lifeline.py", r"\n\+.*timeout_s \* 1001", "longer by a thousandth", same=False),
+    Reason("shm/cell.py", r"\n\+.*check\(raw\[.*\(i \+ 2\) \* size\]", "an entry ends before its cell"),
     Reason("shm/cell.py", r"\n\+\s+laps = 1$", "in a chase it goes closer to the newest one step sooner", same=False),
     Reason("shm/cell.py", r"\n\+.*if seq >= self\._next\]", "found now, and not at the next look", same=False),
     Reason("messages/segments.py", r"\n\+.*PROT_WRITE if write else 1\)", "1 is PROT_READ"),

@@ -128,13 +128,13 @@ def test_a_stop_that_could_be_written_only_later_is_proven_from_then_on() -> Non
 
 def test_it_is_told_once_when_all_is_known() -> None:
     last = proof()
-    last.ponged(T0 + MS, T0 + 2 * MS)
+    last.ponged(T0 + MS, T0 + 2_050_001)
     assert not last.complete(T0 + 900 * MS)
     last.judged(0, T0 + 500 * MS, T0 + 500 * MS)
     last.judged(T0 + 300 * MS, T0 + 1_000 * MS, T0 + 1_000 * MS)
     assert last.complete(T0 + 1_000 * MS)
     assert not last.complete(T0 + 1_020 * MS)
-    assert last.outcome("alive") == "gate died: acknowledged by the board after 2.0 ms, wheels still after about 0.3 s"
+    assert last.outcome("alive") == "gate died: acknowledged by the board after 2.1 ms, wheels still after about 0.3 s"
 
 
 def test_it_is_told_at_last_without_answer_and_without_imu() -> None:

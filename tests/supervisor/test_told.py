@@ -81,11 +81,11 @@ HANDED = "stopped; the second stop was handed over, NOT sent: the board takes no
 @pytest.mark.parametrize(
     ("heard_ns", "link", "written", "sent", "level", "text"),
     [
-        (3_140_260, "alive", True, True, "", f"{TWICE}acknowledged by the board after 3.1 ms"),
+        (3_150_001, "alive", True, True, "", f"{TWICE}acknowledged by the board after 3.2 ms"),
         (0, "unproven", True, True, "warning", f"{TWICE}whether the board hears is not known (link unproven)"),
         (0, "deaf", True, True, "critical", TWICE + DEAF),
         (0, "deaf", True, False, "critical", HANDED + DEAF),
-        (3_140_260, "alive", False, False, "critical", f"{ONCE}acknowledged by the board after 3.1 ms"),
+        (3_150_001, "alive", False, False, "critical", f"{ONCE}acknowledged by the board after 3.2 ms"),
         (0, "deaf", False, False, "critical", ONCE + DEAF),
     ],
 )
@@ -93,7 +93,7 @@ def test_the_end_is_told_with_what_is_known_of_the_stop(
     scene: Scene, monitor: Any, heard_ns: int, link: str, written: bool, sent: bool, level: str, text: str
 ) -> None:
     monitor.ended(heard_ns, link, written=written, sent=sent)
-    acknowledged = {"acknowledged_us": 3140.3} if heard_ns else {}
+    acknowledged = {"acknowledged_us": 3150.0} if heard_ns else {}
     assert told(scene) == [("stopped", text, {"link": link, **acknowledged}, level)]
 
 
