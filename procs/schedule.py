@@ -23,18 +23,18 @@ second to start, and until it has heard one nobody knows whether the board does.
 
 
 class Repeats:
-    """Repeats of the last stop; `due`: when the next one is written; `left`: bursts that are still to be written."""
+    """Repeats of the last stop; `due`: when the next one is written."""
 
     def __init__(self, due: Timer, after_ns: tuple[int, ...], now_ns: int, zero_ns: int = ZERO_EVERY_NS) -> None:
         """`after_ns`: how long after a stop it is written again; `zero_ns`: the first zero, when no other has one."""
         self._after_ns = (*after_ns, zero_ns)
-        self.left = 0
+        self._bursts = 0
         self._due = due
         due.set(now_ns)
 
     def restart(self, now_ns: int) -> None:
         """Begin the repeats of a stop that was just written."""
-        self.left = len(self._after_ns) - 1
+        self._bursts = len(self._after_ns) - 1
         self._due.set(*(now_ns + after for after in self._after_ns))
 
     def end(self) -> None:
@@ -49,8 +49,8 @@ class Repeats:
         """REPEAT, REFRESH or 0: what is to be written now. Asking takes it off the schedule."""
         if not self._due.take(now_ns):
             return 0
-        if self.left:
-            self.left -= 1
+        if self._bursts:
+            self._bursts -= 1
             return REPEAT
         self._due.set(now_ns + ZERO_EVERY_NS)
         return REFRESH

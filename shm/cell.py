@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import os
 import struct
-from array import array
 from time import monotonic_ns
 from zlib import crc32
 
@@ -116,8 +115,8 @@ class _Cells:
     def _whole(self) -> list[int]:
         """Sequence numbers of all whole entries, in one copy: not for a hot path. Most rings are nearly empty."""
         raw, size = self._view[self._at : self._at + self._cells * self._size], self._size
-        seqs = enumerate(array("Q", raw[: len(raw) & -8])[1 :: size // 8])
-        return [n for i, n in seqs if n % self._cells == i and check(raw[i * size : (i + 1) * size], self._seed)]
+        seqs = enumerate(struct.iter_unpack(f"<8xQ{size - 16}x", raw[: len(raw) // size * size]))
+        return [n for i, (n,) in seqs if n % self._cells == i and check(raw[i * size : (i + 1) * size], self._seed)]
 
 
 class LatestReader(_Cells):

@@ -111,7 +111,7 @@ SEGMENTS = (
             *_beat(),
             _word("stopped_epoch", "supervisor, stopper"),  # the newest epoch that it has answered with a stop
             _word("written_ns", "everyone"),  # when it last wrote a burst
-            # 1 from before the first motion frame is written until a whole burst is: what it may have told the wheels.
+            # 1 from before motion is written until a whole burst is, or its repeat: what it may have told the wheels.
             _word("moving", "supervisor, stopper"),
             # When the ping of each index was last written; pings take the indices in turn (records.pong).
             *(_word(f"ping_{i}", "supervisor") for i in range(PINGS)),

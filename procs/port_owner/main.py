@@ -143,6 +143,9 @@ class PortOwner:
         if self.wire.lost or self.wire.unsent:
             return 0
         self._written_word.set(written_ns)
+        # A board at which two stops may not touch may lose one: behind motion the repeat says that nothing moves.
+        if not (self.board.after_ns and self._moved_ns):
+            self._moving_word.set(0)
         return written_ns
 
     def _stop_request(self, now_ns: int) -> None:
@@ -372,14 +375,11 @@ class PortOwner:
         self.port.publish(now_ns)
 
     def _repeat(self, now_ns: int) -> None:
-        """Write what is due. Behind the last repeat alone nothing moves: a board may lose a stop or two."""
         self.repeats.wait(self.wire.free_ns)
-        if (due := self.repeats.take(now_ns)) == REPEAT:
-            self.wire.burst()
+        if (due := self.repeats.take(now_ns)) == REPEAT and self.wire.burst():
+            self._moving_word.set(0)
         elif due == REFRESH:
             self.wire.frame(self.board.refresh)
-        if due and not (self.repeats.left or self.wire.lost or self.wire.unsent):
-            self._moving_word.set(0)
 
 
 def run(context: Context) -> int:

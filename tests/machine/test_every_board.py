@@ -45,7 +45,7 @@ def _starves_behind_a_lost_stop(stage: Stage) -> None:
     stage.drive(robot, 0.5)
     model.deaf = True
     robot.disable()
-    stage.time.sleep(0.01)
+    stage.time.sleep(0.001)
     stage.freeze("port_owner", 2_000, starved=True)
     model.deaf = False
     stage.time.sleep(2.5)

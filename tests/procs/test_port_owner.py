@@ -6,13 +6,11 @@ import pytest
 
 from failstop.board import codec
 from failstop.board.burst import BURST
-from failstop.board.interface import PORT_OWNER_ROW
 from failstop.board.rrc.board import BOARD
 from failstop.messages import box, layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs.port_owner import main
-from failstop.procs.schedule import ZERO_EVERY_NS
 from tests.support import frames
 from tests.support.port_scene import MOTION, SLOWER, TICK, Scene
 from tests.support.stage import MS
@@ -186,32 +184,19 @@ def test_a_stop_in_an_epoch_not_seen_yet_refuses_it_and_the_next_is_answered(sce
     assert scene.forward(epoch=3) == BURST, "it is looked at again just before the write"
 
 
-def test_it_says_that_it_moves_until_its_stop_has_been_repeated(scene: Scene) -> None:
+def test_it_says_that_it_moves_from_before_the_write_until_it_has_stopped(scene: Scene) -> None:
     """That the epoch is looked at in between is in test_pairs.py."""
-    repeats_ms = [at_ns // MS for at_ns in scene.board.repeats_ns[PORT_OWNER_ROW]]
     scene.turn()
+    assert scene.word("moving") == 0, "the first burst has been written"
     moving = []
     scene.wire.on_bytes = lambda data: moving.append(scene.word("moving"))
     assert scene.forward() == MOTION
     assert (moving[0], scene.word("moving")) == (1, 1)
-    scene.raise_epoch(2)
-    assert scene.turn() == BURST
-    stands = [ms for ms in range(1, 150) if scene.turn(MS) or scene.word("moving") == 0]
-    assert stands == [repeats_ms[0], *range(repeats_ms[-1], 150)], "a board may lose the first stop"
-
-
-def test_it_says_that_it_moves_while_its_last_repeat_is_not_out_whole(scene: Scene) -> None:
-    scene.drive()
-    scene.raise_epoch(2)
-    scene.turn()
-    scene.turn(99 * MS)
-    scene.wire.port.takes(100)
-    scene.turn(MS)
-    assert scene.word("moving") == 1
-    scene.wire.port.takes()
-    scene.turn(ZERO_EVERY_NS)
-    scene.turn(ZERO_EVERY_NS)
-    assert scene.word("moving") == 0
+    for epoch, room, moves in ((2, 100, 1), (3, None, 0)):
+        scene.wire.port.takes(room)
+        scene.raise_epoch(epoch)
+        scene.turn()
+        assert scene.word("moving") == moves, "until a burst was taken whole"
 
 
 @pytest.mark.parametrize(("call", "held_ms", "wrote"), [("select", 60, BURST), ("ioctl", 100, b"")])

@@ -209,5 +209,4 @@ def test_a_move_does_not_take_back_that_the_wheels_may_turn(scene: Scene) -> Non
     assert scene.word("moving") == 1
     scene.raise_epoch(3)
     assert scene.turn() == WITH_SERVOS
-    settle(scene)
     assert scene.word("moving") == 0

@@ -63,6 +63,27 @@ def test_a_stop_goes_out_at_once_and_again_at_the_port_owner_s_own_times(kind: s
     assert again == list(scene.board.repeats_ns[PORT_OWNER_ROW])
 
 
+@pytest.mark.parametrize("kind", ["hoverboard", "arduino", "ugv"])
+def test_it_says_that_it_moves_until_its_stop_can_not_be_lost(kind: str) -> None:
+    """A hoverboard may lose one stop: behind motion its repeat tells that nothing moves, at a start its first one."""
+    scene = made(kind, before=lambda scene: scene.own.word("moving").set(1))
+    assert scene.word("moving") == 0
+    scene.turn()
+    scene.turn(6000 * MS)
+    writes(scene, 150 * MS)
+    assert motion(scene) in scene.forward(motion(scene))
+    assert scene.word("moving") == 1
+    scene.raise_epoch(2)
+    assert scene.turn(TICK // 2).startswith(scene.board.burst)
+    assert scene.word("moving") == (kind == "hoverboard")
+    scene.wire.port.takes(1)
+    scene.turn(scene.board.repeats_ns[PORT_OWNER_ROW][0])
+    assert scene.word("moving") == (kind == "hoverboard"), "until a burst was taken whole"
+    scene.wire.port.takes()
+    writes(scene, 120 * MS)
+    assert scene.word("moving") == 0
+
+
 def test_motion_waits_until_the_line_has_been_silent_for_long_enough() -> None:
     scene = waiting()
     silent_ns = len(scene.board.burst) * scene.board.port.byte_ns + scene.board.idle_ns

@@ -28,7 +28,7 @@ HARMLESS = {
     *("__future__", "abc", "argparse", "asyncio", "bisect", "collections", "contextlib", "copy", "dataclasses"),
     *("difflib", "enum", "errno", "functools", "itertools", "json", "math", "msgpack", "operator", "re", "shlex"),
     *("stat", "string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "unicodedata", "warnings"),
-    *("array", "zlib"),
+    "zlib",
 }
 """Modules that ask no machine: Python's own, and those of a tool that changes what is loaded."""
 SHARED_MODULES = frozenset(
