@@ -16,7 +16,8 @@ demo: $(VENV)/.installed
 # The slow files come first (tests/conftest.py), not those with many tests: a slow one that begins last is waited for by all.
 JOBS ?= 3
 # Compiled copies are kept, wherever else they are not wanted: without them every process that a test starts compiles anew.
-PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest
+COMPILED := env -u PYTHONDONTWRITEBYTECODE
+PYTEST := $(COMPILED) $(BIN)/pytest
 AGAIN := --numprocesses 0 --last-failed --last-failed-no-failures none
 # The files with such tests: to read all others would take longer than to run these.
 ALONE = $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
@@ -97,7 +98,7 @@ simulate: $(VENV)/.dev
 	$(BIN)/failstop simulate --whole --marks $(if $(BOARD),--board $(BOARD))
 	$(BIN)/failstop simulate --seeds $(SEEDS) --day $(if $(BOARD),--board $(BOARD))
 
-# Every single fault of a process at its own calls, on the simulated machine: five minutes of two processors. PART=3/4: a part of it.
+# Every single fault of a process at its own calls, on the simulated machine: three minutes of two processors. PART=3/4: a part of it.
 PART ?=
 faults: $(VENV)/.dev
 	$(BIN)/failstop simulate --own $(if $(PART),--part $(PART))
@@ -126,7 +127,7 @@ ROOMS ?=
 AT ?=
 mutants: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check 'mutmut>=3.8'
-	$(BIN)/python tests/mutation/run.py $(if $(AT),--at $(AT)) $(ROOMS)
+	$(COMPILED) $(BIN)/python tests/mutation/run.py $(if $(AT),--at $(AT)) $(ROOMS)
 
 # A stock Debian in a virtual machine, the board on USB (docs/dev/usb.md). Needs root, and qemu, which it names. TRIALS: some of them.
 TRIALS ?=

@@ -321,7 +321,8 @@ class PortOwner:
     def _take_held(self) -> DatedFrame | None:
         """The motion that waits for a silent line; from now on nothing waits for that, whatever becomes of it."""
         motion, self._held = self._held, None
-        self._line.set(NEVER)
+        if motion:
+            self._line.set(NEVER)
         return motion
 
     def _write_motion(self, motion: DatedFrame) -> None:

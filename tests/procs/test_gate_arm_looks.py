@@ -21,11 +21,10 @@ from .arm_bench import ME, SERVO_ANSWER_NS
 from .gate_bench import MS, T0
 
 
-def feetech(arm: dict[str, object], **changed: object) -> tuple[ArmCore, Board]:
+def feetech(arm: dict[str, object]) -> tuple[ArmCore, Board]:
     """An arm whose servos tell where they are while they move, and go on to their last goal."""
     board = board_of("feetech", 0.1, 0.0)
-    values = {key.replace("__", "."): value for key, value in changed.items()}
-    core = ArmCore(Settings({**arm, **values, "board.kind": "feetech"}), board, T0)
+    core = ArmCore(Settings({**arm, "board.kind": "feetech"}), board, T0)
     for joint in core.joints:
         joint.known = joint.loaded = True
         joint.position = 2048.0
@@ -83,7 +82,7 @@ def moves_after(core: ArmCore, board: Board, position: int, now: int) -> list[by
 
 
 def test_joints_that_lag_behind_the_goals_of_streams_are_sent_once_where_they_are() -> None:
-    core, board = feetech(ARM, arm__collision="off")
+    core, board = feetech({**ARM, "arm.collision": "off"})
     now = T0
     for joint in core.joints[:3]:
         core.take(Goal(goals.FOLLOW, ME, "client 11", now, {joint: joint.rad(2100.0)}), "", now)
@@ -99,7 +98,7 @@ def test_joints_that_lag_behind_the_goals_of_streams_are_sent_once_where_they_ar
 
 @pytest.mark.parametrize(("off", "lags"), [(0, False), (AGREE, False), (-AGREE, False), (AGREE + 1, True)])
 def test_joint_that_stands_at_its_last_goal_is_sent_nothing_more(off: int, lags: bool) -> None:
-    core, board = feetech(ARM, arm__collision="off")
+    core, board = feetech({**ARM, "arm.collision": "off"})
     joint = core.joints[0]
     core.take(Goal(goals.JOG, ME, "client 11", T0, {joint: 0.0}), "", T0)
     core.step(T0)

@@ -8,7 +8,7 @@ from failstop.messages import layout
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.supervisor.main import CLIENT_SILENT_NS, EXCUSE_NS
 from tests.support.stage import MS
-from tests.support.supervisor_scene import Scene
+from tests.support.supervisor_scene import Scene, others
 
 HEARS = (layout.PORT_OWNER, layout.TELEMETRY)
 
@@ -58,5 +58,5 @@ def test_a_process_that_was_held_up_did_not_listen_unless_something_may_move(
         scene.pass_time()
     else:
         scene.pass_time(EXCUSE_NS)  # all were, and one of them goes on
-        scene.tick(silent_ns - EXCUSE_NS, beating=tuple({*HEARS} - {held_up}))
+        scene.tick(silent_ns - EXCUSE_NS, beating=others(held_up))
     assert (scene.read("link") == b"deaf") is bool(deaf)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 import signal
@@ -94,19 +93,8 @@ def begun(robot: Robot, **environ: str) -> Process:
     """A service that is ready."""
     process = robot.start()
     process.environ |= environ
-    wait(robot)
+    robot.connect().close()
     return process
-
-
-def wait(robot: Robot) -> None:
-    """Wait until the service is ready, but not for ever."""
-    failstop, until_ns = robot.loader.load("failstop"), robot.machine.now_ns + LONG_NS
-    while robot.machine.now_ns < until_ns:
-        with contextlib.suppress(failstop.NoService), failstop.Robot() as client:
-            if client.state.waiting_for is None:
-                return
-        robot.time.sleep(0.01)
-    pytest.fail(f"the service is not ready: {robot.said}")
 
 
 def code_of(robot: Robot, process: Process) -> int | None:
@@ -146,7 +134,7 @@ def test_the_supervisor_keeps_its_streams_and_nothing_else_that_it_inherits(robo
     process, foreign = robot.start(), Open(Null())
     for _ in range(3):
         process.inheritable.add(process.descriptor(foreign, 5))
-    wait(robot)
+    robot.connect().close()
     assert [process.files[fd].node for fd in (0, 1, 2)] == [robot.stderr] * 3
     assert foreign not in process.files.values()
 

@@ -15,7 +15,7 @@ from failstop.supervisor.children import GIVEN_UP, STARTING_NS
 from failstop.supervisor.main import EXCUSE_NS, TICK_NS
 from failstop.supervisor.process_table import GATE_AGAIN_NS
 from tests.support.stage import MS
-from tests.support.supervisor_scene import NOT_STARVED, Scene
+from tests.support.supervisor_scene import NOT_STARVED, Scene, others
 from tests.support.why import why
 
 S = 1_000_000_000
@@ -27,10 +27,6 @@ def whole() -> Scene:
     made = Scene(*PROCESS_BY_NAME)
     made.supervisor.status.ever = True
     return made
-
-
-def others(name: str) -> tuple[str, ...]:
-    return tuple(other for other in PROCESS_BY_NAME if other != name)
 
 
 def epochs(scene: Scene) -> list[int]:

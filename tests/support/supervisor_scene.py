@@ -18,6 +18,7 @@ from failstop.messages import layout, records
 from failstop.messages.packing import pack
 from failstop.policy import causes
 from failstop.policy.causes import unpack_reply
+from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.shm.heartbeat import BEAT_RUNNING
 from failstop.supervisor import main
 from tests.support.stage import MOST_LATE, MS, PortMachine, Wire
@@ -27,6 +28,10 @@ DEVICE = "/dev/ttyACM0"
 RUNTIME_DIR = "/run/failstop/stage"
 NOT_STARVED: dict[str, object] = {"starved": None, "starved_times": 0}
 """The fields of an event on a machine that runs everybody."""
+
+
+def others(name: str) -> tuple[str, ...]:
+    return tuple(other for other in PROCESS_BY_NAME if other != name)
 
 
 class Scene(PortMachine):

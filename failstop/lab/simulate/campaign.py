@@ -23,8 +23,9 @@ from failstop.lab.machine.loading import Patches
 from failstop.lab.machine.process import Thread
 from failstop.lab.machine.robot import MS
 from failstop.lab.simulate.equal import IS_HELD, Equal
-from failstop.lab.simulate.faults import BESIDE, INTERNAL, REFUSALS, faults, line_of
+from failstop.lab.simulate.faults import INTERNAL, faults, line_of
 from failstop.lab.simulate.for_seeds import play_of
+from failstop.lab.simulate.kinds import GROUP_OF
 from failstop.lab.simulate.places import BEFORE, Places
 from failstop.lab.simulate.scenarios import DRIVEN
 from failstop.lab.simulate.stage import Continuation, Stage
@@ -229,9 +230,10 @@ class Explorer:
         for fault, inject in faults(self.stage, thread, call, about):
             if self.stage.machine.at_seam is None:
                 return
-            if plan.fault not in ("", fault) or (plan.own and BESIDE in fault):
+            group = GROUP_OF[fault]
+            if plan.fault not in ("", fault) or (plan.own and group == "beside"):
                 continue
-            if plan.most and call in INTERNAL and fault not in REFUSALS:
+            if plan.most and call in INTERNAL and group != "refused":
                 continue
             if self._equal.tried(fault, thread):
                 self.result.equal += 1

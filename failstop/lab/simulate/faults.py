@@ -37,8 +37,6 @@ SHORT_OF: dict[str, int] = {
 """Errors of a machine that is short of something."""
 PORT_REFUSES = (errno.EAGAIN, errno.EIO)
 DISK_REFUSES = (errno.ENOSPC, errno.EIO)
-REFUSALS = frozenset(errno.errorcode[number] for number in (*SHORT_OF.values(), *PORT_REFUSES, *DISK_REFUSES))
-"""Names of the faults that the call itself is the place of; any other one may happen between two calls as well."""
 INTERNAL = frozenset(
     {"dup", "epoll_create", "epoll_ctl", "eventfd", "mmap", "munmap", "sched_setscheduler"}
     | {"set_inheritable", "socketpair", "urandom"}

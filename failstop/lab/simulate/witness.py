@@ -67,7 +67,7 @@ class Witness:
     def __init__(self, robot: Robot) -> None:
         self._robot, self._machine, self._board = robot, robot.machine, robot.board
         self._traits, language = robot.board.traits, robot.board.traits.language
-        self._first_stop, self._stop, self._byte_ns = language.first_stop, language.stop, language.port.byte_ns
+        self._first_stop, self._byte_ns = language.first_stop, language.port.byte_ns
         self._fuses = is_described(self._traits.kind) and model_of(self._traits.kind).fuses
         self._shortest_ns = len(language.stop) * self._byte_ns
         """On the wire: no frame of motion is shorter than that of zeros."""
