@@ -1,12 +1,12 @@
 """The rooms point one way: a reader of one needs no other but those below it. The core asks the machine by what
-the simulated machine has too. The face is no larger than it has to be."""
+the simulated machine has too."""
 
 from __future__ import annotations
 
 import ast
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -28,22 +28,6 @@ OF_A_TERMINAL = {
 """Modules of a feature that are its commands, with what these print."""
 PROGRAM = "failstop.supervisor.child"
 """Run by its path, with a supervisor to start; imported for the name of a variable alone."""
-
-
-MOST_OF_THE_FACE = 8650
-"""Lines: what a robot carries beside the core stays smaller than that."""
-
-
-def lines(paths: Iterable[Path]) -> int:
-    return sum(len(path.read_text().splitlines()) for path in paths)
-
-
-def test_the_face_that_a_robot_carries_is_small() -> None:
-    core = [path for room in CORE for path in modules(room)]
-    beside = {path for room in (*FEATURES, "data", "version") for path in modules(room)}
-    face = [path for path in package() if path not in beside and path not in core]
-    assert len(face) > 40
-    assert lines(face) < min(MOST_OF_THE_FACE, lines(core))
 
 
 @pytest.mark.parametrize("room", ROOMS)
@@ -163,24 +147,3 @@ def test_nobody_imports_a_linked_room_by_its_folder() -> None:
         if name.partition(".")[0] in rooms.LINKED and not (isinstance(node, ast.ImportFrom) and node.level)
     ]
     assert not wrong
-
-
-MOST_LINES = 400
-TOPS = ("failstop", "procs", "shm", "supervisor", "bench", "tests", "packaging", "model", "examples", "integrations")
-MADE = ("build", "__pycache__")
-"""Folders of what is built."""
-
-
-def sizes() -> Iterator[tuple[str, int]]:
-    """Each file of Python and its lines; the rooms that are linked into the package count once."""
-    for top in TOPS:
-        for path in sorted((ROOT / top).rglob("*.py")):
-            name = path.relative_to(ROOT)
-            if not any(above.is_symlink() for above in (path, *path.parents)) and not set(name.parts) & set(MADE):
-                yield str(name), len(path.read_text("utf-8").splitlines())
-
-
-def test_no_file_has_more_lines_than_can_be_read_at_once() -> None:
-    found = dict(sizes())
-    assert len(found) > 800
-    assert {name: lines for name, lines in found.items() if lines > MOST_LINES} == {}

@@ -168,9 +168,3 @@ def test_a_vocabulary_that_asks_for_something_else_has_another_number() -> None:
     assert len(asked) > 10
     digest = hashlib.sha256(repr((words, asked)).encode()).hexdigest()
     assert digest[:16] == HELD[VOCABULARY], "raise VOCABULARY of wire.py"
-
-
-def test_the_page_says_how_large_the_smallest_is() -> None:
-    lines = sum(len(path.read_text().splitlines()) for path in (ROOT / "failstop/board/arduino").glob("*.py"))
-    assert lines < 200
-    assert "less than 200 lines" in (ROOT / "docs/dev/porting.md").read_text()
