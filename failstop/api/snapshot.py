@@ -59,6 +59,26 @@ class Wheels(tuple[float, ...]):
 
 
 @dataclasses.dataclass(frozen=True)
+class Turning:
+    """What is known of the wheels now, from the board's reports or from the IMU."""
+
+    does: Literal["unknown", "still", "turning"] = "unknown"
+    """turning; still; unknown: nothing has been read, or not for half a second."""
+    by: Literal["", "IMU", "wheels"] = ""
+    """What says so: wheels (the board's reports of them) or IMU, which only feels that the robot moves, or is moved."""
+    unexpected: bool = False
+    """They turn although they were told zero for longer than the setting still.after_s allows."""
+    since_s: float | None = None
+    """For how long it has been so, s; None: not known."""
+    age_s: float | None = None
+    """Age of the newest reading, s; None: there was none."""
+    speeds_radps: Wheels | None = None
+    """Measured speed of each wheel, rad/s, positive forward, by the names of `Wheels`; None: the board reports none."""
+    turned_rad: Wheels | None = None
+    """How far each wheel has turned since the first report, rad, positive forward; None: the board reports none."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Stop:
     """The last stop, and the three proofs of it; one is None while it is not known."""
 
@@ -373,6 +393,8 @@ class State:
     """Commanded angle of the steered wheels, rad, positive to the left. None: there are none, or the robot stands."""
     stands_within_m: float = 0.0
     """Stopping distance: from any fault that software answers until the robot stands, m, at the speed limit of now."""
+    turning: Turning = Turning()
+    """What is known of the wheels now, whatever they were told."""
     servos: dict[str, tuple[float, int]] = dataclasses.field(default_factory=dict)
     """By the part that each turns: load (a share of the most that it gives, signed) and temperature in degrees C."""
 

@@ -29,6 +29,8 @@ from failstop.shm.thread_state import state_of
 T = TypeVar("T")
 
 HANGING_S = 0.5
+OLD_READING_NS = 500_000_000
+"""A reading of the wheels that is older says nothing of now."""
 UNITS = {"ms": 1e3, "us": 1e6}
 """Of times in records, by the end of their names: how many are a second."""
 
@@ -45,6 +47,7 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "said": (layout.GATE, msgpack.unpackb),
     "port": (layout.PORT_OWNER, records.PORT.unpack),
     "imu": (layout.TELEMETRY, records.IMU.unpack),
+    "wheels": (layout.TELEMETRY, records.WHEELS_SEEN.unpack),
     "battery": (layout.TELEMETRY, records.BATTERY.unpack),
     "health": (layout.TELEMETRY, records.HEALTH.unpack),
     "bias": (layout.TELEMETRY, records.BIAS.unpack),
@@ -54,6 +57,8 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
 """The records of a snapshot: the writer of each, and what reads it."""
 
 PLUGGED: tuple[Any, ...] = records.PLUGGED
+WHEELS_DO: tuple[Any, ...] = records.WHEELS_DO
+WHEELS_BY: tuple[Any, ...] = records.WHEELS_BY
 PAD_MODES = cast("tuple[snapshot.PadMode, ...]", records.PAD_MODES)
 
 
@@ -171,6 +176,7 @@ class StateReader(SeenRun):
             imu=self._timed("imu", _imu),
             gyro_bias=bias and snapshot.GyroBias(bias[:3], *bias[3:]),
             odometry=self._timed("odometry", Odometry),
+            turning=self._turning(now_ns),
             pad_mode=pad and PAD_MODES[pad[6]],
             battery_v=millivolts / 1000 or None,
             plugged=PLUGGED[plugged],
@@ -274,6 +280,31 @@ class StateReader(SeenRun):
         with contextlib.suppress(OSError):
             return self.shares_pids() and state_of(pid) in ("T", "t")
         return False
+
+    def _turning(self, now_ns: int) -> snapshot.Turning:
+        """What telemetry knows of the wheels. A reading that has become old says nothing of now."""
+        if (found := self._value("wheels")) is None:
+            return snapshot.Turning()
+        does, by, unexpected, count, since_ns, read_ns, *values = found
+        most = records.MOST_WHEELS
+        speeds, turns = (self._by_mount(values[at : at + count]) for at in (0, most))
+        if now_ns - read_ns > OLD_READING_NS or not does:
+            does, by, unexpected, since_ns = 0, 0, False, read_ns
+        return snapshot.Turning(
+            does=WHEELS_DO[does],
+            by=WHEELS_BY[by],
+            unexpected=unexpected,
+            since_s=_age_s(now_ns, since_ns) if since_ns else None,
+            age_s=_age_s(now_ns, read_ns) if read_ns else None,
+            speeds_radps=speeds,
+            turned_rad=turns,
+        )
+
+    def _by_mount(self, values: list[float]) -> snapshot.Wheels | None:
+        """Turns by wire id as radians by wheel; None where a wheel is not reported."""
+        if not values or any(value != value for value in values):  # NaN
+            return None
+        return snapshot.Wheels(values[at] * scale + 0.0 for at, scale in self._mounted if at < len(values))
 
     def _last_stop(self) -> Stop | None:
         if (found := self._value("stop")) is None:

@@ -17,8 +17,10 @@ from failstop.board.interface import (
     HEARD_PONG,
     HEARD_SERVO,
     HEARD_WHEELS,
+    NO_WHEEL_REPORTS,
     Board,
     Hearing,
+    WheelReports,
 )
 from failstop.board.servos import ServoAnswer
 from failstop.board.wire import ECHOED, OBSERVED, Battery, Health, Imu, Obeyed, Sample, Wheels
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
 _ROUNDING = 1.0 + 2.0**-40
 _GRAVITY = 9.80665
 _NO_ARM = "this board has no servos"
+UNKNOWN_EVERY_NS = 1_000_000_000
+"""For a board whose description does not say how often it reports."""
 
 
 class Samples(Hearing):
@@ -78,19 +82,30 @@ def _said(sample: Sample) -> list[Said]:
     return []
 
 
+def _reports(wire: Wire, per_rps: float, diameter_m: float) -> WheelReports:
+    if OBSERVED not in wire.proofs:
+        return NO_WHEEL_REPORTS
+    told = wire.reports
+    if told is None:
+        return WheelReports(UNKNOWN_EVERY_NS, per_rps, 0.0, 0.0, holds_speed=False, own_scale=False)
+    speed = told.speed_per_rps(per_rps, diameter_m) if told.speed_per_rps else 0.0
+    position = told.position_per_turn(per_rps, diameter_m) if told.position_per_turn else 0.0
+    return WheelReports(told.every_ns, speed, position, told.wraps, told.holds_speed, told.own_scale)
+
+
 class Described(Board):
     """As many speeds as the wire's motion has, in its unit."""
 
     __slots__ = (
         "_motion", "_per_rps", "_wire", "acknowledged_by", "after_ns", "burst", "commanders", "echo_ns", "first_stop",
-        "idle_ns", "most_rps", "name", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "stop",
-        "usb", "wheels",
+        "idle_ns", "most_rps", "name", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "reports",
+        "stop", "usb", "wheels",
     )  # fmt: skip
 
     usb_alone = arm_beside_wheels = holds_by_goal = False
 
-    def __init__(self, wire: Wire, per_rps: float) -> None:
-        """`per_rps`: a speed of one turn a second, in its unit."""
+    def __init__(self, wire: Wire, per_rps: float, diameter_m: float) -> None:
+        """`per_rps`: a speed of one turn a second, in its unit; `diameter_m`: of a wheel."""
         (write,) = wire.stop.writes
         self._wire, self._motion, self._per_rps = wire, wire.motion, per_rps
         self.name, self.port = wire.name, wire.port
@@ -103,6 +118,7 @@ class Described(Board):
         self.ping_ns, self.echo_ns = wire.ping_ns, wire.echo_ns
         self.acknowledged_by = BY_ECHO if ECHOED in wire.proofs else BY_ANSWER if wire.questions else ""
         self.observed_by = BY_WHEELS if OBSERVED in wire.proofs else BY_IMU
+        self.reports = _reports(wire, per_rps, diameter_m)
         self.usb, self.commanders = wire.usb, wire.commanders
         self.wheels = wire.motion.wheels
         self.most_rps = min(wire.motion.limit, wire.motion.apart / 2) / per_rps

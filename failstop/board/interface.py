@@ -6,6 +6,8 @@ is a class of its own in its folder.
 
 from __future__ import annotations
 
+from failstop.data import Data
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -27,6 +29,26 @@ BY_ANSWER, BY_ECHO = "answer", "echo"
 """Proofs that a stop was parsed: the answer to a ping behind it, or the report of the command that is obeyed."""
 BY_IMU, BY_WHEELS = "IMU", "wheels"
 """The proofs that the wheels stand: the IMU's, or the board's reports of their speeds or positions."""
+
+
+class WheelReports(Data):
+    """How to read the reports of the wheels (HEARD_WHEELS) of one board, in this robot's units."""
+
+    every_ns: int
+    """The longest time between two reports of a healthy board in a running service, ns; 0: it reports nothing."""
+    speed_per_rps: float
+    """One turn a second in the unit of the reported speeds; 0: it reports none."""
+    position_per_turn: float
+    """How much a position grows in one turn of its wheel; 0: positions tell no more than rest."""
+    wraps: float
+    """Positions are counted modulo this; 0: they never wrap."""
+    holds_speed: bool
+    """The board holds the speed that it was told; False: it sets a voltage."""
+    own_scale: bool
+    """The reports do not depend on the setting board.per_rps."""
+
+
+NO_WHEEL_REPORTS = WheelReports(0, 0.0, 0.0, 0.0, holds_speed=False, own_scale=False)
 
 
 class Hearing:
@@ -86,6 +108,8 @@ class Board:
     """BY_ANSWER or BY_ECHO; empty: it acknowledges nothing."""
     observed_by: str
     """BY_IMU or BY_WHEELS."""
+    reports: WheelReports
+    """What it says of its wheels, and how to read it."""
     wheels: int
     """How many speeds a frame sets, at most box.MOST_SPEEDS: their wire ids are counted from 0."""
     most_rps: float

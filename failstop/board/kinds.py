@@ -52,6 +52,6 @@ def board_of(
         from failstop.board.described import Described
 
         wire = wire_of(kind)
-        return (wire.board or Described)(wire, per_rps or wire.motion.per_rps(diameter_m))
+        return (wire.board or Described)(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m)
     board: Board = __import__(f"failstop.board.{kind}.board", fromlist=["board"]).board(diameter_m, per_rps, steering)
     return board

@@ -202,6 +202,26 @@ class Commander(Data):
     """The command that ends that program, where it would be started again."""
 
 
+class Reports(Data):
+    """How to read what the board reports of its wheels (`Wheels`)."""
+
+    every_ns: int
+    """The longest time between two reports of a healthy board in a running service."""
+    speed_per_rps: Callable[[float, float], float] | None
+    """(one turn a second in the unit of its motion, wheel diameter in m): one turn a second in the unit of the reported
+    speeds. None: it reports no speeds."""
+    position_per_turn: Callable[[float, float], float] | None
+    """The same arguments: how much a position grows in one turn of its wheel. None: it reports no positions."""
+    wraps: float
+    """Positions are counted modulo this, from minus half of it; 0: they never wrap."""
+    holds_speed: bool
+    """True: the board measures the speed and holds what it was told. False: it sets a voltage, so a wheel may turn
+    faster downhill and slower uphill."""
+    own_scale: bool
+    """True: the board reports in a unit of the real world, so a wrong setting board.per_rps shows. False: commands and
+    reports share that setting."""
+
+
 class Wire(Data):
     """Everything that is known of one board's language."""
 
@@ -223,9 +243,11 @@ class Wire(Data):
     usb: tuple[str, ...] = ()
     """Vendor:product, in hexadecimal, of USB ports of its own; an adapter's say nothing of the board behind it."""
     commanders: tuple[Commander, ...] = ()
-    board: Callable[[Wire, float], Board] | None = None
-    """(wire, a turn a second in its unit): the board, where it has an arm; None: what described.py makes of the
-    wire."""
+    reports: Reports | None = None
+    """None: reported speeds are in the unit of its motion, and positions tell no more than rest."""
+    board: Callable[[Wire, float, float], Board] | None = None
+    """(wire, one turn a second in its unit, wheel diameter in m): the board, where it has an arm. None: described.py
+    makes one from the wire."""
 
 
 def two_speeds(speeds: Sequence[float], limit: float, most: float, unit: str) -> tuple[float, float]:

@@ -50,7 +50,7 @@ WIRE_BURST, WIRE_FRAME, WIRE_REST = range(1, 4)
 WIRE_HEAD = 39
 """Bytes of a frame that are kept: a motor frame of four wheels is 27, and 12 more steer at most."""
 
-IMU_KIND, BATTERY_KIND, PAD_KIND, SERVO_KIND = range(1, 5)
+IMU_KIND, BATTERY_KIND, PAD_KIND, SERVO_KIND, WHEELS_KIND = range(1, 6)
 
 ARM_MODES = ("", "trajectory", "follow", "jog")
 """Of an arm's goal; empty: nobody moves it from here on."""
@@ -72,8 +72,10 @@ REPORTS: dict[int, Shape] = {
     BATTERY_KIND: records.BATTERY,
     PAD_KIND: records.PAD,
     SERVO_KIND: records.SERVO,
+    WHEELS_KIND: Shape(f"<{records.MOST_WHEELS}f"),
 }
-"""Reports that telemetry has decoded, by the kind that is their first byte; the IMU's as it is published."""
+"""Reports that telemetry has decoded, by the kind that is their first byte; the IMU's as it is published; the measured
+speed of each wheel by wire id, in turns a second (NaN: not reported)."""
 BOARD_BYTES = 1 + max(shape.most for shape in REPORTS.values())
 OF_BEATS = Shape("<B10I")
 _ARM = struct.Struct("<BB")

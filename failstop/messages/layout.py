@@ -15,7 +15,7 @@ from failstop.shm.futex import BLOCKS, PER_BLOCK
 from failstop.shm.segment import Record, SegmentSpec
 from failstop.shm.words import LINE_BYTES
 
-LAYOUT_VERSION = 11
+LAYOUT_VERSION = 12
 SUPERVISOR_BLOCK = 0
 """The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
 CLIENT_SLOTS = 8
@@ -153,6 +153,7 @@ SEGMENTS = (
             _word("still_ns", "supervisor"),  # since when the IMU says that the wheels are still; 0: it shakes
             _word("judged_ns", "supervisor"),  # the last IMU sample that still_ns is judged from; 0: none yet
             _latest("imu", records.IMU, "clients"),  # corrected, the rate less its bias
+            _latest("wheels", records.WHEELS_SEEN, "gate, supervisor, clients"),  # what is known of them now
             _latest("battery", records.BATTERY, "clients"),
             _latest("health", records.HEALTH, "clients"),
             _latest("bias", records.BIAS, "its successor, clients"),

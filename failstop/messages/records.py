@@ -339,6 +339,14 @@ ODOMETRY: Payload[float, float, float, float, float, float, float, float] = Payl
 told with it: m/s of vx and vy, rad/s of wz."""
 POSE_VARIANCE = 1e3
 """m^2 of x and y, rad^2 of th, to publish with the pose: dead reckoning is not to be trusted."""
+MOST_WHEELS = 4
+WHEELS_DO = ("unknown", "still", "turning")
+WHEELS_BY = ("", "IMU", "wheels")
+WHEELS_SEEN = Shape(f"<BB?BQQ{MOST_WHEELS}d{MOST_WHEELS}d")
+"""What is known of the wheels: an index of WHEELS_DO and of WHEELS_BY (what says so); whether they turn although they
+were told zero for longer than still.after_s; how many wheels are reported; since when it is so, and the newest reading
+(both ns, 0: never); then the measured speed of each wheel by wire id in turns a second, and how far each has turned
+(NaN: not reported)."""
 BATTERY: Payload[int, int] = Payload("<IB")
 """The battery's mV, and whether the charger is plugged in: an index of PLUGGED."""
 HEALTH = Shape("<", Tail(_pack_health, _unpack_health, MOST_SERVOS * 3))

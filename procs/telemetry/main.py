@@ -26,6 +26,7 @@ from failstop.procs.telemetry.port import HeardPort
 from failstop.procs.telemetry.readback import ReadBack
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
+from failstop.procs.telemetry.wheels import NOT_REPORTED, Measured, WheelFact
 from failstop.shm.cell import LatestReader
 from failstop.shm.segment import Segment
 from failstop.shm.words import Barrier
@@ -118,6 +119,9 @@ class Telemetry:
         self._charger = Charger(settings, self._known_charger_state())
         self._log = BatteryLog(settings)
         self._read_back = ReadBack()
+        self._measured = Measured(self._board.reports)
+        self._fact = WheelFact(settings.ns("still.after_s"))
+        self._began_ns = monotonic_ns()
         self._obeys_zeros, self._obeyed_ns = False, 0
         self._barrier = Barrier()
         self._epoch_followed = self._odometry_ns = self._bias_ns = 0
@@ -135,7 +139,7 @@ class Telemetry:
     def _attach(self, context: Context) -> None:
         """Make the writers of its records, and the bells that it rings."""
         own = context.own
-        latest = ("imu", "bias", "odometry", "battery", "health", "pad", "pad_command", "pad_arm")
+        latest = ("imu", "bias", "odometry", "wheels", "battery", "health", "pad", "pad_command", "pad_arm")
         self._latest = {name: own.latest_writer(name) for name in latest}
         rings = ("causes", "pad_requests", "notes", "servos")
         self._rings = {name: own.ring_writer(name) for name in rings}
@@ -249,6 +253,7 @@ class Telemetry:
             pose = (found.x_m, found.y_m, found.th_rad)
             twist = (found.vx_mps, found.vy_mps, found.wz_radps)
             self._latest["odometry"].write(records.ODOMETRY.pack(*pose, *twist, *found.twist_std), now_ns)
+            self._publish_wheels(now_ns)
         gyro = self._gyro
         flags = (gyro.tracking, gyro.calibrated)
         if now_ns - self._bias_ns >= BIAS_NS or flags != self._bias_flags:
@@ -316,8 +321,24 @@ class Telemetry:
         """Reports of the board itself on its wheels are better than their shaking."""
         was_still = self._read_back.still_ns > 0
         speeds, positions = sample
+        self._measured.take(speeds, positions, t_ns)
+        measured = (*self._measured.speeds_rps, *NOT_REPORTED)[: records.MOST_WHEELS]
+        self._box.put(box.pack_board(box.WHEELS_KIND, *map(box.single, measured)), t_ns)
         if self._read_back.take(speeds, positions, t_ns):
             self._tell_still(self._read_back, was_still=was_still)
+
+    def _publish_wheels(self, now_ns: int) -> None:
+        """What is known of the wheels: at once when it changes, and with the odometry."""
+        fact, measured = self._fact, self._measured
+        told_zero_ns = 0 if self._gate.commanded else self._gate.since_ns or self._began_ns
+        fact.follow(self._read_back, self._still, told_zero_ns, now_ns)
+        speeds = (*measured.speeds_rps, *NOT_REPORTED)[: records.MOST_WHEELS]
+        turns = (*measured.turns, *NOT_REPORTED)[: records.MOST_WHEELS]
+        count = max(len(measured.speeds_rps), len(measured.turns))
+        flags = (fact.does, fact.by, fact.unexpected, count)
+        self._latest["wheels"].write(
+            records.WHEELS_SEEN.pack(*flags, fact.since_ns, fact.read_ns, *speeds, *turns), now_ns
+        )
 
     def _on_obeyed(self, speeds: interface.Value, t_ns: int) -> None:
         """A report that it obeys a command of zeros; one now and then is enough while it does."""

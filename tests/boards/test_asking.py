@@ -244,7 +244,7 @@ def test_the_verdict_on_a_board(name: str, answers: list[Heard], known: bool, te
 
 
 def test_of_a_board_without_a_question_nobody_knows_whether_it_is_there() -> None:
-    silent = Described(Wire(**{**vars(wire_of("arduino")), "questions": ()}), 1.0)
+    silent = Described(Wire(**{**vars(wire_of("arduino")), "questions": ()}), 1.0, 0.1)
     known, text, remedy = told_of([heard("/etc/tank"), *SILENT], "/etc/tank", silent)
     assert known is None
     assert text.startswith("/etc/tank has no question")

@@ -200,7 +200,7 @@ def test_a_wire_of_three_speeds_is_driven_in_its_own_unit() -> None:
         "check": lambda frame, limit: beyond(steps.unpack(frame), limit, 3000.0),
         "speeds": steps.unpack,
     }
-    board = Described(Wire(**(vars(own) | {"motion": Motion(**motion)})), 4096.0)
+    board = Described(Wire(**(vars(own) | {"motion": Motion(**motion)})), 4096.0, 0.1)
     base = from_settings(Settings({"board.kind": "/own", "wheels.layout": "omni3"}))
     assert board.wheels == 3
     frame = board.motor_speeds(base.wheels_rps(0.1, 0.0, 0.0), board.most_rps)

@@ -136,7 +136,7 @@ def test_the_hash_is_reproducible() -> None:
         (r'_ring\("causes", (\d+), (\d+)', r'_ring("causes", \2, \1'),
         (r'_word\("port_number", "supervisor"\),', '_latest("port_number", 8, "supervisor"),'),
         (r'_latest\("battery", records.BATTERY, ', '_word("battery", '),
-        (r'(_latest\("imu"[^\n]*)\n\s*(_latest\("battery"[^\n]*)', r"\2\n            \1"),
+        (r'(_latest\("battery"[^\n]*)\n\s*(_latest\("health"[^\n]*)', r"\2\n            \1"),
         (r'TELEMETRY = "telemetry"', 'TELEMETRY = "telemetri"'),
     ],
 )

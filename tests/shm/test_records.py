@@ -61,6 +61,7 @@ ROUND_TRIPS: dict[str, tuple[Shape, tuple[st.SearchStrategy[object], ...]]] = {
     "bias": (records.BIAS, (SPEED, SPEED, SPEED, st.booleans(), st.booleans())),
     "asserted": (records.ASSERTED, (U64, st.lists(st.sampled_from(["bumper", "front left", "arm"]), max_size=8))),
     "battery": (records.BATTERY, (U32, st.just(2))),
+    "wheels_seen": (records.WHEELS_SEEN, (U8, U8, st.booleans(), U8, U64, U64, *(SPEED,) * 2 * records.MOST_WHEELS)),
     "pad": (records.PAD, (st.integers(0, 65535), U8, I8, I8, I8, I8, st.just(1))),
     "servo": (records.SERVO, (U8, U8, st.none() | st.integers(-(2**15), 2**16))),
     "pad_arm": (records.PAD_ARM, (U8, st.floats(-1, 1))),
@@ -196,6 +197,7 @@ LEAST = (
     {"frame": 9, "stopped": 24, "port": 17, "latch": 24, "left": 8 * records.GOODBYES, "hello": 20, "reply": 20}
     | {"request": 17, "seen": 16, "command": 49, "asserted": 8, "said": 8, "imu": 48, "battery": 5, "bias": 26}
     | {"odometry": 64, "pad_command": 24, "pad_request": 1, "pad": 8, "speed_limit": 9, "health": 0}
+    | {"wheels_seen": 84}
 )
 """Bytes of each at least; those of a text, a frame or names may have more."""
 LONGER = {"frame", "stopped", "port", "latch", "hello", "reply", "asserted", "said", "pad_request", "health"}

@@ -21,6 +21,7 @@ from failstop.board.wire import (
     Pace,
     Port,
     Question,
+    Reports,
     TimedStop,
     Watchdog,
     Wheels,
@@ -68,6 +69,15 @@ WIRE = Wire(
     proofs=(ANSWERED, OBSERVED),
     ping_ns=100 * _MS,
     echo_ns=0,
+    # Every other question asks for positions. They are counters of 32 bits, and turns by the same number as the speeds.
+    reports=Reports(
+        every_ns=250 * _MS,
+        speed_per_rps=None,
+        position_per_turn=lambda per_rps, _diameter_m: per_rps * codec.PERIODS,
+        wraps=2.0**32,
+        holds_speed=True,
+        own_scale=False,
+    ),
     usb=(
         *("2341:0043", "2341:0001", "2a03:0043", "2341:0243"),  # Uno
         *("2341:0010", "2341:0042", "2a03:0010", "2a03:0042", "2341:0210", "2341:0242"),  # Mega

@@ -19,6 +19,7 @@ from failstop.board.wire import (
     Pace,
     Port,
     Question,
+    Reports,
     Sample,
     TimedStop,
     Watchdog,
@@ -42,10 +43,10 @@ def _answers(size: int) -> Callable[[Sample], bool]:
     return lambda sample: isinstance(sample, Answer) and sample.text == str(size)
 
 
-def _with_arm(wire: Wire, per_rps: float) -> Board:
+def _with_arm(wire: Wire, per_rps: float, diameter_m: float) -> Board:
     from failstop.board.feetech.arm import FeetechBoard
 
-    return FeetechBoard(wire, per_rps)
+    return FeetechBoard(wire, per_rps, diameter_m)
 
 
 WIRE = Wire(
@@ -85,6 +86,15 @@ WIRE = Wire(
     ping_ns=100 * _MS,
     # The answers, and an adapter that holds bytes back for 16 ms.
     echo_ns=20 * _MS,
+    # Present speed, as an answer to each question.
+    reports=Reports(
+        every_ns=125 * _MS,
+        speed_per_rps=lambda per_rps, _diameter_m: per_rps,
+        position_per_turn=None,
+        wraps=0.0,
+        holds_speed=True,
+        own_scale=False,
+    ),
     commanders=(
         Commander(
             who="LeRobot's own host writes to the bus, and its wheels keep their speed when it dies",

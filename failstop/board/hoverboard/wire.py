@@ -22,6 +22,7 @@ from failstop.board.wire import (
     Motion,
     Pace,
     Port,
+    Reports,
     TimedStop,
     Watchdog,
     Wire,
@@ -69,6 +70,15 @@ WIRE = Wire(
     ping_ns=0,
     # Two of its feedbacks, the stop's way, a loop of its own, and an adapter that holds bytes back for 16 ms.
     echo_ns=50 * _MS,
+    # Always rpm, whatever the commands mean; in its usual mode they are a voltage.
+    reports=Reports(
+        every_ns=20 * _MS,
+        speed_per_rps=lambda _per_rps, _diameter_m: 60.0,
+        position_per_turn=None,
+        wraps=0.0,
+        holds_speed=False,
+        own_scale=True,
+    ),
     commanders=(
         Commander(
             who="its second cable: a side board or a receiver there drives it too, in firmware built with DUAL_INPUTS",

@@ -17,6 +17,7 @@ from failstop.board.interface import (
     HEARD_PAD,
     HEARD_PONG,
     HEARD_SERVO,
+    NO_WHEEL_REPORTS,
     Board,
     Hearing,
 )
@@ -114,6 +115,7 @@ class Rrc(Board):
     echo_ns = 0
     acknowledged_by = BY_ANSWER
     observed_by = BY_IMU
+    reports = NO_WHEEL_REPORTS
     wheels = framing.WHEELS
     most_rps = codec.RPS_CEILING
     usb = ("1a86:55d4",)

@@ -19,6 +19,7 @@ from failstop.board.wire import (
     Pace,
     Port,
     Question,
+    Reports,
     TimedStop,
     Watchdog,
     Wire,
@@ -72,6 +73,15 @@ WIRE = Wire(
     proofs=(ANSWERED, OBSERVED),
     ping_ns=0,
     echo_ns=0,
+    # Speeds are reported in m/s, odometers in cm.
+    reports=Reports(
+        every_ns=100 * _MS,
+        speed_per_rps=lambda _per_rps, diameter_m: pi * diameter_m,
+        position_per_turn=lambda _per_rps, diameter_m: 100 * pi * diameter_m,
+        wraps=0.0,
+        holds_speed=True,
+        own_scale=True,
+    ),
     commanders=(
         Commander(
             who="its Wi-Fi: who joins its access point (UGV, 12345678, unless changed), or the network that it has "
