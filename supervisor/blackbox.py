@@ -9,6 +9,7 @@ from __future__ import annotations
 import _socket
 import contextlib
 import os
+from collections.abc import Callable
 from time import monotonic_ns
 
 import msgpack
@@ -29,16 +30,24 @@ COPY_NS = 2_200_000_000
 PATIENCE_NS = 60_000_000_000
 """A dead run's saver waits for the service to be ready, at most so long."""
 MOST_SAVERS = 4
-"""Stops that are being saved, or wait for it, at one time."""
+"""Savers that run at one time."""
+MOST_WAITING = 16
+"""Stops that wait for a saver. They come as fast as somebody resets the last one."""
+LATE_NS = START_NS
+"""A saver that starts later than this after its time waits until nothing moves, since people may have enabled motion."""
+GIVE_UP_NS = 30_000_000_000
+"""After that the rings hold less than half a minute before the stop."""
 FINISH_S = 1.0
 STEP = "look at the disk and at the state directory"
+FEWER = "find out what stops and resets the robot so often"
 
 
 class BlackBox:
     """One turn: follow(). begin() once, when the other processes are started."""
 
-    def __init__(self, run: Run) -> None:
-        self._run = run
+    def __init__(self, run: Run, moves: Callable[[], bool]) -> None:
+        """`moves`: whether motion is enabled, or the wheels were last told to turn."""
+        self._run, self._moves = run, moves
         self._events = run.events
         self._on = run.settings.on("incidents.save")
         keep, max_mb = int(run.settings["incidents.keep"]), int(run.settings["incidents.max_mb"])
@@ -62,7 +71,9 @@ class BlackBox:
     def latched(self, stop: Stop, epoch: int) -> None:
         """A stop is latched, the news is out: save what led to it, and what follows."""
         self._sample(monotonic_ns())
-        if self._on and len(self._waiting) + len(self._savers) < MOST_SAVERS:
+        if self._on and len(self._waiting) >= MOST_WAITING:
+            self._not_saved(f"{MOST_WAITING} earlier stops still wait to be saved", FEWER)
+        elif self._on:
             words = {"cause_ns": stop.t_ns, "epoch": epoch, "cause": stop.cause.pack().hex()}
             self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": stop.t_ns + COPY_NS}))
 
@@ -78,7 +89,16 @@ class BlackBox:
         if self._savers:
             self._reap()
         if self._waiting and now_ns >= self._waiting[0][0]:
+            self._start_next(now_ns)
+
+    def _start_next(self, now_ns: int) -> None:
+        """Start the saver that is due, once there is room for it and its start can hold up nobody who drives."""
+        late_ns = now_ns - self._waiting[0][0]
+        if len(self._savers) < MOST_SAVERS and (late_ns <= LATE_NS or not self._moves()):
             self._start(self._waiting.pop(0)[1], self._run.readable)
+        elif late_ns > GIVE_UP_NS:
+            self._waiting.pop(0)
+            self._not_saved("too many stops at once, and then the robot drove again", FEWER)
 
     def _sample(self, now_ns: int) -> None:
         self._sampled_ns = now_ns
@@ -142,14 +162,17 @@ class BlackBox:
             died = f"the saver was killed by signal {-code}" if code < 0 else f"the saver ended with code {code}"
             self._not_saved(f"{records.printable(str(told.get('wrong', ''))) or died}")
 
-    def _not_saved(self, why: str) -> None:
-        reason = {"reason": f"{why}{NEXT_STEP}{STEP}"}
-        self._events.tell("incident", f"incident not saved: {why}", reason, level="warning", step=STEP)
+    def _not_saved(self, why: str, step: str = STEP) -> None:
+        reason = {"reason": f"{why}{NEXT_STEP}{step}"}
+        self._events.tell("incident", f"incident not saved: {why}", reason, level="warning", step=step)
 
     def finish(self) -> None:
         """The end of the service, its stops written: what is being saved is saved now."""
-        while self._waiting:
+        while self._waiting and len(self._savers) < MOST_SAVERS:
             self._start(self._waiting.pop(0)[1], self._run.readable)
+        for _ in self._waiting:
+            self._not_saved("the service ended while earlier stops were being saved", FEWER)
+        self._waiting.clear()
         until_ns = monotonic_ns() + round(FINISH_S * 1e9)
         for pid in self._savers:
             self._hasten(pid)

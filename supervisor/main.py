@@ -66,7 +66,7 @@ class Supervisor:
         self.children = self.processes.children
         self.epochs = Epochs(run)
         self.monitor = Monitor(run, self.epochs.latch, port.board, port.holds)
-        self.blackbox = BlackBox(run)
+        self.blackbox = BlackBox(run, self._motion)
         self.handover = PortHandover(run, port, self.processes)
         self.status = Status(run, notify, self.processes, self.epochs, self.handover)
         self._gate_record = run.views[layout.GATE].latest_reader("state")

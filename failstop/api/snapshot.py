@@ -106,6 +106,8 @@ class Stop:
     """The proof by which the board acknowledges: answer (to a ping), echo (of what it obeys); empty: by none."""
     observed_by: str = "IMU"
     """Source of `observed_s`: IMU, or wheels (the board's own reports of them); empty: the robot has no IMU."""
+    noticed_ns: int = 0
+    """When the cause was noticed (CLOCK_MONOTONIC, ns): the same whatever the wall clock is set to."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,6 +13,9 @@ if TYPE_CHECKING:  # the saver of incidents, which starts just after a stop, imp
 
 DAY_S = 86400.0
 OLD_WORDS_S = 5.0
+JUMP_S = 5.0
+DRIFT = 1e-3
+"""Two clocks of one machine drift apart by no more than this share of the time, as long as nobody sets one."""
 NOWHERE_MPS = 0.0005
 """Slower than this is shown as standing, as it would be rounded to."""
 
@@ -36,6 +39,20 @@ def printable(text: str) -> str:
     is shown as its code, as `\\x1b` or `\\u202e`."""
     shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return text if text.isprintable() else "".join(shown)
+
+
+def clock_jump(wall_s: float, monotonic_s: float) -> float:
+    """How far the wall clock jumped while so many seconds went by on it and on the monotonic clock; negative: back; 0:
+    no further than two clocks drift apart."""
+    jumped_s = wall_s - monotonic_s
+    return jumped_s if abs(jumped_s) > max(JUMP_S, DRIFT * monotonic_s) else 0.0
+
+
+def jumped(seconds: float) -> str:
+    """A jump of the wall clock. One forward has two reasons, as the monotonic clock does not count a machine's sleep."""
+    if seconds < 0:
+        return f"the clock was set back by {span(-seconds)}"
+    return f"the clock went forward by {span(seconds)} (it was set, or the machine slept)"
 
 
 def clock(unix_s: float, now_s: float = 0.0) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 
 from failstop.api import verdict, words
 from failstop.board.interface import BY_IMU
-from failstop.doctor.look import Finding, Look, fail, ok, warn
+from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
+from failstop.files import root
 from failstop.files.instance import option
 from failstop.instances import unit_of
 from failstop.policy import servos
@@ -15,6 +17,8 @@ from failstop.version import VERSION
 FIRST_REGULAR_UID = 1000
 """logind spares system users (below this, as Debian and Ubuntu count)."""
 LOGIND = "/etc/systemd/logind.conf.d"
+UNIT_USER = "failstop"
+"""The user of the service's unit."""
 REMOVE_IPC = ("org.freedesktop.login1", "/org/freedesktop/login1", "org.freedesktop.login1.Manager", "RemoveIPC")
 """Where logind says whether it does."""
 
@@ -87,6 +91,35 @@ def unit(look: Look) -> list[Finding]:
     if found.get("UnitFileState") not in ("enabled", "enabled-runtime", "static"):
         return warn(f"{name} is {active} and not started at boot", f"sudo systemctl enable {name}")
     return ok(f"{name} is {active}, started at boot")
+
+
+def state_directory(look: Look) -> list[Finding]:
+    """The folder of what outlives a run: incidents, the battery's log, the page's keys."""
+    system, process = look.system, f"/proc/{look.pid}"
+    by_unit = look.unit and (not look.state or look.unit.get("MainPID") == look.pid)
+    environ = {"STATE_DIRECTORY": f"{root.SYSTEM_BASE}/{look.name}"} if by_unit else system.environ(look.pid)
+    if environ is None:
+        return skip("this user can't see where the service keeps its incidents", f"sudo failstop {look.again()}")
+    uid = system.uid(process)
+    path = root.state_directory(look.name, environ, writable=lambda folder: system.writable(folder, uid))
+    if reason := system.no_room(path):
+        return warn(f"{reason}: stops leave no incident in {path}", f"df -h {shlex.quote(path)}")
+    there = path
+    while system.uid(there) < 0 and there != os.path.dirname(there):
+        there = os.path.dirname(there)
+    if by_unit:
+        if there != path:
+            return ok(f"{path} does not exist yet: systemd makes it when the service starts")
+        # The unit's own user: one that does not run yet has no process to ask.
+        uid = system.account(UNIT_USER) if not look.state else uid
+    if not system.writable(there, uid):
+        text = f"the service's user can't write to {there}: stops leave no incident"
+        return warn(
+            text,
+            f"ls -ld {shlex.quote(there)}",
+            "give the folder to that user (chown), or start the service as another",
+        )
+    return ok(f"{path} has room" if there == path else f"{path} does not exist yet, and can be made")
 
 
 def remove_ipc(look: Look) -> list[Finding]:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from failstop import instances
+from failstop.files import durable
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs import rights
 from failstop.shm import futex
@@ -133,6 +134,37 @@ class System:
         """How many bytes may be put into a directory; None: none, or this process may not."""
         there = os.access(self.path(path), os.W_OK | os.X_OK)
         return _tried(lambda: shutil.disk_usage(self.path(path)).free) if there else None
+
+    def no_room(self, path: str) -> str:
+        """Why no file fits on the disk of this path; empty: one does."""
+        return durable.no_room(self.path(path))
+
+    def writable(self, path: str, uid: int) -> bool:
+        """Whether a user may put files into a directory, by its owner, its groups and its mode."""
+        found = _tried(lambda: os.stat(self.path(path)))
+        if not found or not stat.S_ISDIR(found.st_mode):
+            return False
+        if uid == os.geteuid():
+            return os.access(self.path(path), os.W_OK | os.X_OK)
+        groups: list[int] = []
+        with contextlib.suppress(KeyError):
+            account = pwd.getpwuid(uid)
+            groups = os.getgrouplist(account.pw_name, account.pw_gid)
+        shift = 6 if uid == found.st_uid else 3 if found.st_gid in groups else 0
+        return not uid or found.st_mode >> shift & 0o3 == 0o3
+
+    def account(self, name: str) -> int:
+        """The number of a user; -1: there is no such user."""
+        try:
+            return pwd.getpwnam(name).pw_uid
+        except KeyError:
+            return -1
+
+    def environ(self, pid: str) -> dict[str, str] | None:
+        """The environment that a process was started with; None: it is hidden from this user."""
+        data = _tried(lambda: Path(self.path(f"/proc/{pid}/environ")).read_bytes())
+        words = None if data is None else os.fsdecode(data).split("\0")
+        return None if words is None else dict(word.split("=", 1) for word in words if "=" in word)
 
     def node(self, path: str) -> Node | None:
         """A device's file; None when there is no character device."""

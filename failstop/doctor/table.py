@@ -33,6 +33,7 @@ CHECKS: dict[str, Check] = {
     "deaths": machine.early_news,
     "shared memory": machine.shared_memory,
     "RemoveIPC": service.remove_ipc,
+    "state directory": service.state_directory,
     "processor": machine.processor,
     "ticks": machine.ticks,
     "board": stop_path.board,

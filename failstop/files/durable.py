@@ -9,6 +9,8 @@ import os
 import stat
 from errno import EINVAL, EPERM
 
+LEAST_ROOM = 1_000_000
+"""Bytes. An incident, the largest file that outlives a run, takes about half as many."""
 FILE_TYPES = {
     stat.S_IFLNK: "a link",
     stat.S_IFIFO: "a FIFO",
@@ -69,6 +71,14 @@ def write_draft(draft: str, data: bytes) -> None:
         raise
 
 
+def write_all(fd: int, data: bytes) -> None:
+    """Write all of this through a descriptor, and see it on the disk. Raises OSError."""
+    left = memoryview(data)
+    while left:
+        left = left[os.write(fd, left) :]
+    os.fsync(fd)
+
+
 def publish(draft: str, path: str) -> None:
     """Give a draft its name, in place of what had it. Raises OSError; until the rename the old file is there."""
     try:
@@ -82,6 +92,24 @@ def publish(draft: str, path: str) -> None:
         os.fsync(fd)
     finally:
         os.close(fd)
+
+
+def no_room(path: str) -> str:
+    """Why a file can't be put on the disk of this path, or of the nearest folder above it; empty: it can, or the disk
+    does not say."""
+    while not os.path.exists(path) and path != os.path.dirname(path):
+        path = os.path.dirname(path)
+    try:
+        found = os.statvfs(path)
+    except OSError:
+        return ""
+    free = found.f_bavail * found.f_frsize
+    if found.f_flag & os.ST_RDONLY:
+        return f"the disk of {path} is read-only"
+    if free < LEAST_ROOM:
+        return f"the disk of {path} is full ({free // 1000} kB free)"
+    # A file system that does not count its files says 0 of 0.
+    return f"the disk of {path} has no room for another file" if found.f_files and not found.f_favail else ""
 
 
 def _drop(draft: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 SYSTEM_BASE = "/var/lib/failstop"
 VARIABLE = "FAILSTOP_ROOT"
@@ -15,16 +15,26 @@ def at(path: str) -> str:
     return os.environ.get(VARIABLE, "") + path
 
 
-def state_directory(instance: str, environ: Mapping[str, str], configured: str = "") -> str:
-    """The directory for an instance's files, which need not be there yet: the configured one, systemd's
-    $STATE_DIRECTORY, /var/lib/failstop/NAME when that is writable, else under $XDG_STATE_HOME or ~/.local/state."""
+def _by_this_process(path: str) -> bool:
+    return os.access(path, os.W_OK | os.X_OK)
+
+
+def state_directory(
+    instance: str,
+    environ: Mapping[str, str],
+    configured: str = "",
+    writable: Callable[[str], bool] = _by_this_process,
+) -> str:
+    """The directory for an instance's files, which need not exist yet: the configured one, systemd's
+    $STATE_DIRECTORY, /var/lib/failstop/NAME when that is writable, else under $XDG_STATE_HOME or ~/.local/state.
+    `writable`: whether the user whose directory it is may write to a folder."""
     if configured:
         return configured
     if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:
         return given
     base = at(SYSTEM_BASE)
     system = os.path.join(base, instance)
-    if os.access(system if os.path.exists(system) else base, os.W_OK | os.X_OK):
+    if writable(system if os.path.exists(system) else base):
         return system
-    home = environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
+    home = environ.get("XDG_STATE_HOME") or os.path.join(environ.get("HOME") or os.path.expanduser("~"), ".local/state")
     return os.path.join(home, "failstop", instance)

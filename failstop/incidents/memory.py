@@ -8,6 +8,7 @@ written, and nothing else.
 from __future__ import annotations
 
 import contextlib
+import os
 import struct
 
 import msgpack
@@ -64,6 +65,12 @@ def segment(name: str, incarnation: int, data: bytes) -> dict[str, Any]:
             elif there:
                 found["latest"][record.name] = there[-1]
     return found
+
+
+def word(fd: int, name: str, record_name: str) -> int:
+    """A word of a segment, read through its descriptor; 0 where the segment is too short. Raises OSError."""
+    data = os.pread(fd, _WORD.size, layout.SEGMENT_BY_NAME[name].offsets[record_name])
+    return int(_WORD.unpack(data)[0]) if len(data) == _WORD.size else 0
 
 
 def copy(fds: dict[str, int], memory: str) -> tuple[int, Segments]:

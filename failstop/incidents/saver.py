@@ -69,23 +69,29 @@ def save(words: dict[str, str]) -> dict[str, Any]:
     """Returns which: its id, when its cause was (Unix time, s), the cause's text, and of which run it is."""
     name, live = words["name"], "cause_ns" in words
     fds = {which: int(fd) for which, _, fd in (pair.partition(":") for pair in words["fds"].split(","))}
-    if not _wait(words, int(words["until_ns"])) and live:
-        _wait_for_port(words, fds[layout.PORT_OWNER])
-    run, segments = memory.copy(fds, name)
-    if live:
-        latched = causes.read(bytes.fromhex(words["cause"]))
-        cause = int(words["cause_ns"]), int(words["epoch"]), memory.known_better(segments, latched)
-    elif segments[layout.SUPERVISOR]["words"]["beat_state"] == BEAT_STARTING:
+    if not live and memory.word(fds[layout.SUPERVISOR], layout.SUPERVISOR, "beat_state") == BEAT_STARTING:
         # It never was ready: why is in the journal, and a service that can't start must not fill the folder.
         return {}
-    else:
-        cause = memory.left_cause(segments)
-    head = _head(name, "stop" if live else "left", cause, run, segments)
-    settings = dict(line.split("=", 1) for line in os.environ.get("FAILSTOP_SETTINGS", "").splitlines())
-    body = {"segments": segments, "settings": settings, "machine": machine()}
     folder = os.path.join(state_directory(name, os.environ), files.FOLDER)
+    # Before the wait, as the numbers are the order of the stops, and one of them may wait longer than the next.
+    draft = files.begin(folder)
+    try:
+        if not _wait(words, int(words["until_ns"])) and live:
+            _wait_for_port(words, fds[layout.PORT_OWNER])
+        run, segments = memory.copy(fds, name)
+        if live:
+            latched = causes.read(bytes.fromhex(words["cause"]))
+            cause = int(words["cause_ns"]), int(words["epoch"]), memory.known_better(segments, latched)
+        else:
+            cause = memory.left_cause(segments)
+        head = _head(name, "stop" if live else "left", cause, run, segments)
+        settings = dict(line.split("=", 1) for line in os.environ.get("FAILSTOP_SETTINGS", "").splitlines())
+        made = files.build(head, {"segments": segments, "settings": settings, "machine": machine()})
+    except BaseException:
+        draft.drop()
+        raise
     stamp = time.strftime("%Y%m%d-%H%M%S", time.localtime(head["t"]))
-    path = files.write(folder, f"{stamp}-{slug(cause[2])}", files.build(head, body))
+    path = draft.write(f"{stamp}-{slug(cause[2])}", made)
     files.prune(folder, name, int(words["keep"]), int(words["max_mb"]) * 1_000_000)
     told = {"id": files.identity(path), "at": round(head["t"], 3), "reason": head["reason"]}
     return told | {"run": "this" if live else "before"}

@@ -124,7 +124,8 @@ class Incidents:
 
 
 def _card(head: dict[str, Any]) -> dict[str, Any]:
-    return {"id": head["id"], "t": head["t"], "reason": head["reason"], "proof": memory.proven(head)}
+    proof = "; ".join(filter(None, (memory.proven(head), files.jumped(head))))
+    return {"id": head["id"], "t": head["t"], "reason": head["reason"], "proof": proof}
 
 
 def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -31,12 +31,14 @@ UNIT |= {"Result": "success", "MainPID": "100", "NRestarts": "0"}
 TICKS = (True, [20_000] * 500)
 FILES = {f"{PROCESSORS}/cpu0/cpufreq/scaling_governor": "performance"}
 KERNEL: dict[str, Any] = {"room": 1 << 30, "early_news": True, "ticks": TICKS, "contained": False}
-KERNEL |= {"services": [], "ports": []}
+KERNEL |= {"services": [], "ports": [], "no_room": "", "writable": True, "environ": {"STATE_DIRECTORY": "/state"}}
+KERNEL |= {"account": 998}
 """Results of the functions of System, whatever they are asked."""
 SAYS: dict[str, str | None] = {"busctl": "b true\n", "systemctl": ""}
 """The output of a command."""
 UIDS = {"root": 0, "failstop": 998, "anna": 1000}
-OWNERS = {"/proc/100": "failstop", "/proc/self": "anna"}
+STATE_FOLDER = "/var/lib/failstop/failstop"
+OWNERS = {"/proc/100": "failstop", "/proc/self": "anna", STATE_FOLDER: "failstop", "/state": "anna", "/": "root"}
 SHARED: dict[str, Any] = {"quick": False, "device_path": None, "settings": ("", Settings(), ""), "service": SERVICE}
 SHARED |= {"unit": UNIT, "device": ("/dev/ttyACM0", "the default of device.path"), "node": NODE, "told": Settings()}
 SHARED |= {"usb_id": BOARD.usb[0], "holders": ((), 0)}

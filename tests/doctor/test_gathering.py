@@ -39,6 +39,21 @@ def test_processes_and_their_units(tmp_path: Path) -> None:
     ]
 
 
+def test_who_may_write_a_folder_and_what_a_process_was_started_with(tmp_path: Path) -> None:
+    system = System(str(tmp_path))
+    folder, other = tmp_path / "state", 4711 if os.geteuid() != 4711 else 4712
+    folder.mkdir(mode=0o755)
+    assert [system.writable("/state", uid) for uid in (os.geteuid(), 0, other)] == [True, True, False]
+    folder.chmod(0o777)
+    assert system.writable("/state", other)
+    write(tmp_path, "/file", "")
+    assert [system.writable(path, os.geteuid()) for path in ("/nothing", "/file")] == [False, False]
+    write(tmp_path, "/proc/12/environ", "HOME=/h\0STATE_DIRECTORY=/s=t\0")
+    assert system.environ("12") == {"HOME": "/h", "STATE_DIRECTORY": "/s=t"}
+    assert system.environ("13") is None
+    assert (system.account("root"), system.account("nobody-of-this-name")) == (0, -1)
+
+
 def test_the_governors_of_all_cores(tmp_path: Path) -> None:
     folder = "/sys/devices/system/cpu"
     for core, governor in (("cpu0", "powersave"), ("cpu1", "performance")):

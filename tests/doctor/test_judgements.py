@@ -15,7 +15,7 @@ from failstop.doctor.system import Holder
 from failstop.doctor.table import CHECKS, examine
 from failstop.policy.settings import Settings
 from failstop.version import VERSION
-from tests.doctor.parts import NOBODY, NODE, STATE, UNIT, but, look, of, on, serving
+from tests.doctor.parts import NOBODY, NODE, STATE, STATE_FOLDER, UNIT, but, look, of, on, serving
 from tests.support.states import arm, stop
 
 UNRIGHTED = {name: but(row, realtime=False, memory_locked=False) for name, row in STATE.processes.items()}
@@ -101,6 +101,10 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("fleet", look(says={"systemctl": DEAF}), WARN, "obeys no fleet stop: no key"),
     ("RemoveIPC", look(**BY_HAND), WARN, "when anna logs out"),
     ("RemoveIPC", look(service=NOBODY, unit={}), WARN, "when anna logs out"),
+    ("state directory", look(no_room="the disk of / is full (0 kB free)"), WARN, "is full (0 kB free): stops leave no"),
+    ("state directory", look(writable=False), WARN, "can't write to /var/lib/failstop/failstop: stops leave no"),
+    ("state directory", look(**BY_HAND, writable=False), WARN, "can't write to /state"),
+    ("state directory", look(**BY_HAND, environ=None), SKIP, "can't see where the service keeps its incidents"),
     ("processor", look(files={f"{PROCESSORS}/cpu1/cpufreq/scaling_governor": "powersave"}), WARN, "powersave"),
     ("ticks", look(quick=True), SKIP, "not measured"),
     ("ticks", look(ticks=(True, [1000, 41_000_000])), FAIL, "40 ms and the lease runs out"),
@@ -160,6 +164,18 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
         ("unit", look(), "failstop.service is active, started at boot"),
         ("RemoveIPC", look(), "RemoveIPC does not concern the service's user"),
         ("RemoveIPC", look(**BY_HAND, says={"busctl": "b false\n"}), "RemoveIPC is off"),
+        ("state directory", look(), "/var/lib/failstop/failstop has room"),
+        ("state directory", look(**BY_HAND), "/state has room"),
+        (
+            "state directory",
+            look(**BY_HAND, environ={"STATE_DIRECTORY": "/a/b"}),
+            "/a/b does not exist yet, and can be made",
+        ),
+        (
+            "state directory",
+            look(owners={STATE_FOLDER: ""}),
+            f"{STATE_FOLDER} does not exist yet: systemd makes it when the service starts",
+        ),
         ("stop path", look(), "the service's last stop: acknowledged by the board after 4.4 ms"),
     ],
 )

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
-import sys
 from itertools import count
 from pathlib import Path
 
@@ -39,7 +37,8 @@ def test_what_is_written_is_read(path: str) -> None:
 def test_two_of_one_name_are_both_kept(path: str) -> None:
     folder = os.path.dirname(path)
     other = files.write(folder, "20260101-000000-x", files.build({"name": "other"}, {}))
-    assert other == os.path.join(folder, "20260101-000000-x-2.incident")
+    names = [f"00000{number}-20260101-000000-x.incident" for number in (1, 2)]
+    assert (os.path.basename(path), os.path.basename(other)) == tuple(names)
     assert files.read(path, with_body=False)[0] == HEAD
 
 
@@ -114,7 +113,7 @@ def test_an_incident_of_another_layout_tells_what_was_told(tmp_path: Path) -> No
     for save in (lambda name: plot.save(found, name, 5.0), lambda name: export.save(found, name)):
         with pytest.raises(IncidentError, match=r"of failstop 0\.1\.0, whose records are laid out otherwise: use that"):
             save(str(tmp_path / "x.png"))
-    assert os.listdir(tmp_path) == ["old.incident"]
+    assert os.listdir(tmp_path) == ["000001-old.incident"]
 
 
 def test_the_incident_of_an_earlier_version_reads_as_it_did() -> None:
@@ -138,14 +137,15 @@ def test_a_whole_file_of_something_else_is_refused_in_one_line(path: str) -> Non
 
 def test_drafts_of_the_dead_are_cleared_and_those_of_the_living_are_not(path: str) -> None:
     folder = Path(path).parent
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    dead, alive = folder / f".draft-{gone.pid}", folder / f".draft-{os.getppid()}"
-    for draft in (dead, alive):
+    dead = [folder / f"{files.DRAFT}{rest}" for rest in ("000007", "4711")]
+    for draft in dead:
         draft.write_bytes(b"half")
-    files.write(str(folder), "x", files.build(HEAD, BODY))
-    assert not dead.exists()
-    assert alive.exists()
+    alive = files.begin(str(folder))
+    assert not any(draft.exists() for draft in dead)
+    names = [os.path.basename(files.write(str(folder), "20260101-000001-x", files.build(HEAD, BODY))) for _ in range(2)]
+    assert names == ["000003-20260101-000001-x.incident", "000004-20260101-000001-x.incident"]
+    assert os.path.basename(alive.write("20260101-000000-y", b"late")) == "000002-20260101-000000-y.incident"
+    assert not list(folder.glob(".draft*"))
 
 
 def test_the_saver_imports_little() -> None:
@@ -156,7 +156,7 @@ def test_the_saver_imports_little() -> None:
 def test_a_writer_that_dies_at_any_call_leaves_a_whole_file_or_none_of_that_name() -> None:
     left = [names for names in map(left_at, range(100)) if names is not None]
     assert left[0] == []
-    assert left[-1] == [f"x{files.SUFFIX}"]
+    assert left[-1] == [f"000001-x{files.SUFFIX}"]
     assert 10 < len(left) < 100
 
 

@@ -15,7 +15,8 @@ from failstop.incidents.incident import Incident
 from tests.support.incident_parts import UNIX_NS, drive_and_die
 
 MADE = drive_and_die()
-IDS = ["20260921-143320-gate-died", "20260921-150000-key1", "20260922-020000-device-lost"]
+NAMES = ["20260921-143320-gate-died", "20260921-150000-key1", "20260922-020000-device-lost"]
+IDS = [f"{number:06}-{name}" for number, name in enumerate(NAMES, 1)]
 
 
 @pytest.fixture
@@ -23,7 +24,7 @@ def environ(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     """Three incidents of the service `failstop`, and one of another in the same folder."""
     found = {"STATE_DIRECTORY": str(tmp_path / "state"), "XDG_STATE_HOME": str(tmp_path / "home")}
     folder = tmp_path / "state" / "incidents"
-    for number, identity in enumerate(IDS):
+    for number, identity in enumerate(NAMES):
         MADE.save(folder, identity, unix_ns=UNIX_NS + number * 10**12)
     MADE.save(folder, "20260930-000000-other", "other", UNIX_NS + 10**15)
     for key, value in found.items():
@@ -33,7 +34,7 @@ def environ(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
 
 def test_last_is_the_newest_of_this_name(environ: dict[str, str]) -> None:
     assert Incident.read(files.find("last", "failstop", environ)).id == IDS[-1]
-    assert Incident.read(files.find("last", "other", environ)).id == "20260930-000000-other"
+    assert Incident.read(files.find("last", "other", environ)).id == "000004-20260930-000000-other"
 
 
 def test_the_beginning_of_an_id_is_enough_if_it_is_the_only_one(environ: dict[str, str]) -> None:
@@ -44,6 +45,84 @@ def test_the_beginning_of_an_id_is_enough_if_it_is_the_only_one(environ: dict[st
         files.find("2025", "failstop", environ)
 
 
+def test_the_number_of_an_incident_is_enough_too(environ: dict[str, str]) -> None:
+    for wanted in ("2", "000002", "000002-2026"):
+        assert Incident.read(files.find(wanted, "failstop", environ)).id == IDS[1]
+
+
+def test_the_last_stop_is_the_last_whatever_the_clock_said(
+    environ: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A computer without a battery-backed clock boots in the past."""
+    folder = tmp_path / "state" / "incidents"
+    past = MADE.save(folder, "20240101-000010-gate-died", unix_ns=UNIX_NS - 85_000_000 * 10**9)
+    assert files.find("last", "failstop", environ) == str(past)
+    prune(str(folder), "failstop", 3, 10**9)
+    found = [head["id"] for head in files.heads("failstop", [str(folder)])[0]]
+    assert found == [*IDS[1:], past.stem], "the oldest by its number went, and the new one stayed"
+    said = "before this incident the clock was set back by 984 days"
+    assert main(["incident", "list"]) == 0
+    shown = capsys.readouterr().out.splitlines()
+    assert [line for line in shown if not line.startswith(" ")][-1] == past.stem
+    assert [line.strip() for line in shown if "set back" in line] == [said]
+    assert main(["incident", "show"]) == 0
+    assert f"  clock     {said}" in capsys.readouterr().out
+    assert main(["incident", "show", "3"]) == 0
+    assert "set back" not in capsys.readouterr().out
+
+
+def test_within_a_run_a_clock_that_was_set_forward_is_seen_too(tmp_path: Path) -> None:
+    offsets = [0, 0, 10**13, 10**13]
+    for number, offset_ns in enumerate(offsets):
+        head = MADE.head(unix_ns=UNIX_NS + offset_ns + number * 10**9)
+        head |= {"run": "00c0ffee", "unix_minus_monotonic_ns": offset_ns}
+        files.write(str(tmp_path), f"20260101-00000{number}-x", files.build(head, {}))
+    heads, problems = files.heads("failstop", [str(tmp_path)])
+    assert ([head["clock_jump_s"] for head in heads], problems) == ([0.0, 0.0, 1e4, 0.0], [])
+    assert files.jumped(heads[2]).startswith("before this incident the clock went forward by 2 h 46 min (")
+
+
+def test_incidents_from_before_there_were_numbers_are_older(environ: dict[str, str], tmp_path: Path) -> None:
+    folder = tmp_path / "state" / "incidents"
+    for entry in os.listdir(folder):
+        os.rename(folder / entry, folder / entry.partition("-")[2])
+    new = MADE.save(folder, "20240101-000010-gate-died", unix_ns=1)
+    assert [head["id"] for head in files.heads("failstop", [str(folder)])[0]] == [
+        *NAMES,
+        "000001-20240101-000010-gate-died",
+    ]
+    assert files.find("last", "failstop", environ) == str(new)
+    assert Incident.read(files.find("20260921-1433", "failstop", environ)).id == NAMES[0]
+    prune(str(folder), "failstop", 2, 10**9)
+    assert [head["id"] for head in files.heads("failstop", [str(folder)])[0]] == [NAMES[2], new.stem]
+
+
+def test_two_folders_keep_their_own_order(tmp_path: Path) -> None:
+    """No number orders the incidents of two folders, so time does, as far as it goes."""
+    ours, theirs = tmp_path / "a", tmp_path / "b"
+    for folder, days in ((ours, (1, 3, -900)), (theirs, (2,))):
+        for number, day in enumerate(days):
+            MADE.save(folder, f"20260101-00000{number}-x", unix_ns=UNIX_NS + day * 86_400 * 10**9)
+    found = [head["path"] for head in files.heads("failstop", [str(ours), str(theirs)])[0]]
+    assert [path for path in found if path.startswith(str(ours))] == sorted(map(str, ours.iterdir()))
+    assert found[1].startswith(str(theirs))
+
+
+@pytest.mark.parametrize("free", [0, files.LEAST_ROOM - 1])
+def test_a_full_disk_is_named_where_no_incident_is_saved(
+    free: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
+    real = os.statvfs(tmp_path)
+    fields = [*real]
+    fields[1], fields[4] = 1, free
+    monkeypatch.setattr(os, "statvfs", lambda path: os.statvfs_result(fields))
+    assert main(["incident", "show"]) == 1
+    told = capsys.readouterr().err
+    assert f"the disk of {tmp_path} is full ({free // 1000} kB free): stops leave no file until there is room" in told
+    assert "latched" not in told
+
+
 def test_a_path_is_read_wherever_it_is(environ: dict[str, str], tmp_path: Path) -> None:
     copy = tmp_path / "sent-by-mail.incident"
     copy.write_bytes((tmp_path / "state" / "incidents" / f"{IDS[0]}.incident").read_bytes())
@@ -51,7 +130,7 @@ def test_a_path_is_read_wherever_it_is(environ: dict[str, str], tmp_path: Path) 
 
 
 def test_without_any_it_says_so(tmp_path: Path) -> None:
-    with pytest.raises(IncidentError, match="no incidents of 'nobody'"):
+    with pytest.raises(IncidentError, match="no incident of 'nobody' is saved in "):
         files.find("last", "nobody", {"XDG_STATE_HOME": str(tmp_path)})
 
 
@@ -87,7 +166,7 @@ def test_the_oldest_go_first_and_nothing_of_others_is_touched(environ: dict[str,
     (folder / "notes.txt").write_text("mine")
     (folder / "broken.incident").write_bytes(b"?")
     prune(str(folder), "failstop", 2, 10**9)
-    left = {"notes.txt", "broken.incident", "20260930-000000-other.incident"}
+    left = {"notes.txt", "broken.incident", "000004-20260930-000000-other.incident"}
     assert set(os.listdir(folder)) == left | {f"{identity}.incident" for identity in IDS[1:]}
     prune(str(folder), "failstop", 2, 10**9)
     assert len(os.listdir(folder)) == 5
@@ -97,7 +176,9 @@ def test_size_counts_too_and_the_newest_always_stays(environ: dict[str, str], tm
     folder = tmp_path / "state" / "incidents"
     size = os.stat(folder / f"{IDS[0]}.incident").st_size
     prune(str(folder), "failstop", 50, size * 2 + size // 2)
-    assert set(os.listdir(folder)) == {f"{identity}.incident" for identity in (*IDS[1:], "20260930-000000-other")}
+    assert set(os.listdir(folder)) == {
+        f"{identity}.incident" for identity in (*IDS[1:], "000004-20260930-000000-other")
+    }
     prune(str(folder), "failstop", 50, 1)
     assert Incident.read(files.find("last", "failstop", environ)).id == IDS[2]
 

@@ -29,10 +29,13 @@ def command(service: Simulated) -> Any:
 
 
 def saved(service: Simulated, after_s: float, name: str = OLDER) -> None:
-    made = drive_and_die()
-    unix_ns = round((service.robot.state.last_stop.t + after_s) * NS)
+    """An incident of a stop that came so long after the last one, saved while the clock was two years behind."""
+    made, stop = drive_and_die(), service.robot.state.last_stop
+    run = service.load("failstop.api.client").run("failstop")[0].rpartition(".")[2]
+    head = made.head(unix_ns=round((stop.t - 6e7) * NS))
+    head |= {"run": run, "cause_ns": stop.noticed_ns + round(after_s * NS)}
     file = Regular()
-    file.put(files.build(made.head(unix_ns=unix_ns), made.body()), 0)
+    file.put(files.build(head, made.body()), 0)
     service.lab.machine.root.folder(FOLDER).put(name, file)
 
 
@@ -70,11 +73,11 @@ def test_nothing_is_to_come(service: Simulated, command: Any) -> None:
 def test_its_file_is_waited_for(service: Simulated) -> None:
     replace(service, "gate")
     saved(service, -30.0)
-    newer = OLDER.replace("died", "died-2")
+    newer = f"000001-{OLDER}"
     service.lab.machine.at(service.now_ns() + 2 * NS, lambda: saved(service, 0.0, newer))
     code, printed, errors = service.command("incident", "show")
     assert (code, errors) == (0, "")
-    assert "Incident 20260921-143320-gate-died-2\n" in printed
+    assert "Incident 000001-20260921-143320-gate-died\n" in printed
 
 
 def test_an_older_one_is_not_shown_without_a_word(service: Simulated, command: Any) -> None:

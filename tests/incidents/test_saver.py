@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import subprocess
@@ -103,6 +104,29 @@ def test_one_file_with_everything(saving: Saving) -> None:
     assert abs(incident.head["t"] - time.time()) < 60
     assert saving.save(**saving.live(keep=1))["id"] != incident.id
     assert [path.stem for path in (saving.state / "incidents").iterdir()] == [saving.newest().id], "as many as are kept"
+
+
+def test_many_savers_of_one_second_and_cause_each_leave_a_file(tmp_path: Path) -> None:
+    """Processes of their own, let go together."""
+    savers, made = 40, files.build({"name": "x"}, {})
+    begin, go = os.pipe()
+    pids = []
+    for _ in range(savers):
+        if not (pid := os.fork()):
+            os.close(go)
+            os.read(begin, 1)
+            code = 1
+            with contextlib.suppress(OSError):
+                files.write(str(tmp_path / "incidents"), "20260101-000000-x", made)
+                code = 0
+            os._exit(code)
+        pids.append(pid)
+    os.close(begin)
+    os.close(go)
+    assert [os.waitpid(pid, 0)[1] for pid in pids] == [0] * savers
+    found = sorted(os.listdir(tmp_path / "incidents"))
+    assert found == [f"{number:06}-20260101-000000-x.incident" for number in range(1, savers + 1)]
+    assert all(files.read(str(tmp_path / "incidents" / name)) == ({"name": "x"}, {}) for name in found)
 
 
 def test_it_copies_at_its_time_or_when_the_supervisor_ends(saving: Saving) -> None:

@@ -257,3 +257,18 @@ def test_servos_are_a_row_where_the_board_tells_of_them() -> None:
     assert "servos" not in shown(summary.lines(state(), NOW_S, 160))
     still = shown(summary.lines(state(servos={"left wheel (servo 7)": (0.0, 31)}), NOW_S, 160))
     assert "bears" not in still
+
+
+@pytest.mark.parametrize(
+    ("wall_s", "monotonic_s", "says"),
+    [
+        (60.0, 60.0, ""),
+        (86_430.0, 86_400.0, ""),
+        (-86_400.0, 3600.0, "-- the clock was set back by 25 h 0 min --"),
+        (30_000.0, 1.0, "-- the clock went forward by 8 h 19 min (it was set, or the machine slept) --"),
+    ],
+)
+def test_a_clock_that_jumped_between_two_events_is_said(wall_s: float, monotonic_s: float, says: str) -> None:
+    earlier = Event(1, NOW_S, 10**12, "ready", "notice", "ready", {})
+    later = dataclasses.replace(earlier, seq=2, t=NOW_S + wall_s, ns=10**12 + round(monotonic_s * 1e9))
+    assert shown(events.clock(earlier, later)) == says

@@ -11,7 +11,18 @@ import pytest
 from failstop.lab.machine.kernel import TAKEDOWN_NS
 from failstop.lab.machine.process import Process
 from failstop.messages import box, layout
-from failstop.supervisor.blackbox import COPY_NS, FINISH_S, MOST_SAVERS, PATIENCE_NS, SAMPLE_NS, START_NS, STEP
+from failstop.supervisor.blackbox import (
+    COPY_NS,
+    FEWER,
+    FINISH_S,
+    GIVE_UP_NS,
+    MOST_SAVERS,
+    MOST_WAITING,
+    PATIENCE_NS,
+    SAMPLE_NS,
+    START_NS,
+    STEP,
+)
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene
 from tests.support.why import why
@@ -122,19 +133,54 @@ def test_a_saver_is_started_a_while_after_a_latched_stop(scene: Scene) -> None:
     assert set(saver.files) == {0, 1, 2, int(given["hurry"]), *scene.run.readable.values()}
 
 
-def test_the_black_box_starts_few_savers_at_one_time(scene: Scene) -> None:
+def test_the_black_box_starts_few_savers_at_one_time_and_the_rest_as_these_end(scene: Scene) -> None:
     latched(scene, 7)
     follow(scene, T0 + START_NS)
     for epoch in range(8, 18):
         latched(scene, epoch)
-    for _ in range(10):
+    for _ in range(20):
         follow(scene, T0 + START_NS)
     assert [given["epoch"] for given in savers(scene)] == ["7", "8", "9", "10"]
-    assert len(scene.born) == MOST_SAVERS
+    for done in range(7):
+        scene.machine.die(scene.born[done], 0)
+        scene.now_ns += TAKEDOWN_NS
+        for _ in range(2):
+            follow(scene, T0 + START_NS)
+        assert len(scene.born) == done + 1 + MOST_SAVERS
+    assert [given["epoch"] for given in savers(scene)] == [str(epoch) for epoch in range(7, 18)], "each has one"
+
+
+def test_a_late_saver_waits_until_nothing_moves(scene: Scene) -> None:
+    moving = scene.own[layout.PORT_OWNER].word("moving")
+    for epoch in range(7, 12):
+        latched(scene, epoch)
+    for _ in range(10):
+        follow(scene, T0 + START_NS)
     ends(scene, scene.born[0])
-    latched(scene, 30)
-    follow(scene, T0 + START_NS)
-    assert savers(scene)[-1]["epoch"] == "30"
+    moving.set(1)
+    follow(scene, T0 + 2 * START_NS + 1)
+    assert len(scene.born) == MOST_SAVERS
+    moving.set(0)
+    follow(scene, T0 + 2 * START_NS + 2)
+    assert savers(scene)[-1]["epoch"] == "11"
+
+
+def test_a_stop_that_gets_no_file_gets_a_word(scene: Scene) -> None:
+    for epoch in range(7, 7 + MOST_WAITING + 1):
+        latched(scene, epoch)
+    why, step = f"{MOST_WAITING} earlier stops still wait to be saved", FEWER
+    assert scene.said() == [lost(why, step)]
+    for _ in range(20):
+        follow(scene, T0 + START_NS)
+    for _ in range(20):
+        follow(scene, T0 + START_NS + GIVE_UP_NS + 1)
+    driven = lost("too many stops at once, and then the robot drove again", FEWER)
+    assert scene.said() == [driven] * (MOST_WAITING - MOST_SAVERS)
+    for epoch in range(30, 32):
+        latched(scene, epoch)
+    scene.supervisor.blackbox.finish()
+    assert scene.said() == [lost("the service ended while earlier stops were being saved", FEWER)] * 2
+    assert len(scene.born) == MOST_SAVERS
 
 
 def test_the_black_box_saves_nothing_where_that_is_off() -> None:
@@ -149,9 +195,9 @@ def test_the_black_box_saves_nothing_where_that_is_off() -> None:
 SAVED = ("incident", "notice", "incident 0012 saved; next: `failstop incident show 0012 --name stage`", {"id": "0012"})
 
 
-def lost(why: str) -> tuple[str, str, str, dict[str, Any]]:
+def lost(why: str, step: str = STEP) -> tuple[str, str, str, dict[str, Any]]:
     """The event that tells of an incident which was not saved."""
-    return "incident", "warning", f"incident not saved: {why}; next: {STEP}", {"reason": f"{why}; next: {STEP}"}
+    return "incident", "warning", f"incident not saved: {why}; next: {step}", {"reason": f"{why}; next: {step}"}
 
 
 @pytest.mark.parametrize(

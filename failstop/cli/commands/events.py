@@ -9,6 +9,7 @@ import time
 from argparse import ArgumentParser, Namespace
 from contextlib import suppress
 
+from failstop.api import words
 from failstop.api.errors import FailstopError, NoService
 from failstop.api.events import Event, EventLog
 from failstop.cli import style
@@ -46,12 +47,20 @@ def main(arguments: Namespace) -> int:
     since_s = since(arguments.since, time.time()) if arguments.since else 0.0
     chosen = kinds(arguments.kind) if arguments.kind else None
 
+    last: Event | None = None
+
     def show(events: list[Event]) -> None:
-        wanted = [event for event in events if event.t >= since_s and (chosen is None or event.kind in chosen)]
-        if arguments.json:
-            sys.stdout.writelines(f"{json.dumps(dataclasses.asdict(event))}\n" for event in wanted)
-        else:
-            style.show(row for event in wanted for row in rows(event, time.time(), columns))
+        nonlocal last
+        for event in events:
+            if last and not arguments.json:
+                style.show(clock(last, event))
+            last = event
+            if event.t < since_s or (chosen is not None and event.kind not in chosen):
+                continue
+            if arguments.json:
+                print(json.dumps(dataclasses.asdict(event)))
+            else:
+                style.show(rows(event, time.time(), columns))
         sys.stdout.flush()
 
     columns = style.width() if sys.stdout.isatty() else None
@@ -78,6 +87,13 @@ def _again(name: str) -> EventLog:
         with suppress(FailstopError):
             return EventLog(name)
         time.sleep(AGAIN_S)
+
+
+def clock(earlier: Event, later: Event) -> list[style.Line]:
+    """A line where the wall clock jumped between two events, as the times of day before it and after it, and --since,
+    then mean nothing together."""
+    jumped_s = words.clock_jump(later.t - earlier.t, (later.ns - earlier.ns) / 1e9)
+    return [[(f"-- {words.jumped(jumped_s)} --", style.WARN)]] if jumped_s else []
 
 
 def rows(event: Event, now_s: float, columns: int | None) -> list[style.Line]:

@@ -6,7 +6,9 @@ import os
 import time
 from argparse import ArgumentParser, Namespace
 
+from failstop.api import client
 from failstop.api.errors import FailstopError
+from failstop.api.events import EventLog
 from failstop.api.snapshot import Stop
 from failstop.api.state import StateReader
 from failstop.cli import standard
@@ -20,17 +22,18 @@ from failstop.incidents.left import left
 EXAMPLES = """\
 failstop incident list
 failstop incident show                       # the last one, what matters
-failstop incident show 20260130-0214 --all
+failstop incident show 42                    # by its number
+failstop incident show 20260130-0214 --all   # by the beginning of its date and time
 failstop incident plot                       # the last one, as ./ID.png
 failstop incident export last -o stop.mcap   # for Foxglove, rosbag2
 """
 
-WHICH = "the incident's id, the beginning of one, a file's path, or `last` (default)"
+WHICH = "the incident's id, its number, its date or the beginning of one, a file's path, or `last` (default)"
 SUFFIXES = {"plot": ".png", "export": ".mcap"}
 SAVED_S = 3.0
 """A stop's file is there 2.4 s after it."""
-CLOCKS_S = 0.5
-"""A stop's time of day is no more exact than this: it is told twice, by clocks that may be set between."""
+TOGETHER_NS = 500_000_000
+"""The last stop may repeat the latched one, whose file it is in, with another cause and so much later."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -67,8 +70,9 @@ def main(arguments: Namespace) -> int:
 def _told(incident: Incident, arguments: Namespace) -> list[Line]:
     """Lines on an incident, or on the file that was made of it. Raises IncidentError."""
     if arguments.action == "show":
-        shown = screen.text(incident, width(), time.time(), whole=arguments.all)
-        return record(story.as_dict(incident)) if arguments.json else shown
+        if arguments.json:
+            return record(story.as_dict(incident))
+        return screen.text(incident, width(), time.time(), whole=arguments.all, clock=_clock(incident, arguments.name))
     path: str = arguments.output or incident.id + SUFFIXES[arguments.action]
     if arguments.action == "plot":
         from failstop.incidents import plot
@@ -80,6 +84,12 @@ def _told(incident: Incident, arguments: Namespace) -> list[Line]:
     return [[(f"wrote {path}: {export.save(incident, path)} messages", PLAIN)]]
 
 
+def _clock(incident: Incident, name: str) -> str:
+    """What is known against the wall clock of an incident, by those that are kept with it."""
+    found, _ = files.heads(name, files.folders(name, os.environ))
+    return next((files.jumped(head) for head in found if head["id"] == incident.id), "")
+
+
 def _list(arguments: Namespace) -> int:
     found, problems = files.heads(arguments.name, files.folders(arguments.name, os.environ))
     if arguments.json:
@@ -87,7 +97,7 @@ def _list(arguments: Namespace) -> int:
     elif found:
         show(screen.table(found, width()))
     elif not problems:
-        print(f"no incidents of {arguments.name!r}: nothing was latched yet")
+        print(files.nothing(arguments.name, os.environ))
     for problem in problems:
         standard.say(problem)
     return 1 if problems else 0
@@ -96,10 +106,12 @@ def _list(arguments: Namespace) -> int:
 def _meant(arguments: Namespace) -> str:
     """The incident's path; a stop of a moment ago is the last one, so its file is waited for. Raises IncidentError."""
     if arguments.id == files.LAST:
-        while (stop := unsaved(arguments.name)) and time.time() < stop.t + SAVED_S:
+        while (stop := unsaved(arguments.name)) and time.monotonic_ns() < stop.noticed_ns + SAVED_S * 1e9:
             time.sleep(0.1)
         if stop:
-            standard.say(f"the last stop ({stop.reason}) is in no file so far: this is another")
+            why = failed(arguments.name)
+            told = f"was not saved: {why}" if why else "is in no file so far: this is another"
+            standard.say(f"the last stop ({stop.reason}) {told}")
         elif left(arguments.name):
             standard.say("how the last run ended is saved when the service is started again: this is from before it")
     return files.find(arguments.id, arguments.name, os.environ)
@@ -108,7 +120,7 @@ def _meant(arguments: Namespace) -> str:
 def unsaved(name: str) -> Stop | None:
     """The service's last stop, when it is in no file."""
     try:
-        state = StateReader(name).read()
+        state, run = StateReader(name).read(), client.run(name)[0].rpartition(".")[2]
     except FailstopError:
         return None
     stop = state.last_stop
@@ -116,4 +128,15 @@ def unsaved(name: str) -> Stop | None:
     if not stop or state.cause not in (None, stop.cause):
         return None
     heads, _ = files.heads(name, files.folders(name, os.environ))
-    return None if any(head["t"] > stop.t - CLOCKS_S for head in heads) else stop
+    # By the run and its monotonic clock: the wall clock may have been set since.
+    saved_ns = (head["cause_ns"] for head in heads if head.get("run") == run)
+    return None if any(ns > stop.noticed_ns - TOGETHER_NS for ns in saved_ns) else stop
+
+
+def failed(name: str) -> str:
+    """Why the service could not save its last incident; empty: it could, or has said nothing of it."""
+    try:
+        told = [event for event in EventLog(name).read() if event.kind == "incident"]
+    except FailstopError:
+        return ""
+    return told[-1].what.removeprefix("incident not saved: ") if told and told[-1].level == "warning" else ""

@@ -7,7 +7,7 @@ from typing import Any
 from failstop.api import words
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, PLAIN, STRONG, WARN
-from failstop.incidents import memory, story
+from failstop.incidents import files, memory, story
 from failstop.incidents.incident import DRIVING, SAYS, Incident, named
 from failstop.incidents.story import CAUSE
 from failstop.messages.records import printable
@@ -28,21 +28,24 @@ ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL,
 
 
 def table(heads: list[dict[str, Any]], columns: int) -> Lines:
-    """The list of incidents, the newest last: id, when, why, and how the stop was proven, below each other."""
+    """The list of incidents, the newest last: id, when, why, how the stop was proven, and where the clock jumped."""
     lines: Lines = []
     for head in heads:
         role = FAIL if any(proven is False for _, proven in memory.proofs(head)) else DIM
         lines.append([(head["id"], STRONG)])
         lines += _wrapped("  ", f"{words.clock(head['t'])}  {head['reason']}", PLAIN, columns)
         lines += _wrapped("  ", memory.proven(head), role, columns)
+        if note := files.jumped(head):
+            lines += _wrapped("  ", note, WARN, columns)
     return lines
 
 
-def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False) -> Lines:
-    """The facts, and the lines of the story that matter, without scrolling; `whole`: all of it, and what was around."""
+def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False, clock: str = "") -> Lines:
+    """The facts, and the lines of the story that matter, without scrolling; `whole`: all of it, and what was around.
+    `clock`: what is known against the wall clock of this incident."""
     columns = max(columns, NARROWEST)
     return [
-        *_facts(f"Incident {incident.id}", _head(incident, now_s), columns),
+        *_facts(f"Incident {incident.id}", _head(incident, now_s, clock), columns),
         [],
         *_story(incident, columns, whole=whole),
         *([[], *_facts("Around it", _around(incident), columns)] if whole else [[(MORE, DIM)]]),
@@ -59,7 +62,7 @@ def _facts(title: str, rows: list[Fact], columns: int) -> Lines:
     return [[(title, STRONG)], *(line for lines in wrapped for line in lines)]
 
 
-def _head(incident: Incident, now_s: float) -> list[Fact]:
+def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
     """The event, its time, who noticed it, and the three proofs of the stop, which are kept apart."""
     head = incident.head
     ago = f", {words.span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
@@ -74,6 +77,8 @@ def _head(incident: Incident, now_s: float) -> list[Fact]:
         ("before", _before(incident), PLAIN),
         ("noticed", noticed, PLAIN),
     ]
+    if clock:
+        rows.insert(2, ("clock", clock, WARN))
     for name, (said, proven) in zip(("proof", "", ""), memory.proofs(head), strict=True):
         rows.append((name, said, PROOFS[proven]))
     if incident.left:

@@ -26,7 +26,20 @@ from failstop.lab.machine.system import modules
 HOME = os.path.dirname(os.path.abspath(failstop.__file__))
 HARMLESS = {
     *("__future__", "abc", "argparse", "asyncio", "bisect", "collections", "contextlib", "copy", "dataclasses"),
-    *("difflib", "enum", "errno", "functools", "itertools", "json", "math", "msgpack", "operator", "re", "shlex"),
+    *(
+        "difflib",
+        "enum",
+        "errno",
+        "functools",
+        "heapq",
+        "itertools",
+        "json",
+        "math",
+        "msgpack",
+        "operator",
+        "re",
+        "shlex",
+    ),
     *("stat", "string", "struct", "textwrap", "tomli", "tomllib", "types", "typing", "unicodedata", "warnings"),
     "zlib",
 }
