@@ -34,7 +34,7 @@ MOST_SAVERS = 4
 MOST_WAITING = 16
 """Stops that wait for a saver. They come as fast as somebody resets the last one."""
 LATE_NS = START_NS
-"""A saver that starts later than this after its time waits until nothing moves, since people may have enabled motion."""
+"""A saver that is later than this waits until nothing moves, since people may have enabled motion by then."""
 GIVE_UP_NS = 30_000_000_000
 """After that the rings hold less than half a minute before the stop."""
 FINISH_S = 1.0

@@ -30,7 +30,7 @@ from tests.support.states import latched, state
 ROOT = Path(failstop.__file__).resolve().parent.parent
 FOLDERS = ("failstop", "procs", "shm", "supervisor", "bench")
 KINDS = tuple(BY_NUMBER.values())
-ASKED = (causes.REQUESTED, causes.PIPED)
+ASKED = (causes.REQUESTED, causes.PIPED, causes.FLEET)
 NAMES = [kind.name for kind in KINDS]
 TEMPLATES = {kind.template for kind in KINDS}
 VALUES: dict[type, st.SearchStrategy[str | int | float]] = {
@@ -172,9 +172,9 @@ def test_damage_is_told_apart_and_arguments_are_those_of_the_row() -> None:
         ),
         (causes.BUTTON(0x0100), "gamepad button 0x0100"),
         (causes.KEY(1), "key1"),
-        (causes.REQUESTED("hand near", "nav", 7), "stop request: hand near (nav, pid 7)"),
-        (causes.REQUESTED("", "nav", 7), "stop request (nav, pid 7)"),
-        (causes.REQUESTED("", "nav", 0), "stop request (nav, pid 0)"),
+        (causes.REQUESTED("hand near", "nav", 7), "stop request: hand near (says it is nav, pid 7)"),
+        (causes.REQUESTED("", "nav", 7), "stop request (says it is nav, pid 7)"),
+        (causes.REQUESTED("", "nav", 0), "stop request (says it is nav, pid 0)"),
         (causes.PIPED("hand near"), "stop request: hand near"),
         (causes.PIPED(""), "stop request"),
         (causes.PIPED("[{words}] %s {0}"), "stop request: [{words}] %s {0}"),
@@ -204,9 +204,9 @@ def test_every_row_is_explained_without_arguments_too(kind: Kind) -> None:
     [
         (
             causes.REQUESTED("hand near", "failstop estop", 4711),
-            'failstop estop (pid 4711) asked for a stop: "hand near"',
+            'a program that says it is failstop estop (pid 4711) asked for a stop: "hand near"',
         ),
-        (causes.REQUESTED("", "nav", 3), "nav (pid 3) asked for a stop"),
+        (causes.REQUESTED("", "nav", 3), "a program that says it is nav (pid 3) asked for a stop"),
         (causes.PIPED("chaos"), 'somebody wrote to the stop pipe: "chaos"'),
         (causes.PIPED(""), "somebody wrote to the stop pipe"),
         (
@@ -257,7 +257,7 @@ def asked(line: bytes) -> Cause:
     assert str(found).startswith("stop request")
     assert str(found).isprintable()
     what, _ = why.meaning(found)
-    assert re.match(r"somebody wrote to the stop pipe|.* \(pid \d+\) asked for a stop", what)
+    assert re.match(r"somebody wrote to the stop pipe|a program that says it is .* asked for a stop", what)
     return found
 
 
@@ -271,12 +271,33 @@ def test_no_bytes_in_the_pipe_do_either(line: bytes) -> None:
     asked(line)
 
 
+def test_a_forged_sender_is_what_somebody_says() -> None:
+    """Any local user may write the line of the fleet's publisher, or anybody's."""
+    for line, name in ((b"smoke\tfleet:ann\t1", "the fleet"), (b"smoke\tann\t1", "ann")):
+        found = asked(line)
+        assert f"(says it is {name}" in str(found)
+        what, _ = why.meaning(found)
+        assert what.startswith(f"a program that says it is {name}")
+        assert what.count('"') == 2
+    ann = asked(b'smoke", and ann (pid 1) saw it: "\tnav\t3')
+    assert why.meaning(ann)[0].count('"') == 2, "the words end where they end"
+
+
+@pytest.mark.parametrize("code", [*range(32), 0x7F, 0x9B, 0x202E, 0x2066, 0x2028])
+def test_no_control_character_of_a_request_reaches_a_screen(code: int) -> None:
+    character = chr(code)
+    for line in (f"a{character}b", f"a{character}b\tn{character}n\t3", f"a\tfleet:n{character}n\t1"):
+        found = asked(line.encode())
+        shown = [str(found), *map(str, found.arguments), *why.meaning(found)]
+        assert all(text.isprintable() for text in shown)
+
+
 @given(words=st.text(max_size=80), who=st.text(max_size=30), pid=st.integers(1, 2**22))
 def test_who_asks_is_told_whatever_the_words_look_like(words: str, who: str, pid: int) -> None:
     said, name = (" ".join(given_.split()) for given_ in (words, who))
     name = records.cut(name, records.WHO_BYTES).decode()
     found = asked(records.asking(words, who, pid)[:-1])
-    wanted = [records.printable(text.encode("utf-8", "replace").decode()) for text in (said, name)]
+    wanted = [records.printable(text.encode("utf-8", "replace").decode()).replace('"', "'") for text in (said, name)]
     assert found == (causes.REQUESTED(*wanted, pid) if name else causes.PIPED(wanted[0]))
 
 

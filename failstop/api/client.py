@@ -68,9 +68,11 @@ def unread(fd: int) -> int:
 
 
 def send_stop(name: str, why: object, who: object = "") -> None:
-    """Ask for a latched stop: every local user may. The service tells of it as `stop request: REASON (WHO, pid N)`, a
-    reason of more than records.ASKED_BYTES cut. What an object says of itself follows as a request of its own, unless
-    it takes longer than OWN_WORDS_S. Never blocks on the service. Raises NoService, FailstopError."""
+    """Ask for a latched stop: every local user may. The service shows `stop request: REASON (says it is WHO, pid N)`,
+    because a pipe does not tell its reader who wrote. A reason of more than records.ASKED_BYTES is cut. What an object
+    says of itself follows as a request of its own, unless it takes longer than OWN_WORDS_S.
+
+    Never blocks on the service. Raises NoService, FailstopError."""
     directory, fd = _there(instance.open_stop, name)
     try:
         words, whole = reason.plain(why)

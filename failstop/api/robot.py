@@ -155,9 +155,10 @@ class Calls(Session):
     def estop(self, reason: object = "") -> None:
         """Latched protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).
         Motion stays off until reset() and enable(). Anyone may, with a service of any version, and with a Robot that is
-        closed; raises NoService when nothing is there to stop. The latch's reason is `stop request: REASON (CLIENT, pid
-        N)`; of a reason of more than 180 bytes the rest is left out. A reason may be anything, such as an exception:
-        the stop never waits for its `__str__`. An object's own words follow in the events."""
+        closed; raises NoService when nothing is there to stop. The latch's reason is `stop request: REASON (says it is
+        CLIENT, pid N)`, since anyone may ask, under any name; of a reason of more than 180 bytes the rest is left out.
+        A reason may be anything, such as an exception: the stop never waits for its `__str__`. An object's own words
+        follow in the events."""
         send_stop(self.name, reason, self.client_name)
 
     def _limiting(self, share: float, *, awaited: bool = False) -> Steps[str]:

@@ -49,7 +49,7 @@ def clock_jump(wall_s: float, monotonic_s: float) -> float:
 
 
 def jumped(seconds: float) -> str:
-    """A jump of the wall clock. One forward has two reasons, as the monotonic clock does not count a machine's sleep."""
+    """A jump of the wall clock. One forward may be a machine's sleep, which the monotonic clock does not count."""
     if seconds < 0:
         return f"the clock was set back by {span(-seconds)}"
     return f"the clock went forward by {span(seconds)} (it was set, or the machine slept)"

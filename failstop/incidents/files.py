@@ -14,7 +14,6 @@ are little-endian.
 from __future__ import annotations
 
 import contextlib
-import errno
 import fcntl
 import heapq
 import os
@@ -84,9 +83,9 @@ class Draft:
         try:
             durable.write_all(self._fd, data)
             durable.publish(_draft(self._folder, self._number), path)
-        except OSError:
+        except OSError as error:
             self.drop()
-            raise
+            raise OSError(error.errno, error.strerror, path) from None
         os.close(self._fd)
         return path
 
@@ -267,11 +266,11 @@ def heads(name: str, places: Iterable[str]) -> tuple[list[dict[str, Any]], list[
 
 def _jump(before: dict[str, Any], head: dict[str, Any]) -> float:
     """How far the wall clock is known to have jumped between two incidents, in s; 0: not that anybody could tell."""
-    offsets = [each.get("unix_minus_monotonic_ns") for each in (before, head)]
+    was_ns, is_ns = (each.get("unix_minus_monotonic_ns") for each in (before, head))
     apart_s = float(head["t"]) - float(before["t"])
-    if before.get("run") == head.get("run") and all(isinstance(offset, int) for offset in offsets):
+    if before.get("run") == head.get("run") and isinstance(was_ns, int) and isinstance(is_ns, int):
         # One run counts both by the same monotonic clock.
-        return words.clock_jump(apart_s, apart_s - (offsets[1] - offsets[0]) / 1e9)
+        return words.clock_jump(apart_s, apart_s - (is_ns - was_ns) / 1e9)
     return min(0.0, words.clock_jump(apart_s, 0.0))
 
 
@@ -313,7 +312,8 @@ def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
 
 
 def _meant(wanted: str, found: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The heads that a person may mean: those of this number, else those whose id begins so, its number left out too."""
+    """The heads that a person may mean: those of this number, else those whose id, or its part after the number, begins
+    like this."""
     if wanted.isdecimal() and (numbered := [head for head in found if number_of(head["id"]) == int(wanted) > 0]):
         return numbered
     ids = ((head, head["id"]) for head in found)

@@ -143,15 +143,21 @@ def of(name: str, arguments: dict[str, Value]) -> Cause:
 
 
 def requested(line: bytes) -> Cause:
-    """The cause of a stop that was asked for with this line in the stop pipe (records.asking): somebody's words."""
+    """The cause of a stop that was asked for with this line in the stop pipe (records.asking). Any local user may write
+    the line, and a pipe does not tell its reader who did: so the name in it is what the asker says, and no more."""
     text = line.decode("utf-8", "replace")
     words, _, rest = text.partition("\t")
     who, _, pid = rest.partition("\t")
     if who and pid.isascii() and pid.isdigit() and len(pid) <= LONGEST_PID:
         if who.startswith(records.FLEET_PREFIX):
-            return FLEET(printable(words), printable(who.removeprefix(records.FLEET_PREFIX)))
-        return REQUESTED(printable(words), printable(who), int(pid))
-    return PIPED(printable(text))
+            return FLEET(_quoted(words), _quoted(who.removeprefix(records.FLEET_PREFIX)))
+        return REQUESTED(_quoted(words), _quoted(who), int(pid))
+    return PIPED(_quoted(text))
+
+
+def _quoted(text: str) -> str:
+    """Somebody's words as they can stand between quotation marks: they end where these do."""
+    return printable(text).replace('"', "'")
 
 
 def completed(latched: Cause, later: Cause) -> bool:
@@ -245,8 +251,8 @@ KEY = Kind(
     "somebody pressed key {key} on the board", "ask whoever stands by the robot",
 )  # fmt: skip
 REQUESTED = Kind(
-    17, "requested", "stop request[: {words}] ({who}, pid {pid:d})", "port_owner",
-    '{who} (pid {pid}) asked for a stop[: "{words}"]',
+    17, "requested", "stop request[: {words}] (says it is {who}, pid {pid:d})", "port_owner",
+    'a program that says it is {who} (pid {pid}) asked for a stop[: "{words}"]',
     "make sure that whatever it was for is over",
 )  # fmt: skip
 PIPED = Kind(
@@ -255,8 +261,8 @@ PIPED = Kind(
     "make sure that whatever it was for is over",
 )  # fmt: skip
 FLEET = Kind(
-    24, "fleet", "fleet stop[: {words}] (by {who})", "port_owner",
-    '{who} stopped the whole fleet[: "{words}"]',
+    24, "fleet", "stop request[: {words}] (says it is the fleet, for {who})", "port_owner",
+    'a program that says it is the fleet asked for a stop for {who}[: "{words}"]',
     "make sure that whatever it was for is over",
 )  # fmt: skip
 BATTERY = Kind(

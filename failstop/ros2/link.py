@@ -10,6 +10,7 @@ from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused
 from failstop.api.robot import Robot
 from failstop.api.state import State
+from failstop.ros2 import words
 from failstop.ros2.contract import CLIENT
 
 ANSWER_S = 0.5
@@ -31,6 +32,7 @@ class RobotLink:
     def stop(self, reason: str) -> None:
         """Ask for a latched stop, by the stop pipe: connected or not, whatever the last call came to. Raises NoService
         when nothing is there to stop."""
+        words.asked(reason)
         send_stop(self.name, reason, CLIENT)
 
     def call(self, act: Callable[[Robot], T], *, at_once: bool = False) -> T:

@@ -1,8 +1,12 @@
-"""Words: the service's answers in those of the driver before it, to the letter, which tools compare. Pure."""
+"""Words: the service's answers in those of the driver before it, to the letter, which tools compare."""
 
 from __future__ import annotations
 
+import os
+from collections import deque
+
 from failstop.api.errors import FailstopError, Refused
+from failstop.messages import records
 from failstop.messages.records import CAUSE, FOR_THE_LATCH
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -16,11 +20,18 @@ ENABLED = "enabled"
 DISABLED = "disabled"
 HELD = "wheels held: no LiDAR scan for {:.1f} s while commanded"
 RELEASED = "LiDAR scan back: wheels released"
+_ASKED: deque[Cause] = deque(maxlen=64)
+
+
+def asked(reason: str) -> None:
+    """Remember a stop that this process asks for. The name in a stop request proves nothing, so this alone tells a
+    request of the bridge from one that says it is the bridge's."""
+    _ASKED.append(causes.requested(records.asking(reason, CLIENT, os.getpid()).rstrip()))
 
 
 def plain(cause: Cause | None) -> str:
-    """A cause of the bridge's own without what the service adds to every request; empty: none."""
-    if cause and cause.kind is causes.REQUESTED and cause.named()["who"] == CLIENT:
+    """A cause, and of a stop that this bridge asked for the bare words of the driver before it; empty: none."""
+    if cause and cause in _ASKED:
         return str(cause.named()["words"])
     return str(cause or "")
 

@@ -156,12 +156,13 @@ def test_words_that_come_late_are_no_second_stop(trial: Trial, monkeypatch: pyte
 
 def test_whoever_asks_is_named_as_well_as_can_be(trial: Trial) -> None:
     send_stop(trial.name, "hand", Raises())
-    assert str(trial.robot.wait_for("latched", 5.0).cause).startswith("stop request: hand (Raises, pid ")
+    assert str(trial.robot.wait_for("latched", 5.0).cause).startswith("stop request: hand (says it is Raises, pid ")
 
 
 def test_an_asynchronous_robot_stops_for_an_exception(trial: Trial) -> None:
     AsyncRobot(trial.name, client="async").estop(ValueError("wall"))
-    assert str(trial.robot.wait_for("latched", 5.0).cause).startswith("stop request: ValueError: wall (async, pid ")
+    cause = trial.robot.wait_for("latched", 5.0).cause
+    assert str(cause).startswith("stop request: ValueError: wall (says it is async, pid ")
 
 
 def test_a_robot_that_is_closed_stops_for_an_exception(trial: Trial) -> None:

@@ -61,7 +61,7 @@ def test_from_the_start_to_a_stop_and_back(simulated: Simulated, listener: Liste
     robot.enable()
     robot.estop("hand near wheel")
     stop = listener.wait("stop", 2)
-    assert stop.fields["reason"] == f"stop request: hand near wheel (trial, pid {pid})"
+    assert stop.fields["reason"] == f"stop request: hand near wheel (says it is trial, pid {pid})"
     assert stop.fields["noticed_by"] == "port_owner"
     assert stop.fields["written_by"] == "port owner"
     assert 0 < float(stop.fields["latency_us"]) < 1000

@@ -36,7 +36,7 @@ def test_while_disabled_it_latches_and_the_first_reason_is_kept(simulated: Simul
     simulated.robot.estop("two")
     simulated.wait_for("the second stop", lambda: simulated.robot.state.epoch > epoch)
     state = simulated.robot.state
-    assert state.estop == state.last_stop.reason == f"stop request: one (trial, pid {simulated.pid})"
+    assert state.estop == state.last_stop.reason == f"stop request: one (says it is trial, pid {simulated.pid})"
 
 
 @pytest.mark.parametrize("words", ["gate died", str(causes.UNSTILL()), "gamepad button 0x0100", "stop request"])
@@ -59,12 +59,12 @@ def test_a_reason_of_5000_characters_is_cut_to_what_the_service_takes(simulated:
     code, out, err = simulated.command("estop", 5000 * letter)
     assert (code, out.count("\n"), err) == (0, 1, "")
     latch = simulated.robot.state.estop
-    assert re.fullmatch(rf"stop request: {letter}+ \.\.\. \(failstop estop, pid \d+\)", latch)
+    assert re.fullmatch(rf"stop request: {letter}+ \.\.\. \(says it is failstop estop, pid \d+\)", latch)
     assert latch in out
     simulated.robot.reset()
     simulated.robot.estop(5000 * letter)
     simulated.robot.wait_for("latched", 1.0)
-    assert re.fullmatch(rf"stop request: {letter}+ \.\.\. \(trial, pid \d+\)", simulated.robot.state.estop)
+    assert re.fullmatch(rf"stop request: {letter}+ \.\.\. \(says it is trial, pid \d+\)", simulated.robot.state.estop)
     assert all(len(line) < 1000 for line in simulated.said.splitlines())
 
 

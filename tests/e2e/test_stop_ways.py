@@ -53,7 +53,7 @@ def test_the_port_s_own_service_is_asked_whatever_it_is_called(trial: Trial) -> 
     assert (result.returncode, result.stderr) == (0, "")
     assert f"by the service '{trial.name}'" in result.stdout
     assert sum(event.is_stop for event in trial.board.events()) >= 4
-    assert (trial.robot.state.estop or "").startswith("stop request (failstop stop, pid ")
+    assert (trial.robot.state.estop or "").startswith("stop request (says it is failstop stop, pid ")
 
 
 @pytest.mark.parametrize("how", ["option", "file"])
@@ -131,7 +131,7 @@ def test_a_latched_stop_is_asked_for_again(simulated: Simulated) -> None:
     for word, said in (("estop", "one"), ("stop", "two")):
         simulated.board.events()
         told = simulated.printed(word, said)
-        assert told.startswith("stop latched (stop request: one (failstop estop, pid "), "the first cause"
+        assert told.startswith("stop latched (stop request: one (says it is failstop estop, pid "), "the first cause"
         assert by in told
         assert any(event.is_stop for event in simulated.board.events())
 

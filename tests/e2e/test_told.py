@@ -88,7 +88,7 @@ def latched(found: dict[str, Any], reason: str) -> None:
 
 
 TRIPS: dict[str, tuple[Callable[[Simulated], object], str]] = {
-    "a stop request": (lambda it: it.robot.estop("a hand"), "stop request: a hand (trial, pid {pid})"),
+    "a stop request": (lambda it: it.robot.estop("a hand"), "stop request: a hand (says it is trial, pid {pid})"),
     "a gamepad button": (lambda it: it.board.pad(0x0100), "gamepad button 0x0100"),
     "a key": (lambda it: it.board.key(1, 0x01), "key1"),
 }

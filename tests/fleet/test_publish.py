@@ -172,7 +172,7 @@ def test_a_real_robot_is_stopped_and_confirms_and_sigterm_ends_it_in_order(
         assert found[level]["robots"] == [f"real-{trial.name}"], level
     state = trial.robot.state
     assert state.cause == causes.FLEET("smoke", "ann")
-    assert state.estop == "fleet stop: smoke (by ann)"
+    assert state.estop == "stop request: smoke (says it is the fleet, for ann)"
     assert not trial.turning()
     pump("the latch", lambda: said(listener, "state")["safetyState"]["eStop"] == "MANUAL", listener)
     again = failstop("fleet", "stop", "once more", *options)

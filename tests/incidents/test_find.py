@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from failstop.cli.main import main
+from failstop.files import durable
 from failstop.incidents import files
 from failstop.incidents.files import IncidentError, prune
 from failstop.incidents.incident import Incident
@@ -108,7 +109,7 @@ def test_two_folders_keep_their_own_order(tmp_path: Path) -> None:
     assert found[1].startswith(str(theirs))
 
 
-@pytest.mark.parametrize("free", [0, files.LEAST_ROOM - 1])
+@pytest.mark.parametrize("free", [0, durable.LEAST_ROOM - 1])
 def test_a_full_disk_is_named_where_no_incident_is_saved(
     free: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

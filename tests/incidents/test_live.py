@@ -215,7 +215,9 @@ def test_a_stop_just_before_the_end_of_the_service_is_saved(kept: Kept) -> None:
     assert len(kept.heads()) == 1, "an orderly end leaves nothing to save"
 
 
-def test_a_killed_saver_and_a_folder_that_is_none(kept: Kept) -> None:
+def test_a_killed_saver_and_a_folder_that_is_none(
+    kept: Kept, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     trial = kept.trial
     kept.folder().mkdir(parents=True, exist_ok=True)
     half = kept.folder() / ".draft-1999999999"
@@ -232,6 +234,12 @@ def test_a_killed_saver_and_a_folder_that_is_none(kept: Kept) -> None:
     trial.robot.estop("second")
     wait_for("a word on that", lambda: len(kept.told()) == 2, SAVED_S)
     assert kept.told()[1].startswith("incident not saved: [Errno 17] File exists")
+    monkeypatch.setenv("STATE_DIRECTORY", trial.state)
+    assert main(["incident", "show", "--name", trial.name]) == 1
+    told = capsys.readouterr().err
+    assert "failstop: the last stop (stop request: second " in told
+    assert ") was not saved: [Errno 17] File exists" in told
+    assert f"no incident of '{trial.name}' is saved" in told
 
     trial.robot.reset()
     kept.folder().unlink()

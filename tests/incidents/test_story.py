@@ -240,7 +240,7 @@ def test_a_motion_frame_after_the_cause_is_never_left_out() -> None:
         (causes.REQUESTED("a (b) c", "my, node", 12), "stop request: a (b) c"),
         (causes.PIPED("near (nav, pid 12)"), "stop request: near (nav, pid 12)"),
         (causes.PIPED(""), "stop request"),
-        (causes.FLEET("smoke in hall 2", "ann"), "fleet stop: smoke in hall 2 (by ann)"),
+        (causes.FLEET("smoke in hall 2", "ann"), "stop request: smoke in hall 2 (says it is the fleet, for ann)"),
         (causes.DIED("gate"), "gate died"),
         (causes.NOT_FINITE("nav (pid 77)"), "command from nav (pid 77) is not finite"),
     ],
@@ -253,7 +253,7 @@ def test_a_cause_without_who_asked_for_it(cause: Cause, text: str) -> None:
 def test_who_asked_for_a_stop_and_who_noticed_it_are_two() -> None:
     made = Recorder(causes.REQUESTED("hand near wheel", "failstop estop", 9))
     assert fact(made, "why") == "stop request: hand near wheel"
-    assert fact(made, "noticed") == "by the port owner; asked for by failstop estop (pid 9)"
+    assert fact(made, "noticed") == "by the port owner; the asker says it is failstop estop (pid 9)"
 
 
 def test_since_when_the_wheels_stood() -> None:

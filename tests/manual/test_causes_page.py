@@ -24,4 +24,4 @@ def test_no_place_of_an_argument_is_left_open() -> None:
     page = manual.page()
     assert not {"{", "}"} & set(page)
     assert "| `the battery is at N V` |" in page
-    assert "| `stop request[: WORDS] (WHO, pid N)` |" in page
+    assert "| `stop request[: WORDS] (says it is WHO, pid N)` |" in page

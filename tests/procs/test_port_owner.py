@@ -273,7 +273,7 @@ def test_the_black_box_has_all_that_was_written_and_what_the_port_did_not_take()
         *(
             (b"obstacle", ": obstacle"),
             (b"", ""),
-            (b"\tnav\t3", " (nav, pid 3)"),
+            (b"\tnav\t3", " (says it is nav, pid 3)"),
             (b"obstacle\tnav\tx", ": obstacle?nav?x"),
         ),
         *((b"gate died", ": gate died"), (b"gamepad button 0x0100", ": gamepad button 0x0100")),
@@ -287,7 +287,7 @@ def test_a_line_of_the_pipe_is_somebody_s_words_whatever_it_says(line: bytes, re
 @pytest.mark.parametrize(
     ("message", "said"),
     [
-        (b"obstacle\tnav\t3\n", "stop request: obstacle (nav, pid 3)"),
+        (b"obstacle\tnav\t3\n", "stop request: obstacle (says it is nav, pid 3)"),
         (b"first\nsecond\n", "stop request: first"),
         (b"no end of line", "stop request: no end of line"),
         (b"\xfe" * 16 * 4096, ""),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 from failstop.api.errors import NoService, Refused
 from failstop.messages.records import CAUSE, FOR_THE_LATCH
 from failstop.policy import causes
@@ -76,7 +78,8 @@ def test_state_has_every_key_in_its_order() -> None:
 def test_words_of_the_driver_before() -> None:
     assert words.ENABLED == "enabled"
     assert words.DISABLED == "disabled"
-    own = causes.REQUESTED("estop topic", "ros2", 77)
+    words.asked("estop topic")
+    own = causes.REQUESTED("estop topic", "ros2", os.getpid())
     for cause, text in ((causes.KEY(1), "key1"), (own, "estop topic")):
         latched = Refused(f"a stop is latched ({CAUSE})", cause, refused_for=FOR_THE_LATCH)
         assert words.refused(latched) == f"refused: e-stop latched ({text})"

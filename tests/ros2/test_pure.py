@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +15,7 @@ from failstop.api.errors import FailstopError
 from failstop.api.snapshot import Device, GyroBias, Imu, Odometry, Pad
 from failstop.api.state import Stop
 from failstop.policy import causes
+from failstop.policy.causes import Cause
 from failstop.policy.layouts import WHEEL_NAMES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.ros2 import diagnostics, messages, mirrors, report, trajectory, transport, words
@@ -116,11 +118,15 @@ def test_a_steered_base_stays_steered_as_it_was_told_last() -> None:
 # The state.
 
 
+def own(reason: str) -> Cause:
+    """The cause of a stop that this process has asked for as the bridge."""
+    words.asked(reason)
+    return causes.REQUESTED(reason, "ros2", os.getpid())
+
+
 def test_state_values() -> None:
     bias = GyroBias((0.01, 0.0, -0.01), tracking=True, calibrated=True)
-    given = states.latched(
-        causes.REQUESTED("estop topic", "ros2", 9), scan_age_s=0.12345, gyro_bias=bias, plugged="plugged"
-    )
+    given = states.latched(own("estop topic"), scan_age_s=0.12345, gyro_bias=bias, plugged="plugged")
     found = report.as_json(given, ["/nav"], ["a", "b"])
     assert found["estop"] == "estop topic"
     assert found["blocked"] == "estop: estop topic"
@@ -155,7 +161,7 @@ def test_nobody_knows_that_nothing_is_latched_without_a_state() -> None:
 
 
 def test_the_proof_of_a_stop_grows() -> None:
-    before, asked_for = states.driving(), causes.REQUESTED("stop service", "ros2", 9)
+    before, asked_for = states.driving(), own("stop service")
     assert report.proof(before, before) is None
     assert report.proof(before, None) is None
     asked = states.latched(asked_for, last_stop=states.stop(acknowledged_s=None, observed_s=None))
@@ -187,7 +193,7 @@ def test_the_proof_of_a_stop_grows() -> None:
     ],
 )
 def test_a_stop_counts_as_done_once_it_is_known_to_be_written(stop: Stop | None, done: bool, said: str) -> None:
-    asked_for = causes.REQUESTED("stop service", "ros2", 9)
+    asked_for = own("stop service")
     now = states.latched(asked_for, last_stop=stop) if stop else None
     known = report.proof(states.driving(), now, final=True)
     assert known
@@ -196,11 +202,14 @@ def test_a_stop_counts_as_done_once_it_is_known_to_be_written(stop: Stop | None,
 
 
 def test_own_name_and_number_are_left_out_of_reasons() -> None:
-    own, another = causes.REQUESTED("estop topic", "ros2", 12), causes.REQUESTED("hand near", "failstop estop", 12)
-    assert words.plain(own) == "estop topic"
-    assert report.blocked(states.latched(own)) == "estop: estop topic"
-    assert words.plain(another) == "stop request: hand near (failstop estop, pid 12)"
-    assert report.blocked(states.latched(another)) == "estop: stop request: hand near (failstop estop, pid 12)"
+    forged, another = (causes.REQUESTED(*of) for of in (("button", "ros2", 12), ("hand near", "failstop estop", 12)))
+    assert words.plain(forged) == "stop request: button (says it is ros2, pid 12)", "anybody can say so"
+    assert words.plain(own("estop topic")) == "estop topic"
+    assert report.blocked(states.latched(own("estop topic"))) == "estop: estop topic"
+    assert words.plain(another) == "stop request: hand near (says it is failstop estop, pid 12)"
+    assert (
+        report.blocked(states.latched(another)) == "estop: stop request: hand near (says it is failstop estop, pid 12)"
+    )
     assert words.plain(causes.PIPED("estop topic (ros2, pid 12)")) == "stop request: estop topic (ros2, pid 12)"
     assert words.plain(None) == ""
     assert report.blocked(states.state()) == "disabled"

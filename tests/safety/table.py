@@ -36,6 +36,10 @@ TABLE = (
     Row("pose as another client: write into its slot", DRIVERS, "within the limits", "pose"),
     Row("take a client slot away from others", DRIVERS, "stops need none", "take_slot"),
     Row("read or take away the stop requests of others", OWNERS, "", "overhear"),
+    Row(
+        "have a stop shown as somebody else's", NOBODY, "a name in a request is shown as what the asker says",
+        "tests/test_causes.py::test_a_forged_sender_is_what_somebody_says",
+    ),
     Row("write into the memory of the service's processes", OWNERS, "", "write_memory"),
     Row("remove or replace a segment, a pipe, the lock", OWNERS, "the service sees it, stops and ends", "replace"),
     Row("hold the lock of the name", OWNERS, "", "hold_lock"),

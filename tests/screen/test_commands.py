@@ -40,7 +40,7 @@ def test_status_through_its_states(trial: Trial) -> None:
     assert "blocked: no command" in said(trial, "status")
     latch(trial)
     shown = said(trial, "status")
-    assert "stop latched: stop request: hand near (trial, pid" in shown
+    assert "stop latched: stop request: hand near (says it is trial, pid" in " ".join(shown.split())
     named = f"--name {trial.name}`"
     assert f"`failstop reset {named}, then `failstop enable {named}" in " ".join(shown.split())
     assert "written by the port owner after" in " ".join(shown.split())
@@ -71,7 +71,7 @@ def test_status_loads_little(trial: Trial) -> None:
 def test_why_of_a_latch(trial: Trial) -> None:
     latch(trial)
     shown = " ".join(said(trial, "why").split())
-    assert f'trial (pid {os.getpid()}) asked for a stop: "hand near"' in shown
+    assert f'a program that says it is trial (pid {os.getpid()}) asked for a stop: "hand near"' in shown
     assert "acknowledged by the board after" in shown
     steps = [f"`failstop {verb} --name {trial.name}`" for verb in ("reset", "enable")]
     assert f"then {steps[0]}, then {steps[1]}" in shown

@@ -59,7 +59,7 @@ def test_a_screen_of_24_lines_holds_it(name: str) -> None:
 def test_what_the_screen_says() -> None:
     said = shown(summary.lines(STATES["latched"], NOW_S, 120))
     for part in (
-        "wheels    STOPPED  stop latched: stop request: hand near the left wheel (failstop estop, pid 4711)",
+        "wheels    STOPPED  stop latched: stop request: hand near the left wheel (says it is failstop estop, pid 4711)",
         "next      `failstop reset`, then `failstop enable`",
         "written by the port owner after 0.21 ms, acknowledged by the board after 4.40 ms, wheels still after about",
         "/dev/ttyACM0 open, link alive",

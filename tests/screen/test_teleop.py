@@ -133,7 +133,7 @@ def test_space_latches_at_once(pilot: Typist, trial: Trial) -> None:
     drive(pilot, trial)
     typed_ns = pilot.type(b" ")
     trial.board.wait_for(lambda event: event.is_stop and event.arrival_ns > typed_ns, 5.0)
-    pilot.wait("STOPPED  stop latched: stop request: space key (failstop teleop")
+    pilot.wait("STOPPED  stop latched: stop request: space key (says it is failstop")
     stopped(trial, typed_ns)
     hold(pilot, b"w", 0.2)
     pilot.type(b"e")

@@ -36,7 +36,8 @@ def test_a_latch_in_three_lines() -> None:
     found = why(latched(causes.REQUESTED("hand near", "failstop stop", 4711)))
     when = words.clock(NOW_S - 12, NOW_S)
     assert str(found).splitlines() == [
-        f'what   a stop is latched since {when}, 12 s ago: failstop stop (pid 4711) asked for a stop: "hand near"',
+        f"what   a stop is latched since {when}, 12 s ago: a program that says it is failstop stop (pid 4711) "
+        'asked for a stop: "hand near"',
         "proof  written by the port owner after 0.21 ms, acknowledged by the board after 4.40 ms, "
         "wheels still after about 0.3 s",
         "do     make sure that whatever it was for is over, then `failstop reset`, then `failstop enable`",

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from failstop.web import incidents
 
-HEAD = {"id": "20260101-120000-key1", "t": 1.0, "saved": 3.2, "reason": "key1"}
+HEAD = {"id": "20260101-120000-key1", "t": 1.0, "saved": 3.2, "reason": "key1", "clock_jump_s": 0.0}
 
 
 def test_a_card_says_how_far_the_stop_was_proven() -> None:
     stop = {"written_us": 210.0, "acknowledged_us": 5310.0, "observed_ms": 312.0}
     card = incidents._card({**HEAD, "stop": stop})
     assert card["proof"] == "written after 0.21 ms, acknowledged after 5.31 ms, still after about 0.3 s"
+    set_back = incidents._card({**HEAD, "stop": stop, "clock_jump_s": -7200.0})
+    assert set_back["proof"] == f"{card['proof']}; before this incident the clock was set back by 2 h 0 min"
 
 
 def test_the_story_is_of_the_seconds_around_the_cause() -> None:

@@ -23,7 +23,7 @@ EXAMPLES = """\
 failstop incident list
 failstop incident show                       # the last one, what matters
 failstop incident show 42                    # by its number
-failstop incident show 20260130-0214 --all   # by the beginning of its date and time
+failstop incident show 20260130-0214 --all   # by its date and time
 failstop incident plot                       # the last one, as ./ID.png
 failstop incident export last -o stop.mcap   # for Foxglove, rosbag2
 """

@@ -70,7 +70,7 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
     noticed = f"by the {named(by)}" if by else memory.NOT_KNOWN
     if incident.cause.kind is causes.REQUESTED:
         asked = incident.cause.named()
-        noticed += f"; asked for by {asked['who']} (pid {asked['pid']})"
+        noticed += f"; the asker says it is {asked['who']} (pid {asked['pid']})"
     rows = [
         ("why", incident.why, FAIL),
         ("when", f'{words.clock(head["t"])}{ago}; service "{head["name"]}" on {head["host"]}', PLAIN),
