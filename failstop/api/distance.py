@@ -11,10 +11,11 @@ from failstop.policy.processes import PROCESSES
 from failstop.policy.proofs import WATCHDOGS
 from failstop.policy.settings import BY_KEY, Settings
 
-DEATH_S = 0.005
-"""From the death of a process to the stop at the first board (docs/dev/faults.md)."""
-SLACK_S = 0.005
-"""Between the end of a deadline and the stop."""
+DEATH_S = 0.02
+"""From the death of a process to the stop at the first board: no p99 of docs/dev/faults.md, measured on a shared
+machine, is above it. On a quiet machine it is about 1 ms."""
+SLACK_S = 0.015
+"""Between the end of a deadline and the stop, by the same rows."""
 SILENCE_S = 0.02
 """Between the end of a timeout and zero at any board: the gate acts as it ends, or for an interlock a period later."""
 OWN_LINE_S = 0.012

@@ -21,7 +21,6 @@ from failstop.lab.pages.made import ROOT
 from failstop.lab.simulate import marks
 
 SAFETY = ROOT / "docs/safety.md"
-MOST_WORDS = 2000
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +100,7 @@ def test_a_time_without_a_number_is_a_gap(cited: list[Citation]) -> None:
 
 def test_a_bound_is_the_latest_bar_of_the_rows_that_carry_it() -> None:
     early = [dataclasses.replace(claim, bound_ms=1.0) if claim.name == "DEATH-1" else claim for claim in CLAIMS]
-    assert list(other_bounds(early, table.TABLE, arm_table.ROWS)) == ["DEATH-1 says 1.0 ms, its rows of faults 5.0 ms"]
+    assert list(other_bounds(early, table.TABLE, arm_table.ROWS)) == ["DEATH-1 says 1.0 ms, its rows of faults 20.0 ms"]
 
 
 def test_assumptions_and_assertions_name_tests_that_are_there() -> None:
@@ -117,6 +116,6 @@ def of_the_page() -> Iterator[str]:
     yield from (line for line in part.splitlines() if line.startswith(("- ", "|")))
 
 
-def test_the_page_claims_nothing_else_and_is_read_in_ten_minutes() -> None:
-    assert list(of_the_page()) == claims_table().splitlines()
-    assert len([word for word in SAFETY.read_text("utf-8").split() if word.strip("|-")]) < MOST_WORDS
+def test_the_page_claims_nothing_else() -> None:
+    table = claims_table(SAFETY.parents[1]).splitlines()
+    assert list(of_the_page()) == [line for line in table if line.startswith("|")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from failstop.api import distance
 from failstop.lab.faults import report
 from failstop.lab.faults.campaign import Outcome, _Injection, draw, inject_one
 from failstop.lab.faults.judge import verdict
@@ -86,6 +88,49 @@ def test_what_is_counted() -> None:
     assert "MOTION" in tally.stories[0]
     assert "not here: no sleep" in tally.table()
     assert "1 stops missed" in report.markdown(result)
+
+
+def test_a_bar_that_was_missed_is_marked_on_the_page_and_named() -> None:
+    bar_ms = KILL_GATE.bar_ms or 0.0
+    for late, mark in ((0.0, "yes"), (0.5, "**no**")):
+        tally = report.Tally((KILL_GATE,), seed=7)
+        for stop_ms in (1, bar_ms + late):
+            stopped, _ = verdict(KILL_GATE, [event(0, stop_ms, STILL)], FAULT_NS, True)
+            tally.add(Outcome(KILL_GATE, 0, stopped))
+        tally.rows["kill-gate"].times_ms[0] = tally.rows["kill-gate"].times_ms[1]
+        page = report.markdown(tally.as_dict())
+        (row,) = (line for line in page.splitlines() if line.startswith("| `kill-gate` "))
+        assert row.endswith(f"| {bar_ms:g} | {mark} |")
+        kept = "0 of 1 rows with a bar kept it, all but kill-gate" if late else "1 of 1 rows with a bar kept it"
+        assert kept in page
+        assert kept in tally.summary()
+        assert ("MISSED" in tally.table()) is bool(late)
+        assert "the processors' time withheld by the host" in page
+        assert report.remade(page) == page
+
+
+def test_the_page_marks_every_bar_that_its_numbers_missed() -> None:
+    """By the text of the page alone, with nothing of what made it."""
+    page = (Path(__file__).parents[2] / "docs" / "dev" / "faults.md").read_text()
+    rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| `")]
+    timed = [row for row in rows if re.fullmatch(r"[0-9.]+", row[-4]) and row[-2][0].isdigit()]
+    assert len(timed) > 100
+    wrong = {
+        row[0]: row[-1] for row in timed if (float(row[-4]) > float(row[-2].split()[0])) is not (row[-1] == "**no**")
+    }
+    assert wrong == {}
+    missed = sum(row[-1] == "**no**" for row in timed)
+    assert f"**{len(timed) - missed} of {len(timed)} rows with a bar kept it" in page
+
+
+def test_the_stopping_distance_reckons_with_what_was_measured() -> None:
+    found = report.read((Path(__file__).parents[2] / "docs" / "dev" / "faults.md").read_text())["rows"]
+    deaths = [row["p99_ms"] for row in found if re.match("(kill|crash)-[a-z_]+$", row["name"])]
+    assert len(deaths) == 10
+    assert max(deaths) <= 1000 * distance.DEATH_S
+    for name, deadline_ms in (("hang-gate+stopper", 60), ("spin-port_owner", 100), ("hang-telemetry", 500)):
+        (late_ms,) = (row["p99_ms"] - deadline_ms for row in found if row["name"] == name)
+        assert late_ms <= 1000 * distance.SLACK_S
 
 
 def test_a_seed_is_a_campaign() -> None:

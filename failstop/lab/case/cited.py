@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 
 from failstop.lab.case import asserted
-from failstop.lab.faults import arm_table, table
+from failstop.lab.faults import arm_table, report, table
 from failstop.lab.faults.fault import CLAIMS_OF, FAULT_CLASSES
 from failstop.lab.simulate import marks, witness
 
@@ -68,7 +68,7 @@ def _asserted() -> Iterator[Citation]:
 
 
 def _faults(root: Path) -> Iterator[Citation]:
-    measured = dict(_fault_rows((root / "docs/dev/faults.md").read_text("utf-8")))
+    measured = fault_rows(root)
     of_class = {event: [row.name for row in table.TABLE if row.event == event] for event in FAULT_CLASSES}
     for event, names in of_class.items():
         yield Citation(FAULTS, f"{event} ({len(names)} rows)", CLAIMS_OF[event], _found(measured, names))
@@ -76,19 +76,10 @@ def _faults(root: Path) -> Iterator[Citation]:
     yield Citation(FAULTS, f"the arm moves ({len(names)} rows)", arm_table.CLAIMS, _found(measured, names))
 
 
-def _fault_rows(page: str) -> Iterator[tuple[str, tuple[int, float | None, float | None]]]:
-    """(count, p99 and bar in ms) of each row by its name; None where there is none."""
-    for line in page.splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if line.startswith("| `") and len(cells) > 9 and cells[-5].isdigit():
-            yield cells[0].strip("`"), (int(cells[-5]), _number(cells[-3]), _number(cells[-1].split(" (")[0]))
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
+def fault_rows(root: Path) -> dict[str, tuple[int, float | None, float | None]]:
+    """(count, p99 and bar in ms) of each row of docs/dev/faults.md by its name; None where there is none."""
+    found = report.read((root / "docs/dev/faults.md").read_text("utf-8"))["rows"]
+    return {row["name"]: (row["count"], row.get("p99_ms"), report.EVERY[row["name"]].bar_ms) for row in found}
 
 
 def _found(measured: dict[str, tuple[int, float | None, float | None]], names: list[str]) -> str:

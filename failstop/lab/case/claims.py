@@ -37,13 +37,13 @@ CLAIMS = (
     Claim(
         "DEATH-1",
         "The death of any one process of the service, in whatever step it is, stops the wheels.",
-        5.0, "from the death", ("LIFELINE", "WRITE", "RECEIVER", "RIGHTS"),
+        20.0, "from the death", ("LIFELINE", "WRITE", "RECEIVER", "RIGHTS"),
         "a kill after which the board executes no stop frame in its time",
     ),
     Claim(
         "HANG-1",
         "A process of the service that hangs or spins stops the wheels.",
-        505.0, "from the hang; 65 where the gate or the supervisor hangs, 105 the port owner, 255 the stopper",
+        515.0, "from the hang; 75 where the gate or the supervisor hangs, 115 the port owner, 265 the stopper",
         ("CLOCK", "RIGHTS", "SYSTEMD"),
         "a process that is halted for longer than its deadline, and wheels that turn on",
     ),
@@ -52,13 +52,13 @@ CLAIMS = (
         "Two to five processes that die or hang at once stop the wheels; where none is left that can write, the stop"
         " tool"
         " of systemd does.",
-        255.0, "from the first of the faults", ("LIFELINE", "WRITE", "SYSTEMD", "RIGHTS"),
+        265.0, "from the first of the faults", ("LIFELINE", "WRITE", "SYSTEMD", "RIGHTS"),
         "any set of deaths and hangs after which no stop frame is executed",
     ),
     Claim(
         "ASK-1",
         "Every local user may stop the robot, with any bytes in the stop pipe, and by a button or key of the board.",
-        5.0, "from the request", ("RIGHTS",),
+        10.0, "from the request", ("RIGHTS",),
         "a request that stops nothing, or a user whose request is refused",
     ),
     Claim(
@@ -72,13 +72,13 @@ CLAIMS = (
         "A driver that dies disables motion; one that falls silent stops the wheels by its command timeout; a"
         " command that is"
         " no number, or a second publisher of one source, latches a stop.",
-        320.0, "from its last command; 5 from its death, 20 for an exception", ("LIFELINE", "CLOCK"),
+        320.0, "from its last command; 20 from its death or an exception", ("LIFELINE", "CLOCK"),
         "a driver that has gone, and wheels that turn on its last command",
     ),
     Claim(
         "MEMORY-1",
         "A client that damages the memory that it shares with the service moves nothing by it, and loses only itself.",
-        50.0, "from its last command", ("CRC",),
+        60.0, "from its last command", ("CRC",),
         "a damage that turns a wheel, keeps a stop away or ends the service",
     ),
     Claim(
@@ -122,7 +122,7 @@ CLAIMS = (
     Claim(
         "ARM-1",
         "What stops the wheels stops the arm, with its torque on.",
-        565.0, "from the fault to the last joint at rest; 65 for deaths", ("SERVO",),
+        575.0, "from the fault to the last joint at rest; 65 for deaths", ("SERVO",),
         "a joint that turns later than its row, or lets go",
     ),
     Claim(

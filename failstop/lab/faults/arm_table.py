@@ -61,12 +61,12 @@ class ArmFault:
     @property
     def limit_ms(self) -> float | None:
         """A joint that turns later than this fails."""
-        return None if self.bar_ms is None else 1.5 * self.bar_ms + LATE_MS
+        return None if self.bar_ms is None else self.bar_ms + LATE_MS
 
     @property
     def wheels_limit_ms(self) -> float | None:
         """Wheels that are stopped later than this fail."""
-        return None if self.wheels_ms is None else 1.5 * self.wheels_ms + LATE_MS
+        return None if self.wheels_ms is None else self.wheels_ms + LATE_MS
 
     def at(self, traits: Traits) -> ArmFault:
         """The row as it is for a board: the wheels' stop is later by the board's own line and loop."""

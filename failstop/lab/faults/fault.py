@@ -64,7 +64,8 @@ CLAIMS_OF: dict[str, tuple[str, ...]] = {
 """The claims (lab/case/claims.py) that the rows of each class carry; the first is the one whose time they bound."""
 
 LATE_MS = 100.0
-"""Added to one and a half bars for the limit that a test asserts: machines that tests run on are shared and busy."""
+"""Added to the bar for the limit that a test asserts: machines that tests run on are shared and busy. Whether the bar
+itself holds, a campaign says (docs/dev/faults.md)."""
 
 Step = tuple[str, str]
 Wanted = tuple[Any, ...]
@@ -101,7 +102,7 @@ class Fault:
     logged: str
     """Words of the service besides those on the latched stop; empty: none."""
     bar_ms: float | None
-    """The time to the first stop frame that is aimed at (p99); None: this must not stop the wheels."""
+    """The longest time to the first stop frame, as the p99 of a campaign; None: this must not stop the wheels."""
     injector: str
     """A name in inject.INJECTORS."""
     steps: tuple[Step, ...] = ()
@@ -124,7 +125,7 @@ class Fault:
     @property
     def limit_ms(self) -> float | None:
         """A stop later than this fails; None: any stop fails."""
-        return None if self.bar_ms is None else 1.5 * self.bar_ms + LATE_MS
+        return None if self.bar_ms is None else self.bar_ms + LATE_MS
 
     @property
     def survives(self) -> bool:

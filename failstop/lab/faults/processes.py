@@ -25,8 +25,10 @@ from failstop.policy.processes import HANG_NS, PROCESS_BY_NAME
 from failstop.policy.settings import BY_KEY
 
 AT_ONCE_MS = 1000 * DEATH_S
-NO_ANSWER_MS = 10.0
-"""With the 3 to 5 ms that the stopper and the supervisor grant a port owner that does not answer."""
+ASKED_MS = 10.0
+"""From a request, a button or a key to the stop."""
+NO_ANSWER_MS = AT_ONCE_MS
+"""The 3 to 5 ms that the stopper and the supervisor grant a port owner that does not answer are a part of it."""
 SLACK_MS = 1000 * SLACK_S
 LEASE_MS = float(BY_KEY["gate.lease_s"].default) * 1000 + SLACK_MS
 STOPPER_MS = HANG_NS / 1e6 + SLACK_MS

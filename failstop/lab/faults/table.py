@@ -94,9 +94,9 @@ CLIENT_ROWS = (
             (), BY_ENABLE, DRIVER_HAS_DIED, bar_ms, name, weight=weight,
         )
         for name, how, bar_ms, weight in (
-            ("client-killed", "SIGKILL of the program", 5.0, 4),
-            ("client-killed-large", "SIGKILL of a program of 300 MB", 5.0, 1),
-            ("client-hung-up", "SIGHUP, the end of its terminal, to the program", 5.0, 2),
+            ("client-killed", "SIGKILL of the program", processes.AT_ONCE_MS, 4),
+            ("client-killed-large", "SIGKILL of a program of 300 MB", processes.AT_ONCE_MS, 1),
+            ("client-hung-up", "SIGHUP, the end of its terminal, to the program", processes.AT_ONCE_MS, 2),
             ("client-fails", "an exception in the program", 20.0, 2),
         )
     ),
@@ -111,11 +111,11 @@ CLIENT_ROWS = (
     ),
     Fault(
         "client-nan", CLIENT_FAILS, "a command that is not a number", "gate",
-        ((NOT_FINITE,),), BY_RESET, "", 5.0, "client-nan",
+        ((NOT_FINITE,),), BY_RESET, "", processes.AT_ONCE_MS, "client-nan",
     ),
     Fault(
         "client-second", CLIENT_FAILS, "a second publisher of one source", "gate",
-        ((TWO_PUBLISHERS, "cmd_vel"),), BY_RESET, "", 5.0, "client-second",
+        ((TWO_PUBLISHERS, "cmd_vel"),), BY_RESET, "", processes.AT_ONCE_MS, "client-second",
     ),
     Fault(
         "client-gamepad", CLIENT_FAILS, "a client commands zero as the gamepad", "nobody",
@@ -124,12 +124,12 @@ CLIENT_ROWS = (
     ),
     Fault(
         "slot-scribbled", MEMORY, "the driving client's slot is overwritten", "gate (its session is gone)",
-        (), BY_ENABLE, DRIVER_HAS_DIED, 50.0, "slot-scribbled", counted_from="its last command",
+        (), BY_ENABLE, DRIVER_HAS_DIED, 60.0, "slot-scribbled", counted_from="its last command",
         aftermath_s=0.45, weight=1,
     ),
     Fault(
         "slot-truncated", MEMORY, "the driving client's slot is truncated", "gate (its session is gone)",
-        (), BY_ENABLE, DRIVER_HAS_DIED, 50.0, "slot-truncated", counted_from="its last command",
+        (), BY_ENABLE, DRIVER_HAS_DIED, 60.0, "slot-truncated", counted_from="its last command",
         aftermath_s=0.45, weight=1,
     ),
     Fault(
@@ -145,27 +145,27 @@ REQUESTS = (
     ),
     Fault(
         "stop-request", ASKED_TO_STOP, "a stop request by an unprivileged user", "port owner",
-        ((PIPED, "nobody says so"),), BY_RESET, "", 2.0, "stop-request",
+        ((PIPED, "nobody says so"),), BY_RESET, "", processes.ASKED_MS, "stop-request",
     ),
     Fault(
         "stop-request-posing", ASKED_TO_STOP, "a stop request in the words of a cause of the service's own",
-        "port owner", ((PIPED, str(DIED(GATE))),), BY_RESET, "", 2.0, "stop-request-posing",
+        "port owner", ((PIPED, str(DIED(GATE))),), BY_RESET, "", processes.ASKED_MS, "stop-request-posing",
     ),
     Fault(
         "stop-pipe-garbage", ASKED_TO_STOP, "garbage in the stop FIFO", "port owner",
-        ((PIPED,),), BY_RESET, "", 2.0, "stop-pipe-garbage",
+        ((PIPED,),), BY_RESET, "", processes.ASKED_MS, "stop-pipe-garbage",
     ),
     Fault(
         "stop-pipe-flood", ASKED_TO_STOP, "the stop FIFO is kept full", "port owner",
-        ((PIPED,),), BY_RESET, "", 2.0, "stop-pipe-flood",
+        ((PIPED,),), BY_RESET, "", processes.ASKED_MS, "stop-pipe-flood",
     ),
     Fault(
         "pad-button", ASKED_TO_STOP, "a button of the gamepad, one frame", "port owner, asked by telemetry",
-        ((BUTTON, 0x0100),), BY_RESET, "", 5.0, "pad-button", needs=frozenset({HAS_GAMEPAD}),
+        ((BUTTON, 0x0100),), BY_RESET, "", processes.ASKED_MS, "pad-button", needs=frozenset({HAS_GAMEPAD}),
     ),
     Fault(
         "board-key", ASKED_TO_STOP, "the board's stop key", "port owner, asked by telemetry",
-        ((KEY, 1),), BY_RESET, "", 5.0, "board-key", needs=frozenset({HAS_KEYS}),
+        ((KEY, 1),), BY_RESET, "", processes.ASKED_MS, "board-key", needs=frozenset({HAS_KEYS}),
     ),
     Fault(
         "scan-silent", SENSOR, "the obstacle sensor falls silent, and comes back", "gate (no scan)",
@@ -229,7 +229,8 @@ PORT_ROWS = (
     _asked("board-floods", BOARD_FAILS, "the board sends without pause", "board-floods", needs=HAS_KEYS),
     Fault(
         "board-refuses", BOARD_FAILS, "the board executes the stop, and the wheels turn on", "port owner, in vain",
-        ((PIPED, "asked meanwhile"),), BY_RESET, "CRITICAL", 5.0, "board-refuses", counted_from=STOP_ASKED_MEANWHILE,
+        ((PIPED, "asked meanwhile"),), BY_RESET, "CRITICAL", processes.ASKED_MS, "board-refuses",
+        counted_from=STOP_ASKED_MEANWHILE,
         aftermath_s=2.0, needs=frozenset({HAS_IMU}), weight=1,
     ),
 )  # fmt: skip

@@ -8,6 +8,7 @@ from pathlib import Path
 from failstop.lab.case import assumptions, cited, claims, gaps, hazards
 from failstop.lab.case.cited import Citation
 from failstop.lab.case.claims import Claim
+from failstop.lab.faults import report
 
 HAZARDS_HEAD = """\
 # Hazards
@@ -30,8 +31,8 @@ that nothing makes, for a time without a number, and for a bound that is not the
 
 What a fault, model, litmus test or row of the bench found last is copied from those pages, which say when and on
 which machine. A test of `tests/` and a rule of the simulation found nothing wrong in the last run of CI. A mark of the
-simulation is a place that `failstop simulate` must reach, and fails if it does not. A p99 above its bar (more than 1.00
-of it) comes of a campaign on a machine that withheld its processors; no such run missed a stop.
+simulation is a place that `failstop simulate` must reach, and fails if it does not. A p99 of more than 1.00 of its bar
+is a missed bar: [faults.md](faults.md) marks its row, and says when a bar holds.
 """
 ASSUMPTIONS_HEAD = """\
 # Assumptions
@@ -63,12 +64,16 @@ def _link(claim: Claim) -> str:
     return f"[{claim.name}](dev/evidence.md#{claim.name.lower()})"
 
 
-def claims_table() -> str:
-    """The table of docs/safety.md."""
+def claims_table(root: Path) -> str:
+    """The table of docs/safety.md, and how the last campaign of a checkout found its times."""
     lines = ["| | claim | p99, at most | counted |", "|---|---|---|---|"]
     for claim in claims.CLAIMS:
         bound = "" if claim.bound_ms is None else f"{claim.bound_ms:g} ms"
         lines.append(f"| {_link(claim)} | {claim.says} | {bound} | {claim.counted} |")
+    found = report.read((root / "docs/dev/faults.md").read_text("utf-8"))
+    kept = report.kept(report.EVERY, {row["name"]: row for row in found["rows"]})
+    day, count, missed = found["machine"]["date"], found["count"], found["missed"]
+    lines += ["", f"In the last campaign ({day}, {count} faults) {kept}; {missed} stops were missed."]
     return "\n".join(lines)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from failstop.cli.commands import config
+from failstop.lab.faults import report
 from failstop.lab.pages import (
     bases,
     case,
@@ -42,8 +43,9 @@ FILES: dict[str, Callable[[str], str]] = {
     "docs/causes.md": lambda _: causes.page(),
     "docs/python-reference.md": lambda _: reference.page(),
     "docs/commands.md": lambda _: commands.page(),
+    "docs/dev/faults.md": report.remade,
     "docs/hazards.md": lambda _: case.hazards_page(),
-    "docs/safety.md": lambda text: renewed(text, "claims", case.claims_table()),
+    "docs/safety.md": lambda text: renewed(text, "claims", case.claims_table(ROOT)),
     "docs/dev/evidence.md": lambda _: case.evidence_page(ROOT),
     "docs/dev/assumptions.md": lambda _: case.assumptions_page(),
     "docs/journal.md": lambda text: renewed(text, "kinds", catalog.table()),
