@@ -31,15 +31,15 @@ PATIENCE_NS = 60_000_000_000
 """A dead run's saver waits for the service to be ready, at most so long."""
 MOST_SAVERS = 4
 """Savers that run at one time."""
-MOST_WAITING = 16
+MOST_STOPS_WAITING = 16
 """Stops that wait for a saver. They come as fast as somebody resets the last one."""
-LATE_NS = START_NS
-"""A saver that is later than this waits until nothing moves, since people may have enabled motion by then."""
+ON_TIME_NS = START_NS
+"""A saver that is late by more than this waits until nothing moves, since people may have enabled motion by then."""
 GIVE_UP_NS = 30_000_000_000
 """After that the rings hold less than half a minute before the stop."""
 FINISH_S = 1.0
 STEP = "look at the disk and at the state directory"
-FEWER = "find out what stops and resets the robot so often"
+TOO_OFTEN = "find out what stops and resets the robot so often"
 
 
 class BlackBox:
@@ -71,8 +71,8 @@ class BlackBox:
     def latched(self, stop: Stop, epoch: int) -> None:
         """A stop is latched, the news is out: save what led to it, and what follows."""
         self._sample(monotonic_ns())
-        if self._on and len(self._waiting) >= MOST_WAITING:
-            self._not_saved(f"{MOST_WAITING} earlier stops still wait to be saved", FEWER)
+        if self._on and len(self._waiting) >= MOST_STOPS_WAITING:
+            self._not_saved(f"{MOST_STOPS_WAITING} earlier stops still wait to be saved", TOO_OFTEN)
         elif self._on:
             words = {"cause_ns": stop.t_ns, "epoch": epoch, "cause": stop.cause.pack().hex()}
             self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": stop.t_ns + COPY_NS}))
@@ -94,11 +94,11 @@ class BlackBox:
     def _start_next(self, now_ns: int) -> None:
         """Start the saver that is due, once there is room for it and its start can hold up nobody who drives."""
         late_ns = now_ns - self._waiting[0][0]
-        if len(self._savers) < MOST_SAVERS and (late_ns <= LATE_NS or not self._moves()):
+        if len(self._savers) < MOST_SAVERS and (late_ns <= ON_TIME_NS or not self._moves()):
             self._start(self._waiting.pop(0)[1], self._run.readable)
         elif late_ns > GIVE_UP_NS:
             self._waiting.pop(0)
-            self._not_saved("too many stops at once, and then the robot drove again", FEWER)
+            self._not_saved("too many stops at once, and then the robot drove again", TOO_OFTEN)
 
     def _sample(self, now_ns: int) -> None:
         self._sampled_ns = now_ns
@@ -171,7 +171,7 @@ class BlackBox:
         while self._waiting and len(self._savers) < MOST_SAVERS:
             self._start(self._waiting.pop(0)[1], self._run.readable)
         for _ in self._waiting:
-            self._not_saved("the service ended while earlier stops were being saved", FEWER)
+            self._not_saved("the service ended while earlier stops were being saved", TOO_OFTEN)
         self._waiting.clear()
         until_ns = monotonic_ns() + round(FINISH_S * 1e9)
         for pid in self._savers:

@@ -73,9 +73,8 @@ def write_draft(draft: str, data: bytes) -> None:
 
 def write_all(fd: int, data: bytes) -> None:
     """Write all of this through a descriptor, and see it on the disk. Raises OSError."""
-    left = memoryview(data)
-    while left:
-        left = left[os.write(fd, left) :]
+    while data:
+        data = data[os.write(fd, data) :]
     os.fsync(fd)
 
 

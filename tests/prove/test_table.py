@@ -32,7 +32,7 @@ def test_every_bar_is_one() -> None:
 def test_the_bars_are_those_that_were_measured_before() -> None:
     bar = BY_PATH["timeout"].rest_bar_s(BY_TURNING["0.35"])
     assert bar == pytest.approx(0.75 + table.REST_RESOLUTION_S)
-    assert BY_PATH["hang-gate"].rest_bar_s(BY_TURNING["turn"]) == pytest.approx(0.065 + 0.25 + table.REST_RESOLUTION_S)
+    assert BY_PATH["hang-gate"].rest_bar_s(BY_TURNING["turn"]) == pytest.approx(0.075 + 0.25 + table.REST_RESOLUTION_S)
 
 
 def test_plans() -> None:

@@ -13,15 +13,15 @@ from failstop.lab.machine.process import Process
 from failstop.messages import box, layout
 from failstop.supervisor.blackbox import (
     COPY_NS,
-    FEWER,
     FINISH_S,
     GIVE_UP_NS,
     MOST_SAVERS,
-    MOST_WAITING,
+    MOST_STOPS_WAITING,
     PATIENCE_NS,
     SAMPLE_NS,
     START_NS,
     STEP,
+    TOO_OFTEN,
 )
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene
@@ -166,20 +166,20 @@ def test_a_late_saver_waits_until_nothing_moves(scene: Scene) -> None:
 
 
 def test_a_stop_that_gets_no_file_gets_a_word(scene: Scene) -> None:
-    for epoch in range(7, 7 + MOST_WAITING + 1):
+    for epoch in range(7, 7 + MOST_STOPS_WAITING + 1):
         latched(scene, epoch)
-    why, step = f"{MOST_WAITING} earlier stops still wait to be saved", FEWER
+    why, step = f"{MOST_STOPS_WAITING} earlier stops still wait to be saved", TOO_OFTEN
     assert scene.said() == [lost(why, step)]
     for _ in range(20):
         follow(scene, T0 + START_NS)
     for _ in range(20):
         follow(scene, T0 + START_NS + GIVE_UP_NS + 1)
-    driven = lost("too many stops at once, and then the robot drove again", FEWER)
-    assert scene.said() == [driven] * (MOST_WAITING - MOST_SAVERS)
+    driven = lost("too many stops at once, and then the robot drove again", TOO_OFTEN)
+    assert scene.said() == [driven] * (MOST_STOPS_WAITING - MOST_SAVERS)
     for epoch in range(30, 32):
         latched(scene, epoch)
     scene.supervisor.blackbox.finish()
-    assert scene.said() == [lost("the service ended while earlier stops were being saved", FEWER)] * 2
+    assert scene.said() == [lost("the service ended while earlier stops were being saved", TOO_OFTEN)] * 2
     assert len(scene.born) == MOST_SAVERS
 
 

@@ -142,7 +142,7 @@ class Tally:
                 fault = self._faults[row.name]
                 times = _times(row.as_dict())
                 bar = _bar(fault) + (" ms" if fault.bar_ms is not None else "")
-                late = ", MISSED" if held(fault, row.as_dict()) is False else ""
+                late = ", MISSED" if bar_held(fault, row.as_dict()) is False else ""
                 lines.append(
                     f"{row.name:<50} {row.count:>6} {row.missed:>7} {row.motion_after:>6}"
                     f" {times[0]:>9} {times[1]:>9} {times[2]:>9}  {bar}{late}"
@@ -189,7 +189,7 @@ def conditions(begun: tuple[int, int]) -> str:
     return f"{found}, load {os.getloadavg()[0]:.1f}, {share:.1%} of the processors' time withheld by the host"
 
 
-def held(fault: Fault | ArmFault, row: dict[str, Any]) -> bool | None:
+def bar_held(fault: Fault | ArmFault, row: dict[str, Any]) -> bool | None:
     """Whether the p99 of a row kept its bar; None: it has no bar, or nothing was measured."""
     p99_ms = row.get("p99_ms")
     return None if fault.bar_ms is None or p99_ms is None else bool(p99_ms <= fault.bar_ms)
@@ -197,7 +197,7 @@ def held(fault: Fault | ArmFault, row: dict[str, Any]) -> bool | None:
 
 def kept(faults: dict[str, Fault | ArmFault], measured: dict[str, dict[str, Any]]) -> str:
     """How many rows kept their bars, and which did not."""
-    judged = {name: held(fault, measured.get(name, {})) for name, fault in faults.items()}
+    judged = {name: bar_held(fault, measured.get(name, {})) for name, fault in faults.items()}
     late = [name for name, verdict in judged.items() if verdict is False]
     count = sum(verdict is not None for verdict in judged.values())
     named = f", all but {', '.join(late)}" if late else ""
@@ -312,7 +312,7 @@ def _head(*columns: str) -> list[str]:
 
 
 def _held(fault: Fault | ArmFault, row: dict[str, Any]) -> str:
-    return {True: "yes", False: "**no**", None: "-"}[held(fault, row)]
+    return {True: "yes", False: "**no**", None: "-"}[bar_held(fault, row)]
 
 
 MEASURED = re.compile(
@@ -323,7 +323,7 @@ MEASURED = re.compile(
 OF_THIS = re.compile(r"\*\* Of this campaign (.*)\.$", re.M)
 
 
-def read(page: str) -> dict[str, Any]:
+def result_of(page: str) -> dict[str, Any]:
     """The result of a campaign at the first board, as far as its page has it. Raises ValueError."""
     told = MEASURED.search(page)
     if told is None:
@@ -347,7 +347,7 @@ def read(page: str) -> dict[str, Any]:
 
 def remade(page: str) -> str:
     """The page with the rows and bars of the tables as they are now, and what was measured as it says itself."""
-    return markdown(read(page))
+    return markdown(result_of(page))
 
 
 def _code(text: str) -> str:

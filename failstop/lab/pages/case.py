@@ -70,7 +70,7 @@ def claims_table(root: Path) -> str:
     for claim in claims.CLAIMS:
         bound = "" if claim.bound_ms is None else f"{claim.bound_ms:g} ms"
         lines.append(f"| {_link(claim)} | {claim.says} | {bound} | {claim.counted} |")
-    found = report.read((root / "docs/dev/faults.md").read_text("utf-8"))
+    found = report.result_of((root / "docs/dev/faults.md").read_text("utf-8"))
     kept = report.kept(report.EVERY, {row["name"]: row for row in found["rows"]})
     day, count, missed = found["machine"]["date"], found["count"], found["missed"]
     lines += ["", f"In the last campaign ({day}, {count} faults) {kept}; {missed} stops were missed."]
