@@ -66,6 +66,8 @@ def test_evidence_is_kept_in_a_dated_folder(tmp_path: object) -> None:
         "1970-01-01T000000Z/report.txt",
         "1970-01-01T000000Z/result.json",
     ]
+    again = report.save(evidence, str(tmp_path))
+    assert again[1] == f"{tmp_path}/1970-01-01T000000Z-2/result.json", "another run of that second is not written over"
 
 
 def test_a_limit_that_does_not_fit_is_told_with_one_that_does() -> None:

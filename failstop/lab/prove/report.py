@@ -3,8 +3,10 @@ evidence."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib
+import itertools
 import json
 import os
 import sys
@@ -252,10 +254,9 @@ def text(evidence: Evidence) -> str:
 
 
 def save(evidence: Evidence, folder: str) -> list[str]:
-    """Write the files below a dated folder; returns their paths. Raises OSError."""
+    """Write the files into a new dated folder below this one; returns their paths. Raises OSError."""
     stamp = time.strftime("%Y-%m-%dT%H%M%SZ", time.gmtime(evidence.begun_unix_s))
-    place = os.path.join(folder, stamp)
-    os.makedirs(place, exist_ok=True)
+    place = _new_folder(os.path.join(folder, stamp))
     paths = [os.path.join(place, name) for name in ("report.txt", "result.json")]
     with open(paths[0], "w", encoding="utf-8") as file:
         file.write(text(evidence))
@@ -264,6 +265,17 @@ def save(evidence: Evidence, folder: str) -> list[str]:
     shaken = isinstance(evidence.character, ByImu)
     picture = os.path.join(place, "gyro.png")
     return [*paths, picture] if shaken and _draw(evidence.results, picture) else paths
+
+
+def _new_folder(path: str) -> str:
+    """Make a folder, under this path with a number where an earlier run has it: the clock may have been set back."""
+    os.makedirs(os.path.dirname(path), exist_ok=True)
+    for number in itertools.count(1):
+        place = f"{path}-{number}" if number > 1 else path
+        with contextlib.suppress(FileExistsError):
+            os.mkdir(place)
+            break
+    return place
 
 
 def _draw(results: Sequence[Result], path: str) -> bool:
