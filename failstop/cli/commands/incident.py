@@ -109,7 +109,7 @@ def _meant(arguments: Namespace) -> str:
         while (stop := unsaved(arguments.name)) and time.monotonic_ns() < stop.noticed_ns + SAVED_S * 1e9:
             time.sleep(0.1)
         if stop:
-            why = failed(arguments.name)
+            why = failed(arguments.name, stop)
             told = f"was not saved: {why}" if why else "is in no file so far: this is another"
             standard.say(f"the last stop ({stop.reason}) {told}")
         elif left(arguments.name):
@@ -133,10 +133,10 @@ def unsaved(name: str) -> Stop | None:
     return None if any(ns > stop.noticed_ns - TOGETHER_NS for ns in saved_ns) else stop
 
 
-def failed(name: str) -> str:
-    """Why the service could not save its last incident; empty: it could, or has said nothing of it."""
+def failed(name: str, stop: Stop) -> str:
+    """Why the service could not save the incident of its last stop; empty: it has said nothing of it."""
     try:
-        told = [event for event in EventLog(name).read() if event.kind == "incident"]
+        told = [event for event in EventLog(name).read() if event.kind == "incident" and event.ns > stop.noticed_ns]
     except FailstopError:
         return ""
     return told[-1].what.removeprefix("incident not saved: ") if told and told[-1].level == "warning" else ""
