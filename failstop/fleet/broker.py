@@ -13,6 +13,7 @@ import time
 from failstop import extras
 from failstop.files import durable
 from failstop.fleet import FleetError
+from failstop.fleet.settings import CERT_KEY, PASSWORD, unreadable
 from failstop.fleet.wire import MqttWire
 
 TYPE_CHECKING = False
@@ -27,9 +28,14 @@ CONNECT_S = 3.0
 """How long a connection may take."""
 FIRST_WAIT_S = 0.5
 LONGEST_WAIT_S = 5.0
+SPREAD = 0.2
+"""Between two attempts: doubling, and up to this share shorter or longer, so that a broker that comes back is not
+overrun by all robots at once."""
+LONGEST_PAUSE_S = (1 + SPREAD) * LONGEST_WAIT_S + CONNECT_S
+"""After so long a client that can reach the broker is connected again."""
 NOT_YET = "not connected yet"
-"""Between two attempts: doubling, and a little different for each robot, so that a broker that comes back is not
-overrun."""
+NO_REASON = "Unspecified error"
+"""paho-mqtt's reason for a connection that the broker closed without a word."""
 MOST_SECRET_BYTES = 1024
 BACKLOG = 200
 """Messages of ours that may wait for the broker; of a state the newest counts."""
@@ -84,6 +90,9 @@ class Broker:
         self._newest_first = newest_first
         self._wait_s = FIRST_WAIT_S
         self._try_at_s = 0.0
+        self._closing = False
+        self.up_s = 0.0
+        """When the connection was made, monotonic."""
         self.client: Client = Client(
             CallbackAPIVersion.VERSION2, client_id=client_id, clean_session=True, reconnect_on_failure=False
         )
@@ -97,17 +106,27 @@ class Broker:
 
     def _secure(self) -> None:
         settings = self._settings
+        path = settings.secret("broker.password_file", PASSWORD)
         if user := settings.text("broker.user"):
-            path = settings.secret("broker.password_file", "broker.password")
             self.client.username_pw_set(user, read_secret(path) if path else None)
+        elif path:
+            raise FleetError(f"{path} is a password, and broker.user is not set: a password needs a user's name")
         if not settings.on("broker.tls"):
             return
+        authority, certificate = settings.text("broker.ca_file"), settings.text("broker.cert_file")
+        key = settings.secret("broker.cert_key_file", CERT_KEY)
+        _check_readable("broker.ca_file", authority, "")
+        _check_readable("broker.cert_file", certificate, "")
+        _check_readable("broker.cert_key_file", key if certificate else "", CERT_KEY)
         try:
-            context = ssl.create_default_context(cafile=settings.text("broker.ca_file") or None)
-            if certificate := settings.text("broker.cert_file"):
-                context.load_cert_chain(certificate, settings.text("broker.cert_key_file") or None)
+            context = ssl.create_default_context(cafile=authority or None)
         except (OSError, ssl.SSLError) as error:
-            raise FleetError(f"broker.ca_file, broker.cert_file: {error}") from None
+            raise FleetError(f"broker.ca_file {authority}: {error}") from None
+        try:
+            if certificate:
+                context.load_cert_chain(certificate, key or None)
+        except (OSError, ssl.SSLError) as error:
+            raise FleetError(f"broker.cert_file {certificate}, broker.cert_key_file {key}: {error}") from None
         self.client.tls_set_context(context)
 
     def will(self, topic: str, payload: bytes) -> None:
@@ -118,6 +137,10 @@ class Broker:
         """Publish; nothing happens while there is no connection."""
         if not self.problem:
             self.client.publish(topic, payload, qos=qos, retain=retain)
+
+    def connected_s(self) -> float:
+        """How long this connection has lasted; 0 while there is none."""
+        return 0.0 if self.problem else time.monotonic() - self.up_s
 
     def fileno(self) -> int:
         """The descriptor to wait for; -1 while there is no connection."""
@@ -175,7 +198,7 @@ class Broker:
         """Try to, if it is time; the broker's answer comes in a turn."""
         if now_s < self._try_at_s:
             return
-        self._try_at_s = now_s + self._wait_s * random.uniform(0.8, 1.2)
+        self._try_at_s = now_s + self._wait_s * random.uniform(1 - SPREAD, 1 + SPREAD)
         self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
         settings = self._settings
         try:
@@ -201,6 +224,7 @@ class Broker:
         """In order: the last will is not said. The connection stays open until the broker has ended it, or for CLOSE_S:
         bytes that come to a closed one reset it, and a broker that meets the reset before it has read the
         end takes the client for lost."""
+        self._closing = True
         if (fd := self.fileno()) < 0:
             return
         until_s = time.monotonic() + CLOSE_S
@@ -225,6 +249,7 @@ class Broker:
             self.problem = f"the broker at {self.where} refuses: {reason}"
             return
         self.problem = ""
+        self.up_s = time.monotonic()
         self._wait_s = FIRST_WAIT_S
         self.denied = ()
         self._unconfirmed = {client.subscribe(topic, qos=ANYHOW)[1]: topic for topic in self._subscriptions}
@@ -238,8 +263,19 @@ class Broker:
 
     def _on_disconnect(self, _client: Any, _: object, _flags: object, reason: object, _properties: object) -> None:
         self.listening = False
-        if self.problem in ("", NOT_YET):
-            self.problem = f"the broker at {self.where} has ended the connection: {reason}"
+        if self.problem in ("", NOT_YET) and not self._closing:
+            why = "" if str(reason) == NO_REASON else f": {reason}"
+            self.problem = f"the broker at {self.where} has ended the connection{why}"
+
+
+def _check_readable(key: str, path: str, credential: str) -> None:
+    """Raises FleetError, which names the setting and the file: the errors of TLS name neither."""
+    if not path:
+        return
+    try:
+        os.close(durable.open_regular(path))
+    except OSError as error:
+        raise unreadable(key, path, error, credential) from None
 
 
 def read_secret(path: str) -> str:
@@ -251,7 +287,9 @@ def read_secret(path: str) -> str:
         finally:
             os.close(fd)
         line = text.decode().partition("\n")[0].rstrip("\r")
-    except (OSError, UnicodeError) as error:
+    except OSError as error:
+        raise unreadable("broker.password_file", path, error, PASSWORD) from None
+    except UnicodeError as error:
         raise FleetError(f"broker.password_file {path}: {error}") from None
     if found.st_mode & 0o007:
         raise FleetError(f"broker.password_file {path} may be read by everybody: chmod 600 {path}")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from failstop.doctor.look import Finding, Look, ok, warn
+from failstop.fleet.settings import UNIT
 
-UNIT = "failstop-fleet.service"
 PROPERTIES = "LoadState,ActiveState,UnitFileState,StatusText,StatusErrno"
 
 
@@ -19,7 +19,5 @@ def check(look: Look) -> list[Finding]:
         text = f"{UNIT} is enabled and {found.get('ActiveState')}: the robot obeys no stop of the fleet"
         return warn(text, f"journalctl -xeu {UNIT}")
     if found.get("StatusErrno", "0") != "0":
-        return warn(
-            f"the robot {found.get('StatusText')}", f"journalctl -u {UNIT}", "docs/fleet.md has the access list"
-        )
+        return warn(f"the robot {found.get('StatusText')}", f"journalctl -u {UNIT}", "docs/fleet.md says more")
     return ok(f"the robot {found.get('StatusText') or 'is in a fleet'}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import getpass
 import json
@@ -9,8 +10,9 @@ import os
 import secrets
 import signal
 import socket
+import sys
 import time
-from argparse import SUPPRESS, ArgumentParser, Namespace
+from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
 from contextlib import closing
 
@@ -19,10 +21,10 @@ from failstop.cli import standard, style
 from failstop.cli.commands import add_name
 from failstop.cli.screen.terminal import Terminal
 from failstop.files import instance
-from failstop.fleet import FleetError, publisher, report, settings, signed, topics, view
-from failstop.fleet.broker import Broker
-from failstop.fleet.roster import Roster
-from failstop.fleet.sender import Sender
+from failstop.fleet import FleetError, publisher, report, settings, signed, topics, vda5050, view
+from failstop.fleet.broker import CONNECT_S, Broker
+from failstop.fleet.roster import Robot, Roster
+from failstop.fleet.sender import BY_HAND, Sender
 from failstop.fleet.settings import FleetSettings
 from failstop.notify import Notify
 
@@ -38,6 +40,11 @@ WATCH_S = 0.25
 """Between two pictures."""
 LIST_S = 1.5
 """How long the broker may take to say what it knows."""
+LONGEST_STOP_S = 3600.0
+PROGRESS_S = 0.25
+"""Between two lines of progress."""
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -47,7 +54,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     stop = actions["stop"].add_argument
     stop("reason", nargs="*", help="why; each robot shows it")
     stop("--by", metavar="NAME", help="who stops them (default: USER@HOST)")
-    stop("--wait", type=float, default=5.0, metavar="S", help="how long to try (default: 5)")
+    stop("--wait", type=_seconds, metavar="S", help="how long to try at most (default: 5, and up to "
+         "20 while robots may be connecting again after the broker's restart)")  # fmt: skip
     for name in ("list", "stop"):
         actions[name].add_argument("--json", action="store_true", help="for programs")
     actions["forget"].add_argument("robot", help="its name in the fleet")
@@ -65,14 +73,26 @@ def main(arguments: Namespace) -> int:
     return ACTIONS[arguments.action or "watch"][0](arguments)
 
 
+def _seconds(text: str) -> float:
+    """A time to wait. Raises ArgumentTypeError."""
+    try:
+        found = float(text)
+    except ValueError:
+        found = 0.0
+    if not 0.0 < found <= LONGEST_STOP_S:
+        raise ArgumentTypeError(f"{text!r}: allowed is more than 0, and {LONGEST_STOP_S:.0f} s at most")
+    return found
+
+
 def _settings(arguments: Namespace) -> FleetSettings:
     changed: dict[str, object] = {}
     if broker := getattr(arguments, "broker", None):
         host, colon, port = broker.rpartition(":")
-        if colon and port.isdigit():
+        # An IPv6 address has colons of its own: a port follows one in brackets alone.
+        if colon and port.isdigit() and (":" not in host or host.endswith("]")):
             changed = {"broker.host": host.strip("[]"), "broker.port": int(port)}
         else:
-            changed = {"broker.host": broker}
+            changed = {"broker.host": broker.strip("[]")}
     return settings.load(arguments.config, changed)
 
 
@@ -90,17 +110,20 @@ def _publish(arguments: Namespace) -> int:
     said = None
     while not ended:
         publishing.turn()
-        if (deaf := publishing.deaf()) != said:
-            said = deaf
-            manager.say(_status(deaf))
+        if (status := _status(publishing.deaf(), publishing.doubled())) != said:
+            said = status
+            manager.say(status)
     publishing.close()
     return 0
 
 
-def _status(deaf: str) -> str:
+def _status(deaf: str, doubled: str) -> str:
     """The status that `systemctl status` shows and `failstop doctor` reads."""
-    text = f"obeys no fleet stop: {words.printable(deaf)}" if deaf else "obeys a fleet stop"
-    return f"STATUS={text}\nERRNO={errno.ENOTCONN if deaf else 0}"
+    if deaf:
+        return f"STATUS=obeys no fleet stop: {words.printable(deaf)}\nERRNO={errno.ENOTCONN}"
+    if doubled:
+        return f"STATUS=obeys a fleet stop, but {words.printable(doubled)}\nERRNO={errno.ENOTUNIQ}"
+    return "STATUS=obeys a fleet stop\nERRNO=0"
 
 
 def _key(arguments: Namespace) -> int:
@@ -142,53 +165,125 @@ def _watch(arguments: Namespace) -> int:
             _listen(broker, WATCH_S)
             now = time.monotonic(), time.time()
             size = terminal.columns, terminal.rows
-            terminal.draw(view.lines(roster.sorted(), broker.where, broker.problem, *now, *size))
+            terminal.draw(view.lines(roster.sorted(), broker.where, broker.problem, *now, *size, _blind(broker)))
     return 128 + terminal.ended if terminal.ended else 0
 
 
 def _list(arguments: Namespace) -> int:
     roster, broker = _seen(_settings(arguments))
     with closing(broker):
-        _listen(broker, LIST_S)
+        _listen(broker, CONNECT_S, lambda: broker.listening)
+        _listen(broker, LIST_S if broker.listening else 0.0)
     if broker.problem and not roster.robots:
         raise FleetError(broker.problem)
+    if problem := broker.problem or _blind(broker):
+        standard.say(f"{problem}: this list may lack robots")
     robots, now_s, unix_s = roster.sorted(), time.monotonic(), time.time()
     if arguments.json:
         rows = [
-            {**vars(robot), "word": view.word(robot), "age_s": robot.age_s(now_s, unix_s), "heard_s": None}
+            {**vars(robot), "word": view.word(robot, now_s, unix_s), "age_s": robot.age_s(now_s, unix_s)}
             for robot in robots
         ]
+        for row in rows:
+            for key in ("heard_s", "sign_s", "first_s"):  # by this process's own clock
+                row[key] = None
         print(json.dumps(rows, indent=2))
+    elif not robots:
+        standard.tell(f"no robot is known to the broker at {broker.where}")
     else:
-        style.show([view.counts(robots), *(view.table(robots, now_s, unix_s) if robots else [])])
-    return 0
+        style.show([view.counts(robots, now_s, unix_s), *view.table(robots, now_s, unix_s)])
+    return 1 if problem else 0
+
+
+def _blind(broker: Broker) -> str:
+    """Why robots may be missing, if the broker refused to let this client read of them; empty: it refused nothing."""
+    denied = " and ".join(broker.denied)
+    return f"the broker does not let you read {denied}: see its access list" if denied else ""
 
 
 def _stop(arguments: Namespace) -> int:
     by = arguments.by or f"{getpass.getuser()}@{socket.gethostname()}"
-    sender = Sender(_settings(arguments), " ".join(arguments.reason), by)
-    done = sender.run(arguments.wait)
-    if sender.broker.denied:
-        standard.say(f"the broker does not let you read {' and '.join(sender.broker.denied)}: see its access list")
+    stopping = Sender(_settings(arguments), " ".join(arguments.reason), by)
+    progress = Progress(stopping)
+    try:
+        code = 0 if stopping.run(arguments.wait, progress.show) else 1
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+    finally:
+        progress.clear()
+    if code == INTERRUPTED:
+        if stopping.sent_s is None:
+            raise FleetError(f"NO ROBOT WAS STOPPED: interrupted before a broker took the stop; {BY_HAND}")
+        standard.say("interrupted: no robot is asked again; this is what was confirmed until now")
     if arguments.json:
-        print(json.dumps(report.as_dict(sender.tally), indent=2))
+        found = report.as_dict(stopping.tally, stopping.doubts)
+        print(json.dumps({**found, "interrupted": code == INTERRUPTED}, indent=2))
     else:
-        style.show(report.lines(sender.tally))
-    return 0 if done else 1
+        style.show(report.lines(stopping.tally, stopping.doubts, listed=stopping.listed))
+    return code
+
+
+class Progress:
+    """One line on the terminal, in place, while a stop is not confirmed by all. Nothing where stderr is no terminal."""
+
+    def __init__(self, stopping: Sender) -> None:
+        self._stopping = stopping
+        self._shows = style.lives(os.environ, terminal=sys.stderr.isatty())
+        self._began_s = self._next_s = time.monotonic()
+
+    def show(self) -> None:
+        """Renew it, if it is time."""
+        now_s = time.monotonic()
+        if not self._shows or now_s < self._next_s:
+            return
+        self._next_s = now_s + PROGRESS_S
+        tally, problem = self._stopping.tally, self._stopping.broker.problem
+        self._write(report.progress(tally, problem, now_s - self._began_s))
+
+    def clear(self) -> None:
+        """Take it away."""
+        if self._shows:
+            self._write("")
+
+    def _write(self, text: str) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            columns = os.get_terminal_size(2).columns or style.NO_TERMINAL_COLUMNS
+            sys.stderr.write(f"\r\x1b[K{style.cut(text, columns - 1)}")
+            sys.stderr.flush()
+
+
+def _check_gone(robot: Robot, broker: Broker) -> None:
+    """Raises FleetError for a robot that shows a sign of life. What the broker says of its connection is no proof: one
+    that was switched off while the broker was down stays connected there."""
+
+    def over() -> bool:
+        gone = robot.connection in (vda5050.OFFLINE, vda5050.BROKEN)
+        return gone or robot.sign_s is not None or bool(broker.problem)
+
+    limit_s = 0.0
+    if not over():
+        limit_s = robot.silent_after_s()
+        standard.say(f"the broker calls {robot.id} connected: listening for a sign of life, {limit_s:.0f} s at most")
+    _listen(broker, limit_s, over)
+    if broker.problem:
+        raise FleetError(broker.problem)
+    if robot.connection not in (vda5050.OFFLINE, vda5050.BROKEN) and robot.sign_s is not None:
+        raise FleetError(f"{robot.id} is connected: end its publisher first, or it is back at its next message")
 
 
 def _forget(arguments: Namespace) -> int:
     found, name = _settings(arguments), arguments.robot
     roster, broker = _seen(found)
     with closing(broker):
-        _listen(broker, LIST_S, lambda: name in (robot.id for robot in roster.robots.values()))
+        _listen(broker, CONNECT_S, lambda: broker.listening)
+        # Its state may come first, and says nothing of its connection.
+        _listen(broker, LIST_S, lambda: any(each.id == name and each.connection for each in roster.robots.values()))
         if broker.problem:
             raise FleetError(broker.problem)
         known = {robot.id: in_topic for in_topic, robot in roster.robots.items()}
         if (in_topic := known.get(name)) is None:
             raise FleetError(f"no robot {name!r} is known to the broker at {broker.where}")
-        if not roster.robots[in_topic].lost():
-            raise FleetError(f"{name} is connected: end its publisher first, or it is back at its next message")
+        _check_gone(roster.robots[in_topic], broker)
         for last in (topics.CONNECTION, topics.STATE, topics.EVENT):
             broker.say(topics.of_robot(found.text("robot.manufacturer"), in_topic, last), b"", retain=True)
         _listen(broker, LIST_S, lambda: in_topic not in roster.robots)

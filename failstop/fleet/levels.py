@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 from failstop.api import words
 from failstop.fleet import replay, signed
+from failstop.fleet.twins import number_of
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -64,10 +66,18 @@ class StopAnswer:
     """In words, for REFUSED and FAILED."""
     confirms: str = ACKNOWLEDGED
     """The level that confirms the stop: the first that its board and its IMU can give."""
+    publisher: str = ""
+    """The number that its publisher drew. Empty: an older failstop, which draws none."""
+    doubled: bool = False
+    """Its publisher knows of another one with its name."""
+    connected_s: float = 0.0
+    """How long its connection to the broker has lasted. The broker has run for at least as long."""
 
     def message(self, key: bytes) -> bytes:
         """Signed."""
-        body = {"id": self.id, "robot": self.robot, "reached": self.reached, "why": self.why, "confirms": self.confirms}
+        body: dict[str, Any] = {"id": self.id, "robot": self.robot, "reached": self.reached}
+        body |= {"why": self.why, "confirms": self.confirms}
+        body |= {"publisher": self.publisher, "doubled": self.doubled, "connected_s": self.connected_s}
         return signed.sign(key, signed.ANSWER_PURPOSE, body)
 
 
@@ -81,7 +91,17 @@ def read_answer(key: bytes, message: bytes) -> StopAnswer:
     confirms = body.get("confirms", ACKNOWLEDGED)
     if confirms not in PROOFS:
         raise signed.Forged("no level that confirms")
-    return StopAnswer(_id(body), _text(body, "robot"), known, _text(body, "why"), confirms)
+    connected_s = _number(body, "connected_s") if "connected_s" in body else 0.0
+    return StopAnswer(
+        _id(body),
+        _text(body, "robot"),
+        known,
+        _text(body, "why"),
+        confirms,
+        number_of(body.get("publisher")),
+        body.get("doubled", False) is not False,
+        connected_s if 0.0 <= connected_s < math.inf else 0.0,
+    )
 
 
 def _id(body: dict[str, Any]) -> str:

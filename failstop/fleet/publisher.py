@@ -7,6 +7,7 @@ stop pipe, as every local user may, and reads what everybody may read.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 import time
 
@@ -21,6 +22,8 @@ from failstop.fleet import FleetError, signed, topics, vda5050
 from failstop.fleet.broker import ANYHOW, Broker
 from failstop.fleet.duties import Duties
 from failstop.fleet.replay import Seen
+from failstop.fleet.settings import KEY, PLACE
+from failstop.fleet.twins import Twins, draw
 from failstop.messages import records
 
 TYPE_CHECKING = False
@@ -111,7 +114,11 @@ class Publisher:
         self._robot = robot
         self._manufacturer = manufacturer
         self._publish_s = settings.number("robot.publish_s")
-        self._header = vda5050.Header(manufacturer, robot_id)
+        self.number = draw()
+        """This publisher's, in all that it publishes."""
+        self.twins = Twins(self.number, time.time())
+        self._header = vda5050.Header(manufacturer, robot_id, self.number)
+        self._connection_topic = self._header.topic(topics.CONNECTION)
         self._stop_topic = topics.stop(manufacturer)
         self._key, self._off = _key(settings)
         self._store = os.path.join(store, SEEN)
@@ -121,14 +128,16 @@ class Publisher:
         self.unsaved = False
         """Written after the answers have left: a disk may take its time."""
         self._said_forged = 0
-        self._said_denied = ""
+        self._said_denied = self._said_doubled = ""
         self._forged_s = -FORGED_S
         self._look_at_s = self._published_s = self._built_s = 0.0
         self._shown: tuple[object, object] = (None, None)
         self._word = vda5050.ONLINE
         """The robot's connection, as the broker is told at each new one."""
-        name = f"failstop-{robot_id}"
-        self.broker = Broker(settings, name, self._stop_topics(), self._hear, self._up, newest_first=True)
+        # A client's own: two robots of one name would throw each other off the broker by the name alone.
+        name = f"failstop-{robot_id}-{self.number}"
+        wanted = (*self._stop_topics(), self._connection_topic)
+        self.broker = Broker(settings, name, wanted, self._hear, self._up, newest_first=True)
         self._will()
 
     def _stop_topics(self) -> tuple[str, str]:
@@ -138,18 +147,24 @@ class Publisher:
         """Wait for the broker, for as long as there is nothing else to do, then do that."""
         was = self.broker.problem
         self.broker.turn(min(longest_s, max(0.0, self._look_at_s - time.monotonic())))
-        if self.broker.problem != was:
+        if self.broker.problem != was and not self.twins.others:  # two may end each other's connection every second
             standard.say(self.broker.problem or f"the broker at {self.broker.where} knows this robot {self.robot_id}")
         if (denied := self._denied()) != self._said_denied:
             self._said_denied = denied
             if denied:
                 standard.say(f"WARNING: no stop of the fleet is obeyed here: {denied}")
+        if (doubled := self.doubled()) != self._said_doubled:
+            self._said_doubled = doubled
+            standard.say(f"WARNING: {doubled}")
         self.look(time.monotonic())
 
     def look(self, now_s: float) -> None:
         """Publish what is new, if it is time."""
         if now_s < self._look_at_s:
             return
+        if self.twins.again:
+            self.twins.again = False
+            self._connection()
         busy = self.busy(now_s)
         state, note = self._robot.read()
         for answer in self.duties.look(state, now_s):
@@ -171,8 +186,18 @@ class Publisher:
         return self._off or self.broker.problem or self._denied() or ("" if self.broker.listening else NOT_LISTENING)
 
     def _denied(self) -> str:
-        denied = " and ".join(self.broker.denied)
+        denied = " and ".join(topic for topic in self.broker.denied if topic in self._stop_topics())
         return f"the broker does not let this robot read {denied}: see its access list" if denied else ""
+
+    def doubled(self) -> str:
+        """What is wrong, and what to do, if another publisher uses this robot's name; empty: none is known."""
+        if not self.twins.others:
+            return ""
+        return (
+            f"another publisher also calls itself {self.robot_id}, so no fleet stop counts this robot as confirmed: "
+            f"give each robot its own robot.id in {PLACE}, then restart both publishers "
+            "(`systemctl restart failstop-fleet`)"
+        )
 
     def busy(self, now_s: float) -> bool:
         """True while a stop of the fleet is carried out."""
@@ -196,8 +221,7 @@ class Publisher:
 
     def _will(self) -> None:
         body = vda5050.connection(vda5050.BROKEN)
-        topic = self._header.topic(topics.CONNECTION)
-        self.broker.will(topic, self._header.message(topics.CONNECTION, body, time.time()))
+        self.broker.will(self._connection_topic, self._header.message(topics.CONNECTION, body, time.time()))
 
     def _up(self) -> None:
         self._connection()
@@ -206,8 +230,8 @@ class Publisher:
         self._look_at_s = 0.0
 
     def _connection(self) -> None:
-        payload = self._header.message(topics.CONNECTION, vda5050.connection(self._word), time.time())
-        self.broker.say(self._header.topic(topics.CONNECTION), payload, retain=True)
+        body = vda5050.connection(self._word, self._publish_s)
+        self.broker.say(self._connection_topic, self._header.message(topics.CONNECTION, body, time.time()), retain=True)
 
     def _publish(self, state: State | None, note: str, now_s: float) -> None:
         if self.broker.problem:
@@ -231,13 +255,18 @@ class Publisher:
         found = []
         if off := self._off or self._denied():
             found.append(vda5050.warning(vda5050.FLEET_STOP_OFF, off, "`failstop doctor` on the robot says more"))
+        if doubled := self.doubled():
+            found.append(vda5050.warning(vda5050.DOUBLED, doubled, f"set robot.id in {PLACE}"))
         if now_s - self._forged_s < FORGED_S:
             text = f"messages on {self._stop_topic} that nobody with the fleet's key has made"
             found.append(vda5050.warning("forgedStop", text, "see who may write there, by the broker's access list"))
         return tuple(found)
 
-    def _hear(self, _topic: str, payload: bytes, _retained: bool) -> None:
-        """A stop of the fleet, or what claims to be one."""
+    def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
+        """A stop of the fleet, or a message that claims to be one; or one on the connection of this name."""
+        if topic == self._connection_topic:
+            self.twins.hear(payload, retained=retained)
+            return
         if self._off:
             return
         now_s, unix_s = time.monotonic(), time.time()
@@ -264,7 +293,13 @@ class Publisher:
 
     def _answer(self, answer: StopAnswer) -> None:
         topic = topics.answer(self._manufacturer, answer.id, self.robot_id)
-        self.broker.say(topic, answer.message(self._key), qos=ANYHOW)  # the sender asks again for what is lost
+        whole = dataclasses.replace(
+            answer,
+            publisher=self.number,
+            doubled=bool(self.twins.others),
+            connected_s=round(self.broker.connected_s(), 3),
+        )
+        self.broker.say(topic, whole.message(self._key), qos=ANYHOW)  # the sender asks again for what is lost
 
     def _remember(self) -> None:
         """Save the orders that were obeyed, over a restart. A failure is said, and is no reason not to stop."""
@@ -279,7 +314,7 @@ class Publisher:
 def _key(settings: FleetSettings) -> tuple[bytes, str]:
     """The fleet's key, or why there is none."""
     try:
-        return signed.read_key(settings.secret("stop.key_file", "fleet.key")), ""
+        return signed.read_key(settings.secret("stop.key_file", KEY)), ""
     except FleetError as error:
         standard.say(f"no stop of the fleet is obeyed here: {error}")
         return b"", str(error)

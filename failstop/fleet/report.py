@@ -2,41 +2,80 @@
 
 from __future__ import annotations
 
+from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG
 from failstop.fleet import levels
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from typing import Any
 
     from failstop.cli.style import Line
     from failstop.fleet.tally import Tally
 
 
-def lines(tally: Tally) -> list[Line]:
-    """N of M, how far each level has come, and who is missing."""
+NAME_COLUMNS = 64
+"""As long as a robot's name may be; whoever may write on the broker may write a longer one."""
+MOST_NAMED = 5
+"""Robots in the line of progress."""
+
+
+def lines(tally: Tally, doubts: Sequence[str] = (), *, listed: bool = False) -> list[Line]:
+    """N of M, how far each level has come, and who is missing. `doubts`: why there may be more robots; `listed`: a file
+    names those that there are."""
     robots, missing = tally.robots(), tally.missing()
     if not robots:
-        return [[("NO ROBOT is known to this broker, so none has confirmed", FAIL)]]
-    role = FAIL if missing else OK
-    counted = f"{len(robots) - len(missing)} of {len(robots)} robots have confirmed the stop"
+        return [[("NO ROBOT is known to this broker, so none has confirmed", FAIL)], *_doubts(doubts)]
+    role = FAIL if missing or doubts else OK
+    # Of a fleet that may be larger no count is shown that reads like all of it.
+    total = f"at least {len(robots)}" if doubts else f"{len(robots)}"
+    counted = f"{len(robots) - len(missing)} of {total} robots have confirmed the stop"
     found: list[Line] = [[(counted, role)]]
     for level in levels.PROOFS:
         times_s = tally.times_s(level)
         slowest = f"  the last after {times_s[-1]:.2f} s" if times_s else ""
-        found.append([(f"  {level:<13}", PLAIN), (f"{len(times_s)} of {len(robots)}", STRONG), (slowest, DIM)])
+        found.append([(f"  {level:<13}", PLAIN), (f"{len(times_s)} of {total}", STRONG), (slowest, DIM)])
     for robot, level in tally.confirmed_by().items():
         if level != levels.ACKNOWLEDGED:
-            found.append([(f"  {robot} confirms as {level}: its board acknowledges nothing", DIM)])
+            found.append([(f"  {_name(robot)} confirms as {level}: its board acknowledges nothing", DIM)])
     if missing:
         found.append([("NOT confirmed, so go and look, or use the POWER SWITCH:", FAIL)])
-        columns = max(len(row.robot) for row in missing)
-        found += [[(f"  {row.robot:<{columns}}  ", STRONG), (row.why, PLAIN)] for row in missing]
+        found += style.table([[("", PLAIN), (_name(row.robot), STRONG), (row.why, PLAIN)] for row in missing])
+    found += _doubts(doubts)
+    if not listed and not doubts:
+        text = "Counted are the robots that the broker still remembers. List yours in stop.robots_file to miss none."
+        found.append([(text, DIM)])
     return found
 
 
-def as_dict(tally: Tally) -> dict[str, Any]:
-    """For programs."""
+def _doubts(doubts: Sequence[str]) -> list[Line]:
+    if not doubts:
+        return []
+    head: Line = [("NOT KNOWN to be all robots, so go and look for others:", FAIL)]
+    return [head, *([(f"  {doubt}", PLAIN)] for doubt in doubts)]
+
+
+def _name(robot: str) -> str:
+    return style.cut(robot, NAME_COLUMNS)
+
+
+def progress(tally: Tally, problem: str, age_s: float) -> str:
+    """One line while the sender waits. `problem`: with the broker; `age_s`: since the sender began."""
+    end = f"({age_s:.0f} s; Ctrl-C shows the report so far)"
+    if problem:
+        return f"{problem}: trying again {end}"
+    missing = [_name(row.robot) for row in tally.missing()]
+    total = len(tally.robots())
+    counted = f"{total - len(missing)} of {total} robots have confirmed"
+    if not missing:
+        return f"{counted}; listening for others {end}"
+    more = f" and {len(missing) - MOST_NAMED} more" if len(missing) > MOST_NAMED else ""
+    return f"{counted}; waiting for {', '.join(missing[:MOST_NAMED])}{more} {end}"
+
+
+def as_dict(tally: Tally, doubts: Sequence[str] = ()) -> dict[str, Any]:
+    """For programs. `complete` is what exit code 0 says: all have confirmed, and these are known to be all."""
     missing = {row.robot: row.why for row in tally.missing()}
     robots = tally.robots()
     return {
@@ -44,5 +83,7 @@ def as_dict(tally: Tally) -> dict[str, Any]:
         "robots": len(robots),
         "confirmed_by": tally.confirmed_by(),
         "missing": missing,
+        "doubts": list(doubts),
+        "complete": bool(robots) and not missing and not doubts,
         **{level: {"robots": tally.reached(level), "after_s": tally.times_s(level)} for level in levels.PROOFS},
     }

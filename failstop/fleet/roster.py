@@ -14,6 +14,14 @@ if TYPE_CHECKING:
 
 MOST_BYTES = 65536
 """Of a message: what is longer is not read."""
+MOST_VOLTS = 1000.0
+MOST_TEXT = 200
+"""Characters of a text that a robot gives."""
+LONGEST_PERIOD_S = 30.0
+"""Between two states of a robot that does not say its own period: the interface wants one that often."""
+MISSED_PERIODS = 3
+LATE_S = 2.0
+"""A robot is lost after so many periods without a state, and so much for the network."""
 
 
 @dataclasses.dataclass
@@ -35,10 +43,20 @@ class Robot:
     warnings: int = 0
     deaf: str = ""
     """Why it obeys no stop of the fleet; empty: it says nothing of the kind."""
+    doubled: str = ""
+    """What it says about another publisher of its name; empty: nothing."""
+    period_s: float = LONGEST_PERIOD_S
+    """A state follows this often at least."""
     stamped_s: float | None = None
     """Of its last state, by its own clock."""
+    dated_s: float | None = None
+    """Of its newest message, by its own clock."""
     heard_s: float | None = None
-    """When that came, by this monotonic clock; None: the broker had kept it."""
+    """When its last state came, by this monotonic clock; None: the broker had kept it."""
+    sign_s: float | None = None
+    """When it last showed that it is alive, by this monotonic clock; None: not since this roster began."""
+    first_s: float | None = None
+    """When its first message came, by this monotonic clock."""
 
     def age_s(self, now_s: float, unix_s: float) -> float | None:
         """Of its last state; None: there is none."""
@@ -46,9 +64,25 @@ class Robot:
             return now_s - self.heard_s
         return None if self.stamped_s is None else max(0.0, unix_s - self.stamped_s)
 
-    def lost(self) -> bool:
-        """Nothing that is said of it is known to hold now."""
-        return self.connection != vda5050.ONLINE
+    def silent_s(self, now_s: float, unix_s: float) -> float:
+        """How long it has shown no sign of life, as far as is known. Of what the broker had kept, by the robot's clock:
+        one that is ahead makes it shorter."""
+        if self.sign_s is not None:
+            return now_s - self.sign_s
+        watched_s = 0.0 if self.first_s is None else now_s - self.first_s
+        return watched_s if self.dated_s is None else max(watched_s, unix_s - self.dated_s)
+
+    def silent_after_s(self) -> float:
+        """Silent for so long, it is lost, whatever the broker calls it: one that was switched off while the broker was
+        down stays ONLINE there."""
+        return MISSED_PERIODS * self.period_s + LATE_S
+
+    def lost(self, now_s: float, unix_s: float) -> bool:
+        """Nothing that it published is known to hold now."""
+        silent = self.silent_s(now_s, unix_s) > self.silent_after_s()
+        if not self.connection and self.sign_s is not None:
+            return silent  # the broker hides its connection, and passes on its states
+        return silent or self.connection != vda5050.ONLINE
 
 
 class Roster:
@@ -70,13 +104,19 @@ class Roster:
             if len(payload) > MOST_BYTES:
                 raise ValueError
             found = json.loads(payload)
-            known = self.robots.get(robot) or Robot(words.printable(robot))
+            known = self.robots.get(robot) or Robot(_text(robot), first_s=now_s)
             if last == topics.CONNECTION:
-                known.connection = str(found["connectionState"])
+                known.connection = _text(found["connectionState"])
+                known.period_s = _number(found.get("statePeriod"), 0.0, LONGEST_PERIOD_S) or LONGEST_PERIOD_S
+                alive = known.connection == vda5050.ONLINE
             elif last == topics.STATE:
                 _take_state(known, found, None if retained else now_s)
+                alive = True
             else:
                 return
+            if alive:
+                known.dated_s = vda5050.seconds(found.get("timestamp"))
+                known.sign_s = known.sign_s if retained else now_s
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             self.strange += 1
             return
@@ -92,18 +132,29 @@ def _take_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> Non
     told = {row["infoType"]: str(row.get("infoDescription", "")) for row in found.get("information", ())}
     errors = found["errors"]
     stop = found["safetyState"]["eStop"]
-    volts = found["batteryState"].get("batteryVoltage")
+    robot.volts = _number(found["batteryState"].get("batteryVoltage"), -MOST_VOLTS, MOST_VOLTS)
     robot.driving = found["driving"] is True
     # A robot of another maker has the interface's own fields alone.
-    robot.word = words.printable(told.get("word", "") or ("DRIVING" if robot.driving else "STANDING"))
-    robot.why, robot.next = words.printable(told.get("why", "")), words.printable(told.get("next", ""))
+    robot.word = _text(told.get("word", "") or ("DRIVING" if robot.driving else "STANDING"))
+    robot.why, robot.next = _text(told.get("why", "")), _text(told.get("next", ""))
     robot.latched = stop != "NONE"
-    robot.errors = tuple(words.printable(str(row["errorType"])) for row in errors if row["errorLevel"] == vda5050.FATAL)
+    robot.errors = tuple(_text(row["errorType"]) for row in errors if row["errorLevel"] == vda5050.FATAL)
     robot.warnings = len(errors) - len(robot.errors)
-    deaf = [str(row["errorDescription"]) for row in errors if row["errorType"] == vda5050.FLEET_STOP_OFF]
-    robot.deaf = words.printable(deaf[0]) if deaf else ""
-    robot.volts = float(volts) if volts is not None else None
+    own = {row["errorType"]: _text(row["errorDescription"]) for row in reversed(errors)}
+    robot.deaf, robot.doubled = own.get(vda5050.FLEET_STOP_OFF, ""), own.get(vda5050.DOUBLED, "")
     robot.stamped_s, robot.heard_s = vda5050.seconds(found["timestamp"]), now_s
+
+
+def _text(found: object) -> str:
+    """A text of a robot's, on one line, and no longer than people read."""
+    return words.printable(str(found)[:MOST_TEXT])[:MOST_TEXT]
+
+
+def _number(found: object, low: float, high: float) -> float | None:
+    """A number in that range; None for everything else: JSON here has NaN, and integers of any length."""
+    if isinstance(found, bool) or not isinstance(found, (int, float)) or not low <= found <= high:
+        return None
+    return float(found)
 
 
 def _natural(name: str) -> list[tuple[int, int, str]]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import secrets
 import time
 
 from failstop.api import words
 from failstop.fleet import FleetError, levels, settings, signed, topics
-from failstop.fleet.broker import Broker
-from failstop.fleet.levels import Order
+from failstop.fleet.broker import LONGEST_PAUSE_S, Broker
+from failstop.fleet.levels import MOST_TEXT, Order
 from failstop.fleet.repeats import MANY, Repeats
-from failstop.fleet.tally import Tally
+from failstop.fleet.tally import STABLE_S, Tally
+from failstop.fleet.twins import connection_of
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 OBSERVED_S = 2.5
 """How long to go on for the third proof when all have confirmed."""
+WAIT_S = 5.0
+"""How long to wait for robots that have not confirmed, unless somebody says otherwise."""
 TURN_S = 0.05
+BY_HAND = "stop them by hand (power switch)"
 
 
 class Sender:
@@ -31,46 +34,107 @@ class Sender:
     def __init__(self, found: FleetSettings, reason: str, by: str) -> None:
         """Raises FleetError."""
         self.id = secrets.token_hex(16)
-        self.tally = Tally(settings.robots(found))
+        listed = settings.robots(found)
+        self.listed = listed is not None
+        """A file names the robots that must confirm."""
+        self.tally = Tally(listed)
         self.sent_s: float | None = None
         """When it was handed to the broker first, monotonic."""
+        self.doubts: tuple[str, ...] = ()
+        """After run(): why there may be robots that are not counted, in words. Empty: none is known of."""
         self._key = signed.read_key(found.text("stop.key_file"))
         self._order = Order(self.id, 0.0, reason, by)
         self._manufacturer = found.text("robot.manufacturer")
+        self._away_s = LONGEST_PAUSE_S + found.number("robot.publish_s")
+        """How long a robot may take to be connected again after the broker was restarted: it notices at its next state,
+        then makes attempts."""
         self._probe = topics.answer(self._manufacturer, self.id, "probe/end")
         self.heard_all = False
-        """The broker has said whom it knows."""
+        """The broker has said whom it remembers, on this connection."""
         self._repeats = Repeats()
-        wanted = (
-            topics.answer(self._manufacturer, self.id, topics.ANY),
-            topics.of_robot(self._manufacturer, topics.ANY, topics.CONNECTION),
-            self._probe,
-        )
+        self._connections = topics.of_robot(self._manufacturer, topics.ANY, topics.CONNECTION)
+        wanted = (topics.answer(self._manufacturer, self.id, topics.ANY), self._connections, self._probe)
         # All at once, from a thousand robots: what is lost all the same, the next sending is answered with.
         self.broker = Broker(found, f"failstop-stop-{self.id[:12]}", wanted, self._hear, self._up)
 
-    def run(self, wait_s: float, progress: Callable[[Tally], None] = lambda _: None) -> bool:
-        """Send until all have confirmed, `wait_s` at most; returns whether they did. Raises FleetError when no broker
-        took it."""
-        until_s = time.monotonic() + wait_s
-        enough_s = until_s
-        while (now_s := time.monotonic()) < min(until_s, enough_s):
-            if self._repeats.due(now_s):
-                self._send(now_s)
-            self.broker.turn(TURN_S)
-            progress(self.tally)
-            if self.heard_all and self.tally.all_confirmed():
-                if self.tally.all_reached(levels.OBSERVED):
+    def run(self, wait_s: float | None = None, progress: Callable[[], None] = lambda: None) -> bool:
+        """Send until all have confirmed, `wait_s` at most. None: WAIT_S, and longer while the broker may have been
+        restarted so lately that a robot is not back. `progress` is called at each turn. Returns True when every robot
+        has confirmed and there is no doubt that these are all. Raises FleetError when no broker took the stop."""
+        until_s = time.monotonic() + (WAIT_S if wait_s is None else wait_s)
+        confirmed_s: float | None = None
+        try:
+            while True:
+                now_s = time.monotonic()
+                limit_s = until_s
+                if not self._all_confirmed():
+                    confirmed_s = None
+                else:
+                    confirmed_s = now_s if confirmed_s is None else confirmed_s
+                    late = bool(self._late(now_s))
+                    observed = self.tally.all_reached(levels.OBSERVED) or now_s - confirmed_s >= OBSERVED_S
+                    if observed and not late:
+                        break
+                    if late and wait_s is None:
+                        limit_s = max(until_s, self.broker.up_s + self._away_s + TURN_S)
+                if now_s >= limit_s:
                     break
-                enough_s = min(enough_s, now_s + OBSERVED_S)
-            else:
-                enough_s = until_s
-        self.broker.close()
+                if self._repeats.due(now_s):
+                    self._send(now_s)
+                self.broker.turn(TURN_S)
+                progress()
+        finally:
+            self.doubts = tuple(self._doubts(time.monotonic()))
+            self.broker.close()
         if self.sent_s is None:
-            raise FleetError(f"NO ROBOT WAS STOPPED: {self.broker.problem}; stop them by hand (power switch)")
+            raise FleetError(f"NO ROBOT WAS STOPPED: {self.broker.problem}; {BY_HAND}")
+        return self._all_confirmed() and not self.doubts
+
+    def _all_confirmed(self) -> bool:
         return self.heard_all and self.tally.all_confirmed()
 
+    def _late(self, now_s: float) -> str:
+        """Why a robot may be alive that the broker does not know of yet; empty: it has had the time to connect."""
+        after_s = now_s - (self.sent_s or now_s)
+        oldest_s = self.tally.oldest_s()
+        if self.broker.connected_s() < self._away_s and (oldest_s is None or after_s - oldest_s < self._away_s):
+            return (
+                f"the broker may have been restarted less than {self._away_s:.0f} s ago, and a robot may need that "
+                "long to connect again: stop once more, and list your robots in stop.robots_file"
+            )
+        if young := self.tally.young(after_s):
+            return (
+                f"{young[0]} connected less than {STABLE_S:g} s before it answered, as two robots of one name do by "
+                "turns: stop once more"
+            )
+        return ""
+
+    def _doubts(self, now_s: float) -> list[str]:
+        """All that keeps a count from being known to be whole."""
+        found = []
+        if self.sent_s is not None and self.broker.problem:
+            found.append(f"the connection was lost in the meantime: {self.broker.problem}")
+        elif self.sent_s is None:
+            return found
+        if denied := self.broker.denied:
+            found.append(f"the broker does not let you read {' and '.join(denied)}: see its access list")
+        elif not self.heard_all and not self.broker.problem:
+            found.append(
+                "the broker has not said that it has named every robot it remembers: its access list must let you read "
+                f"and write failstop/v1/{self._manufacturer}/#"
+            )
+        if hidden := self.tally.hidden():
+            found.append(
+                f"{hidden[0]} answered, and the broker does not show you its connection, so it may hide others that do "
+                f"not answer: its access list must let you read {self._connections}"
+            )
+        if self._all_confirmed() and (late := self._late(now_s)):
+            found.append(late)
+        return found
+
     def _up(self) -> None:
+        self.heard_all = False
+        self.tally.reconnected()
         self._send(time.monotonic())
         self.broker.say(self._probe, b"end")
 
@@ -82,6 +146,8 @@ class Sender:
         missing = [row.robot for row in self.tally.missing()]
         most = len(missing) > max(MANY, len(self.tally.robots()) // 2)
         some = self.sent_s is not None and self.heard_all and not most
+        if not missing and self.tally.hidden():
+            some = False  # whoever comes back now is not named either
         self._repeats.sent(now_s, len(missing))
         self.sent_s = self.sent_s or now_s
         for robot in missing if some else ("",):
@@ -93,7 +159,8 @@ class Sender:
             return
         robot, last = topics.robot_of(topic)
         if last == topics.CONNECTION:
-            self.tally.connection(words.printable(robot), connection_word(payload))
+            word, number, _ = connection_of(payload)
+            self.tally.connection(words.printable(robot[:MOST_TEXT])[:MOST_TEXT], word, number)
             return
         try:
             answer = levels.read_answer(self._key, payload)
@@ -102,11 +169,3 @@ class Sender:
         now_s = time.monotonic()
         if answer.id == self.id and self.sent_s is not None and self.tally.answer(answer, now_s - self.sent_s):
             self._repeats.heard(now_s)
-
-
-def connection_word(payload: bytes) -> str:
-    """The state in a connection message; empty for one that was taken away, or is none."""
-    try:
-        return str(json.loads(payload)["connectionState"]) if payload else ""
-    except (ValueError, KeyError, TypeError, RecursionError):
-        return ""

@@ -19,6 +19,9 @@ from failstop.policy.settings import SWITCH
 
 PLACE = f"{config.FOLDER}/fleet/fleet.toml"
 KEY_PLACE = f"{config.FOLDER}/fleet/fleet.key"
+UNIT = "failstop-fleet.service"
+KEY, PASSWORD, CERT_KEY = "fleet.key", "broker.password", "broker.cert_key"
+"""The names of the credentials that the unit may hand over (LoadCredential)."""
 ID = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
 """Characters that VDA 5050 allows in a serial number: no `/`, `+` and `#`, which mean something in a topic."""
 
@@ -37,7 +40,9 @@ DECLARED = (
     Setting("robot.publish_s", 5.0, "s", 0.5, 30.0, "its state is published at changes, and this often at least"),
     Setting("stop.key_file", KEY_PLACE, "", None, None, "the fleet's key (`failstop fleet key`)"),
     Setting("stop.tolerance_s", 10.0, "s", 1.0, 300.0, "a fleet stop dated further from this robot's clock is refused"),
-    Setting("stop.robots_file", "", "", None, None, "whom a fleet stop must reach, a name a line; empty: who was seen"),
+    Setting(
+        "stop.robots_file", "", "", None, None, "robots that must confirm, a name a line, known to the broker or not"
+    ),
 )
 BY_KEY = {row.key: row for row in DECLARED}
 
@@ -53,6 +58,20 @@ class FleetSettings:
         for key in ("robot.id", "robot.manufacturer"):
             if (value := self.text(key)) and not ID.fullmatch(value):
                 raise SettingError(f"{key} = {value!r}: letters, digits, `_`, `.`, `:` and `-` are allowed, 64 at most")
+        self._check_together()
+
+    def _check_together(self) -> None:
+        """Settings that would be passed over without a word, with less protection than their owner asked for."""
+        if not self.on("broker.tls"):
+            for key in ("broker.ca_file", "broker.cert_file", "broker.cert_key_file"):
+                if self.text(key):
+                    raise SettingError(
+                        f'{key} is set and broker.tls is "off", so nothing would be encrypted: set broker.tls = "on", '
+                        f"or leave {key} out"
+                    )
+        for key, needed in (("broker.password_file", "broker.user"), ("broker.cert_key_file", "broker.cert_file")):
+            if self.text(key) and not self.text(needed):
+                raise SettingError(f"{key} is set and {needed} is not, so it would not be used: set {needed} too")
 
     def text(self, key: str) -> str:
         """A text's value."""
@@ -90,7 +109,7 @@ def load(path: str | None, changed: dict[str, object] | None = None) -> FleetSet
 
 
 def robots(found: FleetSettings) -> frozenset[str] | None:
-    """The robots that a fleet stop must reach, if a file lists them. Raises FleetError."""
+    """The robots that a fleet stop must reach, if a file lists them; None: there is no file. Raises FleetError."""
     path = found.text("stop.robots_file")
     if not path:
         return None
@@ -98,10 +117,28 @@ def robots(found: FleetSettings) -> frozenset[str] | None:
         with open(path, encoding="utf-8") as file:
             names = {line.partition("#")[0].strip() for line in file} - {""}
     except (OSError, UnicodeError) as error:
-        raise FleetError(f"stop.robots_file {path}: {error}") from None
+        raise FleetError(f"stop.robots_file {path}: {getattr(error, 'strerror', None) or error}") from None
     if wrong := sorted(name for name in names if not ID.fullmatch(name)):
         raise FleetError(f"stop.robots_file {path}: {wrong[0]!r} can't be a robot's name")
+    if not names:
+        raise FleetError(
+            f"stop.robots_file {path} lists no robot: write one name a line into it, or leave stop.robots_file empty"
+        )
     return frozenset(names)
+
+
+def unreadable(key: str, path: str, error: OSError, credential: str) -> FleetError:
+    """An error that names the setting, the file and what helps. `credential`: the name by which the unit may hand the
+    file over; empty: it is no secret."""
+    text = f"{key} {path}: {error.strerror or error}"
+    if not isinstance(error, PermissionError):
+        return FleetError(text)
+    if not credential:
+        return FleetError(f"{text}: it is no secret, so let everybody read it: chmod 644 {path}")
+    return FleetError(
+        f"{text}. {UNIT} runs as nobody's user: `systemctl edit {UNIT}`, and there under [Service] "
+        f"LoadCredential={credential}:{path}. Elsewhere let this user alone read it: chown, and chmod 600"
+    )
 
 
 def example() -> str:

@@ -14,6 +14,7 @@ import stat
 
 from failstop.files import durable
 from failstop.fleet import FleetError
+from failstop.fleet.settings import KEY, unreadable
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -86,6 +87,8 @@ def read_key(path: str) -> bytes:
             found, text = os.fstat(fd), os.read(fd, MOST_BYTES)
         finally:
             os.close(fd)
+    except PermissionError as error:
+        raise unreadable("the fleet's key", path, error, KEY) from None
     except OSError as error:
         raise FleetError(
             f"the fleet's key {path}: {error.strerror}; `failstop fleet key` makes one, and all robots need the same"

@@ -18,9 +18,25 @@ UNCONFIRMED = {
     levels.OBSERVED: "written, but its IMU has not observed that the wheels stand",
 }
 """The words for a robot that has not come to the level that confirms."""
-WORDS = {vda5050.OFFLINE: "its publisher was ended", vda5050.BROKEN: "its connection is broken"}
-
-MUTE = "has it the fleet's key, and does the broker's access list let it read the stops?"
+TAKEN_OFF = "TAKEN OFF"
+"""Somebody removed the robot's connection from the broker during this stop."""
+WORDS = {
+    vda5050.OFFLINE: "its publisher was ended",
+    vda5050.BROKEN: "its connection is broken",
+    TAKEN_OFF: "its connection was removed from the broker during this stop",
+}
+MUTE = (
+    "is it switched on, does it have the fleet's key, and does the broker's access list let it read the stops? "
+    "If it is gone for good: failstop fleet forget"
+)
+DOUBLED = (
+    "two publishers use this name (or its publisher was restarted during the stop), so it is not known which robots "
+    "have stopped: give each robot its own robot.id, restart both publishers, and stop again"
+)
+OLDER = "its failstop is older and can't tell a second robot of this name apart: update it"
+STABLE_S = 2.0
+"""A connection as old as this is one that no other client of the same name has taken over in the meantime: two that do
+so alternate every second."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,23 +50,37 @@ class Missing:
 class Tally:
     """The robots that must confirm, and those that did."""
 
-    def __init__(self, expected: frozenset[str] | None) -> None:
-        """`expected`: by a list of the user's; None: whoever was ever seen on the broker."""
-        self._listed = expected
-        self._connections: dict[str, str] = {}
+    def __init__(self, listed: frozenset[str] | None) -> None:
+        """`listed`: robots that must confirm whether the broker remembers them or not."""
+        self._listed = listed or frozenset()
+        self._connections: dict[str, tuple[str, str]] = {}
+        """Of every robot that the broker named, the last word on its connection and whose it is. None is dropped."""
         self._answers: dict[str, dict[str, float]] = {}
         self._whys: dict[str, str] = {}
         self._confirms: dict[str, str] = {}
         """The level that confirms, by each robot's own word."""
-        self._confirmed: set[str] = set()
+        self._reached_it: set[str] = set()
+        """Robots that have come to that level."""
+        self._barred: dict[str, str] = {}
+        """Robots that never count as confirmed, and why."""
+        self._publishers: dict[str, set[str]] = {}
+        """The numbers of all who were connected or answered by each name."""
+        self._doubled: set[str] = set()
+        """Robots whose publishers say that they are."""
+        self._since_s: dict[str, float] = {}
+        """When the connections began that were answered over."""
         self._counts: dict[str, int] = {}
 
-    def connection(self, robot: str, word: str) -> None:
-        """Take the broker's word on a robot's connection; empty: it keeps none."""
+    def connection(self, robot: str, word: str, publisher: str = "") -> None:
+        """Take the broker's word on a robot's connection, and the number of the publisher that it is of. An empty word:
+        somebody has taken it away."""
         if word:
-            self._connections[robot] = word
-        else:
-            self._connections.pop(robot, None)
+            self._connections[robot] = word, publisher
+        elif robot in self._connections:
+            self._connections[robot] = TAKEN_OFF, ""
+        if word == vda5050.ONLINE:
+            self._publishers.setdefault(robot, set()).add(publisher)
+        self._judge(robot)
 
     def answer(self, answer: StopAnswer, after_s: float) -> bool:
         """Take the first of each level, and what was said last of what is wrong. True when a level is new."""
@@ -61,16 +91,42 @@ class Tally:
             self._counts[level] = self._counts.get(level, 0) + 1
         self._whys[answer.robot] = answer.why
         self._confirms[answer.robot] = answer.confirms
+        self._publishers.setdefault(answer.robot, set()).add(answer.publisher)
+        self._since_s[answer.robot] = after_s - answer.connected_s
+        if answer.doubled:
+            self._doubled.add(answer.robot)
         if answer.confirms in told:
-            self._confirmed.add(answer.robot)
+            self._reached_it.add(answer.robot)
+        self._judge(answer.robot)
         return bool(new)
+
+    def _judge(self, robot: str) -> None:
+        """Bar a robot whose name stands for two."""
+        publishers = self._publishers.get(robot, set())
+        word, number = self._connections.get(robot, ("", ""))
+        # The last word on its connection is of a publisher that has gone, and another one answers.
+        others = word in (vda5050.OFFLINE, vda5050.BROKEN) and bool(publishers) and number not in publishers
+        if len(publishers) > 1 or robot in self._doubled or others:
+            self._barred[robot] = DOUBLED
+        elif robot in self._answers and publishers == {""}:
+            self._barred[robot] = OLDER
+        else:
+            self._barred.pop(robot, None)
+
+    def reconnected(self) -> None:
+        """The sender's connection is a new one: how long the broker has run is to be learned again."""
+        self._since_s.clear()
 
     def robots(self) -> list[str]:
         """Everybody who must confirm: as listed, or seen; and whoever answered."""
         return sorted({*self._known(), *self._answers})
 
     def _known(self) -> Set[str]:
-        return self._connections.keys() if self._listed is None else self._listed
+        return self._connections.keys() | self._listed
+
+    def hidden(self) -> list[str]:
+        """Robots that answered although the broker never named them: it names not all, then."""
+        return sorted(self._answers.keys() - self._connections.keys())
 
     def reached(self, level: str) -> list[str]:
         """The robots that told of this level."""
@@ -89,17 +145,31 @@ class Tally:
 
     def all_confirmed(self) -> bool:
         """Every robot has confirmed the stop; False while none is known."""
-        return bool(self._confirmed) and self._confirmed >= self._known() and self._confirmed >= self._answers.keys()
+        confirmed = self._reached_it
+        if not confirmed or self._barred.keys() & confirmed:
+            return False
+        return confirmed >= self._known() and confirmed >= self._answers.keys()
+
+    def oldest_s(self) -> float | None:
+        """When the oldest connection of a robot began, as far as their answers say: the broker has run since then."""
+        return min(self._since_s.values(), default=None)
+
+    def young(self, after_s: float) -> list[str]:
+        """Robots that may still take turns with another one of their name."""
+        return sorted(robot for robot, since_s in self._since_s.items() if after_s - since_s < STABLE_S)
 
     def confirmed_by(self) -> dict[str, str]:
         """The robots that have confirmed the stop, each with the level that confirms it there."""
-        return {robot: self._confirms[robot] for robot in sorted(self._confirmed)}
+        return {robot: self._confirms[robot] for robot in sorted(self._reached_it - self._barred.keys())}
 
     def missing(self) -> list[Missing]:
         """The robots that have not confirmed it, and why, as far as is known."""
-        return [Missing(robot, self._why(robot)) for robot in self.robots() if robot not in self._confirmed]
+        confirmed = self._reached_it - self._barred.keys()
+        return [Missing(robot, self._why(robot)) for robot in self.robots() if robot not in confirmed]
 
     def _why(self, robot: str) -> str:
+        if barred := self._barred.get(robot):
+            return barred
         told = self._answers.get(robot, {})
         if levels.WRITTEN in told:
             return UNCONFIRMED[self._confirms[robot]]
@@ -107,7 +177,9 @@ class Tally:
             if level in told:
                 why = self._whys[robot]
                 return f"{level}: {why}" if why else UNCONFIRMED[levels.WRITTEN]
-        connection = self._connections.get(robot, "")
+        connection, _ = self._connections.get(robot, ("", ""))
         if connection == vda5050.ONLINE:
-            return f"no answer, though it is connected: {MUTE}"
-        return f"no answer: {WORDS[connection]}" if connection in WORDS else "no answer"
+            return f"no answer, though the broker calls it connected: {MUTE}"
+        if connection in WORDS:
+            return f"no answer: {WORDS[connection]}"
+        return "no answer, and the broker does not remember it" if robot in self._listed else "no answer"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import math
 
 from failstop.api import steps, verdict
 from failstop.policy.causes import Cause
@@ -29,6 +30,8 @@ GOOD_CHARGE, LOW_CHARGE = 80.0, 20.0
 """The charges that the interface gets for batteries that are known to be well or low, and no more."""
 FLEET_STOP_OFF = "fleetStopOff"
 """The type of a robot's error: it obeys no stop of the fleet."""
+DOUBLED = "doubledName"
+"""The type of a robot's error: another publisher uses its name."""
 WARNING = "WARNING"
 FATAL = "FATAL"
 BY_HAND = ("gamepad", "teleop")
@@ -58,9 +61,11 @@ def seconds(stamped: object) -> float | None:
 class Header:
     """The head of all messages; its number counts by topic."""
 
-    def __init__(self, manufacturer: str, robot: str) -> None:
+    def __init__(self, manufacturer: str, robot: str, publisher: str = "") -> None:
+        """`publisher`: the number that its publisher drew (twins.py)."""
         self.manufacturer = manufacturer
         self.robot = robot
+        self._own = {"publisher": publisher} if publisher else {}
         self._sent: dict[str, int] = {}
 
     def topic(self, last: str) -> str:
@@ -76,13 +81,14 @@ class Header:
             "version": VERSION,
             "manufacturer": self.manufacturer,
             "serialNumber": self.robot,
+            **self._own,
         }
         return json.dumps({**head, **body}, separators=(",", ":")).encode()
 
 
-def connection(state: str) -> Message:
-    """ONLINE, OFFLINE, or BROKEN, which is the last will."""
-    return {"connectionState": state}
+def connection(state: str, period_s: float | None = None) -> Message:
+    """ONLINE, OFFLINE, or BROKEN, which is the last will. `period_s`: how often a state follows at least."""
+    return {"connectionState": state, **({} if period_s is None else {"statePeriod": period_s})}
 
 
 def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Message:
@@ -97,7 +103,11 @@ def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Mes
         "driving": state.moving,
         "paused": not state.enabled and not latched,
         "operatingMode": _mode(state),
-        "velocity": dict(zip(("vx", "vy", "omega"), (round(value, 4) for value in state.body_vel), strict=True)),
+        "velocity": {
+            name: round(value, 4)
+            for name, value in zip(("vx", "vy", "omega"), state.body_vel, strict=True)
+            if math.isfinite(value)  # JSON has no other number
+        },
         "batteryState": _battery(state),
         "errors": [*_errors(state), *extra],
         "information": _information(state),
@@ -141,7 +151,7 @@ def _mode(state: State) -> str:
 
 
 def _battery(state: State) -> Message:
-    known = state.battery_v or 0.0
+    known = state.battery_v if state.battery_v is not None and math.isfinite(state.battery_v) else 0.0
     charge = (GOOD_CHARGE if known >= verdict.BATTERY_LOW_V else LOW_CHARGE) if known else 0.0
     volts = {"batteryVoltage": known} if known else {}
     return {"batteryCharge": charge, **volts, "charging": state.plugged == "plugged"}
@@ -165,7 +175,7 @@ def _errors(state: State) -> list[Message]:
 
 def _information(state: State) -> list[Message]:
     found = [_info("word", verdict.word(state)), _info("why", why(state)), _info("next", steps.line(state))]
-    if state.battery_v is None:
+    if state.battery_v is None or not math.isfinite(state.battery_v):
         found.append(_info("battery", "not known"))
     if state.last_stop:
         found.append(_info("lastStop", state.last_stop.reason, _proofs(state.last_stop)))

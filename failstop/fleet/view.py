@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
 LOST = "LOST"
 ENDED = "OFFLINE"
+OTHER = "other"
+ROBOT_COLUMNS, WORD_COLUMNS, WHY_COLUMNS = 64, 20, 240
+"""Of a table's cells: whoever may write on the broker may write texts that push all others off the screen."""
+LEAST_ROBOT_COLUMNS = 16
 OLD_S = 40.0
 """A state older than this, of a robot that is connected, is worth a look: the interface wants one every 30 s."""
 ROLES = {
@@ -31,67 +35,91 @@ ORDER = (verdict.MAY_TURN, LOST, verdict.NO_SERVICE, verdict.STOPPED, verdict.DR
 """The order of rows: those that need a person come first."""
 
 
-def word(robot: Robot) -> str:
-    """A word on its wheels; of a robot that is lost, only that."""
+def word(robot: Robot, now_s: float, unix_s: float) -> str:
+    """A word on its wheels; of a robot that is lost, only that. `now_s`: monotonic."""
     if robot.connection == vda5050.OFFLINE:
         return ENDED
-    return LOST if robot.lost() else robot.word or "?"
+    return LOST if robot.lost(now_s, unix_s) else robot.word or "?"
 
 
-def why(robot: Robot) -> str:
+def why(robot: Robot, now_s: float, unix_s: float) -> str:
     """A line on why."""
     if robot.connection == vda5050.OFFLINE:
         return "its publisher was ended; what it does now is not known here"
-    if robot.lost():
+    if robot.lost(now_s, unix_s):
         last = f"last seen {robot.word}" if robot.word else "never seen"
-        return f"connection broken; {last}, and what it does now is not known here"
-    return f"OBEYS NO FLEET STOP: {robot.deaf}; {robot.why}" if robot.deaf else robot.why
+        return f"{_lost(robot, now_s, unix_s)}; {last}, and what it does now is not known here"
+    found = robot.why
+    if not robot.connection:
+        found = f"the broker hides its connection (see the access list): a fleet stop may miss robots; {found}"
+    if robot.doubled:
+        found = f"TWO ROBOTS OF THIS NAME: {robot.doubled}; {found}"
+    return f"OBEYS NO FLEET STOP: {robot.deaf}; {found}" if robot.deaf else found
 
 
-def counts(robots: Sequence[Robot]) -> Line:
+def _lost(robot: Robot, now_s: float, unix_s: float) -> str:
+    if robot.connection == vda5050.ONLINE:
+        return f"no state for {words.span(robot.silent_s(now_s, unix_s))}, though the broker calls it connected"
+    return "connection broken" if robot.connection else "the broker says nothing of its connection"
+
+
+def counts(robots: Sequence[Robot], now_s: float, unix_s: float) -> Line:
     """How many do what."""
-    found = [word(robot) for robot in robots]
+    found = [word(robot, now_s, unix_s) for robot in robots]
     line: Line = [(f"{len(robots)} robot{'' if len(robots) == 1 else 's'}", STRONG)]
-    for name in dict.fromkeys((*ORDER, *found)):
-        if number := found.count(name):
+    for name in (*ORDER, OTHER):
+        if number := sum(each == name or (name == OTHER and each not in ORDER) for each in found):
             line += [("   ", PLAIN), (f"{number} {name}", ROLES.get(name, PLAIN))]
-    if deaf := sum(bool(robot.deaf) for robot in robots if not robot.lost()):
+    here = [robot for robot in robots if not robot.lost(now_s, unix_s)]
+    if deaf := sum(bool(robot.deaf) for robot in here):
         line += [("   ", PLAIN), (f"{deaf} OBEY NO FLEET STOP" if deaf > 1 else "1 OBEYS NO FLEET STOP", FAIL)]
+    if doubled := sum(bool(robot.doubled) for robot in here):
+        line += [("   ", PLAIN), (f"{doubled} OF TWO OF ONE NAME", FAIL)]
     return line
 
 
-def table(robots: Sequence[Robot], now_s: float, unix_s: float) -> list[Line]:
-    """A row for each, those that need a person first."""
+def table(robots: Sequence[Robot], now_s: float, unix_s: float, columns: int | None = None) -> list[Line]:
+    """A row for each, those that need a person first. `columns`: of the screen, a third of which is for the names."""
+    most = ROBOT_COLUMNS if columns is None else min(ROBOT_COLUMNS, max(LEAST_ROBOT_COLUMNS, columns // 3))
     heads = ("robot", "wheels", " battery", " age", "why")
     rows: list[Line] = [[(head, DIM) for head in heads]]
     ranks = {name: rank for rank, name in enumerate(ORDER)}
-    for robot in sorted(robots, key=lambda robot: ranks.get(word(robot), len(ranks))):
+    for robot in sorted(robots, key=lambda robot: ranks.get(word(robot, now_s, unix_s), len(ranks))):
         age_s = robot.age_s(now_s, unix_s)
         old = age_s is not None and age_s > OLD_S
-        does = word(robot)
+        does, lost = word(robot, now_s, unix_s), robot.lost(now_s, unix_s)
         role = FAIL if does == verdict.STOPPED and robot.latched else ROLES.get(does, PLAIN)
         rows.append(
             [
-                (robot.id, PLAIN),
-                (does, role),
+                (style.cut(robot.id, most), PLAIN),
+                (style.cut(does, WORD_COLUMNS), role),
                 (f" {robot.volts:.1f} V" if robot.volts is not None else " -", PLAIN),
-                (f" {words.span(age_s)}" if age_s is not None else " -", WARN if old and not robot.lost() else DIM),
-                (why(robot), PLAIN if not robot.lost() else DIM),
+                (f" {words.span(age_s)}" if age_s is not None else " -", WARN if old and not lost else DIM),
+                (style.cut(why(robot, now_s, unix_s), WHY_COLUMNS), DIM if lost else PLAIN),
             ]
         )
     return style.table(rows)
 
 
 def lines(
-    robots: Sequence[Robot], where: str, problem: str, now_s: float, unix_s: float, columns: int, rows: int
+    robots: Sequence[Robot],
+    where: str,
+    problem: str,
+    now_s: float,
+    unix_s: float,
+    columns: int,
+    rows: int,
+    blind: str = "",
 ) -> list[Line]:
-    """The whole screen. `problem`: with the broker; empty: none."""
+    """The whole screen. `problem`: with the broker; `blind`: why robots may be missing; empty: none."""
     left, right = f"fleet at {where}", f"{words.clock(unix_s, unix_s)}   q quits"
     title: Line = [(left, STRONG), (" " * max(1, columns - len(left) - len(right)), PLAIN), (right, DIM)]
     head: list[Line] = [title, []]
     if problem:
         head += [[("NO BROKER  ", FAIL), (problem, STRONG)], [("what is below is old", WARN)], []]
-    head += [counts(robots), []] if robots else [[("no robot is known to this broker yet", DIM)]]
-    body = table(robots, now_s, unix_s) if robots else []
+    if blind:
+        head += [[("MAY LACK ROBOTS  ", FAIL), (blind, STRONG)], []]
+    head += [counts(robots, now_s, unix_s), []] if robots else [[("no robot is known to this broker yet", DIM)]]
+    body = table(robots, now_s, unix_s, columns) if robots else []
     foot: list[Line] = [[], [("news of a lost robot takes seconds: this shows, it guards nobody", DIM)]]
     return style.fit([*head, *body, *foot], rows)

@@ -10,7 +10,7 @@ from failstop.api.snapshot import Client
 from failstop.doctor.look import OK, WARN
 from failstop.doctor.system import System
 from failstop.fleet import check as fleet
-from failstop.fleet.check import UNIT
+from failstop.fleet.settings import UNIT
 from failstop.ros2 import check as ros2
 from tests.doctor.parts import NOBODY, look, serving
 

@@ -9,7 +9,7 @@ import pytest
 
 from failstop.fleet import signed
 
-from .scene import MOSQUITTO, Listener, Mosquitto, Pretended, Robot, mosquitto, pump
+from .scene import LONG_AGO_S, MOSQUITTO, Listener, Mosquitto, Pretended, Robot, mosquitto, pump
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +42,7 @@ def enrol(broker: Mosquitto, key: str, tmp_path: Path, request: pytest.FixtureRe
         publisher = Robot(settings, "failstop", robot or Pretended(), robot_id, str(folder))
         made.append(publisher)
         pump(f"{robot_id} to be connected", lambda: publisher.broker.listening, publisher)
+        publisher.broker.up_s -= LONG_AGO_S
         return publisher
 
     yield publish

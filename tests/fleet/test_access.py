@@ -17,7 +17,7 @@ from failstop.fleet.publisher import Publisher
 from failstop.fleet.sender import Sender
 from tests.support.pages import ROOT
 
-from .scene import MOSQUITTO, Listener, Mosquitto, Pretended, mosquitto, pump
+from .scene import LONG_AGO_S, MOSQUITTO, Listener, Mosquitto, Pretended, mosquitto, pump
 
 PASSWORDS = shutil.which("mosquitto_passwd")
 PLUGIN = next(iter(Path("/usr/lib").glob("*/mosquitto_dynamic_security.so")), None)
@@ -58,6 +58,7 @@ def robot(broker: Mosquitto, key: str, name: str, **changed: object) -> Publishe
     (broker.folder / f"{name}-store").mkdir()
     made = Publisher(settings, "failstop", Pretended(), name, str(broker.folder / f"{name}-store"))
     pump("its connection", lambda: made.broker.listening, made)
+    made.broker.up_s -= LONG_AGO_S
     return made
 
 
@@ -128,7 +129,8 @@ def test_a_robot_that_may_not_hear_the_stops_says_so(
     lines = ("allow_anonymous true", f"plugin {PLUGIN}", f"plugin_opt_config_file {dynamic(tmp_path, subscribe=False)}")
     with mosquitto(tmp_path, *lines) as broker:
         publisher = robot(broker, key, "r1", broker__user="", broker__password_file="")
-        assert publisher.broker.denied == (topics.stop(MAKER), topics.stop(MAKER, "r1"))
+        own = topics.of_robot(MAKER, "r1", topics.CONNECTION)
+        assert publisher.broker.denied == (topics.stop(MAKER), topics.stop(MAKER, "r1"), own)
         assert publisher.deaf() == (
             f"the broker does not let this robot read {topics.stop(MAKER)} and {topics.stop(MAKER, 'r1')}: "
             "see its access list"

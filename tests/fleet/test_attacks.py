@@ -29,7 +29,7 @@ STOP_ID = "f" * 32
 @pytest.fixture
 def settings(broker: Mosquitto, key: str, request: pytest.FixtureRequest) -> FleetSettings:
     """Settings of the program that stops this test's fleet."""
-    return broker.settings(stop__key_file=key, robot__manufacturer=maker(request))
+    return broker.settings(stop__key_file=key, robot__manufacturer=maker(request), robot__publish_s=0.5)
 
 
 def stop_all(settings: FleetSettings, *robots: Publisher | Listener, wait_s: float = 10.0) -> Tally:
@@ -283,7 +283,7 @@ def test_no_key_on_the_robot_is_said_and_missed(
 
     pump("the warning", said, publisher, listener)
     tally = stop_all(settings, publisher, wait_s=1.0)
-    assert [row.why for row in tally.missing()] == [f"no answer, though it is connected: {MUTE}"]
+    assert [row.why for row in tally.missing()] == [f"no answer, though the broker calls it connected: {MUTE}"]
     assert robot.asked == []
 
 

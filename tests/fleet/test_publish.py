@@ -141,7 +141,7 @@ def published(
     config = tmp_path / "fleet.toml"
     config.write_text(
         f"[broker]\nport = {broker.port}\nkeepalive_s = 2\n[robot]\nmanufacturer = '{maker(request)}'\nid = 'real'\n"
-        f"[stop]\nkey_file = '{key}'\n"
+        f"publish_s = 0.5\n[stop]\nkey_file = '{key}'\n"
     )
     options = ("--config", str(config))
     with subprocess.Popen(
@@ -217,7 +217,7 @@ def test_the_rest_of_a_large_fleet_is_told_one_by_one(
     pump("the stop", lambda: first in listener.last, asking.broker, listener)
     some = len(names) * 3 // 5
     for name in names[:some]:
-        answer = StopAnswer(asking.id, name, dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0))
+        answer = StopAnswer(asking.id, name, dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0), publisher="a" * 16)
         listener.broker.say(topics.answer(maker(request), asking.id, name), answer.message(signed.read_key(key)))
     confirmed = lambda: len(asking.tally.reached(levels.OBSERVED)) == some  # noqa: E731
     pump("the answers", lambda: asking.heard_all and confirmed(), asking.broker, listener)

@@ -19,14 +19,14 @@ from typing import Any, NamedTuple
 import msgpack
 
 from failstop import config
-from failstop.api import words
 from failstop.api.errors import FailstopError
 from failstop.board.kinds import board_of
 from failstop.cli.commands import incident as command
 from failstop.cli.screen import incident as screen
-from failstop.fleet import levels, sender, signed, topics, view, wire
+from failstop.fleet import levels, signed, topics, twins, view, wire
 from failstop.fleet.replay import Seen
 from failstop.fleet.roster import Roster
+from failstop.fleet.twins import Twins
 from failstop.incidents import files
 from failstop.lab.prove import pack
 from failstop.lab.sim.receiver import Receiver
@@ -174,9 +174,10 @@ def fleet(data: bytes) -> None:
     roster = Roster()
     for topic, payload in heard:
         roster.hear(topic, payload, 1.0, retained=False)
-    view.counts(roster.sorted())
+    view.counts(roster.sorted(), 2.0, 2.0)
     view.table(roster.sorted(), 2.0, 2.0)
-    words.printable(sender.connection_word(data))
+    twins.connection_of(data)
+    Twins("0" * 16, 1.0).hear(data, retained=False)
     with contextlib.suppress(ValueError):
         Seen.load(data, 1.0)
     text = data.decode("utf-8", "replace")
