@@ -11,6 +11,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from failstop.api.events import Event
 from failstop.api.state import State
 from failstop.fleet.broker import Broker
 from failstop.fleet.publisher import Publisher
+from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
 from failstop.lab.trial import wait_for
 from failstop.policy import causes
@@ -150,3 +152,18 @@ def pump(what: str, until: Callable[[], object], *turning: Publisher | Listener 
         assert time.monotonic() < end_s, f"waited {LONGEST_S:g} s for {what}"
         for each in turning:
             each.turn(0.005)
+
+
+def stop_all(
+    settings: FleetSettings, *turning: Publisher | Listener, wait_s: float | None = 10.0, reason: str = "smoke"
+) -> tuple[bool, Sender]:
+    """Stop the fleet as another program does, while these go on. Gives whether every robot is known to have stopped,
+    and the sender with its report."""
+    sender = Sender(settings, reason, "ann")
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(sender.run, wait_s)
+        while not running.done():
+            for each in turning:
+                each.turn(0.005)
+            time.sleep(0.001)
+        return running.result(), sender

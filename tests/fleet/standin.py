@@ -51,7 +51,7 @@ class Link:
 
 
 class Standin:
-    """A broker on a port of its own, in a thread; can be killed and started again, and then has forgotten everything."""
+    """A broker on a port of its own, in a thread. Killed and started again, it has forgotten everything."""
 
     def __init__(self, may_read: MayRead = lambda _user, _topic: True, *, users_are_clients: bool = False) -> None:
         """`may_read`: whether a user gets a message on a topic; `users_are_clients`: a second connection of a user
@@ -88,12 +88,12 @@ class Standin:
                 found = [key.fileobj for key, _ in self._ready.select()]
                 if self._ends in found:
                     break
-                for each in found:
-                    if each is self._listener:
-                        link = Link(self._listener.accept()[0])
-                        self._links[link.socket] = link
-                        self._ready.register(link.socket, selectors.EVENT_READ)
-                    elif link := self._links.get(each):  # type: ignore[call-overload]
+                if self._listener in found:
+                    link = Link(self._listener.accept()[0])
+                    self._links[link.socket] = link
+                    self._ready.register(link.socket, selectors.EVENT_READ)
+                for link in [link for link in self._links.values() if link.socket in found]:
+                    if link.socket in self._links:  # not lost by what another one has just done
                         self._read(link)
             for left in self._links:
                 left.close()
@@ -173,7 +173,7 @@ class Standin:
             if any(matches(wanted, topic) for wanted in new):
                 self._deliver(link, topic, payload, 0x31)
 
-    def _publish(self, topic: str, payload: bytes, retain: bool) -> None:  # noqa: FBT001
+    def _publish(self, topic: str, payload: bytes, retain: bool) -> None:
         if retain and payload:
             self._kept[topic] = payload
         elif retain:

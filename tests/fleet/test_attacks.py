@@ -20,6 +20,7 @@ from failstop.fleet.settings import FleetSettings
 from failstop.fleet.tally import MUTE, Tally
 from tests.support import states
 
+from . import scene
 from .conftest import Enrol, maker
 from .scene import Listener, Mosquitto, Pretended, Robot, pump
 
@@ -34,14 +35,7 @@ def settings(broker: Mosquitto, key: str, request: pytest.FixtureRequest) -> Fle
 
 def stop_all(settings: FleetSettings, *robots: Publisher | Listener, wait_s: float = 10.0) -> Tally:
     """A stop by somebody else, while the robots go on."""
-    sender = Sender(settings, "smoke", "ann")
-    running = threading.Thread(daemon=True, target=sender.run, args=(wait_s,))
-    running.start()
-    while running.is_alive():
-        for each in robots:
-            each.turn(0.005)
-        running.join(0.001)
-    return sender.tally
+    return scene.stop_all(settings, *robots, wait_s=wait_s)[1].tally
 
 
 def order(key: str, **changed: object) -> bytes:

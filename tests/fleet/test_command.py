@@ -1,0 +1,240 @@
+"""`failstop fleet` as its user calls it: what it refuses, what it shows while it waits, and what Ctrl-C leaves."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from failstop.cli.main import main
+from failstop.fleet import signed, topics, vda5050
+from failstop.fleet.broker import read_secret
+from failstop.fleet.settings import FleetSettings
+from failstop.policy.setting import SettingError
+from tests.support.commands import FAILSTOP, failstop
+
+from .scene import LONG_AGO_S, Listener, Pretended, Robot, pump
+from .standin import Standin
+
+MAKER = "failstop"
+PERIOD_S = 0.5
+NOBODY = 65534
+
+
+@pytest.fixture
+def broker() -> Iterator[Standin]:
+    made = Standin()
+    made.start()
+    yield made
+    made.kill()
+
+
+@pytest.fixture
+def config(broker: Standin, key: str, tmp_path: Path) -> str:
+    """The settings file of the program that stops the fleet."""
+    path = tmp_path / "fleet.toml"
+    path.write_text(f"[broker]\nport = {broker.port}\n[robot]\npublish_s = {PERIOD_S}\n[stop]\nkey_file = '{key}'\n")
+    return str(path)
+
+
+@pytest.fixture
+def publisher(broker: Standin, key: str, tmp_path: Path) -> Iterator[Robot]:
+    """A robot, connected."""
+    made = Robot(broker.settings(stop__key_file=key, robot__publish_s=PERIOD_S), "failstop", Pretended(), "r1",
+                 str(tmp_path))  # fmt: skip
+    pump("its connection", lambda: made.broker.listening, made)
+    made.broker.up_s -= LONG_AGO_S
+    yield made
+    made.broker.close()
+
+
+@pytest.fixture
+def somebody(broker: Standin) -> Iterator[Listener]:
+    made = Listener(broker.settings(), "uagv/#")
+    pump("the listener", lambda: made.broker.listening, made)
+    yield made
+    made.broker.close()
+
+
+def keep(somebody: Listener, robot: str, word: str) -> None:
+    """The broker remembers this connection of a robot's."""
+    body = vda5050.connection(word, PERIOD_S)
+    topic = topics.of_robot(MAKER, robot, topics.CONNECTION)
+    message = vda5050.Header(MAKER, robot, "b" * 16).message(topics.CONNECTION, body, time.time())
+    somebody.broker.say(topic, message, retain=True)
+    pump("it to be kept", lambda: somebody.last.get(topic) == message, somebody)
+
+
+def test_an_empty_broker_is_no_error(config: str) -> None:
+    done = failstop("fleet", "list", "--config", config)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("no robot is known to the broker at 127.0.0.1:")
+    done = failstop("fleet", "list", "--json", "--config", config)
+    assert (done.returncode, json.loads(done.stdout)) == (0, [])
+
+
+def test_no_broker_is_one() -> None:
+    done = failstop("fleet", "list", "--broker", "127.0.0.1:1")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "no broker at 127.0.0.1:1: Connection refused" in done.stderr
+
+
+@pytest.mark.parametrize("wait", ["0", "-3", "nan", "inf", "1e9", "soon", ""])
+def test_a_time_to_wait_that_is_none(wait: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fleet", "stop", f"--wait={wait}", "--broker", "127.0.0.1:1"]) == 1
+    assert "allowed is more than 0, and 3600 s at most" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("given", "where"),
+    [
+        ("robots", "robots:1883"),
+        ("robots:8883", "robots:8883"),
+        ("::1", "::1:1883"),
+        ("[::1]", "::1:1883"),
+        ("[::1]:8883", "::1:8883"),
+        ("fe80::1:2", "fe80::1:2:1883"),
+    ],
+)
+def test_where_the_broker_is(given: str, where: str, capsys: pytest.CaptureFixture[str], key: str) -> None:
+    main(["fleet", "stop", "--wait=0.1", "--broker", given, "--config", settings_of(key)])
+    assert f"no broker at {where}" in " ".join(capsys.readouterr().err.split())
+
+
+def settings_of(key: str) -> str:
+    path = Path(key).with_suffix(".toml")
+    path.write_text(f"[stop]\nkey_file = '{key}'\n")
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"broker.ca_file": "/ca"}, 'broker.ca_file is set and broker.tls is "off"'),
+        ({"broker.cert_file": "/c"}, 'broker.cert_file is set and broker.tls is "off"'),
+        ({"broker.cert_key_file": "/k"}, 'broker.cert_key_file is set and broker.tls is "off"'),
+        ({"broker.tls": "on", "broker.cert_key_file": "/k"}, "broker.cert_key_file is set and broker.cert_file is not"),
+        ({"broker.password_file": "/p"}, "broker.password_file is set and broker.user is not"),
+    ],
+)
+def test_settings_that_protect_less_than_they_seem_to(given: dict[str, object], says: str) -> None:
+    with pytest.raises(SettingError, match=says.replace(".", r"\.")):
+        FleetSettings(given)
+
+
+def test_a_password_of_the_unit_needs_a_user_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "broker.password").write_text("x")
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
+    with pytest.raises(Exception, match=r"broker\.user is not set"):
+        Listener(FleetSettings({}))
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become somebody else")
+@pytest.mark.parametrize(
+    ("what", "says"),
+    [
+        (lambda path: read_secret(path), "LoadCredential=broker.password:"),
+        (lambda path: signed.read_key(path), "LoadCredential=fleet.key:"),
+        (lambda path: Listener(FleetSettings({"broker.tls": "on", "broker.ca_file": path})), "chmod 644 "),
+        (
+            lambda path: Listener(
+                FleetSettings({"broker.tls": "on", "broker.cert_file": "/etc/hosts", "broker.cert_key_file": path})
+            ),
+            "LoadCredential=broker.cert_key:",
+        ),
+    ],
+    ids=["password", "key", "authority", "certificate's key"],
+)
+def test_a_file_that_the_units_user_may_not_read_comes_with_the_remedy(what: Any, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "secret"
+    path.write_text("x")
+    path.chmod(0o600)
+    for folder in (tmp_path, *tmp_path.parents[:2]):
+        folder.chmod(0o755)
+    before = os.geteuid()
+    os.seteuid(NOBODY)
+    try:
+        with pytest.raises(Exception, match=f"Permission denied.*{says}{path}"):
+            what(str(path))
+    finally:
+        os.seteuid(before)
+
+
+def test_ctrl_c_prints_the_report_so_far(config: str, publisher: Robot, somebody: Listener) -> None:
+    keep(somebody, "r2", vda5050.BROKEN)
+    words = [*FAILSTOP, "fleet", "stop", "--wait", "60", "--config", config]
+    terminal, theirs = pty.openpty()
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=theirs, text=True) as running:
+        os.close(theirs)
+        until(terminal, "1 of 2 robots have confirmed; waiting for r2", publisher)
+        running.send_signal(signal.SIGINT)
+        assert "Traceback" not in until(terminal, "interrupted: ", publisher)
+        out, _ = running.communicate(timeout=20)
+    os.close(terminal)
+    assert running.returncode == 130
+    assert out.startswith("1 of 2 robots have confirmed the stop\n")
+    assert "r2  no answer: its connection is broken" in out
+
+
+def test_ctrl_c_before_a_broker_took_it_says_that_nobody_was_stopped(key: str) -> None:
+    terminal, theirs = pty.openpty()
+    words = [*FAILSTOP, "fleet", "stop", "--wait", "60", "--broker", "127.0.0.1:1", "--config", settings_of(key)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=theirs) as running:
+        os.close(theirs)
+        until(terminal, "no broker at 127.0.0.1:1: Connection refused: trying again")
+        running.send_signal(signal.SIGINT)
+        assert "NO ROBOT WAS STOPPED" in until(terminal, "power switch")
+        assert running.wait(20) == 1
+    os.close(terminal)
+
+
+def until(terminal: int, wanted: str, *turning: Robot) -> str:
+    """What is shown until that comes."""
+    shown, end_s = "", time.monotonic() + 20.0
+    while wanted not in " ".join(shown.split()):
+        assert time.monotonic() < end_s, shown
+        for each in turning:
+            each.turn(0.005)
+        if select.select([terminal], (), (), 0.005)[0]:
+            shown += os.read(terminal, 4096).decode()
+    return " ".join(shown.split())
+
+
+def test_progress_is_shown_while_it_waits(config: str, somebody: Listener) -> None:
+    keep(somebody, "r2", vda5050.BROKEN)
+    terminal, theirs = pty.openpty()
+    words = [*FAILSTOP, "fleet", "stop", "--wait", "60", "--config", config]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=theirs) as running:
+        os.close(theirs)
+        until(terminal, "0 of 1 robots have confirmed; waiting for r2")
+        running.send_signal(signal.SIGINT)
+        assert running.wait(20) == 130
+    os.close(terminal)
+
+
+def test_a_robot_that_was_switched_off_while_the_broker_was_down_is_forgotten(config: str, somebody: Listener) -> None:
+    """The broker calls it connected for ever."""
+    keep(somebody, "r2", vda5050.ONLINE)
+    done = failstop("fleet", "forget", "r2", "--config", config)
+    assert (done.returncode, done.stdout) == (0, "r2 is forgotten: a fleet stop does not miss it any more\n")
+    assert "the broker calls r2 connected: listening for a sign of life, 4 s at most" in " ".join(done.stderr.split())
+    topic = topics.of_robot(MAKER, "r2", topics.CONNECTION)
+    pump("it to be taken off", lambda: somebody.last[topic] == b"", somebody)
+
+
+def test_a_robot_that_is_alive_is_not_forgotten(config: str, publisher: Robot) -> None:
+    words = [*FAILSTOP, "fleet", "forget", "r1", "--config", config]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        pump("its end", lambda: running.poll() is not None, publisher)
+        assert running.returncode == 1
+        assert running.stderr is not None
+        assert "r1 is connected: end its publisher first" in " ".join(running.stderr.read().split())
