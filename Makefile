@@ -164,11 +164,13 @@ screens: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,docs]'
 	$(BIN)/python -m bench.screens
 
-# What a fleet needs a broker for: the tests on a real one, then a thousand robots on it, and a flood. Installs mosquitto where it may.
+# What a fleet needs a broker for: the tests on a real one, every known way to a false count, a thousand robots, and a flood. Installs mosquitto
+# where it may.
 fleet: $(VENV)/.dev
 	@PATH="$$PATH:/usr/sbin" command -v mosquitto >/dev/null || apt-get install -y --no-install-recommends mosquitto || \
 	  { echo "no mosquitto here: install it (Debian and Ubuntu: apt install mosquitto)"; exit 1; }
 	$(BIN)/pytest --numprocesses 0 tests/fleet
+	$(BIN)/python -m bench.fleet_trials
 	$(BIN)/python -m bench.fleet
 	$(BIN)/python -m bench.fleet_flood
 

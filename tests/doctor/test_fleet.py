@@ -17,6 +17,7 @@ from tests.doctor.parts import NOBODY, look, serving
 INSTALLED = {"LoadState": "loaded", "ActiveState": "inactive", "UnitFileState": "disabled", "StatusErrno": "0"}
 RUNS = {**INSTALLED, "ActiveState": "active", "UnitFileState": "enabled"}
 DOWN = f"{UNIT} is enabled and failed: the robot obeys no stop of the fleet"
+TWIN = {**RUNS, "StatusText": "obeys a fleet stop, but another publisher also calls itself r1", "StatusErrno": "76"}
 DEAF = {**RUNS, "StatusText": "obeys no fleet stop: no key", "StatusErrno": "107"}
 
 
@@ -27,6 +28,7 @@ DEAF = {**RUNS, "StatusText": "obeys no fleet stop: no key", "StatusErrno": "107
         ({"LoadState": "not-found"}, OK, "the robot is in no fleet", ""),
         (INSTALLED, OK, "the robot is in no fleet", ""),
         ({**RUNS, "StatusText": "obeys a fleet stop"}, OK, "the robot obeys a fleet stop", ""),
+        (TWIN, WARN, f"the robot {TWIN['StatusText']}", f"journalctl -u {UNIT}"),
         (DEAF, WARN, "the robot obeys no fleet stop: no key", f"journalctl -u {UNIT}"),
         ({**RUNS, "ActiveState": "failed"}, WARN, DOWN, f"journalctl -xeu {UNIT}"),
     ],

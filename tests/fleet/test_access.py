@@ -15,9 +15,10 @@ import pytest
 from failstop.fleet import levels, topics, vda5050
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.sender import Sender
+from tests.support.commands import failstop
 from tests.support.pages import ROOT
 
-from .scene import LONG_AGO_S, MOSQUITTO, Listener, Mosquitto, Pretended, mosquitto, pump
+from .scene import LONG_AGO_S, MOSQUITTO, Listener, Mosquitto, Pretended, mosquitto, pump, stop_all
 
 PASSWORDS = shutil.which("mosquitto_passwd")
 PLUGIN = next(iter(Path("/usr/lib").glob("*/mosquitto_dynamic_security.so")), None)
@@ -139,4 +140,11 @@ def test_a_robot_that_may_not_hear_the_stops_says_so(
         assert error["errorDescription"] == publisher.deaf()
         publisher.turn(0.0)
         assert "WARNING: no stop of the fleet is obeyed here" in " ".join(capsys.readouterr().err.split())
+        complete, sender = stop_all(broker.settings(stop__key_file=key), wait_s=0.5)
+        assert not complete
+        [doubt] = sender.doubts
+        assert doubt.startswith("the broker does not let you read failstop/v1/failstop/answer/")
+        done = failstop("fleet", "list", "--broker", f"127.0.0.1:{broker.port}")
+        assert done.returncode == 1
+        assert "the broker does not let you read uagv/v2/failstop/+/connection" in " ".join(done.stderr.split())
         publisher.broker.close()

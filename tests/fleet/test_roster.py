@@ -58,7 +58,7 @@ def test_a_robot_that_falls_silent_is_lost_whatever_the_broker_calls_it() -> Non
 
 
 @pytest.mark.parametrize("off_s", [-3600.0, 0.0, 3600.0])
-def test_a_robot_that_was_silent_before_is_lost_by_its_clock_or_when_it_has_been_watched(off_s: float) -> None:
+def test_a_robot_that_was_silent_before_is_lost_by_its_clock_or_in_time(off_s: float) -> None:
     """One whose clock is ahead is known to be lost later; one that shows a sign of life is not lost by its clock."""
     roster = Roster()
     for tell in (connect, drive):
