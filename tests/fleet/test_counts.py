@@ -122,6 +122,19 @@ def test_two_robots_that_throw_each_other_off_the_broker_are_never_confirmed(
     pump("both to know", lambda: all(each.doubled() for each in publishers), *publishers)
 
 
+def test_a_robot_that_has_just_connected_may_have_taken_its_twin_s_place(start: Start, enrol: Any, key: str) -> None:
+    """That one is not back yet, and another robot's connection shows that the broker has run for long."""
+    broker = start(users_are_clients=True)
+    other = enrol(broker, "r0", Pretended())
+    away, here = (enrol(broker, "r1", Pretended(), new=True) for _ in range(2))
+    complete, sender = stop_all(operator(broker, key), other, here, wait_s=0.5)
+    assert not complete
+    assert sender.tally.missing() == []
+    [doubt] = sender.doubts
+    assert doubt.startswith("r1 connected less than 2 s before it answered")
+    pump("the other one to know", away.doubled, away, here)
+
+
 def test_a_robot_remembers_its_twin_that_was_lost(start: Start, enrol: Any, key: str) -> None:
     """That one may be driving still, and nobody else remembers it."""
     broker = start()
