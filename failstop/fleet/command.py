@@ -54,8 +54,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     stop = actions["stop"].add_argument
     stop("reason", nargs="*", help="why; each robot shows it")
     stop("--by", metavar="NAME", help="who stops them (default: USER@HOST)")
-    stop("--wait", type=_seconds, metavar="S", help="how long to try at most (default: 5, and up to "
-         "20 while robots may be connecting again after the broker's restart)")  # fmt: skip
+    wait = "how long to try at most (default: 5, and longer while robots may be reconnecting after a broker's restart)"
+    stop("--wait", type=_seconds, metavar="S", help=wait)
     for name in ("list", "stop"):
         actions[name].add_argument("--json", action="store_true", help="for programs")
     actions["forget"].add_argument("robot", help="its name in the fleet")
@@ -189,7 +189,7 @@ def _list(arguments: Namespace) -> int:
                 row[key] = None
         print(json.dumps(rows, indent=2))
     elif not robots:
-        standard.tell(f"no robot is known to the broker at {broker.where}")
+        standard.tell(f"the broker at {broker.where} shows no robot: it knows none, or its access list hides them")
     else:
         style.show([view.counts(robots, now_s, unix_s), *view.table(robots, now_s, unix_s)])
     return 1 if problem else 0

@@ -255,8 +255,9 @@ class Publisher:
         found = []
         if off := self._off or self._denied():
             found.append(vda5050.warning(vda5050.FLEET_STOP_OFF, off, "`failstop doctor` on the robot says more"))
-        if doubled := self.doubled():
-            found.append(vda5050.warning(vda5050.DOUBLED, doubled, f"set robot.id in {PLACE}"))
+        if self.twins.others:
+            text = f"another publisher also calls itself {self.robot_id}: set robot.id on one, restart both"
+            found.append(vda5050.warning(vda5050.DOUBLED, text, f"robot.id is in {PLACE}"))
         if now_s - self._forged_s < FORGED_S:
             text = f"messages on {self._stop_topic} that nobody with the fleet's key has made"
             found.append(vda5050.warning("forgedStop", text, "see who may write there, by the broker's access list"))

@@ -44,7 +44,7 @@ def lines(tally: Tally, doubts: Sequence[str] = (), *, listed: bool = False) -> 
         found += style.table([[("", PLAIN), (_name(row.robot), STRONG), (row.why, PLAIN)] for row in missing])
     found += _doubts(doubts)
     if not listed and not doubts:
-        text = "Counted are the robots that the broker still remembers. List yours in stop.robots_file to miss none."
+        text = "This counts the robots that the broker still remembers. List yours in stop.robots_file to miss none."
         found.append([(text, DIM)])
     return found
 
@@ -52,7 +52,7 @@ def lines(tally: Tally, doubts: Sequence[str] = (), *, listed: bool = False) -> 
 def _doubts(doubts: Sequence[str]) -> list[Line]:
     if not doubts:
         return []
-    head: Line = [("NOT KNOWN to be all robots, so go and look for others:", FAIL)]
+    head: Line = [("There may be MORE ROBOTS, so go and look for others:", FAIL)]
     return [head, *([(f"  {doubt}", PLAIN)] for doubt in doubts)]
 
 

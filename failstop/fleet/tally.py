@@ -27,7 +27,7 @@ WORDS = {
 }
 MUTE = (
     "is it switched on, does it have the fleet's key, and does the broker's access list let it read the stops? "
-    "If it is gone for good: failstop fleet forget"
+    "If it is gone for good: `failstop fleet forget`"
 )
 DOUBLED = (
     "two publishers use this name (or its publisher was restarted during the stop), so it is not known which robots "
@@ -129,8 +129,8 @@ class Tally:
         return sorted(self._answers.keys() - self._connections.keys())
 
     def reached(self, level: str) -> list[str]:
-        """The robots that told of this level."""
-        return sorted(robot for robot, told in self._answers.items() if level in told)
+        """The robots that told of this level. None whose name stands for two: it is not known which of them it was."""
+        return sorted(robot for robot, told in self._answers.items() if level in told and robot not in self._barred)
 
     def all_reached(self, level: str) -> bool:
         """Everybody did; False while nobody is known."""
@@ -141,7 +141,7 @@ class Tally:
 
     def times_s(self, level: str) -> list[float]:
         """When they told of it, the first one first."""
-        return sorted(told[level] for told in self._answers.values() if level in told)
+        return sorted(self._answers[robot][level] for robot in self.reached(level))
 
     def all_confirmed(self) -> bool:
         """Every robot has confirmed the stop; False while none is known."""

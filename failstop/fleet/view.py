@@ -74,7 +74,7 @@ def counts(robots: Sequence[Robot], now_s: float, unix_s: float) -> Line:
     if deaf := sum(bool(robot.deaf) for robot in here):
         line += [("   ", PLAIN), (f"{deaf} OBEY NO FLEET STOP" if deaf > 1 else "1 OBEYS NO FLEET STOP", FAIL)]
     if doubled := sum(bool(robot.doubled) for robot in here):
-        line += [("   ", PLAIN), (f"{doubled} OF TWO OF ONE NAME", FAIL)]
+        line += [("   ", PLAIN), (f"{doubled} NAME{'S' * (doubled > 1)} USED TWICE", FAIL)]
     return line
 
 

@@ -102,8 +102,10 @@ def test_two_robots_of_one_name_are_never_confirmed(
     for each in publishers:
         each.turn(0.0)
         [error] = [row for row in each.own_errors(0.0) if row["errorType"] == vda5050.DOUBLED]
-        assert "give each robot its own robot.id in /etc/failstop/fleet/fleet.toml" in error["errorDescription"]
-    assert capsys.readouterr().err.count("WARNING: another publisher also calls itself r1") == 2
+        assert error["errorDescription"].endswith("also calls itself r1: set robot.id on one, restart both")
+    said = " ".join(capsys.readouterr().err.split())
+    assert said.count("WARNING: another publisher also calls itself r1") == 2
+    assert said.count("give each robot its own robot.id in /etc/failstop/fleet/fleet.toml") == 2
     complete, sender = stop_all(operator(broker, key), *publishers[: 1 if hangs else 2], wait_s=1.0)
     assert not complete
     assert [(row.robot, row.why) for row in sender.tally.missing()] == [("r1", DOUBLED)]

@@ -152,5 +152,5 @@ def test_a_robot_whose_name_two_use_is_seen_at_a_glance() -> None:
     warning = vda5050.warning(vda5050.DOUBLED, "another publisher also calls itself r1", "")
     hear(roster, topics.STATE, vda5050.body(states.driving(), "", (warning,)), 0.0)
     robots = roster.sorted()
-    assert "1 OF TWO OF ONE NAME" in style.plain(view.counts(robots, 0.0, NOW_S))
+    assert "1 NAME USED TWICE" in style.plain(view.counts(robots, 0.0, NOW_S))
     assert view.why(robots[0], 0.0, NOW_S).startswith("TWO ROBOTS OF THIS NAME: another publisher also calls itself r1")
