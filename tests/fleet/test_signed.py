@@ -150,3 +150,32 @@ def test_a_file_that_is_no_key(tmp_path: Path, text: str) -> None:
 def test_no_key(tmp_path: Path) -> None:
     with pytest.raises(FleetError, match="`failstop fleet key` makes one"):
         signed.read_key(str(tmp_path / "none"))
+
+
+OLD_ANSWER = {"id": "0" * 32, "robot": "r", "why": "", "reached": {levels.WRITTEN: 0.1}}
+"""As a failstop makes it whose publishers draw no numbers."""
+
+
+def test_an_older_answer_is_read() -> None:
+    found = levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER_PURPOSE, OLD_ANSWER))
+    assert (found.publisher, found.doubled, found.connected_s) == ("", False, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "read"),
+    [
+        ({"publisher": "a" * 16, "doubled": True, "connected_s": 7}, ("a" * 16, True, 7.0)),
+        ({"publisher": "../..", "doubled": "no", "connected_s": -1}, ("", True, 0.0)),
+        ({"publisher": 7, "doubled": None, "connected_s": float("nan")}, ("", True, 0.0)),
+        ({"publisher": [], "doubled": 0, "connected_s": float("inf")}, ("", True, 0.0)),
+    ],
+)
+def test_what_an_answer_says_of_its_publisher(given: dict[str, object], read: tuple[str, bool, float]) -> None:
+    """What can't be read counts as what makes the sender doubt."""
+    found = levels.read_answer(KEY, signed.sign(KEY, signed.ANSWER_PURPOSE, {**OLD_ANSWER, **given}))
+    assert (found.publisher, found.doubled, found.connected_s) == read
+
+
+def test_what_is_said_of_the_publisher_is_signed_and_read() -> None:
+    whole = StopAnswer("0" * 32, "r", {}, "", levels.WRITTEN, "a" * 16, True, 3.5)
+    assert levels.read_answer(KEY, whole.message(KEY)) == whole
