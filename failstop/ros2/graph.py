@@ -20,10 +20,7 @@ class Graph:
     def __init__(self, node: Any, topic: str, commanders: Commanders, shared: Shared) -> None:
         self._node = node
         self._topic = topic
-        # The whole name of the topic is known: rclpy's node would make it of its parts, and check it, each time.
-        self._count: Callable[[str], int] = getattr(
-            getattr(node, "handle", None), "get_count_publishers", node.count_publishers
-        )
+        self._count = _counter(node, topic)
         self._shared = shared
         self._lock = threading.Lock()
         self.commanders = commanders
@@ -45,6 +42,19 @@ class Graph:
             due = commanders.due(cause, state is not None and state.estop is not None, now_ns)
         if due:
             latch(self._node, link, cause)
+
+
+def _counter(node: Any, topic: str) -> Callable[[str], int]:
+    """What counts the publishers of a topic by its full name: rclpy's internal call if it answers, because the node's own
+    expands and checks the name each time."""
+    try:
+        count: Callable[[str], int] = node.handle.get_count_publishers
+        if isinstance(count(topic), int):
+            return count
+    except (AttributeError, TypeError):
+        pass
+    own: Callable[[str], int] = node.count_publishers
+    return own
 
 
 def publishers(node: Any, topic: str) -> list[Publisher]:

@@ -1,41 +1,52 @@
-"""Spinner: waits for what arrives, and calls the node's callbacks, in one thread.
+"""Spinner: waits for messages, and calls the node's callbacks, in one thread.
 
 An executor of rclpy makes a wait set, a task and a coroutine for each message, and asks every entity of the node twice:
-0.7 ms a message. This one keeps its wait set and takes messages itself; the rest (services, actions, whatever awaits)
-it leaves to rclpy's executor when there is some. Where rclpy has no such wait set, that executor does everything.
+0.7 ms a message. This spinner keeps its wait set and takes messages itself. It leaves services, actions and callbacks
+that await something to rclpy's executor, whenever there are any.
+
+For that it uses names that rclpy may change in any release: the executor's tasks and its wake(), which it replaces;
+WaitSet of rclpy.impl; the node's guards, waitables and context.handle; the three calls of a waitable; an entity's
+handle, its pointer and take_message(). When one of them is missing or answers in another way, the spinner logs it once
+and lets rclpy's executor do everything: slower, but nothing is lost.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from time import monotonic
 from typing import Any
 
 AWAITED_S = 0.002
-"""How soon what awaits is looked at again."""
+"""How soon the spinner looks again at callbacks that await something."""
 EVENTS_S = 1.0
-"""How often what DDS tells of the node's own ends is looked at: rclpy writes lines of it."""
+"""How often it looks at DDS's events of the node (rclpy logs them), and for entities that it was not told of."""
 MOST_AT_ONCE = 10
 COUNTS = ("num_subscriptions", "num_guard_conditions", "num_timers", "num_clients", "num_services")
 """The parts of a wait set, in its order; events come last."""
+PENDING = ("_pending_tasks", "_tasks")
+"""Where an executor keeps its tasks: the first since rclpy #1469 (Humble 3.3.21, Jazzy 7.1.9, Lyrical), a mapping with
+tasks as keys; the second before, a list of (task, entity, node)."""
+OTHERWISE = (ImportError, AttributeError, TypeError, ValueError, LookupError)
+"""The errors of a name that is not what it was."""
 
 
 class Spinner:
-    """One node's, of one thread."""
+    """Spins one node, from one thread."""
 
     def __init__(self, node: Any, received: Callable[[int, int], None]) -> None:
-        """`received` is told before each callback when DDS received the message and when that was sent, in ns of the
-        two wall clocks, and after it that nothing is known of what rclpy's executor calls."""
+        """`received(received_ns, sent_ns)` is called before each callback with the two times of its message (wall
+        clocks, ns), and with zeros after it, because nothing is known of what rclpy's executor calls."""
         from rclpy.executors import SingleThreadedExecutor
 
         self._node = node
         self._received = received
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
+        self._entities: list[list[Any]] = []
         self._subscriptions: list[tuple[int, Any]] = []
         """Each with the address that rclpy knows it by."""
         self._kinds: list[str] = []
-        """Of what the node has, beside services."""
+        """The kinds of entities that the node has, besides subscriptions and services."""
         self._others: list[Any] = []
         """Waitables, such as actions."""
         self._set: Any = None
@@ -43,33 +54,58 @@ class Spinner:
         """How each entity gets into the wait set, which is empty after each wait."""
         self._stale = True
         self._events_s = 0.0
-        self._plain = not self._built()
-        if not self._plain:
-            # The node calls it for each entity that it makes or takes away.
+        self._replaced = False
+        """Its wake() is this spinner's."""
+        self.plain = False
+        """rclpy's executor does everything."""
+        try:
+            self._awaited()
+            self._build()
+            # The node calls this whenever an entity is created or destroyed.
             self._executor.wake = self._changed
+            self._replaced = True
+        except OTHERWISE as error:
+            self._give_up(error)
+
+    def _give_up(self, error: Exception) -> None:
+        """From now on rclpy's executor does everything."""
+        self.plain, self._set = True, None
+        self._add.clear()
+        if self._replaced:
+            del self._executor.wake
+            self._replaced = False
+        text = f"this rclpy is newer or older than failstop knows ({type(error).__name__}: {error})"
+        self._node.get_logger().warning(f"{text}, so its own executor calls everything: each message takes longer")
 
     def _changed(self) -> None:
         self._stale = True
 
-    def _built(self) -> bool:
-        """Make the wait set. False where rclpy has none of the kind that is known here."""
-        try:
-            self._build()
-        except (ImportError, AttributeError, TypeError):
-            return False
-        return True
+    def _awaited(self) -> bool:
+        """Whether a callback awaits something. Raises AttributeError for an executor that keeps its tasks elsewhere."""
+        executor = self._executor
+        for name in PENDING:
+            # Each time anew: an older executor replaces its list.
+            if (found := getattr(executor, name, None)) is not None:
+                return any(not task.done() for task in _tasks(found))
+        raise AttributeError(f"{type(executor).__name__} has none of {', '.join(PENDING)}")
+
+    def _found(self) -> list[list[Any]]:
+        """What the node has now: subscriptions, guard conditions, clients, services, waitables."""
+        node = self._node
+        return [*map(list, (node.subscriptions, node.guards, node.clients, node.services, node.waitables))]
 
     def _build(self) -> None:
+        """Make the wait set. Raises OTHERWISE where rclpy has none of the kind that is known here."""
         from rclpy.impl.implementation_singleton import rclpy_implementation
 
         self._stale = False
         node = self._node
-        subscriptions = list(node.subscriptions)
+        self._entities = self._found()
+        subscriptions, guards, clients, services, waitables = self._entities
         self._subscriptions = [(each.handle.pointer, each) for each in subscriptions]
-        guards, clients, services = list(node.guards), list(node.clients), list(node.services)
-        # Events of DDS alone can wait for a second: they make each wait longer.
-        counted = [(each, each.get_num_entities()) for each in node.waitables]
-        counted = [(each, count) for each, count in counted if _beside_events(count)]
+        # DDS's events can wait for a second, and make each wait longer.
+        counted = [(each, each.get_num_entities()) for each in waitables]
+        counted = [(each, count) for each, count in counted if _more_than_events(count)]
         self._others = [each for each, _ in counted]
         self._kinds = [kind for kind, there in (("client", clients), ("guard_condition", guards)) if there]
         own = (len(subscriptions), len(guards), 0, len(clients), len(services), 0)
@@ -86,26 +122,39 @@ class Spinner:
         ]
 
     def turn(self, timeout_s: float) -> None:
-        """Wait no longer than that, and call what is due."""
-        if self._plain:
+        """Wait no longer than that (s), and call the callbacks that are due."""
+        if not self.plain:
+            try:
+                arrived, leave = self._wait(timeout_s)
+            except OTHERWISE as error:
+                self._give_up(error)
+        if self.plain:
             self._executor.spin_once(timeout_sec=timeout_s)
             return
+        for subscription in arrived:
+            self._take(subscription)
+        if leave:
+            self._executor.spin_once(timeout_sec=0)
+
+    def _wait(self, timeout_s: float) -> tuple[list[Any], bool]:
+        """Wait. Returns the subscriptions that have messages, and whether rclpy's executor has something to do. It
+        calls nothing of the bridge's, so an error is rclpy's. Raises OTHERWISE."""
         if self._stale:
             self._build()
-        awaited = any(not task.done() for task, _, _ in self._executor._tasks)
+        awaited = self._awaited()
         self._set.clear_entities()
         for add, what in self._add:
             add(what)
         self._set.wait(int(min(timeout_s, AWAITED_S) * 1e9) if awaited else int(timeout_s * 1e9))
         ready = self._set.get_ready_entities
-        if arrived := ready("subscription"):
-            for pointer, subscription in self._subscriptions:
-                if pointer in arrived:
-                    self._take(subscription)
+        pointers = ready("subscription")
+        arrived = [subscription for pointer, subscription in self._subscriptions if pointer in pointers]
         now_s = monotonic()
-        if awaited or ready("service") or now_s >= self._events_s or self._has_others():
-            self._events_s = now_s + EVENTS_S
-            self._executor.spin_once(timeout_sec=0)
+        leave = awaited or bool(ready("service")) or self._has_others()
+        if now_s >= self._events_s:
+            self._events_s, leave = now_s + EVENTS_S, True
+            self._stale = self._stale or self._found() != self._entities
+        return arrived, leave
 
     def _has_others(self) -> bool:
         return any(map(self._set.get_ready_entities, self._kinds)) or any(
@@ -113,24 +162,47 @@ class Spinner:
         )
 
     def _take(self, subscription: Any) -> None:
-        """Take waiting messages, a few at most: others wait too."""
+        """Take waiting messages, a few at most because other subscriptions wait too."""
         for _ in range(MOST_AT_ONCE):
-            with subscription.handle:
-                found = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-            if not found:
+            if self.plain:
                 return
-            message, about = found
-            self._received(about["received_timestamp"], about.get("source_timestamp", 0))
+            try:
+                with subscription.handle:
+                    found = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+                if not found:
+                    return
+            except OTHERWISE as error:
+                self._give_up(error)
+                return
+            message, times = _message(found)
+            if not times:
+                self._give_up(TypeError("take_message() returns something else than (message, times)"))
+            self._received(*(times or (0, 0)))
             subscription.callback(message)
             self._received(0, 0)
 
     def close(self) -> None:
-        """Call nothing more."""
+        """Call no more callbacks."""
         self._set = None
         self._add.clear()
         self._executor.shutdown()
 
 
-def _beside_events(count: Any) -> bool:
-    """Whether there is more than events in it."""
+def _tasks(found: Any) -> Iterable[Any]:
+    """The tasks of an executor's mapping, or of its list."""
+    return list(found) if isinstance(found, Mapping) else [task for task, _, _ in found]
+
+
+def _message(found: Any) -> tuple[Any, tuple[int, int] | None]:
+    """A message that was taken, and when it was received and sent; None instead where that can't be read. The message
+    is out of its queue already, so it is found here even if its times are not: it may be a stop."""
+    message, *about = found if isinstance(found, tuple) else (found,)
+    try:
+        return message, (int(about[0]["received_timestamp"]), int(about[0].get("source_timestamp", 0)))
+    except OTHERWISE:
+        return message, None
+
+
+def _more_than_events(count: Any) -> bool:
+    """Whether it counts more than events."""
     return any(getattr(count, name) for name in COUNTS)

@@ -41,6 +41,8 @@ REQUIRED = "FAILSTOP_ROS"
 """The setup file of a real ROS: `make ros2` sets it. Without it the stand-in alone is tried, whatever is installed."""
 OVERLAY = "FAILSTOP_ROS_OVERLAY"
 """A setup file of further ROS packages, to source after ROS's own."""
+RCLPY = "FAILSTOP_STANDIN_RCLPY"
+"""Of which kind the stand-in's rclpy is: "before" its change #1469, or "since", as apt gives it today (the default)."""
 _numbers = itertools.count()
 _domains = itertools.count(os.getpid() % 40 + 1)
 

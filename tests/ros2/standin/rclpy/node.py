@@ -50,6 +50,61 @@ def _parsed(text: str) -> object:
         return text.strip("'\"")
 
 
+class Handle:
+    """What rclpy's internals know an entity by."""
+
+    def __init__(self, waiting: deque) -> None:
+        self.waiting = waiting
+
+    @property
+    def pointer(self) -> int:
+        return id(self)
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+class SubscriptionHandle(Handle):
+    def __init__(self, subscription: Subscription) -> None:
+        super().__init__(subscription.waiting)
+        self._subscription = subscription
+
+    def take_message(self, msg_type: type, raw: bool) -> tuple[object, dict[str, int]] | None:
+        """A message with the times when it was received and sent."""
+        assert (msg_type, raw) == (self._subscription.msg_type, self._subscription.raw)
+        if not self.waiting:
+            return None
+        sent_ns, received_ns = self.waiting[0][1], self.waiting[0][3]
+        message = self._subscription.take()
+        return message, {"source_timestamp": sent_ns, "received_timestamp": received_ns}
+
+
+class NodeHandle:
+    def __init__(self, node: Node) -> None:
+        self._node = node
+
+    def get_count_publishers(self, topic: str) -> int:
+        assert topic.startswith("/"), "rcl takes full names alone"
+        return self._node.count_publishers(topic)
+
+
+class Events:
+    """What DDS reports of the node's own ends: a waitable that counts nothing but events."""
+
+    def get_num_entities(self) -> object:
+        names = ("subscriptions", "guard_conditions", "timers", "clients", "services")
+        return SimpleNamespace(**{f"num_{name}": 0 for name in names}, num_events=1)
+
+    def add_to_wait_set(self, wait_set: object) -> None:
+        raise AssertionError("a waitable of events alone is left out")
+
+    def is_ready(self, wait_set: object) -> bool:
+        return False
+
+
 class Publisher:
     def __init__(self, node: Node, kind: type, topic: str, qos: QoSProfile) -> None:
         self._node = node
@@ -107,9 +162,10 @@ class Subscription:
     def __init__(self, node: Node, kind: type, topic: str, callback: object, qos: QoSProfile, raw: bool) -> None:
         self.callback = callback
         self.topic_name = topic
-        self.kind = kind
+        self.msg_type = kind
         self.raw = raw
         self.waiting: deque = deque(maxlen=qos.depth)
+        self.handle = SubscriptionHandle(self)
         self.row = {**node.end(topic, kind._name, qos), "number": next(_numbers)}
         self._wire = node.wire
         node.wire.handlers[self.row["number"]] = self._arrived
@@ -122,13 +178,13 @@ class Subscription:
                         node.wire.send(name, (row["number"], (node.wire.name, self.row["number"])))
 
     def _arrived(self, packet: tuple) -> None:
-        self.waiting.append(packet)
+        self.waiting.append((*packet, time.time_ns()))
         if (acks := packet[2]) and self.row["reliable"]:
             self._wire.send(acks[0], (acks[1], (acks[2], (self._wire.name, self.row["number"]))))
 
     def take(self) -> object:
         data = self.waiting.popleft()[0]
-        return data if self.raw else types.from_plain(self.kind._name, pickle.loads(data))
+        return data if self.raw else types.from_plain(self.msg_type._name, pickle.loads(data))
 
 
 class Service:
@@ -136,6 +192,7 @@ class Service:
         self.kind = kind
         self.callback = callback
         self.waiting: deque = deque()
+        self.handle = Handle(self.waiting)
         self._wire = node.wire
         row = {"topic": name, "type": kind._name, "number": next(_numbers), "node": node.full_name}
         node.wire.handlers[row["number"]] = self.waiting.append
@@ -219,6 +276,13 @@ class Node:
         self.full_name = f"{self._namespace.rstrip('/')}/{self._name}"
         self.subscriptions: list[Subscription] = []
         self.services: list[Service] = []
+        self.guards: list[object] = []
+        self.clients: list[object] = []
+        """None: an answer needs no spinning here."""
+        self.waitables: list[object] = [Events()]
+        self.executor: object = None
+        self.handle = NodeHandle(self)
+        self.context = SimpleNamespace(handle=SimpleNamespace(wire=wire))
         self.begun: list[object] = []
         """Coroutines that the executor is to go on with."""
         self._parameters: dict[str, Parameter] = {}
@@ -233,6 +297,10 @@ class Node:
         lasting = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
         row = {"topic": topic, "type": kind, "reliable": reliable, "lasting": lasting, "depth": qos.depth}
         return {**row, **names}
+
+    def _wake_executor(self) -> None:
+        if self.executor:
+            self.executor.wake()
 
     def get_name(self) -> str:
         return self._name
@@ -260,10 +328,12 @@ class Node:
         self, kind: type, topic: str, callback: object, qos: QoSProfile, *, raw: bool = False
     ) -> Subscription:
         self.subscriptions.append(Subscription(self, kind, self._resolved(topic), callback, qos, raw))
+        self._wake_executor()
         return self.subscriptions[-1]
 
     def destroy_subscription(self, subscription: Subscription) -> None:
         self.subscriptions.remove(subscription)
+        self._wake_executor()
         self.wire.subscriptions.remove(subscription.row)
         self.wire.tell()
 
@@ -274,6 +344,7 @@ class Node:
     def create_service(self, kind: type, name: str, callback: object, *, callback_group: object = None) -> Service:
         self.services.append(Service(self, kind, self._resolved(name), callback))
         self.services[-1].alone = callback_group is None
+        self._wake_executor()
         return self.services[-1]
 
     def create_client(self, kind: type, name: str) -> Client:
