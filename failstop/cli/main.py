@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import sys
 
-from failstop.cli import standard
+from failstop.cli import missing, standard
 from failstop.version import VERSION, options
 
 TYPE_CHECKING = False
@@ -62,8 +62,9 @@ EXAMPLES = "examples:"
 """The first line below a command's options."""
 DESCRIPTION = """The layer that makes a robot stop.
 Whatever dies or hangs, the wheels are told to stop.
-Exit codes: 0 done, 1 error, 2 refused, 3 no service of that name, 128 and
-the signal's number when a signal ended it (130: Ctrl-C; run and sim: 0)."""
+Exit codes: 0 done, 1 error, 2 refused, 3 no service of that name, 78 this
+Python lacks a package, 128 and the signal's number when a signal ended it
+(130: Ctrl-C; run and sim: 0)."""
 
 
 def _usage() -> str:
@@ -85,6 +86,8 @@ def main(argv: list[str] | None = None) -> int:
         sys.stdout.flush()
     except KeyboardInterrupt:
         return 130
+    except ImportError as error:
+        return missing.say(error)
     except Exception as error:
         failed = _told(error)
         return code or failed

@@ -10,12 +10,20 @@ from importlib import import_module
 
 from failstop.api.errors import FailstopError
 from failstop.cli.commands import add_name
+from failstop.cli.missing import INCOMPLETE
 from failstop.ros2 import transport
 
 EXAMPLES = """\
 . /opt/ros/humble/setup.sh; failstop ros2
 failstop ros2 --ros-args -r cmd_vel:=/base/cmd_vel -p cmd_vel_type:=stamped
 """
+
+
+class NoRos(FailstopError):
+    """This Python has no rclpy; the message names the file to source."""
+
+    exit_code = INCOMPLETE
+    """Exit code of a command that fails with this error."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -26,7 +34,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Run the bridge; raises FailstopError where there is no rclpy."""
+    """Run the bridge; raises NoRos where there is no rclpy."""
     transport.udp_alone(os.environ)
     find_rclpy()
     from failstop.ros2 import bridge
@@ -36,8 +44,7 @@ def main(arguments: Namespace) -> int:
 
 
 def find_rclpy() -> None:
-    """Make rclpy importable; the installed command ignores PYTHONPATH, which is how ROS is found. Raises FailstopError
-    with the file to source."""
+    """Make rclpy importable; the installed command ignores PYTHONPATH, which is how ROS is found. Raises NoRos."""
     known = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     sys.path += [path for path in known if os.path.isabs(path) and path not in sys.path]
     try:
@@ -49,4 +56,4 @@ def find_rclpy() -> None:
             advice = "there is no ROS 2 here (no /opt/ros/*/setup.sh): install it, or source its setup.sh where it is"
         elif "AMENT_PREFIX_PATH" not in os.environ:
             advice = f"rclpy can't be imported: first type `. {setups[-1]}`"
-        raise FailstopError(advice) from None
+        raise NoRos(advice) from None

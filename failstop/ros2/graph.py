@@ -45,7 +45,7 @@ class Graph:
 
 
 def _counter(node: Any, topic: str) -> Callable[[str], int]:
-    """What counts the publishers of a topic by its full name: rclpy's internal call if it answers, because the node's own
+    """The call that counts the publishers of a topic: rclpy's internal one if it answers, because the node's own
     expands and checks the name each time."""
     try:
         count: Callable[[str], int] = node.handle.get_count_publishers

@@ -16,7 +16,8 @@ END_S = 5.0
 def environment() -> dict[str, str]:
     """A domain of its own on this machine alone: nobody's robot hears it."""
     domain = DOMAINS[os.getpid() % len(DOMAINS)]
-    return {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_LOCALHOST_ONLY": "1"}
+    alone = {"ROS_LOCALHOST_ONLY": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    return {**os.environ, "ROS_DOMAIN_ID": str(domain), **alone}
 
 
 class StageProcess:

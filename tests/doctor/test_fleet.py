@@ -43,23 +43,43 @@ ME = System().owner("/proc/self")
 HERE = "the bridge to ROS 2 is connected"
 
 
+SHARED = "7f1c2000-7f1c3000 rw-s 00000000 00:1a 42   /dev/shm/{}"
+LIBRARY = "7f1c0000-7f1c1000 r-xp 00000000 08:01 7    /opt/ros/jazzy/lib/libfastrtps.so.2.14"
+UNREADABLE = "; its memory maps can't be read, so nobody knows whether it uses shared memory"
+
+
 @pytest.mark.parametrize(
-    ("pid", "environment", "says"),
+    ("pid", "maps", "says"),
     [
         (0, "", "no bridge to ROS 2 is connected"),
-        (7, "HOME=/\0FASTRTPS_DEFAULT_PROFILES_FILE=/own.xml\0", f"{HERE} (pid 7, user {ME})"),
-        (7, "HOME=/\0", f"{HERE} (pid 7, user {ME}), by UDP alone"),
-        (8, "", f"{HERE} (pid 8, user ), by UDP alone"),
+        (7, SHARED.format("fastrtps_1a2b"), f"{HERE} (pid 7, user {ME}), by Fast DDS's shared memory"),
+        (7, SHARED.format("fastdds_port7411"), f"{HERE} (pid 7, user {ME}), by Fast DDS's shared memory"),
+        (7, SHARED.format("fastrtps_1a2b (deleted)"), f"{HERE} (pid 7, user {ME}), by Fast DDS's shared memory"),
+        (7, LIBRARY, f"{HERE} (pid 7, user {ME}), without Fast DDS's shared memory"),
+        (7, SHARED.format("failstop.failstop.gate"), f"{HERE} (pid 7, user {ME}), without Fast DDS's shared memory"),
+        (7, "", f"{HERE} (pid 7, user {ME}){UNREADABLE}"),
+        (8, "", f"{HERE} (pid 8, user ){UNREADABLE}"),
     ],
-    ids=["none", "own profile", "UDP", "gone meanwhile"],
+    ids=[
+        "none",
+        "Fast DDS 2",
+        "Fast DDS 3",
+        "its file is gone",
+        "UDP",
+        "failstop's own",
+        "not allowed",
+        "gone meanwhile",
+    ],
 )
-def test_what_is_seen_of_it(tmp_path: Path, pid: int, environment: str, says: str) -> None:
+def test_what_is_seen_of_it(tmp_path: Path, pid: int, maps: str, says: str) -> None:
+    """By what the bridge has mapped, whatever its environment asked for."""
     (tmp_path / "dev/shm").mkdir(parents=True)
     for name in ("fastrtps_1a", "fastrtps_port7411_el", "failstop.failstop.gate"):
         (tmp_path / "dev/shm" / name).touch()
     process = tmp_path / "proc/7"
     process.mkdir(parents=True)
-    (process / "environ").write_text(environment)
+    (process / "environ").write_text("ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST\0")
+    (process / "maps").write_text(maps)
     found = look(service=serving(clients=(Client(0, "ros2", pid, False),)) if pid else NOBODY)
     found.system = System(str(tmp_path))
     assert [row.text for row in ros2.check(found)] == [says]

@@ -39,11 +39,14 @@ def linked(link: str, **changed: Any) -> Any:
 
 
 def nodes(*users: str) -> dict[str, Any]:
-    """Nodes of these users, of whom the last has the bridge, with a profile for Fast DDS."""
+    """Nodes of these users, of whom the last has the bridge, with Fast DDS's shared memory."""
     owners = {f"/dev/shm/fastrtps_{user}": user for user in users}
-    files = {**dict.fromkeys(owners, ""), "/proc/7/environ": "HOME=/\0FASTRTPS_DEFAULT_PROFILES_FILE=/own.xml\0"}
+    files = {**dict.fromkeys(owners, ""), "/proc/7/maps": f"7f1c2000-7f1c3000 rw-s 0 00:1a 42 {[*owners][-1]}"}
     return {"files": files, "owners": {**owners, "/proc/7": users[-1]}}
 
+
+UDP = {"/dev/shm/fastrtps_anna": "", "/proc/7/maps": "7f1c2000-7f1c3000 r-xp 0 08:01 7 /usr/bin/python3"}
+"""A bridge without shared memory, beside a node with it."""
 
 CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("port", look(node=None, device=("/", "x")), FAIL, "no serial port"),
@@ -304,7 +307,7 @@ def test_a_service_that_runs_without_rights_is_judged_and_not_the_person_who_ask
         ({"holders": OPENED}, ("holders",)),
         ({"node": but(NODE, pseudo=True), "usb_id": ""}, ("identity",)),
         ({"service": serving(processes=STATE.processes, clients=(but(BRIDGE, wrong=""),))}, ("clients",)),
-        ({**nodes("anna", "bob"), "files": {"/dev/shm/fastrtps_anna": ""}, "service": BRIDGED}, ("ROS 2",)),
+        ({**nodes("anna", "bob"), "files": UDP, "service": BRIDGED}, ("ROS 2",)),
         ({**nodes("bob"), "service": BRIDGED}, ("ROS 2",)),
     ],
 )

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import itertools
 import random
+from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 
 from failstop.policy import causes
+from failstop.ros2 import graph
 from failstop.ros2.commanders import (
     AGAIN_NS,
     FRESH_NS,
@@ -259,3 +262,30 @@ def test_a_stop_is_asked_for_once_more_when_the_names_are_known() -> None:
     assert not causes.completed(latched, causes.REQUESTED(known, "ros2", 78)), "another program's"
     assert not causes.completed(latched, causes.PIPED(known))
     assert not causes.completed(causes.PIPED(nameless), later)
+
+
+class CountingHandle:
+    """rclpy's internal object behind a node, of some release."""
+
+    def __init__(self, count: Callable[[str], object]) -> None:
+        self.get_count_publishers = count
+
+
+@pytest.mark.parametrize(
+    ("handle", "internal"),
+    [
+        (CountingHandle(lambda topic: 2), True),
+        (CountingHandle(lambda topic: None), False),
+        (CountingHandle(lambda: 2), False),  # type: ignore[arg-type, misc]
+        (object(), False),
+        (None, False),
+    ],
+    ids=["as known", "another result", "other arguments", "no such call", "no handle"],
+)
+def test_the_publishers_are_counted_by_what_this_rclpy_has(handle: object, internal: bool) -> None:
+    node = SimpleNamespace(handle=handle, count_publishers=lambda topic: 7)
+    assert graph._counter(node, "/cmd_vel")("/cmd_vel") == (2 if internal else 7)
+
+
+def test_a_node_without_a_handle_counts_too() -> None:
+    assert graph._counter(SimpleNamespace(count_publishers=lambda topic: 7), "/cmd_vel")("/cmd_vel") == 7

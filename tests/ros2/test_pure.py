@@ -320,15 +320,46 @@ def test_a_trajectory_that_makes_no_sense(names: list[str], rows: list[tuple[flo
         trajectory.way(_trajectory(names, *rows))
 
 
-@pytest.mark.parametrize(("localhost", "file"), [("0", "udp_only.xml"), ("1", "udp_only_localhost.xml")])
-def test_fast_dds_takes_udp_alone(localhost: str, file: str) -> None:
-    environment = {"ROS_LOCALHOST_ONLY": localhost, "HOME": "/"}
+ANYWHERE, HERE_ALONE = "udp_only.xml", "udp_only_localhost.xml"
+
+
+@pytest.mark.parametrize(
+    ("given", "file"),
+    [
+        ({}, ANYWHERE),
+        ({"ROS_LOCALHOST_ONLY": "0"}, ANYWHERE),
+        ({"ROS_LOCALHOST_ONLY": "1"}, HERE_ALONE),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, HERE_ALONE),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOCALHOST_ONLY": "0"}, HERE_ALONE),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": ""}, HERE_ALONE),
+        (
+            {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOCALHOST_ONLY": "1", "ROS_STATIC_PEERS": "a"},
+            HERE_ALONE,
+        ),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_LOCALHOST_ONLY": "1"}, HERE_ALONE),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_STATIC_PEERS": "a;b"}, ANYWHERE),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}, ANYWHERE),
+    ],
+)
+def test_fast_dds_takes_udp_alone(given: dict[str, str], file: str) -> None:
+    environment = {**given, "HOME": "/"}
     transport.udp_alone(environment)
-    assert environment.pop("HOME") == "/"
-    assert set(environment) == set(transport.PROFILES)
-    (path,) = set(environment.values())
+    assert environment.get("ROS_LOCALHOST_ONLY") is None
+    # With either variable rmw_fastrtps would put its own transports, shared memory among them, in the profile's place.
+    assert environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE") != "LOCALHOST"
+    if file is ANYWHERE:
+        kept = {key: value for key, value in given.items() if key != "ROS_LOCALHOST_ONLY"}
+        assert {key: environment[key] for key in kept} == kept
+    (path,) = {environment[name] for name in transport.PROFILES}
     assert Path(path).name == file
     assert "<useBuiltinTransports>false" in Path(path).read_text()
+
+
+def test_localhost_and_further_hosts_are_left_to_ros() -> None:
+    given = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": "192.0.2.7"}
+    environment = dict(given)
+    transport.udp_alone(environment)
+    assert environment == given
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ print(json.dumps([heard, asked.done() and asked.result().message, spinner.plain,
 """
 HEARD = ["one", "two", "three", True]
 EXECUTOR = "import rclpy.executors as module; E = module.SingleThreadedExecutor; "
-NODE = "import rclpy.node as module; "
+NODE = "import rclpy.handles as module; "
 SET = "from rclpy.impl.implementation_singleton import rclpy_implementation as module; "
 """How a change of the stand-in begins."""
 CHANGES = {
@@ -174,10 +174,9 @@ def test_an_entity_that_nobody_tells_of_is_found_within_a_second(tmp_path: Path)
 
 
 def test_an_error_of_a_callback_is_no_change_of_rclpy(tmp_path: Path) -> None:
-    callback = "module.Subscription.callback = property(lambda self: lambda message: {}['no'], lambda self, to: None)"
-    done = Ros("stand-in", tmp_path).run(
-        sys.executable, "-c", PROGRAM.replace("CHANGE", f"exec({NODE + callback!r}) or ''")
-    )
+    raising = "property(lambda self: lambda message: {}['no'], lambda self, to: None)"
+    change = f"import rclpy.node; rclpy.node.Subscription.callback = {raising}"
+    done = Ros("stand-in", tmp_path).run(sys.executable, "-c", PROGRAM.replace("CHANGE", f"exec({change!r}) or ''"))
     assert done.returncode
     assert "KeyError: 'no'" in done.stderr
     assert "its own executor" not in done.stderr

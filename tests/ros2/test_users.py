@@ -37,10 +37,19 @@ def ros(tmp_path_factory: pytest.TempPathFactory) -> Ros:
     return found
 
 
-@pytest.mark.parametrize("localhost", ["0", "1"])
+@pytest.mark.parametrize(
+    "localhost",
+    [
+        {"ROS_LOCALHOST_ONLY": "0"},
+        {"ROS_LOCALHOST_ONLY": "1"},
+        {"ROS_LOCALHOST_ONLY": "0", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+    ],
+    ids=["network", "localhost only", "localhost range"],
+)
 @pytest.mark.parametrize("own_profile", [False, True])
-def test_a_node_of_another_user(ros: Ros, tmp_path: Path, own_profile: bool, localhost: str) -> None:
-    ros.environment["ROS_LOCALHOST_ONLY"] = localhost
+def test_a_node_of_another_user(ros: Ros, tmp_path: Path, own_profile: bool, localhost: dict[str, str]) -> None:
+    others = {name: value for name, value in ros.environment.items() if "DISCOVERY" not in name}
+    ros.environment = {**others, **localhost}
     (tmp_path / "own.xml").write_text(PROFILE)
     log = Path("/tmp") / f"{new_name()}-log"
     log.mkdir(mode=0o777)

@@ -25,6 +25,7 @@ EXITS = (
     ("1", "An error; one line says what happened and what to do."),
     ("2", "Refused, by the service or by the command itself, with the reason."),
     ("3", "No service of that name runs."),
+    ("78", "This Python lacks a package that failstop needs; one line names both."),
     (
         "128 and the signal's number",
         "A signal ended it, as 130: Ctrl-C. run and sim take SIGTERM and Ctrl-C as an order to end, and end with 0.",

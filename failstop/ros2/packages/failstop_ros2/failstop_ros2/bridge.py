@@ -5,6 +5,8 @@ from __future__ import annotations
 import glob
 import sys
 
+INCOMPLETE = 78
+"""The exit code with which the launch file does not start it again, as failstop's own for a missing package."""
 INSTALLED = "/opt/failstop/lib/python{}.{}/site-packages"
 
 
@@ -17,5 +19,5 @@ def main() -> int:
     except ImportError as error:
         version = f"Python {sys.version_info[0]}.{sys.version_info[1]}"
         sys.stderr.write(f"failstop can't be imported by ROS's {version} ({error}): install it with that one's pip\n")
-        return 1
+        return INCOMPLETE
     return cli.main(["ros2", *sys.argv[1:]])

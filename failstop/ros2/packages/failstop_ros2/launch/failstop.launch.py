@@ -5,9 +5,10 @@ The service itself is none of ROS's: systemd starts it, and it makes the robot s
 
 from __future__ import annotations
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, EmitEvent
 from launch.conditions import IfCondition
+from launch.events.process import ProcessExited, ShutdownProcess
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -22,6 +23,16 @@ ARGUMENTS = {
     **{f"laser_{part}": ("0", f"of laser on base_link: {part}") for part in ("x", "y", "z", "yaw", "pitch", "roll")},
     **{f"imu_{part}": ("0", f"of imu_link on base_link: {part}") for part in ("x", "y", "z", "yaw", "pitch", "roll")},
 }
+
+INCOMPLETE = 78
+"""The bridge ends with this code when ROS or a package that it needs is missing, and says which."""
+
+
+def _ended(event: ProcessExited, _context: LaunchContext) -> EmitEvent | None:
+    """Don't respawn a bridge that can't run as it is installed: it would say the same again each second."""
+    if event.returncode != INCOMPLETE:
+        return None
+    return EmitEvent(event=ShutdownProcess(process_matcher=lambda action: action is event.action))
 
 
 def _placed(frame: str, prefix: str) -> Node:
@@ -58,6 +69,7 @@ def generate_launch_description() -> LaunchDescription:
         remappings=[("cmd_vel", LaunchConfiguration("cmd_vel")), ("scan", LaunchConfiguration("scan"))],
         respawn=True,
         respawn_delay=1.0,
+        on_exit=_ended,
         output="screen",
     )
     return LaunchDescription([*declared, bridge, _placed("laser", "laser"), _placed("imu_link", "imu")])
