@@ -55,6 +55,7 @@ EVENT_KINDS = (
     EventKind("pad", "notice", "a06ff401a7f049889d61e332ac51386f"),
     EventKind("arm", "notice", "7873e90547884f3d9adf7b087d72596e"),
     EventKind("charger", "info", "72df7bd7397a41fca08599cf028e6a11", "state battery_mv"),
+    EventKind("odd", "warning", "0a7a36f2fd3a4f13bd343acb84ccd8dd", "what value"),
     EventKind("scan", "warning", "5db72888dc83420d9884c7633dd8d1f9", "state"),
     EventKind("gyro", "info", "082c033a964f4063a2b4f6814ee960e8"),
     EventKind("disk", "warning", "9e790b1bc2634737a9047e698e7df8ff"),

@@ -16,6 +16,8 @@ from hypothesis import strategies as st
 from failstop.board import decoder
 from failstop.board.decoder import Decoder
 from failstop.board.framing import BUS_SERVO, GAMEPAD, IMU_FUNC, KEY_FUNC, PWM_SERVO, SBUS, SYS, crc8, seal
+from failstop.board.interface import HEARD_ODD
+from failstop.board.rrc.board import BOARD as RRC
 from failstop.lab.sim import upward
 
 UP = {
@@ -135,13 +137,14 @@ def data_of(frame: bytes) -> bytes:
     return frame[4:-1]
 
 
-def test_what_is_sent_is_read_and_an_imu_that_is_not_finite_is_nothing() -> None:
+def test_what_is_sent_is_read_and_an_imu_that_is_not_finite_is_odd() -> None:
     values = (0.5, -0.25, 1.0, 12.5, -3.0, 0.0)
     assert decoder.imu(data_of(upward.imu_frame(*values))) == values
     for place, bad in itertools.product(range(6), (math.nan, math.inf, -math.inf)):
         wrong = list(values)
         wrong[place] = bad
-        assert decoder.imu(data_of(upward.imu_frame(*wrong))) is None
+        [(kind, (what, _))] = RRC.hearing().feed(upward.imu_frame(*wrong))
+        assert (kind, what) == (HEARD_ODD, "IMU")
     pad = (0xC00F, 3, -128, 127, -1, 1)
     assert decoder.gamepad(data_of(upward.gamepad_frame(*pad))) == pad
     assert all(decoder.key(data_of(upward.key_frame(2, event))) == (2, event) for event in decoder.KEY_EVENTS)

@@ -40,7 +40,6 @@ BUTTONS = {
 # would hold back telemetry for 80 ms.
 LONGEST = 64
 
-_LARGEST_F32 = 3.4028234663852886e38
 
 _BATTERY = Struct("<BH")
 _IMU = Struct("<6f")
@@ -139,12 +138,11 @@ def key(data: bytes) -> tuple[int, int] | None:
 
 
 def imu(data: bytes) -> tuple[float, float, float, float, float, float] | None:
-    """IMU: acceleration x y z in g, then gyro x y z in deg/s; None unless all are finite."""
+    """IMU: acceleration x y z in g, then gyro x y z in deg/s, finite or not."""
     if len(data) != _IMU.size:
         return None
     ax, ay, az, gx, gy, gz = _IMU.unpack(data)
-    finite = all(-_LARGEST_F32 <= value <= _LARGEST_F32 for value in (ax, ay, az, gx, gy, gz))
-    return (ax, ay, az, gx, gy, gz) if finite else None
+    return ax, ay, az, gx, gy, gz
 
 
 def gamepad(data: bytes) -> tuple[int, int, int, int, int, int] | None:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from math import pi
 
+from failstop.board import plausible
 from failstop.board.framing import FrameError, number
 from failstop.board.interface import (
     BY_ANSWER,
     BY_ECHO,
     BY_IMU,
     BY_WHEELS,
-    HEARD_BATTERY,
     HEARD_HEALTH,
-    HEARD_IMU,
     HEARD_OBEYED,
     HEARD_PONG,
     HEARD_SERVO,
@@ -32,6 +32,11 @@ if TYPE_CHECKING:
     from failstop.board.interface import Said
     from failstop.board.wire import Wire
 
+MOST_SAMPLES = 10_000
+"""Of one feed(): a reader that never ends would hold telemetry up."""
+MOST_VALUE = 0x7FFFFFFF
+MOST_LOAD = 1.27
+"""A servo's load is kept in percent, in a byte; Feetech's says up to 1.023."""
 _ROUNDING = 1.0 + 2.0**-40
 _GRAVITY = 9.80665
 _NO_ARM = "this board has no servos"
@@ -51,13 +56,17 @@ class Samples(Hearing):
     def feed(self, chunk: bytes) -> list[Said]:
         """All that the samples say that these bytes complete, and which pings they answer."""
         found: list[Said] = []
-        for sample in self._reader.feed(chunk):
-            found += _said(sample)
-            found += [
-                (HEARD_PONG, (index,))
-                for index, question in enumerate(self._wire.questions)
-                if question.answered_by(sample)
-            ]
+        try:
+            for sample in islice(self._reader.feed(chunk), MOST_SAMPLES):
+                found += _said(sample)
+                found += [
+                    (HEARD_PONG, (index,))
+                    for index, question in enumerate(self._wire.questions)
+                    if question.answered_by(sample)
+                ]
+        except Exception as error:  # of the reader of your own board: a report must not end the process
+            found += plausible.odd("reader", error)
+            self.reset()
         return found
 
     def reset(self) -> None:
@@ -66,19 +75,29 @@ class Samples(Hearing):
 
 
 def _said(sample: Sample) -> list[Said]:
+    try:
+        return _plausible(sample)
+    except plausible.IMPOSSIBLE:
+        what = type(sample).__name__.lower()
+        return plausible.odd(what, tuple(vars(sample).values()))
+
+
+def _plausible(sample: Sample) -> list[Said]:
+    """What a sample says. Raises one of IMPOSSIBLE."""
     if isinstance(sample, Wheels):
-        return [(HEARD_WHEELS, (sample.speeds, sample.positions))]
+        return [(HEARD_WHEELS, (_wheels(sample.speeds, 0), _wheels(sample.positions, 0)))]
     if isinstance(sample, Obeyed):
-        return [(HEARD_OBEYED, sample.speeds)]
+        return [(HEARD_OBEYED, _wheels(sample.speeds, 1))]
     if isinstance(sample, Battery):
-        return [(HEARD_BATTERY, (round(sample.volts * 1000),))]
+        return plausible.battery(sample.volts)
     if isinstance(sample, ServoAnswer):
-        return [(HEARD_SERVO, (sample.servo, sample.what, sample.value))]
+        servo, what = plausible.whole(sample.servo, 0, 255), plausible.whole(sample.what, 0, 255)
+        return [(HEARD_SERVO, (servo, what, plausible.whole(sample.value, -MOST_VALUE, MOST_VALUE)))]
     if isinstance(sample, Health):
-        return [(HEARD_HEALTH, sample.rows)]
+        return [(HEARD_HEALTH, tuple(map(_health, islice(sample.rows, plausible.MOST_SERVOS))))]
     if isinstance(sample, Imu):
-        accel = (value / _GRAVITY for value in sample.accel)
-        return [(HEARD_IMU, (*accel, *(value * 180 / pi for value in sample.gyro)))]
+        accel = [value / _GRAVITY for value in sample.accel]
+        return plausible.imu((*accel, *(value * 180 / pi for value in sample.gyro)))
     return []
 
 
@@ -91,6 +110,15 @@ def _reports(wire: Wire, per_rps: float, diameter_m: float) -> WheelReports:
     speed = told.speed_per_rps(per_rps, diameter_m) if told.speed_per_rps else 0.0
     position = told.position_per_turn(per_rps, diameter_m) if told.position_per_turn else 0.0
     return WheelReports(told.every_ns, speed, position, told.wraps, told.holds_speed, told.own_scale)
+
+
+def _wheels(values: Sequence[float], least: int) -> tuple[float, ...]:
+    return plausible.numbers(values, plausible.MOST_COUNT, least, plausible.MOST_WHEELS)
+
+
+def _health(row: tuple[int, float, int]) -> tuple[int, float, int]:
+    servo, load, at_c = row
+    return plausible.whole(servo, 0, 255), plausible.finite(load, MOST_LOAD), plausible.whole(at_c, 0, 255)
 
 
 class Described(Board):

@@ -31,6 +31,8 @@ class LowBattery:
 
     def __init__(self, settings: Settings) -> None:
         self._least_mv = settings["battery.stop_mv"]
+        self.stops = self._least_mv >= 0
+        """The setting is on."""
         self._low = 0
 
     def take(self, millivolts: int) -> Cause | None:

@@ -42,6 +42,7 @@ OBEYED_NS = 20_000_000
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
 BATTERY_LOG = "battery log"
+BATTERY = "battery"
 
 
 class GateState:
@@ -128,6 +129,8 @@ class Telemetry:
         self._heard: list[tuple[int, interface.Value, int]] = []
         """News of the board that nobody has acted on: the kind, the value, when it came."""
         self._bias_flags = (False, False)
+        self._odd: set[str] = set()
+        """What people were told of as odd."""
         self._attach(context)
         self._watch_others(context)
         self._tell_still(self._still, was_still=False)
@@ -168,6 +171,7 @@ class Telemetry:
             interface.HEARD_OBEYED: self._on_obeyed,
             interface.HEARD_SERVO: self._on_servo,
             interface.HEARD_HEALTH: self._on_health,
+            interface.HEARD_ODD: self._on_odd,
         }
         self.loop.listen(context.bell("bell"))
         self._port = HeardPort(context, self.loop, monotonic_ns())
@@ -351,6 +355,10 @@ class Telemetry:
 
     def _on_battery(self, sample: interface.Value, t_ns: int) -> None:
         (millivolts,) = sample
+        if not millivolts:
+            # No battery is neither a low one nor the charger's doing; None is what people and programs then read.
+            self._latest["battery"].write(records.BATTERY.pack(0, self._charger.state), t_ns)
+            return
         self._raise(self._low_battery.take(millivolts))
         if self._charger.take(millivolts, t_ns):
             name = records.PLUGGED[self._charger.state]
@@ -393,6 +401,17 @@ class Telemetry:
     def _on_pong(self, said: interface.Value, t_ns: int) -> None:
         self._pong_word.set(records.pack_pong(t_ns, said[0]))
         self.supervisor_bell.ring()
+
+    def _on_odd(self, said: interface.Value, t_ns: int) -> None:
+        """A value that can't be, of which people are told once: it may come with every report."""
+        what, value = said
+        if what in self._odd:
+            return
+        self._odd.add(what)
+        text = f"the board reports its {what} as {value}: no such value is possible, so it counts as not reported"
+        if what == BATTERY and self._low_battery.stops:
+            text += ", and no low battery stops the robot meanwhile"
+        self._note("odd", text, {"what": what, "value": value})
 
     def _on_key(self, sample: interface.Value, t_ns: int) -> None:
         key, event = sample

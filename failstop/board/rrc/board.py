@@ -5,14 +5,12 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board import codec, decoder, framing
+from failstop.board import codec, decoder, framing, plausible
 from failstop.board import servos as bus
 from failstop.board.burst import BURST, FIRST_STOP_END, burst_with
 from failstop.board.interface import (
     BY_ANSWER,
     BY_IMU,
-    HEARD_BATTERY,
-    HEARD_IMU,
     HEARD_KEY,
     HEARD_PAD,
     HEARD_PONG,
@@ -29,41 +27,52 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
-    from failstop.board.interface import Said, Value
+    from failstop.board.interface import Said
 
 _SUB_COMMAND_AT = 4
 _REPEATS_NS = (20_000_000, 100_000_000)
 _SPEEDS = Struct(f"<6x{'Bf' * framing.WHEELS}")
 
 
-def _battery(data: bytes) -> Value | None:
+def _imu(data: bytes) -> list[Said]:
+    sample = decoder.imu(data)
+    return [] if sample is None else plausible.imu(sample)
+
+
+def _battery(data: bytes) -> list[Said]:
     millivolts = decoder.battery_mv(data)
-    return (millivolts,) if millivolts else None
+    return [] if millivolts is None else plausible.battery(millivolts / 1000)
 
 
-def _pad(data: bytes) -> Value | None:
+def _pad(data: bytes) -> list[Said]:
     sample = decoder.gamepad(data)
-    return (*sample, data) if sample else None
+    return [(HEARD_PAD, (*sample, data))] if sample else []
 
 
-def _servo(data: bytes) -> Value | None:
-    return decoder.servo_reply(framing.BUS_SERVO, data)
+def _key(data: bytes) -> list[Said]:
+    pressed = decoder.key(data)
+    return [(HEARD_KEY, pressed)] if pressed else []
 
 
-def _pong(data: bytes) -> Value | None:
+def _servo(data: bytes) -> list[Said]:
+    answer = decoder.servo_reply(framing.BUS_SERVO, data)
+    return [(HEARD_SERVO, answer)] if answer else []
+
+
+def _pong(data: bytes) -> list[Said]:
     index = decoder.pong(framing.PWM_SERVO, data)
-    return None if index is None else (index,)
+    return [] if index is None else [(HEARD_PONG, (index,))]
 
 
-_SAID: dict[int, tuple[int, Callable[[bytes], Value | None]]] = {
-    framing.IMU_FUNC: (HEARD_IMU, decoder.imu),
-    framing.SYS: (HEARD_BATTERY, _battery),
-    framing.GAMEPAD: (HEARD_PAD, _pad),
-    framing.KEY_FUNC: (HEARD_KEY, decoder.key),
-    framing.BUS_SERVO: (HEARD_SERVO, _servo),
-    framing.PWM_SERVO: (HEARD_PONG, _pong),
+_SAID: dict[int, Callable[[bytes], list[Said]]] = {
+    framing.IMU_FUNC: _imu,
+    framing.SYS: _battery,
+    framing.GAMEPAD: _pad,
+    framing.KEY_FUNC: _key,
+    framing.BUS_SERVO: _servo,
+    framing.PWM_SERVO: _pong,
 }
-"""The kind of each function's frames, and what they say; None: nothing that makes sense.
+"""Reports by the function of their frames; empty for a frame that makes no sense.
 
 The answer to a ping names the servo, and so the ping. A client that reads the same servo's position gets the same
 answer, which counts as well: it proves no less that the board hears. But it may answer a question from before the ping,
@@ -84,10 +93,8 @@ class FrameHearing(Hearing):
         """All that the frames say that these bytes complete."""
         found: list[Said] = []
         for func, data in self._decoder.feed(chunk):
-            if known := _SAID.get(func):
-                kind, said = known
-                if (value := said(data)) is not None:
-                    found.append((kind, value))
+            if said := _SAID.get(func):
+                found += said(data)
         return found
 
     def reset(self) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from math import isfinite, pi
+from math import inf, pi
 
 from failstop.board.framing import integer
 from failstop.board.lines import LineReader, MotionLine
@@ -75,10 +75,17 @@ def _samples(line: bytes) -> list[Sample]:
 
 
 def _numbers(said: dict[str, object], *names: str) -> tuple[float, ...]:
-    """The values of these names; empty where one is missing or no finite number."""
+    """The values of these names, finite or not; empty where one is missing or no number."""
     found = [said.get(name) for name in names]
-    numbers = [value for value in found if isinstance(value, (int, float)) and not isinstance(value, bool)]
-    return tuple(map(float, numbers)) if len(numbers) == len(names) and all(map(isfinite, numbers)) else ()
+    numbers = [_float(value) for value in found if isinstance(value, (int, float)) and not isinstance(value, bool)]
+    return tuple(numbers) if len(numbers) == len(names) else ()
+
+
+def _float(value: float) -> float:
+    try:
+        return float(value)
+    except OverflowError:  # an integer of more than 308 digits, which JSON may hold
+        return inf
 
 
 def _report(said: dict[str, object]) -> list[Sample]:

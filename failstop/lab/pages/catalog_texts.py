@@ -191,6 +191,12 @@ TEXTS = {
         "A step of the battery's voltage, to @FAILSTOP_BATTERY_MV@ mV, says so.\n"
         "Next: failstop config shows battery.step_mv, in case that it is wrong",
     ),
+    "odd": (
+        "The board reports an impossible @FAILSTOP_WHAT@",
+        "It was @FAILSTOP_VALUE@. The value counts as not reported, and later ones of this kind are not logged.\n"
+        "Next: check the wiring of what is measured, or the reader of your own board. On a bench with USB power\n"
+        "alone, a battery of about 0 V is no fault.",
+    ),
     "scan": (
         "The obstacle sensor is @FAILSTOP_STATE@",
         "While it is silent, software commands move nothing (no scan). That is not latched: motion resumes by itself,\n"

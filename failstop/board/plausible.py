@@ -1,0 +1,105 @@
+"""Plausible: which values of a board's report a robot may have. Pure.
+
+A board may say anything: its battery is not connected, its memory is garbled, or the reader of your own board has a
+bug. A value that can't be is never passed on, clamped or taken for zero: it counts as not reported, and is HEARD_ODD,
+which the service logs once. So whatever comes after this module may rely on finite numbers of these sizes.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from failstop.board.interface import HEARD_BATTERY, HEARD_IMU, HEARD_ODD
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from failstop.board.interface import Said
+
+LEAST_V, MOST_V = 1.0, 1000.0
+"""Of a battery. Less drives no motor: a board that is fed by USB alone measures some hundredths of a volt around
+zero, so it reports no battery, and not an empty one."""
+MOST_G, MOST_DPS = 1000.0, 100_000.0
+"""Of an IMU: some 30 times what such sensors measure."""
+MOST_COUNT = 1e15
+"""Of a wheel's speed or position, in any unit: a float still tells its neighbours apart."""
+MOST_WHEELS = 16
+MOST_SERVOS = 16
+LONGEST = 60
+"""Characters of an odd value that are shown."""
+MOST_SHOWN = 8
+"""Of several values."""
+IMPOSSIBLE = (TypeError, ValueError, OverflowError, AttributeError)
+"""The errors of a value that is no number, too large a number, or missing."""
+
+
+def finite(value: object, most: float) -> float:
+    """The value as a float. Raises ValueError unless it is a number from -most to most; OverflowError for an integer
+    that no float can hold."""
+    if isinstance(value, bool) or not hasattr(value, "__float__"):
+        raise ValueError("not a number")
+    number = float(value)
+    if not (isfinite(number) and -most <= number <= most):
+        raise ValueError("not a number that this can be")
+    return number
+
+
+def numbers(values: Iterable[object], most: float, least: int, count: int) -> tuple[float, ...]:
+    """From `least` to `count` values as finite floats. Raises one of IMPOSSIBLE."""
+    found = []
+    for value in values:
+        found.append(finite(value, most))
+        if len(found) > count:
+            raise ValueError("too many numbers")
+    if len(found) < least:
+        raise ValueError("too few numbers")
+    return tuple(found)
+
+
+def whole(value: object, least: int, most: int) -> int:
+    """The value as an integer. Raises one of IMPOSSIBLE."""
+    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        raise ValueError("not an integer")
+    number: int = value.__index__()
+    if not least <= number <= most:
+        raise ValueError("not an integer that this can be")
+    return number
+
+
+def battery(volts: object) -> list[Said]:
+    """HEARD_BATTERY in mV; 0 and HEARD_ODD for a voltage that no battery has."""
+    try:
+        known = finite(volts, MOST_V)
+        if known >= LEAST_V:
+            return [(HEARD_BATTERY, (round(known * 1000),))]
+        said = f"{known:.2f} V"
+    except IMPOSSIBLE:
+        said = shown(volts)
+    return [(HEARD_BATTERY, (0,)), (HEARD_ODD, ("battery", said))]
+
+
+def imu(sample: Iterable[object]) -> list[Said]:
+    """HEARD_IMU of acceleration x y z in g and turn rate x y z in degrees a second, or HEARD_ODD."""
+    values = tuple(sample)
+    try:
+        found = numbers(values[:3], MOST_G, 3, 3) + numbers(values[3:], MOST_DPS, 3, 3)
+    except IMPOSSIBLE:
+        return odd("IMU", values)
+    return [(HEARD_IMU, found)]
+
+
+def odd(what: str, value: object) -> list[Said]:
+    """HEARD_ODD: what it is about, and the value for people."""
+    return [(HEARD_ODD, (what, shown(value)))]
+
+
+def shown(value: object) -> str:
+    """A value in one printable line of at most LONGEST characters, whatever it is. Never raises."""
+    try:
+        several = isinstance(value, (list, tuple))
+        text = ", ".join(map(shown, value[:MOST_SHOWN])) if several else repr(value)
+    except Exception:  # the repr of somebody else's object, or an integer of more digits than Python prints
+        text = f"a value of type {type(value).__name__}"
+    line = "".join(c if c.isprintable() else "?" for c in text[: LONGEST + 1])
+    return line if len(line) <= LONGEST else f"{line[: LONGEST - 3]}..."
