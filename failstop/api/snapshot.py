@@ -374,7 +374,7 @@ class State:
     pad_mode: PadMode | None
     """None: no gamepad frame yet."""
     battery_v: float | None
-    """V; None before the first reading."""
+    """V; None before the first reading, and while the board reports no battery or an impossible voltage."""
     plugged: Literal["unknown", "plugged", "unplugged"]
     """Whether a charger is plugged in, judged from the voltage's steps."""
     age_s: float

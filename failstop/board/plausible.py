@@ -97,8 +97,7 @@ def odd(what: str, value: object) -> list[Said]:
 def shown(value: object) -> str:
     """A value in one printable line of at most LONGEST characters, whatever it is. Never raises."""
     try:
-        several = isinstance(value, (list, tuple))
-        text = ", ".join(map(shown, value[:MOST_SHOWN])) if several else repr(value)
+        text = ", ".join(map(shown, value[:MOST_SHOWN])) if isinstance(value, (list, tuple)) else repr(value)
     except Exception:  # the repr of somebody else's object, or an integer of more digits than Python prints
         text = f"a value of type {type(value).__name__}"
     line = "".join(c if c.isprintable() else "?" for c in text[: LONGEST + 1])

@@ -61,15 +61,15 @@ BATTERY_CONSTANT: Fields = {
     "capacity": nan,
     "design_capacity": nan,
     "percentage": nan,
-    "present": True,
 }
 
 
-def battery(volts: float, plugged: str, ros_ns: int) -> Fields:
-    """sensor_msgs/BatteryState."""
+def battery(volts: float | None, plugged: str, ros_ns: int) -> Fields:
+    """sensor_msgs/BatteryState; None: the board reports none."""
     return {
         "header": {"stamp": stamp(ros_ns)},
-        "voltage": volts,
+        "voltage": nan if volts is None else volts,
+        "present": volts is not None,
         "power_supply_status": CHARGE[plugged],
     }
 

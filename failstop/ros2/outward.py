@@ -66,7 +66,7 @@ class Outward:
         self._clock_ns = self._heard_ns = 0
         self._report_ns = self._diagnose_ns = self._slow_ns = 0
         self._stopped: bool | None = None
-        self._begun = self._moves = self._ending = False
+        self._begun = self._moves = self._ending = self._battery_seen = False
         self._asked = 0
         self._heard: dict[str, bool] = {}
         """Topics, and whether somebody hears each."""
@@ -243,7 +243,9 @@ class Outward:
         if slow:
             self._slow_ns = max(self._slow_ns + SLOW_NS, now_ns - SLOW_NS // 2)
         ros_ns = monotonic_ns() + self._offset_ns
-        if slow and state and state.battery_v and state.device.state == "open":
+        if slow and state and (state.battery_v or self._battery_seen) and state.device.state == "open":
+            # A battery that is reported no more is published as such: subscribers would keep its last voltage.
+            self._battery_seen = True
             self._publish(contract.BATTERY, messages.battery(state.battery_v, state.plugged, ros_ns))
         if not self._heard[contract.DIAGNOSTICS.name] or not (slow or now_ns - self._diagnose_ns >= DIAGNOSE_NS):
             return

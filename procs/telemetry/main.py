@@ -20,6 +20,7 @@ from failstop.procs.loop import Loop
 from failstop.procs.telemetry import battery, imu
 from failstop.procs.telemetry.battery import BatteryLog, Charger, LowBattery
 from failstop.procs.telemetry.imu import Accelerometer, GyroBias
+from failstop.procs.telemetry.odd import OddReports
 from failstop.procs.telemetry.odometry import Odometry
 from failstop.procs.telemetry.pad import PRESSES, STANDSTILL, Pad, Tones
 from failstop.procs.telemetry.port import HeardPort
@@ -42,7 +43,6 @@ OBEYED_NS = 20_000_000
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
 BATTERY_LOG = "battery log"
-BATTERY = "battery"
 
 
 class GateState:
@@ -129,8 +129,7 @@ class Telemetry:
         self._heard: list[tuple[int, interface.Value, int]] = []
         """News of the board that nobody has acted on: the kind, the value, when it came."""
         self._bias_flags = (False, False)
-        self._odd: set[str] = set()
-        """What people were told of as odd."""
+        self._odd = OddReports(low_battery_stops=self._low_battery.stops)
         self._attach(context)
         self._watch_others(context)
         self._tell_still(self._still, was_still=False)
@@ -403,15 +402,9 @@ class Telemetry:
         self.supervisor_bell.ring()
 
     def _on_odd(self, said: interface.Value, t_ns: int) -> None:
-        """A value that can't be, of which people are told once: it may come with every report."""
         what, value = said
-        if what in self._odd:
-            return
-        self._odd.add(what)
-        text = f"the board reports its {what} as {value}: no such value is possible, so it counts as not reported"
-        if what == BATTERY and self._low_battery.stops:
-            text += ", and no low battery stops the robot meanwhile"
-        self._note("odd", text, {"what": what, "value": value})
+        if text := self._odd.text(what, value):
+            self._note("odd", text, {"what": what, "value": value})
 
     def _on_key(self, sample: interface.Value, t_ns: int) -> None:
         key, event = sample

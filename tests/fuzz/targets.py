@@ -20,7 +20,10 @@ import msgpack
 
 from failstop import config
 from failstop.api.errors import FailstopError
+from failstop.board import described, interface
+from failstop.board import wire as wire_words
 from failstop.board.kinds import board_of
+from failstop.board.servos import ServoAnswer
 from failstop.cli.commands import incident as command
 from failstop.cli.screen import incident as screen
 from failstop.fleet import levels, signed, topics, twins, view, wire
@@ -63,10 +66,66 @@ def decoders(data: bytes) -> None:
     for kind in BOARDS:
         board = BOARDS[kind]
         whole, pieces = board.hearing(), board.hearing()
-        assert repr(whole.feed(data)) == repr([*pieces.feed(data[:at]), *pieces.feed(data[at:])]), kind
+        said = whole.feed(data)
+        assert repr(said) == repr([*pieces.feed(data[:at]), *pieces.feed(data[at:])]), kind
+        for what, value in said:
+            recorded(what, value)
         for check in (lambda frame, board=board: board.check_motion(frame, 5.0), board.check_aux):
             assert isinstance(check(data), str)
         board.speeds(data)
+    for number in _doubles(data):
+        for sample in reports(number):
+            for what, value in described.Samples(OwnWire([sample])).feed(b""):
+                recorded(what, value)
+
+
+class Listed(wire_words.Reader):
+    """A reader that has these samples for any bytes."""
+
+    def __init__(self, samples: list[wire_words.Sample]) -> None:
+        self._samples = samples
+
+    def feed(self, chunk: bytes) -> list[wire_words.Sample]:
+        return self._samples
+
+
+class OwnWire(wire_words.Wire):
+    """An own board, as far as its reports go."""
+
+    def __init__(self, samples: list[wire_words.Sample]) -> None:
+        self.questions = ()
+        self.reader = lambda: Listed(samples)
+
+
+def reports(number: float) -> Iterator[wire_words.Sample]:
+    """Every report of an own board, with this number, as a float and as the integer that it may be."""
+    for value in (number, int(number) if math.isfinite(number) else 0):
+        yield from (wire_words.Battery(value), wire_words.Wheels((value,), (value, 0.0)), wire_words.Obeyed((value,)))
+        yield from (wire_words.Imu((value, value, value), (0.0, value, 0.0)), ServoAnswer(value, value, value))  # type: ignore[arg-type]
+        yield from (wire_words.Health(((value, value, value),)), wire_words.Health(((1, value, 20),)))  # type: ignore[arg-type]
+
+
+def recorded(what: int, value: tuple[Any, ...]) -> None:
+    """A record takes what a board said."""
+    if what == interface.HEARD_BATTERY:
+        assert value == (0,) or 1000 <= value[0] <= 1_000_000
+        box.pack_board(box.BATTERY_KIND, *value, 0)
+    elif what == interface.HEARD_IMU:
+        assert all(map(math.isfinite, records.IMU.unpack(records.IMU.pack(*value))))
+    elif what == interface.HEARD_SERVO:
+        box.pack_board(box.SERVO_KIND, *value)
+    elif what == interface.HEARD_HEALTH:
+        records.HEALTH.pack(*value)
+    elif what == interface.HEARD_PAD:
+        box.pack_board(box.PAD_KIND, *value[:6], 0)
+    elif what == interface.HEARD_WHEELS:
+        assert all(map(math.isfinite, (*value[0], *value[1])))
+    elif what == interface.HEARD_OBEYED:
+        assert value
+        assert all(map(math.isfinite, value))
+    elif what == interface.HEARD_ODD:
+        about, text = value
+        packing.Note("odd", text, {"what": about, "value": text}).pack()
 
 
 def receivers(data: bytes) -> None:
@@ -254,7 +313,15 @@ DEEP = b"[" * 100_000
 """No parser of Python goes so deep."""
 
 TARGETS: dict[str, Target] = {
-    "decoders": Target(decoders, tuple(b"\0" + BOARDS[kind].stop + BOARDS[kind].burst for kind in BOARDS)),
+    "decoders": Target(
+        decoders,
+        (
+            *(b"\0" + BOARDS[kind].stop + BOARDS[kind].burst for kind in BOARDS),
+            b'\0{"T":1001,"v":-1}\n{"T":1001,"v":1e308,"L":NaN,"R":0}\n',
+            b'\0{"T":1001,"v":1' + bytes(b"0" * 310) + b"}\n",
+            struct.pack("<8d", -0.01, 0.0, 1e308, -1e308, math.nan, math.inf, 11.6, 255.0),
+        ),
+    ),
     "receivers": Target(receivers, (b"\3" + BOARDS["rrc"].burst,)),
     "memory": Target(memory, (records.asking("smoke", "anna", 7), bytes(64), msgpack.packb(["a", "b", "c", 0, {}]))),
     "incident": Target(incident, (_kept(), *made_up())),

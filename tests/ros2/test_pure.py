@@ -83,6 +83,13 @@ def test_odometry_and_transform_agree() -> None:
 def test_battery_fields(plugged: str, status: int) -> None:
     assert messages.battery(11.9, plugged, 0)["voltage"] == 11.9
     assert messages.battery(11.9, plugged, 0)["power_supply_status"] == status
+    assert messages.battery(11.9, plugged, 0)["present"] is True
+
+
+def test_a_battery_that_the_board_does_not_report_is_not_present() -> None:
+    fields = messages.battery(None, "unknown", 0)
+    assert math.isnan(fields["voltage"])
+    assert fields["present"] is False
 
 
 def test_gamepad_values() -> None:

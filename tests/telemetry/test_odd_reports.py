@@ -8,6 +8,7 @@ import math
 import struct
 from collections.abc import Callable
 from copy import copy
+from functools import partial
 from typing import Any
 
 import pytest
@@ -18,13 +19,30 @@ from failstop.board import framing, plausible
 from failstop.board.framing import seal as sealed
 from failstop.board.hoverboard.feedback import seal
 from failstop.messages import records
+from failstop.messages.packing import Note
 from failstop.policy.causes import read
 from failstop.procs.telemetry.battery import LOW_READINGS
 from tests.support.telemetry_scene import Scene
 
 HUGE = 10**310
 """An integer that no float holds; JSON may say it."""
-ODD = (math.nan, math.inf, -math.inf, 1e308, -1e308, HUGE, -HUGE, 10**5000, None, "12", b"\xff", [], {}, True, object())
+ODD: tuple[Any, ...] = (
+    math.nan,
+    math.inf,
+    -math.inf,
+    1e308,
+    -1e308,
+    HUGE,
+    -HUGE,
+    10**5000,
+    None,
+    "12",
+    b"\xff",
+    [],
+    {},
+    True,
+    object(),
+)
 """No number that a voltage, a speed or a rate can be."""
 LOW = {"battery.stop_mv": 6600}
 
@@ -38,7 +56,7 @@ def ugv(**changed: object) -> Scene:
 
 
 def odd(scene: Scene) -> list[str]:
-    return [text for text in scene.notes() if text.startswith("the board reports its ")]
+    return [note.text for note in map(Note.unpack, scene.told("notes")) if note.kind == "odd"]
 
 
 def causes(scene: Scene) -> list[str]:
@@ -67,7 +85,7 @@ def test_a_battery_that_cannot_be_is_unknown_stops_nothing_and_is_logged_once(re
         assert scene.latest("battery") == (0, 0), "what State.battery_v shows as None"
     assert causes(scene) == []
     [said] = odd(scene)
-    assert said.startswith("the board reports its battery as ")
+    assert said.startswith("the board reports a battery of ")
     assert said.endswith(", and no low battery stops the robot meanwhile")
     scene.wake(line(v=1150), elapsed_ns=1_000_000_000)
     assert scene.latest("battery") == (11_500, 0), "the charger saw no step"
@@ -96,8 +114,8 @@ def test_the_rrc_without_a_battery() -> None:
     assert scene.latest("battery") == (0, 0)
     assert causes(scene) == []
     assert odd(scene) == [
-        "the board reports its battery as 0.01 V: no such value is possible, so it counts as not reported, and no low "
-        "battery stops the robot meanwhile"
+        "the board reports a battery of 0.01 V: no battery has such a voltage, so it counts as not reported, and no "
+        "low battery stops the robot meanwhile"
     ]
 
 
@@ -108,7 +126,7 @@ def test_wheels_that_turn_at_no_number_prove_no_rest(value: str) -> None:
         scene.wake(b'{"T":1001,"L":%s,"R":%s,"odl":%s,"odr":0}\n' % ((value.encode(),) * 3), elapsed_ns=100_000_000)
     assert (scene.own.word("judged_ns").get(), scene.own.word("still_ns").get()) == (0, 0)
     [said] = odd(scene)
-    assert said.startswith("the board reports its wheels as ")
+    assert said.startswith("the board reports wheels as ")
 
 
 class Listed:
@@ -159,10 +177,14 @@ def published(scene: Scene) -> list[float]:
     return found
 
 
+def _one(make: Callable[[Any, Any], object], value: object, wire: Any) -> list[object]:
+    return [make(wire, value)]
+
+
 @pytest.mark.parametrize("make", SAMPLES.values(), ids=list(SAMPLES))
 def test_an_own_board_that_says_anything_ends_nothing(make: Callable[[Any, Any], object]) -> None:
     for value in ODD:
-        scene = own(lambda wire, value=value: [make(wire, value)])
+        scene = own(partial(_one, make, value))
         for _ in range(2 * LOW_READINGS):
             scene.wake(b"x", elapsed_ns=20_000_000)
         assert scene.own.word("beat_ns").get() == scene.clock(), "it went on"
@@ -221,7 +243,9 @@ def test_a_question_that_fails_ends_nothing() -> None:
     assert "AttributeError" in said
 
 
-NUMBERS = st.one_of(st.floats(), st.integers(), st.sampled_from([HUGE, -HUGE, True, None, "x", [], {}]))
+NUMBERS: st.SearchStrategy[Any] = st.one_of(
+    st.floats(), st.integers(), st.sampled_from([HUGE, -HUGE, True, None, "x", [], {}])
+)
 REPORT = st.dictionaries(
     st.sampled_from(["T", "L", "R", "odl", "odr", "ax", "ay", "az", "gx", "gy", "gz", "v"]), NUMBERS
 )

@@ -1,0 +1,27 @@
+"""Odd reports: what people are told of a value that can't be. Pure."""
+
+from __future__ import annotations
+
+BATTERY = "battery"
+TEXTS = {
+    BATTERY: "the board reports a battery of {value}: no battery has such a voltage, so it counts as not reported",
+    "reader": "the reader of this board failed ({value}): what it was reading is lost",
+}
+OTHER = "the board reports {what} as {value}: no such value is possible, so it counts as not reported"
+BLIND = ", and no low battery stops the robot meanwhile"
+
+
+class OddReports:
+    """Remembers what was told: such a value may come with every report."""
+
+    def __init__(self, *, low_battery_stops: bool) -> None:
+        self._low_battery_stops = low_battery_stops
+        self._told: set[str] = set()
+
+    def text(self, what: str, value: str) -> str:
+        """The text of a note about this value; empty if there was one about its kind."""
+        if what in self._told:
+            return ""
+        self._told.add(what)
+        text = TEXTS.get(what, OTHER).format(what=what, value=value)
+        return f"{text}{BLIND}" if what == BATTERY and self._low_battery_stops else text
