@@ -89,15 +89,15 @@ def _plausible(sample: Sample) -> list[Said]:
     if isinstance(sample, Obeyed):
         return [(HEARD_OBEYED, _wheels(sample.speeds, 1))]
     if isinstance(sample, Battery):
-        return plausible.battery(sample.volts)
+        return plausible.battery_said(sample.volts)
     if isinstance(sample, ServoAnswer):
-        servo, what = plausible.whole(sample.servo, 0, 255), plausible.whole(sample.what, 0, 255)
-        return [(HEARD_SERVO, (servo, what, plausible.whole(sample.value, -MOST_VALUE, MOST_VALUE)))]
+        servo, what = plausible.whole_number(sample.servo, 0, 255), plausible.whole_number(sample.what, 0, 255)
+        return [(HEARD_SERVO, (servo, what, plausible.whole_number(sample.value, -MOST_VALUE, MOST_VALUE)))]
     if isinstance(sample, Health):
-        return [(HEARD_HEALTH, tuple(map(_health, islice(sample.rows, plausible.MOST_SERVOS))))]
+        return [(HEARD_HEALTH, tuple(map(_health, islice(sample.rows, plausible.MOST_HEALTH_ROWS))))]
     if isinstance(sample, Imu):
         accel = [value / _GRAVITY for value in sample.accel]
-        return plausible.imu((*accel, *(value * 180 / pi for value in sample.gyro)))
+        return plausible.imu_said((*accel, *(value * 180 / pi for value in sample.gyro)))
     return []
 
 
@@ -113,12 +113,12 @@ def _reports(wire: Wire, per_rps: float, diameter_m: float) -> WheelReports:
 
 
 def _wheels(values: Sequence[float], least: int) -> tuple[float, ...]:
-    return plausible.numbers(values, plausible.MOST_COUNT, least, plausible.MOST_WHEELS)
+    return plausible.finite_numbers(values, plausible.MOST_COUNT, least, plausible.MOST_REPORTED_WHEELS)
 
 
 def _health(row: tuple[int, float, int]) -> tuple[int, float, int]:
-    servo, load, at_c = row
-    return plausible.whole(servo, 0, 255), plausible.finite(load, MOST_LOAD), plausible.whole(at_c, 0, 255)
+    servo, at_c = plausible.whole_number(row[0], 0, 255), plausible.whole_number(row[2], 0, 255)
+    return servo, plausible.finite(row[1], MOST_LOAD), at_c
 
 
 class Described(Board):

@@ -24,13 +24,13 @@ MOST_G, MOST_DPS = 1000.0, 100_000.0
 """Of an IMU: some 30 times what such sensors measure."""
 MOST_COUNT = 1e15
 """Of a wheel's speed or position, in any unit: a float still tells its neighbours apart."""
-MOST_WHEELS = 16
-MOST_SERVOS = 16
-LONGEST = 60
+MOST_REPORTED_WHEELS = 16
+MOST_HEALTH_ROWS = 16
+LONGEST_ODD_TEXT = 60
 """Characters of an odd value that are shown."""
-MOST_SHOWN = 8
+MOST_ODD_VALUES = 8
 """Of several values."""
-IMPOSSIBLE = (TypeError, ValueError, OverflowError, AttributeError)
+IMPOSSIBLE = (TypeError, ValueError, OverflowError, AttributeError, LookupError)
 """The errors of a value that is no number, too large a number, or missing."""
 
 
@@ -45,7 +45,7 @@ def finite(value: object, most: float) -> float:
     return number
 
 
-def numbers(values: Iterable[object], most: float, least: int, count: int) -> tuple[float, ...]:
+def finite_numbers(values: Iterable[object], most: float, least: int, count: int) -> tuple[float, ...]:
     """From `least` to `count` values as finite floats. Raises one of IMPOSSIBLE."""
     found = []
     for value in values:
@@ -57,7 +57,7 @@ def numbers(values: Iterable[object], most: float, least: int, count: int) -> tu
     return tuple(found)
 
 
-def whole(value: object, least: int, most: int) -> int:
+def whole_number(value: object, least: int, most: int) -> int:
     """The value as an integer. Raises one of IMPOSSIBLE."""
     if isinstance(value, bool) or not hasattr(value, "__index__"):
         raise ValueError("not an integer")
@@ -67,7 +67,7 @@ def whole(value: object, least: int, most: int) -> int:
     return number
 
 
-def battery(volts: object) -> list[Said]:
+def battery_said(volts: object) -> list[Said]:
     """HEARD_BATTERY in mV; 0 and HEARD_ODD for a voltage that no battery has."""
     try:
         known = finite(volts, MOST_V)
@@ -75,15 +75,15 @@ def battery(volts: object) -> list[Said]:
             return [(HEARD_BATTERY, (round(known * 1000),))]
         said = f"{known:.2f} V"
     except IMPOSSIBLE:
-        said = shown(volts)
+        said = odd_text(volts)
     return [(HEARD_BATTERY, (0,)), (HEARD_ODD, ("battery", said))]
 
 
-def imu(sample: Iterable[object]) -> list[Said]:
+def imu_said(sample: Iterable[object]) -> list[Said]:
     """HEARD_IMU of acceleration x y z in g and turn rate x y z in degrees a second, or HEARD_ODD."""
     values = tuple(sample)
     try:
-        found = numbers(values[:3], MOST_G, 3, 3) + numbers(values[3:], MOST_DPS, 3, 3)
+        found = finite_numbers(values[:3], MOST_G, 3, 3) + finite_numbers(values[3:], MOST_DPS, 3, 3)
     except IMPOSSIBLE:
         return odd("IMU", values)
     return [(HEARD_IMU, found)]
@@ -91,14 +91,14 @@ def imu(sample: Iterable[object]) -> list[Said]:
 
 def odd(what: str, value: object) -> list[Said]:
     """HEARD_ODD: what it is about, and the value for people."""
-    return [(HEARD_ODD, (what, shown(value)))]
+    return [(HEARD_ODD, (what, odd_text(value)))]
 
 
-def shown(value: object) -> str:
-    """A value in one printable line of at most LONGEST characters, whatever it is. Never raises."""
+def odd_text(value: object) -> str:
+    """A value in one printable line of at most LONGEST_ODD_TEXT characters, whatever it is. Never raises."""
     try:
-        text = ", ".join(map(shown, value[:MOST_SHOWN])) if isinstance(value, (list, tuple)) else repr(value)
+        text = ", ".join(map(odd_text, value[:MOST_ODD_VALUES])) if isinstance(value, (list, tuple)) else repr(value)
     except Exception:  # the repr of somebody else's object, or an integer of more digits than Python prints
         text = f"a value of type {type(value).__name__}"
-    line = "".join(c if c.isprintable() else "?" for c in text[: LONGEST + 1])
-    return line if len(line) <= LONGEST else f"{line[: LONGEST - 3]}..."
+    line = "".join(c if c.isprintable() else "?" for c in text[: LONGEST_ODD_TEXT + 1])
+    return line if len(line) <= LONGEST_ODD_TEXT else f"{line[: LONGEST_ODD_TEXT - 3]}..."

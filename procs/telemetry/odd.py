@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 BATTERY = "battery"
-TEXTS = {
+ODD_TEXTS = {
     BATTERY: "the board reports a battery of {value}: no battery has such a voltage, so it counts as not reported",
     "reader": "the reader of this board failed ({value}): what it was reading is lost",
 }
-OTHER = "the board reports {what} as {value}: no such value is possible, so it counts as not reported"
+ODD_OTHER = "the board reports {what} as {value}: no such value is possible, so it counts as not reported"
 BLIND = ", and no low battery stops the robot meanwhile"
 
 
@@ -23,5 +23,5 @@ class OddReports:
         if what in self._told:
             return ""
         self._told.add(what)
-        text = TEXTS.get(what, OTHER).format(what=what, value=value)
+        text = ODD_TEXTS.get(what, ODD_OTHER).format(what=what, value=value)
         return f"{text}{BLIND}" if what == BATTERY and self._low_battery_stops else text

@@ -313,8 +313,8 @@ def test_a_value_of_any_kind_is_shown_in_a_short_line() -> None:
     deep: list[object] = []
     deep.append(deep)
     for value in (*ODD, Rude(), deep, [0.0] * 1_000_000, "\x1b[31m\n", (1.0, "x")):
-        text = plausible.shown(value)
-        assert len(text) <= plausible.LONGEST
+        text = plausible.odd_text(value)
+        assert len(text) <= plausible.LONGEST_ODD_TEXT
         assert text.isprintable()
-    assert plausible.shown((1.0, "x")) == "1.0, 'x'"
+    assert plausible.odd_text((1.0, "x")) == "1.0, 'x'"
     assert records.BATTERY.pack(round(plausible.MOST_V * 1000), 0)

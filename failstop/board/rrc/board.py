@@ -36,12 +36,12 @@ _SPEEDS = Struct(f"<6x{'Bf' * framing.WHEELS}")
 
 def _imu(data: bytes) -> list[Said]:
     sample = decoder.imu(data)
-    return [] if sample is None else plausible.imu(sample)
+    return [] if sample is None else plausible.imu_said(sample)
 
 
 def _battery(data: bytes) -> list[Said]:
     millivolts = decoder.battery_mv(data)
-    return [] if millivolts is None else plausible.battery(millivolts / 1000)
+    return [] if millivolts is None else plausible.battery_said(millivolts / 1000)
 
 
 def _pad(data: bytes) -> list[Said]:
