@@ -2,7 +2,10 @@
 
 import sys
 
-from failstop.cli.main import main
+from failstop import helpers
 
 if __name__ == "__main__":
+    helpers.leave_current_folder()  # before the command's own modules are looked for
+    from failstop.cli.main import main
+
     sys.exit(main())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import sys
 
+from failstop import helpers
 from failstop.cli import missing, standard
 from failstop.version import VERSION, options
 
@@ -79,6 +80,7 @@ def _usage() -> str:
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point; returns the exit code."""
+    helpers.leave_current_folder()
     standard.fill()
     code = 0
     try:

@@ -11,13 +11,13 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from failstop import helpers
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 from failstop.board.kinds import is_described, wire_of
@@ -87,7 +87,7 @@ class Service:
         self.name = name
         self._environment = {**os.environ, "STATE_DIRECTORY": state}
         self._log = tempfile.NamedTemporaryFile("w+", prefix=f"{name}-", suffix=".log")  # noqa: SIM115
-        self._command = [sys.executable, "-m", "failstop", "run", "--name", name, "--device", device, *options]
+        self._command = helpers.python("failstop", "run", "--name", name, "--device", device, *options)
         self.started_ns = 0
         self.ready_s = READY_S
         """How long its start may take."""

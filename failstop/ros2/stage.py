@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 from types import TracebackType
+
+from failstop import helpers
 
 DOMAINS = range(60, 100)
 """Of ROS_DOMAIN_ID, in which robots are seldom; the highest are out of the range that Linux has ports for."""
@@ -26,7 +27,7 @@ class StageProcess:
     def __init__(self, *words: str, log: str = os.devnull) -> None:
         with open(log, "a") as file:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", *words],
+                helpers.python(*words),
                 env=environment(),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from types import FrameType
 from typing import Any
 
-from failstop import config
+from failstop import config, helpers
 from failstop.board.kinds import watchdog_of
 from failstop.cli import style
 from failstop.cli.commands.doctor import screen
@@ -78,7 +78,7 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str) -> d
             file.write(toml(values))
         words = ["prove", "--quick", "--config", path, "--device", device, "--out", folder]
         sys.stdout.flush()
-        whole = [sys.executable, "-m", "failstop", *words]
+        whole = helpers.python("failstop", *words)
         code = _run(whole, CONSENT if agreed else None)
     if code >= 128 or code < 0:
         raise KeyboardInterrupt

@@ -11,14 +11,13 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Mapping
 from math import pi
 from types import TracebackType
 
-from failstop import config, stopping
+from failstop import config, helpers, stopping
 from failstop.api.client import attach, send_stop
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Blocked, Robot
@@ -123,7 +122,7 @@ class Rig:
         words = ["run", "--name", self.name, "--device", self._device, "--config", path]
         with open(os.path.join(self._folder, "log"), "wb") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "failstop", *words],
+                helpers.python("failstop", *words),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,

@@ -9,11 +9,11 @@ import json
 import logging
 import os
 import re
-import sys
 import tempfile
 import time
 from typing import Any
 
+from failstop import helpers
 from failstop.incidents import files, memory
 
 MOST_SHOWN = 20
@@ -99,7 +99,7 @@ class Incidents:
 
     async def _command(self, *words: str) -> bytes:
         """The output of a command on incidents; nothing when it failed."""
-        command = (sys.executable, "-m", "failstop", "incident", *words, "--name", self._name)
+        command = helpers.python("failstop", "incident", *words, "--name", self._name)
         made = await asyncio.create_subprocess_exec(
             *("nice", "-n", "10", *command),
             stdin=asyncio.subprocess.DEVNULL,

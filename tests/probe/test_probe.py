@@ -147,7 +147,7 @@ def test_a_person_pulls_the_plug_and_says_when_the_wheels_stand(tmp_path: Path) 
 def wait_for_its_end(port: Path) -> None:
     """Wait for every process of a probe that is dead: nobody of it is left then who could drive, or stop."""
     found = {each: each.info["cmdline"] or [] for each in psutil.process_iter(["cmdline"])}
-    left = [each for each, words in found.items() if str(port) in words and any("probe" in word for word in words[:4])]
+    left = [each for each, words in found.items() if str(port) in words and "failstop.lab.sim" not in words]
     assert not psutil.wait_procs(left, ENDS_S)[1]
 
 

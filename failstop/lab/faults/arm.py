@@ -8,9 +8,9 @@ import dataclasses
 import os
 import signal
 import subprocess
-import sys
 import time
 
+from failstop import helpers
 from failstop.api.errors import FailstopError, Refused
 from failstop.board.framing import BUS_SERVO
 from failstop.board.servos import LONGEST_MOVE_NS, SERVO_MOVE, SERVO_STOP
@@ -121,7 +121,7 @@ class ArmTrial(Trial):
 
     def _begin(self, program: str, mode: str, seconds: float, *words: str) -> int:
         if self._follower is None:
-            command = [sys.executable, "-c", program, self.name, *words]
+            command = helpers.python("-c", program, self.name, *words)
             self._follower = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         wait_for("the arm to move", lambda: self._turns(mode))
         if self.beside:

@@ -6,9 +6,9 @@ import os
 import random
 import signal
 import subprocess
-import sys
 import tempfile
 
+from failstop import helpers
 from failstop.api.errors import FailstopError
 from failstop.config import checked, read
 from failstop.lab.boards.traits import traits_of
@@ -120,7 +120,7 @@ class Scene(Stand):
         """Do as ExecStopPost does, once the supervisor is gone."""
         if self.service.process:
             self.service.process.wait(GONE_S)
-        command = [sys.executable, "-m", "failstop", "stop", "--device", self.trial.link, "--wait", "5"]
+        command = helpers.python("failstop", "stop", "--device", self.trial.link, "--wait", "5")
         self._tool = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
 
     def wait_for_stop_tool(self) -> None:

@@ -25,18 +25,19 @@ class Room(NamedTuple):
 ROOMS = {
     "lab": Room(
         "breaks it on purpose: simulated board, faults, stand test; makes the pages",
-        "api board cli config doctor files fleet instances messages policy procs ros2 setup shm stopping supervisor",
+        "api board cli config doctor files fleet helpers instances messages policy procs ros2 setup shm stopping "
+        "supervisor",
     ),
-    "web": Room("the operator's page", "api cli config extras files incidents messages policy shm"),
+    "web": Room("the operator's page", "api cli config extras files helpers incidents messages policy shm"),
     "fleet": Room("the robots of a broker, and metrics", "api cli config doctor extras files messages notify policy"),
     "setup": Room(
         "from a cable to a proved robot",
-        "api board cli config doctor files instances messages policy stopping supervisor",
+        "api board cli config doctor files helpers instances messages policy stopping supervisor",
     ),
-    "ros2": Room("the bridge to ROS 2", "api cli doctor messages policy shm"),
+    "ros2": Room("the bridge to ROS 2", "api cli doctor helpers messages policy shm"),
     "cli": Room(
         "the commands, and what they draw on a terminal",
-        "api board config doctor files incidents instances messages policy procs stopping supervisor",
+        "api board config doctor files helpers incidents instances messages policy procs stopping supervisor",
     ),
     "doctor": Room(
         "what on this weakens the promises",
@@ -57,6 +58,7 @@ ROOMS = {
     "messages": Room("the records that processes exchange", "files shm"),
     "board": Room("the wire and the port", ""),
     "shm": Room("shared memory, futexes and lifelines", "files"),
+    "helpers": Room("the Python processes that a command starts", ""),
     "notify": Room("datagrams for the service manager", ""),
     "files": Room("files and folders that nobody can plant", ""),
 }

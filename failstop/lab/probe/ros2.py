@@ -11,12 +11,12 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
+from failstop import helpers
 from failstop.api.errors import FailstopError
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import Row
@@ -57,7 +57,7 @@ class Publisher:
 
     def __init__(self, topic: str, *, stamped: bool, what: str = "drive", keep: bool = False) -> None:
         """`keep`: it outlives this process, to guard."""
-        words = [sys.executable, "-m", "failstop.lab.probe.publisher", topic, str(int(stamped)), what, str(VX_MPS)]
+        words = helpers.python("failstop.lab.probe.publisher", topic, str(int(stamped)), what, str(VX_MPS))
         self.process = subprocess.Popen(
             words,
             stdin=subprocess.PIPE,

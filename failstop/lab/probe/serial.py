@@ -9,11 +9,11 @@ import select
 import signal
 import struct
 import subprocess
-import sys
 import termios
 import time
 from collections.abc import Callable
 
+from failstop import helpers
 from failstop.api.errors import FailstopError
 from failstop.board import asking
 from failstop.board.interface import BY_IMU, HEARD_IMU, HEARD_WHEELS, Board
@@ -91,7 +91,7 @@ class SerialProbe:
         return self._watcher.pid if self._watcher else 0
 
     def __enter__(self) -> SerialProbe:
-        words = [sys.executable, "-m", "failstop.lab.probe.watcher", self._path, self._kind]
+        words = helpers.python("failstop.lab.probe.watcher", self._path, self._kind)
         self._watcher = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
         )
@@ -270,10 +270,13 @@ class SerialProbe:
     def _start(self) -> None:
         """The throw-away driver drives."""
         line = self._board.port
-        words = [sys.executable, "-m", "failstop.lab.probe.driver", self._path, str(line.baud)]
-        words += [str(int(line.dtr)), str(int(line.rts)), self._frame.hex(), str(PERIOD_S)]
+        words = [self._path, str(line.baud), str(int(line.dtr)), str(int(line.rts)), self._frame.hex(), str(PERIOD_S)]
         self._driver = subprocess.Popen(
-            words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, preexec_fn=end_with_parent
+            helpers.python("failstop.lab.probe.driver", *words),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            preexec_fn=end_with_parent,
         )
         self._tell(f"drive {self._driver.pid}")
         told, said = self._driver.stdin, self._driver.stdout

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import subprocess
-import sys
 from collections.abc import Sequence
 
+from failstop import helpers
 from failstop.api.arm import Arm
 from failstop.api.errors import FailstopError
 from failstop.lab.prove.watch import Move, Reading
@@ -51,7 +51,7 @@ class Swing:
         """Have a program move it, and drive at a velocity, if any is given; the program ends with this one."""
         values = (self.middle_rad, self.reach_rad, self.rate_radps, *velocity)
         words = [name, self.joint.name, *(f"{value:.6f}" for value in values)]
-        command = [sys.executable, "-c", PROGRAM, *words]
+        command = helpers.python("-c", PROGRAM, *words)
         return subprocess.Popen(command, stderr=subprocess.DEVNULL, preexec_fn=end_with_parent)
 
     def struck_now(self, moves: list[Move]) -> bool:

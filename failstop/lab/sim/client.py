@@ -11,7 +11,6 @@ import os
 import select
 import socket
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -20,6 +19,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import IO, Any
 
+from failstop import helpers
 from failstop.lab.sim.control import MESSAGE_SIZE, SUFFIX, connect
 from failstop.lab.sim.model import Executed, Speeds
 from failstop.lab.sim.options import BATTERY_MV, IMU_HZ
@@ -73,7 +73,7 @@ class SimBoard:
         """`board`: its kind; empty: the first."""
         self.link = os.fspath(link)
         self._control = self.link + SUFFIX
-        self._command = [sys.executable, "-m", "failstop.lab.sim", "--until-eof", "--device", self.link]
+        self._command = helpers.python("failstop.lab.sim", "--until-eof", "--device", self.link)
         self._command += ["--imu-hz", str(imu_hz), "--battery-mv", str(battery_mv), "--seed", str(seed)]
         self._command += ["--first-invalid-func", str(first_invalid_func)]
         self._command += ["--record", os.fspath(record)] if record is not None else []
