@@ -43,7 +43,7 @@ class Context:
             rights.die_with_parent(self.parent)
         granted = rights.take_rights(priority)
         self.settings = Settings.from_lines(os.environ.get(SETTINGS_VARIABLE, ""))
-        self.board = board_of(*self.settings.board())
+        self.board = board_of(*self.settings.board(), tried=True)
         self.own = segments.attach(self.memory, process, self.incarnation, write=True)
         lifelines = segments.attach(self.memory, "lifelines", self.incarnation, write=True)
         self.held = lifelines.futex("held", block * PER_BLOCK, write=True).hold(PER_BLOCK)

@@ -28,7 +28,7 @@ def start(words: dict[str, str]) -> int:
     signal.pthread_sigmask(signal.SIG_SETMASK, (signal.SIGCONT,))
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
     fd = _take_descriptors(int(words["lock"]), int(words["port"]))
-    port = OwnPort(fd, board_of(*settings.board()), settings.servos())
+    port = OwnPort(fd, board_of(*settings.board(), tried=True), settings.servos())
     notify = Notify.taken_from(os.environ, os.getpid())
     journal = Outbox(JOURNAL) if is_journal(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:

@@ -21,12 +21,13 @@ def is_described(kind: str) -> bool:
     return kind in KINDS or is_own(kind)
 
 
-def wire_of(kind: str) -> Wire:
-    """The description of one of KINDS, or of an own board. Nothing of another board is imported. Raises ValueError."""
+def wire_of(kind: str, *, tried: bool = False) -> Wire:
+    """The description of one of KINDS, or of an own board. `tried`: it was loaded before this process was started, so
+    no child tries that first (own.py). Nothing of another board is imported. Raises ValueError."""
     if is_own(kind):
         from failstop.board import own
 
-        return own.wire(kind)
+        return own.wire(kind, tried=tried)
     if kind not in KINDS:
         raise ValueError(f"no board {kind!r}: it must be one of {', '.join(KINDS)}")
     wire: Wire = __import__(f"failstop.board.{kind}.wire", fromlist=["WIRE"]).WIRE
@@ -43,15 +44,20 @@ def watchdog_of(kind: str) -> tuple[float, str]:
 
 
 def board_of(
-    kind: str, diameter_m: float, per_rps: float, steering: tuple[str, int, int, float, float] | None = None
+    kind: str,
+    diameter_m: float,
+    per_rps: float,
+    steering: tuple[str, int, int, float, float] | None = None,
+    *,
+    tried: bool = False,
 ) -> Board:
     """The board of the setting board.kind. `per_rps`: a wheel's speed of one turn a second in its own unit; 0: as such
-    boards usually have it; `steering`: the servo of a base that is steered, as rrc/steering.py has it. Nothing of
-    another board is imported. Raises OwnBoardError, a ValueError."""
+    boards usually have it; `steering`: the servo of a base that is steered, as rrc/steering.py has it; `tried`: as for
+    wire_of(). Nothing of another board is imported. Raises OwnBoardError, a ValueError."""
     if is_described(kind):
         from failstop.board.described import Described
 
-        wire = wire_of(kind)
+        wire = wire_of(kind, tried=tried)
         return (wire.board or Described)(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m)
     board: Board = __import__(f"failstop.board.{kind}.board", fromlist=["board"]).board(diameter_m, per_rps, steering)
     return board

@@ -1,22 +1,29 @@
-"""Own: a board that a folder of the user's describes, by a module wire.py with a Wire named WIRE. A line of it says for
+"""Own: a board that a folder of yours describes, by a module wire.py with a Wire named WIRE. A line of it says for
 which vocabulary it was written; it is read before the module is run.
 
-Its modules import each other with a dot (`from . import codec`) and failstop's as any program does. They run in every
-process of the service, so whoever may write them may drive: the folder and everything above it belongs to root or to
-the service's user, and nobody else may write there.
+Its modules import each other with a dot (`from . import codec`) and failstop's as any program does. They run as root in
+every process of the service, so anyone who may write them may drive. That is why the folder, everything in it and every
+folder and link on the way to it must belong to root or to the service's user, and nobody else may write there. Only
+source is imported, and it is read through the very descriptor that was checked.
+
+A description is a program, so it may hang or exit. Before it runs in this process, a child of this process loads it and
+asks it about itself (sound.py). If the child dies, or has not finished within LIMIT_S, the description is refused.
 """
 
 from __future__ import annotations
 
 import os
+import select
 import stat
 import sys
+import time
 
-from failstop.data import Data
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from importlib.machinery import ModuleSpec
     from types import ModuleType
     from typing import Any
 
@@ -24,10 +31,18 @@ if TYPE_CHECKING:
 
 OWN_PACKAGE = "failstop_own_board"
 """The name under which Python knows it."""
-SAYS = "VOCABULARY = "
+SAYS = b"VOCABULARY = "
 """The begin of the line of its wire.py that says for which vocabulary it was written."""
-CHECKED_TYPES = ("int", "bool", "str", "float", "bytes")
-"""Types of which a field is checked; a whole number is a float too."""
+LIMIT_S = 5.0
+"""How long its modules may take to load and to answer; ours take 20 ms."""
+MOST_LINKS = 40
+MOST_FILES = 2000
+MOST_BYTES = 1 << 20
+"""Of one module."""
+COMPILED = (".so", ".pyc", ".pyd")
+_SIGKILL = 9
+_SOUND = b"\0"
+"""A child's first byte, once it is through; its complaint follows, if it has one."""
 
 
 class OwnBoardError(ValueError):
@@ -35,67 +50,39 @@ class OwnBoardError(ValueError):
 
     def __init__(self, what: str) -> None:
         super().__init__(f"board.kind: {what}; no stop can be written to it: use the POWER SWITCH")
+        self.what = what
 
 
-def wire(folder: str) -> Wire:
-    """The description of that board. Raises OwnBoardError."""
+def wire(folder: str, *, tried: bool = False) -> Wire:
+    """The description of that board. `tried`: the process that started this one has had it loaded and asked by a child
+    already. Raises OwnBoardError."""
     from failstop.board.wire import VOCABULARY, Wire
 
+    _check(folder)
     _check_vocabulary(folder, str(VOCABULARY))
-    found = load(folder, "wire", "WIRE")
+    found = load(folder, "wire", "WIRE", tried=tried)
     if not isinstance(found, Wire):
         raise OwnBoardError(f"WIRE of {folder}/wire.py is no failstop.board.wire.Wire")
-    if wrong := _wrong(found, "WIRE"):
-        raise OwnBoardError(f"{folder}/wire.py: {wrong}")
-    if len(found.stop.writes) != 1:
-        raise OwnBoardError(f"the stop of {folder} has {len(found.stop.writes)} writes; one can be driven")
     return found
 
 
-def _check_vocabulary(folder: str, offered: str) -> None:
-    """Refuse a description in another vocabulary. Raises OwnBoardError."""
+def load(folder: str, name: str, value: str, *, tried: bool = False) -> Any:
+    """A value of a module of that folder. `tried`: as for wire(). Raises OwnBoardError."""
     _check(folder)
-    path = os.path.join(folder, "wire.py")
-    try:
-        with open(path, encoding="utf-8", errors="replace") as file:
-            said = [line[len(SAYS) :].partition("#")[0].strip() for line in file if line.startswith(SAYS)]
-    except OSError:
-        return  # to run it fails likewise, and tells
-    if said != [offered]:
-        written = f"was written for vocabulary {said[0]}" if said else f"has no line {SAYS}{offered}"
-        offers = f"failstop {VERSION} offers vocabulary {offered} of failstop/board/wire.py"
-        raise OwnBoardError(f'{path} {written}, and {offers}: docs/dev/porting.md, "Versions"')
+    known = _modules(folder)
+    if not tried and name not in known.tried:
+        _try(folder, name, value)
+        known.tried.add(name)
+    return _load(folder, name, value)
 
 
-def _wrong(value: object, name: str) -> str:
-    """The first field, of a description or of one within it, that is absent, unknown or of another type; or empty."""
-    if isinstance(value, tuple):
-        return next(filter(None, (_wrong(each, f"{name}[{at}]") for at, each in enumerate(value))), "")
-    if not isinstance(value, Data):
-        return ""
-    fields = type(value).__annotations__
-    for field in vars(value):
-        if field not in fields:
-            return f"{name}.{field}: {type(value).__name__} has no such field"
-    for field, annotation in fields.items():
-        if not hasattr(value, field):
-            return f"{name}.{field} is missing"
-        found = getattr(value, field)
-        kind = type(found).__name__
-        if annotation in CHECKED_TYPES and kind != annotation and (kind, annotation) != ("int", "float"):
-            return f"{name}.{field} = {found!r}, must be of type {annotation}"
-        if wrong := _wrong(found, f"{name}.{field}"):
-            return wrong
-    return ""
-
-
-def load(folder: str, name: str, value: str) -> Any:
-    """A value of a module of that folder. Raises OwnBoardError."""
-    _check(folder)
+def _load(folder: str, name: str, value: str) -> Any:
     path = os.path.join(folder, f"{name}.py")
     try:
-        module = __import__(f"{_package(folder).__name__}.{name}", fromlist=[value])
-    except Exception as error:
+        module = __import__(f"{OWN_PACKAGE}.{name}", fromlist=[value])
+    except OwnBoardError:
+        raise
+    except (Exception, SystemExit) as error:
         raise OwnBoardError(f"{path}: {type(error).__name__}: {error}") from error
     found = getattr(module, value, None)
     if found is None:
@@ -103,38 +90,271 @@ def load(folder: str, name: str, value: str) -> Any:
     return found
 
 
-def _package(folder: str) -> ModuleType:
-    """The folder as a package. A process has one such board."""
-    known = sys.modules.get(OWN_PACKAGE)
-    if known is None or list(known.__path__) != [folder]:
+def _check_vocabulary(folder: str, offered: str) -> None:
+    """Refuse a description in another vocabulary. Raises OwnBoardError."""
+    path = os.path.join(folder, "wire.py")
+    lines = _source(path).splitlines()
+    said = [
+        line[len(SAYS) :].partition(b"#")[0].strip().decode("utf-8", "replace")
+        for line in lines
+        if line.startswith(SAYS)
+    ]
+    if said != [offered]:
+        written = f"was written for vocabulary {said[0]}" if said else f"has no line {SAYS.decode()}{offered}"
+        offers = f"failstop {VERSION} offers vocabulary {offered} of failstop/board/wire.py"
+        raise OwnBoardError(f'{path} {written}, and {offers}: docs/dev/porting.md, "Versions"')
+
+
+# In a child first.
+
+
+def _try(folder: str, name: str, value: str) -> None:
+    """Load and ask it in a child, which may hang or die. Raises OwnBoardError."""
+    path = os.path.join(folder, f"{name}.py")
+    try:
+        reader, writer = os.pipe()
+        child = os.fork()
+    except OSError:
+        return  # a machine without room for a child must still get its stop
+    if child == 0:
+        _judge(folder, name, value, writer)
+    os.close(writer)
+    try:
+        said = _heard(reader, time.monotonic() + LIMIT_S)
+    finally:
+        os.close(reader)
+        ended = _ended(child)
+    if said is None:
+        raise OwnBoardError(f"{path} has not been loaded within {LIMIT_S:g} s: it hangs, or asks for too much")
+    if not said.startswith(_SOUND):
+        raise OwnBoardError(f"{path} ended the process that loaded it{ended}: a description only describes")
+    if said != _SOUND:
+        raise OwnBoardError(said[1:].decode("utf-8", "replace"))
+
+
+def _judge(folder: str, name: str, value: str, writer: int) -> None:
+    """The child's part. What it prints goes nowhere, and no handler of its parent's runs at its end."""
+    try:
+        os.setsid()
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for fd in (0, 1, 2):
+            os.dup2(nowhere, fd)
+        sys.stdout = sys.stderr = os.fdopen(nowhere, "w")
+        try:
+            found = _load(folder, name, value)
+            said = _complaint(folder, found) if value == "WIRE" else ""
+        except OwnBoardError as error:
+            said = error.what
+        except (Exception, SystemExit) as error:
+            said = f"{folder}/{name}.py: {type(error).__name__}: {error}"
+        os.write(writer, _SOUND + said.encode("utf-8", "replace")[: select.PIPE_BUF - 1])
+    finally:
+        os._exit(0)
+
+
+def _complaint(folder: str, found: object) -> str:
+    from failstop.board import sound
+    from failstop.board.wire import Wire
+
+    if not isinstance(found, Wire):
+        return ""  # wire() says so
+    wrong = sound.wrong(found)
+    return f"{folder}/wire.py: {wrong}" if wrong else ""
+
+
+def _heard(reader: int, until_s: float) -> bytes | None:
+    """What the child says; empty when it has ended without a word; None when time is up."""
+    left_s = until_s - time.monotonic()
+    if not select.select([reader], [], [], max(0.0, left_s))[0]:
+        return None
+    return os.read(reader, select.PIPE_BUF)
+
+
+def _ended(child: int) -> str:
+    """Kill and collect it, and what it has started; how it had ended, in words."""
+    try:
+        os.killpg(child, _SIGKILL)
+    except OSError:
+        _kill(child)  # it has no session of its own yet
+    try:
+        _, status = os.waitpid(child, 0)
+    except ChildProcessError:  # a parent that ignores its children's ends hands that on
+        return ""
+    code = os.waitstatus_to_exitcode(status)
+    return f" (signal {-code})" if code < 0 else f" (exit code {code})"
+
+
+def _kill(child: int) -> None:
+    try:
+        os.kill(child, _SIGKILL)
+    except OSError:
+        return
+
+
+# From source alone, by the descriptor that was checked.
+
+
+class _Modules:
+    """Finds and loads the modules of one folder. No other finder is asked for them, so that no compiled copy beside a
+    source, no extension and no subfolder is ever imported."""
+
+    def __init__(self) -> None:
+        self.folder = ""
+        self.tried: set[str] = set()
+        """Modules that a child has loaded."""
+
+    def find_spec(self, name: str, _path: object = None, _target: object = None) -> ModuleSpec | None:
+        package, _, module = name.partition(".")
+        if package != OWN_PACKAGE or not module:
+            return None
+        place = os.path.join(self.folder, f"{module}.py")
+        if "." in module or not os.path.lexists(place):
+            raise ModuleNotFoundError(f"No module named {module!r} in {self.folder}", name=name)
+        spec: ModuleSpec = type(sys.__spec__)(name, self, origin=place)  # type: ignore[arg-type]
+        spec.has_location = True
+        return spec
+
+    def create_module(self, _spec: ModuleSpec) -> None:
+        return None
+
+    def exec_module(self, module: ModuleType) -> None:
+        place = str(module.__file__)
+        exec(compile(_source(place), place, "exec", dont_inherit=True), vars(module))
+
+
+_FINDER = _Modules()
+
+
+def _modules(folder: str) -> _Modules:
+    """The finder of the folder's modules. A process has one such board."""
+    if _FINDER not in sys.meta_path:
+        sys.meta_path.insert(0, _FINDER)
+    if _FINDER.folder != folder or OWN_PACKAGE not in sys.modules:
         for name in [name for name in sys.modules if name.partition(".")[0] == OWN_PACKAGE]:
             del sys.modules[name]
-        known = sys.modules[OWN_PACKAGE] = type(sys)(OWN_PACKAGE)
-        known.__path__ = [folder]
-    return known
+        package = sys.modules[OWN_PACKAGE] = type(sys)(OWN_PACKAGE)
+        package.__path__ = []
+        _FINDER.folder, _FINDER.tried = folder, set()
+    return _FINDER
+
+
+def _source(path: str) -> bytes:
+    """The bytes of a file that nobody else may write. Raises OwnBoardError."""
+    found, info = _open(path)
+    try:
+        if not stat.S_ISREG(info.st_mode):
+            raise OwnBoardError(f"{path} is {_what(info)}, must be a file")
+        if info.st_size > MOST_BYTES:
+            raise OwnBoardError(f"{path} has {info.st_size} bytes, must have {MOST_BYTES} at most")
+        reading = os.open(f"/proc/self/fd/{found}", os.O_RDONLY | os.O_CLOEXEC)
+    except OSError as error:
+        raise OwnBoardError(f"{path}: {error.strerror}") from None
+    finally:
+        os.close(found)
+    try:
+        _check_one(os.fstat(reading), path)
+        data = b""
+        while len(data) <= MOST_BYTES and (part := os.read(reading, MOST_BYTES + 1 - len(data))):
+            data += part
+        return data
+    finally:
+        os.close(reading)
+
+
+def _open(path: str) -> tuple[int, os.stat_result]:
+    """A descriptor of what is at a whole path, and what it is. Each folder and link on the way is opened without
+    following anything, and checked on its own descriptor, so nobody can change it in between. Raises OwnBoardError."""
+    here, at, links = os.open("/", os.O_PATH | os.O_CLOEXEC), "/", 0
+    left = path.split("/")[::-1]
+    info = os.fstat(here)
+    try:
+        while left:
+            name = left.pop()
+            if name in ("", "."):
+                continue
+            at, above = os.path.normpath(os.path.join(at, name)), at
+            found = os.open(name, os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=here)
+            info = os.fstat(found)
+            target = os.readlink("", dir_fd=found) if stat.S_ISLNK(info.st_mode) else ""
+            if target:
+                os.close(found)
+                links, at, left = links + 1, above, left + target.split("/")[::-1]
+                _check_one(info, os.path.join(above, name))
+                found, at = (os.open("/", os.O_PATH | os.O_CLOEXEC), "/") if target[0] == "/" else (os.dup(here), at)
+            os.close(here)
+            here = found
+            if links > MOST_LINKS:
+                raise OwnBoardError(f"{path} leads through too many links")
+            if not target:
+                _check_one(info, at, on_the_way=bool(left))
+    except OSError as error:
+        os.close(here)
+        raise OwnBoardError(f"{at}: {error.strerror}") from None
+    except OwnBoardError:
+        os.close(here)
+        raise
+    return here, info
 
 
 def _check(folder: str) -> None:
-    """Refuse what another user may change: the folder's files, and every place on the way to them, links too."""
+    """Refuse what another user may change: everything in the folder, and every place on the way to it. Raises
+    OwnBoardError."""
+    fd, info = _open(folder)
     try:
-        files = [os.path.join(folder, name) for name in os.listdir(folder)]
+        if not stat.S_ISDIR(info.st_mode):
+            raise OwnBoardError(f"{folder} is {_what(info)}, must be a folder")
+        for count, (path, each) in enumerate(_everything(fd, folder), 1):
+            _check_one(each, path)
+            if stat.S_ISLNK(each.st_mode):
+                led, each = _open(path)
+                os.close(led)
+                if not stat.S_ISREG(each.st_mode):
+                    raise OwnBoardError(f"{path} leads to {_what(each)}, must lead to a file: rm {path}")
+            elif not (stat.S_ISREG(each.st_mode) or stat.S_ISDIR(each.st_mode)):
+                raise OwnBoardError(f"{path} is {_what(each)}, must be a file: rm {path}")
+            if path.endswith(COMPILED) and os.path.basename(os.path.dirname(path)) != "__pycache__":
+                raise OwnBoardError(f"{path} is compiled, and only source is imported: rm {path}")
+            if count > MOST_FILES:
+                raise OwnBoardError(f"{folder} holds more than {MOST_FILES} files: keep the board's own alone in it")
     except OSError as error:
         raise OwnBoardError(f"{folder}: {error.strerror}") from None
-    seen: set[str] = set()
-    for path in (folder, *files):
-        for here in {path, os.path.realpath(path)}:
-            while here not in seen:
-                seen.add(here)
-                _check_one(here)
-                here = os.path.dirname(here)
+    finally:
+        os.close(fd)
 
 
-def _check_one(path: str) -> None:
+def _everything(fd: int, folder: str) -> Iterator[tuple[str, os.stat_result]]:
+    """What lies in a folder and below, each by its path."""
+    listed = os.open(".", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC, dir_fd=fd)
     try:
-        found = os.stat(path)
-    except OSError as error:
-        raise OwnBoardError(f"{path}: {error.strerror}") from None
+        for name in sorted(os.listdir(listed)):
+            path = os.path.join(folder, name)
+            info = os.stat(name, dir_fd=listed, follow_symlinks=False)
+            yield path, info
+            if stat.S_ISDIR(info.st_mode):
+                below = os.open(name, os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=listed)
+                try:
+                    yield from _everything(below, path)
+                finally:
+                    os.close(below)
+    finally:
+        os.close(listed)
+
+
+def _check_one(found: os.stat_result, path: str, *, on_the_way: bool = False) -> None:
+    """Raises OwnBoardError. A folder that anyone may write, as /tmp, may be on the way where its sticky bit is set: in
+    it nobody but its owner can take away or rename what belongs to another."""
     if found.st_uid not in (0, os.geteuid()):
-        raise OwnBoardError(f"{path} belongs to another user: sudo chown root {path}")
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not found.st_mode & stat.S_ISVTX:
+        raise OwnBoardError(f"{path} belongs to another user: sudo chown {'-h ' * _is_link(found)}root {path}")
+    folder = stat.S_ISDIR(found.st_mode)
+    sticky = on_the_way and folder and found.st_mode & stat.S_ISVTX
+    if (folder or stat.S_ISREG(found.st_mode)) and found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not sticky:
         raise OwnBoardError(f"others may write {path}: sudo chmod go-w {path}")
+
+
+def _is_link(found: os.stat_result) -> bool:
+    return stat.S_ISLNK(found.st_mode)
+
+
+def _what(found: os.stat_result) -> str:
+    kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket", stat.S_IFREG: "a file"}
+    return kinds.get(stat.S_IFMT(found.st_mode), "a device")

@@ -93,7 +93,7 @@ class Admission:
     def check(self, frame: bytes) -> Cause | None:
         """The cause of a stop that a motion frame's content is; None: it may go out."""
         fault = self._board.check_motion(frame, self._max_rps)
-        return causes.BAD_FRAME(fault) if fault else None
+        return None if fault == "" else causes.BAD_FRAME(_said(fault))
 
     def current(self, motion: DatedFrame, epoch: int, now_ns: int) -> bool:
         """True when the frame is of the current epoch, after any stop of its own, and young enough."""
@@ -151,7 +151,7 @@ class ServoBus:
         fault = "this robot has no arm"
         if self.servos:
             fault = self._board.check_servos(frame, self.servos, LONGEST_MOVE_MS)
-        return causes.BAD_FRAME(f"for the arm, {fault}") if fault else None
+        return None if fault == "" else causes.BAD_FRAME(f"for the arm, {_said(fault)}")
 
     def due_ns(self, frame: bytes, now_ns: int, *, wheels_move: bool) -> int:
         """When a frame without a fault may be written, now or soon; NEVER: it is dropped."""
@@ -169,3 +169,8 @@ class ServoBus:
         if moves:
             self._rest_ns = now_ns + LONGEST_MOVE_NS
         return moves
+
+
+def _said(fault: object) -> str:
+    """A check's words. Only an empty text lets a frame pass, since a check that forgets to return one returns None."""
+    return fault if fault and isinstance(fault, str) else f"its check returned {fault!r}, not a text"

@@ -237,7 +237,7 @@ class PortOwner:
                 self._gate_stop()
             elif kind == records.ARM:
                 self.bus.waiting.append((body, epoch, frame_ns))
-            elif not self.board.check_aux(body):
+            elif self.board.check_aux(body) == "":
                 self.wire.frame(body, backlog=OTHER_BACKLOG)
         self._forward_arm()
         if motion:

@@ -345,7 +345,7 @@ class Telemetry:
 
     def _on_obeyed(self, speeds: interface.Value, t_ns: int) -> None:
         """A report that it obeys a command of zeros; one now and then is enough while it does."""
-        zeros = not any(speeds)
+        zeros = bool(speeds) and not any(speeds)  # NaN is no zero, and no speeds are no report
         if zeros and (not self._obeys_zeros or t_ns - self._obeyed_ns >= OBEYED_NS):
             self._obeyed_ns = t_ns
             self._obeyed_word.set(t_ns)

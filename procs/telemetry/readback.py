@@ -7,6 +7,7 @@ For a board without an IMU, and better than an IMU.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 
 AT_REST = 1e-6
 """A speed below this is none, in whatever unit."""
@@ -31,7 +32,11 @@ class ReadBack:
         return True
 
     def _rests(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool | None:
-        """Whether it says that they stand; None: nothing yet."""
+        """Whether it says that they stand; None: nothing yet. NaN says nothing, and what was known before it is old:
+        as a number it would pass for neither turning nor at rest."""
+        if not all(map(isfinite, (*speeds, *positions))):
+            self._before, self.still_ns = None, 0
+            return None
         if any(abs(speed) > AT_REST for speed in speeds):
             self._before = (t_ns, positions)
             return False

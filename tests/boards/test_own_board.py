@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
+import marshal
 import os
 import re
 import shutil
+import struct
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -88,6 +91,22 @@ def in_wire(old: str, new: str) -> Callable[[Path], object]:
     return change
 
 
+def fifo(at: Path) -> None:
+    at.unlink()
+    os.mkfifo(at)
+
+
+def many(at: Path) -> None:
+    for number in range(own.MOST_FILES):
+        (at / f"{number}.txt").touch()
+
+
+def below(at: Path) -> None:
+    (at / "notes").mkdir()
+    (at / "notes" / "more.txt").touch(0o666)
+    (at / "notes" / "more.txt").chmod(0o666)
+
+
 SAYS = f"VOCABULARY = {VOCABULARY}\n"
 NO_IMPORT = "import nothing_like_that\n"
 WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
@@ -117,11 +136,33 @@ WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda at: (at / "wire.py").write_text(SAYS + NO_IMPORT),
         "ModuleNotFoundError",
     ),
-    "no wire.py": (lambda at: (at / "wire.py").unlink(), "wire.py: ModuleNotFoundError"),
+    "no wire.py": (lambda at: (at / "wire.py").unlink(), "wire.py: No such file or directory"),
     "a link that leads nowhere": (lambda at: (at / "more.py").symlink_to(at / "gone.py"), "No such file or directory"),
     "others may write what it imports": (lambda at: (at / "codec.py").chmod(0o666), "others may write"),
     "others may write it": (lambda at: (at / "wire.py").chmod(0o666), "others may write"),
     "others may write the folder": (lambda at: at.chmod(0o777), "sudo chmod go-w"),
+    # A sticky bit lets others add a module to the folder, and at a file it means nothing.
+    "a sticky folder": (lambda at: at.chmod(0o1777), "others may write .*tank: sudo chmod go-w"),
+    "a sticky file": (lambda at: (at / "codec.py").chmod(0o1666), "others may write .*codec.py"),
+    "a compiled module": (lambda at: (at / "codec.cpython-311.so").write_bytes(b""), "only source is imported: rm "),
+    "a compiled copy": (lambda at: (at / "codec.pyc").write_bytes(b""), "only source is imported: rm "),
+    "a FIFO": (lambda at: os.mkfifo(at / "more"), "more is a FIFO, must be a file: rm "),
+    "a FIFO as the description": (lambda at: fifo(at / "wire.py"), "wire.py is a FIFO, must be a file"),
+    "a device": (lambda at: (at / "more.py").symlink_to("/dev/zero"), "leads to a device, must lead to a file"),
+    "a link to a folder": (lambda at: (at / "more").symlink_to("/usr"), "more leads to a folder, must lead to a file"),
+    "links in a circle": (lambda at: (at / "more.py").symlink_to("more.py"), "more.py leads through too many links"),
+    "a file in its place": (lambda at: (shutil.rmtree(at), at.write_text("")), "tank is a file, must be a folder"),
+    "a huge module": (
+        lambda at: (at / "wire.py").write_bytes(b"#" * (own.MOST_BYTES + 1)),
+        "wire.py has 1048577 bytes",
+    ),
+    "more files than a board has": (many, "tank holds more than 2000 files"),
+    "others may write below": (below, "others may write .*notes/more.txt"),
+    # Its modules lie in the folder itself.
+    "a module of a subfolder": (
+        in_wire(SAYS, f"{SAYS}from .notes import more\n"),
+        "ModuleNotFoundError: No module named 'notes'",
+    ),
 }
 
 
@@ -134,11 +175,83 @@ def test_a_folder_that_can_not_be_used_is_named_with_the_reason(folder: str, wro
     assert folder in str(refused.value)
 
 
+THEIRS: dict[str, Callable[[Path], Path]] = {
+    "the folder": lambda at: at,
+    "wire.py": lambda at: at / "wire.py",
+    "a folder above": lambda at: at.parent,
+    "its __pycache__": lambda at: made(at / "__pycache__"),
+    "a compiled copy": lambda at: made(at / "__pycache__") / "wire.cpython-311.pyc",
+    "a subfolder": lambda at: made(at / "notes"),
+    "a file far below": lambda at: made(made(at / "notes") / "old") / "x.txt",
+    "a link": lambda at: linked(at / "more.py", at / "codec.py"),
+}
+"""What somebody else may own, of a board's folder and the way to it."""
+
+
+def made(folder: Path) -> Path:
+    folder.mkdir(exist_ok=True)
+    for name in ("x.txt", "wire.cpython-311.pyc") if folder.name != "old" else ("x.txt",):
+        (folder / name).touch()
+    if folder.name != "__pycache__":
+        (folder / "wire.cpython-311.pyc").unlink(missing_ok=True)
+    return folder
+
+
+def linked(at: Path, to: Path) -> Path:
+    at.symlink_to(to)
+    return at
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a file to another user")
-def test_a_folder_of_another_user_is_not_run(folder: str) -> None:
-    os.chown(f"{folder}/wire.py", 65534, 65534)
-    with pytest.raises(OwnBoardError, match="belongs to another user: sudo chown root"):
+@pytest.mark.parametrize("whose", THEIRS)
+def test_a_folder_of_which_something_is_another_users_is_not_run(whose: str, folder: str) -> None:
+    path = THEIRS[whose](Path(folder))
+    os.chown(path, 65534, 65534, follow_symlinks=False)
+    with pytest.raises(OwnBoardError, match=r"belongs to another user: sudo chown (-h )?root") as refused:
         board_of(folder, 0.08, 0.0)
+    assert f"{path} belongs" in str(refused.value)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a link to another user")
+@pytest.mark.parametrize("relative", [False, True])
+def test_a_link_on_the_way_that_is_another_users_is_not_followed(relative: bool, folder: str, tmp_path: Path) -> None:
+    """Its owner may turn it to another folder at any time, though where it leads now belongs to root."""
+    (tmp_path / "way").mkdir()
+    link = tmp_path / "way" / "boards"
+    link.symlink_to(".." if relative else tmp_path)
+    assert board_of(f"{link}/tank", 0.08, 0.0).burst == board_of(folder, 0.08, 0.0).burst
+    os.chown(link, 65534, 65534, follow_symlinks=False)
+    with pytest.raises(OwnBoardError, match=f"{link} belongs to another user: sudo chown -h root"):
+        board_of(f"{link}/tank", 0.08, 0.0)
+
+
+def test_only_its_source_is_imported(folder: str) -> None:
+    """A compiled copy of root's own that says something else is left alone, and none is written."""
+    source = Path(folder, "codec.py")
+    kept = Path(importlib.util.cache_from_source(str(source)))
+    kept.parent.mkdir()
+    hostile = compile("raise SystemExit('the compiled copy')", str(source), "exec")
+    found = source.stat()
+    stamp = importlib.util.MAGIC_NUMBER + struct.pack("<III", 0, int(found.st_mtime), found.st_size)
+    kept.write_bytes(stamp + marshal.dumps(hostile))
+    assert board_of(folder, 0.08, 0.0).burst == board_of("arduino", 0.08, 0.0).burst
+    assert [path.name for path in kept.parent.iterdir()] == [kept.name]
+
+
+def test_a_module_is_compiled_from_the_bytes_that_were_checked(folder: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody may put another file there in between: it is checked in its turn, on the descriptor it is read from."""
+    opened = os.open
+
+    def swap(path: str, flags: int, *rest: int, dir_fd: int | None = None) -> int:
+        fd = opened(path, flags, *rest, dir_fd=dir_fd)
+        if path == "wire.py" and flags & os.O_PATH:
+            os.rename(f"{folder}/wire.py", f"{folder}/before.py")
+            Path(folder, "wire.py").write_text("raise SystemExit('another file')\n")
+        return fd
+
+    before = Path(folder, "wire.py").read_bytes()
+    monkeypatch.setattr(os, "open", swap)
+    assert own._source(f"{folder}/wire.py") == before
 
 
 @pytest.mark.starts

@@ -103,6 +103,24 @@ def test_a_frame_s_content_is_the_board_s_to_judge(frame: bytes, fault: int | st
     assert decided((frame, EPOCH, NOW)) == expected
 
 
+@pytest.mark.parametrize("answer", [None, False, 0, b"", (), True, "it is too fast"])
+def test_a_frame_passes_only_where_the_board_s_check_says_nothing(answer: object) -> None:
+    """A check that forgets to return anything returns None."""
+
+    class Careless(type(BOARD)):  # type: ignore[misc]
+        __slots__ = ()
+
+        def check_motion(self, *_: object) -> object:
+            return answer
+
+        check_servos = check_motion
+
+    board = Careless.__new__(Careless)
+    said = answer if isinstance(answer, str) else f"its check returned {answer!r}, not a text"
+    assert Admission(board, LEASE_NS, MAX_RPS).check(FRAME) == causes.BAD_FRAME(said)
+    assert ServoBus(board, (1,)).check(FRAME) == causes.BAD_FRAME(f"for the arm, {said}")
+
+
 @pytest.mark.claim("MOVE-1")
 @given(st.lists(st.integers(0, 5)), st.integers(0, 5), st.integers(0, 5))
 @example([], 0, 0)

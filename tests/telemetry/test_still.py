@@ -273,3 +273,17 @@ def test_odometers_that_stay_are_rest_and_one_reading_or_a_report_of_nothing_is_
     for at in range(3):
         judge.take((0.0, 0.0), (float(at), 0.0), T0 + (3 + at) * READS_APART_NS)
     assert (judge.still_ns, judge.judged_ns) == (0, T0 + 5 * READS_APART_NS), "a speed of zero while they go on"
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), float("-inf")])
+def test_a_number_that_is_none_is_never_rest(number: float) -> None:
+    """Of speeds or of positions; and what follows it begins again."""
+    judge = ReadBack()
+    for at in range(5):
+        assert not judge.take((0.0, number), (), T0 + at * S)
+        assert not judge.take((), (number, 1.0), T0 + at * S + READS_APART_NS)
+    assert (judge.still_ns, judge.judged_ns) == (0, 0)
+    assert judge.take((0.0, 0.0), (), T0 + 6 * S)
+    assert not judge.take((0.0, number), (), T0 + 7 * S)
+    assert judge.take((0.0, 0.0), (), T0 + 8 * S)
+    assert judge.still_ns == T0 + 8 * S

@@ -55,7 +55,7 @@ def rest_ns(samples: Sequence[SeenSample]) -> int | None:
         places = tuple(place for place in positions if not math.isnan(place))
         if not all(abs(speed) <= AT_REST for speed in speeds) or (last is not None and places != last):
             break
-        if not speeds and not positions:
+        if not speeds and not places:
             continue
         last = places
         found = t_ns
