@@ -27,7 +27,7 @@ POOLS = frozenset({"multiprocessing", "mp", "concurrent", "futures"})
 
 
 def python_starts(tree: ast.AST) -> Iterator[str]:
-    """What may start a Python process past the one way, of a module's source."""
+    """The calls in a module that may start a Python process past the one way."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and node.attr in ("executable", "_base_executable"):
             yield ast.unparse(node)
@@ -84,7 +84,7 @@ def theirs(tmp_path: Path) -> Path:
 
 
 def ran(program: str, begins_with: list[str], folder: Path | str, named: str = "") -> list[str]:
-    """What a program prints, run in a folder, with these first on its search path, and with that PYTHONPATH."""
+    """The lines that a program prints, run in a folder with these first on its path, and that PYTHONPATH."""
     before = f"import os, sys; sys.path[:0] = {begins_with!r}; from failstop import helpers; "
     environment = {**os.environ, "PYTHONPATH": named}
     command = [sys.executable, "-I", "-c", before + program]

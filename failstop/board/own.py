@@ -12,6 +12,8 @@ asks it about itself (sound.py). If the child dies, or has not finished within L
 
 from __future__ import annotations
 
+# The C module under `signal`, which costs an import of enum.
+import _signal
 import os
 import select
 import stat
@@ -35,11 +37,11 @@ SAYS = b"VOCABULARY = "
 """The begin of the line of its wire.py that says for which vocabulary it was written."""
 LIMIT_S = 5.0
 """How long its modules may take to load and to answer; ours take 20 ms."""
-MOST_LINKS = 40
-MOST_FILES = 2000
-MOST_BYTES = 1 << 20
+_MOST_LINKS = 40
+_MOST_FILES = 2000
+_MOST_BYTES = 1 << 20
 """Of one module."""
-COMPILED = (".so", ".pyc", ".pyd")
+_COMPILED = (".so", ".pyc", ".pyd")
 _SIGKILL = 9
 _SOUND = b"\0"
 """A child's first byte, once it is through; its complaint follows, if it has one."""
@@ -136,6 +138,8 @@ def _judge(folder: str, name: str, value: str, writer: int) -> None:
     """The child's part. What it prints goes nowhere, and no handler of its parent's runs at its end."""
     try:
         os.setsid()
+        _signal.signal(_signal.SIGALRM, _signal.SIG_DFL)
+        _signal.alarm(int(LIMIT_S) + 1)  # its parent may be killed meanwhile
         nowhere = os.open(os.devnull, os.O_RDWR)
         for fd in (0, 1, 2):
             os.dup2(nowhere, fd)
@@ -163,7 +167,7 @@ def _complaint(folder: str, found: object) -> str:
 
 
 def _heard(reader: int, until_s: float) -> bytes | None:
-    """What the child says; empty when it has ended without a word; None when time is up."""
+    """The words of the child; empty when it has ended without a word; None when time is up."""
     left_s = until_s - time.monotonic()
     if not select.select([reader], [], [], max(0.0, left_s))[0]:
         return None
@@ -244,8 +248,8 @@ def _source(path: str) -> bytes:
     try:
         if not stat.S_ISREG(info.st_mode):
             raise OwnBoardError(f"{path} is {_what(info)}, must be a file")
-        if info.st_size > MOST_BYTES:
-            raise OwnBoardError(f"{path} has {info.st_size} bytes, must have {MOST_BYTES} at most")
+        if info.st_size > _MOST_BYTES:
+            raise OwnBoardError(f"{path} has {info.st_size} bytes, must have {_MOST_BYTES} at most")
         reading = os.open(f"/proc/self/fd/{found}", os.O_RDONLY | os.O_CLOEXEC)
     except OSError as error:
         raise OwnBoardError(f"{path}: {error.strerror}") from None
@@ -254,7 +258,7 @@ def _source(path: str) -> bytes:
     try:
         _check_one(os.fstat(reading), path)
         data = b""
-        while len(data) <= MOST_BYTES and (part := os.read(reading, MOST_BYTES + 1 - len(data))):
+        while len(data) <= _MOST_BYTES and (part := os.read(reading, _MOST_BYTES + 1 - len(data))):
             data += part
         return data
     finally:
@@ -283,7 +287,7 @@ def _open(path: str) -> tuple[int, os.stat_result]:
                 found, at = (os.open("/", os.O_PATH | os.O_CLOEXEC), "/") if target[0] == "/" else (os.dup(here), at)
             os.close(here)
             here = found
-            if links > MOST_LINKS:
+            if links > _MOST_LINKS:
                 raise OwnBoardError(f"{path} leads through too many links")
             if not target:
                 _check_one(info, at, on_the_way=bool(left))
@@ -312,10 +316,10 @@ def _check(folder: str) -> None:
                     raise OwnBoardError(f"{path} leads to {_what(each)}, must lead to a file: rm {path}")
             elif not (stat.S_ISREG(each.st_mode) or stat.S_ISDIR(each.st_mode)):
                 raise OwnBoardError(f"{path} is {_what(each)}, must be a file: rm {path}")
-            if path.endswith(COMPILED) and os.path.basename(os.path.dirname(path)) != "__pycache__":
+            if path.endswith(_COMPILED) and os.path.basename(os.path.dirname(path)) != "__pycache__":
                 raise OwnBoardError(f"{path} is compiled, and only source is imported: rm {path}")
-            if count > MOST_FILES:
-                raise OwnBoardError(f"{folder} holds more than {MOST_FILES} files: keep the board's own alone in it")
+            if count > _MOST_FILES:
+                raise OwnBoardError(f"{folder} holds more than {_MOST_FILES} files: keep the board's own alone in it")
     except OSError as error:
         raise OwnBoardError(f"{folder}: {error.strerror}") from None
     finally:
@@ -323,7 +327,7 @@ def _check(folder: str) -> None:
 
 
 def _everything(fd: int, folder: str) -> Iterator[tuple[str, os.stat_result]]:
-    """What lies in a folder and below, each by its path."""
+    """Everything in a folder and below, each entry by its path."""
     listed = os.open(".", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC, dir_fd=fd)
     try:
         for name in sorted(os.listdir(listed)):

@@ -23,25 +23,25 @@ if TYPE_CHECKING:
 
     from failstop.board.wire import Motion
 
-SIMPLE_TYPES = ("int", "bool", "str", "float", "bytes")
+_SIMPLE_TYPES = ("int", "bool", "str", "float", "bytes")
 """A whole number is a float too."""
 BAUD_RATES = frozenset(int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()) - {0}
 _S = 1_000_000_000
-WRITERS = 3
+_WRITERS = 3
 """Port owner, stopper and supervisor: each has a row of repeats."""
 MOST_QUESTIONS = 4
 """layout.PINGS: each has a word of shared memory."""
-MOST_BYTES = 1024
+_MOST_BYTES = 1024
 """Of one frame; the board's stop is one."""
-MOST_FRAMES = 16
-MOST_REPEATS = 32
-DIAMETERS_M = (0.03, 0.08, 0.3)
-NOISE = tuple(bytes((at * step * 73 + step) & 255 for at in range(61)) for step in range(1, 24))
+_MOST_FRAMES = 16
+_MOST_REPEATS = 32
+_DIAMETERS_M = (0.03, 0.08, 0.3)
+_NOISE = tuple(bytes((at * step * 73 + step) & 255 for at in range(61)) for step in range(1, 24))
 """Bytes of no form."""
 
 
 class _Wrong(Exception):
-    """What is wrong, in words."""
+    """The first thing that was found wrong, in words."""
 
 
 def wrong(wire: Wire) -> str:
@@ -101,7 +101,7 @@ def _type(value: object, annotation: str, name: str) -> None:
         assert isinstance(value, tuple)
         for at, each in enumerate(value):
             _type(each, annotation[len("tuple[") : -1].removesuffix(", ..."), f"{name}[{at}]")
-    elif annotation in SIMPLE_TYPES:
+    elif annotation in _SIMPLE_TYPES:
         kind = type(value).__name__
         fits = kind == annotation or (kind, annotation) == ("int", "float")
         _hold(fits, f"{name} = {_shown(value)}, must be of type {annotation}")
@@ -137,7 +137,7 @@ def _ranges(wire: Wire) -> None:
     for name, number in (("limit", motion.limit), ("step", motion.step), ("apart", motion.apart)):
         _hold(number > 0, f"WIRE.motion.{name} = {number:g}, must be above 0")
     _hold(motion.step < motion.limit, f"WIRE.motion.step = {motion.step:g}, must be below its limit {motion.limit:g}")
-    for diameter_m in DIAMETERS_M:
+    for diameter_m in _DIAMETERS_M:
         scale = _asked("WIRE.motion.per_rps", motion.per_rps, diameter_m)
         fits = isinstance(scale, (int, float)) and isfinite(scale) and scale > 0
         _hold(fits, f"WIRE.motion.per_rps({diameter_m}) = {_shown(scale)}, must be a finite number above 0")
@@ -149,15 +149,15 @@ def _counts(wire: Wire) -> None:
     stop, asks = wire.stop, [question.ask for question in wire.questions]
     _hold(len(stop.writes) == 1, f"WIRE.stop has {len(stop.writes)} writes, must have 1")
     rows = stop.repeats_ns
-    _hold(len(rows) == WRITERS, f"WIRE.stop.repeats_ns has {len(rows)} rows, must have {WRITERS}: one for each writer")
+    _hold(len(rows) == _WRITERS, f"WIRE.stop.repeats_ns has {len(rows)} rows, must have {_WRITERS}: one a writer")
     for at, row in enumerate(rows):
-        _hold(0 < len(row) <= MOST_REPEATS, f"WIRE.stop.repeats_ns[{at}] has {len(row)} times, must have 1 to 32")
+        _hold(0 < len(row) <= _MOST_REPEATS, f"WIRE.stop.repeats_ns[{at}] has {len(row)} times, must have 1 to 32")
         rises = row[0] == 0 and list(row) == sorted({*row})
         text = f"WIRE.stop.repeats_ns[{at}] = {_shown(row)}, must begin with 0 and rise to {_S} ns at most"
         _hold(rises and row[-1] <= _S, text)
     _hold(len(asks) <= MOST_QUESTIONS, f"WIRE has {len(asks)} questions, must have {MOST_QUESTIONS} at most")
     _hold(len({*asks}) == len(asks), "WIRE.questions: two of them ask with the same bytes, so no answer tells which")
-    _hold(len(wire.port.opening) <= MOST_FRAMES, f"WIRE.port.opening has more than {MOST_FRAMES} frames")
+    _hold(len(wire.port.opening) <= _MOST_FRAMES, f"WIRE.port.opening has more than {_MOST_FRAMES} frames")
     frames = {
         "stop.writes[0].data": stop.writes[0].data,
         "motion.rest": wire.motion.rest,
@@ -165,7 +165,7 @@ def _counts(wire: Wire) -> None:
         **{f"questions[{at}].ask": ask for at, ask in enumerate(asks)},
     }
     for name, frame in frames.items():
-        _hold(0 < len(frame) <= MOST_BYTES, f"WIRE.{name} has {len(frame)} bytes, must have 1 to {MOST_BYTES}")
+        _hold(0 < len(frame) <= _MOST_BYTES, f"WIRE.{name} has {len(frame)} bytes, must have 1 to {_MOST_BYTES}")
     for at, identity in enumerate(wire.usb):
         parts = identity.split(":")
         hexadecimal = all(len(part) == 4 and not part.strip("0123456789abcdef") for part in parts)
@@ -238,7 +238,7 @@ def _motion(wire: Wire) -> None:
 
 
 def _refusals(wire: Wire) -> None:
-    """What must not become a frame, or pass for one."""
+    """Refuse what must not become a frame, or pass for one."""
     motion, nan, inf = wire.motion, float("nan"), float("inf")
     rest = motion.rest
     for asked in ((nan,) * motion.wheels, (inf,) * motion.wheels, (motion.limit * 2,) * motion.wheels,
@@ -251,7 +251,7 @@ def _refusals(wire: Wire) -> None:
             text = f"{type(error).__name__}: {error}"
             raise _Wrong(f"WIRE.motion.frame({_shown(asked)}) raises {text}; it must raise FrameError") from error
         raise _Wrong(f"WIRE.motion.frame({_shown(asked)}) returns {_shown(made)}, must raise FrameError")
-    for other in (b"", rest[:-1], rest[1:], rest + rest, *NOISE):
+    for other in (b"", rest[:-1], rest[1:], rest + rest, *_NOISE):
         _hold(_check(motion, other, motion.limit) != "", f"WIRE.motion.check lets {_shown(other)} pass as motion")
     for bit in range(8 * len(rest)):
         changed = (int.from_bytes(rest, "big") ^ 1 << bit).to_bytes(len(rest), "big")
@@ -291,7 +291,7 @@ def _speeds(motion: Motion, frame: bytes) -> tuple[float, ...] | None:
     return tuple(told)
 
 
-# What it reads.
+# Its reader.
 
 
 def _reader(wire: Wire) -> None:
@@ -304,7 +304,7 @@ def _reader(wire: Wire) -> None:
         *(Wheels((0.0,) * wire.motion.wheels, ()), Wheels((), (0.0,) * wire.motion.wheels)),
         Obeyed((0.0,) * wire.motion.wheels),
     ]
-    for chunk in (b"", wire.motion.rest, *NOISE):
+    for chunk in (b"", wire.motion.rest, *_NOISE):
         read = _asked("WIRE.reader().feed", feed, chunk)
         text = f"WIRE.reader().feed returns {_shown(read)}, must return a list of Samples"
         _hold(isinstance(read, (list, tuple)) and all(isinstance(each, Sample) for each in read), text)
@@ -313,5 +313,5 @@ def _reader(wire: Wire) -> None:
         for sample in samples:
             _asked(f"WIRE.questions[{at}].answered_by", question.answered_by, sample)
     if wire.board:
-        board = _asked("WIRE.board", wire.board, wire, wire.motion.per_rps(DIAMETERS_M[1]))
+        board = _asked("WIRE.board", wire.board, wire, wire.motion.per_rps(_DIAMETERS_M[1]))
         _hold(isinstance(board, Board), f"WIRE.board returns {_shown(board)}, must return a Board")

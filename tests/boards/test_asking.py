@@ -174,6 +174,7 @@ def test_the_order_in_which_boards_are_asked() -> None:
 
 
 @pytest.mark.parametrize("there", ["hoverboard", "ugv", "rrc"])
+@pytest.mark.starts
 def test_no_stranger_is_written_to_where_the_board_is_the_users_own(there: str, tmp_path: Path) -> None:
     """It is listened to: who speaks unasked is found."""
     folder = own_folder(tmp_path / "tank")

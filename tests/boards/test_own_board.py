@@ -97,7 +97,7 @@ def fifo(at: Path) -> None:
 
 
 def many(at: Path) -> None:
-    for number in range(own.MOST_FILES):
+    for number in range(2000):
         (at / f"{number}.txt").touch()
 
 
@@ -153,7 +153,7 @@ WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
     "links in a circle": (lambda at: (at / "more.py").symlink_to("more.py"), "more.py leads through too many links"),
     "a file in its place": (lambda at: (shutil.rmtree(at), at.write_text("")), "tank is a file, must be a folder"),
     "a huge module": (
-        lambda at: (at / "wire.py").write_bytes(b"#" * (own.MOST_BYTES + 1)),
+        lambda at: (at / "wire.py").write_bytes(b"#" * ((1 << 20) + 1)),
         "wire.py has 1048577 bytes",
     ),
     "more files than a board has": (many, "tank holds more than 2000 files"),
@@ -185,7 +185,7 @@ THEIRS: dict[str, Callable[[Path], Path]] = {
     "a file far below": lambda at: made(made(at / "notes") / "old") / "x.txt",
     "a link": lambda at: linked(at / "more.py", at / "codec.py"),
 }
-"""What somebody else may own, of a board's folder and the way to it."""
+"""The paths that somebody else may own, of a board's folder and the way to it."""
 
 
 def made(folder: Path) -> Path:

@@ -35,7 +35,7 @@ def test_what_is_counted_here_is_what_the_service_takes() -> None:
 
 
 def changed(value: Data, path: str, new: object) -> Any:
-    """The same description, of which one field is another."""
+    """A copy of a description in which one field is another."""
     field, _, rest = path.partition(".")
     fields = dict(vars(value))
     fields[field] = changed(fields[field], rest, new) if rest else new

@@ -31,7 +31,7 @@ raise ImportError("of the foreign folder")
 """
 OF_NO_PACKAGE = ("failstop", "rclpy", "sitecustomize", "usercustomize", "wire", "codec", "receiver", "supervisor")
 SCRIPT = "import sys\nfrom failstop.cli.main import main\nsys.exit(main())\n"
-"""What pip installs as the command."""
+"""The script that pip installs as the command."""
 WITHIN_S = 90.0
 
 
@@ -187,7 +187,7 @@ def test_a_service_and_those_that_ask_it_run_none_of_its_modules(folder: Folder,
 
 
 def asked(url: str) -> bytes:
-    """What the page answers; nothing while it has not made it."""
+    """The answer of the page; nothing while it has not made it."""
     with contextlib.suppress(urllib.error.HTTPError), urllib.request.urlopen(url, timeout=ENDS_S) as answer:
         found: bytes = answer.read()
         return found

@@ -58,6 +58,7 @@ def test_a_port_owner_that_starves_behind_a_lost_stop_is_not_spared() -> None:
     assert "port_owner died" in stage.witness.causes
 
 
+@pytest.mark.starts
 def test_a_board_in_a_folder_of_ones_own_drives_on_it(tmp_path: Path) -> None:
     stage = Stage(SCENARIOS["replug"], kind=own_folder(tmp_path / "tank"))
     stage.run()

@@ -20,7 +20,8 @@ LEFT_OUT = {
     "failstop.procs.rights": {"STACK_BYTES"},
     "failstop.procs.starved": {"starved"},
     "failstop.shm.thread_state": set[str](),
-    "failstop.board.own": {"CHECKED_TYPES", "SAYS"},
+    "failstop.board.own": {"LIMIT_S", "SAYS"},
+    "failstop.helpers": {"python", "search_path"},
 }
 """Names of these modules that the service uses nowhere but in themselves."""
 

@@ -312,6 +312,7 @@ SLOW = (
 
 
 @pytest.mark.parametrize("path", ["/etc/failstop.toml", None])
+@pytest.mark.starts
 def test_what_a_board_does_not_take_is_refused_with_the_file_it_is_in(path: str | None, tmp_path: Path) -> None:
     folder = own_folder(tmp_path / "tank")
     refused = [

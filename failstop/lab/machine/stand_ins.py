@@ -189,6 +189,11 @@ def make_own(calls: Calls) -> ModuleType:
     )
 
 
+def make_helpers(calls: Calls) -> ModuleType:
+    """failstop.helpers: a process of the machine has no search path."""
+    return Module("failstop.helpers", calls, leave_current_folder=lambda: None)
+
+
 def stand_ins(calls: Calls) -> dict[str, ModuleType]:
     """By the name of the module that each stands in for."""
     return {
@@ -197,4 +202,5 @@ def stand_ins(calls: Calls) -> dict[str, ModuleType]:
         "failstop.procs.starved": make_starved(calls),
         "failstop.shm.thread_state": make_thread_state(calls),
         "failstop.board.own": make_own(calls),
+        "failstop.helpers": make_helpers(calls),
     }
