@@ -141,6 +141,18 @@ def _ranges(wire: Wire) -> None:
         scale = _asked("WIRE.motion.per_rps", motion.per_rps, diameter_m)
         fits = isinstance(scale, (int, float)) and isfinite(scale) and scale > 0
         _hold(fits, f"WIRE.motion.per_rps({diameter_m}) = {_shown(scale)}, must be a finite number above 0")
+    if reports := wire.reports:
+        _hold(0 < reports.every_ns <= 60 * _S, f"WIRE.reports.every_ns = {reports.every_ns}, must be 1 to {60 * _S} ns")
+        _hold(reports.wraps >= 0, f"WIRE.reports.wraps = {reports.wraps:g}, must be 0 or more")
+        for name, function in (
+            ("speed_per_rps", reports.speed_per_rps),
+            ("position_per_turn", reports.position_per_turn),
+        ):
+            for diameter_m in _DIAMETERS_M if function else ():
+                assert function
+                scale = _asked(f"WIRE.reports.{name}", function, motion.per_rps(diameter_m), diameter_m)
+                fits = isinstance(scale, (int, float)) and isfinite(scale) and scale > 0
+                _hold(fits, f"WIRE.reports.{name} = {_shown(scale)}, must be a finite number above 0")
     unanswered = wire.pace.unanswered
     _hold(unanswered is None or unanswered > 0, f"WIRE.pace.unanswered = {unanswered}, must be above 0, or None")
 
@@ -313,5 +325,5 @@ def _reader(wire: Wire) -> None:
         for sample in samples:
             _asked(f"WIRE.questions[{at}].answered_by", question.answered_by, sample)
     if wire.board:
-        board = _asked("WIRE.board", wire.board, wire, wire.motion.per_rps(_DIAMETERS_M[1]))
+        board = _asked("WIRE.board", wire.board, wire, wire.motion.per_rps(_DIAMETERS_M[1]), _DIAMETERS_M[1])
         _hold(isinstance(board, Board), f"WIRE.board returns {_shown(board)}, must return a Board")

@@ -23,7 +23,12 @@ class ReadBack:
         self._before: tuple[int, tuple[float, ...]] | None = None
 
     def take(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
-        """Take a report; True when it was judged."""
+        """Take a report; True when it was judged, or what was known no longer counts. NaN says nothing: as a number it
+        would pass for neither turning nor at rest, so from then on nobody knows."""
+        if not all(map(isfinite, (*speeds, *positions))):
+            known, self._before = self.judged_ns > 0, None
+            self.still_ns = self.judged_ns = 0
+            return known
         rests = self._rests(speeds, positions, t_ns)
         if rests is None:
             return False
@@ -32,11 +37,7 @@ class ReadBack:
         return True
 
     def _rests(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool | None:
-        """Whether it says that they stand; None: nothing yet. NaN says nothing, and what was known before it is old:
-        as a number it would pass for neither turning nor at rest."""
-        if not all(map(isfinite, (*speeds, *positions))):
-            self._before, self.still_ns = None, 0
-            return None
+        """Whether it says that they stand; None: nothing yet."""
         if any(abs(speed) > AT_REST for speed in speeds):
             self._before = (t_ns, positions)
             return False

@@ -143,13 +143,16 @@ WRONG: dict[str, tuple[str, object, str]] = {
     "a proof of another word": ("proofs", ("answer",), r"proofs\[0\] = 'answer', must be one of answered, echoed"),
     "a proof twice": ("proofs", (ANSWERED, ANSWERED), "each once"),
     "an echo of nothing": ("proofs", (ECHOED,), "has ECHOED, and echo_ns is 0"),
+    "reports of no time": ("reports.every_ns", 0, "reports.every_ns = 0, must be 1 to"),
+    "reports that wrap at NaN": ("reports.wraps", NAN, "reports.wraps = nan, must be a finite number"),
+    "reports of a NaN scale": ("reports.position_per_turn", lambda *_: NAN, "position_per_turn = nan"),
     "a negative ping": ("ping_ns", -1, "ping_ns = -1"),
     "a watchdog that does anything": ("watchdog.does", "explode", "watchdog.does = 'explode', must be zero, coast"),
     "a watchdog that none can set": ("watchdog.set_ns", 10**8, "and arm is None, which can't set it"),
     "a name of nothing": ("name", " ", "WIRE.name = ' ', must be a text"),
     "an identity of another form": ("usb", ("2341-0043",), r"usb\[0\] = '2341-0043', must be as"),
     "a board of no function": ("board", 5, "WIRE.board = 5, must be a function"),
-    "a board that is none": ("board", lambda wire, per_rps: None, "WIRE.board returns None, must return a Board"),
+    "a board that is none": ("board", lambda *_: None, "WIRE.board returns None, must return a Board"),
 }  # fmt: skip
 """Of each the field, what is there instead, and what is said of it."""
 

@@ -284,6 +284,8 @@ def test_a_number_that_is_none_is_never_rest(number: float) -> None:
         assert not judge.take((), (number, 1.0), T0 + at * S + READS_APART_NS)
     assert (judge.still_ns, judge.judged_ns) == (0, 0)
     assert judge.take((0.0, 0.0), (), T0 + 6 * S)
+    assert judge.take((0.0, number), (), T0 + 7 * S), "nobody knows any more"
+    assert (judge.still_ns, judge.judged_ns) == (0, 0)
     assert not judge.take((0.0, number), (), T0 + 7 * S)
     assert judge.take((0.0, 0.0), (), T0 + 8 * S)
     assert judge.still_ns == T0 + 8 * S
