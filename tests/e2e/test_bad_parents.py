@@ -10,7 +10,6 @@ import pytest
 
 from failstop.lab.trial import Trial, wait_for
 from failstop.procs.rights import DESCRIPTORS, STACK_BYTES
-from tests.support.commands import FAILSTOP
 from tests.support.shared_trial import IMU_HZ
 
 OPEN = 1100
@@ -35,8 +34,6 @@ signal.pthread_sigmask(signal.SIG_BLOCK, range(1, 32))
 {LOW}
 """,
 }
-ISOLATED = (sys.executable, "-I", "-m", "failstop")
-"""The arguments of the package's command. Without -I the interpreter needs more stack than the low limit."""
 
 
 def open_in(pid: int) -> dict[int, str]:
@@ -49,7 +46,7 @@ def test_the_service_works_all_the_same(name: str, parent: str) -> None:
         pytest.skip("not so many descriptors here")
     trial = Trial(name, imu_hz=IMU_HZ)
     prelude = f"import os, sys\n{PARENTS[parent]}\nos.execv(sys.argv[1], sys.argv[1:])"
-    trial.service._command = [sys.executable, "-c", prelude, *ISOLATED, *trial.service._command[len(FAILSTOP) :]]
+    trial.service.become(sys.executable, "-c", prelude)
     with trial:
         pids = trial.service.pids()
         for process, pid in pids.items():
