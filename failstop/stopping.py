@@ -16,11 +16,13 @@ import select
 import time
 
 from failstop.board.interface import SUPERVISOR_ROW
-from failstop.board.port import PortError, open_port
+from failstop.board.port import PortError, close_port, has_lines, is_read, open_port
 from failstop.board.stop_port import StopPort
 
 RETRY_S = 0.02
 WARN_S = 1.0
+OLDER_S = 0.05
+"""An answer that comes within this time is to a question that somebody asked before."""
 _SIGKILL = 9
 
 TYPE_CHECKING = False
@@ -74,6 +76,38 @@ def write(path: str, board: Board, servos: tuple[int, ...] = ()) -> None:
             raise PortError("io", f"{path} {why}", stop_port.errno)
     finally:
         stop_port.close()
+
+
+def answered(path: str, board: Board, *, patient: bool) -> bool | None:
+    """Whether the board answers at a port where its stop was written; None: that can't be known, because it answers
+    nothing by its nature, or a service reads the port. `patient`: a board that opening its port resets is waited for.
+    Never raises."""
+    if not (board.pings or board.echo_ns):
+        return None
+    # After the stop, which needs neither.
+    from failstop.board import asking
+    from failstop.board.tap import Tap
+
+    try:
+        fd = open_port(path, exclusive=False, line=board.port)
+    except PortError:
+        return False
+    try:
+        if is_read(fd):
+            return None
+        tap = Tap(fd, board)
+        time.sleep(OLDER_S)
+        tap.read()
+        if asking.ask(tap, board, stop=False) is not None:
+            return True
+        if not (patient and board.port.deaf_ns and has_lines(fd)):
+            return False
+        time.sleep(board.port.deaf_ns / 1e9)
+        return asking.ask(tap, board, stop=True) is not None
+    except OSError:
+        return False
+    finally:
+        close_port(fd)
 
 
 def of_a_service(proc: str = "/proc") -> bool:

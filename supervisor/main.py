@@ -161,12 +161,18 @@ class Supervisor:
 
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
         """A port that has gone, and one that is back: the opener has written the burst on it, unless it could not."""
+        stranger, sure = self.handover.misplaced, self.handover.sure
         if self.handover.lost(ready, now_ns):
-            self.monitor.link.opened()
+            self.monitor.link.opened(now_ns, sure=sure)
+            if stranger:  # the port owner still has it open, and takes it for the board
+                self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, causes.DEVICE_LOST())])
         opened_ns = self.handover.opened(now_ns)
         if opened_ns is not None:
             self._repeats.restart(now_ns)
-            self.monitor.opened(self._wrote(opened_ns) if opened_ns else self._burst())
+            written_ns = self._wrote(opened_ns) if opened_ns else self._burst()
+            self.monitor.opened(written_ns, now_ns, sure=self.handover.sure)
+        if self.monitor.link.believed:
+            self.handover.believe()
         self.handover.make_up(now_ns)
 
     def _stop_alone(self, now_ns: int) -> None:

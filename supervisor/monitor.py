@@ -16,7 +16,15 @@ from failstop.messages import layout, records
 from failstop.messages.packing import pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_UNASKED, LINK_UNPROVEN, NOT_SENT, observer
+from failstop.policy.proofs import (
+    LINK_ALIVE,
+    LINK_DEAF,
+    LINK_UNASKED,
+    LINK_UNHEARD,
+    LINK_UNPROVEN,
+    NOT_SENT,
+    observer,
+)
 from failstop.shm.words import Barrier
 from failstop.supervisor import starter
 from failstop.supervisor.latch import Latch
@@ -121,6 +129,7 @@ class Monitor:
         if last and not last.told:
             self._tell_outcome(last)  # with what is known
         self._last = Proof(stop, self._after_ns, monotonic_ns(), time(), self._by)
+        self._last.believed = self.link.believed
         self._publish(self._last)
 
     def follow(self, now_ns: int, *, listening: bool) -> list[Stop]:
@@ -128,11 +137,17 @@ class Monitor:
         answers, and so does the port owner, which asks."""
         stops = []
         self._take_answer()
+        if self._last and self.link.believed and not self._last.believed:
+            self._last.believed = True
+            self._publish(self._last)
         newest_ns = max(word.get() for word in self._pings)
         if not listening:
             self.link.listen(newest_ns)
         elif self.link.silent(newest_ns, now_ns):
             stops.append(Stop(now_ns, layout.SUPERVISOR, causes.DEAF()))
+        elif self.link.missed(now_ns):
+            text = "nothing has answered since the port came back, so it may not be the board: POWER SWITCH"
+            self._run.events.tell("link", text, {"state": LINK_UNHEARD}, level="critical")
         self._reap_command()
         if self._last and self._unstill(self._last, now_ns):
             stops.append(Stop(now_ns, layout.SUPERVISOR, causes.UNSTILL()))
@@ -144,18 +159,23 @@ class Monitor:
             self._link_record.write(self._published.encode())
         return stops
 
-    def opened(self, written_ns: int) -> None:
-        """A port was opened again, perhaps another board's; the supervisor's burst on it was at `written_ns`."""
-        self.link.opened()
-        last = self._last
-        if last and not last.stop.written_ns and written_ns > last.stop.t_ns:
+    def opened(self, written_ns: int, now_ns: int, *, sure: bool) -> None:
+        """A port was opened again, perhaps another board's; the supervisor's burst on it was at `written_ns`. `sure`:
+        it is known to be the board's."""
+        last, before = self._last, self.link.state
+        self.link.opened(now_ns, sure=sure)
+        if last is None or written_ns <= last.stop.t_ns:
+            return
+        if not last.stop.written_ns or (before == LINK_UNHEARD and not last.believed):  # it went to another device
             last.written_at_last(written_ns, BY_SUPERVISOR)
+            last.believed = self.link.believed
             self._publish(last)
 
     def _take_answer(self) -> None:
         obeyed_ns = self._obeyed.get()
         if obeyed_ns != self._seen_obeyed:
             self._seen_obeyed = obeyed_ns
+            self.link.obeyed(obeyed_ns - self._echo_ns)
             self._acknowledge(obeyed_ns - self._echo_ns, obeyed_ns)
         word = self._pong.get()
         if word == self._seen_pong:
@@ -258,9 +278,9 @@ class Monitor:
         if state == LINK_DEAF:
             self._run.events.tell("link", "the board answers no more", {"state": state}, level="critical")
         elif state == LINK_ALIVE:
-            again = " again" if before == LINK_DEAF else ""
+            again = " again" if before in (LINK_DEAF, LINK_UNHEARD) else ""
             self._run.events.tell("link", f"the board answers{again}", {"state": state})
-        elif before and state == LINK_UNPROVEN:
+        elif before and state in (LINK_UNPROVEN, LINK_UNHEARD):
             text = "whether the board hears is not known until it answers"
             self._run.events.tell("link", text, {"state": state}, level="info")
 

@@ -30,6 +30,10 @@ if TYPE_CHECKING:  # `failstop run` has OwnPort of here before its first stop, a
 
 LOOK_NS = 5_000_000
 """How often a lost port is looked for."""
+WATCH_S = 1.0
+"""How often the devices next to the board are looked at: after a loss they are not the board."""
+DOUBT_S = 0.05
+"""How often the board is looked for while a device that may not be the board is open."""
 SHARE_NS = 100_000_000
 """How often a process is sent the port until it has it."""
 BUSY_S = 1.0
@@ -87,7 +91,10 @@ class Opener:
     """A thread of the supervisor's that opens a lost port when it is back, and writes the burst on it.
 
     An open may take seconds, of a board that is slow to wake up: it holds nobody up here. The burst does not wait for
-    the supervisor's loop either. `finder` is the thread's from look() until take() has returned something.
+    the supervisor's loop either. `finder` is the thread's own once begin() was called, but for `at` and `sure`.
+
+    Between two losses it looks at the devices that are there. If the one that is open was taken for the board because
+    there was none better, and the board turns up, `misplaced` is set and the bell rings.
     """
 
     def __init__(self, finder: Finder, board: Board, bell: EventBell) -> None:
@@ -98,6 +105,9 @@ class Opener:
         self._asked = _thread.allocate_lock()
         self._asked.acquire()
         self._found: tuple[int, int] | None = None
+        self.misplaced = False
+        self.believed = False
+        """The device that is open has answered as the board does. The loop sets it, the thread takes it."""
         self._spare = -1
         self._reserve()
 
@@ -118,6 +128,7 @@ class Opener:
         """One look. A descriptor number was kept for it: those that are free now may be gone by then."""
         if self._spare >= 0:
             os.close(self._spare)
+        self.misplaced = self.believed = False
         fd = self.finder.open(monotonic_ns())
         if fd >= 0:
             written = StopPort(fd, self._board).burst()
@@ -137,9 +148,20 @@ class Opener:
         # A thread does not inherit what SCHED_RESET_ON_FORK takes away.
         os.sched_setscheduler(0, policy, priority)
         while True:
-            self._asked.acquire()
+            if not self._asked.acquire(timeout=WATCH_S if self.finder.sure else DOUBT_S):
+                self._watch()
+                continue
             while not self.attempt():
                 sleep(LOOK_NS / 1e9)
+
+    def _watch(self) -> None:
+        if self.believed:
+            self.believed = False
+            self.finder.believe()
+        self.finder.look_around()
+        if not self.misplaced and self.finder.misplaced():
+            self.misplaced = True
+            self._bell.ring()
 
 
 class PortHandover:
@@ -160,10 +182,27 @@ class PortHandover:
         self.controls = {process: Control(fds[0]) for process, fds in run.controls.items()}
         run.loop.watch(port.fd, HANGUP)
 
+    @property
+    def sure(self) -> bool:
+        """False while a device is open that was taken for the board because there was none better."""
+        return self.opener.finder.sure
+
+    @property
+    def misplaced(self) -> bool:
+        """True if the device that is open is not the board, which is there."""
+        return self._port.fd >= 0 and self.opener.misplaced and not self.opener.believed
+
+    def believe(self) -> None:
+        """The device that is open has answered as the board does, so it is the board."""
+        if self._port.fd >= 0 and not self.sure:
+            self.opener.believed = True
+
     def lost(self, ready: dict[int, int], now_ns: int) -> bool:
-        """True when the port has just gone: it is let go at once, and looked for."""
-        gone = ready.get(self._port.fd, 0) & GONE
-        if self._port.fd < 0 or not (gone or self._port_owner_s() == records.PORT_LOST):
+        """True when the port has just gone, or is not the board's: it is let go at once, and the board looked for."""
+        if self._port.fd < 0:
+            return False
+        gone = ready.get(self._port.fd, 0) & GONE or self._port_owner_s() == records.PORT_LOST
+        if not gone and not self.misplaced:
             return False
         self._loop.forget(self._port.fd)
         self._port.close()
@@ -171,6 +210,8 @@ class PortHandover:
             each.ring()  # they have the same to let go
         path = self.opener.finder.at
         text = f"{path} is gone; the stop is written the moment it is back; wheels that turn: POWER SWITCH"
+        if not gone:
+            text = f"{path} is not the board, which is at another port now; the stop is written there at once"
         self._events.tell("device_lost", text, {"path": path})
         self._lost_ns = now_ns
         self.opener.look()
@@ -187,6 +228,11 @@ class PortHandover:
         self._share(list(self.controls), now_ns)
         path, away_s = self.opener.finder.at, (now_ns - self._lost_ns) / 1e9
         text = f"{path} is back after {away_s:.1f} s; the stop is written"
+        if not self.sure:
+            text = (
+                f"{path} may not be the board: a device like it came after {away_s:.1f} s; the stop is written to it, "
+                "which proves nothing until it answers; wheels that turn: POWER SWITCH"
+            )
         self._events.tell("device_back", text, {"path": path, "away_s": round(away_s, 3)})
         return written_ns
 

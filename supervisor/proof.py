@@ -16,6 +16,7 @@ from failstop.policy.proofs import (
     LINK_ALIVE,
     LINK_DEAF,
     LINK_UNASKED,
+    LINK_UNHEARD,
     LINK_UNPROVEN,
     NO_IMU,
     NOT_SENT,
@@ -59,6 +60,8 @@ class Proof:
         self.wheels = WHEELS_UNKNOWN
         self.held = False
         """Its bytes were still in the kernel when it was told of: the board takes none."""
+        self.believed = True
+        """False while the device that took its bytes has not answered as the board does."""
         self.told = False
         """True when all that can be known of it was told."""
         self._was_still = True
@@ -149,6 +152,7 @@ class Proof:
             "t": self.unix_s,
             "epoch": self.stop.epoch,
             "sent": not self.held or self.acknowledged_ns is not None,
+            "believed": self.believed or self.acknowledged_ns is not None,
             "written_us": max(0, self.stop.written_ns - self.stop.t_ns) / 1e3 if self.stop.written_ns else None,
             **self._proofs(),
         }
@@ -168,36 +172,68 @@ class Link:
     unproven   it has never answered a ping since the port was opened: nothing is known, nothing is stopped for
     alive      it answers
     deaf       it has answered before and is silent: a stop cause, once, until it answers again
+    unheard    the port was lost, and the device that is there now has not answered: it may be another one
     unasked    it has no ping, so that it can answer none: nothing is known, and nothing is waited for
 
+    Unheard is for a board that had answered before the loss, and for a device that may not be the board (finder.py).
     A board can go deaf while its telemetry goes on, so only answers count.
     """
 
     def __init__(self, deaf_ns: int, *, asked: bool = True) -> None:
         """`asked`: the board has pings."""
         self._deaf_ns = deaf_ns
-        self._opened = LINK_UNPROVEN if asked else LINK_UNASKED
-        self.state = self._opened
+        self._asked = asked
+        self.state = self._first = LINK_UNPROVEN if asked else LINK_UNASKED
+        self._heard = False
+        """It has answered, or was seen to obey, in this run."""
+        self._opened_ns = 0
         self._answered_ns = 0
         """When the newest answered ping was sent."""
         self._asked_ns = 0
         """When the oldest ping after it was sent; 0: none yet."""
+        self._missed = False
 
-    def opened(self) -> None:
-        """Another port, perhaps another board: nothing is known of it."""
-        self.state = self._opened
-        self._answered_ns = self._asked_ns = 0
+    @property
+    def believed(self) -> bool:
+        """False while nothing shows that the device at the port is the board."""
+        return self.state not in (LINK_UNPROVEN, LINK_UNHEARD)
+
+    def opened(self, now_ns: int, *, sure: bool = True) -> None:
+        """Another port: nothing is known of what is there now. `sure`: it is known to be the board."""
+        self.state = self._first if sure and not self._heard else LINK_UNHEARD
+        self._opened_ns = self._answered_ns = now_ns
+        self._asked_ns = 0
+        self._missed = False
 
     def listen(self, newest_ping_ns: int) -> None:
         """Nobody could have heard an answer until now: a silence begins with the next ping at the earliest."""
         self._asked_ns = 0
         self._answered_ns = max(self._answered_ns, newest_ping_ns)
 
+    def obeyed(self, since_ns: int) -> None:
+        """The board reports that it obeys what was written at `since_ns` or before."""
+        if since_ns < self._opened_ns:
+            return
+        self._heard = True
+        if not self._asked:
+            self.state = LINK_UNASKED
+
     def answered(self, sent_ns: int) -> None:
         """A ping that was sent at `sent_ns` was answered."""
+        if sent_ns < self._opened_ns:
+            return  # by the device that was at the port before
         self.state = LINK_ALIVE
+        self._heard = True
         self._answered_ns = max(self._answered_ns, sent_ns)
         self._asked_ns = 0
+
+    def missed(self, now_ns: int) -> bool:
+        """True, once, when the device at a port that was opened again should have answered by now."""
+        since_ns = self._asked_ns if self._asked else self._opened_ns
+        if self.state != LINK_UNHEARD or self._missed or not since_ns:
+            return False
+        self._missed = now_ns - since_ns >= self._deaf_ns
+        return self._missed
 
     def silent(self, newest_ping_ns: int, now_ns: int) -> bool:
         """True when the board has just become deaf; `newest_ping_ns`: when the last ping was sent."""

@@ -10,7 +10,6 @@ from failstop.messages import box, records
 from failstop.policy.causes import Cause
 from failstop.policy.layouts import WHEEL_NAMES
 
-Link = Literal["unproven", "alive", "deaf", "unasked"]
 PadMode = Literal["locked", "drive", "joint"]
 
 
@@ -108,6 +107,8 @@ class Stop:
     """Source of `observed_s`: IMU, or wheels (the board's own reports of them); empty: the robot has no IMU."""
     noticed_ns: int = 0
     """When the cause was noticed (CLOCK_MONOTONIC, ns): the same whatever the wall clock is set to."""
+    believed: bool = True
+    """False: the device that took its bytes has not answered as the board does."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,8 +145,8 @@ class Device:
     """Of its file, as the settings or `--device` name it."""
     state: Literal["closed", "open", "lost"]
     """closed, open, or lost (unplugged)."""
-    link: Link
-    """The proof by its answers: unproven (none yet), alive, deaf (it has answered before), unasked (it has none)."""
+    link: Literal["unproven", "alive", "deaf", "unheard", "unasked"]
+    """alive: it answers; unproven: never yet; deaf: no more; unheard: not since a replug; unasked: never, by nature."""
     watchdog_s: float = 0.0
     """How long after the last frame the board's own watchdog acts, s; 0: it has none, or it is not known."""
     watchdog_does: str = ""

@@ -25,6 +25,7 @@ LINKS = {
     "unproven": NEVER_ANSWERED,
     "alive": "the board answers",
     "deaf": "the board does NOT answer",
+    "unheard": "the board has NOT answered since its port came back",
     "unasked": "this board answers no question, by its nature",
 }
 """The proof by each state of the link, in words."""
@@ -47,6 +48,8 @@ def doubt(state: State) -> str:
         return f"the port {state.device.path} is {state.device.state}, so no stop reaches the board"
     if state.device.link == "deaf":
         return "the board does not answer, so a stop may not reach the wheels"
+    if state.device.link == "unheard":
+        return f"{state.device.path} has not answered since it came back, so it may be another device than the board"
     if state.cause and state.cause.kind is causes.UNSTILL:
         return "the IMU sees the robot shake on"
     return ""

@@ -11,7 +11,7 @@ from failstop.api.snapshot import Block, State, Stop
 from failstop.board.decoder import BUTTONS
 from failstop.policy.causes import Cause, filled
 from failstop.policy.processes import ROLES
-from failstop.policy.proofs import ACKNOWLEDGED_BY, NO_IMU, NOT_SENT, SEEN_BY, wheels_seen
+from failstop.policy.proofs import ACKNOWLEDGED_BY, NO_IMU, NOT_SENT, SEEN_BY, TO_A_STRANGER, wheels_seen
 
 YET_S = 2.0
 """By then everything that will be known of a stop is known."""
@@ -139,6 +139,8 @@ def proofs(stop: Stop, now_s: float) -> list[tuple[str, bool | None]]:
         return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
     written = f"written by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"
+    if not stop.believed:
+        written += f" {TO_A_STRANGER}"
     heard, by = f"NOT acknowledged by the board{yet}", stop.observed_by
     seen = f"NOT seen still by {SEEN_BY[by]}{yet}" if by else NO_IMU
     if not stop.acknowledged_by:
@@ -148,7 +150,7 @@ def proofs(stop: Stop, now_s: float) -> list[tuple[str, bool | None]]:
     if stop.observed_s is not None:
         seen = wheels_seen(stop.observed_s, by)
     return [
-        (written if stop.sent else NOT_SENT, stop.sent),
+        (written if stop.sent else NOT_SENT, stop.sent and stop.believed),
         (heard, stop.acknowledged_s is not None if stop.acknowledged_by else None),
         (seen, None if stop.observed_s == 0 or not by else stop.observed_s is not None),
     ]

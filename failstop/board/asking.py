@@ -95,7 +95,7 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
         silent = not board.pings or (strangers and kind != next(iter(boards)))
         after_ns = time.monotonic_ns() - opened_ns
         tap = Tap(fd, board)
-        answered_ms = None if silent else _ask(tap, board, stop=not first)
+        answered_ms = None if silent else ask(tap, board, stop=not first)
         if silent:
             tap.listen(ANSWER_S)
         known = bool(tap.reports) if silent else answered_ms is not None
@@ -105,8 +105,9 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
     return found
 
 
-def _ask(tap: Tap, board: Board, stop: bool) -> float | None:
-    """The time until a question was answered, in ms. `stop`: the stop is to be written before it."""
+def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
+    """Ask a board twice at most. After how many ms it answered; None: it did not. `stop`: write the stop first. Raises
+    OSError when the device has gone."""
     if stop:
         StopPort(tap.fd, board).burst()
     for _ in range(QUESTIONS):

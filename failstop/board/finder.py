@@ -1,5 +1,8 @@
-"""Finding the board again after it was lost: by the path that the settings name, or else by what its USB device says of
-itself.
+"""Finding the board again after its port was lost: which of the serial ports that are there is the board.
+
+The path of the settings does not say: a hub that resets may hand the board's number, or its link, to a look-alike. So
+the board is known by what its USB device reports, and by the socket that it is plugged into where that is not enough.
+CHOICES is the policy.
 
 A tty whose descriptor somebody holds over an unplug keeps its number, so that the board comes back as another one.
 """
@@ -12,27 +15,89 @@ from failstop.board import port
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
     from failstop.board.wire import Port
 
-SEARCH_EVERY_NS = 50_000_000
-"""How often sysfs is looked through, which takes some 0.1 ms."""
+SEARCH_EVERY_NS = 10_000_000
+"""How often sysfs is searched, which takes some 0.1 ms."""
 USB_DEPTH = 6
 """A tty is so many directories below its USB device at most."""
 SERIAL_NODES = ("ttyACM", "ttyUSB")
 
-Identity = tuple[str, str, str]
-"""Vendor, product and serial number (empty where the device has none), as sysfs has them."""
+
+class Device:
+    """A serial port on USB, as sysfs describes it. Two are equal if they are the same device in the same socket."""
+
+    __slots__ = ("part", "place", "product", "serial", "vendor")
+
+    def __init__(self, vendor: str, product: str, serial: str, part: str, place: str) -> None:
+        self.vendor = vendor
+        self.product = product
+        self.serial = serial
+        """Empty if the device has none. Many adapters have none, and some makers give all of theirs the same."""
+        self.part = part
+        """The port among several of one device: the USB interface, and the number in it."""
+        self.place = place
+        """The socket: the bus and the number of the port on each hub, such as 1-1.2."""
+
+    @property
+    def what(self) -> tuple[str, ...]:
+        """The words of the device about itself: the same in every socket."""
+        return self.vendor, self.product, self.serial, self.part
+
+    @property
+    def kind(self) -> tuple[str, ...]:
+        """The part of it that all devices with this chip share."""
+        return self.vendor, self.product, self.part
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Device) and (self.what, self.place) == (other.what, other.place)
+
+    def __hash__(self) -> int:
+        return hash((self.what, self.place))
+
+    def __repr__(self) -> str:
+        return f"{self.vendor}:{self.product} {self.serial or 'without a serial number'} at {self.place}"
 
 
-def identity(device: str) -> Identity | None:
-    """Of the USB device above a tty's `device` in sysfs; None where there is none, as of a pty."""
-    place = os.path.realpath(device)
+def identity(device: str, like: Device | None = None) -> Device | None:
+    """The USB device above a tty's `device` link in sysfs. None if there is none, as for a pty or a serial pin, and if
+    it has another vendor or product than `like`."""
+    folder = whole = os.path.realpath(device)
     for _ in range(USB_DEPTH):
-        vendor = _line(f"{place}/idVendor")
-        if vendor:
-            return vendor, _line(f"{place}/idProduct"), _line(f"{place}/serial")
-        place = os.path.dirname(place)
+        if vendor := _line(f"{folder}/idVendor"):
+            product = _line(f"{folder}/idProduct")
+            if like and (vendor, product) != (like.vendor, like.product):
+                return None
+            interface = whole[len(folder) + 1 :].partition("/")[0].partition(":")[2]
+            part = f"{interface} {_line(f'{whole}/port_number')}".rstrip()
+            # The kernel answers this under the device's lock, so it may take long while that device is being reset.
+            return Device(vendor, product, _line(f"{folder}/serial"), part, os.path.basename(folder))
+        folder = os.path.dirname(folder)
     return None
+
+
+def of_number(number: int, sysfs: str = "/sys") -> Device | None:
+    """The USB device of a character device's number. None: it has none."""
+    return identity(f"{sysfs}/dev/char/{os.major(number)}:{os.minor(number)}/device")
+
+
+def usb_ports(like: Device | None, sysfs: str = "/sys") -> dict[str, Device]:
+    """Every serial port on USB that is there, by its path; those alone that share vendor and product with `like`."""
+    try:
+        names = os.listdir(f"{sysfs}/class/tty")
+    except OSError:
+        return {}
+    ports = ((name, f"{sysfs}/class/tty/{name}/device") for name in sorted(names) if name.startswith(SERIAL_NODES))
+    return {f"/dev/{name}": device for name, link in ports if (device := identity(link, like))}
+
+
+def look_alikes(own: Device | None, sysfs: str = "/sys") -> tuple[dict[str, Device], bool]:
+    """The other serial ports with a device's vendor and product, by their paths; and whether one of them has the same
+    serial number too, or none if it has none."""
+    others = {path: device for path, device in usb_ports(own, sysfs).items() if own and device != own}
+    return others, any(own and device.what == own.what for device in others.values())
 
 
 def _line(path: str) -> str:
@@ -43,58 +108,141 @@ def _line(path: str) -> str:
         return ""
 
 
-class Finder:
-    """Where to open the port of one board. `at` is the path that it was opened at last."""
+class Search:
+    """The facts that CHOICES decides on: the board as it was known last, and the devices that are there now."""
 
-    __slots__ = ("_identity", "_line", "_look_at_ns", "_path", "_sysfs", "at")
+    __slots__ = ("at_path", "board", "devices", "neighbours")
+
+    def __init__(
+        self, board: Device, neighbours: Iterable[Device], devices: Iterable[Device], at_path: Device | None
+    ) -> None:
+        """`neighbours`: other devices that were there while the board was; `at_path`: the one at the settings' path."""
+        self.board = board
+        self.neighbours = frozenset(neighbours)
+        self.devices = frozenset(devices)
+        self.at_path = at_path
+
+    def in_place(self) -> list[Device]:
+        return [device for device in self.devices if device == self.board]
+
+    def with_its_serial(self) -> list[Device]:
+        return self._moved() if self.board.serial else []
+
+    def without_serial(self) -> list[Device]:
+        return [] if self.board.serial else self._moved()
+
+    def _moved(self) -> list[Device]:
+        """Devices that report the same as the board, without the neighbours that are where they were before."""
+        return [device for device in self.devices - self.neighbours if device.what == self.board.what]
+
+    def in_its_stead(self) -> list[Device]:
+        spare = self.at_path
+        if spare is None or (spare.kind, spare.place) != (self.board.kind, self.board.place):
+            return []
+        return [] if spare.what in [each.what for each in self.neighbours] else [spare]
+
+
+CHOICES: tuple[tuple[Callable[[Search], list[Device]], bool], ...] = (
+    # the devices that this row is about                          it is the board for sure
+    (Search.in_place, True),  # itself, in the socket where it was
+    (Search.with_its_serial, True),  # its serial number, in another socket
+    (Search.without_serial, False),  # no serial numbers: one like it, in another socket
+    (Search.in_its_stead, False),  # a spare: one of the same kind at the path, in the socket where the board was
+)
+"""The device to take for the board: the first row that has any decides. If it has more than one, nobody can say which
+of them is the board, and none is taken. A device that is not sure is believed once it answers as the board does."""
+
+
+def pick(search: Search) -> tuple[Device | None, bool]:
+    """The device to take for the board (None: take none), and whether it is the board for sure. Pure."""
+    for choice, sure in CHOICES:
+        if found := choice(search):
+            return (found[0], sure) if len(found) == 1 else (None, False)
+    return None, False
+
+
+class Finder:
+    """Where to open the port of one board. `at` is the path where it was opened last."""
+
+    __slots__ = ("_board", "_held", "_line", "_look_at_ns", "_neighbours", "_path", "_sysfs", "at", "sure")
 
     def __init__(self, path: str, line: Port, sysfs: str = "/sys") -> None:
         """`path`: the board's, of the settings."""
         self._line = line
         self._path = path
         self._sysfs = sysfs
-        self._identity: Identity | None = None
+        self._board: Device | None = None
+        """The board as it was known last."""
+        self._held: Device | None = None
+        """The device that was opened last."""
+        self._neighbours: frozenset[Device] = frozenset()
         self._look_at_ns = 0
         self.at = path
+        self.sure = True
+        """False while the device that is open was taken for the board because there was none better."""
 
     def learn(self, descriptor: int) -> None:
-        """Remember which device it is that is open."""
-        self._identity = self._of_number(os.fstat(descriptor).st_rdev) or self._identity
+        """Take the device that is open for the board, as at the start of a run."""
+        self._held = self._of_number(os.fstat(descriptor).st_rdev)
+        self.believe()
+
+    def believe(self) -> None:
+        """The device that is open is the board: it has answered as the board does."""
+        self.sure = True
+        self._board = self._held or self._board
+        self._neighbours = frozenset()
+        self.look_around()
+
+    def look_around(self) -> None:
+        """Remember the other devices while the board is there: after a loss they are not the board."""
+        if self.sure and self._board and self._board in (there := frozenset(self._devices().values())):
+            self._neighbours = there - {self._board}
 
     def open(self, now_ns: int) -> int:
-        """Open it where it is, exclusively; -1 while it can't be had. Never raises."""
-        path = self._path
-        if not self._may_be_it(path):
-            if now_ns < self._look_at_ns:
-                return -1
-            self._look_at_ns = now_ns + SEARCH_EVERY_NS
-            path = self._elsewhere()
-        descriptor = port.open_if_there(path, self._line) if path else -1
-        if descriptor >= 0:
-            self.at = path
-            self.learn(descriptor)
+        """Open the board's port where it is, exclusively; -1 while it can't be had. Never raises."""
+        if self._board is None:  # nothing but its path is known of it
+            return self._open(self._path, None, sure=True)
+        at_path = self._at_path()
+        if at_path == self._board:
+            return self._open(self._path, at_path, sure=True)
+        if now_ns < self._look_at_ns:
+            return -1
+        self._look_at_ns = now_ns + SEARCH_EVERY_NS
+        devices = self._devices()
+        device, sure = pick(Search(self._board, self._neighbours, devices.values(), at_path))
+        path = next((path for path, each in devices.items() if each == device), "")
+        return self._open(path, device, sure=sure) if path else -1
+
+    def misplaced(self) -> bool:
+        """True if the board is there for sure, and is not the device that is open. For a device that is not sure."""
+        if self.sure or self._board is None:
+            return False
+        device, sure = pick(Search(self._board, self._neighbours, self._devices().values(), self._at_path()))
+        return sure and device != self._held
+
+    def _open(self, path: str, device: Device | None, *, sure: bool) -> int:
+        descriptor = port.open_if_there(path, self._line)
+        if descriptor < 0:
+            return -1
+        self._held = self._of_number(os.fstat(descriptor).st_rdev)
+        if device and self._held != device:  # the number has become another's meanwhile
+            port.close_port(descriptor)
+            return -1
+        self.at, self.sure = path, sure
+        if sure:
+            self._board = self._held or self._board
         return descriptor
 
-    def _of_number(self, number: int) -> Identity | None:
-        return identity(f"{self._sysfs}/dev/char/{os.major(number)}:{os.minor(number)}/device")
+    def _of_number(self, number: int) -> Device | None:
+        return of_number(number, self._sysfs)
 
-    def _may_be_it(self, path: str) -> bool:
-        """True when there is a device that is of this kind, for all that is known: another board may have been put in
-        its place, a device of another kind may have got its number."""
+    def _at_path(self) -> Device | None:
         try:
-            number = os.stat(path).st_rdev
+            return self._of_number(os.stat(self._path).st_rdev)
         except OSError:
-            return False
-        found = self._identity and self._of_number(number)
-        return self._identity is None or (found is not None and found[:2] == self._identity[:2])
+            return None
 
-    def _elsewhere(self) -> str:
-        """The one tty of this very device; empty where there is none, or where two look the same."""
-        if self._identity is None:
-            return ""
-        try:
-            names = [name for name in os.listdir(f"{self._sysfs}/class/tty") if name.startswith(SERIAL_NODES)]
-        except OSError:
-            return ""
-        same = [name for name in names if identity(f"{self._sysfs}/class/tty/{name}/device") == self._identity]
-        return f"/dev/{same[0]}" if len(same) == 1 else ""
+    def _devices(self) -> dict[str, Device]:
+        """Those that are like the board; the one that the settings' path leads to is found there first."""
+        at_path = self._at_path()
+        return ({self._path: at_path} if at_path else {}) | usb_ports(self._board, self._sysfs)

@@ -117,6 +117,14 @@ def unsent_bytes(descriptor: int) -> int:
     return int(_INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))[0])
 
 
+def is_read(descriptor: int) -> bool:
+    """True while a service has the port, which reads what the board sends."""
+    if not _lock(descriptor):
+        return True
+    fcntl.flock(descriptor, fcntl.LOCK_UN)
+    return False
+
+
 def has_lines(descriptor: int) -> bool:
     """True where the port has modem lines: opening it raises them, whoever opens it (the kernel, before anyone can say
     no), and may reset the board. A pty has none."""

@@ -14,7 +14,7 @@ from failstop.api.errors import FailstopError, NoService
 from failstop.api.snapshot import State
 from failstop.api.state import StateReader
 from failstop.board.asking import Unknown
-from failstop.board.finder import identity
+from failstop.board.finder import Device, identity, look_alikes
 from failstop.board.interface import Board
 from failstop.board.kinds import board_of
 from failstop.doctor.system import Holder, Node, System
@@ -140,9 +140,22 @@ class Look:
     @cached_property
     def usb_id(self) -> str:
         """vendor:product of the device in hexadecimal; empty: it is nothing on USB."""
+        return f"{self._usb.vendor}:{self._usb.product}" if self._usb else ""
+
+    @cached_property
+    def _usb(self) -> Device | None:
         tty = f"/sys/class/tty/{os.path.basename(self.node.resolved)}/device" if self.node else ""
-        found = identity(self.system.path(tty)) if tty else None
-        return ":".join(found[:2]) if found else ""
+        return identity(self.system.path(tty)) if tty else None
+
+    @cached_property
+    def look_alikes(self) -> dict[str, Device]:
+        """Other serial ports with the same vendor and product, by their paths."""
+        return look_alikes(self._usb, self.system.path("/sys"))[0]
+
+    @cached_property
+    def twins(self) -> bool:
+        """True if one of them has the same serial number too, or none as the device."""
+        return look_alikes(self._usb, self.system.path("/sys"))[1]
 
     @cached_property
     def holders(self) -> tuple[tuple[Holder, ...], int]:

@@ -15,6 +15,8 @@ from failstop.policy.layouts import BOARDS
 RULE = ("", "the Debian package brings a rule for udev that sees to it (docs/install.md; without dpkg docs/service.md)")
 LINK = "/dev/failstop"
 """The board's name by the udev rule of the Debian package: a replug may change its number, and not this."""
+BY_ID = "/dev/serial/by-id/"
+NUMBERED = ("/dev/ttyACM", "/dev/ttyUSB")
 SERIAL_BY_NAME = ("ls -l /dev/serial/by-id", "the board is one of these: set device.path to it")
 NO_DESCRIPTION = "n/a"
 """pyserial's description of a port without one: the PC's own, used or not."""
@@ -35,6 +37,12 @@ def present(look: Look) -> list[Finding]:
         if board := next((path for path, what in candidates if any(usb in what for usb in own)), None):
             return fail(text, f"failstop doctor --device {board}", f"then set device.path to {board}")
         return fail(text, "sudo dmesg | tail", "plug the board in, and see whether the kernel saw it come")
+    shared = device == LINK or device.startswith(NUMBERED) or (look.twins and device.startswith(BY_ID))
+    if shared and look.look_alikes and not look.device_path:
+        others = " and ".join(look.look_alikes)
+        text = f"{device} ({origin}) is the board or {others}, which has the same USB chip: a reset may swap them"
+        advice = "set device.path to the board's name in that folder, which is its socket, and restart the service"
+        return warn(text, "ls -l /dev/serial/by-path", advice)
     if not look.device_path and device != LINK and os.path.realpath(look.system.path(LINK)) == node.resolved:
         text = f"{device} ({origin}) is the board now; after a replug that number may be another's"
         advice = f"set device.path to {LINK}, which is the same board and stays it, and restart the service"

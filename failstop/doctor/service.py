@@ -44,6 +44,9 @@ def running(look: Look) -> list[Finding]:
     where = f"{look.name!r} runs (pid {look.pid}, user {user}, failstop {version}{newer})"
     if state.device.link == "deaf":
         return fail(f"{where}, and the board does not answer", "", "cut the motors' power with the POWER SWITCH")
+    if state.device.link == "unheard":
+        text = f"{where}, and {state.device.path} has not answered since it came back: it may not be the board"
+        return fail(text, f"failstop why --name {look.name}", "cut the motors' power with the POWER SWITCH")
     if waits := state.waiting_for or (state.device.link == "unproven" and "the board's first answer"):
         return warn(f"{where} and waits for {waits}", f"failstop status --name {look.name}")
     motion = f"stopped: {state.cause}" if state.cause else "enabled" if state.enabled else "disabled"

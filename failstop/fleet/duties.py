@@ -47,7 +47,7 @@ class Duty:
         self.confirms = confirming(state)
         known = {
             levels.FAILED: stop.written_s is None,
-            levels.WRITTEN: stop.written_s is not None and stop.sent,
+            levels.WRITTEN: stop.written_s is not None and stop.sent and stop.believed,
             levels.ACKNOWLEDGED: stop.written_s is not None and stop.acknowledged_s is not None,
             levels.OBSERVED: stop.written_s is not None and stop.observed_s is not None,
         }

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from failstop.api import verdict
 from failstop.messages import box, records
-from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_UNASKED, LINK_UNPROVEN
+from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_UNASKED, LINK_UNHEARD, LINK_UNPROVEN
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
@@ -216,7 +216,7 @@ def _rows() -> Iterator[Family]:
     )  # fmt: skip
 
 
-LINKS = (LINK_UNPROVEN, LINK_ALIVE, LINK_DEAF, LINK_UNASKED)
+LINKS = (LINK_UNPROVEN, LINK_ALIVE, LINK_DEAF, LINK_UNHEARD, LINK_UNASKED)
 FAMILIES = tuple(_rows())
 UP = FAMILIES[0]
 

@@ -203,6 +203,7 @@ def _proofs(stop: Stop) -> dict[str, object]:
         "written_s": stop.written_s,
         "acknowledged_s": stop.acknowledged_s,
         "observed_s": stop.observed_s,
+        "believed": None if stop.believed else False,
     }
     return {key: value for key, value in found.items() if value is not None}
 

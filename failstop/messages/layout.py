@@ -95,7 +95,7 @@ SEGMENTS = (
             _word("resets", "gate"),  # the number of the newest reset that was decided
             _latest("reset", records.REPLY, "gate"),  # the answer to it (policy/causes.py)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
-            _latest("link", 32, "clients"),  # whether the board answers: unproven, alive, deaf or unasked (ASCII)
+            _latest("link", 32, "clients"),  # whether the board answers (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
             _latest("rules", 512, "clients"),  # the settings that clients need (msgpack), written once
             _latest("settings", 16384, "clients"),  # every setting of this run by its whole key (msgpack)

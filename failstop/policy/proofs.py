@@ -5,7 +5,10 @@ from __future__ import annotations
 LINK_UNPROVEN = "unproven"
 LINK_ALIVE = "alive"
 LINK_DEAF = "deaf"
+LINK_UNHEARD = "unheard"
 LINK_UNASKED = "unasked"
+TO_A_STRANGER = "to a device that has not answered as the board does"
+"""For people: of bytes that the kernel has passed on, to whom nobody knows."""
 NOT_SENT = "NOT sent: the board takes no bytes"
 """For people: of bytes that the kernel was handed and holds (with cdc_acm; a pty that is full takes none)."""
 ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo"}

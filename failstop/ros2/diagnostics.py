@@ -18,6 +18,7 @@ StatusMessage = dict[str, Any]
 LINKS = {
     "unproven": (WARN, f"unproven: {verdict.NEVER_ANSWERED}, so nobody knows that it hears"),
     "deaf": (ERROR, "deaf: the board has stopped answering, so it may not hear a stop: use the POWER SWITCH"),
+    "unheard": (ERROR, "unheard: nothing answers since the port came back, so it may not be the board: POWER SWITCH"),
 }
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from failstop.api import steps
 from failstop.api.state import State, Stop
 from failstop.messages import box
-from failstop.policy.proofs import NO_IMU, NOT_SENT, wheels_seen
+from failstop.policy.proofs import NO_IMU, NOT_SENT, TO_A_STRANGER, wheels_seen
 from failstop.ros2 import words
 from failstop.ros2.contract import STATE_KEYS
 
@@ -177,11 +177,12 @@ def proof(before: State | None, now: State | None, *, final: bool = False) -> tu
         return False, f"stop latched ({words.plain(now.cause)}), and it could NOT be written: use the POWER SWITCH"
     if (stop.observed_s if stop.observed_by else stop.acknowledged_s) is None and not final:
         return None
-    told = [f"written after {stop.written_s * 1e3:.1f} ms" if stop.sent else NOT_SENT]
+    to = "" if stop.believed else f" {TO_A_STRANGER}"
+    told = [f"written after {stop.written_s * 1e3:.1f} ms{to}" if stop.sent else NOT_SENT]
     told.append(
         "not acknowledged yet"
         if stop.acknowledged_s is None
         else f"acknowledged after {stop.acknowledged_s * 1e3:.1f} ms"
     )
     told.append(_seen(stop))
-    return stop.sent, f"stop latched ({words.plain(now.cause)}): {', '.join(told)}"
+    return stop.sent and stop.believed, f"stop latched ({words.plain(now.cause)}): {', '.join(told)}"

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Collection
 
 from failstop.board import asking, port
+from failstop.board.finder import look_alikes, of_number
 from failstop.board.kinds import board_of
 from failstop.doctor.look import FAIL, OK, SKIP, Finding, Look, fail
 from failstop.doctor.port import LINK, NO_DESCRIPTION, grabbers, held, permission
@@ -20,7 +21,8 @@ from failstop.setup.talk import Left, NotAnAnswer, Talk
 UNPLUG = "unplug"
 OTHER_PATH = "or type the path of another"
 NODES = ("/dev/ttyACM*", "/dev/ttyUSB*", "/dev/ttyAMA*", "/dev/ttyTHS*", "/dev/ttyS[0-9]", "/dev/serial0")
-BY_ID = "/dev/serial/by-id"
+BY = "/dev/serial"
+"""udev's names for serial ports: by-id, what a device says of itself, and by-path, the socket that it is in."""
 COMES_S = 10.0
 """How long a board that is plugged in may take to be there."""
 LOOK_S = 0.1
@@ -47,12 +49,17 @@ def nodes() -> set[str]:
     return {path for pattern in NODES for path in glob.glob(pattern)}
 
 
-def stable(path: str, folder: str = BY_ID) -> str:
-    """A name for the port that a replug does not change, where there is one."""
-    for link in (LINK, *sorted(glob.glob(f"{glob.escape(folder)}/*"))):
-        if os.path.exists(link) and os.path.realpath(link) == os.path.realpath(path):
-            return link
-    return path
+def stable(path: str, folder: str = BY, sysfs: str = "/sys") -> str:
+    """A name for the port that a replug does not change, where there is one. The link of the udev rule is for a chip,
+    and a name by-id for what a device says of itself, so neither is taken if another device would have it too."""
+    try:
+        others, twins = look_alikes(of_number(os.stat(path).st_rdev, sysfs), sysfs)
+    except OSError:
+        return path
+    links = [] if others else [LINK]
+    for kind in ("by-path",) if twins else ("by-id", "by-path"):
+        links += sorted(glob.glob(f"{glob.escape(folder)}/{kind}/*"))
+    return next((link for link in links if os.path.realpath(link) == os.path.realpath(path)), path)
 
 
 def went(talk: Talk, look: Callable[[], Collection[str]] = nodes, comes_s: float = COMES_S) -> str:

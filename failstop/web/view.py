@@ -109,11 +109,17 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
     return {
         "reason": stop.reason,
         "t": stop.t,
-        "written": "" if stop.written_s is None else words.took(stop.written_s),
+        "written": _written(stop),
         "acknowledged": "" if stop.acknowledged_s is None else words.took(stop.acknowledged_s),
         "observed": "" if stop.observed_s is None else proofs.still_or_unseen(stop.observed_s, "<", stop.observed_by),
         "unseen": "" if stop.observed_by else "no IMU",
     }
+
+
+def _written(stop: Stop) -> str:
+    if stop.written_s is None:
+        return ""
+    return f"{words.took(stop.written_s)}{'' if stop.believed else ', to a device that has not answered'}"
 
 
 def _role(state: State) -> str:

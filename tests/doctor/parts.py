@@ -41,7 +41,7 @@ STATE_FOLDER = "/var/lib/failstop/failstop"
 OWNERS = {"/proc/100": "failstop", "/proc/self": "anna", STATE_FOLDER: "failstop", "/state": "anna", "/": "root"}
 SHARED: dict[str, Any] = {"quick": False, "device_path": None, "settings": ("", Settings(), ""), "service": SERVICE}
 SHARED |= {"unit": UNIT, "device": ("/dev/ttyACM0", "the default of device.path"), "node": NODE, "told": Settings()}
-SHARED |= {"usb_id": BOARD.usb[0], "holders": ((), 0)}
+SHARED |= {"usb_id": BOARD.usb[0], "look_alikes": {}, "twins": False, "holders": ((), 0)}
 """Options of the call, and values that checks share (Look)."""
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from failstop.api.snapshot import Client, Starved
+from failstop.board.finder import Device
 from failstop.board.rrc.board import BOARD
 from failstop.doctor import port, stop_path
 from failstop.doctor.look import FAIL, LEVELS, OK, SKIP, WARN, Look
@@ -26,6 +27,8 @@ VENDORS = "/home/ws/ugv_rpi/ugv-env/bin/python /home/ws/ugv_rpi/app.py"
 BRIDGE = Client(0, "ros2", 7, False, "no scan", "/a and /b drive", 0.1)
 BRIDGED = serving(clients=(but(BRIDGE, said_s=None),))
 RESTARTING = but(UNIT, ActiveState="activating", SubState="auto-restart", NRestarts="3")
+LIDAR = {"/dev/ttyACM1": Device("1a86", "55d4", "B", "1.0", "1-1.3")}
+BY_ID = "/dev/serial/by-id/usb-1a86_USB_Single_Serial_A-if00"
 REMOVED = {7: {"/dev/ttyACM0 (deleted)", "/dev/ttyACM1"}}
 DEAF = "LoadState=loaded\nActiveState=active\nStatusText=obeys no fleet stop: no key\nStatusErrno=107\n"
 """Words of systemd about the robot's publisher."""
@@ -51,6 +54,9 @@ UDP = {"/dev/shm/fastrtps_anna": "", "/proc/7/maps": "7f1c2000-7f1c3000 r-xp 0 0
 CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("port", look(node=None, device=("/", "x")), FAIL, "no serial port"),
     ("port", look(node=but(NODE, resolved="/nowhere/dev/failstop")), WARN, "that number may be another"),
+    ("port", look(look_alikes=LIDAR), WARN, "or /dev/ttyACM1, which has the same USB chip"),
+    ("port", look(look_alikes=LIDAR, device=("/dev/failstop", "x")), WARN, "or /dev/ttyACM1"),
+    ("port", look(look_alikes=LIDAR, device=(BY_ID, "x"), twins=True), WARN, "or /dev/ttyACM1"),
     ("identity", look(usb_id="0403:6001"), FAIL, "0403:6001"),
     ("identity", look(usb_id=""), SKIP, "no USB device"),
     ("permission", look(node=but(NODE, accessible=False), service=NOBODY), FAIL, "anna may not open"),
@@ -76,6 +82,7 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("service", look(service=NOBODY), WARN, "no service named 'failstop' runs"),
     ("service", look(service=(None, "", "is of failstop 0.0.9")), FAIL, "0.0.9"),
     ("service", look(service=linked("deaf")), FAIL, "does not answer"),
+    ("service", look(service=linked("unheard")), FAIL, "has not answered since it came back"),
     ("service", look(service=linked("unproven")), WARN, "waits for the board's first answer"),
     ("service", look(service=serving(waiting_for="the port")), WARN, "waits for the port"),
     ("service", look(service=serving(arm=arm(wrong=("it hangs",)))), WARN, "it hangs"),

@@ -8,24 +8,36 @@ import pytest
 
 from failstop import config
 from failstop.board.burst import BURST, burst_with
+from failstop.board.rrc.board import BOARD
 from failstop.cli.commands import stop
 from failstop.lab.machine.files import Directory
+from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.port import Port
 from failstop.lab.machine.process import Process
-from failstop.lab.machine.robot import Robot
+from failstop.lab.machine.robot import BoardPort, Robot
+from failstop.policy.layouts import BOARDS
 
 FILE = "/root/failstop.toml"
 PORTS = ("board", "other", "ttyACM0", "last", "left")
 
 
-class Heard:
-    """The board's side of a port."""
+class Heard(BoardPort):
+    """A board, and the bytes that it gets."""
 
-    def __init__(self) -> None:
+    def __init__(self, machine: Machine, kind: str) -> None:
+        super().__init__(machine, 0.0, kind)
         self.data = b""
+        self.on_bytes = self._keep
 
-    def receive(self, data: bytes) -> None:
+    def _keep(self, data: bytes) -> None:
         self.data += data
+
+    def without_pings(self) -> bytes:
+        """The stops: what asks the board is left out."""
+        found = self.data
+        for ping in BOARD.pings:
+            found = found.replace(ping, b"")
+        return found
 
 
 class Tool:
@@ -50,13 +62,15 @@ class Tool:
     def run(self, *words: str) -> tuple[int, str, str]:
         return self.lab.command(("stop", *words), environ=self.environ)
 
-    def plug(self, *names: str) -> None:
-        """Boards at these ports below /dev."""
+    def plug(self, *names: str, kind: str = "rrc", mute: bool = False) -> None:
+        """Boards at these ports below /dev. `mute`: nothing that they say arrives."""
         folder = self.machine.root.names["dev"]
         assert isinstance(folder, Directory)
         for number, name in enumerate(names):
             port = Port(self.machine, number)
-            port.board = self.boards[f"/dev/{name}"] = Heard()
+            port.board = self.boards[f"/dev/{name}"] = board = Heard(self.machine, kind)
+            port.on_first_open = board.opened
+            board.port = None if mute else port
             folder.put(name, port)
 
     def waits(self, *words: str) -> tuple[str, float]:
@@ -74,7 +88,7 @@ class Tool:
         code, out, err = self.run(*words)
         assert self.failed == []
         (device,) = (device for device, heard in self.boards.items() if heard.data)
-        assert self.boards[device].data == BURST + (burst_with(servos) if servos else b"")
+        assert self.boards[device].without_pings() == BURST + (burst_with(servos) if servos else b"")
         return code, device, out, err
 
 
@@ -149,7 +163,7 @@ def test_of_another_name_the_default_is_a_guess(tool: Tool) -> None:
     assert "is this the board? Name it with --device" in err
     tool.lab.write(f"{config.FOLDER}/left.toml", 'device.path = "/dev/left"\n')
     assert Tool.run(tool, "--name", "left")[0] == 0
-    assert tool.boards["/dev/left"].data == BURST
+    assert tool.boards["/dev/left"].without_pings() == BURST
 
 
 @pytest.mark.parametrize("name", ["no/slash", ""])
@@ -221,9 +235,56 @@ def test_the_last_run_of_another_name_is_no_guess_at_all(tool: Tool) -> None:
     assert tool.goes("--name", "left")[:3] == (
         0,
         "/dev/left",
-        f"{sent} /dev/left, the port of the last run (no service 'left' runs)\n",
+        f"{sent} /dev/left, the port of the last run (no service 'left' runs)\nthe board at /dev/left answers\n",
     )
-    assert tool.run() == (0, f"{sent} /dev/ttyACM0 (no service 'failstop' runs)\n", "")
+    answers = "the board at /dev/ttyACM0 answers\n"
+    assert tool.run() == (0, f"{sent} /dev/ttyACM0 (no service 'failstop' runs)\n{answers}", "")
+
+
+# What the board says to it.
+
+
+@pytest.mark.parametrize("mute", [False, True])
+@pytest.mark.parametrize("kind", BOARDS)
+def test_it_says_whether_the_board_answers(tool: Tool, kind: str, mute: bool) -> None:
+    tool.lab.write(FILE, f'board.kind = "{kind}"\ndevice.path = "/dev/board"\n')
+    tool.plug("board", kind=kind, mute=mute)
+    code, out, err = tool.run("--config", FILE)
+    sent, *answer = out.splitlines()
+    assert sent == "stop frame sent (after 0.0 s), directly to /dev/board"
+    assert tool.boards["/dev/board"].data
+    if mute:
+        assert (code, answer) == (1, [])
+        assert err.startswith("failstop: nothing at /dev/board answers as ")
+        assert "so the wheels may turn: use the POWER SWITCH" in err
+    else:
+        assert (code, answer, err) == (0, ["the board at /dev/board answers"], "")
+
+
+def test_at_the_end_of_the_service_it_says_so_and_the_unit_has_not_failed(tool: Tool) -> None:
+    in_service(tool)
+    tool.plug("board", mute=True)
+    code, _, err = tool.run("--end-service", "--device", "/dev/board")
+    assert code == 0
+    assert "nothing at /dev/board answers" in err
+
+
+def test_an_answer_to_an_older_question_is_none(tool: Tool) -> None:
+    tool.plug("board")
+    board = tool.boards["/dev/board"]
+    port = board.port
+    assert port
+
+    def old(data: bytes) -> None:
+        board.on_bytes = lambda data: None
+        for ping in BOARD.pings:
+            board.model.receive(ping, tool.machine.now_ns)
+        board.catch_up()
+        board.model.deaf = True
+
+    board.on_bytes = old
+    code, _, err = tool.run("--device", "/dev/board")
+    assert (code, "nothing at /dev/board answers" in err) == (1, True)
 
 
 # At the end of the service.

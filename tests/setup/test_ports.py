@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -39,13 +40,37 @@ def test_the_board_is_found_by_what_goes_and_comes(tmp_path: Path) -> None:
         ports.went(talk(tmp_path, unplugged="done"), lambda: {"/dev/ttyS0"})
 
 
-def test_a_name_that_stays_is_preferred(tmp_path: Path) -> None:
-    node, link = tmp_path / "ttyUSB0", tmp_path / "by-id/usb-board"
-    node.touch()
-    link.parent.mkdir()
-    link.symlink_to(node)
-    assert ports.stable(str(node), str(link.parent)) == str(link)
-    assert ports.stable(str(tmp_path / "other"), str(link.parent)) == str(tmp_path / "other")
+@pytest.mark.parametrize(
+    ("others", "name"),
+    [
+        ([], "by-id/usb-board"),
+        ([("1a86", "55d4", "B")], "by-id/usb-board"),
+        ([("1a86", "55d4", "A")], "by-path/usb-0:1.0"),
+        ([("1546", "01a8", "A")], "by-id/usb-board"),
+    ],
+)
+def test_a_name_that_stays_and_is_no_other_device_s_is_preferred(
+    tmp_path: Path, others: list[tuple[str, str, str]], name: str
+) -> None:
+    sysfs, node = tmp_path / "sys", tmp_path / "ttyACM0"
+    node.symlink_to("/dev/null")  # which is a character device, whatever its number
+    number = os.stat(node).st_rdev
+    for index, (vendor, product, serial) in enumerate([("1a86", "55d4", "A"), *others]):
+        place = sysfs / f"devices/1-{index}"
+        (place / f"1-{index}:1.0").mkdir(parents=True)
+        for key, value in (("idVendor", vendor), ("idProduct", product), ("serial", serial)):
+            (place / key).write_text(f"{value}\n")
+        links = [sysfs / f"class/tty/ttyACM{index}/device"]
+        links += [] if index else [sysfs / f"dev/char/{os.major(number)}:{os.minor(number)}/device"]
+        for link in links:
+            link.parent.mkdir(parents=True)
+            link.symlink_to(place / f"1-{index}:1.0")
+    for link in (tmp_path / "by-id/usb-board", tmp_path / "by-path/usb-0:1.0"):
+        link.parent.mkdir()
+        link.symlink_to(node)
+    assert ports.stable(str(node), str(tmp_path), str(sysfs)) == str(tmp_path / name)
+    assert ports.stable(str(tmp_path / "gone"), str(tmp_path), str(sysfs)) == str(tmp_path / "gone")
+    assert ports.stable("/dev/zero", str(tmp_path), str(sysfs)) == "/dev/zero"
 
 
 @pytest.mark.parametrize(

@@ -80,9 +80,9 @@ def test_a_port_that_was_opened_anew_may_be_another_board(scene: Scene) -> None:
     scene.pings(0)
     scene.turn(2 * MS)
     assert scene.read("link") == b"alive"
-    scene.supervisor.monitor.opened(scene.now_ns)
+    scene.supervisor.monitor.opened(scene.now_ns, scene.now_ns, sure=True)
     scene.turn(2 * MS)
-    assert scene.read("link") == b"unproven"
+    assert scene.read("link") == b"unheard"
 
 
 def test_an_answer_whose_question_was_asked_anew_meanwhile_proves_nothing(scene: Scene) -> None:
@@ -133,11 +133,21 @@ def test_people_are_told_of_each_change_of_the_link(scene: Scene) -> None:
     follow(scene, 2 * MS)
     assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
     scene.supervisor.handover.lost({scene.port.fd: GONE}, scene.now_ns)
-    scene.supervisor.monitor.link.opened()
+    scene.supervisor.monitor.link.opened(scene.now_ns)
     scene.said()
     follow(scene, MS)
     text = "whether the board hears is not known until it answers"
-    assert scene.said() == [("link", "info", text, {"state": "unproven"})]
+    assert scene.said() == [("link", "info", text, {"state": "unheard"})]
+    scene.pings(0, answered=False)
+    follow(scene, MS)
+    follow(scene, 1_000 * MS)
+    text = "nothing has answered since the port came back, so it may not be the board: POWER SWITCH"
+    assert scene.said() == [("link", "critical", text, {"state": "unheard"})]
+    follow(scene, 1_000 * MS)
+    assert scene.said() == [], "once"
+    scene.pings(1)
+    follow(scene, 2 * MS)
+    assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
 
 
 def test_a_board_is_not_deaf_while_nobody_listens(scene: Scene) -> None:
@@ -200,12 +210,31 @@ def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Scene) -
     scene.supervisor.monitor.answered(stop, ending=False)
     assert scene.told() == {"reason": "the first", "written_by": "supervisor", "written_us": None}
     for burst_ns in (0, stop.t_ns):
-        opened(burst_ns)
+        opened(burst_ns, scene.now_ns, sure=True)
         assert scene.told()["written_us"] is None, "no burst was written since"
     for late_ms in (1, 2):
-        opened(stop.t_ns + late_ms * MS)
+        opened(stop.t_ns + late_ms * MS, scene.now_ns, sure=True)
         told = {"reason": "the first", "written_by": "supervisor", "written_us": 1_000.0}
         assert scene.told() == told, "once"
+
+
+def test_a_stop_that_went_to_another_device_is_that_of_the_board_s_opening(scene: Scene) -> None:
+    """The bytes that the other device took prove nothing; those that the board takes do once it has answered."""
+    scene.pings(0)
+    scene.turn(2 * MS)
+    opened = scene.supervisor.monitor.opened
+    opened(scene.now_ns, scene.now_ns, sure=False)
+    stop = scene.made_stop(why("the first"), layout.GATE)
+    stop.answered_by("supervisor", stop.t_ns + MS, stop, 1)
+    scene.supervisor.monitor.answered(stop, ending=False)
+    found = [(scene.told()["written_us"], scene.table("stop")["believed"])]
+    scene.now_ns += 5 * MS
+    opened(stop.t_ns + 5 * MS, scene.now_ns, sure=True)
+    found.append((scene.told()["written_us"], scene.table("stop")["believed"]))
+    scene.pings(1)
+    scene.turn(2 * MS)
+    found.append((scene.told()["written_us"], scene.table("stop")["believed"]))
+    assert found == [(1_000.0, False), (5_000.0, False), (5_000.0, True)]
 
 
 @pytest.mark.parametrize("answered", [False, True])

@@ -189,13 +189,13 @@ def test_the_loop_writes_a_burst_that_the_opener_could_not_and_tells_of_it(scene
     assert (scene.told()["written_by"], scene.told()["written_us"]) == ("supervisor", 7_000.0)
 
 
-def test_the_link_of_a_port_that_is_gone_is_unproven(scene: Scene) -> None:
+def test_the_link_of_a_port_that_is_gone_is_unheard(scene: Scene) -> None:
     scene.pings(0)
     turn(scene, 2 * MS)
     assert scene.read("link") == b"alive"
     lose(scene)
     turn(scene, MS)
-    assert scene.read("link") == b"unproven"
+    assert scene.read("link") == b"unheard"
 
 
 def test_the_supervisor_repeats_the_stop_while_the_port_owner_has_no_port(scene: Scene) -> None:

@@ -10,6 +10,7 @@ from failstop.policy.proofs import (
     LINK_ALIVE,
     LINK_DEAF,
     LINK_UNASKED,
+    LINK_UNHEARD,
     LINK_UNPROVEN,
     NEVER_SEEN,
     observer,
@@ -190,6 +191,7 @@ def test_what_programs_are_told_of_it() -> None:
         "t": 1.0,
         "epoch": 2,
         "sent": True,
+        "believed": True,
         "written_us": 500.0,
         "acknowledged_us": 2_000.0,
         "acknowledged_by": "answer",
@@ -227,7 +229,7 @@ def test_a_board_without_pings_is_never_unproven_nor_deaf() -> None:
     link = Link(1_000 * MS, asked=False)
     assert link.state == LINK_UNASKED
     assert not link.silent(T0 + 10_000 * MS, T0 + 20_000 * MS)
-    link.opened()
+    link.opened(T0)
     assert link.state == LINK_UNASKED
 
 
@@ -270,8 +272,45 @@ def test_silence_while_nobody_listened_does_not_count() -> None:
     assert link.silent(T0 + 2_500 * MS, T0 + 3_010 * MS)
 
 
-def test_another_port_is_another_board() -> None:
+@pytest.mark.parametrize("sure", [True, False])
+def test_at_another_port_a_board_that_was_heard_is_to_be_heard_again(sure: bool) -> None:
     link = heard(T0)
-    link.opened()
-    assert link.state == LINK_UNPROVEN
+    link.opened(T0 + MS, sure=sure)
+    assert (link.state, link.believed) == (LINK_UNHEARD, False)
     assert deaf_after_ms(link, list(range(0, 5_000, 500))) is None
+    link.answered(T0)
+    assert link.state == LINK_UNHEARD, "that was the device before this one"
+    link.answered(T0 + 2 * MS)
+    assert (link.state, link.believed) == (LINK_ALIVE, True)
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_of_a_board_that_was_never_heard_as_much_is_known_as_of_its_device(asked: bool) -> None:
+    link = Link(DEAF_NS, asked=asked)
+    first = link.state
+    link.opened(T0)
+    assert link.state == first
+    link.opened(T0, sure=False)
+    assert link.state == LINK_UNHEARD
+    link.opened(T0)
+    assert link.state == first
+
+
+def test_a_board_without_pings_is_heard_by_its_echo() -> None:
+    link = Link(DEAF_NS, asked=False)
+    link.obeyed(T0)
+    link.opened(T0 + MS)
+    link.obeyed(T0)
+    assert link.state == LINK_UNHEARD, "that echo is of before"
+    link.obeyed(T0 + MS)
+    assert link.state == LINK_UNASKED
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_device_that_should_have_answered_by_now_is_missed_once(asked: bool) -> None:
+    link = Link(DEAF_NS, asked=asked)
+    link.opened(T0, sure=False)
+    link.silent(T0 + MS, T0 + MS)
+    assert not link.missed(T0 + DEAF_NS - 1)
+    assert link.missed(T0 + MS + DEAF_NS)
+    assert not link.missed(T0 + 2 * DEAF_NS)

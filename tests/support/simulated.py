@@ -14,6 +14,7 @@ from typing import Any
 from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM
 from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import DEVICE, MS, Robot
+from failstop.lab.machine.usb import Plug
 from failstop.lab.sim import upward
 from failstop.lab.sim.model import Frame, Speeds
 from failstop.lab.sim.servos import Leg
@@ -116,9 +117,10 @@ class Simulated:
         *,
         deaf: bool = False,
         kind: str = BOARDS[0],
+        usb: Plug | None = None,
     ) -> None:
-        """`deaf`: the board hears nothing, from the start; `kind`: the board's."""
-        self.lab = Robot(imu_hz=imu_hz, settings=dict(settings or {}), kind=kind)
+        """`deaf`: the board hears nothing, from the start; `kind`: the board's; `usb`: its device on USB."""
+        self.lab = Robot(imu_hz=imu_hz, settings=dict(settings or {}), kind=kind, usb=usb)
         self.own_ns = self.lab.board.traits.late_ns
         """Later than the first board by so much a stop may be, and motion."""
         self.failed: list[BaseException] = []

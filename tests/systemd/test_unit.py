@@ -219,7 +219,9 @@ def test_udev_rules_are_well_formed_and_for_this_board() -> None:
     link = next(rule for rule in rules if "SYMLINK" in rule)
     vendor, product = BOARD.usb[0].split(":")
     assert f'ATTRS{{idVendor}}=="{vendor}", ATTRS{{idProduct}}=="{product}"' in link
-    assert 'SYMLINK+="failstop", GROUP="dialout", MODE="0660", TAG+="systemd"' in link
+    users = next(rule for rule in rules if "MODE" in rule)
+    assert f'ATTRS{{idVendor}}=="{vendor}", ATTRS{{idProduct}}=="{product}", GROUP="dialout", MODE="0660"' in users
+    assert 'TAG+="systemd"' in users
     device = next(rule for rule in rules if "power/control" in rule)
     assert f'ATTR{{idVendor}}=="{vendor}", ATTR{{idProduct}}=="{product}|7523"' in device
     assert 'ENV{ID_MM_DEVICE_IGNORE}="1", ATTR{power/control}="on"' in device
@@ -227,6 +229,24 @@ def test_udev_rules_are_well_formed_and_for_this_board() -> None:
     jumps = [value for rule in rules for key, _, value in RULE.findall(rule) if key in ("GOTO", "LABEL")]
     assert len(jumps) == 2
     assert len(set(jumps)) == 1
+
+
+@pytest.mark.parametrize(("chips", "named"), [(["1a86/55d4"], True), (["1a86/55d4", "1546/1a8"], True),
+    (["1a86/55d4", "1a86/55d4"], False), (["1546/1a8"], False), ([], False)])  # fmt: skip
+def test_the_link_is_for_a_chip_that_one_device_alone_has(tmp_path: Path, chips: list[str], named: bool) -> None:
+    """The program of the rule, on a sysfs of this test's."""
+    rule = next(line for line in (SYSTEMD / "failstop.udev").read_text().splitlines() if "PROGRAM" in line)
+    (program,) = (value for key, _, value in RULE.findall(rule) if key == "PROGRAM")
+    for number, chip in enumerate(chips):
+        device = tmp_path / f"1-{number}"
+        (device / "interface").mkdir(parents=True)
+        (device / "uevent").write_text(f"MAJOR=189\nDEVTYPE=usb_device\nPRODUCT={chip}/443\n")
+        (tmp_path / f"ttyACM{number}").mkdir()
+        (tmp_path / f"ttyACM{number}" / "device").symlink_to(device / "interface")
+    done = subprocess.run(
+        shlex.split(program.replace("/sys/class/tty", str(tmp_path))), check=False, capture_output=True
+    )
+    assert (done.returncode == 0) is named
 
 
 def test_the_bridges_unit_and_the_service_need_not_each_other() -> None:

@@ -72,8 +72,9 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Stop. Exit code 1, though a stop was written, where it is not known to be the right port, and for --end-service
-    where that is not allowed. Raises FailstopError when no stop could be written in time, SettingError."""
+    """Stop. Exit code 1, although a stop was written, if it may be the wrong port, if the board could answer and does
+    not, and for --end-service where that is not allowed. Raises FailstopError when no stop could be written in time,
+    SettingError."""
     reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
         return _every_service(reason, who)
@@ -83,6 +84,7 @@ def main(arguments: Namespace) -> int:
         misused = not _end_service()
         after_s = port.stop(END_SERVICE_S - (time.monotonic() - start_s))
         standard.tell(f"stop frame sent (after {after_s:.1f} s)")
+        port.unheard(patient=False)  # said alone: the unit has not failed, and its next start asks for itself
         return int(port.doubtful() or misused)
     try:
         if _by_service(arguments.name, reason, who, port):
@@ -94,7 +96,8 @@ def main(arguments: Namespace) -> int:
         return 0
     why = "" if port.asked or port.wanted() else f" (no service {arguments.name!r} runs)"
     standard.tell(f"stop frame sent (after {after_s:.1f} s), directly to {port.told()}{why}")
-    return int(port.doubtful())
+    unheard = port.unheard(patient=True)
+    return int(port.doubtful() or unheard)
 
 
 def _late(wanted: str, reason: str, who: str, port: Target) -> bool:
@@ -282,6 +285,24 @@ class Target:
             return False
         self._instead = other
         return True
+
+    def unheard(self, *, patient: bool) -> bool:
+        """True if the board could answer and does not, which is printed; so is its answer. `patient`: as in
+        stopping.answered()."""
+        device, board = self.device(), self.board()
+        heard = stopping.answered(device, board, patient=patient)
+        if heard:
+            standard.tell(f"the board at {device} answers")
+        elif heard is None and (board.pings or board.echo_ns):
+            standard.tell(f"whether the board at {device} answers is not known: a service reads that port")
+        elif heard is None:
+            standard.tell("this board answers no question, so nothing proves that it has stopped")
+        else:
+            who = f"nothing at {device} answers as {board.name} does"
+            standard.say(
+                f"{who}, so the wheels may turn: use the POWER SWITCH. Is that the board? Name it with --device"
+            )
+        return heard is False
 
     def complain(self) -> None:
         """Say what is wrong with the file, as far as it was asked: after the stop, for this may be held up."""

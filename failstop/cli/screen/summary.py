@@ -18,7 +18,7 @@ from failstop.supervisor.status import cost
 
 LABEL = 10
 """Columns of the names on the left."""
-LINKS = {"alive": OK, "unproven": WARN, "deaf": FAIL}
+LINKS = {"alive": OK, "unproven": WARN, "deaf": FAIL, "unheard": FAIL}
 WORDS = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
 PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
 PROOFS = {True: OK, None: PLAIN, False: WARN}

@@ -61,6 +61,16 @@ class Calls:
         above, name = self.walk(process, path, dir_fd)
         return self.step(process, above, name, path, follow=follow)
 
+    def look(self, path: str) -> Node:
+        """The node of a path, a link itself where it is one, without the rights of any process. Raises OSError."""
+        here: Node = self.machine.root
+        for part in filter(None, path.split("/")):
+            found = here.found().get(part) if isinstance(here, Directory) else None
+            if found is None:
+                raise FileNotFoundError(errno.ENOENT, "No such file or directory", path)
+            here = found
+        return here
+
     def step(self, process: Process, here: Node, part: str, path: str, *, follow: bool = True) -> Node:
         """The node of this name in a directory, or, where it's a link, the node that it leads to. Raises OSError."""
         if not isinstance(here, Directory):

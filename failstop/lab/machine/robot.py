@@ -19,11 +19,13 @@ from failstop.lab.machine.loading import Loader, Patches
 from failstop.lab.machine.memory import WeakMachine
 from failstop.lab.machine.port import Port
 from failstop.lab.machine.process import Process, Replaced
+from failstop.lab.machine.usb import LookAlike, Plug, Usb
 from failstop.lab.sim.model import Frame
 from failstop.policy.layouts import BOARDS
 
 DEVICE, SETTINGS = "/dev/ttyACM0", "/etc/failstop.toml"
 RUN = ("--config", SETTINGS, "--device", DEVICE, "--name", "failstop")
+NODES = tuple(f"ttyACM{number}" for number in range(4))
 MS = 1_000_000
 CLICKED = 0x20
 COMMAND_EVERY_S = 0.02
@@ -100,8 +102,10 @@ class Robot:
         patches: Patches = (),
         kind: str = BOARDS[0],
         weak: bool = False,
+        usb: Plug | None = None,
     ) -> None:
-        """`kind`: as the setting board.kind. `weak`: its memory may be seen in other orders. Raises ValueError."""
+        """`kind`: as the setting board.kind. `weak`: its memory may be seen in other orders. `usb`: the board's device
+        on USB; without one its port is none of USB's. Raises ValueError."""
         Node.count = 0
         self.machine = WeakMachine(seed) if weak else Machine(seed)
         self.loader = Loader(self.machine, patches)
@@ -111,8 +115,13 @@ class Robot:
         self.board = BoardPort(self.machine, imu_hz, kind)
         self.stderr = Null()
         self._numbers = 0
+        self._usb = Usb(self.machine)
+        self._plugged: dict[str, tuple[Port, Plug]] = {}
         self._make_files({**self.board.traits.settings, **(settings or {})})
-        self.plug()
+        if usb:
+            self.plug_usb(NODES[0], usb)
+        else:
+            self.plug()
         self.machine.programs |= {"child.py": self._child, "saver.py": self._save}
 
     def _make_files(self, settings: Mapping[str, object]) -> None:
@@ -130,6 +139,29 @@ class Robot:
         self.board.port = port
         self.machine.root.folder("/dev").put("ttyACM0", port)
         return port
+
+    def plug_usb(self, name: str, plug: Plug, look_alike: LookAlike | None = None) -> Port:
+        """Plug the board in as a device on USB, with that name of a tty; or a look-alike."""
+        port = Port(self.machine, NODES.index(name))
+        port.board = look_alike or self.board
+        if look_alike:
+            look_alike.port = port
+        else:
+            port.on_first_open = self.board.opened
+            self.board.port = port
+        self._usb.add(name, port, plug)
+        self._plugged[name] = port, plug
+        self.machine.root.folder("/dev").put(name, port)
+        return port
+
+    def unplug_usb(self) -> None:
+        """Everything that was plugged in so is gone, as when a hub is reset."""
+        for name, (port, plug) in self._plugged.items():
+            self.machine.root.folder("/dev").drop(name)
+            self._usb.remove(name, port, plug)
+            port.unplug()
+            port.board.port = None
+        self._plugged.clear()
 
     def unplug(self, late_ns: Callable[[Epoll], int] = lambda epoll: 0) -> None:
         """Pull the plug; `late_ns` as in Port.unplug."""

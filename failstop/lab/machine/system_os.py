@@ -345,6 +345,20 @@ def make_path(calls: Calls) -> Module:
         except OSError:
             return False
 
+    def realpath(where: str) -> str:
+        """With every link of the way followed."""
+        done, left = "", posixpath.normpath(where).split("/")
+        while left:
+            done = posixpath.join(done or "/", left.pop(0))
+            try:
+                node = calls.machine.root if done == "/" else calls.look(done)
+            except OSError:
+                continue
+            if isinstance(node, users.SymbolicLink):
+                left = posixpath.normpath(posixpath.join(posixpath.dirname(done), node.target)).split("/") + left
+                done = ""
+        return done
+
     asking = {
         "exists": looked_at,
         "lexists": lambda where: looked_at(where, follow=False),
@@ -352,7 +366,7 @@ def make_path(calls: Calls) -> Module:
         "isfile": lambda where: looked_at(where, Regular),
         "islink": lambda where: looked_at(where, users.SymbolicLink, follow=False),
         "abspath": posixpath.normpath,
-        "realpath": posixpath.normpath,
+        "realpath": realpath,
         "expanduser": lambda where: where.replace("~", "/root", 1),
     }
     return Module("posixpath", calls, **{**plain, **asking})
