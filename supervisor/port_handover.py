@@ -91,7 +91,8 @@ class Opener:
     """A thread of the supervisor's that opens a lost port when it is back, and writes the burst on it.
 
     An open may take seconds, of a board that is slow to wake up: it holds nobody up here. The burst does not wait for
-    the supervisor's loop either. `finder` is the thread's own once begin() was called, but for `at` and `sure`.
+    the supervisor's loop either. `finder` is the thread's own once begin() was called, but for `at`,
+    `sure` and `settled`.
 
     Between two losses it looks at the devices that are there. If the one that is open was taken for the board because
     there was none better, and the board turns up, `misplaced` is set and the bell rings.
@@ -147,8 +148,9 @@ class Opener:
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are for the loop
         # A thread does not inherit what SCHED_RESET_ON_FORK takes away.
         os.sched_setscheduler(0, policy, priority)
+        self.finder.look_around()
         while True:
-            if not self._asked.acquire(timeout=WATCH_S if self.finder.sure else DOUBT_S):
+            if not self._asked.acquire(timeout=WATCH_S if self.finder.settled else DOUBT_S):
                 self._watch()
                 continue
             while not self.attempt():
@@ -194,7 +196,7 @@ class PortHandover:
 
     def believe(self) -> None:
         """The device that is open has answered as the board does, so it is the board."""
-        if self._port.fd >= 0 and not self.sure:
+        if self._port.fd >= 0 and not self.opener.finder.settled:
             self.opener.believed = True
 
     def lost(self, ready: dict[int, int], now_ns: int) -> bool:

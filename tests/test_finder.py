@@ -153,7 +153,7 @@ def test_a_look_alike_at_the_path_is_not_the_board(usb: Usb, arrangement: str) -
         usb.plug(f"ttyACM{number}", device, place)
     finder = usb.finder()
     assert opened(finder) == "ttyACM0"
-    finder.believe()
+    finder.look_around()
     for number, _, _ in before:
         usb.unplug(f"ttyACM{number}")
     assert opened(finder, 20 * SEARCH_EVERY_NS) == ""

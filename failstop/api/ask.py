@@ -17,33 +17,36 @@ from failstop.messages import layout, records
 
 LATCH_S = 1.0
 """How long a request may take until it is seen latched; the service needs a few milliseconds."""
+HEAR_S = 0.3
+"""How long the board may take to answer before a latched stop is shown without its answer."""
 LOOK_S = 0.002
 
 
-def stop(name: str, reason: str, who: str) -> tuple[str, str]:
+def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
     """Write a request into the pipe of a service, then look until it is latched, LATCH_S at most. Returns (how it went,
-    what is wrong): the first is empty when no stop is known to be out. Raises nothing of its own."""
+    what is wrong, whether the wheels may turn for that): the first is empty when no stop is known to be out. Raises
+    nothing of its own."""
     try:
         send_stop(name, reason, who)
         _, pipe = instance.open_stop(name)
     except (FailstopError, instance.InstanceError, instance.NoService) as error:
-        return "", str(error)
+        return "", str(error), False
     try:
         return _watch(name, pipe)
     except OSError as error:
-        return "", f"the stop pipe of {name!r} can't be watched: {error.strerror}"
+        return "", f"the stop pipe of {name!r} can't be watched: {error.strerror}", False
     finally:
         os.close(pipe)
 
 
-def _watch(name: str, pipe: int) -> tuple[str, str]:
+def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
     """The port owner reads the pipe when it has written the stop: an empty pipe is a stop that is out. A flood of
     others' requests never leaves it empty; then an epoch newer than the one seen first says as much. Raises OSError."""
     from failstop.api import steps, verdict
     from failstop.api.state import StateReader
 
     until_s = time.monotonic() + LATCH_S
-    reader, problem, taken, first_epoch = None, "", False, -1
+    reader, problem, taken, first_epoch, latched_s = None, "", False, -1, 0.0
     while time.monotonic() < until_s:
         taken = taken or not unread(pipe)
         try:
@@ -51,15 +54,21 @@ def _watch(name: str, pipe: int) -> tuple[str, str]:
             state = reader.read()
             first_epoch = state.epoch if first_epoch < 0 else first_epoch
             if state.estop and (taken or state.epoch > first_epoch):
-                doubt = verdict.doubt(state)
-                text = f"stop latched ({state.cause}) by the service {name!r}; next: {steps.line(state)}"
-                return text, f"{doubt}: use the POWER SWITCH" if doubt else ""
+                latched_s = latched_s or time.monotonic()
+                doubt = verdict.doubt(state) or verdict.unproven(state)
+                if not doubt or time.monotonic() - latched_s >= HEAR_S:
+                    text = f"stop latched ({state.cause}) by the service {name!r}; next: {steps.line(state)}"
+                    return text, f"{doubt}: use the POWER SWITCH" if doubt else "", bool(doubt)
         except Exception as error:  # the request is in the pipe, also where its memory is damaged
             problem = str(error)
         time.sleep(LOOK_S)
     if taken and not reader:
-        return f"the service {name!r} has written the stop; whether it is latched can't be seen from here", problem
-    return "", problem or f"the service {name!r} has not latched it within {LATCH_S:g} s"
+        return (
+            f"the service {name!r} has written the stop; whether it is latched can't be seen from here",
+            problem,
+            False,
+        )
+    return "", problem or f"the service {name!r} has not latched it within {LATCH_S:g} s", False
 
 
 def port_of(name: str) -> str:

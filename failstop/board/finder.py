@@ -183,19 +183,20 @@ class Finder:
 
     def learn(self, descriptor: int) -> None:
         """Take the device that is open for the board, as at the start of a run."""
-        self._held = self._of_number(os.fstat(descriptor).st_rdev)
-        self.believe()
+        self._board = self._held = self._of_number(os.fstat(descriptor).st_rdev)
+
+    @property
+    def settled(self) -> bool:
+        """True while the device that is open is the one that was known as the board, where that was."""
+        return self._held == self._board
 
     def believe(self) -> None:
         """The device that is open is the board: it has answered as the board does."""
-        self.sure = True
-        self._board = self._held or self._board
-        self._neighbours = frozenset()
-        self.look_around()
+        self.sure, self._board, self._neighbours = True, self._held, frozenset()
 
     def look_around(self) -> None:
         """Remember the other devices while the board is there: after a loss they are not the board."""
-        if self.sure and self._board and self._board in (there := frozenset(self._devices().values())):
+        if self.settled and self._board and self._board in (there := frozenset(self._devices().values())):
             self._neighbours = there - {self._board}
 
     def open(self, now_ns: int) -> int:
@@ -214,8 +215,8 @@ class Finder:
         return self._open(path, device, sure=sure) if path else -1
 
     def misplaced(self) -> bool:
-        """True if the board is there for sure, and is not the device that is open. For a device that is not sure."""
-        if self.sure or self._board is None:
+        """True if the board is there for sure, and is not the device that is open."""
+        if self.settled or self._board is None:
             return False
         device, sure = pick(Search(self._board, self._neighbours, self._devices().values(), self._at_path()))
         return sure and device != self._held
@@ -229,8 +230,7 @@ class Finder:
             port.close_port(descriptor)
             return -1
         self.at, self.sure = path, sure
-        if sure:
-            self._board = self._held or self._board
+        self._board = self._board or self._held
         return descriptor
 
     def _of_number(self, number: int) -> Device | None:

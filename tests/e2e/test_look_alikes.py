@@ -194,3 +194,17 @@ def test_the_first_device_of_a_run_is_believed_once_it_answers() -> None:
     simulated.board.deaf(False)
     simulated.wait_for("an answer", lambda: simulated.robot.state.last_stop.believed)
     assert "has not answered as the board does" not in simulated.printed("why")
+
+
+def test_failstop_stop_is_no_success_where_the_board_is_not_heard() -> None:
+    bench = Bench("A", "B")
+    assert bench.simulated.command("stop")[0] == 0
+    bench.simulated.lab.unplug_usb()
+    bench.simulated.wait(0.3)
+    bench.other(0, HERE, serial="C")
+    bench.simulated.wait(1.0)
+    code, out, err = bench.simulated.command("stop")
+    assert (code, "stop latched" in out) == (1, True)
+    assert "has not answered since it came back" in err
+    assert "THE WHEELS MAY TURN" in bench.simulated.command("why")[1]
+    assert "MAY TURN" in bench.simulated.command("status")[1]

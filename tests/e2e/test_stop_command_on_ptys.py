@@ -92,9 +92,9 @@ def test_a_service_that_was_just_starting_is_asked_once_it_listens(
         tries.append(path)
         raise PortError("busy", f"{path} is held")
 
-    def ask_it(name: str, reason: str, who: str) -> tuple[str, str]:
+    def ask_it(name: str, reason: str, who: str) -> tuple[str, str, bool]:
         asked.append(reason)
-        return ("stop latched", "") if stops else ("", "it hangs")
+        return ("stop latched", "", False) if stops else ("", "it hangs", False)
 
     monkeypatch.setattr(stopping, "write", busy)
     monkeypatch.setattr(instances, "listens", lambda name: bool(tries))

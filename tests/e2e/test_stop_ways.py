@@ -152,5 +152,5 @@ def test_a_port_that_is_gone_is_told_with_the_latch(simulated: Simulated) -> Non
     simulated.board.unplug()
     simulated.wait_for("the loss", lambda: simulated.robot.state.device.state != "open")
     code, out, err = simulated.command("stop")
-    assert (code, "stop latched (" in out) == (0, True)
+    assert (code, "stop latched (" in out) == (1, True)
     assert "so no stop reaches the board: use the POWER SWITCH" in err

@@ -73,7 +73,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Stop. Exit code 1, although a stop was written, if it may be the wrong port, if the board could answer and does
-    not, and for --end-service where that is not allowed. Raises FailstopError when no stop could be written in time,
+    not (also by the word of a service), and for --end-service where that is not allowed. Raises FailstopError when no stop could be written in time,
     SettingError."""
     reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
@@ -88,12 +88,12 @@ def main(arguments: Namespace) -> int:
         return int(port.doubtful() or misused)
     try:
         if _by_service(arguments.name, reason, who, port):
-            return 0
+            return int(port.unproved)
     except Exception as error:  # the port is still to be written to
         standard.say(f"no service can be asked ({error}): writing to the port itself")
     after_s = port.stop(late=lambda: _late(arguments.name, reason, who, port))
     if port.by_service:
-        return 0
+        return int(port.unproved)
     why = "" if port.asked or port.wanted() else f" (no service {arguments.name!r} runs)"
     standard.tell(f"stop frame sent (after {after_s:.1f} s), directly to {port.told()}{why}")
     unheard = port.unheard(patient=True)
@@ -118,12 +118,12 @@ def _every_service(reason: str, who: str) -> int:
 
     # All of them before anybody is told, for that may be held up.
     answers = [ask.stop(name, reason, who) for name in instances.listening()]
-    for done, problem in answers:
+    for done, problem, _ in answers:
         if done:
             standard.tell(done)
         if problem:
             standard.say(problem)
-    return int(not all(done for done, _ in answers))
+    return int(not all(done for done, _, _ in answers))
 
 
 def _by_service(wanted: str, reason: str, who: str, port: Target) -> bool:
@@ -145,7 +145,7 @@ def _by_service(wanted: str, reason: str, who: str, port: Target) -> bool:
         elif device and not (its and ask.same(its, device)):
             continue
         else:
-            done, problem = ask.stop(name, reason, who)
+            done, problem, port.unproved = ask.stop(name, reason, who)
             if done:
                 standard.tell(done)
             if problem:
@@ -179,6 +179,8 @@ class Target:
         """The port of a service that runs, by its own word."""
         self.asked: list[str] = []
         """Services that were asked, and are not known to have stopped."""
+        self.unproved = False
+        """A service has stopped, and something speaks against it that the wheels have."""
         self.by_service = False
         """A service has stopped in the end, and the port was not written to."""
         self._instead = ""
