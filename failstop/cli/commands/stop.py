@@ -73,8 +73,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Stop. Exit code 1, although a stop was written, if it may be the wrong port, if the board could answer and does
-    not (also by the word of a service), and for --end-service where that is not allowed. Raises FailstopError when no stop could be written in time,
-    SettingError."""
+    not (also by the word of a service), and for --end-service where that is not allowed. Raises FailstopError when no
+    stop could be written in time, SettingError."""
     reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
         return _every_service(reason, who)

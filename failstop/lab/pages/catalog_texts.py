@@ -159,13 +159,15 @@ TEXTS = {
     ),
     "device_back": (
         "The board's port is back: @FAILSTOP_PATH@",
-        "The first bytes on it were a stop. What is latched stays latched.\n"
+        "The first bytes on it were a stop. What is latched stays latched. If the entry says that this may not be the\n"
+        "board, the stop proves nothing until the device answers: use the POWER SWITCH if the wheels turn.\n"
         "Next: failstop reset, then failstop enable, each with --name @FAILSTOP_NAME@",
     ),
     "link": (
         "The board's link is @FAILSTOP_STATE@",
         "unproven: it has not answered a ping since the port was opened, so whether it hears is not known.\n"
         "alive: it answers. deaf: it answered before and is silent now, a stop cause: then use the POWER SWITCH.\n"
+        "unheard: nothing has answered since the port came back, so it may be another device: use the POWER SWITCH.\n"
         "Next: failstop status --name @FAILSTOP_NAME@",
     ),
     "rights": (
