@@ -398,6 +398,9 @@ class State:
     """Stopping distance: from any fault that software answers until the robot stands, m, at the speed limit of now."""
     turning: Turning = Turning()
     """What is known of the wheels now, whatever they were told."""
+    enabled_ns: int = 0
+    """When motion was enabled (CLOCK_MONOTONIC, ns); 0: it is not. It differs after a disable and an enable, however
+    soon one follows the other."""
     servos: dict[str, tuple[float, int]] = dataclasses.field(default_factory=dict)
     """By the part that each turns: load (a share of the most that it gives, signed) and temperature in degrees C."""
 

@@ -35,7 +35,13 @@ UNITS = {"ms": 1e3, "us": 1e6}
 """Of times in records, by the end of their names: how many are a second."""
 
 ZEROS = (0.0,) * box.MOST_SPEEDS
-STANDING: dict[str, Any] = {"enabled": False, "body_vel": ZEROS[:3], "wheels_rps": ZEROS, "sources": []}
+STANDING: dict[str, Any] = {
+    "enabled": False,
+    "enabled_ns": 0,
+    "body_vel": ZEROS[:3],
+    "wheels_rps": ZEROS,
+    "sources": [],
+}
 """Of the gate's record: what stands while nothing may move."""
 NOTHING_YET = {**STANDING, "limit": 100, "estop": None, "blocked": box.DISABLED, "clients": [], "scan_ns": 0}
 """The gate's record before a run's first gate has published one: a run begins with motion disabled."""
@@ -189,6 +195,7 @@ class StateReader(SeenRun):
             lease_s=self._lease_s,
             steering_rad=self._steering_rad(decided["wheels_rps"]),
             stands_within_m=distance.furthest(self._declared, decided["limit"] / 100)[0],
+            enabled_ns=decided.get("enabled_ns", 0),
             servos=servos.by_part(rows, self._declared) if (rows := self._value("health")) else {},
         )
 

@@ -49,7 +49,10 @@ class Driving:
         self._chosen: set[str] = set()
         """Devices that have chosen a speed limit since they last began to attend."""
         self._spent: set[Viewer] = set()
-        """Viewers whose stick counts only after it was let go: motion was not enabled while they held it."""
+        """Viewers whose stick counts only after it was let go: motion was disabled while they held it, even if it has
+        been enabled again since."""
+        self._taken: dict[Viewer, tuple[int, int]] = {}
+        """Of each stick that is held, the epoch when it was taken, and when motion had been enabled."""
 
     def chose(self, device: str) -> None:
         """A device has chosen the speed limit."""
@@ -64,7 +67,9 @@ class Driving:
             return LIMIT_FIRST
         if self._driver and self._driver[0] is not viewer and time.monotonic() - self._last_s < OTHER_S:
             return f"{self._driver[1]} drives"
-        if not state.enabled:
+        state = self._newest(state)
+        motion = state.epoch, state.enabled_ns
+        if not state.enabled or self._taken.setdefault(viewer, motion) != motion:
             self._spent.add(viewer)
         if viewer in self._spent:
             return DISABLED
@@ -74,6 +79,12 @@ class Driving:
         self._last_s = time.monotonic()
         vx_mps, wz_radps = (part * full * state.speed_limit for part, full in zip(wanted, self._full, strict=True))
         return self._drive(viewer.who(), vx_mps, wz_radps, proven_ns)
+
+    def _newest(self, state: State) -> State:
+        """The state of this moment once somebody drives; before that the given one, which may be 0.1 s old."""
+        with contextlib.suppress(FailstopError):
+            return self._robot.state if self._robot else state
+        return state
 
     def _drive(self, who: str, vx_mps: float, wz_radps: float, proven_ns: int | None) -> str:
         try:
@@ -88,6 +99,7 @@ class Driving:
     def release(self, viewer: Viewer) -> None:
         """The stick is let go: to zero along the ramp. That takes no proof, as it moves nothing."""
         self._spent.discard(viewer)
+        self._taken.pop(viewer, None)
         if self._driver and self._driver[0] is viewer:
             self._driver = None
             self._drive(viewer.who(), 0.0, 0.0, None)
@@ -97,6 +109,7 @@ class Driving:
         if device := viewer.device():
             self._chosen.discard(device.id)
         self._spent.discard(viewer)
+        self._taken.pop(viewer, None)
         if self._driver and self._driver[0] is viewer:
             self._close()
 

@@ -55,6 +55,8 @@ class GateCore:
         self.interlocks = Interlocks(settings.interlocks())
         self.attendance = Attendance(settings.ns("attend.lease_s"), on=settings.on("attend.required"))
         self.enabled = False
+        self.enabled_ns = 0
+        """When motion was enabled; 0: it is not."""
         self.latch: Cause | None = None
         """The latch by the supervisor's word, or by the gate's own until the supervisor has answered that."""
         self._stopped_in = 0
@@ -171,6 +173,7 @@ class GateCore:
     def stand_still(self) -> None:
         """Disable and set the velocity to zero at once."""
         self.enabled = False
+        self.enabled_ns = 0
         self.sources.clear()
         self.velocity = REST
         self.speeds = self._kinematics.rest
@@ -193,6 +196,7 @@ class GateCore:
         if not self.enabled:
             self.stand_still()
             self.enabled = True
+            self.enabled_ns = now_ns
             self.epoch = epoch
         return Reply(True, "motion enabled")
 

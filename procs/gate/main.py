@@ -357,6 +357,7 @@ class Gate:
             state["unmet"] = unmet
         state |= {
             "enabled": core.enabled,
+            "enabled_ns": core.enabled_ns,
             "limit": core.limit,
             "estop": core.latch and core.latch.pack(),
             "blocked": core.blocked(now_ns) or None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -211,6 +211,35 @@ def test_a_stick_that_is_held_while_motion_is_enabled_moves_nothing(
         trial.enable()
         trial.board.events()
         viewer.stay(0.3, FORWARD)
+        assert motion(trial) == 0
+        assert told(viewer)[-1] == driving.DISABLED
+        viewer.stay(0.2)
+        viewer.stay(0.3, FORWARD)
+        assert motion(trial)
+
+
+def disable(trial: Trial) -> None:
+    trial.robot.disable()
+
+
+def stop(trial: Trial) -> None:
+    trial.robot.estop("a test")
+    wait_for("the latch, which the enable then resets", lambda: trial.robot.state.estop)
+
+
+@pytest.mark.parametrize("interrupts", [disable, stop])
+def test_a_stick_that_is_held_over_a_quick_disable_or_stop_moves_nothing(
+    trial: Trial, web: Web, anna: dict[str, str], interrupts: Callable[[Trial], None]
+) -> None:
+    """Somebody else disables or stops the robot, and enables it again before the page has noticed."""
+    with ready(trial, web, anna) as viewer:
+        viewer.stay(0.5, FORWARD)
+        assert motion(trial)
+        interrupts(trial)
+        trial.enable()
+        trial.board.events()
+        viewer.stay(0.5, FORWARD)
+        assert trial.robot.state.enabled
         assert motion(trial) == 0
         assert told(viewer)[-1] == driving.DISABLED
         viewer.stay(0.2)

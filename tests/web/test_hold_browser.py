@@ -98,7 +98,12 @@ def everything(browser: Browser) -> list[psutil.Process]:
     return [own, *own.children(recursive=True)]
 
 
-@pytest.mark.parametrize("stalled", [renderers, everything])
+def main_process(browser: Browser) -> list[psutil.Process]:
+    """The one that hears of fingers: the page itself goes on without it."""
+    return [psutil.Process(browser.process.pid)]
+
+
+@pytest.mark.parametrize("stalled", [renderers, everything, main_process])
 @pytest.mark.parametrize("round_", range(3))
 def test_a_finger_that_is_lifted_while_the_browser_stands_still_enables_nothing(
     ready: Trial, browser: Browser, tab: Tab, stalled: Callable[[Browser], list[psutil.Process]], round_: int

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import signal
 import time
 from collections.abc import Callable, Iterator
 
@@ -21,17 +23,16 @@ HELD = "document.getElementById('stick').classList.contains('held')"
 
 
 @pytest.fixture(scope="module")
-def tab(web: Web) -> Iterator[Tab]:
+def tab(web: Web, browser: Browser) -> Iterator[Tab]:
     """A phone that is paired, attends, and has chosen a limit; no script may throw."""
-    with Browser() as browser:
-        found = browser.tab(f"{web.url.replace('127.0.0.1', 'localhost')}#{web.code()}")
-        found.until("document.getElementById('code').value !== '' && !document.getElementById('pair').hidden")
-        found.until(f"{WORD} === 'STOPPED'")
-        found.run("document.getElementById('device-name').value = 'Dora'")
-        found.tap("#pair button")
-        found.until("!document.getElementById('drive').hidden")
-        yield found
-        assert found.errors == []
+    found = browser.tab(f"{web.url.replace('127.0.0.1', 'localhost')}#{web.code()}")
+    found.until("document.getElementById('code').value !== '' && !document.getElementById('pair').hidden")
+    found.until(f"{WORD} === 'STOPPED'")
+    found.run("document.getElementById('device-name').value = 'Dora'")
+    found.tap("#pair button")
+    found.until("!document.getElementById('drive').hidden")
+    yield found
+    assert found.errors == []
 
 
 def takes_stick(trial: Trial, tab: Tab) -> None:
@@ -126,6 +127,26 @@ def test_a_page_that_is_held_up_drives_no_further(trial: Trial, tab: Tab) -> Non
     assert seen.stop_ns is not None
     assert seen.stop_ns / 1e9 < COMMAND_S + LATE_S
     assert seen.motion_after == 0
+    lift()
+
+
+def test_a_browser_that_hangs_drives_no_further_and_attends_no_more(trial: Trial, tab: Tab, browser: Browser) -> None:
+    """Its main process hangs while a thumb is on the stick: the page goes on, with a finger that nobody feels."""
+    lift = moved(trial, tab, lambda: thumb(tab), trial.turning)
+    trial.board.events()
+    since_ns = time.monotonic_ns()
+    os.kill(browser.process.pid, signal.SIGSTOP)
+    try:
+        wait_for("rest", lambda: not trial.turning(), 5)
+        wait_for("the operator to be gone", lambda: trial.robot.state.estop, 5)
+        assert "operator gone: Dora" in str(trial.robot.state.estop)
+        seen = judge(trial.board.events(), since_ns, was_turning=True)
+        print(f"stop after {(seen.stop_ns or 0) / 1e9:.3f} s, at rest after {(seen.still_ns or 0) / 1e9:.3f} s")
+        assert seen.motion_after == 0
+    finally:
+        os.kill(browser.process.pid, signal.SIGCONT)
+    tab.until("document.getElementById('drive-why').textContent.includes('again')")
+    assert not tab.run(HELD)
     lift()
 
 

@@ -1,7 +1,8 @@
-// Attend: this device proves, ten times a second, that its owner is here: awake, unlocked, and looking at this page.
+// Attend: this device proves, ten times a second, that it is awake, unlocked, shows this page, and that its browser answers.
 import {reconnect, send} from "/link.js";
 import {kept, sign} from "/keys.js";
 import {command} from "/drive.js";
+import {TOO_OLD, alive, watch} from "/alive.js";
 
 const $ = (id) => document.getElementById(id);
 let key = null, attends = false, paired = false, needed = false, known = true;
@@ -13,25 +14,33 @@ function show(why) {
   if (why !== undefined) $("attend-why").textContent = why;
 }
 
+function attend(on) {
+  attends = on;
+  watch(on);
+}
+
 function leave(why) {
   if (attends) send({attend: false});
-  attends = false;
+  attend(false);
   show(why);
 }
 
 async function begin() {
   key = await kept().catch(() => null);
   if (!key) { show("This device has no key: it has to be paired over HTTPS."); return; }
-  attends = true;
+  if (TOO_OLD) { show(TOO_OLD); return; }
+  attend(true);
   send({attend: true});
   show("The robot stops when this page is hidden, the phone is locked, or the network is gone.");
 }
 
 $("attend").addEventListener("click", () => (attends ? leave("Nobody attends by this device.") : begin()));
 addEventListener("lease", async ({detail}) => {
-  if (detail.attend) { attends = false; show(detail.attend); return; }
+  if (detail.attend) { attend(false); show(detail.attend); return; }
   if (!detail.nonce || !attends || document.hidden) return;
-  let drive = command(), answer = await sign(key, detail.nonce + drive);
+  let drive = command();
+  if (!alive()) return;
+  let answer = await sign(key, detail.nonce + drive);
   if (drive && !command()) answer = await sign(key, detail.nonce + (drive = "")); // let go meanwhile
   send({nonce: detail.nonce, answer, drive});
 });

@@ -2,6 +2,7 @@
 // sliding off, or anything unexpected, cancels. The robot measures the hold: this page says that it begins, again and again
 // that it lasts, and, when the robot says that it was long enough, that it lasts even now.
 import {post, send} from "/link.js";
+import {TOO_OLD, answer} from "/alive.js";
 
 const $ = (id) => document.getElementById(id);
 const TICK_MS = 100, LATE_MS = 400, SETTLES_MS = 30;
@@ -46,6 +47,7 @@ function begin(button) {
   const {verb, percent} = button.dataset, id = Math.random().toString(36).slice(2);
   if (can[verb]) { said(`Not now: ${can[verb]}.`, true); return; }
   if (verb === "disable" || percent <= limit) { ask(button.dataset); return; }
+  if (TOO_OLD) { said(TOO_OLD, true); return; }
   if (!send({hold: verb, id, epoch, percent: Number(percent) || 0})) { said("Not now: no connection to the robot. Try again.", true); return; }
   said("", false);
   button.classList.add("held");
@@ -53,9 +55,10 @@ function begin(button) {
   holding = {button, id, at: performance.now(), timer: setInterval(tick, TICK_MS)};
 }
 
-// What the finger has done until now is heard first.
+// What the finger has done until now is heard first, by a browser that answers.
 async function enough(id) {
   const begun = performance.now();
+  await answer().catch(cancel);
   await new Promise((go) => requestAnimationFrame(() => setTimeout(go, SETTLES_MS)));
   if (!holding || holding.id !== id || late() || performance.now() - begun > LATE_MS) { cancel(); return; }
   if (navigator.vibrate) navigator.vibrate(30);

@@ -1,5 +1,6 @@
 // Drive: a thumb stick. What it says goes out with the answers that prove this device (attend.js), and with nothing else.
 import {send} from "/link.js";
+import {alive} from "/alive.js";
 
 const $ = (id) => document.getElementById(id);
 const GAP_MS = 300; // no question of the robot for this long: the command is over, and the stick has to be taken again
@@ -35,6 +36,7 @@ export function command() {
   const now = performance.now(), gap = now - asked;
   asked = now;
   if (gap > GAP_MS) release("The link was too slow: let go, and take the stick again.");
+  if (!alive()) release("The browser did not answer for half a second: let go, and take the stick again.");
   return wanted && !document.hidden ? wanted.map((value) => value.toFixed(2)).join(" ") : "";
 }
 

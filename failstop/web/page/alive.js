@@ -1,0 +1,25 @@
+// Alive: whether the browser itself answers. When its main process hangs, this page goes on by itself: it answers the robot,
+// and hears of no finger any more, neither of one that is lifted from the stick or from a button nor of one on STOP.
+const EVERY_MS = 100, MOST_MS = 500;
+export const TOO_OLD = navigator.locks ? "" : "This browser is too old: it can't tell whether it hangs.";
+let answered = -Infinity; // when the newest question that has an answer was asked
+let watches = false, turn = 0;
+
+// Locks are shared by all tabs, so only the main process can grant one.
+export async function answer() {
+  const asked = performance.now();
+  await navigator.locks.request(`failstop ${Math.random()}`, () => { answered = asked; });
+}
+
+export async function watch(on) {
+  if (on === watches) return;
+  watches = on;
+  for (const own = ++turn; watches && own === turn;) {
+    await answer().catch(() => {});
+    await new Promise((go) => setTimeout(go, EVERY_MS));
+  }
+}
+
+export function alive() {
+  return performance.now() - answered <= MOST_MS;
+}
