@@ -80,8 +80,8 @@ def disabled_by_death(driver: Command) -> Note:
 
 
 class DriverLosses:
-    """News of a source that drove and left off: the wheels stand, and nothing is latched. News of a person's end has a
-    budget of its own: it must not hide the news of a program that fails."""
+    """Notes of sources that drove and no longer do: the gate commands zero, and nothing is latched. The end of a
+    person's driving has a budget of its own, so that it can't hide a program that fails."""
 
     def __init__(self, now_ns: int) -> None:
         self._failed = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
@@ -91,7 +91,7 @@ class DriverLosses:
         """It has sent nothing for its timeout. Somebody who drives by hand ends a command so, by letting go of a key;
         not so the gamepad, which says where its sticks are for as long as it can be heard."""
         silent_ms = (now_ns - driver.t_ns) / 1e6
-        last = f"last command {silent_ms:.0f} ms ago, the wheels are stopped"
+        last = f"last command {silent_ms:.0f} ms ago, so the wheels are told to stop"
         if driver.manual and driver.source != PAD_SOURCE:
             return self._note("driver_ended", driver, f"let go: {last}", now_ns)
         text = f"fell silent while it drove: {last}"
@@ -100,8 +100,8 @@ class DriverLosses:
     def gone(self, driver: Command, now_ns: int, *, parted: bool) -> list[Note]:
         """It has died or ended without a word; or it has `parted`, given its slot back, which ends its command."""
         if parted:
-            return self._note("driver_ended", driver, "ended its command: the wheels are stopped", now_ns)
-        return self._note("driver_gone", driver, "has gone while it drove: the wheels are stopped", now_ns)
+            return self._note("driver_ended", driver, "ended its command, so the wheels are told to stop", now_ns)
+        return self._note("driver_gone", driver, "has gone while it drove, so the wheels are told to stop", now_ns)
 
     def _note(self, kind: str, driver: Command, text: str, now_ns: int, **fields: float) -> list[Note]:
         budget = self._ended if kind == "driver_ended" else self._failed

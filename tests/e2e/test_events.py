@@ -162,5 +162,5 @@ def test_failstop_drive_ends_in_its_own_words(simulated: Simulated, listener: Li
     simulated.leave()
     assert simulated.command("drive", "0.1", "0", "0", "--for", "0.5")[0] == 0
     ended = one_end(listener, "driver_ended", "info", source="cmd_vel")
-    assert re.fullmatch(r"failstop drive \(pid \d+\) ended its command: the wheels are stopped", ended.text)
+    assert re.fullmatch(r"failstop drive \(pid \d+\) ended its command, so the wheels are told to stop", ended.text)
     assert "while it drove" not in simulated.printed("status") + simulated.printed("why")

@@ -96,7 +96,7 @@ def test_an_orderly_end_leaves_motion_enabled_and_a_death_while_disabled_is_no_n
     assert (ending.step(0), ending.blocked) == (NO_SPEEDS, "cmd timeout")
     (note,) = ending.core.notes
     assert (note.kind, note.fields) == ("driver_ended", DRIVER)
-    assert note.text == "client 1 ended its command: the wheels are stopped"
+    assert note.text == "client 1 ended its command, so the wheels are told to stop"
     dying = gate(driver_death)
     dying.core.disable()
     kinds(dying)
@@ -142,7 +142,7 @@ def test_a_person_s_command_that_runs_out_is_let_go_but_for_the_gamepad_s(drivin
     by_hand(driving)
     (note,) = driving.core.notes
     assert (note.kind, note.fields) == ("driver_ended", DRIVER)
-    assert note.text == "client 1 let go: last command 321 ms ago, the wheels are stopped"
+    assert note.text == "client 1 let go: last command 321 ms ago, so the wheels are told to stop"
     kinds(driving)
     by_hand(driving, PAD_SOURCE, PAD_SESSION)
     assert kinds(driving) == ["driver_silent"]

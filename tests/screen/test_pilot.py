@@ -177,7 +177,7 @@ def told(pilot: Pilot, seen: Any) -> str:
     return style.plain(line)
 
 
-DIED = "the service has died, and the wheels are stopped: q leaves"
+DIED = "the service has died: if a wheel turns, use the POWER SWITCH; q leaves"
 LATCHED = "a stop is latched: {}r resets it, then e enables motion"
 
 

@@ -20,8 +20,8 @@ BLOCKED = driving(blocked="cmd timeout", body_vel=(0.0, 0.0, 0.0), wheels_radps=
 
 
 TEXTS = {
-    "driver_silent": "nav (pid 42) fell silent while it drove: last command 301 ms ago, the wheels are stopped",
-    "driver_gone": "nav (pid 42) has gone while it drove: the wheels are stopped",
+    "driver_silent": "nav (pid 42) fell silent while it drove: last command 301 ms ago, so the wheels are told to stop",
+    "driver_gone": "nav (pid 42) has gone while it drove, so the wheels are told to stop",
 }
 
 

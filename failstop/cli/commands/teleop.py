@@ -251,7 +251,7 @@ class Pilot:
     def holds(self, state: State) -> Span | None:
         """The reason why the wheels stand, and the keys that help; None: the keys drive."""
         if any(process.state == "dead" for process in state.processes.values()):
-            return "the service has died, and the wheels are stopped: q leaves", FAIL
+            return "the service has died: if a wheel turns, use the POWER SWITCH; q leaves", FAIL
         first = f"wait for {GATE}, then " if GATE in verdict.down(state) else ""
         if not first and state.waiting_for and not verdict.down(state):
             first = f"wait for {state.waiting_for}, then "

@@ -154,13 +154,13 @@ def _show_drive(trial: Trial, vx_mps: float, vy_mps: float, wz_radps: float) -> 
 
 
 def _kill(trial: Trial, process: str) -> Row:
-    """On a machine that is busy with other things a stop may come before the kill: then once more."""
+    """Kill it while the wheels turn. A stop may come before the kill on a busy machine: then it is done again."""
     for _ in range(STRIKES):
         _step(f"kill -9 {process}")
         row = _killed(trial, process)
         if row.stopped.was_turning:
             break
-        _done(f"stopped before that ({_why(trial)}): is the machine busy?")
+        _done(f"the wheels were not turning then ({_why(trial)}): is the machine busy?")
     if fault := row.fault():
         _done(paint(fault, FAIL))
     else:
