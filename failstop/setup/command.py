@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from argparse import ArgumentParser, Namespace
 
-from failstop.board.kinds import is_own
+from failstop.board.kinds import board_of, is_own
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.doctor.system import System
@@ -17,6 +18,7 @@ from failstop.policy.settings import Settings
 from failstop.setup import boards, finish, ports, robots, sizes
 from failstop.setup.draft import Draft
 from failstop.setup.ending import interruptible
+from failstop.setup.halt import Halt
 from failstop.setup.talk import AGAIN, NO, YES, Left, Talk, one_of, option, word_of, yes_or_no
 from failstop.setup.wheels import Trial
 
@@ -44,7 +46,7 @@ QUESTIONS = {
 ROWS_SAY = "see the rows above: a loose plug, or a size that is not so"
 REMEDIES = {"INVALID": "this computer was too busy to judge: end other programs, then make it once more"}
 """By the verdict of a stand test that did not pass."""
-STOPPED = "the wheels are stopped"
+UNMOVED = "no wheel was turned"
 NOTHING = "nothing is written"
 
 
@@ -63,20 +65,24 @@ def main(arguments: Namespace) -> int:
         draft.forget()
     given = {key: value for key in QUESTIONS if (value := getattr(arguments, key)) is not None}
     talk = Talk(given, draft, silent=not sys.stdin.isatty())
+    halts: list[Halt] = []
     try:
         with interruptible():
-            _converse(talk, arguments.name)
+            _converse(talk, arguments.name, halts)
     except KeyboardInterrupt:
-        print()
+        with contextlib.suppress(OSError):
+            print()
         kept = "" if draft.unwritten else f"; {AGAIN}"
-        raise Left(f"{STOPPED}, {NOTHING}{kept}") from None
+        known = next((halt.last for halt in halts), None)
+        raise Left(f"{known.sentence() if known else UNMOVED}; {NOTHING}{kept}") from None
     except (Left, SettingError) as error:
         kept = f"; your answers could not be kept ({draft.unwritten})" if draft.unwritten else f"; {AGAIN}"
         raise Left(f"{error}; {NOTHING}{kept}") from None
     return 0
 
 
-def _converse(talk: Talk, name: str) -> None:
+def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
+    """The steps. `halts` gets what stops the wheels of the board, once it is known."""
     style.show([[("failstop setup", style.STRONG), (": from a cable to a proved robot, in six steps", style.PLAIN)]])
     talk.say(
         "Ctrl-C stops the wheels and leaves; what you have said is kept. Nothing is written before you have seen it."
@@ -85,17 +91,19 @@ def _converse(talk: Talk, name: str) -> None:
     device = ports.step(talk, System())
     kind = boards.step(talk, device)
     robot, values = _robot(talk, kind)
-    wheels = Trial(talk, device, values).step()
+    halt = Halt(device, board_of(kind, 1.0, 0.0), lambda text: talk.say(text, style.FAIL))
+    halts.append(halt)
+    wheels = Trial(talk, device, values, halt).step()
     chosen = sizes.step(talk, {**values, **wheels})
     settings = {"device.path": ports.stable(device), **values, **wheels, **chosen}
     Settings(dict(settings))
     finish.watchdog(talk, kind)
-    evidence = finish.proof(talk, settings, device, name)
+    evidence = finish.proof(talk, settings, device, name, halt)
     while evidence and not evidence["passed"]:
         talk.warn(f"The stand test said {evidence['verdict']}.", REMEDIES.get(evidence["verdict"], ROWS_SAY))
         if talk.silent or not talk.agreed("repeat", "Make it once more? (yes, no)", YES):
             break
-        evidence = finish.proof(talk, settings, device, name)
+        evidence = finish.proof(talk, settings, device, name, halt)
     proved = not evidence or evidence["passed"]
     if not (proved or talk.agreed("unproved", "Write the settings all the same? (yes, no)", NO)):
         raise Left("the robot is not proved")

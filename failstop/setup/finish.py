@@ -27,6 +27,7 @@ from failstop.files.instance import DEFAULT_NAME, option
 from failstop.files.root import state_directory
 from failstop.instances import unit_of
 from failstop.policy.proofs import WATCHDOGS
+from failstop.setup.halt import WAITS_S, Halt
 from failstop.setup.rig import toml
 from failstop.setup.talk import NO, YES, Left, NotAnAnswer, Talk
 
@@ -53,8 +54,9 @@ def watchdog(talk: Talk, kind: str) -> None:
     talk.say("The proof comes with the next step: the whole service is frozen, and the wheels are watched.")
 
 
-def proof(talk: Talk, values: Mapping[str, object], device: str, name: str) -> dict[str, Any]:
-    """The sixth step: the short stand test on these settings; its evidence, or nothing where it was not made."""
+def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt: Halt) -> dict[str, Any]:
+    """The sixth step: the short stand test on these settings; its evidence, or nothing if it was not made. `halt` stops
+    the wheels if the test is ended by a person or a signal."""
     talk.step(6, "The proof")
     command = f"failstop prove --quick{option(name)}"
     if not here("prove"):
@@ -79,8 +81,10 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str) -> d
         words = ["prove", "--quick", "--config", path, "--device", device, "--out", folder]
         sys.stdout.flush()
         whole = helpers.python("failstop", *words)
-        code = _run(whole, CONSENT if agreed else None)
-    if code >= 128 or code < 0:
+        code, interrupted = _run(whole, CONSENT if agreed else None)
+    if interrupted or code >= 128 or code < 0:
+        # The test itself has waited for a port that is unplugged, until the person ended that too.
+        halt.now(0.0 if code >= 0 else WAITS_S)
         raise KeyboardInterrupt
     for run in sorted(_runs(folder) - before):
         with open(os.path.join(folder, run, RESULT), encoding="utf-8") as file:
@@ -89,12 +93,17 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str) -> d
     return {}
 
 
-def _run(words: list[str], said: str | None) -> int:
-    """A command to its end; its exit code. It ends by itself with the Ctrl-C of its terminal, and with what ends this
-    one, by way of wheels at rest: that is waited for."""
+def _run(words: list[str], said: str | None) -> tuple[int, bool]:
+    """Run a command to its end; return its exit code, and whether a signal should end this program too. Ctrl-C at the
+    terminal reaches the command by itself, and other signals are passed on: it stops the wheels before it ends, so
+    that is waited for."""
     process = subprocess.Popen(words, stdin=None if said is None else subprocess.PIPE, text=True)
 
+    interrupted = False
+
     def pass_on(number: int, _frame: FrameType | None) -> None:
+        nonlocal interrupted
+        interrupted = True
         if number != signal.SIGINT:
             process.send_signal(signal.SIGTERM)
 
@@ -104,7 +113,7 @@ def _run(words: list[str], said: str | None) -> int:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    return process.returncode
+    return process.returncode, interrupted
 
 
 def _runs(folder: str) -> set[str]:

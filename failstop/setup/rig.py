@@ -17,24 +17,23 @@ from collections.abc import Mapping
 from math import pi
 from types import TracebackType
 
-from failstop import config, helpers, stopping
+from failstop import config, helpers
 from failstop.api.client import attach, send_stop
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Blocked, Robot
 from failstop.api.snapshot import Block, State
 from failstop.board.interface import BY_WHEELS, HEARD_WHEELS
 from failstop.board.kinds import board_of
-from failstop.board.port import PortError
 from failstop.files import instance
 from failstop.messages import layout, segments
 from failstop.setup.ending import end_with_parent, uninterrupted
+from failstop.setup.halt import Halt
 from failstop.setup.talk import Left
 
 RIG = "setup-"
 """The beginning of its service's name."""
 READY_S = 15.0
 END_S = 5.0
-FREE_S = 5.0
 STANDS_S = 5.0
 REPEAT_S = 0.05
 LEVER_M = 0.125
@@ -44,7 +43,6 @@ MOST_WORDS = 300
 BLOCKED_S = 1.0
 """On a busy machine the gate tells of an enable a moment after it was granted."""
 OVERRIDES: dict[str, object] = {"battery.log": "off", "incidents.save": "off"}
-POWER = "if a wheel turns, use the POWER SWITCH"
 
 Velocity = tuple[float, float, float]
 
@@ -86,19 +84,20 @@ def toml(values: Mapping[str, object]) -> str:
 
 
 class Rig:
-    """A context manager. Whatever happens, the wheels are stopped at its end."""
+    """A context manager. At its end it stops the wheels, whatever happens, and raises Left unless they are stopped."""
 
-    def __init__(self, device: str, values: Mapping[str, object]) -> None:
-        """Raises SettingError."""
+    def __init__(self, device: str, values: Mapping[str, object], halt: Halt) -> None:
+        """`halt` stops the wheels once the service has ended. Raises SettingError."""
         self._values = {**values, **OVERRIDES}
         settings = config.checked(dict(self._values))
         self._board = board_of(*settings.board())
         self._hearing = self._board.hearing()
-        self._device = device
+        self._device, self._halt = device, halt
         self.name = f"{RIG}{os.getpid()}"
         self._folder = ""
         self._process: subprocess.Popen[bytes] | None = None
         self._robot: Robot | None = None
+        self._drove = False
         self.turned: dict[int, float] = {}
         """Of each wheel by its id the largest speed that the board has reported, in the unit of its motion, or 1 or -1
         by the way that its position went; empty: it has reported nothing."""
@@ -113,6 +112,8 @@ class Rig:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
+        if self._drove and (known := self._halt.last) and (isinstance(error, Left) or not known.safe):
+            raise Left(f"{error}; {known.sentence()}" if isinstance(error, Left) else known.sentence()) from error
 
     def _start(self) -> None:
         self._folder = tempfile.mkdtemp(prefix="failstop-setup-")
@@ -153,6 +154,7 @@ class Rig:
         self.turned = {}
         places: dict[int, list[float]] = {}
         blocked, moved_s = "", time.monotonic()
+        self._drove = True
         until_s = time.monotonic() + seconds
         try:
             while time.monotonic() < until_s:
@@ -173,7 +175,7 @@ class Rig:
         except (FailstopError, Refused) as error:
             blocked = str(error)
         if blocked:
-            raise Left(f"the wheels were stopped: {self._why() or blocked}; {POWER}")
+            raise Left(f"the wheels could not be turned to the end: {self._why() or blocked}")
         self._stand()
 
     def _stand(self) -> None:
@@ -193,7 +195,7 @@ class Rig:
             self._robot.estop("setup: the wheels have turned")
             self._robot.wait_for(stands, STANDS_S)
         except FailstopError:
-            raise Left(f"the board did not say within {STANDS_S:g} s that it has stopped the wheels; {POWER}") from None
+            raise Left(f"the board did not say within {STANDS_S:g} s that it has stopped the wheels") from None
 
     def _take(self, said: tuple[tuple[float, ...], tuple[float, ...]], places: dict[int, list[float]]) -> None:
         speeds, positions = said
@@ -220,7 +222,7 @@ class Rig:
         return ""
 
     def close(self) -> None:
-        """Stop the wheels, by the service, and by the port itself behind it."""
+        """Stop the wheels by the service, end the service, and stop the wheels at the port itself."""
         with uninterrupted():
             self._end()
 
@@ -238,8 +240,8 @@ class Rig:
                 self._process.kill()
                 self._process.wait()
             self._process = None
-            with contextlib.suppress(PortError):
-                stopping.stop(self._device, self._board, lambda error: FREE_S * (error.kind == "busy"), lambda _: None)
+            if self._drove:
+                self._halt.now()
             for run in segments.dead_runs(self.name):
                 segments.unlink_all(run)
             for path in instance.places(self.name):

@@ -8,6 +8,7 @@ from failstop.board.kinds import board_of
 from failstop.cli import style
 from failstop.policy.layouts import SPEEDS, WHEEL_NAMES, wheel_count
 from failstop.policy.settings import Settings
+from failstop.setup.halt import Halt
 from failstop.setup.rig import Rig, alone, rim_mps
 from failstop.setup.talk import YES, Left, NotAnAnswer, Talk, begun, yes_or_no
 
@@ -58,9 +59,9 @@ def stand(talk: Talk) -> None:
 class Trial:
     """The third step."""
 
-    def __init__(self, talk: Talk, device: str, values: Mapping[str, object]) -> None:
-        """`values`: the settings so far. Raises SettingError."""
-        self._talk, self._device, self._values = talk, device, dict(values)
+    def __init__(self, talk: Talk, device: str, values: Mapping[str, object], halt: Halt) -> None:
+        """`values`: the settings so far; `halt` stops the wheels of this board. Raises SettingError."""
+        self._talk, self._device, self._values, self._halt = talk, device, dict(values), halt
         settings = Settings(dict(values))
         self._kind = settings.text("board.kind")
         self._diameter_m = settings["wheels.diameter_m"]
@@ -139,7 +140,7 @@ class Trial:
         rim = rim_mps(self._rps, self._diameter_m)
         values, velocity = alone(self._kind, self._speeds, id_, rim, self._diameter_m)
         self._talk.say(f"The wheel of id {id_} turns for {SECONDS:g} s, alone ...", style.DIM)
-        with Rig(self._device, values) as rig:
+        with Rig(self._device, values, self._halt) as rig:
             rig.drive(velocity, SECONDS)
         if not rig.turned:
             return
@@ -171,9 +172,9 @@ class Trial:
         for key, question, velocity in tries:
             if key in wanted:
                 talk.say("All wheels together, for a second ...", style.DIM)
-                with Rig(self._device, {**values, **limits}) as rig:
+                with Rig(self._device, {**values, **limits}, self._halt) as rig:
                     rig.drive(velocity, SECONDS)
             if talk.ask(key, question + " (yes, no)", "", yes_or_no) != YES:
                 talk.draft.forget(key, *(f"wheel_{id_}" for id_ in range(self._speeds)))
-                what = "steering.sign or a wheel" if "steering.servo" in settings.flat() else "one of the wheels"
-                raise Left(f"then what was said of {what} is not so: the wheels are asked once more")
+                what = "steering.sign or the wheels" if "steering.servo" in settings.flat() else "the wheels"
+                raise Left(f"one of the answers about {what} must be wrong: the wheels will be asked once more")

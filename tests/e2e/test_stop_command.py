@@ -15,6 +15,7 @@ from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.port import Port
 from failstop.lab.machine.process import Process
 from failstop.lab.machine.robot import BoardPort, Robot
+from failstop.policy.halted import MAY_TURN
 from failstop.policy.layouts import BOARDS
 
 FILE = "/root/failstop.toml"
@@ -226,7 +227,7 @@ def test_two_ports_that_are_not_there_are_both_named(tool: Tool) -> None:
     code, _, err = tool.run("--wait", "0")
     assert (code, err.count("\n")) == (1, 1)
     assert err.startswith("failstop: no device /dev/gone: ")
-    assert err.endswith(" (it was the last run's; /dev/nor-this is not there either)\n")
+    assert err.endswith(f" (it was the last run's; /dev/nor-this is not there either); {MAY_TURN}\n")
 
 
 def test_the_last_run_of_another_name_is_no_guess_at_all(tool: Tool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import signal
 import subprocess
 import tty
 from collections.abc import Callable, Iterator
@@ -24,6 +25,7 @@ from failstop.board.rrc.board import BOARD
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
 from failstop.files import instance, root
+from failstop.policy.halted import MAY_TURN
 from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import Settings
 from tests.support.amounts import amount
@@ -174,6 +176,22 @@ def test_no_bytes_of_a_file_keep_the_stop_from_the_wire(content: bytes, board: t
     file.write_bytes(content)
     cli.main(["stop", "--config", str(file), "--wait", "0"])
     gets(master, BURST)
+
+
+@pytest.mark.parametrize("ends", ["in time", "by ctrl-c"])
+def test_a_stop_that_was_not_written_says_that_a_wheel_may_turn(ends: str, board: tuple[str, int]) -> None:
+    """The plug is out: the other side of the pty is gone, and its path with it."""
+    link, master = board
+    os.dup2(os.open(os.devnull, os.O_RDONLY), master)
+    command = [*FAILSTOP, "stop", "--device", link, "--wait", "1.1" if ends == "in time" else "60"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr
+        assert f"no device {link}" in process.stderr.readline()  # it goes on trying
+        if ends == "by ctrl-c":
+            process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=20)
+    assert (process.returncode, out) == (1 if ends == "in time" else 130, "")
+    assert err.endswith(f"{MAY_TURN}\n")
 
 
 @pytest.mark.parametrize("stderr", ["pipe", "full disk"])

@@ -28,6 +28,7 @@ from failstop.lab.probe.card import FORMATS, Card, Row
 from failstop.lab.probe.serial import ROWS, SerialProbe, check_kind, frame_of
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
+from failstop.policy.halted import CONFIRMED
 from tests.support.amounts import LONG, amount
 from tests.support.commands import FAILSTOP, failstop
 from tests.support.pages import ROOT, blocks
@@ -197,10 +198,12 @@ def test_a_watcher_that_is_killed_is_missed(tmp_path: Path) -> None:
 
         killer = threading.Thread(target=kill)
         killer.start()
-        with pytest.raises(FailstopError, match="the watcher has ended, and the wheels were stopped"), probe:
+        with pytest.raises(FailstopError, match="the probe's watcher has ended"), probe:
             probe.take("silence")
         killer.join()
-        board.wait_wheels(False, STOPS_S)
+        assert not any(board.wheels())
+        assert probe.outcome
+        assert probe.outcome.sentence() == CONFIRMED
 
 
 def test_the_judge_dates_a_rest_by_its_first_report() -> None:
@@ -229,14 +232,14 @@ def test_a_card_is_a_text_of_80_columns_a_picture_and_json(tmp_path: Path) -> No
 
 
 def test_a_card_that_ended_early_says_why_in_each_form(tmp_path: Path) -> None:
-    why = "the watcher has ended, and the wheels were stopped: " + "repeat it " * 10
+    why = "the probe's watcher has ended, so the probe ended too: " + "repeat it " * 10
     card = Card(
         "\u673a\u5668\u4eba", "ugv", "", "mine", [Row("sigkill", ROWS["sigkill"], 0.2, judge.OWN_WORD)], ended=why
     )
     lines = card.text().splitlines()
     assert {style.cells(line) for line in lines} == {80}
     assert why.strip() in " ".join("".join(line.strip("|") for line in lines).split())
-    assert "Ended early: the watcher has ended" in card.svg()
+    assert "Ended early: the probe's watcher has ended" in card.svg()
     assert "Ended early" not in dataclasses.replace(card, ended="").svg()
 
 

@@ -16,6 +16,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from bench.vm.terminal import Terminal
 from failstop.api.errors import Refused
 from failstop.cli.main import main
 from failstop.doctor.system import System
@@ -27,6 +28,7 @@ from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.table import BY_PATH, BY_TURNING
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import Trial, wait_for
+from failstop.policy.halted import CONFIRMED, MAY_TURN
 from failstop.setup.ending import SIGNALS, interruptible
 from failstop.supervisor import status
 from tests.prove.judged import UNSEEN, firm
@@ -34,6 +36,7 @@ from tests.prove.noise import SIMULATED
 from tests.support.commands import FAILSTOP, failstop
 
 WORD = "spin\n"
+CTRL_C = b"\x03"
 LIMIT_S = 240
 TRIES = 5
 MINE = {"limits.vx_mps": 0.1, "limits.wz_radps": 1.5, "interlocks.dock.timeout_s": 0.3, "device.path": "/dev/x"}
@@ -216,11 +219,35 @@ def test_an_interruption_stops_the_wheels_first(board: SimBoard, tmp_path: Path)
         stop = board.wait_for(lambda event: event.is_stop and event.arrival_ns > interrupted_ns, 30.0)
         out, _ = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert "ENDED EARLY: interrupted" in out
-    after = [event for event in board.events(since=0) if event.arrival_ns > interrupted_ns]
+    assert f"ENDED EARLY: interrupted; {CONFIRMED}" in out
+    after = [event for event in board.events(since=0) if event.is_motor and event.arrival_ns > interrupted_ns]
     assert not any(event.is_motion for event in after if event.index > stop.index)
     assert after[-1].is_stop
     assert_nothing_runs(f"prove-{process.pid}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("back", [True, False])
+def test_an_unplugged_board_is_waited_for_and_stopped(back: bool, board: SimBoard, tmp_path: Path) -> None:
+    """Ctrl-C, with the plug out: nobody says that the wheels are stopped before the stop is on the board."""
+    command = [*FAILSTOP, "prove", "--device", board.link, "--quick", "--out", str(tmp_path / "evidence")]
+    with Terminal(*command, patience_s=60.0) as person:
+        person.says("anything else to leave it:", WORD.strip())
+        board.wait_wheels(True, 60.0)
+        board.unplug()
+        person.presses(CTRL_C)
+        assert "stopped" not in person.reads(f"{board.link} is unplugged: {MAY_TURN}. Plug it in again")
+        assert any(board.wheels())
+        if back:
+            board.replug()
+            person.reads(f"ENDED EARLY: interrupted; {CONFIRMED}")
+            assert not any(board.wheels())
+        else:
+            person.presses(CTRL_C)
+            person.reads(f"ENDED EARLY: interrupted; {board.link} is unplugged: {MAY_TURN}")
+        assert person.ends() == (130 if back else 1)
+    (record,) = tmp_path.glob("evidence/*/result.json")
+    assert (CONFIRMED in json.loads(record.read_text())["ended"]) == back
 
 
 @pytest.mark.slow
@@ -248,9 +275,10 @@ def test_a_stand_that_is_left_while_the_service_hangs_is_safe(tmp_path: Path) ->
             os.kill(pids["supervisor"], signal.SIGSTOP)
             os.kill(pids["port_owner"], signal.SIGSTOP)
             name = stand.name
-        assert stand.unsafe == ""
+        assert stand.outcome
+        assert stand.outcome.sentence() == CONFIRMED
         assert not any(board.wheels())
-        assert board.events()[-1].is_stop
+        assert [event for event in board.events() if event.is_motor][-1].is_stop
         assert_nothing_runs(name)
 
 

@@ -19,6 +19,7 @@ import psutil
 import pytest
 
 from failstop.lab.sim.client import SimBoard
+from failstop.policy.halted import CONFIRMED, MAY_TURN
 from failstop.policy.layouts import BOARDS
 from failstop.setup import command, finish, robots
 from failstop.setup.draft import Draft
@@ -33,6 +34,7 @@ from tests.support.unprivileged import may_reach, unprivileged
 
 KIND, WHEELS = "ugv", {0: "left+", 1: "right-"}
 STOPS_S, ENDS_S, WAIT_S = 30.0, 60.0, 90.0
+CTRL_C = b"\x03"
 
 
 def written(place: Path) -> list[Path]:
@@ -64,6 +66,7 @@ GIVEN = {
 UNKEPT = ("stand", "prove", "file")
 """These are asked each time."""
 WHEELS_TOO = ("wheel_0", "wheel_1")
+WRONG_WHEELS = "answers about the wheels must be wrong: the wheels will be asked once more"
 LEAVES = "nothing is written; `failstop setup` goes on from here"
 WRONG: dict[str, tuple[dict[str, str], tuple[str, ...], str]] = {
     "no port": ({"port": "/nowhere"}, (), "there is no /nowhere: plug the board in, or type another"),
@@ -89,8 +92,8 @@ WRONG: dict[str, tuple[dict[str, str], tuple[str, ...], str]] = {
         (),
         "every id of this robot has a wheel: are the motors' supply and",
     ),
-    "backward": ({"forward": "no"}, WHEELS_TOO, "said of one of the wheels is not so: the wheels are asked once more"),
-    "to the right": ({"turn": "no"}, WHEELS_TOO, "said of one of the wheels is not so: the wheels are asked once more"),
+    "backward": ({"forward": "no"}, WHEELS_TOO, WRONG_WHEELS),
+    "to the right": ({"turn": "no"}, WHEELS_TOO, WRONG_WHEELS),
     "in millimetres": ({"diameter_m": "80"}, (), "type a number from 0.02 to 1, in m"),
     "no number": ({"wz_radps": "fast"}, (), "in rad/s"),
     "no folder": ({"file": "/nowhere/made.toml"}, (), "this user may not write to /nowhere: type another path, or no"),
@@ -198,15 +201,17 @@ def test_missing_rights_are_told_with_what_gives_them(
     assert not any(is_motion(event) for event in connected.events())
 
 
-GONE = "if a wheel turns, use the POWER SWITCH"
-STOPPED = "the wheels are stopped"
+UNPLUGGED = f"is unplugged: {MAY_TURN}"
+DEAF = f"the board did not confirm it: {MAY_TURN}"
+STOPPED = "the wheels are stopped, as the board reports"
 UNPROVED = "the robot is not proved"
 FAULTS: dict[tuple[str, str], str] = {
     ("ask", "silent"): "no board that failstop knows answers at",
     ("ask", "deaf"): "it does not hear; look at the board's power; its cable, whose TX and RX cross",
     ("ask", "unplug"): "went away",
     **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("ctrl-c", "hang-up")), STOPPED),
-    **dict.fromkeys(product(("wheel_0", "forward"), ("unplug", "deaf")), GONE),
+    **dict.fromkeys(product(("wheel_0", "forward"), ("unplug",)), UNPLUGGED),
+    **dict.fromkeys(product(("wheel_0", "forward"), ("deaf",)), DEAF),
     **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("sigkill",)), ""),
     **dict.fromkeys(product(("prove",), ("unplug", "deaf")), UNPROVED),
 }
@@ -223,7 +228,7 @@ def wait_for_its_end(port: str) -> None:
 def strike(fault: str, board: SimBoard, person: Person) -> None:
     """The fault."""
     if fault == "ctrl-c":
-        person.presses(b"\x03")
+        person.presses(CTRL_C)
     elif fault == "hang-up":
         person.process.send_signal(signal.SIGHUP)
     elif fault == "sigkill":
@@ -253,6 +258,9 @@ def test_a_fault_ends_it_with_what_helps_and_the_wheels_stand(step: str, fault: 
             elif step != "ask":
                 board.wait_wheels(True, STOPS_S)
                 strike(fault, board, person)
+            if fault == "unplug" and step != "ask":
+                person.reads(f"{UNPLUGGED}. Plug it in again")
+                person.presses(CTRL_C)
             if sentence == UNPROVED:
                 person.says("Make it once more?", "no")
             if sentence:
@@ -267,6 +275,35 @@ def test_a_fault_ends_it_with_what_helps_and_the_wheels_stand(step: str, fault: 
         assert kept(place) == (["port", "board"] if fault == "unplug" else [])
     else:
         assert kept(place) == [key for key in list(GIVEN)[: list(GIVEN).index(step)] if key not in UNKEPT]
+
+
+KEEPS_ON = {"board": "rrc", "robot": "other", "layout": "mecanum", "stand": "yes"}
+"""Answers up to the first wheel that turns, of a board that keeps its last speed forever."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("back", [True, False])
+def test_an_unplugged_board_is_waited_for_and_stopped(back: bool, place: Path) -> None:
+    """Ctrl-C, with the plug out: nobody says that the wheels are stopped before the stop is on the board."""
+    port = str(place / "b")
+    with SimBoard(port) as board:
+        with Person(place, *words(place, {"port": port, **KEEPS_ON})) as person:
+            board.wait_wheels(True, STOPS_S)
+            board.unplug()
+            person.presses(CTRL_C)
+            assert "stopped" not in person.reads(f"{UNPLUGGED}. Plug it in again")
+            assert any(board.wheels())
+            if back:
+                board.replug()
+                person.reads(f"failstop: {CONFIRMED}; nothing is written")
+                assert not any(board.wheels())
+            else:
+                person.presses(CTRL_C)
+                person.reads(f"failstop: {port} {UNPLUGGED}; nothing is written")
+            assert person.ends() == 1
+        wait_for_its_end(port)
+        assert any(board.wheels()) is not back
+    assert not written(place)
 
 
 def test_what_was_not_proved_is_named(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,6 +18,7 @@ from failstop.board.servos import HIGHEST_ID
 from failstop.cli import standard
 from failstop.cli.commands import add_name
 from failstop.files import instance
+from failstop.policy.halted import MAY_TURN
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import BY_KEY, MOST_OF_A_FAMILY
 
@@ -152,6 +153,7 @@ def _by_service(wanted: str, reason: str, who: str, port: Target) -> bool:
                 standard.say(problem if done else f"{problem}: writing to the port itself")
             if done:
                 port.complain()
+                port.unproved = port.unproved or bool(problem)
                 return True
             port.known = port.known or ask.port_of(name)
         port.asked.append(name)
@@ -272,7 +274,11 @@ class Target:
                 stopping.write(self.device(), self.board(), servos)
         except PortError as error:
             self.complain()
-            raise FailstopError(self._explained(error)) from None
+            may_turn = "" if error.kind == "busy" else f"; {MAY_TURN}"
+            raise FailstopError(f"{self._explained(error)}{may_turn}") from None
+        except KeyboardInterrupt:
+            standard.say(f"ended before a stop was known to be written to {self.device()}: {MAY_TURN}")
+            raise
         return after_s
 
     def _wrote_instead(self) -> bool:

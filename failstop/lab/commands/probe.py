@@ -17,6 +17,7 @@ from failstop.lab.probe import ros2, serial
 from failstop.lab.probe.card import Card, Row
 from failstop.lab.prove.session import check_free
 from failstop.lab.sim.options import add_board
+from failstop.policy.halted import OF_CTRL_C, Halted
 from failstop.policy.layouts import BOARDS
 from failstop.setup.ending import interruptible
 
@@ -37,7 +38,8 @@ program that drives them fail. They may turn on until this stops them.
   3. The POWER SWITCH is at hand.
 
 Ctrl-C stops the wheels. Type "{word}" to begin, anything else to leave it: """
-INTERRUPTED = "Ctrl-C: the wheels are stopped"
+ENDED_BY_PERSON = "interrupted"
+UNMOVED = "no wheel was turned"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -73,7 +75,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Probe, and print the card; exit code 1 when a row never stopped, 2 without consent."""
-    card = _serial(arguments) if arguments.way == "serial" else _ros2(arguments)
+    card, code = _serial(arguments) if arguments.way == "serial" else _ros2(arguments)
     print(json.dumps(card.as_dict(), indent=1) if arguments.json else f"\n{card.text()}", end="\n" * arguments.json)
     base = arguments.out or f"card-{time.strftime('%Y%m%d-%H%M%S')}"
     try:
@@ -81,7 +83,19 @@ def main(arguments: Namespace) -> int:
             print(f"card: {os.path.relpath(path)}", file=sys.stderr)
     except OSError as error:
         print(f"failstop: the card could not be kept: {error}", file=sys.stderr)
-    return 130 if card.ended == INTERRUPTED else int(bool(card.ended) or any(_never(row) for row in card.rows))
+    return code or int(bool(card.ended) or any(_never(row) for row in card.rows))
+
+
+def _ended(card: Card, known: Halted | None, error: BaseException | None) -> int:
+    """Say on the card why it ended early, if it did, and what is known of the wheels. Returns the exit code of that, or
+    0."""
+    if isinstance(error, KeyboardInterrupt):
+        card.ended = f"{ENDED_BY_PERSON}; {known.sentence() if known else UNMOVED}"
+        return known.interrupted() if known else OF_CTRL_C
+    if error or (known and not known.safe):
+        card.ended = "; ".join([*([str(error)] if error else []), *([known.sentence()] if known else [])])
+        return 1
+    return 0
 
 
 def _never(row: Row) -> bool:
@@ -123,7 +137,7 @@ def _frame(text: str) -> bytes:
         raise FailstopError(rf"--frame {text}: write hexadecimal digits behind 0x, or text with \n") from None
 
 
-def _serial(arguments: Namespace) -> Card:
+def _serial(arguments: Namespace) -> tuple[Card, int]:
     if not arguments.board:
         raise FailstopError(f"which board? give --board: {', '.join(BOARDS)}, or a folder of your own")
     board = board_of(arguments.board, DIAMETER_M, 0.0)
@@ -149,27 +163,24 @@ def _serial(arguments: Namespace) -> Card:
                 _say(f"{serial.ROWS[name]} ...")
                 card.rows.append(row := probe.take(name))
                 _say(f"   {row.found}")
-    except KeyboardInterrupt:
-        card.ended = INTERRUPTED
-    except (FailstopError, PortError, OSError) as error:
-        card.ended = str(error)
-    return card
+    except (KeyboardInterrupt, FailstopError, PortError, OSError) as error:
+        return card, _ended(card, probe.outcome, error)
+    return card, _ended(card, probe.outcome, None)
 
 
-def _ros2(arguments: Namespace) -> Card:
+def _ros2(arguments: Namespace) -> tuple[Card, int]:
     names = _rows(arguments.rows, ros2.ROWS)
     # A number below 1 would mean more than one process.
     if (pid := arguments.driver_pid) is not None and (pid < 1 or not os.path.exists(f"/proc/{pid}")):
         raise FailstopError(f"no process {pid}: `ps -ef` shows the driver's")
     _consent(arguments, len(names))
     card = Card(arguments.robot, f"behind {arguments.cmd_vel}", arguments.firmware, arguments.driver or "a ROS 2 node")
+    probe = ros2.RosProbe(arguments, _say)
     try:
-        with interruptible():
-            for row in ros2.rows(arguments, names, _say):
+        with interruptible(), probe:
+            for row in probe.rows(names):
                 card.rows.append(row)
                 _say(f"   {row.found}")
-    except KeyboardInterrupt:
-        card.ended = INTERRUPTED
-    except (FailstopError, OSError) as error:
-        card.ended = str(error)
-    return card
+    except (KeyboardInterrupt, FailstopError, OSError) as error:
+        return card, _ended(card, probe.outcome, error)
+    return card, _ended(card, probe.outcome, None)

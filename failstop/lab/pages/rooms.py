@@ -32,7 +32,7 @@ ROOMS = {
     "fleet": Room("the robots of a broker, and metrics", "api cli config doctor extras files messages notify policy"),
     "setup": Room(
         "from a cable to a proved robot",
-        "api board cli config doctor files helpers instances messages policy stopping supervisor",
+        "api board cli config doctor files helpers instances messages policy procs stopping supervisor",
     ),
     "ros2": Room("the bridge to ROS 2", "api cli doctor helpers messages policy shm"),
     "cli": Room(

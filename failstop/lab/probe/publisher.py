@@ -44,12 +44,13 @@ class Node:
         (message.twist if self._stamped else message).linear.x = vx
         self._publisher.publish(message)
 
-    def zeros(self) -> None:
-        """For a while: a subscriber may miss one."""
+    def zeros(self) -> bool:
+        """Publish zeros for a while, because a subscriber may miss one."""
         until_s = time.monotonic() + ZEROS_S
         while time.monotonic() < until_s:
             self.publish(0.0)
             time.sleep(1 / HZ)
+        return True
 
 
 def main(words: list[str]) -> None:

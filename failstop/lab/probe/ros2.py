@@ -24,15 +24,18 @@ from failstop.lab.probe.publisher import GUARD
 from failstop.lab.probe.watcher import STOP_WORD, Orders
 from failstop.lab.prove import shake
 from failstop.lab.prove.sight import SeenSample
+from failstop.policy.halted import Halted
 from failstop.ros2.command import find_rclpy
 from failstop.ros2.fill import type_of
-from failstop.setup.ending import end_with_parent
+from failstop.setup.ending import end_with_parent, uninterrupted
 
 VX_MPS = 0.1
 TURNS_S = 1.5
 SEEN_S = 20.0
 SPIN_S = 0.01
 STILL_S = 2.0
+SEES_REST_S = 3.0
+"""How long the robot may take to be seen at rest after a stop."""
 STARTS_S = 3.0
 """For a base that no odometry speaks for to hear of a publisher, and to turn its wheels."""
 SHAKES_NS = 700_000_000
@@ -161,36 +164,87 @@ class Listener:
         """The first sample of the rest in which they end; None: they end in a turn."""
         return self.shaking.rest_ns(self.samples) if self.shaking else judge.rest_ns(self.samples)
 
+    def still(self) -> bool | None:
+        """Whether it says that the robot is at rest, as soon as that has lasted; None: it says nothing."""
+        self._here = lambda: None
+        self.samples.clear()
+        self.until(SEES_REST_S, lambda: len(self.samples) > 1 and judge.believed(self.samples, self.rest_ns()))
+        return judge.believed(self.samples, self.rest_ns()) if len(self.samples) > 1 else None
+
     def close(self) -> None:
         """Leave."""
         self._node.destroy_node()
         self._rclpy.try_shutdown()
 
 
-def rows(arguments: Namespace, names: Iterable[str], say: Callable[[str], None]) -> Iterator[Row]:
-    """Each row as it is found. Raises FailstopError."""
-    topic, stamped = arguments.cmd_vel, arguments.stamped
-    guard = Publisher(topic, stamped=stamped, what=GUARD, keep=True)
-    listener = None
-    try:
-        listener = Listener(arguments, guard.orders.here)
+class RosProbe:
+    """A context manager. At its end the guard publishes zeros, and another guard does if that one fails; `outcome` is
+    what is known then."""
+
+    def __init__(self, arguments: Namespace, say: Callable[[str], None]) -> None:
+        self._arguments, self._say = arguments, say
+        self._guard: Publisher | None = None
+        self._listener: Listener | None = None
+        self.outcome: Halted | None = None
+        """What is known of the wheels at the end; None: they were never to turn."""
+
+    def __enter__(self) -> RosProbe:
+        self._guard = self._guarding()
+        try:
+            self._listener = Listener(self._arguments, self._guard.orders.here)
+        except BaseException:
+            self._guard.left()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with uninterrupted():
+            self.close()
+
+    def _guarding(self) -> Publisher:
+        return Publisher(self._arguments.cmd_vel, stamped=self._arguments.stamped, what=GUARD, keep=True)
+
+    def rows(self, names: Iterable[str]) -> Iterator[Row]:
+        """Each row as it is found. Raises FailstopError."""
+        arguments, listener, guard = self._arguments, self._listener, self._guard
+        assert listener
+        assert guard
         if arguments.imu and not arguments.key:
-            say("first, how its IMU feels rest and turning wheels ...")
+            self._say("first, how its IMU feels rest and turning wheels ...")
             _character(arguments, listener, guard)
         for name in names:
             words = ROWS[name]
             if name == "driver" and not arguments.driver_pid:
                 yield Row(name, words, skipped="give --driver-pid")
                 continue
-            say(f"{words} ...")
-            yield _row(name, arguments, listener, guard, say)
-    finally:
-        if guard.process.poll() is not None:  # somebody has killed it
-            guard = Publisher(topic, stamped=stamped, what=GUARD, keep=True)
-            guard.orders.give(STOP_WORD)
-        guard.left()
-        if listener:
-            listener.close()
+            self._say(f"{words} ...")
+            yield _row(name, arguments, listener, guard, self._say)
+
+    def close(self) -> None:
+        """Publish zeros, listen to what becomes of the wheels, and leave."""
+        why = self._stopped()
+        still = None
+        if self._listener:
+            still = None if self._arguments.key or why else self._listener.still()
+            self._listener.close()
+            by = self._listener.topic
+            self.outcome = Halted(self._arguments.cmd_vel, written=not why, why=why, still=still, by=by)
+
+    def _stopped(self) -> str:
+        """Have the guard publish zeros, or a new one if it can't; returns why neither did, empty if one has."""
+        why = ""
+        for guard in (self._guard, None):
+            try:
+                guard = guard or self._guarding()
+                guard.orders.give(STOP_WORD)
+            except FailstopError as error:
+                why = str(error)
+                if guard:
+                    guard.end()
+            else:
+                guard.left()
+                return ""
+        return why
 
 
 @contextlib.contextmanager

@@ -22,12 +22,14 @@ from failstop.board.port import PortError, has_lines, open_port
 from failstop.board.tap import Tap
 from failstop.lab.probe import judge
 from failstop.lab.probe.card import Row
-from failstop.lab.probe.watcher import STOP_WORD, Orders, halting
+from failstop.lab.probe.watcher import ANSWERS_S, STARTS_S, STOP_WORD, Orders
 from failstop.lab.prove import shake
 from failstop.lab.prove.sight import SeenSample
+from failstop.policy.halted import Halted
 from failstop.policy.layouts import BOARDS
 from failstop.procs.telemetry.imu import RAD_PER_DEG
-from failstop.setup.ending import end_with_parent
+from failstop.setup.ending import end_with_parent, uninterrupted
+from failstop.setup.halt import Halt
 from failstop.supervisor.port_handover import OwnPort
 
 PERIOD_S = 0.1
@@ -38,7 +40,6 @@ MORE_S = 0.5
 STILL_S = 2.0
 ASK_S = 0.02
 TURN_S = 0.002
-STARTS_S = 15.0
 PLUG_S = 60.0
 ROWS = {
     "sigkill": "its driver is killed (SIGKILL)",
@@ -58,7 +59,8 @@ CLOSES = ("sigkill", "close")
 
 
 class SerialProbe:
-    """A context manager; whatever happens the wheels are stopped at its end, by the watcher."""
+    """A context manager. At its end the watcher stops the wheels and so does this process, whatever happens; `outcome`
+    is what is known then."""
 
     def __init__(self, path: str, kind: str, board: Board, frame: bytes, *, by_key: bool, say: Callable[[str], None]):
         """`frame`: what the driver sends again and again; `by_key`: a person says when the wheels stand."""
@@ -73,6 +75,7 @@ class SerialProbe:
         self._watcher: subprocess.Popen[str] | None = None
         self._orders: Orders | None = None
         self._gone_ns = 0
+        self._halt = Halt(path, board, say)
         own_s = wire_of(kind).watchdog.after_ns / 1e9 if is_described(kind) else 0.0
         self._turns_s = max(TURNS_S, own_s + MORE_S)
         """Before a failure: the stop before may have armed the board's watchdog, which must have acted by then. Else it
@@ -107,19 +110,38 @@ class SerialProbe:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def outcome(self) -> Halted | None:
+        """What is known of the wheels at the end; None: they were never to turn."""
+        return self._halt.last
+
     def close(self) -> None:
-        """The wheels are stopped, and everything is let go."""
-        if self._watcher and self._watcher.stdin:
-            with contextlib.suppress(OSError):
-                self._watcher.stdin.close()  # its end is the order to stop
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._watcher.wait(STARTS_S)
-            if self._watcher.stdout:
-                self._watcher.stdout.close()
-        self._end_driver()
-        self._let_go()
-        if self._watcher and self._watcher.returncode:  # somebody has killed it
-            halting(self._path, self._kind)(STARTS_S)
+        """Stop the wheels, and let everything go. The watcher writes the stop and so does this process, because either
+        may hang or die."""
+        with uninterrupted():
+            self._end_driver()
+            self._let_go()
+            if self._watcher and self._watcher.stdin:
+                with contextlib.suppress(OSError):
+                    self._watcher.stdin.close()  # its end is the order to stop
+            if os.path.exists(self._path):
+                self._end_watcher()
+            # A watcher that waits for the port goes on when this process waits no longer.
+            if self._halt.now().written:
+                self._end_watcher()
+
+    def _end_watcher(self) -> None:
+        """Let it write its stop, for a while; then kill it."""
+        watcher, self._watcher = self._watcher, None
+        if watcher is None:
+            return
+        try:
+            watcher.wait(ANSWERS_S)
+        except subprocess.TimeoutExpired:
+            watcher.kill()
+            watcher.wait()
+        if watcher.stdout:
+            watcher.stdout.close()
 
     def _open(self) -> None:
         self._let_go()
@@ -198,9 +220,10 @@ class SerialProbe:
         return judge.rest_ns(self._samples)
 
     def take(self, name: str) -> Row:
-        """One row; the wheels stand at its end. Raises FailstopError, OSError."""
+        """Make one row, and stop the wheels at its end. Raises FailstopError, OSError."""
         if name == "plug":
             return self._plug()
+        self._gone_ns = 0
         self._start()
         self._until(self._turns_s)
         assert self._driver
@@ -214,6 +237,8 @@ class SerialProbe:
             self._lower_lines()
         stands_ns = self._stands(cause_ns)
         self._finish()
+        if self._gone_ns:
+            raise FailstopError(f"{self._path} went away meanwhile, so nobody saw the wheels")
         if stands_ns is None:
             return Row(name, ROWS[name], None, self.by, cause_ns=cause_ns)
         seconds, within_s = (stands_ns - cause_ns) / 1e9, 0.0
@@ -258,7 +283,7 @@ class SerialProbe:
         self._by_key = by_key
         self._end_driver()
         if stands_ns is None:
-            self._say(f"Never, within {judge.NEVER_S:g} s. Plug it in again: the stop is written when it is back.")
+            self._say(f"Never, within {judge.NEVER_S:g} s. Plug it in again, and the stop is written at once.")
         else:
             self._say("Plug it in again.")
         self._until(PLUG_S, lambda: os.path.exists(self._path))
@@ -291,7 +316,7 @@ class SerialProbe:
             raise FailstopError(f"the driver could not open {self._path}")
 
     def _finish(self) -> None:
-        """The wheels stand, whatever was done to the driver."""
+        """Stop the wheels, whatever was done to the driver. Raises FailstopError when no stop could be written."""
         self._tell(STOP_WORD)
         self._end_driver()
         if self._tap and has_lines(self._tap.fd):

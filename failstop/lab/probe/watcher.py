@@ -1,10 +1,12 @@
 """Watcher: a process of its own that stops the wheels when the probe is done, falls silent, or is killed.
 
 `python -m failstop.lab.probe.watcher PORT KIND`: standard input is its lifeline. Each line is `drive PID` (this process
-drives now), `stop`, or `here`; it answers the first two by a line: done, or late where it has stopped the wheels by
-itself. When nothing has come for SILENT_S while something drives, it kills that and writes the board's stop; when the
-line ends, too, waiting for a port that is gone until it has taken the stop. It has a session
-of its own: Ctrl-C and a closed terminal do not reach it. publisher.py has one for ROS 2.
+drives now), `stop`, or `here`; it answers the first two with a line: `done`, `late` if it had to end the driving by
+itself, or `unwritten` if no stop could be written. When nothing has come for SILENT_S while something drives, it kills
+that and writes the board's stop. It does the same when standard input ends, and then waits for a port that is unplugged
+until it has taken the stop. It has a session of its own, so Ctrl-C and a closed terminal do not reach it. The watcher
+itself may hang or die: the probe waits for its answers only for a while, and then writes the stop itself. publisher.py
+has a watcher for ROS 2.
 """
 
 from __future__ import annotations
@@ -25,21 +27,28 @@ from failstop.board.port import PortError
 
 SILENT_S = 5.0
 """A probe that has said nothing for so long hangs, or is not run."""
-HERE, STOP_WORD, DONE_WORD, LATE_WORD = "here", "stop", "done", "late"
+HERE, STOP_WORD, DONE_WORD, LATE_WORD, UNWRITTEN_WORD = "here", "stop", "done", "late", "unwritten"
 HERE_S = 1.0
 """Between two words of the probe's that it runs."""
 WAITS_S = 300.0
 """The longest that it tries to have the port, at its end."""
 WRITES = 5
 APART_S = 0.1
-WATCHER_GONE = "the watcher has ended, and the wheels were stopped: repeat it; if a wheel turns, use the POWER SWITCH"
+STARTS_S = 15.0
+"""How long a watcher may take to answer at first, on a busy machine, or at its end."""
+ANSWERS_S = 3.0
+"""How long it may take later: a stop is written WRITES times, and repeated by some boards' rules."""
+WATCHER_GONE = "the probe's watcher has ended, so the probe ended too: repeat it"
+WATCHER_HANGS = "the probe's watcher does not answer, so it was killed, and the probe ended: repeat it"
+WATCHER_LATE = "the machine did not run this probe in time, so its watcher ended the driving: repeat it"
+WATCHER_UNWRITTEN = "the probe's watcher could not write the stop"
 
 
 class Watcher:
     """The processes that drive now, and how the wheels are stopped."""
 
-    def __init__(self, halt: Callable[[float], None]) -> None:
-        """`halt`: stops the wheels, waiting for so many seconds for a way to them."""
+    def __init__(self, halt: Callable[[float], bool]) -> None:
+        """`halt(seconds)` writes the stop, waiting that long for a way to the wheels; False: it could not."""
         self._halt = halt
         self._pids: list[int] = []
         self._late = False
@@ -69,19 +78,18 @@ class Watcher:
         verb, _, what = line.partition(" ")
         if verb == "drive":
             self._pids.append(int(what))
-        elif verb == STOP_WORD:
-            self.stop(0.0)
+        written = self.stop(0.0) if verb == STOP_WORD else True
         if verb != HERE:
-            print(LATE_WORD if self._late else DONE_WORD, flush=True)
+            print(LATE_WORD if self._late else DONE_WORD if written else UNWRITTEN_WORD, flush=True)
             self._late = False
 
-    def stop(self, wait_s: float) -> None:
-        """Kill what drives, and stop the wheels."""
+    def stop(self, wait_s: float) -> bool:
+        """Kill what drives, and write the stop; False: it could not be written."""
         for pid in self._pids:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         self._pids.clear()
-        self._halt(wait_s)
+        return self._halt(wait_s)
 
 
 class Orders:
@@ -90,17 +98,30 @@ class Orders:
     def __init__(self, watcher: subprocess.Popen[str]) -> None:
         self._watcher = watcher
         self._here_s = 0.0
+        self._answers_s = STARTS_S
 
     def give(self, line: str) -> None:
-        """Tell it to drive or to stop. The answer is awaited: it knows what it is to stop before anything turns. Raises
-        FailstopError."""
+        """Tell it to drive or to stop, and wait for its answer: it must know what to stop before anything turns. A
+        watcher that does not answer is killed. Raises FailstopError; the wheels may turn then."""
         self._write(line)
-        assert self._watcher.stdout
-        answer = self._watcher.stdout.readline().strip()
+        answer = self._answer()
+        self._answers_s = ANSWERS_S
         if not answer:
             raise FailstopError(WATCHER_GONE)
         if answer == LATE_WORD:
-            raise FailstopError("the machine did not run this probe in time, and the wheels were stopped: repeat it")
+            raise FailstopError(WATCHER_LATE)
+        if answer == UNWRITTEN_WORD:
+            raise FailstopError(WATCHER_UNWRITTEN)
+
+    def _answer(self) -> str:
+        """Its next line; empty: it has ended. Raises FailstopError when none comes in time. It answers each order with
+        one line, so nothing waits in the buffer of standard output."""
+        output = self._watcher.stdout
+        assert output
+        if not select.select([output], [], [], self._answers_s)[0]:
+            self._watcher.kill()
+            raise FailstopError(WATCHER_HANGS)
+        return output.readline().strip()
 
     def here(self) -> None:
         """Say that this process runs, where that was long ago. Raises FailstopError when the watcher is gone."""
@@ -123,18 +144,22 @@ def ignore_terminal() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def halting(path: str, kind: str) -> Callable[[float], None]:
-    """Return what stops the wheels of a board of this kind at this port. It writes several stops: one may be lost."""
+def halting(path: str, kind: str) -> Callable[[float], bool]:
+    """Return what writes the stop of a board of this kind to this port, several times because one may be lost."""
     board = board_of(kind, 1.0, 0.0)
 
-    def halt(wait_s: float) -> None:
+    def halt(wait_s: float) -> bool:
+        written = False
         for _ in range(WRITES):
             try:
                 stopping.stop(path, board, lambda _: wait_s, lambda _: None)
+                written = True
             except PortError:
+                written = False
                 if wait_s:
-                    return  # it has waited for as long as it may
+                    break  # it has waited for as long as it may
             time.sleep(APART_S)
+        return written
 
     return halt
 

@@ -239,8 +239,8 @@ class ArmRun:
         """Everything stopped by every means, then again. An arm stands by itself when its last move ends."""
         stand, result = self.stand, self.result
         self._end_program()
-        if problem := stand.safe():
-            result.wrong.append(problem)
+        if not (known := stand.safe()).safe:
+            result.wrong.append(known.sentence())
         try:
             stand.start()
         except (TrialError, FailstopError, OSError) as error:

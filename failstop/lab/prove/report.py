@@ -22,6 +22,7 @@ from failstop.lab.prove.means import Means
 from failstop.lab.prove.run import Result
 from failstop.lab.prove.sight import ByImu, Sight
 from failstop.lab.prove.table import FROZEN
+from failstop.policy.halted import OF_CTRL_C, Halted
 from failstop.policy.settings import Settings
 from failstop.supervisor.status import cost
 
@@ -57,6 +58,8 @@ class Evidence:
     """The command."""
     means: Means | None = None
     """Of the board; None: nothing is said of them."""
+    outcome: Halted | None = None
+    """What is known of the wheels at its end; None: they are a simulated board's, or were never to turn."""
     user: Settings | None = None
     """The robot's own; None: nothing is said of distances."""
 
@@ -68,21 +71,30 @@ class Evidence:
     @property
     def exit_code(self) -> int:
         """Of the command."""
-        return 0 if self.passed else 130 if self.ended == INTERRUPTED else 1
+        if self.ended == INTERRUPTED:
+            return self.outcome.interrupted() if self.outcome else OF_CTRL_C
+        return 0 if self.passed else 1
+
+    @property
+    def ending(self) -> str:
+        """Why it ended before its end, and what is known of the wheels then; empty: it did not, and they are safe."""
+        known = self.outcome.sentence() if self.outcome and (self.ended or not self.outcome.safe) else ""
+        return "; ".join(filter(None, (self.ended, known)))
 
     @property
     def passed(self) -> bool:
         """Every row passed or was skipped, one passed, and it came to its end."""
         words = {result.verdict for result in self.results}
-        return not self.ended and "PASS" in words and words <= {"PASS", "SKIP"}
+        return not self.ending and "PASS" in words and words <= {"PASS", "SKIP"}
 
     @property
     def verdict(self) -> str:
         """PASS, FAIL or INVALID, of all of it."""
         if self.passed:
             return "PASS"
-        doubtful = self.spoiled or (not self.ended and any(r.verdict == "INVALID" for r in self.results))
-        return "INVALID" if doubtful and not self.failed else "FAIL"
+        doubtful = self.spoiled or (not self.ending and any(r.verdict == "INVALID" for r in self.results))
+        unsafe = self.outcome is not None and not self.outcome.safe
+        return "INVALID" if doubtful and not (self.failed or unsafe) else "FAIL"
 
     @property
     def failed(self) -> list[Result]:
@@ -100,7 +112,7 @@ class Evidence:
             "lease_s": self.lease_s,
             "verdict": self.verdict,
             "passed": self.passed,
-            "ended": self.ended,
+            "ended": self.ending,
             "character": self.character.as_dict() if self.character else None,
             "distances": ways(self),
             "unproved": self.means.unproved(blind=self.blind) if self.means else [],
@@ -241,8 +253,8 @@ def last_lines(evidence: Evidence) -> list[str]:
     count = {word: sum(result.verdict == word for result in evidence.results) for word in VERDICT_STYLES}
     invalid = f", {count['INVALID']} invalid" if count["INVALID"] else ""
     lines = [f"{count['PASS']} passed, {count['FAIL']} failed, {count['SKIP']} skipped{invalid}"]
-    if evidence.ended:
-        lines.append(f"ENDED EARLY: {evidence.ended}")
+    if evidence.ending:
+        lines.append(f"ENDED EARLY: {evidence.ending}")
     return [*lines, evidence.verdict, CAN_NOT, *ways(evidence)]
 
 

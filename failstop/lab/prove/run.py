@@ -162,8 +162,8 @@ class PathRun:
         """After what says nothing of the wheels: stop them by every means, look, and only then begin again."""
         stand, result = self.stand, self.result
         stand.driver.commands = False
-        if problem := stand.safe():
-            result.wrong.append(problem)
+        if not (known := stand.safe()).safe:
+            result.wrong.append(known.sentence())
         stand.watch.forget()
         verdict = self.sight.verdict(time.monotonic_ns())
         seen = stand.watch.take_port() and stand.run(MOST_S, lambda: verdict.still(stand.watch.samples))

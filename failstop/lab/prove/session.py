@@ -91,9 +91,8 @@ def session(
         starved = stand.held.starved(begun)
         evidence.spoiled = bool(starved) and not isinstance(error, Runaway)
         evidence.ended = f"{repeat(starved)}; {error}" if evidence.spoiled else str(error)
-    if stand.unsafe and not stand.board:
-        evidence.spoiled = False
-        evidence.ended = f"{evidence.ended}; {stand.unsafe}: use the POWER SWITCH".lstrip("; ")
+    if not stand.board:
+        evidence.outcome = stand.outcome
     return evidence
 
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 import contextlib
 import os
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from failstop import config, stopping
+from failstop import config
 from failstop.api.errors import FailstopError
 from failstop.board.kinds import board_of
-from failstop.board.port import PortError
+from failstop.cli import style
 from failstop.lab.faults.driving import Driver
 from failstop.lab.prove.held import Held
 from failstop.lab.prove.means import Means, means_of
@@ -21,19 +22,21 @@ from failstop.lab.prove.watch import Watch
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.stand import Stand
 from failstop.lab.trial import COMMAND_EVERY_S, Service, write_settings
+from failstop.policy.halted import Halted
 from failstop.policy.kinematics import max_wheel_rps
 from failstop.policy.settings import Settings
 from failstop.setup.ending import end_with_parent, uninterrupted
+from failstop.setup.halt import WAITS_S, Halt
 
 if TYPE_CHECKING:
     from failstop.lab.prove.swing import Swing
 
 OF_SPEEDS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
 LOOK_EVERY_S = 0.001
-FREE_S = 5.0
-"""The port is to be had again within this time after the service's end."""
-SIM_FREE_S = 0.5
-"""A simulated board may have ended with the same Ctrl-C."""
+SIM_WAITS_S = 0.5
+"""How long an unplugged port is waited for that is a simulated board's: it may have ended with the same Ctrl-C."""
+AGAIN_S = 5.0
+"""How long an unplugged port is waited for in the middle of a test."""
 OVERRIDES: dict[str, object] = {
     "restart.deaths": 100_000,
     "restart.window_s": 1.0,
@@ -76,8 +79,12 @@ def settings_for(user: dict[str, object]) -> dict[str, object]:
     return {**kept, **OVERRIDES, **limits}
 
 
+def _alarm(text: str) -> None:
+    print(style.paint(text, style.FAIL), file=sys.stderr, flush=True)
+
+
 class ProveStand(Stand):
-    """A context manager. Whatever happens, the wheels are stopped at its end."""
+    """A context manager. At its end it stops the wheels, whatever happens; `outcome` is what is known then."""
 
     def __init__(self, device: str, user: dict[str, object], folder: str, board: SimBoard | None = None) -> None:
         """`user`: the settings of the user's file; `folder`: for files of this run; `board`: the simulated one, which
@@ -97,7 +104,8 @@ class ProveStand(Stand):
         self.watch = Watch(device, self.language)
         self.driver.each = self.look
         self.held = Held(others=self._others)
-        self.unsafe = ""
+        self._halt = Halt(device, self.language, _alarm)
+        self._started = False
         self.swing: Swing | None = None
         """How the arm is moved; chosen by its first run."""
 
@@ -116,6 +124,7 @@ class ProveStand(Stand):
     def start(self) -> None:
         """Start the service, and watch it. Raises TrialError."""
         self.let_go()
+        self._started = True
         self.service.start()
         self.watch.attach(self.name)
 
@@ -146,23 +155,25 @@ class ProveStand(Stand):
         """Processes that the machine has to run in time, beside this one."""
         return {**({"the simulated board": self.board.pid} if self.board else {}), **self.service.known}
 
-    def safe(self) -> str:
-        """Wheels at rest, by every means, the quickest first; returns what could not be done, empty if all was."""
+    def safe(self, waits_s: float = AGAIN_S) -> Halted:
+        """Stop the wheels by every means, the quickest first, and find out whether they are stopped. `waits_s`: how
+        long a port that is unplugged is waited for."""
         with contextlib.suppress(FailstopError):
             self.ask("prove: safe")
         self.end()
-        try:
-            stopping.stop(self.device, self.language, lambda _: SIM_FREE_S if self.board else FREE_S, lambda _: None)
-        except PortError as error:
-            return f"the last stop could not be written: {error}"
-        return ""
+        return self._halt.now(SIM_WAITS_S if self.board else waits_s)
+
+    @property
+    def outcome(self) -> Halted | None:
+        """What is known of the wheels after the newest safe(); None: nothing has been started."""
+        return self._halt.last
 
     def close(self) -> None:
-        """safe(), and let everything go; `unsafe` says what could not be done."""
+        """safe(), and let everything go."""
         with uninterrupted():
             try:
-                if self.service.process is not None:
-                    self.unsafe = self.safe()
+                if self._started:
+                    self.safe(WAITS_S)
                 self.service.close()
             finally:
                 self.held.end()
