@@ -34,6 +34,8 @@ from failstop.setup.talk import NO, YES, Left, NotAnAnswer, Talk
 CONSENT = "spin\n"
 """The word that `failstop prove` asks for."""
 FROZEN = "frozen"
+GIVES_UP = 3
+"""The first Ctrl-C ends the stand test, and the second ends its waiting for a board that is unplugged."""
 REPLACE = "replace"
 NOT_YET = "service"
 """The check of what is started next."""
@@ -96,15 +98,17 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
 def _run(words: list[str], said: str | None) -> tuple[int, bool]:
     """Run a command to its end; return its exit code, and whether a signal should end this program too. Ctrl-C at the
     terminal reaches the command by itself, and other signals are passed on: it stops the wheels before it ends, so
-    that is waited for."""
+    that is waited for. The last of GIVES_UP signals kills a command that hangs."""
     process = subprocess.Popen(words, stdin=None if said is None else subprocess.PIPE, text=True)
 
-    interrupted = False
+    signals = 0
 
     def pass_on(number: int, _frame: FrameType | None) -> None:
-        nonlocal interrupted
-        interrupted = True
-        if number != signal.SIGINT:
+        nonlocal signals
+        signals += 1
+        if signals >= GIVES_UP:
+            process.kill()
+        elif number != signal.SIGINT:
             process.send_signal(signal.SIGTERM)
 
     before = {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
@@ -113,7 +117,7 @@ def _run(words: list[str], said: str | None) -> tuple[int, bool]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    return process.returncode, interrupted
+    return process.returncode, signals > 0
 
 
 def _runs(folder: str) -> set[str]:

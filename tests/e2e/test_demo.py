@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.lab.commands import demo
-from failstop.lab.trial import Stopped
+from failstop.lab.trial import Stopped, Trial
 from failstop.messages import layout
 
 
@@ -45,6 +45,20 @@ def test_a_kill_that_came_after_a_stop_is_done_again(times: int, capsys: pytest.
     why = "the wheels were not turning then (latched: gate hangs: 61 ms silent): is the machine busy?"
     assert said.count(why) == times
     assert row.fault() == ("the wheels were not turning" if times == 3 else "")
+
+
+@pytest.mark.slow
+def test_with_the_plug_out_no_kill_counts_as_answered(capsys: pytest.CaptureFixture[str]) -> None:
+    with Trial() as trial:
+        trial.enable()
+        trial.drive(0.5)
+        assert trial.turning()
+        trial.board.unplug()
+        row = demo.Row("gate", trial.kill("gate", 0.1))
+    assert demo.judged([row], 0, "") == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "FAILED: NO STOP" in said
+    assert "Every kill was answered" not in said
 
 
 def test_the_words_of_a_service_that_fails_at_its_end_are_shown(capsys: pytest.CaptureFixture[str]) -> None:

@@ -88,6 +88,7 @@ def test_a_second_ctrl_c_ends_the_waiting_with_the_truth(board: SimBoard, tmp_pa
     """The watcher goes on waiting by itself."""
     with probing(board, tmp_path) as person:
         board.wait_wheels(True, MOVES_S)
+        watcher = watcher_of(person.process)
         board.unplug()
         person.presses(CTRL_C)
         person.reads(UNPLUGGED)
@@ -97,6 +98,8 @@ def test_a_second_ctrl_c_ends_the_waiting_with_the_truth(board: SimBoard, tmp_pa
     assert ended(tmp_path) == f"interrupted; {board.link} {UNPLUGGED}"
     board.replug()
     board.wait_wheels(False, STOPS_S)
+    board.unplug()
+    assert not psutil.wait_procs([watcher], ENDS_S)[1], "its repeats wait for no port that has gone again"
 
 
 def test_a_plug_that_is_pulled_in_the_middle_of_a_row_is_no_answer_of_the_board(

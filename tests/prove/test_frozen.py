@@ -123,6 +123,9 @@ with Freeze([int(sys.argv[1])]):
         pass
     exec(sys.argv[2])
 """
+GUARD_HANGS = (
+    "[os.kill(int(p), signal.SIGSTOP) for p in open(f'/proc/self/task/{os.getpid()}/children').read().split()]"
+)
 SLEEPS = "import sys; open('/proc/self/comm', 'w').write('fs:test'); print(flush=True); sys.stdin.read()"
 
 
@@ -132,7 +135,13 @@ def state(pid: int) -> str:
 
 @pytest.mark.starts
 @pytest.mark.parametrize(
-    "ends", ["os.kill(os.getpid(), signal.SIGKILL)", "raise KeyboardInterrupt", "signal.raise_signal(signal.SIGINT)"]
+    "ends",
+    [
+        "os.kill(os.getpid(), signal.SIGKILL)",
+        "raise KeyboardInterrupt",
+        "signal.raise_signal(signal.SIGINT)",
+        f"{GUARD_HANGS}; raise KeyboardInterrupt",
+    ],
 )
 def test_nothing_stays_frozen_however_the_test_ends(ends: str) -> None:
     with subprocess.Popen([sys.executable, "-c", SLEEPS], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:

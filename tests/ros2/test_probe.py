@@ -67,7 +67,8 @@ def test_a_driver_without_one_never_does(ros: Ros, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("victim", "how"), [("probe", "SIGKILL"), ("probe", "SIGSTOP"), ("guard", "SIGKILL")])
+@pytest.mark.parametrize("victim", ["probe", "guard"])
+@pytest.mark.parametrize("how", ["SIGKILL", "SIGSTOP"])
 def test_a_probe_of_which_one_process_fails_leaves_no_base_driving(
     ros: Ros, tmp_path: Path, victim: str, how: str
 ) -> None:

@@ -210,10 +210,10 @@ FAULTS: dict[tuple[str, str], str] = {
     ("ask", "deaf"): "it does not hear; look at the board's power; its cable, whose TX and RX cross",
     ("ask", "unplug"): "went away",
     **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("ctrl-c", "hang-up")), STOPPED),
-    **dict.fromkeys(product(("wheel_0", "forward"), ("unplug",)), UNPLUGGED),
+    **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("unplug",)), UNPLUGGED),
     **dict.fromkeys(product(("wheel_0", "forward"), ("deaf",)), DEAF),
     **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("sigkill",)), ""),
-    **dict.fromkeys(product(("prove",), ("unplug", "deaf")), UNPROVED),
+    ("prove", "deaf"): UNPROVED,
 }
 """Each fault at each step that has the board at work: of wheels that turn, and before. Empty: nobody is left to say."""
 
@@ -304,6 +304,25 @@ def test_an_unplugged_board_is_waited_for_and_stopped(back: bool, place: Path) -
         wait_for_its_end(port)
         assert any(board.wheels()) is not back
     assert not written(place)
+
+
+@pytest.mark.slow
+def test_a_stand_test_that_hangs_is_given_up_at_the_third_ctrl_c(place: Path) -> None:
+    port = str(place / "b")
+    with SimBoard(port, board=KIND) as board:
+        with Person(place, *words(place, {**GIVEN, "port": port, "prove": "yes"})) as person:
+            board.wait_wheels(True, STOPS_S)
+            children = psutil.Process(person.process.pid).children()
+            tests = [each for each in children if "prove" in each.cmdline()]
+            tests[0].send_signal(signal.SIGSTOP)
+            while psutil.wait_procs(tests, 0.5)[1]:
+                person.presses(CTRL_C)
+            person.reads(STOPPED)
+            person.reads(LEAVES)
+            assert person.ends() == 1
+        assert not any(board.wheels())
+        wait_for_its_end(port)
+        assert not any(board.wheels())
 
 
 def test_what_was_not_proved_is_named(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import signal
 import subprocess
 import time
@@ -34,6 +35,8 @@ TURNS_S = 1.5
 SEEN_S = 20.0
 SPIN_S = 0.01
 STILL_S = 2.0
+JOINS_S = 60.0
+"""How long a publisher may take to start."""
 SEES_REST_S = 3.0
 """How long the robot may take to be seen at rest after a stop."""
 STARTS_S = 3.0
@@ -70,7 +73,9 @@ class Publisher:
             preexec_fn=None if keep else end_with_parent,
         )
         assert self.process.stdout
-        if not self.process.stdout.readline():
+        heard = select.select([self.process.stdout], [], [], JOINS_S)[0]
+        if not (heard and self.process.stdout.readline()):
+            self.end()
             raise FailstopError(f"no publisher on {topic}: does `ros2 topic list` work in this shell?")
 
         self.orders = Orders(self.process)

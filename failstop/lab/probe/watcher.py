@@ -144,18 +144,21 @@ def ignore_terminal() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
+def _no_wait(_: PortError) -> float:
+    return 0.0
+
+
 def halting(path: str, kind: str) -> Callable[[float], bool]:
     """Return what writes the stop of a board of this kind to this port, several times because one may be lost."""
     board = board_of(kind, 1.0, 0.0)
 
     def halt(wait_s: float) -> bool:
-        written = False
+        written, wait = False, lambda _: wait_s
         for _ in range(WRITES):
             try:
-                stopping.stop(path, board, lambda _: wait_s, lambda _: None)
-                written = True
+                stopping.stop(path, board, wait, lambda _: None)
+                written, wait = True, _no_wait  # a repeat need not wait for a port that has gone since
             except PortError:
-                written = False
                 if wait_s:
                     break  # it has waited for as long as it may
             time.sleep(APART_S)

@@ -37,6 +37,8 @@ PERSON_S = 2.0
 """A person sees and says it so late at most."""
 THAWED_MS = float(FAULT_BY_NAME[FROZEN].bar_ms or 0.0)
 """From the thaw to the stop of the first to wake."""
+GUARD_ENDS_S = 5.0
+"""How long the guard may take to end, on a busy machine."""
 THAW = """
 import os, signal, sys
 sys.stdin.read()
@@ -81,7 +83,11 @@ class Freeze:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGCONT)
         if self._guard:
-            self._guard.communicate()
+            try:
+                self._guard.communicate(timeout=GUARD_ENDS_S)
+            except subprocess.TimeoutExpired:  # it hangs, and everything it is there for is done
+                self._guard.kill()
+                self._guard.communicate()
             self._guard = None
 
 
