@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from failstop.board.interface import Board
 from failstop.board.stop_port import StopPort
 from failstop.messages import layout, records
 from failstop.policy import causes
@@ -13,7 +14,17 @@ from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
 LEAVE_AFTER_NS = 150_000_000
-"""How long the stop's writers outlive the supervisor: the burst and its repeats, whatever the board."""
+"""How long the stop's writers outlive the supervisor at least: the burst and its repeats, at most boards."""
+AFTER_LAST_NS = 30_000_000
+"""How long they stay after the last repeat, so that it is on the wire."""
+HELD_NS = 500_000_000
+"""How long they stay at most for a port that still holds the stop: the kernel drops it at the last close."""
+
+
+def leave_after_ns(board: Board) -> int:
+    """How long a writer of stops outlives the supervisor: until its board has had the last repeat."""
+    return max(LEAVE_AFTER_NS, AFTER_LAST_NS + max((0, *(at_ns for row in board.repeats_ns for at_ns in row))))
+LOOK_NS = 5_000_000
 _LINE = 1
 """In each process's block of futexes; line 0 is the supervisor's to wait on."""
 
@@ -21,15 +32,17 @@ _LINE = 1
 class Parent:
     """The supervisor, and the ports that it hands down. Its death is the end of who watches it too, later."""
 
-    def __init__(self, context: Context, loop: Loop, line: int, port: StopPort | None = None) -> None:
-        """`line`: of the supervisor's futexes, to wait on; `port`: as a peer's."""
+    def __init__(self, context: Context, loop: Loop, line: int, port: StopPort, *, early: bool) -> None:
+        """`line`: of the supervisor's futexes, to wait on; `port`: where this process writes its stops; `early`: the
+        thread that learns of the death first stops on it."""
+        self._port = port
         self.life = Lifeline(context.parent)
         self.control = Control(context.fd("control"))
         self.orphaned_ns = 0
         """When its death was noticed; 0: it lives."""
         self._loop = loop
         self._leave = loop.timer()
-        context.early.watch_block(self.life, layout.SUPERVISOR_BLOCK, line, port.early_stop if port else None)
+        context.early.watch_block(self.life, layout.SUPERVISOR_BLOCK, line, port.early_stop if early else None)
         for fd in (self.life.fd, self.control.fd):
             loop.watch(fd, READ)
 
@@ -40,13 +53,19 @@ class Parent:
     def drop(self, now_ns: int) -> None:
         """Watch it no longer: the stop for it is written and repeated, then it is time to leave()."""
         self.orphaned_ns = now_ns
-        self._leave.set(now_ns + LEAVE_AFTER_NS)
+        self._leave.set(now_ns + leave_after_ns(self._port.board))
         self._loop.forget(self.life.fd)
         self._loop.forget(self.control.fd)
 
     def leave(self, now_ns: int) -> bool:
-        """True when it is time to exit."""
-        return self._leave.due(now_ns)
+        """True when it is time to exit: the repeats are written and on the wire. A port that holds them back is waited
+        for, but not long."""
+        if not self._leave.due(now_ns):
+            return False
+        if now_ns - self.orphaned_ns < HELD_NS and not self._port.lost and (self._port.unsent or self._port.holds()):
+            self._leave.set(now_ns + LOOK_NS)
+            return False
+        return True
 
 
 class Peer:

@@ -26,8 +26,10 @@ class Repeats:
     """Repeats of the last stop; `due`: when the next one is written."""
 
     def __init__(self, due: Timer, after_ns: tuple[int, ...], now_ns: int, zero_ns: int = ZERO_EVERY_NS) -> None:
-        """`after_ns`: how long after a stop it is written again; `zero_ns`: the first zero, when no other has one."""
-        self._after_ns = (*after_ns, zero_ns)
+        """`after_ns`: how long after a stop it is written again; `zero_ns`: how long after a stop the first zero comes,
+        or after the last repeat if that is later. Each writer has its own."""
+        last_ns = max((0, *after_ns))
+        self._after_ns = (*after_ns, zero_ns if zero_ns > last_ns else last_ns + zero_ns)
         self._bursts = 0
         self._due = due
         due.set(now_ns)

@@ -24,7 +24,7 @@ from failstop.messages.box import MOST_SPEEDS
 from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import Settings
 from failstop.procs.loop import Timer
-from failstop.procs.peer import LEAVE_AFTER_NS
+from failstop.procs.peer import leave_after_ns
 from failstop.procs.schedule import Pings
 from tests.support.boards import wide
 from tests.support.rooms import imports, package
@@ -125,7 +125,7 @@ def test_every_kind_of_board_has_all_of_the_interface(kind: str) -> None:
             board.motor_speeds((0.0,) * wrong, 1.0)
     assert len(set(board.pings)) == len(board.pings) <= layout.PINGS
     assert len(board.repeats_ns) == 3
-    assert all(list(row) == sorted(set(row)) and max((0, *row)) < LEAVE_AFTER_NS for row in board.repeats_ns)
+    assert all(list(row) == sorted(set(row)) and max((0, *row)) < leave_after_ns(board) for row in board.repeats_ns)
     assert board.hearing().feed(b"") == []
 
 

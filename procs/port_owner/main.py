@@ -88,7 +88,7 @@ class PortOwner:
         self._causes = context.segment("telemetry").ring_reader("causes")
         self.loop.listen(context.bell("bell"), context.early.bell)
         self._requests = RequestPipe(context.fd("stop"), self.loop)
-        self._parent = Parent(context, self.loop, 0, self.wire)
+        self._parent = Parent(context, self.loop, 0, self.wire, early=True)
         names = (layout.GATE, layout.TELEMETRY, layout.STOPPER)
         self._peers = tuple(Peer(name, context, self.loop, self.wire) for name in names)
         self._gate, self._telemetry = self._peers[:2]

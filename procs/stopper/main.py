@@ -50,7 +50,7 @@ class Stopper:
         self._written_word = context.own.word("written_ns")
         self.loop.listen(context.bell("bell"), context.early.bell)
         self._turned_ns, self._excused_ns = monotonic_ns(), 0
-        self._parent = Parent(context, self.loop, 1)
+        self._parent = Parent(context, self.loop, 1, self._port, early=False)
         self.held = HeldPort(context, self.loop, self._parent.control, self._port.adopt, HANGUP)
         self._stopped_for = 0
         """The pid of the port owner that it last wrote for."""

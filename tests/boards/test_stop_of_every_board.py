@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import combinations, cycle, islice, permutations, product
+from itertools import combinations, cycle, islice, pairwise, permutations, product
 
 import pytest
 
@@ -96,6 +96,18 @@ class Trial:
         return max(0, stops[0][0] - max(BEGIN_NS, *(at_ns for at_ns, _ in late), 0))
 
 
+class StalledLine(Tick):
+    """An adapter that passes nothing on between two moments."""
+
+    def __init__(self, from_ns: int, until_ns: int) -> None:
+        super().__init__()
+        self._stalled_ns = from_ns, until_ns
+
+    def after(self, at_ns: int) -> int:
+        from_ns, until_ns = self._stalled_ns
+        return until_ns if from_ns <= at_ns < until_ns else at_ns
+
+
 def meetings(stop: TimedStop, first: int, second: int) -> list[int]:
     """How much later the second writer begins when a write of its own begins together with one of the first's."""
     rows = stop.repeats_ns
@@ -170,6 +182,16 @@ def test_beside_the_first_one_pair_of_two_writers_early_stops_touches_at_most(ki
         assert len(touch) <= 1, (first, second, apart_ns)
 
 
+def test_no_two_hoverboard_repeats_in_a_row_fall_on_the_same_place_of_its_feedback() -> None:
+    """Which comes every two main loops, of 5.00 to 5.13 ms: what it takes of one stop it would take of the next."""
+    wire = wire_of("hoverboard")
+    lasts_ns = len(wire.stop.writes[0].data) * wire.port.byte_ns
+    for row in wire.stop.repeats_ns:
+        for apart_ns in (later - sooner for sooner, later in pairwise(row)):
+            for period_ns in range(10 * MS, 10 * MS + MS * 26 // 100, MS // 50):
+                assert min(apart_ns % period_ns, -apart_ns % period_ns) > lasts_ns, (row, apart_ns)
+
+
 @every_board
 def test_a_stop_holds_behind_any_backlog(kind: str) -> None:
     """As many frames as may be unanswered, and all writers' repeats; where that is proved, sent at once after a stall,
@@ -185,6 +207,23 @@ def test_a_stop_holds_behind_any_backlog(kind: str) -> None:
         tick = Tick(STALL_NS, BEGIN_NS + STALL_NS - 1) if trial.model.stalls and rng.random() < 0.5 else AT_ONCE
         allowed_ns = CROWD_BAR_NS if tick is AT_ONCE else STALL_NS + CROWD_BAR_NS
         assert 0 <= trial.stopped_ns(trial.model.any_state(rng), cut, writers, tick=tick) <= allowed_ns
+
+
+@pytest.mark.claim("BOARD-2")
+@every_board
+@pytest.mark.parametrize("writers", [1, 2])
+def test_a_stop_holds_when_the_adapter_stalls_from_its_first_write(kind: str, writers: int) -> None:
+    """For up to 0.3 s. What it kept goes out in one lump, which some boards drop; of the repeats behind it one must
+    stand alone, and the board's own report may take one more."""
+    trial = Trial(kind)
+    rng = random.Random(f"{kind} {writers}")
+    for _ in range(amount(150, 20_000)):
+        stall_ns = rng.randrange(STALL_NS)
+        stalls = StalledLine(BEGIN_NS, BEGIN_NS + stall_ns)
+        those = rng.sample(range(len(trial.stop.repeats_ns)), writers)
+        begins = [(writer, BEGIN_NS + rng.randrange(APART_NS) * bool(at)) for at, writer in enumerate(those)]
+        stopped_ns = trial.stopped_ns(trial.model.any_state(rng), b"", begins, tick=stalls)
+        assert 0 <= stopped_ns <= stall_ns + ADAPTER_BAR_NS, (those, stall_ns)
 
 
 @every_board

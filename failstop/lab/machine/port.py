@@ -31,6 +31,10 @@ class Port(Node):
         self.drains = True
         self.drained_ns = 0
         """When it has passed on last what it had kept, all at once."""
+        self._down, self._up = bytearray(), bytearray()
+        """Bytes that a stalled adapter keeps, to the board and from it."""
+        self.stalls = False
+        """Its adapter passes nothing on. The kernel takes writes and holds nothing, so nobody on this side can tell."""
         self.refuses = False
         """It takes nothing for the moment."""
         self.took_again_ns = 0
@@ -68,11 +72,28 @@ class Port(Node):
         taken = bytes(data[: self.ROOM - len(self.held)])
         if not taken or self.refuses:
             raise BlockingIOError(errno.EAGAIN, "full")
-        if self.drains:
+        if self.stalls:
+            self._down += taken
+        elif self.drains:
             self.board.receive(taken)
         else:
             self.held += taken
         return len(taken)
+
+    def stall(self, for_ns: int) -> None:
+        """Stall the adapter for so long. Then it passes on all that it has kept in one lump, both ways."""
+        self.stalls = True
+        self.machine.at(self.machine.now_ns + for_ns, self._go_on)
+
+    def _go_on(self) -> None:
+        self.stalls = False
+        down, up = bytes(self._down), bytes(self._up)
+        self._down.clear()
+        self._up.clear()
+        if down and not self.gone:
+            self.drained_ns = self.machine.now_ns
+            self.board.receive(down)
+        self.send(up)
 
     def unsent(self) -> int:
         """The number of bytes that the kernel says it holds."""
@@ -89,7 +110,9 @@ class Port(Node):
 
     def send(self, data: bytes) -> None:
         """Bytes of the board."""
-        if not self.gone and self.opened:
+        if self.stalls:
+            self._up += data
+        elif data and not self.gone and self.opened:
             self.came += data[: max(0, self.ROOM - len(self.came))]
             self.notify()
 
@@ -113,3 +136,4 @@ class Port(Node):
     def closed(self, opened: Open) -> None:
         if not self.opened:
             self.came.clear()
+            self.held.clear()
