@@ -24,6 +24,8 @@ HELD_NS = 500_000_000
 def leave_after_ns(board: Board) -> int:
     """How long a writer of stops outlives the supervisor: until its board has had the last repeat."""
     return max(LEAVE_AFTER_NS, AFTER_LAST_NS + max((0, *(at_ns for row in board.repeats_ns for at_ns in row))))
+
+
 LOOK_NS = 5_000_000
 _LINE = 1
 """In each process's block of futexes; line 0 is the supervisor's to wait on."""

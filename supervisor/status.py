@@ -27,6 +27,7 @@ from failstop.notify import Notify
 from failstop.policy.processes import PROCESS_BY_NAME, PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs import rights
+from failstop.procs.loop import NEVER
 from failstop.shm.heartbeat import EARLY_NEWS, REALTIME
 from failstop.supervisor.children import DOWN, RUNNING
 
@@ -113,6 +114,7 @@ class Status:
                 "restarts": child.times_restarted,
                 "last_exit": child.last_exit or None,
                 "killed": child.killed,
+                "starts_at": 0 if child.restart.ns == NEVER else child.restart.ns,
             }
             for child in self._processes.children
         }
@@ -171,7 +173,8 @@ def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
 def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> str:
     """The service in one line. `missing`: what motion waits for; `down`: the processes that died too often; `latched`:
     the reason of the latch; `gate`: its published state; each empty where there is none. Pure."""
-    stays = f"; {down} died too often and is down until a reset" if down else ""
+    until = "for a minute" if down == layout.GATE else "until a reset"
+    stays = f"; {down} died too often and is down {until}" if down else ""
     if latched:
         waits = f"; waiting for {missing}" if missing else ""
         return f"stop latched: {latched}{stays or waits}"

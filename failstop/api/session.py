@@ -206,8 +206,7 @@ class Session:
                     if run.over():
                         raise gone(self.name)
                 if time.monotonic() > until_s:
-                    what = f"the gate of {self.name!r} did not answer within {self._answer_s:g} s"
-                    raise NoAnswer(f"{what}: see `failstop status`")
+                    raise self._unanswered()
                 yield pause_s(begun_s)
             if not answer.done:
                 self._enabled = before if verb == records.ENABLE else self._enabled
@@ -217,6 +216,14 @@ class Session:
             return str(answer)
         finally:
             self._pass(turn)
+
+    def _unanswered(self) -> NoAnswer:
+        """The error of a request that was not answered in time: that the gate is down, and until when, if it is."""
+        why = ""
+        with contextlib.suppress(FailstopError):
+            why = verdict.no_answer(self.state)
+        what = f"the gate of {self.name!r} did not answer within {self._answer_s:g} s"
+        return NoAnswer(f"{what}: {why or 'see `failstop status`'}")
 
     def _refused(self, verb: int, answer: Reply) -> Refused:
         """The error of a request that was refused, with what to do first: behind a stop, what an enable needs."""

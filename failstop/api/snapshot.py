@@ -135,6 +135,8 @@ class Process:
     """The kernel tells it of a death before it takes the dead process's memory down."""
     killed: bool = False
     """Its predecessor was killed by a signal."""
+    starts_in_s: float | None = None
+    """It is down or waiting, and is started again after this time, s; None: it runs, or waits for a reset."""
 
 
 @dataclasses.dataclass(frozen=True)

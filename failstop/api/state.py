@@ -278,6 +278,7 @@ class StateReader(SeenRun):
                 worst_s=round(beat.worst_ns.get() / 1e9, 4),
                 realtime=bool(granted & heartbeat.REALTIME),
                 memory_locked=bool(granted & heartbeat.MEMORY_LOCKED),
+                starts_in_s=_left_s(row.get("starts_at", 0), now_ns),
                 early_news=bool(granted & heartbeat.EARLY_NEWS),
             )
         return found
@@ -329,6 +330,11 @@ def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
         elif name in kind.__dataclass_fields__:  # type: ignore[attr-defined]
             known.setdefault(name, value)
     return kind(**known)
+
+
+def _left_s(at_ns: int, now_ns: int) -> float | None:
+    """Seconds until then; None: never, which 0 stands for."""
+    return max(0, at_ns - now_ns) / 1e9 if at_ns else None
 
 
 def _age_s(now_ns: int, t_ns: int) -> float:

@@ -26,7 +26,6 @@ class Purpose(Enum):
 REFUSED_WITHOUT = {Purpose.RESET: (Purpose.MEND,), Purpose.ENABLE: (Purpose.MEND, Purpose.ALLOW, Purpose.RESET)}
 """Of a request: the steps without which the service refuses it."""
 POWER = "turn the robot's POWER SWITCH off"
-GATE_DOWN = "wait: the gate died too often and is tried again within a minute"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
 SENSOR = "start the obstacle sensor and the program that calls robot.sensed()"
 
@@ -60,6 +59,14 @@ ELSEWHERE = {
 """How everybody else comes by it: their page has no such buttons."""
 
 
+def _for_the_gate(state: State) -> tuple[str, str]:
+    """What to wait for while the gate is down: it hears resets, so the supervisor starts it again by itself."""
+    gate = state.processes.get(GATE)
+    left_s = (gate.starts_in_s if gate else None) or 0.0
+    wait = f"wait {left_s:.0f} s for the {GATE}" if left_s >= 1 else f"wait for the {GATE}"
+    return wait, f"{wait}: it died too often, and starts again then"
+
+
 def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[object, Step]]]:
     """When each step is needed. The rows of one group exclude each other: the first that holds counts. `told`: the
     reader has just been told of the interlock; `how`: HERE or ELSEWHERE."""
@@ -81,7 +88,7 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
             (suspended, Step(Purpose.MEND, go_on)),
             (state.device.state != "open", Step(Purpose.MEND, f"plug the board in ({path})", lost)),
             (doubt, Step(Purpose.POWER, "turn the robot's POWER SWITCH off and on", f"{POWER} and on again")),
-            (GATE in down, Step(Purpose.MEND, f"wait for {GATE}", GATE_DOWN)),
+            (GATE in down, Step(Purpose.MEND, *_for_the_gate(state))),
             (waits and not down, Step(Purpose.ALLOW, f"wait for {waits}")),
         ],
         [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", how["reset"]))],

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 
 from failstop.api import words
 from failstop.api.events import Event
-from failstop.api.snapshot import Block, State
+from failstop.api.snapshot import Block, Process, State
 from failstop.messages.layout import GATE
 from failstop.policy import causes
 
@@ -116,9 +116,24 @@ def down(state: State) -> list[str]:
     return [name for name, process in state.processes.items() if process.state == "down"]
 
 
-def until(name: str) -> str:
-    """How long a process that died too often is away: the gate is the one that hears a reset."""
-    return "down for a minute" if name == GATE else "down until a reset"
+def absence(process: Process, ended: str = "") -> str:
+    """What keeps a process from its work, and until when, as the end of a sentence about it; `ended`: how the one
+    before it ended, as a clause."""
+    how = "died too often and is down" if process.state == "down" else f"is {process.state}"
+    if process.state == "down" and process.starts_in_s is None:
+        how += " until a reset"
+    again = f"; it starts again in {process.starts_in_s:.0f} s" if (process.starts_in_s or 0.0) >= 1 else ""
+    return f"{how}{f', after it {ended}' if ended else ''}{again}"
+
+
+def no_answer(state: State) -> str:
+    """Why the gate answers no request, with the remedy; empty while it runs, since then the state has no reason."""
+    gate = state.processes[GATE]
+    if gate.state == "running":
+        return ""
+    ended = f"{'was ' * gate.killed}{gate.last_exit}" if gate.last_exit else ""
+    remedy = ", or restart the service now" if gate.state == "down" else ""
+    return f"it {absence(gate, ended)}. Only a stop is heard until then; ask again then{remedy}"
 
 
 def newest(events: Sequence[Event], kinds: Collection[str]) -> Event | None:

@@ -163,8 +163,7 @@ def troubles(state: State, events: Sequence[Event]) -> list[str]:
     ends = verdict.ends(state, events)
     for name, process in state.processes.items():
         if process.state != "running":
-            how = f"died too often and is {verdict.until(name)}" if process.state == "down" else f"is {process.state}"
-            found.append(f"{name} {how}{f', after it {ends[name]}' if process.last_exit else ''}")
+            found.append(f"{name} {verdict.absence(process, ends[name] if process.last_exit else '')}")
     if state.device.state == "open" and state.device.link == "unproven":
         found.append(f"{verdict.NEVER_ANSWERED}, so no stop is known to reach the wheels: see to its power")
     if state.starved:

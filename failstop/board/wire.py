@@ -69,8 +69,8 @@ class TimedStop(Data):
     """How long the line has to be silent after its last byte."""
     repeats_ns: tuple[tuple[int, ...], ...]
     """A row for each writer: when it writes the stop, after it began. Writers that can't see each other's bytes have
-    different times, so that no two of them touch twice in a row. Where stops may not touch, the last ones come later than
-    an adapter stalls (0.3 s): it sends everything it kept in one lump, which such a board drops."""
+    different times, so that no two of them touch twice in a row. Where stops may not touch, the last repeats come after
+    0.3 s: an adapter that stalls sends everything it kept in one lump, and such a board drops the lump."""
 
 
 class Pace(Data):

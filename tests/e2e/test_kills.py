@@ -45,6 +45,25 @@ def test_one_that_died_too_often_is_started_anew_by_a_reset(process: str) -> Non
     assert simulated.turning()
 
 
+def test_a_request_to_a_gate_that_is_down_says_so_and_until_when() -> None:
+    simulated = Simulated({"restart.deaths": 3})
+    for _ in range(3):
+        simulated.wait_for("a gate", lambda: simulated.pids()[GATE])
+        simulated.die(GATE)
+        simulated.wait(0.1)
+    simulated.wait_for("the end of it", lambda: simulated.robot.state.processes[GATE].state == "down")
+    simulated.wait(20.0)
+    for verb in ("enable", "disable", "reset"):
+        code, out, err = simulated.command(verb)
+        assert (code, out, err.count("\n")) == (1, "", 1), err
+        assert "died too often and is down, after it was killed by SIGKILL; it starts again in 3" in err
+        assert "Only a stop is heard until then; ask again then, or restart the service now" in err
+    simulated.robot.wait_for("latched", 1.0)
+    assert "wait 3" in simulated.command("status")[1]
+    simulated.wait(40.0)
+    simulated.enable()
+
+
 def test_a_speed_limit_outlives_the_gate(simulated: Simulated) -> None:
     assert "limit  " not in simulated.command("status")[1]
     assert simulated.command("limit", "50") == (0, "speed limited to 50 % of the settings'\n", "")

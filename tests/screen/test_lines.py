@@ -26,7 +26,11 @@ from tests.support.states import NOW_S, arm, driving, latched, process, state, s
 
 LOST = Device("/dev/ttyACM0", "lost", "unproven")
 DEAF = Device("/dev/ttyACM0", "open", "deaf")
-DOWN = {"gate": process(pid=0, state="down", restarts=4, last_exit="killed by SIGKILL", killed=True, age_s=1e6)}
+DOWN = {
+    "gate": process(
+        pid=0, state="down", restarts=4, last_exit="killed by SIGKILL", killed=True, starts_in_s=41.2, age_s=1e6
+    )
+}
 STATES = {
     "disabled": state(),
     "driving": driving(),
@@ -69,7 +73,7 @@ def test_what_the_screen_says() -> None:
         assert part in said
     said = shown(summary.lines(STATES["process down"], NOW_S, 120))
     assert "gate           -  down" in said
-    assert "gate died too often and is down for a minute, after it was killed by SIGKILL" in said
+    assert "gate died too often and is down, after it was killed by SIGKILL; it starts again in 41 s" in said
     assert "said nothing for 9.0 s" in said
     said = shown(summary.lines(STATES["waiting for the port"], NOW_S, 120))
     assert "wheels    MAY TURN" in said

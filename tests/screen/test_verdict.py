@@ -50,7 +50,7 @@ TABLE: tuple[tuple[Any, str, list[str]], ...] = (
     (
         latched(causes.DIED("gate"), waiting_for="gate", processes={"gate": process(pid=0, state="down")}),
         verdict.STOPPED,
-        ["wait for gate", "`failstop reset`", "`failstop enable`"],
+        ["wait for the gate", "`failstop reset`", "`failstop enable`"],
     ),
     (
         latched(causes.DIED("stopper"), waiting_for="stopper", processes={"stopper": process(pid=0, state="down")}),

@@ -118,10 +118,10 @@ def test_wheels_that_may_turn_are_not_said_to_stand(found: State) -> None:
 
 
 def test_troubles_are_told() -> None:
-    gate = process(pid=0, state="down", last_exit="killed by SIGKILL", killed=True)
+    gate = process(pid=0, state="down", last_exit="killed by SIGKILL", killed=True, starts_in_s=41.2)
     found = why(latched(causes.DIED("gate"), waiting_for="gate", processes={"gate": gate}))
-    assert found.also == ("gate died too often and is down for a minute, after it was killed by SIGKILL",)
-    assert found.do[1:] == ("wait for gate", "`failstop reset`", "`failstop enable`")
+    assert found.also == ("gate died too often and is down, after it was killed by SIGKILL; it starts again in 41 s",)
+    assert found.do[1:] == ("wait 41 s for the gate", "`failstop reset`", "`failstop enable`")
     (starved,) = why(state(starved=Starved(0.612, "telemetry"))).also
     assert starved.startswith("the machine starved the service: telemetry was not run for 612 ms (`")
     waiting = process(state="waiting", last_exit="killed by SIGKILL", killed=True)

@@ -43,12 +43,12 @@ def test_the_process_table_is_written_anew_when_it_changes(scene: Scene) -> None
     scene.pass_time(MS)
     number, again = scene.number("processes"), scene.supervisor.processes[layout.PORT_OWNER].pid
     killed = {"last_exit": "killed by SIGKILL", "killed": True}
-    never = {"pid": 0, "state": "waiting", "restarts": 0, "last_exit": None, "killed": False}
+    never = {"pid": 0, "state": "waiting", "restarts": 0, "last_exit": None, "killed": False, "starts_at": 0}
     assert scene.table("processes") == {
         "waiting_for": "port_owner, stopper, telemetry",
         **NOT_STARVED,
         "processes": {
-            "port_owner": {"pid": again, "state": "starting", "restarts": 1, **killed},
+            "port_owner": {"pid": again, "state": "starting", "restarts": 1, **killed, "starts_at": 0},
             "stopper": never,
             "gate": {**never, "pid": gate.pid, "state": "running"},
             "telemetry": never,

@@ -49,8 +49,8 @@ DRIVING: dict[str, Any] = {"enabled": True, "blocked": None, "sources": [DRIVES,
         ("", "", "", {**DRIVING, "blocked": "no scan"}, "motion enabled; blocked: no scan"),
         ("", "", "key1", DRIVING, "stop latched: key1"),
         ("the port", "", "device lost", DRIVING, "stop latched: device lost; waiting for the port"),
-        ("gate", "gate", "gate died", {}, "stop latched: gate died; gate died too often and is down until a reset"),
-        ("gate", "gate", "", {}, "motion disabled, waiting for gate; gate died too often and is down until a reset"),
+        ("gate", "gate", "gate died", {}, "stop latched: gate died; gate died too often and is down for a minute"),
+        ("gate", "gate", "", {}, "motion disabled, waiting for gate; gate died too often and is down for a minute"),
     ],
 )
 def test_the_line(missing: str, down: str, latched: str, gate: dict[str, Any], line: str) -> None:
