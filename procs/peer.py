@@ -17,7 +17,7 @@ LEAVE_AFTER_NS = 150_000_000
 """How long the stop's writers outlive the supervisor at least: the burst and its repeats, at most boards."""
 AFTER_LAST_NS = 30_000_000
 """How long they stay after the last repeat, so that it is on the wire."""
-HELD_NS = 500_000_000
+LATEST_NS = 500_000_000
 """How long they stay at most for a port that still holds the stop: the kernel drops it at the last close."""
 
 
@@ -26,7 +26,8 @@ def leave_after_ns(board: Board) -> int:
     return max(LEAVE_AFTER_NS, AFTER_LAST_NS + max((0, *(at_ns for row in board.repeats_ns for at_ns in row))))
 
 
-LOOK_NS = 5_000_000
+DRAINED_NS = 5_000_000
+"""How often a port that still holds the stop is looked at."""
 _LINE = 1
 """In each process's block of futexes; line 0 is the supervisor's to wait on."""
 
@@ -64,8 +65,8 @@ class Parent:
         for, but not long."""
         if not self._leave.due(now_ns):
             return False
-        if now_ns - self.orphaned_ns < HELD_NS and not self._port.lost and (self._port.unsent or self._port.holds()):
-            self._leave.set(now_ns + LOOK_NS)
+        if now_ns - self.orphaned_ns < LATEST_NS and not self._port.lost and (self._port.unsent or self._port.holds()):
+            self._leave.set(now_ns + DRAINED_NS)
             return False
         return True
 

@@ -50,6 +50,7 @@ EVENT_KINDS = (
     EventKind("driver_ended", "info", "92de198a2b114a578f729782376c96f8", "who source"),
     EventKind("device_lost", "error", "ad86431d272243de804dc53ce7353048", "path"),
     EventKind("device_back", "notice", "9ccb732a9e874f2ba9495eeedcf3228f", "path"),
+    EventKind("restarted", "warning", "5b0f2f0c7c7e4b0f9f0a4a1f6d1c8e33", "sign"),
     EventKind("link", "notice", "26df9cadbcba4b67963b906680e6a454", "state"),
     EventKind("rights", "warning", "a56c088a927e4d8f9106a8df85dec9c6", "what"),
     EventKind("pad", "notice", "a06ff401a7f049889d61e332ac51386f"),

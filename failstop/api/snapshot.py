@@ -136,7 +136,7 @@ class Process:
     killed: bool = False
     """Its predecessor was killed by a signal."""
     starts_in_s: float | None = None
-    """It is down or waiting, and is started again after this time, s; None: it runs, or waits for a reset."""
+    """Time until it is started again, s; None: it runs, or needs a reset first."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -60,7 +60,7 @@ ELSEWHERE = {
 
 
 def _for_the_gate(state: State) -> tuple[str, str]:
-    """What to wait for while the gate is down: it hears resets, so the supervisor starts it again by itself."""
+    """The wait while the gate is down, for both. It hears resets, so the supervisor starts it again by itself."""
     gate = state.processes.get(GATE)
     left_s = (gate.starts_in_s if gate else None) or 0.0
     wait = f"wait {left_s:.0f} s for the {GATE}" if left_s >= 1 else f"wait for the {GATE}"

@@ -117,7 +117,7 @@ def down(state: State) -> list[str]:
 
 
 def absence(process: Process, ended: str = "") -> str:
-    """What keeps a process from its work, and until when, as the end of a sentence about it; `ended`: how the one
+    """Why a process does not work, and until when, as the end of a sentence about it; `ended`: how the one
     before it ended, as a clause."""
     how = "died too often and is down" if process.state == "down" else f"is {process.state}"
     if process.state == "down" and process.starts_in_s is None:

@@ -15,6 +15,7 @@ from failstop.board.interface import (
     HEARD_HEALTH,
     HEARD_OBEYED,
     HEARD_PONG,
+    HEARD_RESTARTED,
     HEARD_SERVO,
     HEARD_WHEELS,
     NO_WHEEL_REPORTS,
@@ -23,7 +24,7 @@ from failstop.board.interface import (
     WheelReports,
 )
 from failstop.board.servos import ServoAnswer
-from failstop.board.wire import ECHOED, OBSERVED, Battery, Health, Imu, Obeyed, Sample, Wheels
+from failstop.board.wire import ECHOED, OBSERVED, Battery, Health, Imu, Obeyed, Restarted, Sample, Wheels
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -93,6 +94,8 @@ def _plausible(sample: Sample) -> list[Said]:
     if isinstance(sample, ServoAnswer):
         servo, what = plausible.whole_number(sample.servo, 0, 255), plausible.whole_number(sample.what, 0, 255)
         return [(HEARD_SERVO, (servo, what, plausible.whole_number(sample.value, -MOST_VALUE, MOST_VALUE)))]
+    if isinstance(sample, Restarted):
+        return [(HEARD_RESTARTED, (sample.text,))]
     if isinstance(sample, Health):
         return [(HEARD_HEALTH, tuple(map(_health, islice(sample.rows, plausible.MOST_HEALTH_ROWS))))]
     if isinstance(sample, Imu):
@@ -125,9 +128,9 @@ class Described(Board):
     """As many speeds as the wire's motion has, in its unit."""
 
     __slots__ = (
-        "_motion", "_per_rps", "_wire", "acknowledged_by", "after_ns", "burst", "commanders", "echo_ns", "first_stop",
-        "idle_ns", "most_rps", "name", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns", "reports",
-        "stop", "usb", "wheels",
+        "_motion", "_per_rps", "_wire", "acknowledged_by", "after_ns", "arming", "burst", "commanders", "echo_ns",
+        "first_stop", "idle_ns", "most_rps", "name", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns",
+        "reports", "silent_ns", "stop", "usb", "wheels",
     )  # fmt: skip
 
     usb_alone = arm_beside_wheels = holds_by_goal = False
@@ -144,6 +147,8 @@ class Described(Board):
         self.burst = self.first_stop = self.refresh = write.data
         self.pings = tuple(question.ask for question in wire.questions)
         self.ping_ns, self.echo_ns = wire.ping_ns, wire.echo_ns
+        self.silent_ns = wire.silent_ns
+        self.arming = wire.watchdog.arm(wire.watchdog.set_ns) if wire.watchdog.arm and wire.watchdog.set_ns else b""
         self.acknowledged_by = BY_ECHO if ECHOED in wire.proofs else BY_ANSWER if wire.questions else ""
         self.observed_by = BY_WHEELS if OBSERVED in wire.proofs else BY_IMU
         self.reports = _reports(wire, per_rps, diameter_m)

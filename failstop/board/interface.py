@@ -24,7 +24,7 @@ PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW = range(3)
 HEARD_IMU, HEARD_BATTERY, HEARD_PAD, HEARD_KEY, HEARD_SERVO, HEARD_PONG, HEARD_WHEELS, HEARD_OBEYED, HEARD_HEALTH = (
     range(9)
 )
-HEARD_ODD = 9
+HEARD_ODD, HEARD_RESTARTED = 9, 10
 """The kinds of what a board says, as a Hearing tells them."""
 BY_ANSWER, BY_ECHO = "answer", "echo"
 """Proofs that a stop was parsed: the answer to a ping behind it, or the report of the command that is obeyed."""
@@ -62,6 +62,7 @@ class Hearing:
     empty. HEARD_OBEYED: the speeds of the command that it follows now. HEARD_HEALTH: of each servo its id, its load (-1
     to 1) and its temperature in degrees Celsius. HEARD_ODD: what a report was about, and its value as text, which can't
     be and counts as not reported.
+    HEARD_RESTARTED: the text by which it shows that it starts.
     """
 
     __slots__ = ()
@@ -107,6 +108,11 @@ class Board:
     echo_ns: int
     """A command of zeros that the board says it obeys was written this long before at least; 0: it says nothing of
     it."""
+    silent_ns: int
+    """Its reports of its wheels, or of its IMU, never pause for so long unless it restarts; 0: it reports nothing."""
+    arming: bytes
+    """The frame that sets its own watchdog, which a restart undoes: it is written before the first motion of each
+    enable. Empty: there is none."""
     acknowledged_by: str
     """BY_ANSWER or BY_ECHO; empty: it acknowledges nothing."""
     observed_by: str

@@ -173,6 +173,13 @@ class Answer(Sample, Data):
     text: str
 
 
+class Restarted(Sample, Data):
+    """It prints this only while it starts."""
+
+    text: str
+    """For people, as "its boot text"."""
+
+
 class Question(Data):
     """A frame that moves nothing and is answered."""
 
@@ -243,6 +250,9 @@ class Wire(Data):
     """A command of zeros that it reports as obeyed was written this long before at least; 0: it reports none."""
     usb: tuple[str, ...] = ()
     """Vendor:product, in hexadecimal, of USB ports of its own; an adapter's say nothing of the board behind it."""
+    silent_ns: int = 0
+    """Its reports of its wheels, by itself or to questions, never pause for so long unless it restarts; one that is
+    garbled on the line must not be enough. 0: it reports nothing."""
     commanders: tuple[Commander, ...] = ()
     reports: Reports | None = None
     """None: reported speeds are in the unit of its motion, and positions tell no more than rest."""

@@ -113,6 +113,9 @@ SEGMENTS = (
             _word("written_ns", "everyone"),  # when it last wrote a burst
             # 1 from before motion is written until a whole burst is, or its repeat: what it may have told the wheels.
             _word("moving", "supervisor, stopper"),
+            _word(
+                "told_ns", "telemetry"
+            ),  # since when the wheels are told to turn, by all that it wrote; 0: they are not
             # When the ping of each index was last written; pings take the indices in turn (records.pong).
             *(_word(f"ping_{i}", "supervisor") for i in range(PINGS)),
             _latest("port", records.PORT, "supervisor, stopper, clients"),  # its state and path
@@ -150,6 +153,7 @@ SEGMENTS = (
             _word("port_number", "supervisor"),  # of the port that it reads; 0: it has none
             _word("pong", "supervisor"),  # the last answer to a ping (records.pong)
             _word("obeyed_ns", "supervisor"),  # when the board last said that it obeys a command of zeros; 0: never
+            _word("restarts", "port_owner"),  # so often the board was seen to restart
             _word("still_ns", "supervisor"),  # since when the IMU says that the wheels are still; 0: it shakes
             _word("judged_ns", "supervisor"),  # the last IMU sample that still_ns is judged from; 0: none yet
             _latest("imu", records.IMU, "clients"),  # corrected, the rate less its bias

@@ -299,6 +299,11 @@ OPERATOR_GONE = Kind(
     "the operator {who}, without whom this robot may not move, {how}",
     "see to it that somebody attends again, by the page or by `failstop attend`",
 )  # fmt: skip
+RESTARTED = Kind(
+    45, "restarted", "the board restarted: {sign}", "telemetry",
+    "the board restarted while motion was enabled, so it had forgotten what it was told ({sign})",
+    "look at the battery, the motors' supply and the board's plugs: a dip of the voltage is the usual reason",
+)  # fmt: skip
 TWO_MOVE_THE_ARM = Kind(
     30, "two_move_the_arm", "multiple arm/goal publishers: {who}, {rival}", CLIENTS,
     "{who} and {rival} both moved the arm",

@@ -20,6 +20,7 @@ from failstop.procs.port_owner.admission import Admission, DatedFrame, ServoBus
 from failstop.procs.port_owner.port import OpenPort
 from failstop.procs.port_owner.port_writer import PortWriter
 from failstop.procs.port_owner.requests import RequestPipe
+from failstop.procs.port_owner.told import Told
 from failstop.procs.schedule import REFRESH, REPEAT, Repeats
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm.lifeline import give_way
@@ -42,8 +43,6 @@ class PortOwner:
         self.admission = Admission(board, settings.ns("gate.lease_s"), kinematics.max_wheel_rps(settings) * 1.001)
         self.bus = ServoBus(board, settings.servos())
         self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER_ROW], monotonic_ns())
-        self._motion_backlog = max((len(ping) for ping in board.pings), default=0)
-        """A ping (70 us of wire) is no backlog that motion has to stay behind."""
         self._held: DatedFrame | None = None
         """The newest motion, while the line has to be silent before it; `_line`: until when."""
         self._line = self.loop.timer()
@@ -60,6 +59,7 @@ class PortOwner:
         self._stuck = False
         self.wire = PortWriter(context.fd("port"), board, self.bus.servos)
         self.port = OpenPort(context, self.loop, self.wire, monotonic_ns())
+        self.told = Told(context, self.wire, self.port)
         self._attach(context)
         self._watch_others(context)
         self.epoch = self._epoch_word.get()
@@ -106,6 +106,7 @@ class PortOwner:
         self._check_drain(now_ns)
         self._forward_frames()
         self._follow_port(ready, now_ns)
+        self.told.follow(now_ns)
         self._repeat(now_ns)
         self.port.follow(now_ns)
         self.port.ask(now_ns)
@@ -140,6 +141,7 @@ class PortOwner:
         self._lapse.set(NEVER)
         self.repeats.restart(written_ns)
         self.port.pings.stopped(written_ns)
+        self.told.stopped()
         if self.wire.lost or self.wire.unsent:
             return 0
         self._written_word.set(written_ns)
@@ -314,7 +316,8 @@ class PortOwner:
             return
         verdict = self._decide(motion, now_ns, self.admission)
         if verdict == admission.ADMIT:
-            self._write_motion(motion)
+            if self.admission.wheels_move or self.told.arm():
+                self._write_motion(motion)
         else:
             self._refuse(verdict, now_ns)
 
@@ -341,7 +344,7 @@ class PortOwner:
             return
         elif impossible := self._impossible(motion[2]):
             self.stop(now_ns, impossible)
-        elif self.wire.frame(frame, backlog=self._motion_backlog):
+        elif self.told.write(frame, now_ns, first=not self.admission.wheels_move):
             self.admission.wheels_move = True
             self._moved_ns = now_ns
             self._await_lapse()

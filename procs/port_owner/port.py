@@ -73,6 +73,12 @@ class OpenPort:
         if self._hears.due(now_ns):
             self._hear(now_ns)
 
+    def tell_again(self, now_ns: int) -> None:
+        """Have the board told once more what it was told at its opening."""
+        if self._wire.fd >= 0 and self._hears.ns == NEVER:
+            self._untold = self._opening
+            self._hears.set(now_ns)
+
     def publish(self, now_ns: int) -> None:
         """Tell the others of its state."""
         state = records.PORT_LOST if self._wire.lost else records.PORT_OPEN

@@ -25,6 +25,7 @@ from failstop.procs.telemetry.odometry import Odometry
 from failstop.procs.telemetry.pad import PRESSES, STANDSTILL, Pad, Tones
 from failstop.procs.telemetry.port import HeardPort
 from failstop.procs.telemetry.readback import ReadBack
+from failstop.procs.telemetry.restarts import Restarts
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
 from failstop.procs.telemetry.wheels import NOT_REPORTED, Measured, WheelFact
@@ -159,6 +160,7 @@ class Telemetry:
         gate = context.segment("gate")
         self._epoch_word = context.segment("supervisor").word("epoch")
         self._busy_word = gate.word("busy")
+        self._restarts = Restarts(context, lambda: self._gate.enabled, self._note, self._raise)
         self._gate = GateState(gate.latest_reader("state"))
         self._handlers = {
             interface.HEARD_IMU: self._on_imu,
@@ -171,6 +173,7 @@ class Telemetry:
             interface.HEARD_SERVO: self._on_servo,
             interface.HEARD_HEALTH: self._on_health,
             interface.HEARD_ODD: self._on_odd,
+            interface.HEARD_RESTARTED: self._restarts.started,
         }
         self.loop.listen(context.bell("bell"))
         self._port = HeardPort(context, self.loop, monotonic_ns())
@@ -194,18 +197,21 @@ class Telemetry:
         """Handle one wake-up. One for samples of the IMU alone, of which there are the most, only publishes them."""
         now_ns = monotonic_ns()
         whole = len(ready) != 1 or self._port.fd not in ready
+        kinds: list[int] = []
         for came_ns, data in self._port.take(now_ns):
             found = self._hearing.feed(data)
             # Samples that came together are as far apart as they can be.
             step_ns = self._port.waited_ns // (len(found) or 1)
             for at, (kind, said) in enumerate(found, 1 - len(found)):
                 t_ns = came_ns
+                kinds.append(kind)
                 if kind == interface.HEARD_IMU:
                     t_ns += at * step_ns
                     said = self._publish_imu(said, t_ns)
                 else:
                     whole = True
                 self._heard.append((kind, said, t_ns))
+        self._restarts.heard(kinds, now_ns)
         if whole or self._port.lost or now_ns - self._odometry_ns >= ODOMETRY_NS:
             self._act(ready, now_ns)
 
@@ -245,6 +251,7 @@ class Telemetry:
             self._port_owner_bell.ring()
         if self._port.held.follow(ready, lost=self._port.lost):
             self._hearing.reset()
+            self._restarts.forget()
 
     def _publish(self, now_ns: int) -> None:
         """Publish the records that come with no frame of the board."""
@@ -327,6 +334,7 @@ class Telemetry:
         self._measured.take(speeds, positions, t_ns)
         measured = (*self._measured.speeds_rps, *NOT_REPORTED)[: records.MOST_WHEELS]
         self._box.put(box.pack_board(box.WHEELS_KIND, *map(box.single, measured)), t_ns)
+        self._restarts.counted(positions, t_ns)
         if self._read_back.take(speeds, positions, t_ns):
             self._tell_still(self._read_back, was_still=was_still)
 
@@ -346,6 +354,8 @@ class Telemetry:
     def _on_obeyed(self, speeds: interface.Value, t_ns: int) -> None:
         """A report that it obeys a command of zeros; one now and then is enough while it does."""
         zeros = bool(speeds) and not any(speeds)  # NaN is no zero, and no speeds are no report
+        if speeds:
+            self._restarts.obeyed(zeros=zeros)
         if zeros and (not self._obeys_zeros or t_ns - self._obeyed_ns >= OBEYED_NS):
             self._obeyed_ns = t_ns
             self._obeyed_word.set(t_ns)

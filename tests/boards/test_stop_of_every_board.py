@@ -183,7 +183,7 @@ def test_beside_the_first_one_pair_of_two_writers_early_stops_touches_at_most(ki
 
 
 def test_no_two_hoverboard_repeats_in_a_row_fall_on_the_same_place_of_its_feedback() -> None:
-    """Which comes every two main loops, of 5.00 to 5.13 ms: what it takes of one stop it would take of the next."""
+    """It sends feedback every two main loops, of 5.00 to 5.13 ms, and would drop the second stop like the first."""
     wire = wire_of("hoverboard")
     lasts_ns = len(wire.stop.writes[0].data) * wire.port.byte_ns
     for row in wire.stop.repeats_ns:

@@ -229,3 +229,27 @@ def test_what_the_port_does_not_take_whole_is_told_again_before_it_counts_as_ope
     scene.wire.port.takes()
     assert arms in b"".join(data for _, data in writes(scene, 3 * TICK))
     assert scene.port_state() == records.PORT_OPEN
+
+
+def test_the_board_s_own_watchdog_is_set_before_the_first_motion_of_each_enable() -> None:
+    """The board may have restarted since its port was opened, and has its own time again then."""
+    scene = made("ugv")
+    scene.turn()
+    scene.turn(6000 * MS)
+    for epoch in (2, 3):
+        scene.raise_epoch(epoch)
+        scene.turn()
+        written = scene.forward(motion(scene), epoch=epoch)
+        assert written.index(scene.board.arming) < written.index(motion(scene))
+        assert scene.board.arming not in scene.forward(motion(scene), epoch=epoch), "once is enough"
+
+
+def test_a_board_that_was_seen_to_restart_is_told_what_it_is_told_at_its_opening() -> None:
+    scene = made("ugv")
+    scene.turn()
+    scene.turn(6000 * MS)
+    writes(scene, 10 * MS)
+    scene.views[layout.TELEMETRY].word("restarts").set(1)
+    found = b"".join(data for _, data in writes(scene, 50 * MS))
+    assert b"".join(scene.board.port.opening) in found
+    assert scene.port_state() == records.PORT_OPEN

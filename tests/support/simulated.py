@@ -92,6 +92,10 @@ class Board:
     def imu(self, on: bool) -> None:
         self._model.imu_on = on
 
+    def restart(self, deaf_s: float) -> None:
+        """It starts again, as after a dip of its supply, and for so long it hears and reports nothing."""
+        self._robot.board.restart(round(deaf_s * 1000) * MS)
+
     def unplug(self) -> None:
         self._robot.unplug()
 

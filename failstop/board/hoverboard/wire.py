@@ -87,6 +87,8 @@ WIRE = Wire(
         holds_speed=False,
         own_scale=True,
     ),
+    # Six of its feedbacks.
+    silent_ns=60 * _MS,
     commanders=(
         Commander(
             who="its second cable: a side board or a receiver there drives it too, in firmware built with DUAL_INPUTS",

@@ -120,6 +120,9 @@ class Rrc(Board):
     pings = tuple(codec.pwm_servo_read(servo) for servo in (1, 2, 3, 4))
     ping_ns = 0
     echo_ns = 0
+    silent_ns = 60_000_000
+    """Six samples of the IMU."""
+    arming = b""
     acknowledged_by = BY_ANSWER
     observed_by = BY_IMU
     reports = NO_WHEEL_REPORTS

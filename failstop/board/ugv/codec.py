@@ -13,7 +13,7 @@ from math import inf, pi
 
 from failstop.board.framing import integer
 from failstop.board.lines import LineReader, MotionLine
-from failstop.board.wire import Answer, Battery, Imu, Sample, Wheels
+from failstop.board.wire import Answer, Battery, Imu, Restarted, Sample, Wheels
 
 STOP = b'\n{"T":1,"L":0,"R":0}\n'
 SPEED_RATE = b'{"T":139}\n'
@@ -31,6 +31,8 @@ ANSWERS = (139, 1002)
 """An answer has more than its T: a line that sends the question back is no board."""
 LONGEST_LINE = 1024
 
+_BOOT = re.compile(rb"rst:0x[0-9a-f]+ \(")
+"""In the line that the ESP32's ROM prints at every reset, at the same speed: rst:0xf (BROWNOUT_RST),boot:0x13 (...)."""
 _LINE = re.compile(rb'\{"T":1,"L":(-?\d\.\d{3}),"R":(-?\d\.\d{3})\}\n')
 _ACCEL = 9.80665 / 8192
 """m/s^2 a unit: the IMU's range is 4 g."""
@@ -62,6 +64,8 @@ def reports() -> LineReader:
 
 
 def _samples(line: bytes) -> list[Sample]:
+    if _BOOT.search(line):
+        return [Restarted("its boot text")]
     try:
         said = json.loads(line)
     except (ValueError, RecursionError):

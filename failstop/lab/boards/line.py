@@ -62,6 +62,8 @@ class ReceiverModel:
     """Whether pieces of two frames can pass its check as one frame, with any speed, until the next stop."""
     stalls: bool
     """Whether its stop holds behind an adapter that stalls, and then sends everything at once."""
+    boot: bytes = b""
+    """Text that it prints when it starts, before its program runs."""
     joints: Callable[[Receiver, int], Servos] | None = None
     """(a live receiver, the moment that its times count from): an arm's servos on the same line. None: there are
     none."""

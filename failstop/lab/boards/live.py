@@ -83,6 +83,8 @@ class LiveModel(BoardModel):
         self._hears_ns = self._passed_ns = t_ns + deaf_ns
         self._begin(self._passed_ns)
         self._commands = self._said = 0
+        if self.prints:
+            self.receiver.said.append((0, model_of(self._kind).boot))
         self.wheels = (0.0,) * len(self.wheels)
 
     @property

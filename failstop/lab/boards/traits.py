@@ -18,8 +18,9 @@ HAS_ARM, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU = "an arm", "a gamepad", "key
 HAS_CHECK = "a check in its frames"
 """A stop of which one bit was changed on the way turns no wheel."""
 HAS_BATTERY = "a battery that it reports"
+HAS_REPORTS = "reports of its wheels or its IMU that nobody asks for"
 HAS_ARM_BESIDE = "an arm that moves beside the wheels"
-PARTS = (HAS_ARM, HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU, HAS_CHECK, HAS_BATTERY)
+PARTS = (HAS_ARM, HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU, HAS_CHECK, HAS_BATTERY, HAS_REPORTS)
 CARRIED_OUT_NS = 100_000_000
 """So long after its first byte every stop has been carried out."""
 
@@ -58,6 +59,7 @@ def traits_of(kind: str) -> Traits:
         HAS_ARM: language.burst_with((1,)) != language.burst,
         HAS_ARM_BESIDE: language.arm_beside_wheels,
         HAS_PINGS: bool(language.pings),
+        HAS_REPORTS: language.silent_ns > 0 and not language.ping_ns,
         HAS_IMU: language.observed_by == BY_IMU,
         # A Wire has no word for these.
         HAS_GAMEPAD: not is_described(kind),

@@ -192,4 +192,5 @@ MODEL = ReceiverModel(
     not_enough=TimedStop((Write(0, codec.STOP[1:]),), 0, ((0,),)),
     fuses=False,
     stalls=True,
+    boot=b"ets Jul 29 2019 12:21:46\r\n\r\nrst:0xf (BROWNOUT_RST),boot:0x13 (SPI_FAST_FLASH_BOOT)\r\n",
 )

@@ -25,6 +25,8 @@ FLOOD = 100
 LATCH_S = 3.0
 FAST = (0.2, 0.0, 0.0)
 UP_TO_SPEED_S = 0.5
+FAR_S = 2.0
+STARTS_S = (0.3, 0.6)
 BLOCK = 256
 IDLE_FILLS = 3
 SETTLED_S = 0.01
@@ -192,6 +194,20 @@ class Deaf(Injector):
         scene.board.deaf(False)
 
 
+class Restarts(Injector):
+    """It starts again while it drives, and for a while it hears and reports nothing."""
+
+    def prepare(self, scene: Scene) -> None:
+        # Counters that are near zero can't fall.
+        scene.driver.run(FAR_S)
+
+    def strike(self, scene: Scene) -> int:
+        deaf_s = scene.chance.uniform(*STARTS_S)
+        scene.board.restart(deaf_s)
+        scene.driver.run(deaf_s)
+        return time.monotonic_ns()
+
+
 def _see_latch(scene: Scene) -> None:
     """Command until it is latched; a service that does not notice is judged by what follows."""
     with contextlib.suppress(TrialError):
@@ -273,6 +289,7 @@ INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "usb-drop-unwatched": UsbDropUnwatched,
     "board-not-draining": NotDraining,
     "board-deaf": Deaf,
+    "board-restarts": Restarts,
     "board-unproven": Unproven,
     "board-garbles-up": GarblesUp,
     "board-garbles-down": GarblesDown,

@@ -40,6 +40,7 @@ from failstop.policy.causes import (
     NOT_FINITE,
     PIPED,
     REMOVED,
+    RESTARTED,
     STARVED,
     STUCK,
     SUPERVISOR_SUSPENDED,
@@ -225,6 +226,12 @@ PORT_ROWS = (
     _asked(
         "board-garbles-down", BOARD_FAILS, "1 % of the bytes to the board are garbled", "board-garbles-down",
         bar_ms=250, needs=HAS_CHECK,
+    ),
+    Fault(
+        "board-restarts", BOARD_FAILS, "the board restarts, as after a dip of its supply",
+        "port owner, asked by telemetry",
+        ((RESTARTED,), (DEAF,)), BY_RESET, "", 400.0, "board-restarts", counted_from="hearing again",
+        aftermath_s=0.6, weight=1,
     ),
     _asked("board-floods", BOARD_FAILS, "the board sends without pause", "board-floods", needs=HAS_KEYS),
     Fault(

@@ -64,6 +64,13 @@ class BoardPort:
             self.catch_up()
             self.model.restart(self.machine.now_ns, self.traits.deaf_ns)
 
+    def restart(self, deaf_ns: int) -> None:
+        """A dip of its supply: it starts again, and hears and reports nothing for so long."""
+        self.catch_up()
+        self.model.restart(self.machine.now_ns, deaf_ns)
+        self._told = self.model.executed_total
+        self.plan()
+
     def plan(self) -> None:
         """Have the time pass when something is due: call it after a change of the model."""
         due_ns = self.model.next_ns

@@ -163,6 +163,11 @@ TEXTS = {
         "board, the stop proves nothing until the device answers: use the POWER SWITCH if the wheels turn.\n"
         "Next: failstop reset, then failstop enable, each with --name @FAILSTOP_NAME@",
     ),
+    "restarted": (
+        "The board restarted: @FAILSTOP_SIGN@",
+        "It has forgotten its speed and its settings. While motion is enabled this is a stop of its own.\n"
+        "Next: look at the battery, the motors' supply and the board's plugs, then failstop reset",
+    ),
     "link": (
         "The board's link is @FAILSTOP_STATE@",
         "unproven: it has not answered a ping since the port was opened, so whether it hears is not known.\n"

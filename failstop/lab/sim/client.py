@@ -290,6 +290,10 @@ class SimBoard:
         """Lose the next `count` bytes from the host."""
         self._ask("cut", bytes=count)
 
+    def restart(self, deaf_s: float) -> None:
+        """Have it start again, as after a dip of its supply: for so long it hears and reports nothing."""
+        self._ask("restart", deaf_s=deaf_s)
+
     def refuse_stop(self, on: bool) -> None:
         """Motor frames are received, but a wheel that is told to stop turns on until this is off and a frame comes."""
         self._ask("refuse_stop", on=on)

@@ -112,8 +112,13 @@ class BoardModel:
         self.garble_down = 0.0
         self.garble_up = 0.0
         self.cut_bytes = 0
+        self.prints = True
+        """Whether what it prints as it starts can be read, where its kind prints something."""
 
         self._executed: list[Frame] = []
+        self._first_invalid = first_invalid
+        self._starts_ns = start_ns
+        """Bytes that come before are lost: it is still starting."""
         self._receiver = Receiver(first_invalid)
         self._motors = Motors()
         self._faults = Random(seed + 1)
@@ -133,13 +138,24 @@ class BoardModel:
         self._task_free_ns = start_ns
         """When the receive task has done with the frame that it carries out."""
 
+    def restart(self, t_ns: int, deaf_ns: int) -> None:
+        """Its processor begins anew: the wheels are stopped, and for so long it hears and reports nothing."""
+        self._receiver = Receiver(self._first_invalid)
+        self._motors = Motors()
+        self._pending.clear()
+        self._outbox.clear()
+        self.wheels = (0.0,) * len(self.wheels)
+        self._pulses = [1500] * PWM_SERVOS
+        self._starts_ns = t_ns + deaf_ns
+        self._imu_ns, self._battery_ns = (max(due_ns, self._starts_ns) for due_ns in (self._imu_ns, self._battery_ns))
+
     # Down: host to board.
 
     def receive(self, chunk: bytes, t_ns: int) -> None:
         """Take in bytes that were read at t_ns. What they bring about happens in advance()."""
         begin_ns = max(self._down_free_ns, t_ns)
         self._down_free_ns = begin_ns + BYTE_NS * len(chunk)
-        if self.deaf:
+        if self.deaf or t_ns < self._starts_ns:
             return
         if self.cut_bytes:
             lost = min(self.cut_bytes, len(chunk))

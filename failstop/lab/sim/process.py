@@ -278,6 +278,8 @@ class Simulator:
             model.garble_down, model.garble_up = _number(request, "down", 1.0), _number(request, "up", 1.0)
         elif operation == "cut":
             model.cut_bytes = _integer(request, "bytes", 1 << 20)
+        elif operation == "restart":
+            model.restart(now_ns, round(_number(request, "deaf_s", 60.0) * 1e9))
         elif operation == "refuse_stop":
             model.refuse_stop = _flag(request, "on")
         elif operation == "imu":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from failstop.lab.boards.traits import HAS_ARM, HAS_KEYS, Traits
+from failstop.lab.boards.traits import HAS_ARM, HAS_KEYS, HAS_REPORTS, Traits
 from failstop.lab.simulate.stage import FROM_THE_START, NEEDS, SETTINGS, Continuation, Stage
 
 Play = Callable[[Stage], object]
@@ -298,6 +298,20 @@ def board_falls_silent(stage: Stage, robot: Any) -> None:
     """The board does not hear any more while it drives."""
     stage.deafen()
     stage.drive(robot, 1.3)
+
+
+def _board_restarts(stage: Stage, robot: Any) -> None:
+    stage.drive(robot, 0.8)
+    stage.restart_board(500)
+    stage.drive(robot, 1.0)
+
+
+driven(
+    _board_restarts,
+    "board_restarts",
+    "The board starts again while it drives, as after a dip of its supply.",
+    needs=(HAS_REPORTS,),
+)
 
 
 @driven

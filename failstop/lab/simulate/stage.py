@@ -48,6 +48,8 @@ ARM_NS = 8_000 * MS
 RESTART_NS = 100 * MS
 """After its death the service is started again, as systemd does (RestartSec)."""
 DRIVER_NS = 500 * MS
+NOTICED_MS = 350
+"""A board that is asked for its counters every 0.2 s may be told to drive again until the next answer."""
 MOVING_AT = layout.SEGMENT_BY_NAME[layout.PORT_OWNER].offsets["moving"]
 STOP_PIPE = "/run/failstop/failstop/stop"
 
@@ -265,6 +267,12 @@ class Stage:
         """The board hears nothing any more: it keeps its last speed, and nobody can stop it."""
         self.witness.tell("the board is deaf")
         self.robot.board.model.deaf = True
+
+    def restart_board(self, deaf_ms: int) -> None:
+        """The board starts again, and hears and reports nothing for so long; its reports afterwards tell."""
+        self.witness.tell(f"the board restarts, deaf for {deaf_ms} ms")
+        self.robot.board.restart(deaf_ms * MS)
+        self.must_stop("the board restarted", deaf_ms + NOTICED_MS, layout.TELEMETRY)
 
     def press(self, key: int) -> None:
         """A key of the board."""

@@ -1,0 +1,52 @@
+"""Told: what the board was told last, as far as a restart of the board undoes it: to drive, and its own watchdog."""
+
+from __future__ import annotations
+
+from failstop.procs.context import Context
+from failstop.procs.port_owner.port import OpenPort
+from failstop.procs.port_owner.port_writer import PortWriter
+
+
+class Told:
+    """Writes motion, with what must come before it, and says for telemetry since when the wheels are told to turn."""
+
+    def __init__(self, context: Context, wire: PortWriter, port: OpenPort) -> None:
+        self._board, self._wire, self._port = context.board, wire, port
+        self._since_word, self._turning = context.own.word("told_ns"), False
+        self._backlog = max((len(ping) for ping in self._board.pings), default=0)
+        """A ping (70 us of wire) is no backlog that motion has to stay behind."""
+        self._restarts_word = context.segment("telemetry").word("restarts")
+        self._restarts = self._restarts_word.get()
+        self._since(0)
+
+    def _since(self, ns: int) -> None:
+        self._turning = ns > 0
+        self._since_word.set(ns)
+
+    def stopped(self) -> None:
+        """A stop was written."""
+        if self._turning:
+            self._since(0)
+
+    def arm(self) -> bool:
+        """Set the board's own watchdog, before the first motion behind a stop: the board may have restarted meanwhile.
+        False while the port does not take it."""
+        return not self._board.arming or self._wire.frame(self._board.arming)
+
+    def write(self, frame: bytes, now_ns: int, *, first: bool) -> bool:
+        """Write a motion frame; `first`: behind a stop, and so behind arm(). False when the port does not take it."""
+        turns = frame != self._board.stop
+        if not turns:
+            self.stopped()
+        if not self._wire.frame(frame, self._backlog + (len(self._board.arming) if first else 0)):
+            return False
+        if turns and not self._turning:
+            self._since(now_ns)
+        return True
+
+    def follow(self, now_ns: int) -> None:
+        """A board that has restarted is told again what it was told when its port was opened."""
+        restarts = self._restarts_word.get()
+        if restarts != self._restarts:
+            self._restarts = restarts
+            self._port.tell_again(now_ns)

@@ -1,0 +1,132 @@
+"""Restart: whether the board has restarted, by what it says. Pure.
+
+A board that restarts has forgotten its speed and its settings, and the next frame of motion would drive it again. Most
+restarts are short: a dip of the supply starts the program at once. So four signs are looked at:
+
+- text that it prints only while it starts
+- its counters fall to zero, from further away than its wheels can turn meanwhile
+- it obeys zero although the last thing it was told was to drive, and it did
+- its reports paused for longer than they ever do. An adapter that stalls brings the missing ones afterwards, all at
+  once: they are counted before anything is concluded
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+MS = 1_000_000
+KEPT_NS = 40 * MS
+"""How long to wait for the reports that an adapter has kept."""
+LEARN_NS = 400 * MS
+"""Over this time it is learned how often the board reports."""
+MISSING = 0.6
+"""The share of the reports of a pause that must be missing for good."""
+FASTER = 1.5
+"""A wheel is taken to turn as much faster than it was seen to turn."""
+FADES = 0.98
+"""The fastest turning that was seen counts a little less with each report."""
+LEAST_FALL = 10.0
+"""In the counters' own unit; a smaller fall is an ordinary move backward."""
+CLOSE = 2.0
+
+COUNTERS = "its counters fell to zero"
+OBEYS_ZERO = "it obeys zero and was told to drive"
+
+
+class RestartWatch:
+    """Looks for the signs of a restart. Each method returns the sign that it found, in words, or an empty text; after a
+    sign everything is forgotten, so that one restart is found once."""
+
+    def __init__(self, silent_ns: int) -> None:
+        """`silent_ns`: a pause of its reports that only a restart explains; 0: it reports nothing."""
+        self._silent_ns = silent_ns
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin again, as with another port."""
+        self._last_ns = self._other_ns = 0
+        """The last of its regular reports, and the last other sample."""
+        self._learned = (0, 0)
+        """Since when reports are counted, and how many came."""
+        self._period_ns = 0.0
+        """The time between two reports; 0: not known yet."""
+        self._pause: tuple[int, int] | None = None
+        """A pause that has ended: when it began and when it ended."""
+        self._came = 0
+        self._continues = False
+        """The counters went on from where they were."""
+        self._at: tuple[int, Sequence[float]] | None = None
+        self._rate = 0.0
+        self._drove = 0
+
+    def heard(self, reports: int, others: int, now_ns: int) -> str:
+        """Take how many of its regular reports were read now, and how many other samples."""
+        if not self._silent_ns:
+            return ""
+        if self._pause:
+            self._came += reports
+            self._last_ns = now_ns if reports else self._last_ns
+            return self._judged(*self._pause, now_ns) if now_ns - self._pause[1] >= KEPT_NS else ""
+        if not reports:
+            self._other_ns = now_ns if others else self._other_ns
+            return ""
+        last_ns, self._last_ns = self._last_ns, now_ns
+        # A board that says other things in the meantime runs, and only its reports have stopped.
+        alone = self._other_ns - last_ns < self._silent_ns
+        if now_ns - last_ns < self._silent_ns:
+            self._learn(reports, now_ns)
+        elif self._period_ns and alone:
+            self._pause, self._came, self._continues = (last_ns, now_ns), reports, False
+        else:
+            self._learned = (now_ns, 0)
+        return ""
+
+    def _learn(self, reports: int, now_ns: int) -> None:
+        since_ns, count = self._learned
+        if not since_ns:
+            self._learned = (now_ns, 0)
+            return
+        count += reports
+        self._learned = (since_ns, count)
+        if now_ns - since_ns >= LEARN_NS:
+            self._period_ns = (now_ns - since_ns) / count
+            self._learned = (now_ns, 0)
+
+    def _judged(self, begun_ns: int, ended_ns: int, now_ns: int) -> str:
+        """Whether the reports of a pause stayed away."""
+        missing = (now_ns - begun_ns) / self._period_ns - self._came
+        paused = (ended_ns - begun_ns) / self._period_ns
+        self._pause, self._learned = None, (now_ns, 0)
+        if missing < MISSING * paused or self._continues:
+            return ""
+        return self._found(f"no report came for {(ended_ns - begun_ns) // MS} ms")
+
+    def counted(self, positions: Sequence[float], t_ns: int) -> str:
+        """A report of its counters."""
+        if not positions:
+            return ""
+        before, self._at = self._at, (t_ns, positions)
+        if not before or len(before[1]) != len(positions) or t_ns <= before[0]:
+            return ""
+        passed_ns = t_ns - before[0]
+        moved = max((abs(new - old) for new, old in zip(positions, before[1], strict=True)), default=0.0)
+        most, furthest = FASTER * self._rate * passed_ns + CLOSE, max(map(abs, positions), default=0.0)
+        if furthest <= most and moved > max(most, LEAST_FALL):
+            return self._found(COUNTERS)
+        self._continues |= moved <= most < furthest
+        self._rate = max(FADES * self._rate, moved / passed_ns)
+        return ""
+
+    def obeyed(self, *, zeros: bool, told_ns: int) -> str:
+        """A report of the command that it obeys. `told_ns`: since when it is told to drive, by all that was written; 0:
+        the last that was written is zero or a stop."""
+        drove, self._drove = self._drove, 0 if zeros else told_ns
+        return self._found(OBEYS_ZERO) if zeros and told_ns and drove == told_ns else ""
+
+    def started(self, text: str) -> str:
+        """It prints this while it starts, which counts once it has reported before: a port may have been opened."""
+        return self._found(f"it printed {text}") if self._last_ns or self._at else ""
+
+    def _found(self, sign: str) -> str:
+        self.forget()
+        return sign

@@ -1,0 +1,56 @@
+"""Restarts: what telemetry does when the board has restarted. restart.py says whether it has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from failstop.board import interface
+from failstop.policy import causes
+from failstop.policy.causes import Cause
+from failstop.procs.context import Context
+from failstop.procs.telemetry.restart import RestartWatch
+
+
+class Restarts:
+    """Counts restarts for the port owner, which tells the board its settings again. While motion is enabled a restart
+    is a stop: the next frame of motion would drive the board again."""
+
+    def __init__(
+        self, context: Context, enabled: Callable[[], bool], note: Callable[..., None], stop: Callable[[Cause], None]
+    ) -> None:
+        """`enabled`: whether motion is; `note`: tells people; `stop`: has the port owner stop."""
+        board = context.board
+        self._watch = RestartWatch(board.silent_ns)
+        self._regular = interface.HEARD_IMU if board.observed_by == interface.BY_IMU else interface.HEARD_WHEELS
+        self._enabled, self._note, self._stop = enabled, note, stop
+        self._word = context.own.word("restarts")
+        self._told_word = context.segment("port_owner").word("told_ns")
+        self._bell = context.bell("port_owner_bell")
+        self.forget = self._watch.forget
+
+    def heard(self, kinds: list[int], now_ns: int) -> None:
+        """Take the kinds of all samples that were read now."""
+        reports = kinds.count(self._regular)
+        self._act(self._watch.heard(reports, len(kinds) - reports, now_ns))
+
+    def counted(self, positions: tuple[float, ...], t_ns: int) -> None:
+        """Take a report of its counters."""
+        self._act(self._watch.counted(positions, t_ns))
+
+    def obeyed(self, *, zeros: bool) -> None:
+        """Take a report of the command that it obeys."""
+        self._act(self._watch.obeyed(zeros=zeros, told_ns=self._told_word.get()))
+
+    def started(self, said: interface.Value, _t_ns: int) -> None:
+        """It has printed what it prints while it starts."""
+        self._act(self._watch.started(said[0]))
+
+    def _act(self, sign: str) -> None:
+        if not sign:
+            return
+        cause = causes.RESTARTED(sign)
+        self._word.set(self._word.get() + 1)
+        self._note("restarted", str(cause), {"sign": sign})
+        if self._enabled():
+            self._stop(cause)
+        self._bell.ring()
