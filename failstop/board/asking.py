@@ -70,6 +70,8 @@ class Heard(Data):
     """Bytes that came, in whatever language."""
     after_ns: int
     """When it was asked, after the port was opened."""
+    firmware: str = ""
+    """Its firmware, where that differs from the usual one."""
 
 
 def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
@@ -99,7 +101,7 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
         if silent:
             tap.listen(ANSWER_S)
         known = bool(tap.reports) if silent else answered_ms is not None
-        found.append(Heard(kind, known, answered_ms, frozenset(tap.reports), tap.size, after_ns))
+        found.append(Heard(kind, known, answered_ms, frozenset(tap.reports), tap.size, after_ns, tap.firmware))
         if known:
             break
     return found
@@ -126,7 +128,12 @@ def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, s
     if last.known:
         reset = f"; opening the port reset it: deaf for {deaf_ns / 1e9:g} s"
         opened = reset if last.after_ns >= deaf_ns else ", and opening the port did not reset it"
-        return True, f"it {'answers' if board.pings else 'reports'} as {kind} does{opened if deaf_ns else ''}", ""
+        which = f"; its firmware is {last.firmware}" if last.firmware else ""
+        return (
+            True,
+            f"it {'answers' if board.pings else 'reports'} as {kind} does{opened if deaf_ns else ''}{which}",
+            "",
+        )
     if any(each.reports for each in heard if each.kind == kind):
         return False, f"it reports as {kind} does, and answers no question: it does not hear", WIRES
     if came := max(each.size for each in heard):

@@ -12,6 +12,7 @@ from failstop.board.interface import (
     BY_ECHO,
     BY_IMU,
     BY_WHEELS,
+    HEARD_FIRMWARE,
     HEARD_HEALTH,
     HEARD_OBEYED,
     HEARD_PONG,
@@ -24,7 +25,7 @@ from failstop.board.interface import (
     WheelReports,
 )
 from failstop.board.servos import ServoAnswer
-from failstop.board.wire import ECHOED, OBSERVED, Battery, Health, Imu, Obeyed, Restarted, Sample, Wheels
+from failstop.board.wire import ECHOED, OBSERVED, Battery, Firmware, Health, Imu, Obeyed, Restarted, Sample, Wheels
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -96,6 +97,8 @@ def _plausible(sample: Sample) -> list[Said]:
         return [(HEARD_SERVO, (servo, what, plausible.whole_number(sample.value, -MOST_VALUE, MOST_VALUE)))]
     if isinstance(sample, Restarted):
         return [(HEARD_RESTARTED, (sample.text,))]
+    if isinstance(sample, Firmware):
+        return [(HEARD_FIRMWARE, (sample.name,))]
     if isinstance(sample, Health):
         return [(HEARD_HEALTH, tuple(map(_health, islice(sample.rows, plausible.MOST_HEALTH_ROWS))))]
     if isinstance(sample, Imu):

@@ -24,7 +24,7 @@ PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW = range(3)
 HEARD_IMU, HEARD_BATTERY, HEARD_PAD, HEARD_KEY, HEARD_SERVO, HEARD_PONG, HEARD_WHEELS, HEARD_OBEYED, HEARD_HEALTH = (
     range(9)
 )
-HEARD_ODD, HEARD_RESTARTED = 9, 10
+HEARD_ODD, HEARD_RESTARTED, HEARD_FIRMWARE = 9, 10, 11
 """The kinds of what a board says, as a Hearing tells them."""
 BY_ANSWER, BY_ECHO = "answer", "echo"
 """Proofs that a stop was parsed: the answer to a ping behind it, or the report of the command that is obeyed."""
@@ -63,6 +63,7 @@ class Hearing:
     to 1) and its temperature in degrees Celsius. HEARD_ODD: what a report was about, and its value as text, which can't
     be and counts as not reported.
     HEARD_RESTARTED: the text by which it shows that it starts.
+    HEARD_FIRMWARE: the name of a firmware that differs from the usual one, told once.
     """
 
     __slots__ = ()

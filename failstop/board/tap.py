@@ -6,7 +6,7 @@ import os
 import select
 import time
 
-from failstop.board.interface import HEARD_OBEYED, HEARD_PONG, Board
+from failstop.board.interface import HEARD_FIRMWARE, HEARD_OBEYED, HEARD_PONG, Board
 from failstop.board.port import waiting_bytes
 
 TYPE_CHECKING = False
@@ -27,6 +27,8 @@ class Tap:
         self._pings = 0
         self.reports: set[int] = set()
         """Kinds of what was said unasked."""
+        self.firmware = ""
+        """Its firmware, where that differs from the usual one."""
         self.size = 0
         """Bytes that have come."""
         self._flow: set[int] = set()
@@ -39,7 +41,8 @@ class Tap:
             now_ns = time.monotonic_ns()
             said = self._hearing.feed(data)
             self.size += len(data)
-            self.reports |= {kind for kind, _ in said} - {HEARD_PONG}
+            self.reports |= {kind for kind, _ in said} - {HEARD_PONG, HEARD_FIRMWARE}
+            self.firmware = next((value[0] for kind, value in said if kind == HEARD_FIRMWARE), self.firmware)
             self._flow |= {value[0] for kind, value in said if kind == HEARD_PONG and value[0] >= self._pings}
             found += [(now_ns, *each) for each in said]
         if data is None:

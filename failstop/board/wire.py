@@ -180,6 +180,13 @@ class Restarted(Sample, Data):
     """For people, as "its boot text"."""
 
 
+class Firmware(Sample, Data):
+    """It is known by its reports as a firmware that differs from the usual one."""
+
+    name: str
+    """For people: whose it is, by what it is known, and what to look at with it."""
+
+
 class Question(Data):
     """A frame that moves nothing and is answered."""
 

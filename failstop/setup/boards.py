@@ -50,6 +50,8 @@ def step(talk: Talk, path: str) -> str:
                 raise Left(f"{text}: give --board {kind}, or plug the other board in")
             board = boards[kind]
             talk.say(f"It is {board.name} ({kind}).")
+            if heard[-1].firmware:
+                talk.say(f"Its firmware is {heard[-1].firmware}.")
             talk.draft.keep("board", kind)
             _live(talk, own.fd, board)
     except OSError as error:

@@ -16,6 +16,7 @@ from failstop.board.described import Described
 from failstop.board.interface import HEARD_WHEELS, Board
 from failstop.board.kinds import board_of, is_described, wire_of
 from failstop.board.wire import Wire
+from failstop.lab.boards.hoverboard import Hoverboard
 from failstop.lab.boards.live import LiveModel
 from failstop.lab.machine.robot import DEVICE, Robot
 from failstop.lab.sim.model import BoardModel
@@ -124,6 +125,19 @@ def test_the_board_that_is_there_is_found_and_stands_still(there: str, wanted: s
     assert not any(each.known for each in heard[:-1])
     assert (heard[-1].answered_ms is None) == (not boards(there)[there].pings)
     assert not on.turned()
+
+
+def test_the_hoverboard_fork_with_22_bytes_of_feedback_is_known_and_named() -> None:
+    on = There("hoverboard", own_speed=True)
+    assert isinstance(on.model, LiveModel)
+    assert isinstance(on.model.receiver, Hoverboard)
+    on.model.receiver.counters = (8_999, 3)
+    heard = on.asked("hoverboard")
+    assert (heard[-1].kind, heard[-1].known) == ("hoverboard", True)
+    known, text, _ = told_of(heard, "hoverboard", boards("hoverboard")["hoverboard"])
+    assert known
+    assert "its firmware is the fork for hoverboard-robotics' ROS driver, by its feedback of 22 bytes" in text
+    assert There("hoverboard", own_speed=True).asked("hoverboard")[-1].firmware == ""
 
 
 @every_board

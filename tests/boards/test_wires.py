@@ -6,6 +6,7 @@ from __future__ import annotations
 import random
 from math import inf, nan, pi
 from struct import Struct
+from typing import Any
 
 import pytest
 
@@ -16,7 +17,7 @@ from failstop.board.hoverboard import codec as hoverboard
 from failstop.board.hoverboard import feedback
 from failstop.board.kinds import board_of, wire_of
 from failstop.board.ugv import codec as ugv
-from failstop.board.wire import Answer, Battery, Imu, Motion, Obeyed, Sample, Wheels, Wire, beyond
+from failstop.board.wire import Answer, Battery, Firmware, Imu, Motion, Obeyed, Sample, Wheels, Wire, beyond
 from failstop.lab.boards.line import arrivals, model_of, play
 from failstop.policy.kinematics import from_settings
 from failstop.policy.settings import Settings
@@ -162,6 +163,32 @@ def test_readings_are_the_same_few_samples_for_all() -> None:
     assert not any(isinstance(sample, Imu) for sample in wire_of("ugv").reader().feed(with_arm))
 
 
+def test_hoverboard_feedback_of_either_length_is_read_whatever_comes_between() -> None:
+    """In pieces, behind garbage and cut frames, and after a change from one to the other."""
+    rng = random.Random("feedback")
+    for _ in range(200):
+        reader, stream, sent = wire_of("hoverboard").reader(), b"", []
+        wide_one = rng.random() < 0.5
+        counters = (rng.randrange(-9000, 9000), rng.randrange(-9000, 9000)) if wide_one else ()
+        for number in range(8):
+            words = [rng.randrange(-1000, 1000) for _ in range(4)]
+            stream += feedback.seal(words[0], words[1], words[2], words[3], 3650, 30, counters)
+            sent.append(words)
+            if number % 3 == 1 and rng.random() < 0.5:
+                stream += feedback.seal(words[0], words[1], words[2], words[3], 3650, 30, counters)[: rng.randrange(18)]
+        found: list[Any] = []
+        while stream:
+            size = rng.randrange(1, 30)
+            found += reader.feed(stream[:size])
+            stream = stream[size:]
+        found += reader.feed(bytes(24))
+        assert [each.volts for each in found if isinstance(each, Battery)] == [36.5] * 8
+        assert [each.speeds for each in found if isinstance(each, Wheels)] == [
+            (left, -right) for *_, right, left in sent
+        ]
+        assert sum(isinstance(each, Firmware) for each in found) == bool(counters)
+
+
 @pytest.mark.parametrize(
     ("kind", "answers"),
     [("arduino", [b"57600\r\n", b"1 2\r\n"]), ("ugv", [b'{"T":139,"L":1}\n', b'{"T":1002,"r":0}\n'])],
@@ -208,3 +235,21 @@ def test_a_wire_of_three_speeds_is_driven_in_its_own_unit() -> None:
     assert board.speeds(frame) == pytest.approx((-1129 / 4096, 0.0, 1129 / 4096))
     assert board.motor_speeds(base.rest, 1.0) == board.stop
     assert (board.check_motion(frame, 0.3), board.check_motion(frame, 0.2)) == ("", "0 at -1129, limit 819.2")
+
+
+def test_a_ugv_motion_line_that_lacks_only_its_line_feed_is_run_by_any_stop_and_for_less_than_3_ms() -> None:
+    """No byte before the stop's line feed can spoil it: the firmware reads the first value of a line and ignores the
+    rest. So the stop follows at once; every other cut does nothing."""
+    wire = wire_of("ugv")
+    line, byte_ns = wire.motion.frame((0.2, -0.2), 1.0), wire.port.byte_ns
+    for spoil in (b"", *(bytes((value,)) for value in range(256)), b"}}", b'"x', b"\0\0", b'{"T":1}'):
+        receiver = model_of("ugv").live()
+        play(receiver, arrivals([(0, line[:-1] + spoil + ugv.STOP)], byte_ns), 20_000_000)
+        moved, *stopped = receiver.commands
+        assert moved[1] == (0.2, -0.2), spoil
+        assert stopped[-1][1] == (0.0, 0.0)
+        assert stopped[-1][0] - moved[0] < 3_000_000, spoil
+    for end in range(len(line) - 1):
+        receiver = model_of("ugv").live()
+        play(receiver, arrivals([(0, line[:end] + ugv.STOP)], byte_ns), 20_000_000)
+        assert [speeds for _, speeds in receiver.commands] == [(0.0, 0.0)]

@@ -1,25 +1,43 @@
-"""Feedback of hoverboard-firmware-hack-FOC: a frame of nine words every 10 ms, the last one the xor of the others."""
+"""Feedback of hoverboard-firmware-hack-FOC: a frame of nine words every 10 ms, the last one the xor of the others.
+
+A fork has eleven words: two wheel counters stand before the battery (24955d6, which hoverboard-robotics' ROS driver is
+for). The counters wrap at a number of the fork's own, so they are not taken as positions.
+"""
 
 from __future__ import annotations
 
 from struct import Struct
 
 from failstop.board.hoverboard.codec import START, wheels
-from failstop.board.wire import Battery, Obeyed, Reader, Sample, Wheels
+from failstop.board.wire import Battery, Firmware, Obeyed, Reader, Sample, Wheels
 
 FEEDBACK = Struct("<HhhhhhhHH")
 """Start, steer and speed that it obeys, measured speed right and left in rpm, battery in V / 100, temperature, LEDs,
 xor."""
+WITH_COUNTERS = Struct("<HhhhhhhhhHH")
+"""The same with both counters, right and left, after the speeds."""
+FORK = Firmware(
+    "the fork for hoverboard-robotics' ROS driver, by its feedback of 22 bytes: build it without TANK_STEERING, since "
+    "failstop sends steer and speed, and note that its SPD_MODE counts in rpm"
+)
 HEAD = START.to_bytes(2, "little")
 
 
-def seal(steer: int, speed: int, right_rpm: int = 0, left_rpm: int = 0, centivolts: int = 0, degrees: int = 0) -> bytes:
-    """A feedback frame as the board makes it, with its LEDs off."""
-    words = (START, steer, speed, right_rpm, left_rpm, centivolts, degrees, 0)
+def seal(
+    steer: int,
+    speed: int,
+    right_rpm: int = 0,
+    left_rpm: int = 0,
+    centivolts: int = 0,
+    degrees: int = 0,
+    counters: tuple[int, ...] = (),
+) -> bytes:
+    """A feedback frame as the board makes it, with its LEDs off; `counters`: right and left, as the fork has them."""
+    words = (START, steer, speed, right_rpm, left_rpm, *counters, centivolts, degrees, 0)
     check = 0
     for word in words:
         check ^= word & 0xFFFF
-    return FEEDBACK.pack(*words, check)
+    return (WITH_COUNTERS if counters else FEEDBACK).pack(*words, check)
 
 
 class Feedback(Reader):
@@ -27,28 +45,48 @@ class Feedback(Reader):
 
     def __init__(self) -> None:
         self._kept = b""
+        self._forms = (FEEDBACK, WITH_COUNTERS)
+        """The form that came last, and the other one. That one counts only before another frame: a stray start, a frame
+        of nine words and the next start have a right xor as eleven words."""
+        self._told = False
 
     def feed(self, chunk: bytes) -> list[Sample]:
         """The samples that these bytes complete."""
         data = self._kept + chunk
         found: list[Sample] = []
         at = 0
-        while (at := data.find(HEAD, at)) >= 0 and at + FEEDBACK.size <= len(data):
-            samples = _samples(data[at : at + FEEDBACK.size])
-            found += samples
-            at += FEEDBACK.size if samples else 1
+        while (at := data.find(HEAD, at)) >= 0:
+            form, other = self._forms
+            if not _whole(form, data[at : at + form.size]):
+                end = at + other.size
+                if len(data) < at + WITH_COUNTERS.size + len(HEAD):
+                    break
+                if not (_whole(other, data[at:end]) and data.startswith(HEAD, end)):
+                    at += 1
+                    continue
+                form, self._forms = other, (other, form)
+            if form is WITH_COUNTERS and not self._told:
+                self._told = True
+                found.append(FORK)
+            found += _samples(form.unpack(data[at : at + form.size]))
+            at += form.size
         # Without a start, its first byte may still be the last that came.
         self._kept = data[at:] if at >= 0 else data[-1:]
         return found
 
 
-def _samples(frame: bytes) -> list[Sample]:
-    """Of one frame; none when its xor is wrong."""
-    _, steer, speed, right, left, centivolts, _, _, _ = words = FEEDBACK.unpack(frame)
+def _whole(form: Struct, frame: bytes) -> bool:
+    """Whether these bytes are a frame of that form."""
+    if len(frame) != form.size:
+        return False
     check = 0
-    for word in words:
+    for word in form.unpack(frame):
         check ^= word & 0xFFFF
-    if check:
-        return []
+    return check == 0
+
+
+def _samples(words: tuple[int, ...]) -> list[Sample]:
+    """Those of a frame of either form: the battery is the fourth word from its end."""
+    _, steer, speed, right, left, *_ = words
     # The motors are mounted against each other: forward is negative on the right.
-    return [Obeyed(wheels(steer, speed)), Wheels((float(left), float(-right)), ()), Battery(centivolts / 100)]
+    return [Obeyed(wheels(steer, speed)), Wheels((float(left), float(-right)), ()), Battery(words[-4] / 100)]

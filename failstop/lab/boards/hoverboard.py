@@ -50,6 +50,8 @@ class Hoverboard:
         self.said: list[tuple[int, bytes]] = []
         self.turns = turns
         """Whether its wheels turn as they are told, in rpm, and its feedback says so."""
+        self.counters: tuple[int, ...] = ()
+        """Its feedback has these two as well, as the fork's: 22 bytes."""
         self._timed_out = False
         self._now_ns = 0
         self._idle_ns = _NEVER
@@ -92,7 +94,9 @@ class Hoverboard:
         if self._loops % 2 == 0:
             left, right = map(int, self.wheels) if self.turns else (0, 0)
             volts = CENTIVOLTS if self.turns else 0
-            frame = feedback.seal(*self.obeyed, right_rpm=-right, left_rpm=left, centivolts=volts)
+            frame = feedback.seal(
+                *self.obeyed, right_rpm=-right, left_rpm=left, centivolts=volts, counters=self.counters
+            )
             self.said.append((self._now_ns, frame))
             self._sent_ns = self._now_ns + len(frame) * BYTE_NS
         self._loops += 1
