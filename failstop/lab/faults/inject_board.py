@@ -194,7 +194,7 @@ class Deaf(Injector):
         scene.board.deaf(False)
 
 
-class Restarts(Injector):
+class BoardRestarts(Injector):
     """It starts again while it drives, and for a while it hears and reports nothing."""
 
     def prepare(self, scene: Scene) -> None:
@@ -289,7 +289,7 @@ INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "usb-drop-unwatched": UsbDropUnwatched,
     "board-not-draining": NotDraining,
     "board-deaf": Deaf,
-    "board-restarts": Restarts,
+    "board-restarts": BoardRestarts,
     "board-unproven": Unproven,
     "board-garbles-up": GarblesUp,
     "board-garbles-down": GarblesDown,

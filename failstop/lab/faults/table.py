@@ -230,7 +230,7 @@ PORT_ROWS = (
     Fault(
         "board-restarts", BOARD_FAILS, "the board restarts, as after a dip of its supply",
         "port owner, asked by telemetry",
-        ((RESTARTED,), (DEAF,)), BY_RESET, "", 400.0, "board-restarts", counted_from="hearing again",
+        ((RESTARTED,), (DEAF,)), BY_RESET, "", 250.0, "board-restarts", counted_from="hearing again",
         aftermath_s=0.6, weight=1,
     ),
     _asked("board-floods", BOARD_FAILS, "the board sends without pause", "board-floods", needs=HAS_KEYS),
