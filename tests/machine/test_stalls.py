@@ -1,6 +1,5 @@
 """A USB adapter that stalls from the moment of a kill, then passes on everything it kept in one lump. A board that
-drops
-stops which touch must still get one that stands alone, from the processes that are left."""
+drops stops which touch must still get one that stands alone, from the processes that are left."""
 
 from __future__ import annotations
 
