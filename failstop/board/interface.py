@@ -55,14 +55,12 @@ NO_WHEEL_REPORTS = WheelReports(0, 0.0, 0.0, 0.0, holds_speed=False, own_scale=F
 class Hearing:
     """Bytes from the board, in; what they say, out: pairs of a kind and its value.
 
-    HEARD_IMU: acceleration x y z in g, turn rate x y z in degrees a second. HEARD_BATTERY: mV, 0 for no
-    battery. HEARD_PAD: the gamepad's
-    buttons, hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY: id and event. HEARD_SERVO: id, what was asked, its
-    answer. HEARD_PONG: the index of the ping that is answered. HEARD_WHEELS: (speeds, positions), what is not reported
-    empty. HEARD_OBEYED: the speeds of the command that it follows now. HEARD_HEALTH: of each servo its id, its load (-1
-    to 1) and its temperature in degrees Celsius. HEARD_ODD: what a report was about, and its value as text, which can't
-    be and counts as not reported.
-    HEARD_RESTARTED: the text by which it shows that it starts.
+    HEARD_IMU: acceleration x y z in g, turn rate x y z in degrees a second. HEARD_BATTERY: mV, 0 for no battery.
+    HEARD_PAD: the gamepad's buttons, hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY: id and event. HEARD_SERVO: id,
+    what was asked, its answer. HEARD_PONG: the index of the ping that is answered. HEARD_WHEELS: (speeds, positions),
+    what is not reported empty. HEARD_OBEYED: the speeds of the command that it follows now. HEARD_HEALTH: of each servo
+    its id, its load (-1 to 1) and its temperature in degrees Celsius. HEARD_ODD: what a report was about, and its value
+    as text, which can't be and counts as not reported. HEARD_RESTARTED: the text by which it shows that it starts.
     HEARD_FIRMWARE: the name of a firmware that differs from the usual one, told once.
     """
 

@@ -172,10 +172,12 @@ def test_hoverboard_feedback_of_either_length_is_read_whatever_comes_between() -
         counters = (rng.randrange(-9000, 9000), rng.randrange(-9000, 9000)) if wide_one else ()
         for number in range(8):
             words = [rng.randrange(-1000, 1000) for _ in range(4)]
-            stream += feedback.seal(words[0], words[1], words[2], words[3], 3650, 30, counters)
+            stream += feedback.seal(words[0], words[1], words[2], words[3], 3650, 30, counters=counters)
             sent.append(words)
             if number % 3 == 1 and rng.random() < 0.5:
-                stream += feedback.seal(words[0], words[1], words[2], words[3], 3650, 30, counters)[: rng.randrange(18)]
+                stream += feedback.seal(words[0], words[1], words[2], words[3], 3650, 30, counters=counters)[
+                    : rng.randrange(18)
+                ]
         found: list[Any] = []
         while stream:
             size = rng.randrange(1, 30)

@@ -30,6 +30,7 @@ def seal(
     left_rpm: int = 0,
     centivolts: int = 0,
     degrees: int = 0,
+    *,
     counters: tuple[int, ...] = (),
 ) -> bytes:
     """A feedback frame as the board makes it, with its LEDs off; `counters`: right and left, as the fork has them."""
