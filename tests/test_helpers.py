@@ -20,6 +20,7 @@ MAY_NAME_THE_INTERPRETER = {
     "supervisor/starter.py": "the service's own processes: -I -S, and the search path of a command",
     "failstop/lab/prove/frozen.py": "-I -S, and nothing but Python's own modules",
     "failstop/extras.py": "advice for a person",
+    "failstop/cli/missing.py": "advice for a person",
 }
 STARTS = frozenset({"Popen", "run", "call", "check_call", "check_output", "create_subprocess_exec"})
 OF_OS = frozenset({"system", "popen", "execv", "execl", "execvp", "execlp", "spawnv", "spawnl", "spawnlp", "spawnvp"})

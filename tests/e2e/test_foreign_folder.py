@@ -120,7 +120,7 @@ SHORT = {
     ),
 }  # fmt: skip
 """Commands that end by themselves."""
-FAILS = {"no ros": 1, "no service": 3, "fleet": 1, "probe": 1}
+FAILS = {"no ros": 78, "no service": 3, "own board": 1, "fleet": 1, "probe": 1}
 """Their exit codes where they are not 0; a probe's robot keeps its last speed."""
 
 

@@ -20,7 +20,7 @@ BY_VERSION = (
     (239, "NoNewPrivileges SystemCallFilter SystemCallErrorNumber SystemCallArchitectures RestrictAddressFamilies"),
     (239, "RuntimeDirectory RuntimeDirectoryMode RuntimeDirectoryPreserve StateDirectory StateDirectoryMode"),
     (239, "ProtectSystem ProtectHome ProtectKernelTunables ProtectKernelModules ProtectControlGroups"),
-    (239, "KeyringMode RestrictNamespaces OnFailureJobMode"),
+    (239, "KeyringMode RestrictNamespaces OnFailureJobMode RestartPreventExitStatus"),
     (239, "OnFailure Conflicts After Wants Environment EnvironmentFile LogsDirectory SupplementaryGroups DynamicUser"),
     (239, "PrivateDevices LimitNOFILE CPUWeight MemoryMax TasksMax RestrictRealtime"),
     (239, "StartLimitIntervalSec StartLimitBurst MemoryDenyWriteExecute RemoveIPC LockPersonality IPAddressDeny"),

@@ -153,7 +153,6 @@ def _by_service(wanted: str, reason: str, who: str, port: Target) -> bool:
                 standard.say(problem if done else f"{problem}: writing to the port itself")
             if done:
                 port.complain()
-                port.unproved = port.unproved or bool(problem)
                 return True
             port.known = port.known or ask.port_of(name)
         port.asked.append(name)
