@@ -80,7 +80,9 @@ def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[An
     rows = {row["source"]: row for row in decided["sources"]}
     if source not in rows:
         return Blocked(Block.NO_COMMAND, "the gate has not taken the command yet"), False
-    driver = next(row for row in rows.values() if row["state"] == "drives")
+    if rows[source]["state"] == "held":
+        return Blocked(Block.HELD, "commanded before motion was enabled: send zero, or pause, to drive"), True
+    driver = next((row for row in rows.values() if row["state"] == "drives"), rows[source])
     if driver["source"] != source:
         return Preempted(driver["who"], driver["source"]), False
     if block:

@@ -20,6 +20,8 @@ class Block(enum.Enum):
     """A stop is latched: `State.cause`. It takes a reset."""
     DISABLED = "disabled"
     """Nobody has enabled motion since the start, the last stop or the last disable."""
+    HELD = "let go first"
+    """Whoever commands did so before motion was enabled: it counts after a zero or a pause."""
     NO_COMMAND = "no command"
     """No source has a command that is younger than its timeout."""
     NO_SCAN = "no scan"
@@ -28,7 +30,12 @@ class Block(enum.Enum):
     @classmethod
     def of(cls, text: str | None) -> Block | None:
         """The block of the gate's words (`State.blocked`)."""
-        told = {box.DISABLED: cls.DISABLED, box.NO_COMMAND: cls.NO_COMMAND, box.NO_SCAN: cls.NO_SCAN}
+        told = {
+            box.DISABLED: cls.DISABLED,
+            box.HELD: cls.HELD,
+            box.NO_COMMAND: cls.NO_COMMAND,
+            box.NO_SCAN: cls.NO_SCAN,
+        }
         return None if text is None else told.get(text, cls.LATCHED)
 
 
@@ -187,8 +194,9 @@ class Source:
     """The highest drives."""
     who: str
     """The program that commands as it: name and pid."""
-    state: Literal["drives", "waits"]
-    """waits: a higher one drives."""
+    state: Literal["drives", "waits", "held", "silent"]
+    """drives; waits: a higher one drives; held: it commanded before motion was enabled and must send zero or pause
+    first; silent: it drove, and stopped sending commands while the wheels turned."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -416,10 +424,14 @@ class State:
         """The gate commands a velocity."""
         return self.blocked is None and any(self.wheels_radps)
 
+    def source_that(self, state: str) -> Source | None:
+        """The highest source in this state: drives, waits, held or silent."""
+        return next((source for source in self.sources if source.state == state), None)
+
     @property
     def driver(self) -> Source | None:
         """The source whose command moves the wheels, or would; None: there is none."""
-        return next((source for source in self.sources if source.state == "drives"), None)
+        return self.source_that("drives")
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, as in `failstop status --json`."""

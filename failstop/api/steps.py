@@ -27,6 +27,7 @@ REFUSED_WITHOUT = {Purpose.RESET: (Purpose.MEND,), Purpose.ENABLE: (Purpose.MEND
 """Of a request: the steps without which the service refuses it."""
 POWER = "turn the robot's POWER SWITCH off"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
+LET_GO = "let go of the stick, then push it again"
 SENSOR = "start the obstacle sensor and the program that calls robot.sensed()"
 
 
@@ -80,6 +81,8 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
     lost = f"{POWER} if the wheels turn; then plug the board in"
     attend, press = "have somebody attend (`failstop attend`, or the page)", f"somebody has to attend: {how['attend']}"
     complains = ", ".join(client.name for client in state.clients if client.wrong)
+    idle = state.block is Block.NO_COMMAND
+    held, silent = (found.who if (found := state.source_that(name)) else "" for name in ("held", "silent"))
     off, interlock = not state.enabled and not dead, f"see to the interlock ({state.unmet})"
     return [
         [(remedy and not doubt and not suspended, Step(Purpose.HEED, remedy, heed))],
@@ -103,7 +106,19 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
         [
             (off or dead, Step(Purpose.ENABLE, "`failstop enable`", f"{how['enable']} when nobody is in its way")),
             (state.block is Block.NO_SCAN, Step(Purpose.COMMAND, SENSOR)),
-            (state.block is Block.NO_COMMAND, Step(Purpose.COMMAND, DRIVE, "start what is to drive")),
+            (
+                state.block is Block.HELD,
+                Step(Purpose.COMMAND, f"have {held or 'that program'} send zero or pause", LET_GO),
+            ),
+            (
+                idle and silent,
+                Step(
+                    Purpose.COMMAND,
+                    f"look at {silent}, or `failstop disable` to keep the robot still if it resumes",
+                    f"look at {silent}, or disable motion to keep the robot still if it resumes",
+                ),
+            ),
+            (idle, Step(Purpose.COMMAND, DRIVE, "start your driving program")),
             (state.block is None, Step(Purpose.COMMAND, DRIVE, "")),
         ],
     ]

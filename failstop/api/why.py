@@ -48,6 +48,10 @@ HOLDS = {
         "nobody commands: no command is younger than its timeout",
         "Motion is enabled, and nobody commands.",
     ),
+    Block.HELD: (
+        "a program commanded before motion was enabled, so it must send zero or pause before it can drive",
+        "Let go of the stick, then push it again: it was pushed before motion was enabled.",
+    ),
     Block.NO_SCAN: (
         "the obstacle sensor is silent, and without it only a person may drive",
         "Motion is enabled, but the obstacle sensor is silent.",
@@ -62,7 +66,7 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
     """The whole answer; `events` of this run, oldest first, may be empty, and then less is known."""
     start, began = since(state, events, now_s)
     when = "" if start is None else f" since {words.ago(start, now_s)}"
-    what = f"{HOLDS[state.block][0]}{when}" if state.block else _free(state)
+    what = f"{_holds(state)}{when}" if state.block else _free(state)
     also = troubles(state, events)
     if doubt := verdict.doubt(state):
         what = f"THE WHEELS MAY TURN (then: POWER SWITCH): {doubt}; {what}"
@@ -77,6 +81,15 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
         also=tuple(words.named(text, state.name) for text in also),
         since=start,
     )
+
+
+def _holds(state: State) -> str:
+    """What holds the wheels."""
+    if state.block is Block.HELD and (source := state.source_that("held")):
+        return f"{source.who} commanded before motion was enabled, so it must send zero or pause before it can drive"
+    if state.block is Block.NO_COMMAND and (source := state.source_that("silent")):
+        return f"{source.who} stopped sending commands, so the wheels were stopped; if it resumes, they turn again"
+    return HOLDS[state.block][0] if state.block else ""
 
 
 def meaning(cause: Cause) -> tuple[str, str]:

@@ -26,7 +26,7 @@ GAUGE = "gauge"
 COUNTER = "counter"
 NAMESPACE = "failstop"
 LATCHED = "latched"
-BLOCKS = {box.DISABLED: "disabled", box.NO_COMMAND: "no_command", box.NO_SCAN: "no_scan"}
+BLOCKS = {box.DISABLED: "disabled", box.HELD: "held", box.NO_COMMAND: "no_command", box.NO_SCAN: "no_scan"}
 OTHER_BLOCK = "other"
 PROCESS_STATES = ("starting", "running", "hanging", "suspended", "fenced", "waiting", "down", "stopping", "dead")
 

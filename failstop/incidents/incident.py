@@ -31,6 +31,7 @@ SAYS = {
     DRIVING: "the wheels may turn",
     "estop": "a stop is latched",
     box.DISABLED: "motion is disabled",
+    box.HELD: "commanded before motion was enabled",
     box.NO_COMMAND: "no command",
     box.NO_SCAN: "no obstacle sensor",
     SILENT: "the gate is silent",

@@ -56,6 +56,7 @@ SHADES = {
     DRIVING: "white",
     "estop": "#fdeaea",
     box.DISABLED: "#e8ebef",
+    box.HELD: "#f3ead7",
     box.NO_COMMAND: "#fff3d1",
     box.NO_SCAN: "#e3effa",
     SILENT: "#e6dff3",

@@ -37,11 +37,12 @@ LATCHED = "estop: "
 DISABLED = "disabled"
 NO_COMMAND = "cmd timeout"
 NO_SCAN = "no scan"
-EVERY_BLOCK = (LATCHED, DISABLED, NO_COMMAND, NO_SCAN)
+HELD = "let go first"
+EVERY_BLOCK = (LATCHED, DISABLED, HELD, NO_COMMAND, NO_SCAN)
 """The first that holds is told."""
-DECISIONS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN)
+DECISIONS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN, HELD)
 """The gate's decision: its index is in the record."""
-DECISION = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4}
+DECISION = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4, HELD: 5}
 ENABLED, MANUAL, DRIVES = 1, 2, 4
 """Flags. The last: the newest command is the one that drives, and not one that waits behind a higher source."""
 

@@ -294,6 +294,11 @@ DRIVER_DIED = Kind(
     "the program {who}, which had driven, ended without a word: it crashed or was killed",
     "look at that program's own log",
 )  # fmt: skip
+DRIVER_SILENT = Kind(
+    42, "driver_silent", "driver silent: {who}, {ms:d} ms", CLIENTS,
+    "the program {who} stopped sending commands while it drove, and sent none for {ms} ms",
+    "look at that program: it may hang, or be suspended (Ctrl-Z)",
+)  # fmt: skip
 OPERATOR_GONE = Kind(
     40, "operator_gone", "operator gone: {who}, {how}", CLIENTS,
     "the operator {who}, without whom this robot may not move, {how}",

@@ -24,6 +24,7 @@ def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | t
 
 SWITCH = ("on", "off")
 DEATHS = ("disable", "latch", "stay")
+SILENCES = ("wait", "disable", "latch")
 TURNS = ("none", "yaw", "pitch", "roll")
 WEB_TLS = ("auto", "on", "off")
 
@@ -43,6 +44,12 @@ DECLARED = (
     Setting("gate.refresh_s", 0.2, "s", 0.02, 1.0, "while enabled, resend the motor frame at least this often"),
     Setting("gate.lease_s", 0.06, "s", 0.04, 1.0, "longest silence of a process; unset, 0.2 without real-time rights"),
     _word("gate.driver_death", "disable", "answer to the death of a program that has driven", DEATHS),
+    _word(
+        "gate.driver_silence",
+        "wait",
+        "what to do when a program stops sending commands while it drives: wait for its next one, disable, or latch",
+        SILENCES,
+    ),
     Setting("limits.vx_mps", 0.2, "m/s", 0.01, 3.0, "fastest forward and backward"),
     Setting("limits.vy_mps", 0.2, "m/s", 0.01, 3.0, "fastest sideways"),
     Setting("limits.wz_radps", 1.0, "rad/s", 0.01, 10.0, "fastest turn"),

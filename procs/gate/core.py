@@ -3,6 +3,7 @@
 Block reasons, the first that holds:
     estop: REASON     latched; ends only by reset
     disabled          until an explicit enable
+    let go first      whoever commands did so before motion was enabled
     cmd timeout       no source has a command that is younger than its timeout
     no scan           the source that drives is not manual and the obstacle sensor is silent
 While blocked the velocity is zero at once, without a ramp. Otherwise it moves toward the clamped command by at most
@@ -13,23 +14,25 @@ from __future__ import annotations
 
 from math import isfinite
 
-from failstop.messages.box import DISABLED, LATCHED, NO_COMMAND, NO_SCAN
+from failstop.messages.box import DISABLED, HELD, LATCHED, NO_COMMAND, NO_SCAN
 from failstop.messages.packing import Note
 from failstop.messages.records import FOR_AN_INTERLOCK, REFUSED
 from failstop.policy import causes
 from failstop.policy.causes import Cause, Reply, refused
 from failstop.policy.kinematics import Chassis, Velocity, WheelSpeeds
-from failstop.policy.settings import DEATHS, PAD_SOURCE, Settings
+from failstop.policy.settings import DEATHS, PAD_SOURCE, SILENCES, Settings
 from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
-from failstop.procs.gate.remarks import DriverLosses, disabled_by_death
+from failstop.procs.gate.remarks import DriverLosses, disabled_by_death, disabled_by_silence
 from failstop.procs.gate.sources import PAD_SESSION, Command, Sources
 
 REST = (0.0, 0.0, 0.0)
 IS_LATCHED = "a stop is latched"
 WHEELS_ENABLED = "wheels enabled"
+ENABLED = "motion enabled"
 LEAST_LIMIT = 5
 """Percent: a limit under it would be a stop without a word."""
 _DISABLE, _LATCH, _STAY = DEATHS
+_WAIT, *_ = SILENCES
 MOST_IGNORED = 64
 """Sources that are no client's and are told of in the life of a gate."""
 
@@ -70,6 +73,7 @@ class GateCore:
         self._losses = DriverLosses(now_ns)
         self._ignored: set[tuple[int, str]] = set()
         self._driver_death = settings.text("gate.driver_death")
+        self._driver_silence = settings.text("gate.driver_silence")
         self._drivers: dict[int, Command] = {}
         """The last command of each session that has given one: its death is that of a driver, whether it drives now,
         waits, or has fallen silent, since whatever starts it again would drive on."""
@@ -89,7 +93,7 @@ class GateCore:
             return DISABLED
         driving = self.sources.driving(now_ns)
         if driving is None:
-            return NO_COMMAND
+            return HELD if self.sources.holds(now_ns) else NO_COMMAND
         if not driving.manual and self.scan.silent(now_ns):
             return NO_SCAN
         return ""
@@ -154,6 +158,24 @@ class GateCore:
         self.notes.append(disabled_by_death(driver))
         return None
 
+    def driver_silence(self, now_ns: int) -> Cause | None:
+        """Once a step: tell of a driver that has just fallen silent while the wheels turned. It disables motion or
+        returns the cause to stop for, as the setting gate.driver_silence says; a person who lets go of a key does
+        neither."""
+        if not any(self.velocity) or self.blocked(now_ns) not in (NO_COMMAND, HELD):
+            return None
+        driver = self.sources.last_driver()
+        if driver is None:
+            return None
+        if driver.by_hand or self._driver_silence == _WAIT:
+            self.notes += self._losses.silent(driver, now_ns)
+            return None
+        if self._driver_silence == _LATCH:
+            return causes.DRIVER_SILENT(driver.who, (now_ns - driver.t_ns) // 1_000_000)
+        self.stand_still()
+        self.notes.append(disabled_by_silence(driver, now_ns))
+        return None
+
     def stop(self, cause: Cause, epoch: int) -> bool:
         """Stop by itself, until the supervisor has latched it. True when this is news: nothing is latched yet."""
         self.stand_still()
@@ -193,12 +215,14 @@ class GateCore:
         """Allow motion in this epoch, if nothing is against it."""
         if refusal := self.refusal(missing, now_ns):
             return refusal
-        if not self.enabled:
-            self.stand_still()
-            self.enabled = True
-            self.enabled_ns = now_ns
-            self.epoch = epoch
-        return Reply(True, "motion enabled")
+        if self.enabled:
+            return Reply(True, ENABLED)
+        self.stand_still()
+        self.enabled = True
+        self.enabled_ns = now_ns
+        self.epoch = epoch
+        held = " and ".join(self.sources.hold(now_ns))
+        return Reply(True, f"motion enabled; {held} must send zero or pause before it can drive" if held else ENABLED)
 
     def disable(self) -> Reply:
         self.stand_still()
@@ -230,8 +254,6 @@ class GateCore:
         reason = self.blocked(now_ns)
         if note := self.scan.note(now_ns, blocks=reason == NO_SCAN):
             self.notes.append(note)
-        if reason == NO_COMMAND and any(self.velocity) and (silent := self.sources.last_driver()):
-            self.notes += self._losses.silent(silent, now_ns)
         driving, fell_back = self.sources.take_over(now_ns)
         before = self.velocity
         if reason or driving is None:

@@ -229,6 +229,10 @@ class Gate:
             self._supervisor_bell.ring()
 
     def _step(self, now_ns: int) -> None:
+        enabled = self.core.enabled
+        self._stop(self.core.driver_silence(now_ns), now_ns)
+        if enabled and not self.core.enabled:
+            self._frames.stop(now_ns)
         if speeds := self.core.step(now_ns):
             frame = self._board.motor_speeds(speeds, self._max_rps)
             self._frames.put(records.MOTION, frame, now_ns, self.core.epoch)

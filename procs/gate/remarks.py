@@ -5,7 +5,6 @@ from __future__ import annotations
 from failstop.messages import records
 from failstop.messages.packing import Note
 from failstop.policy.causes import Reply
-from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.gate.sources import Command
 
 SaidRow = tuple[int, int, str, int, str, str]
@@ -79,6 +78,14 @@ def disabled_by_death(driver: Command) -> Note:
     return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
 
 
+def disabled_by_silence(driver: Command, now_ns: int) -> Note:
+    """A driver has fallen silent and motion is disabled for it: always told, as only an enable allows motion again."""
+    silent_ms = (now_ns - driver.t_ns) / 1e6
+    text = f"motion disabled: {driver.who} stopped sending commands {silent_ms:.0f} ms ago while it drove"
+    fields = {"who": driver.who, "source": driver.source, "reason": text.partition(": ")[2]}
+    return Note("disabled", text, {**fields, "silent_ms": round(silent_ms, 1)})
+
+
 class DriverLosses:
     """Notes of sources that drove and no longer do: the gate commands zero, and nothing is latched. The end of a
     person's driving has a budget of its own, so that it can't hide a program that fails."""
@@ -88,11 +95,10 @@ class DriverLosses:
         self._ended = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
 
     def silent(self, driver: Command, now_ns: int) -> list[Note]:
-        """It has sent nothing for its timeout. Somebody who drives by hand ends a command so, by letting go of a key;
-        not so the gamepad, which says where its sticks are for as long as it can be heard."""
+        """It has sent nothing for its timeout."""
         silent_ms = (now_ns - driver.t_ns) / 1e6
         last = f"last command {silent_ms:.0f} ms ago, so the wheels are told to stop"
-        if driver.manual and driver.source != PAD_SOURCE:
+        if driver.by_hand:
             return self._note("driver_ended", driver, f"let go: {last}", now_ns)
         text = f"fell silent while it drove: {last}"
         return self._note("driver_silent", driver, text, now_ns, silent_ms=round(silent_ms, 1))

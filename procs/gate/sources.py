@@ -3,6 +3,10 @@
 A source is named in the settings, with a priority and a timeout of its own. The highest whose command is fresh drives.
 A higher one takes over at once; a lower one gets the wheels back only after the higher has been silent for its timeout,
 and then from zero along the ramp. The gamepad in its drive mode is a source above all, that no setting or client names.
+
+Enabling motion moves nothing: a source that commands a velocity at that moment is held until it has sent zero, or has
+been silent for its timeout. So a stick that somebody still holds, or a program that never stopped commanding, does not
+drive off by itself, whatever face it comes from.
 """
 
 from __future__ import annotations
@@ -26,6 +30,17 @@ class Command(Data):
     manual: bool = False
     source: str = FIRST_SOURCE
 
+    @property
+    def moves(self) -> bool:
+        """It asks for a velocity other than zero."""
+        return any(self.velocity)
+
+    @property
+    def by_hand(self) -> bool:
+        """A person drives through a program, and ends a command by letting go of a key. The gamepad says where its
+        sticks are for as long as it can be heard, so its silence is a loss."""
+        return self.manual and self.source != PAD_SOURCE
+
 
 class Sources:
     """The last command of each source, and which of them drives."""
@@ -36,6 +51,10 @@ class Sources:
         self._rank = {name: priority for name, (priority, _) in rows.items()}
         self._timeout_ns = {name: timeout_ns for name, (_, timeout_ns) in rows.items()}
         self._commands: dict[str, Command] = {}
+        self._newest: dict[str, Command] = {}
+        """The newest command of each source, enabled or not: a disable does not forget who is pushing a stick."""
+        self._held: dict[str, str] = {}
+        """Who commands as each source that must let go before it counts."""
         self._driver = ""
         self._asked_ns = -1
         self._found: Command | None = None
@@ -62,24 +81,44 @@ class Sources:
     def put(self, command: Command, now_ns: int) -> None:
         """Keep a source's new command; a time stamp from the future counts as now."""
         command.t_ns = min(command.t_ns, now_ns)
-        self._commands[command.source] = command
+        if command.source in self._held:
+            before = self._newest.get(command.source)
+            if not command.moves or before is None or command.t_ns > self.stale_ns(before):
+                del self._held[command.source]
+        self._commands[command.source] = self._newest[command.source] = command
         self._asked_ns = -1
+
+    def hold(self, now_ns: int) -> list[str]:
+        """Motion is being enabled: whoever commands a velocity by now must let go first. Returns who that is."""
+        newest = self._newest.items()
+        moving = {source: it for source, it in newest if it.moves and self.stale_ns(it) > now_ns}
+        self._held = {source: it.who for source, it in moving.items()}
+        self._asked_ns = -1
+        return list(self._held.values())
+
+    def holds(self, now_ns: int) -> bool:
+        """True while somebody commands who must let go first."""
+        return any(self.fresh(source, now_ns) for source in self._held)
 
     def drop(self, session: int) -> None:
         """Forget every command of a session."""
-        self._commands = {source: kept for source, kept in self._commands.items() if kept.session != session}
+        for kept in (self._commands, self._newest):
+            for source in [source for source, command in kept.items() if command.session == session]:
+                del kept[source]
         self._asked_ns = -1
 
     def clear(self) -> None:
         self._commands.clear()
+        self._held.clear()
         self._driver = ""
         self._asked_ns = -1
 
     def driving(self, now_ns: int) -> Command | None:
-        """The command of the highest source that is fresh."""
+        """The command of the highest source that is fresh and not held."""
         if now_ns != self._asked_ns:
             self._asked_ns = now_ns
-            self._found = next(filter(None, (self.fresh(source, now_ns) for source in self._rank)), None)
+            free = (self.fresh(source, now_ns) for source in self._rank if source not in self._held)
+            self._found = next(filter(None, free), None)
         return self._found
 
     def last_driver(self) -> Command | None:
@@ -94,10 +133,14 @@ class Sources:
         return command, fell_back
 
     def table(self, now_ns: int) -> list[dict[str, str | int]]:
-        """The source that drives and those that wait, highest first, for people."""
+        """Each source with a command that counts or is held, and the last driver if it fell silent while the wheels
+        turned; highest first, for people."""
         driving = self.driving(now_ns)
-        return [
-            {"source": name, "priority": rank, "who": fresh.who, "state": "drives" if fresh is driving else "waits"}
-            for name, rank in self._rank.items()
-            if (fresh := self.fresh(name, now_ns))
-        ]
+        rows: list[dict[str, str | int]] = []
+        for name, rank in self._rank.items():
+            if fresh := self.fresh(name, now_ns):
+                state = "held" if name in self._held else "drives" if fresh is driving else "waits"
+                rows.append({"source": name, "priority": rank, "who": fresh.who, "state": state})
+            elif name == self._driver and (last := self._commands.get(name)) and last.moves and not last.by_hand:
+                rows.append({"source": name, "priority": rank, "who": last.who, "state": "silent"})
+        return rows

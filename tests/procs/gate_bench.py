@@ -27,6 +27,7 @@ class Gate:
     def step(self, elapsed_ns: int = TICK) -> tuple[float, ...] | None:
         self.now += elapsed_ns
         self.core.check_interlocks(self.now)
+        self.silence = self.core.driver_silence(self.now)
         return self.core.step(self.now)
 
     def tick(self, elapsed_ns: int = TICK) -> float:

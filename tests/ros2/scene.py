@@ -325,8 +325,8 @@ class BridgeTrial:
     def driving(self, **words: Any) -> Node:
         """The driver of wheels that turn; the board's past is forgotten."""
         self.scan()
-        driver = self.drive(**words)
         self.enable()
+        driver = self.drive(**words)
         self.moving()
         self.trial.board.events()
         return driver

@@ -147,7 +147,7 @@ class Pilot:
             if against := self._against(state):
                 self.note, moving = against, []
                 self.hold.let_go()
-            elif self.note[1] in (WARN, FAIL) and state.blocked in (None, box.NO_COMMAND):
+            elif self.note[1] in (WARN, FAIL) and state.blocked in (None, box.NO_COMMAND, box.HELD):
                 self.note = ("", PLAIN)
         self._send(self.hold.pressed(moving, now_s), now_s)
 

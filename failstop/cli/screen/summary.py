@@ -89,7 +89,7 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
     for source in state.sources:
         drives = source.state == "drives"
         text = f"{source.who} as {source.source}, priority {source.priority}"
-        rows.append(row("driver" if drives else "waits", text, OK if drives and state.moving else PLAIN))
+        rows.append(row("driver" if drives else source.state, text, OK if drives and state.moving else PLAIN))
     if not rows:
         rows.append(row("driver", "nobody commands"))
         if left_off and state.block is Block.NO_COMMAND:
