@@ -24,6 +24,7 @@ def rows(trial: Trial, said: Callable[[str, str], None]) -> Iterator[Row]:
         found = rest.enter_context(bridge(trial.name))
         _connected(trial)
         rest.enter_context(publisher("lidar", "scan"))
+        trial.enable()
         with publisher("nav", "0.2") as driver:
             _moving(trial)
             said("node /nav publishes cmd_vel", f"wheels {trial.board.wheels()[0]:+.2f} rps")
@@ -32,6 +33,7 @@ def rows(trial: Trial, said: Callable[[str, str], None]) -> Iterator[Row]:
             driver.end()
             row = _judged(trial, told_ns)
         yield "cmd_vel node ends", row, 600.0
+        trial.enable()
         with publisher("nav", "0.2"):
             _moving(trial)
             trial.board.events()
@@ -40,6 +42,7 @@ def rows(trial: Trial, said: Callable[[str, str], None]) -> Iterator[Row]:
                 said("node /joystick does too", trial.robot.state.estop or "nothing is latched")
         yield "a second one joins", row, SEEN_S * 1000
         wait_for("both to leave", lambda: _sees(trial, "nobody publishes cmd_vel"), SEEN_S)
+        trial.enable()
         with publisher("nav", "0.2"):
             _moving(trial)
             trial.board.events()
@@ -60,7 +63,6 @@ def _connected(trial: Trial) -> None:
 
 def _moving(trial: Trial) -> None:
     wait_for("the node to be seen", lambda: _sees(trial, "cmd_vel: /nav; scan: /lidar"), SEEN_S)
-    trial.enable()
     wait_for("the wheels to turn", trial.turning, SEEN_S)
     time.sleep(MOVED_S)
 

@@ -51,8 +51,6 @@ class Sources:
         self._rank = {name: priority for name, (priority, _) in rows.items()}
         self._timeout_ns = {name: timeout_ns for name, (_, timeout_ns) in rows.items()}
         self._commands: dict[str, Command] = {}
-        self._newest: dict[str, Command] = {}
-        """The newest command of each source, enabled or not: a disable does not forget who is pushing a stick."""
         self._held: dict[str, str] = {}
         """Who commands as each source that must let go before it counts."""
         self._driver = ""
@@ -82,17 +80,16 @@ class Sources:
         """Keep a source's new command; a time stamp from the future counts as now."""
         command.t_ns = min(command.t_ns, now_ns)
         if command.source in self._held:
-            before = self._newest.get(command.source)
-            if not command.moves or before is None or command.t_ns > self.stale_ns(before):
+            before = self._commands.get(command.source)
+            if not command.moves or before is None or command.t_ns >= self.stale_ns(before):
                 del self._held[command.source]
-        self._commands[command.source] = self._newest[command.source] = command
+        self._commands[command.source] = command
         self._asked_ns = -1
 
     def hold(self, now_ns: int) -> list[str]:
         """Motion is being enabled: whoever commands a velocity by now must let go first. Returns who that is."""
-        newest = self._newest.items()
-        moving = {source: it for source, it in newest if it.moves and self.stale_ns(it) > now_ns}
-        self._held = {source: it.who for source, it in moving.items()}
+        fresh = {source: command for source in self._rank if (command := self.fresh(source, now_ns))}
+        self._held = {source: command.who for source, command in fresh.items() if command.moves}
         self._asked_ns = -1
         return list(self._held.values())
 
@@ -102,13 +99,11 @@ class Sources:
 
     def drop(self, session: int) -> None:
         """Forget every command of a session."""
-        for kept in (self._commands, self._newest):
-            for source in [source for source, command in kept.items() if command.session == session]:
-                del kept[source]
+        self._commands = {source: kept for source, kept in self._commands.items() if kept.session != session}
         self._asked_ns = -1
 
     def clear(self) -> None:
-        self._commands.clear()
+        """Motion is disabled: nobody drives. Who commands on is remembered for the next enable."""
         self._held.clear()
         self._driver = ""
         self._asked_ns = -1

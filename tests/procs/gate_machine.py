@@ -61,6 +61,7 @@ class GateMachine(RuleBasedStateMachine):
         self.latched_in = 0
         self.commands: dict[str, tuple[int, int, tuple[float, float, float], bool]] = {}
         self.driver = ""
+        self.held: set[str] = set()
         self.drivers: set[int] = set()
         self.scan_ns: int | None = None
         self.arm_ns: int | None = None
@@ -73,7 +74,7 @@ class GateMachine(RuleBasedStateMachine):
 
     def highest(self) -> str:
         """The source that drives, or an empty text."""
-        return next((source for source in SOURCES if self.counts(source)), "")
+        return next((source for source in SOURCES if self.counts(source) and source not in self.held), "")
 
     def sees(self) -> bool:
         return self.scan_ns is not None and self.now - self.scan_ns <= SCAN_NS
@@ -88,12 +89,12 @@ class GateMachine(RuleBasedStateMachine):
             return "disabled"
         source = self.highest()
         if not source:
-            return "cmd timeout"
+            return "let go first" if any(map(self.counts, self.held)) else "cmd timeout"
         return "" if self.commands[source][3] or self.sees() else "no scan"
 
     def stand(self) -> None:
         self.enabled = False
-        self.commands = {}
+        self.held = set()
         self.driver = ""
 
     def fall(self, cause: Cause) -> None:
@@ -166,7 +167,11 @@ class GateMachine(RuleBasedStateMachine):
         if fault:
             self.halt(fault)
         else:
-            self.commands[source] = (session, min(self.now, self.now - age_ns), velocity, manual)
+            t_ns = min(self.now, self.now - age_ns)
+            paused = source not in self.commands or t_ns - self.commands[source][1] > SOURCES[source][1]
+            if not any(velocity) or paused:
+                self.held.discard(source)
+            self.commands[source] = (session, t_ns, velocity, manual)
             self.drivers.add(session)
             self.move()
 
@@ -213,6 +218,8 @@ class GateMachine(RuleBasedStateMachine):
         if done and not self.enabled:
             self.stand()
             self.enabled = True
+            self.held = {source for source in SOURCES if self.counts(source) and any(self.commands[source][2])}
+            assert ("must send zero or pause" in text) is bool(self.held)
             assert self.core.epoch == self.epoch
 
     @rule()

@@ -18,15 +18,19 @@ from .gate_machine import GateMachine
 TIMEOUT = 300 * MS
 SCAN = 500 * MS
 FORWARD = (0.2, 0.0, 0.0)
+REST = (0.0, 0.0, 0.0)
 test_any_sequence_keeps_the_rules = pytest.mark.slow(GateMachine.TestCase)
 
 
 def test_an_enable_takes_its_epoch_and_no_command_of_before(gate: Gate) -> None:
     gate.take(FORWARD)
     assert told(gate.core.enable(1, "the port", gate.now)) == (False, "not ready: the port")
-    gate.enable(epoch=7)
-    gate.step()
+    held = "motion enabled; client 1 must send zero or pause before it can drive"
+    assert told(gate.core.enable(7, "", gate.now)) == (True, held)
+    gate.drive(FORWARD, 40)
     assert stands(gate)
+    assert gate.blocked == "let go first"
+    gate.drive(REST, 1)
     gate.drive(FORWARD, 40)
     assert told(gate.core.enable(9, "", gate.now)) == (True, "motion enabled")
     assert (gate.core.epoch, gate.core.velocity) == (7, FORWARD)
@@ -168,8 +172,9 @@ def test_the_deadman_cannot_be_switched_off(value: object) -> None:
 def test_the_gate_wakes_for_a_command_s_end_and_only_while_something_drives() -> None:
     for changed, timeout in (({}, TIMEOUT), ({"gate__command_timeout_s": 0.5}, 500 * MS)):
         gate = Gate(**changed)
-        assert gate.command(0.1) == ""
+        assert gate.command(0.0) == ""
         assert gate.core.due_ns(gate.now) is None, "disabled"
+        gate.gone(parted=True)
         gate.enable()
         assert gate.core.due_ns(gate.now) is None, "no command"
         assert gate.command(0.1) == ""

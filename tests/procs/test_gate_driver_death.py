@@ -54,7 +54,7 @@ def test_a_death_disables_motion_however_long_ago_its_driver_commanded(silent_ns
 def test_a_driver_is_who_has_commanded_as_a_source_before_motion_was_enabled_too() -> None:
     for dies in (1, 2):
         dying = Gate(sources__teleop__priority=10)
-        dying.take(VELOCITY)
+        dying.take(REST)
         dying.enable()
         dying.take(REST, 2, manual=True, source="teleop")
         dying.step()

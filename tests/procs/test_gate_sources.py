@@ -9,8 +9,8 @@ from failstop.policy import kinematics
 from failstop.policy.settings import PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import AHEAD_NS
 from failstop.procs.gate.core import REST, GateCore
-from failstop.procs.gate.sources import PAD_PRIORITY, Command
-from tests.support.why import told
+from failstop.procs.gate.sources import PAD_PRIORITY, PAD_SESSION, Command
+from tests.support.why import told, why
 
 from .gate_bench import MS, NO_SPEEDS, T0, TICK, Gate
 
@@ -198,3 +198,117 @@ def test_a_layout_without_a_sideways_axis_stands_sideways() -> None:
         core.take(Command(1, "one", T0 + tick * TICK, (0.1, 0.2, 0.0)), T0 + tick * TICK)
         core.step(T0 + tick * TICK)
     assert core.velocity == pytest.approx((0.1, 0.0, 0.0))
+
+
+# What somebody commands while motion is being enabled.
+
+
+def holding(**changed: object) -> Gate:
+    """An enabled gate whose client 1 commanded before the enable, and goes on."""
+    gate = Gate(**changed)
+    gate.command(0.1)
+    assert gate.core.enable(1, "", gate.now).done
+    for _ in range(30):
+        gate.command(0.1)
+        gate.tick()
+    assert (gate.blocked, gate.core.velocity) == ("let go first", REST)
+    return gate
+
+
+def test_whoever_commands_at_an_enable_drives_after_a_zero() -> None:
+    gate = holding()
+    gate.command(0.0)
+    gate.tick()
+    assert gate.blocked == ""
+    gate.command(0.1)
+    assert gate.tick() > 0.0
+
+
+@pytest.mark.parametrize(("paused_ns", "drives"), [(300 * MS, False), (301 * MS, True)])
+def test_or_after_a_pause_of_its_timeout(paused_ns: int, drives: bool) -> None:
+    gate = holding()
+    gate.now += paused_ns - TICK
+    gate.command(0.1)
+    assert (gate.tick() > 0.0) is drives
+
+
+@pytest.mark.parametrize("again", ["disable", "stop"])
+def test_a_stick_that_is_held_over_a_disable_or_a_stop_moves_nothing_at_the_next_enable(again: str) -> None:
+    gate = Gate()
+    gate.enable()
+    gate.drive((0.1, 0.0, 0.0), 5)
+    if again == "disable":
+        gate.core.disable()
+    else:
+        gate.core.stop(why("key1"), 1)
+        gate.core.follow(None, 2)
+    assert told(gate.core.enable(2, "", gate.now))[0]
+    for _ in range(100):
+        gate.command(0.1)
+        assert gate.tick() == 0.0
+
+
+def test_a_lower_source_drives_while_a_higher_one_is_held() -> None:
+    gate = Gate(**WITH_TELEOP)
+    gate.command(0.1, "teleop", 2)
+    assert gate.core.enable(1, "", gate.now).done
+    gate.command(0.1, "teleop", 2)
+    gate.command(0.2)
+    assert gate.tick() > 0.0
+    states = {row["source"]: row["state"] for row in gate.core.sources.table(gate.now)}
+    assert states == {"teleop": "held", "cmd_vel": "drives"}
+
+
+def test_the_gamepad_is_held_too_until_its_stick_is_let_go() -> None:
+    gate = Gate()
+
+    def pad(vx: float) -> float:
+        velocity = (vx, 0.0, 0.0)
+        gate.core.take(Command(PAD_SESSION, PAD_SOURCE, gate.now, velocity, manual=True, source=PAD_SOURCE), gate.now)
+        return gate.tick()
+
+    pad(0.1)
+    assert gate.core.enable(1, "", gate.now).done
+    assert pad(0.1) == 0.0
+    pad(0.0)
+    assert pad(0.1) > 0.0
+
+
+def test_a_program_that_was_started_after_the_enable_drives_at_once() -> None:
+    gate = holding()
+    gate.gone(1, parted=True)
+    gate.command(0.1, session=2)
+    assert gate.tick() > 0.0
+
+
+# A driver that stops sending while it drives.
+
+
+@pytest.mark.parametrize(
+    ("answer", "blocked"), [("wait", "cmd timeout"), ("disable", "disabled"), ("latch", "cmd timeout")]
+)
+def test_what_a_driver_s_silence_does_is_a_setting(answer: str, blocked: str) -> None:
+    gate = Gate(gate__driver_silence=answer)
+    gate.enable()
+    gate.drive((0.1, 0.0, 0.0), 5)
+    gate.core.notes.clear()
+    gate.tick(301 * MS)
+    assert gate.core.velocity == REST
+    assert gate.blocked == blocked
+    if answer == "latch":
+        assert str(gate.silence) == "driver silent: client 1, 321 ms"
+    else:
+        assert gate.silence is None
+        assert [note.fields["who"] for note in gate.core.notes] == ["client 1"]
+        gate.command(0.1)
+        assert (gate.tick() > 0.0) is (answer == "wait")
+
+
+@pytest.mark.parametrize("answer", ["disable", "latch"])
+def test_a_person_who_lets_go_of_a_key_is_no_silent_driver(answer: str) -> None:
+    gate = Gate(gate__driver_silence=answer)
+    gate.enable()
+    gate.command(0.1, manual=True)
+    gate.tick()
+    gate.tick(301 * MS)
+    assert (gate.silence, gate.blocked) == (None, "cmd timeout")

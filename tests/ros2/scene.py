@@ -347,6 +347,7 @@ class BridgeTrial:
         wait_for("a reset to be taken", self.trial.reset)
         self.trial.robot.disable()
         self.state(lambda state: state["blocked"] == "disabled")
+        wait_for("the last command to be too old", lambda: not self.trial.robot.state.sources)
 
     def leave(self, node: Node) -> None:
         self.nodes.remove(node)

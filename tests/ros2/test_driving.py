@@ -121,8 +121,8 @@ def test_who_looks_late_sees_the_emergency_stop(scene: BridgeTrial) -> None:
 
 
 def test_without_a_scan_nothing_moves_and_the_log_says_so(scene: BridgeTrial) -> None:
-    scene.drive()
     scene.enable()
+    scene.drive()
     state = scene.state(lambda state: state["blocked"] == "no scan")
     assert state["wrong"] == "nobody publishes scan: start the lidar's node, or remap its topic"
     wait_for("the line", lambda: "wheels held: no LiDAR scan for " in scene.bridge.said())

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop import Robot
+from failstop import Block, Robot
 from failstop.lab.trial import wait_for
 from failstop.messages.layout import CLIENT_SLOTS
 from tests.ros2.scene import BOOL, DEADLINE_S, FORWARD, NODE, TWIST, Bridge, BridgeTrial, Node, Ros, new_name
@@ -27,7 +27,7 @@ def stopped(scene: BridgeTrial, since_ns: int) -> None:
 
 
 def test_a_killed_bridge_stops_the_wheels_at_once_and_leaves_nothing(scene: BridgeTrial) -> None:
-    scene.driving()
+    driver = scene.driving()
     with open(f"/proc/{scene.bridge.process.pid}/maps", encoding="utf-8") as file:
         assert "/dev/shm/fastrtps" not in file.read()
     with open(f"/proc/{scene.bridge.process.pid}/limits", encoding="utf-8") as file:
@@ -49,6 +49,10 @@ def test_a_killed_bridge_stops_the_wheels_at_once_and_leaves_nothing(scene: Brid
         wait_for("it to command", lambda: robot.state.sources != ())
         assert not [event for event in scene.trial.board.events() if event.is_motion]
         scene.enable()
+        wait_for("it to be held", lambda: robot.state.block is Block.HELD)
+        driver.ask("rest", topic="cmd_vel")
+        wait_for("its last command to be too old", lambda: not robot.state.sources)
+        driver.ask("repeat", topic="cmd_vel", fields=FORWARD, hz=20.0)
         scene.moving()
 
 

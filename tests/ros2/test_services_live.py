@@ -84,8 +84,8 @@ def test_frames_are_the_bridges_own_parameters(scene: BridgeTrial) -> None:
 def test_who_is_on_the_list_of_publishers_drives_and_a_stranger_latches(scene: BridgeTrial) -> None:
     scene.scan()
     for who in ("nav", "teleop"):
-        driver = scene.drive(who)
         scene.enable()
+        driver = scene.drive(who)
         scene.moving()
         scene.trial.robot.disable()
         scene.standing()
