@@ -62,6 +62,7 @@ NO_FAULT = {
     *(causes.BAD_FRAME, causes.DEFECT, causes.UNKNOWN),  # a defect of the service's own
     causes.BATTERY,  # only where a setting asks for it
     causes.DRIVER_DIED,  # only where a setting asks for it (tests/procs/test_gate_driver_death.py)
+    causes.DRIVER_SILENT,  # only where a setting asks for it (tests/procs/test_gate_sources.py)
     causes.OPERATOR_GONE,  # only where a setting asks for one (tests/procs/test_gate_attendance.py, tests/web)
     causes.UNSTILL,  # comes after the stop of another row
     causes.FLEET,  # as PIPED, by a publisher (tests/fleet/test_publish.py)
