@@ -43,7 +43,7 @@ HAZARDS = (
     Hazard(
         "H-HANGS", SOFTWARE, "The robot drives on when a program hangs",
         "an endless loop, a lock, a debugger, a machine that swaps", "stops when the deadline of the process is over",
-        "the way until the deadline; a program that wakes up and commands again drives on, unless gate.driver_silence says otherwise",
+        "the way until the deadline; a program that wakes up drives on (but for gate.driver_silence)",
         "lower limits; shorter timeouts",
         ("HANG-1", "CLIENT-1", "SEVERAL-1"),
     ),
