@@ -217,6 +217,7 @@ class Trial:
         if is_described(kind):
             self.service.ready_s += wire_of(kind).port.deaf_ns / 1e9
         self._robot: Robot | None = None
+        self._drove = False
         self.fault_s = 0.0
         self._running_again_s: float | None = None
 
@@ -257,6 +258,10 @@ class Trial:
         """Reset what is latched, as soon as its stop has been carried out, and enable motion."""
         if self.robot.state.estop:
             wait_for("a reset to be taken", self.reset)
+        if self._drove:  # else the enable would hold what this client commanded just now
+            with contextlib.suppress(FailstopError):
+                self.robot.drive(0.0, 0.0, 0.0)
+            self._drove = False
         self.robot.enable()
 
     def reset(self) -> bool:
@@ -273,6 +278,7 @@ class Trial:
         each: Callable[[], None] = lambda: None,
     ) -> None:
         """Command a velocity every 20 ms, calling `each` every time; a service that is gone is commanded in vain."""
+        self._drove = True
         until_s = time.monotonic() + seconds
         while (left_s := until_s - time.monotonic()) > 0:
             with contextlib.suppress(FailstopError):

@@ -54,6 +54,9 @@ def test_however_a_driver_dies_nothing_drives_before_an_enable(
     for told in (str(again.why()), simulated.printed("status"), simulated.printed("why"), simulated.printed("events")):
         assert whose in " ".join(told.split())
     again.enable()
+    held = again.drive(0.1, 0.0, 0.0, manual=True)
+    assert held.block is simulated.failstop.Block.HELD, "it has commanded all the time"
+    again.drive(0.0, 0.0, 0.0, manual=True)
     again.drive(0.1, 0.0, 0.0, manual=True)
     simulated.board.wait_wheels(turning=True)
 

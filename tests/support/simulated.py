@@ -7,6 +7,7 @@ constants and pure functions.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -136,6 +137,7 @@ class Simulated:
         self.board = Board(self.lab, self.wait_for)
         self.board.deaf(deaf)
         self._robot: Any = None
+        self._drove = False
         self.start()
 
     def _told(self, _kind: str, _process: Process, what: object) -> None:
@@ -279,7 +281,15 @@ class Simulated:
         """Reset what is latched, as soon as its stop has been carried out, and enable motion."""
         if self.robot.state.estop:
             self.wait_for("a reset to be taken", self.reset)
+        self.let_go()
         self.robot.enable()
+
+    def let_go(self) -> None:
+        """Command zero if this program commanded a velocity just now: else the next enable would hold it."""
+        if self._drove:
+            with contextlib.suppress(self.failstop.FailstopError):
+                self.robot.drive(0.0, 0.0, 0.0)
+            self._drove = False
 
     def reset(self) -> bool:
         """True once a reset was taken: one that a stop has come before is refused."""
@@ -293,6 +303,7 @@ class Simulated:
         self, seconds: float, velocity: tuple[float, float, float] = FORWARD, each: Callable[[], object] = lambda: None
     ) -> None:
         """Command a velocity every 20 ms, calling `each` every time; a service that is gone is commanded in vain."""
+        self._drove = True
         until_ns = self.now_ns() + round(seconds * 1e9)
         while self.now_ns() < until_ns:
             try:

@@ -83,7 +83,10 @@ class Driver:
 
     def enable(self) -> None:
         """Reset what is latched and enable motion, as soon as the interlock has been seen. Raises TrialError."""
-        self.commands = self.senses = self.holds = True
+        self.commands = False
+        self.senses = self.holds = True
+        with contextlib.suppress(FailstopError):
+            self.robot.drive(0.0, 0.0, 0.0)  # else the enable would hold what it commanded just now
         refusal = ""
 
         def hold(_: str = "") -> None:
@@ -109,3 +112,4 @@ class Driver:
             self.until("motion to be enabled", enabled)
         except TrialError as error:
             raise TrialError(f"{error}: {refusal or 'no answer'}") from None
+        self.commands = True

@@ -47,7 +47,7 @@ CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("cause removed", ("ASK-2",)),
     ("cause device_lost", ("PORT-1",)),
     ("cause (stuck|deaf|restarted)", ("BOARD-1",)),
-    ("cause (not_finite|two_publishers|driver_died)", ("CLIENT-1",)),
+    ("cause (not_finite|two_publishers|driver_died|driver_silent)", ("CLIENT-1",)),
     ("cause (key|requested|piped)", ("ASK-1",)),
     ("cause stopping", ("END-1",)),
     ("admission write", ("MOVE-1", "RETURN-1")),

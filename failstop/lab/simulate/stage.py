@@ -124,6 +124,7 @@ class Stage:
         robot.wait_for("ready", self.ready_s)
         if robot.state.cause is not None:
             robot.reset()
+        robot.drive(0.0, 0.0, 0.0)  # else the enable would hold what it commanded just now
         self.witness.asks_for_motion()
         robot.enable()
         self.witness.is_granted()
