@@ -59,6 +59,14 @@ def test_the_hoverboard_s_receiver_takes_timed_stops_when_its_firmware_did() -> 
         assert [[at_ns, *speeds] for at_ns, speeds in board.commands] == taken
 
 
+def test_the_ugv_s_receiver_takes_from_lines_that_lost_bytes_what_arduinojson_did() -> None:
+    """A case: a motion line, and the speeds that it set; null where they stayed as they were."""
+    for line, taken in cases("ugv_losses"):
+        board = Ugv()
+        board.take(line.encode() + b"\n")
+        assert list(board.wheels) == (taken or [0.0, 0.0]), line
+
+
 def test_the_arduino_s_receiver_does_what_its_firmware_did() -> None:
     """A case: bytes in hex, each piece after so many ns; then speeds, whether it moves, and all answers."""
     board = Arduino(byte_ns := 187_000)

@@ -4,6 +4,7 @@ readings, and the boards' own watchdogs."""
 from __future__ import annotations
 
 import random
+from itertools import combinations_with_replacement
 from math import inf, nan, pi
 from struct import Struct
 from typing import Any
@@ -36,8 +37,8 @@ def test_frames_are_the_ones_that_the_firmware_s_own_algorithm_makes() -> None:
     assert bytes.fromhex("cdab00000000cdab") == hoverboard.STOP
     assert hoverboard.seal(0, 100) == bytes.fromhex("cdab00006400a9ab")
     assert hoverboard.seal(-50, 200) == bytes.fromhex("cdabceffc800cb54")
-    assert arduino.MOTION.frame((100, -7), 999) == b"m +100 -7\r"
-    assert ugv.MOTION.frame((0.2, -0.29), 2.0) == b'{"T":1,"L":0.200,"R":-0.290}\n'
+    assert arduino.MOTION.frame((100, -7), 999) == b"m +100, -7\r"
+    assert ugv.MOTION.frame((0.2, -0.29), 2.0) == b'{"T":1,"L":20000e-5,"R":-29000e-5}\n'
     assert ugv.watchdog(500 * MS) == b'\n{"T":136,"cmd":500}\n'
 
 
@@ -101,6 +102,30 @@ def test_what_the_check_lets_through_moves_no_wheel_beyond_the_limit(kind: str) 
         passed += 1
         assert all(abs(speed) <= limit for speeds in obeyed_of(kind, rng, bytes(frame)) for speed in speeds)
     assert passed > 5
+
+
+LOSSES = {"arduino": (1, 2, 7, 12, 99, 100, 304, 999), "ugv": (0.001, 0.002, 0.009, 0.017, 0.1, 0.171, 0.2, 1.999, 2.0)}
+"""Speeds whose lines lose bytes, in each board's unit: few digits fuse with their neighbours into the largest."""
+INTO_THE_NEXT = 6
+"""So many bytes of the line behind it may be lost too: digits of both could meet."""
+
+
+@pytest.mark.parametrize("kind", LOSSES)
+def test_two_lost_bytes_never_make_a_larger_speed(kind: str) -> None:
+    """Lines have no check, so their form has to do: any one or two bytes, where another line follows."""
+    motion = wire_of(kind).motion
+    faster = tried = 0
+    for speed in LOSSES[kind]:
+        for speeds in ((speed, speed), (-speed, speed), (speed, -speed), (speed, 0.0)):
+            line = motion.frame(speeds, motion.limit)
+            for lost in combinations_with_replacement(range(len(line) + INTO_THE_NEXT), 2):
+                receiver = model_of(kind).live()
+                left = bytes(value for at, value in enumerate(line + line) if at not in lost)
+                play(receiver, arrivals([(0, left)], wire_of(kind).port.byte_ns), 30 * MS)
+                faster += any(abs(wheel) > speed for _, each in receiver.commands for wheel in each)
+                tried += 1
+    assert faster == 0
+    assert tried > 4_000
 
 
 @pytest.mark.parametrize("kind", [kind for kind in EVERY_KIND if wire_of(kind).watchdog.acts_ns])

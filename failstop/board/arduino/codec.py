@@ -4,9 +4,12 @@ Firmware source, joshnewans 210a122 and hbrobotics a960c8a. There is no check in
 
 - The stop begins with a CR. It ends whatever was cut before; without it the stop would be taken for digits of the cut
   line, which is then executed.
-- Both speeds carry their sign. The firmware's atoi ends at the next sign, so two glued lines never fuse their digits
-  into a larger speed.
+- Both speeds carry their sign, and a comma ends the first one. The firmware's atoi ends at either, so neither two glued
+  lines nor two speeds whose space was lost fuse their digits into a larger speed. Three bytes must be lost for that. Not
+  any character would do: the one before a lost space becomes the command, and letters are commands.
 - Speeds have three digits at most: a cut line with a whole one behind it fits the firmware's 16 bytes an argument.
+
+A lost digit makes a wheel slower. A lost minus turns it the other way round, as fast: no form of this line prevents it.
 """
 
 from __future__ import annotations
@@ -27,14 +30,14 @@ PERIODS = 30
 COUNTS = 3436
 """Encoder counts of a wheel's turn, as diffdrive_arduino has them by default."""
 
-_LINE = re.compile(rb"m ([+-]\d{1,3}) ([+-]\d{1,3})\r")
+_LINE = re.compile(rb"m ([+-]\d{1,3}), ([+-]\d{1,3})\r")
 _COUNTS = re.compile(r"(-?\d{1,10}) (-?\d{1,10})")
 LONGEST_ANSWER = 32
 """Bytes: two counts of 11 characters, and more."""
 
 
 def _written(left: float, right: float) -> bytes:
-    return f"m {int(left):+d} {int(right):+d}\r".encode()
+    return f"m {int(left):+d}, {int(right):+d}\r".encode()
 
 
 MOTION = MotionLine(_LINE, _written, LIMIT, "ticks")

@@ -3,6 +3,10 @@
 The stop begins with a line feed, which ends whatever was cut before: a cut line is no JSON and is ignored. Braces are
 never left out or emptied: `{}`, `null` or the tail of a line stop the wheels and switch an arm's torque off. Motion is
 T:1 alone: T:13, which the vendor's ROS 2 driver sends, does not feed the board's watchdog.
+
+A line has no check, so a speed is written such that a byte lost on the cable can't make it larger: 0.171 m/s is
+`17100e-5`. A lost digit makes it smaller; without all of its exponent it is more than 2, which the board ignores. In
+0.171 a lost point would make 171 of it, and in 1e-3 a lost 3 makes 1, which ArduinoJson takes.
 """
 
 from __future__ import annotations
@@ -33,17 +37,21 @@ LONGEST_LINE = 1024
 
 _BOOT = re.compile(rb"rst:0x[0-9a-f]+ \(")
 """In the line that the ESP32's ROM prints at every reset, at the same speed: rst:0xf (BROWNOUT_RST),boot:0x13 (...)."""
-_LINE = re.compile(rb'\{"T":1,"L":(-?\d\.\d{3}),"R":(-?\d\.\d{3})\}\n')
+_SPEED = rb"(0|-?[1-9]\d{0,3}00e-5)"
+_LINE = re.compile(rb'\{"T":1,"L":%b,"R":%b\}\n' % (_SPEED, _SPEED))
 _ACCEL = 9.80665 / 8192
 """m/s^2 a unit: the IMU's range is 4 g."""
 _GYRO = pi / 180 / 16.4
 """rad/s a unit: the IMU's range is 2000 degrees a second."""
 
 
+def _speed(speed: float) -> str:
+    thousandths = int(round(speed / STEP, 6))  # 0.29 is 289.99999999999994 thousandths by floats
+    return f"{thousandths}00e-5" if thousandths else "0"
+
+
 def _written(left: float, right: float) -> bytes:
-    # 0.29 is 289.99999999999994 thousandths by floats; adding 0.0 makes minus zero zero.
-    left, right = (int(round(speed / STEP, 6)) / 1000 + 0.0 for speed in (left, right))
-    return f'{{"T":1,"L":{left:.3f},"R":{right:.3f}}}\n'.encode()
+    return f'{{"T":1,"L":{_speed(left)},"R":{_speed(right)}}}\n'.encode()
 
 
 MOTION = MotionLine(_LINE, _written, LIMIT, "m/s")
