@@ -4,7 +4,9 @@ After a cause the burst is repeated at the board's times, in case it lost the fi
 out at 5 Hz, so that a board that restarts or wakes hears a stop soon.
 
 Pings ask the board whether it hears, right after each stop and else with a period. It handles frames in order, so the
-answer to a ping that was written after a stop proves that its receiver was in step when the stop had passed it.
+answer to a ping that was written after a stop proves that its receiver was in step when the stop had passed it. An
+answer says which ping it may belong to, not which time that was asked, so pings follow each other in no regular order:
+after a loss it is soon seen how many were lost (board/handled.py).
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ REPEAT = 1
 REFRESH = 2
 ZERO_EVERY_NS = 200_000_000
 PING_GAP_NS = 50_000_000
-"""Two pings are at least this far apart: one of the four indices is used again when its answer is long due."""
+"""Two pings are at least this far apart."""
 
 QUICK = 10
 """After the start so many pings follow each other at once: telemetry, which hears the answers, takes some tenths of a
@@ -69,6 +71,8 @@ class Pings:
         self._quick = quick
         self._due = due
         self._due.set(now_ns)
+        self._mixed = now_ns | 1
+        self._before = -1
         self.index = 0
 
     def stopped(self, now_ns: int) -> None:
@@ -84,7 +88,16 @@ class Pings:
         self._sent_ns = now_ns
         self._due.set(now_ns + (PING_GAP_NS if self._quick else self._period_ns))
         self._quick = max(0, self._quick - 1)
-        self.index = (self.index + 1) % self._count
+        self._before, self.index = self.index, self._drawn()
+
+    def _drawn(self) -> int:
+        """Any index, but none for the third time: each question is asked at least as often as the other one."""
+        mixed = self._mixed  # Marsaglia's xorshift: `random` would cost memory
+        mixed ^= mixed << 13 & 0xFFFFFFFFFFFFFFFF
+        mixed ^= mixed >> 7
+        self._mixed = mixed ^ mixed << 17 & 0xFFFFFFFFFFFFFFFF
+        index = (self._mixed >> 32) % self._count
+        return (index + 1) % self._count if index == self.index == self._before else index
 
     def wait(self, until_ns: int) -> None:
         """Put the next ping off until then, as nobody would hear one before."""

@@ -46,9 +46,9 @@ class Monitor:
         port_owner, telemetry = run.views[layout.PORT_OWNER], run.views[layout.TELEMETRY]
         self._record = run.own.latest_writer("stop")
         self._link_record = run.own.latest_writer("link")
-        self._pings = [port_owner.word(f"ping_{index}") for index in range(layout.PINGS)]
-        self._pong = telemetry.word("pong")
+        self._asked = port_owner.word("asked_ns")
         self._obeyed, self._echo_ns = telemetry.word("obeyed_ns"), board.echo_ns
+        self._answered, self._proved = telemetry.latest_reader("answered"), telemetry.latest_reader("proved")
         self._by = board.acknowledged_by, observer(board.observed_by, imu=run.settings.on("board.imu"))
         self._still = telemetry.word("still_ns")
         self._judged = telemetry.word("judged_ns")
@@ -59,7 +59,7 @@ class Monitor:
         self._command_pids: list[int] = []
         """Those that have not ended, the newest last."""
         self._command_ran = False
-        self._seen_pong = self._seen_obeyed = 0
+        self._seen_answer = self._seen_proof = 0
         self.heard = (0, 0)
         self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(board.pings))
         self._published = ""
@@ -140,7 +140,7 @@ class Monitor:
         if self._last and self.link.believed and not self._last.believed:
             self._last.believed = True
             self._publish(self._last)
-        newest_ns = max(word.get() for word in self._pings)
+        newest_ns = self._asked.get()
         if not listening:
             self.link.listen(newest_ns)
         elif self.link.silent(newest_ns, now_ns):
@@ -172,22 +172,17 @@ class Monitor:
             self._publish(last)
 
     def _take_answer(self) -> None:
-        obeyed_ns = self._obeyed.get()
-        if obeyed_ns != self._seen_obeyed:
-            self._seen_obeyed = obeyed_ns
+        """Take what telemetry has found out: up to which write the board has handled everything (board/handled.py). A
+        report of zeros shows who is at the port, and no more."""
+        if obeyed_ns := self._obeyed.get():
             self.link.obeyed(obeyed_ns - self._echo_ns)
-            self._acknowledge(obeyed_ns - self._echo_ns, obeyed_ns)
-        word = self._pong.get()
-        if word == self._seen_pong:
-            return
-        self._seen_pong = word
-        arrival_ns, index = records.unpack_pong(word)
-        sent_ns = self._pings[index].get()
-        if not sent_ns or sent_ns > arrival_ns:
-            return  # an answer to a question that nobody has asked, or that was asked again meanwhile
-        self.link.answered(sent_ns)
-        if not self._echo_ns:  # else it says by its echo whether it took the stop: an answer proves less
-            self._acknowledge(sent_ns, arrival_ns)
+        answered, proved = self._answered.read(), self._proved.read()
+        if answered and answered[0] != self._seen_answer:
+            self._seen_answer = answered[0]
+            self.link.answered(records.PROVED.unpack(answered[2])[0])
+        if proved and proved[0] != self._seen_proof:
+            self._seen_proof = proved[0]
+            self._acknowledge(*records.PROVED.unpack(proved[2]))
 
     def _acknowledge(self, sent_ns: int, arrival_ns: int) -> None:
         """The board has answered, or obeyed, what was sent then."""

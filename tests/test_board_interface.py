@@ -38,9 +38,9 @@ KNOWN = {
     "supervisor": {"finder", "port", "stop_port", "interface", "kinds"},
     "procs": {"stop_port", "interface", "kinds"},
     "procs/gate/arm": {"interface", "servos"},
-    "procs/port_owner": {"port", "stop_port", "interface", "servos"},
+    "procs/port_owner": {"port", "stop_port", "interface", "servos", "handled"},
     "procs/stopper": {"stop_port", "interface"},
-    "procs/telemetry": {"interface", "port"},
+    "procs/telemetry": {"interface", "port", "handled"},
 }
 
 
@@ -64,6 +64,7 @@ def test_who_knows_what_of_the_board(folder: str) -> None:
 
 USERS = {
     "stop port": "failstop/board/stop_port.py",
+    "proof": "failstop/board/handled.py",
     **{user: f"procs/{user.replace(' ', '_')}" for user in ("gate", "port owner", "stopper", "telemetry")},
     "supervisor": "supervisor",
     **{user: f"failstop/{user}" for user in ("doctor", "incidents", "setup")},

@@ -47,7 +47,7 @@ class Unknown(Board):
 
     port = port.ROSORIN_PORT
     pings = ()
-    echo_ns = 0
+    echo_ns = fades_ns = 0
     usb = ()
     usb_alone = False
     commanders = ()

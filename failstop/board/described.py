@@ -61,11 +61,9 @@ class Samples(Hearing):
         try:
             for sample in islice(self._reader.feed(chunk), MOST_SAMPLES):
                 found += _said(sample)
-                found += [
-                    (HEARD_PONG, (index,))
-                    for index, question in enumerate(self._wire.questions)
-                    if question.answered_by(sample)
-                ]
+                questions = enumerate(self._wire.questions)
+                if answers := tuple([index for index, question in questions if question.answered_by(sample)]):
+                    found.append((HEARD_PONG, answers))
         except Exception as error:  # of the reader of your own board: a report must not end the process
             found += plausible.odd("reader", error)
             self.reset()
@@ -132,8 +130,8 @@ class Described(Board):
 
     __slots__ = (
         "_motion", "_per_rps", "_wire", "acknowledged_by", "after_ns", "arming", "burst", "commanders", "echo_ns",
-        "first_stop", "idle_ns", "most_rps", "name", "observed_by", "ping_ns", "pings", "port", "refresh", "repeats_ns",
-        "reports", "silent_ns", "stop", "usb", "wheels",
+        "fades_ns", "first_stop", "idle_ns", "most_rps", "name", "observed_by", "ping_ns", "pings", "port", "refresh",
+        "repeats_ns", "reports", "silent_ns", "stop", "usb", "wheels",
     )  # fmt: skip
 
     usb_alone = arm_beside_wheels = holds_by_goal = False
@@ -152,6 +150,7 @@ class Described(Board):
         self.ping_ns, self.echo_ns = wire.ping_ns, wire.echo_ns
         self.silent_ns = wire.silent_ns
         self.arming = wire.watchdog.arm(wire.watchdog.set_ns) if wire.watchdog.arm and wire.watchdog.set_ns else b""
+        self.fades_ns = wire.watchdog.acts_ns if wire.echo_ns else 0
         self.acknowledged_by = BY_ECHO if ECHOED in wire.proofs else BY_ANSWER if wire.questions else ""
         self.observed_by = BY_WHEELS if OBSERVED in wire.proofs else BY_IMU
         self.reports = _reports(wire, per_rps, diameter_m)
@@ -181,6 +180,16 @@ class Described(Board):
         """Of all of its wheels."""
         found = self._motion.speeds(frame)
         return None if found is None else tuple([speed / self._per_rps for speed in found])
+
+    def commanded(self, frame: bytes) -> Sequence[float] | None:
+        """Of a motion frame or a stop, where the board reports its command and is asked nothing."""
+        if not self.echo_ns or self.pings:
+            return None
+        return (0.0,) * self.wheels if frame == self.burst else self._motion.speeds(frame)
+
+    def marked(self, frame: bytes, turn: int) -> bytes:
+        """By the wire's own marks."""
+        return self._motion.marked(frame, turn) if self._motion.marked else frame
 
     def _limit(self, max_rps: float) -> float:
         return min(max_rps * self._per_rps * _ROUNDING, self._motion.limit)

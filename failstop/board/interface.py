@@ -57,11 +57,11 @@ class Hearing:
 
     HEARD_IMU: acceleration x y z in g, turn rate x y z in degrees a second. HEARD_BATTERY: mV, 0 for no battery.
     HEARD_PAD: the gamepad's buttons, hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY: id and event. HEARD_SERVO: id,
-    what was asked, its answer. HEARD_PONG: the index of the ping that is answered. HEARD_WHEELS: (speeds, positions),
-    what is not reported empty. HEARD_OBEYED: the speeds of the command that it follows now. HEARD_HEALTH: of each servo
-    its id, its load (-1 to 1) and its temperature in degrees Celsius. HEARD_ODD: what a report was about, and its value
-    as text, which can't be and counts as not reported. HEARD_RESTARTED: the text by which it shows that it starts.
-    HEARD_FIRMWARE: the name of a firmware that differs from the usual one, told once.
+    what was asked, its answer. HEARD_PONG: the indices of the pings that it may answer. HEARD_WHEELS: (speeds,
+    positions), what is not reported empty. HEARD_OBEYED: the speeds of the command that it follows now. HEARD_HEALTH:
+    of each servo its id, its load (-1 to 1) and its temperature in degrees Celsius. HEARD_ODD: what a report was about,
+    and its value as text, which can't be and counts as not reported. HEARD_RESTARTED: the text by which it shows that
+    it starts. HEARD_FIRMWARE: the name of a firmware that differs from the usual one, told once.
     """
 
     __slots__ = ()
@@ -112,6 +112,8 @@ class Board:
     arming: bytes
     """The frame that sets its own watchdog, which a restart undoes: it is written before the first motion of each
     enable. Empty: there is none."""
+    fades_ns: int
+    """So long after the last frame its own watchdog has it report zeros; 0: it has none, or reports no command."""
     acknowledged_by: str
     """BY_ANSWER or BY_ECHO; empty: it acknowledges nothing."""
     observed_by: str
@@ -154,6 +156,16 @@ class Board:
     def speeds(self, frame: bytes) -> Sequence[float] | None:
         """The speeds that a motion frame sets, in rps by wire id; None for other bytes. Never raises."""
         raise NotImplementedError
+
+    def commanded(self, frame: bytes) -> Sequence[float] | None:
+        """What a board that reports its command will say when it obeys this motion frame or stop; None: it reports
+        none, or these are other bytes. Never raises."""
+        return None
+
+    def marked(self, frame: bytes, turn: int) -> bytes:
+        """The same motion frame, a trifle slower: of those of consecutive turns the reports of a board can tell that
+        they have arrived. The frame itself, where nothing is proved by that."""
+        return frame
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
         """The frame that sounds its buzzer; empty: it has none. Raises FrameError."""

@@ -6,6 +6,7 @@ import os
 import select
 import time
 
+from failstop.board.handled import Answers
 from failstop.board.interface import HEARD_FIRMWARE, HEARD_OBEYED, HEARD_PONG, Board
 from failstop.board.port import waiting_bytes
 
@@ -25,6 +26,7 @@ class Tap:
         self._board = board
         self._hearing = board.hearing()
         self._pings = 0
+        self._answers = Answers()
         self.reports: set[int] = set()
         """Kinds of what was said unasked."""
         self.firmware = ""
@@ -43,7 +45,8 @@ class Tap:
             self.size += len(data)
             self.reports |= {kind for kind, _ in said} - {HEARD_PONG, HEARD_FIRMWARE}
             self.firmware = next((value[0] for kind, value in said if kind == HEARD_FIRMWARE), self.firmware)
-            self._flow |= {value[0] for kind, value in said if kind == HEARD_PONG and value[0] >= self._pings}
+            answered = {index for kind, indices in said if kind == HEARD_PONG for index in indices}
+            self._flow |= {index for index in answered if index >= self._pings}
             found += [(now_ns, *each) for each in said]
         if data is None:
             raise OSError("the device has gone")
@@ -66,19 +69,30 @@ class Tap:
         index = self._pings % len(self._board.pings)
         self._pings += 1
         now_ns = time.monotonic_ns()
+        self._answers.asked(index, now_ns)
         os.write(self.fd, self._board.pings[index])
         return index, now_ns
 
+    def answers_ns(self, indices: Value, came_ns: int) -> int:
+        """When the ping was written that this answer belongs to at the earliest (board/handled.py); 0: none was."""
+        return self._answers.answered([index for index in indices if index not in self._flow], came_ns)
+
     def answered_ms(self, timeout_s: float) -> float | None:
-        """Ask the board; after how long it answered, which is behind all that was written before; of a board without
-        questions, after how long it reported that it obeys zeros. None: it did not, or can't. Raises OSError."""
-        pings, echo_ns = self._board.pings, self._board.echo_ns
-        if not pings and not echo_ns:
+        """Ask the board; after how long it answered, which is behind all that was written before. None: it did not, or
+        has no question. An answer to an earlier question counts for that one. Raises OSError."""
+        if not self._board.pings:
             return None
-        index, asked_ns = self.ping() if pings else (-1, time.monotonic_ns())
+        _, asked_ns = self.ping()
         for now_ns, kind, said in self._heard(timeout_s):
-            answered = kind == HEARD_PONG and said == (index,) and index not in self._flow
-            obeys = kind == HEARD_OBEYED and not any(said) and now_ns - asked_ns >= echo_ns
-            if answered or (obeys and not pings):
+            if kind == HEARD_PONG and self.answers_ns(said, now_ns) >= asked_ns:
                 return (now_ns - asked_ns) / 1e6
+        return None
+
+    def zeros_ms(self, timeout_s: float) -> float | None:
+        """After how long the board, which is asked nothing, reports that it obeys zeros; None: it does not. A board
+        that hears nothing reports them too. Raises OSError."""
+        begun_ns = time.monotonic_ns()
+        for now_ns, kind, said in self._heard(timeout_s):
+            if kind == HEARD_OBEYED and not any(said) and now_ns - begun_ns >= self._board.echo_ns:
+                return (now_ns - begun_ns) / 1e6
         return None

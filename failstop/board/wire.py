@@ -126,6 +126,9 @@ class Motion(Data):
     bytes."""
     speeds: Callable[[bytes], Sequence[float] | None]
     """Those that a motion frame sets; None for other bytes. Never raises on bytes."""
+    marked: Callable[[bytes, int], bytes] | None = None
+    """(frame, turn): a motion frame that is sent again, a step or two slower by its turn, so that the report of the
+    command that the board obeys tells which frame it was. Only a board that is asked nothing needs it."""
 
 
 class Sample:

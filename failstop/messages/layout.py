@@ -22,7 +22,7 @@ CLIENT_SLOTS = 8
 NOTE_BYTES = 576
 """The most that gate and telemetry tell people at once (packing.py)."""
 PINGS = 4
-"""The most different pings that a board has, in turn, so that an answer says which of them it answers."""
+"""The most different pings that a board has, so that an answer says which of them it answers."""
 PUBLIC = 0o644
 CLIENTS_WRITE = 0o660
 PRIVATE = 0o600
@@ -113,13 +113,12 @@ SEGMENTS = (
             _word("written_ns", "everyone"),  # when it last wrote a burst
             # 1 from before motion is written until a whole burst is, or its repeat: what it may have told the wheels.
             _word("moving", "supervisor, stopper"),
-            _word(
-                "told_ns", "telemetry"
-            ),  # since when the wheels are told to turn, by all that it wrote; 0: they are not
-            # When the ping of each index was last written; pings take the indices in turn (records.pong).
-            *(_word(f"ping_{i}", "supervisor") for i in range(PINGS)),
+            _word("told_ns", "telemetry"),  # since when what it wrote tells the wheels to turn; 0: they are not told to
+            _word("asked_ns", "supervisor"),  # when it last wrote a ping
             _latest("port", records.PORT, "supervisor, stopper, clients"),  # its state and path
             _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order
+            # What the board will answer or echo, each with the time before it was written: more than LOST_NS of pings.
+            _ring("wrote", records.WROTE, 512, "everyone"),
             _ring("received", 512, 512, "everyone"),  # bytes from the board while no telemetry runs, in order
             _ring("box", box.WIRE, box.WIRE_CELLS, "everyone"),  # bytes for the board (box.py)
         ),
@@ -151,9 +150,11 @@ SEGMENTS = (
         (
             *_beat(),
             _word("port_number", "supervisor"),  # of the port that it reads; 0: it has none
-            _word("pong", "supervisor"),  # the last answer to a ping (records.pong)
             _word("obeyed_ns", "supervisor"),  # when the board last said that it obeys a command of zeros; 0: never
             _word("restarts", "port_owner"),  # so often the board was seen to restart
+            _latest("answered", records.PROVED, "supervisor, its successor"),  # the newest ping that was answered
+            _latest("proved", records.PROVED, "supervisor"),  # the newest stop that the board has obeyed
+            _word("unheeded_ns", "clients"),  # since when it obeys zeros by its own word, told to move
             _word("still_ns", "supervisor"),  # since when the IMU says that the wheels are still; 0: it shakes
             _word("judged_ns", "supervisor"),  # the last IMU sample that still_ns is judged from; 0: none yet
             _latest("imu", records.IMU, "clients"),  # corrected, the rate less its bias

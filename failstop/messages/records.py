@@ -57,6 +57,8 @@ ARM_FOLLOW, ARM_JOG = 1, 2
 MOST_JOINTS = 8
 MOST_SERVOS = 16
 MOST_ROWS = 200
+MOST_REPORTED = 4
+"""Wheels of a board that reports the command that it obeys."""
 
 PAD_RESET, PAD_FRAME = 1, 2
 PLUGGED = ("unknown", "plugged", "unplugged")
@@ -121,16 +123,6 @@ def life(pid: int, block: int) -> int:
 def unpack_life(word: int) -> tuple[int, int]:
     """Return (pid, block)."""
     return word & 0xFFFFFFFF, word >> 32
-
-
-def pack_pong(arrival_ns: int, index: int) -> int:
-    """A word that says when the board answered a ping, and the ping of which index."""
-    return arrival_ns << 2 | index
-
-
-def unpack_pong(word: int) -> tuple[int, int]:
-    """Return (arrival_ns, index); (0, 0) before the first answer."""
-    return word >> 2, word & 3
 
 
 def printable(text: str) -> str:
@@ -240,14 +232,33 @@ def _unpack_health(data: bytes) -> tuple[tuple[int, float, int], ...]:
     return tuple((servo, percent / 100, at_c) for servo, percent, at_c in _SERVO_HEALTH.iter_unpack(data))
 
 
+def _unpack_doubles(data: bytes) -> tuple[tuple[float, ...]]:
+    if len(data) % _DOUBLE.size:
+        raise ValueError(f"numbers in {len(data)} bytes")
+    return (tuple([number for (number,) in _DOUBLE.iter_unpack(data)]),)
+
+
 _SERVO_HEALTH = struct.Struct("<BbB")
 _LENGTH = struct.Struct("<H")
 _ANSWER = struct.Struct("<?i")
 _VALUE = struct.Struct("<Bd")
 _COUNTS = struct.Struct("<BH")
+_DOUBLE = struct.Struct("<d")
 
 FRAME: Payload[int, int, bytes] = Payload("<QB", rest(WIRE_BYTES))
 """An entry of the gate's ring: epoch, kind, body: MOTION and OTHER carry a wire frame, WRITE_BURST nothing."""
+WROTE: Payload[int, tuple[float, ...]] = Payload(
+    "<B",
+    Tail(
+        lambda speeds: b"".join(map(_DOUBLE.pack, speeds)),
+        _unpack_doubles,
+        MOST_REPORTED * _DOUBLE.size,
+    ),
+)
+"""Something that was written and that the board answers or echoes: the index of a ping, or COMMANDED of
+failstop/board/handled.py and the speeds that the board will report."""
+PROVED: Payload[int, int] = Payload("<QQ")
+"""The board has handled all that was written until the first time; it said so at the second (ns)."""
 STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
 """A stop: its epoch, when it was noticed, when its burst was handed to the kernel (0: it was not), its cause,
 packed."""

@@ -57,6 +57,8 @@ class Gate:
         self._said = SelfReports(now_ns)
         self._barrier = Barrier()
         self._looked_ns, self._rings, self._ticking = 0, 0, False
+        self._turn, self._frame = 0, b""
+        """How often the last motion frame was sent in a row, and that frame."""
         self._each_tick = bool(settings.servos() or settings.interlocks())
         self._published: dict[str, object] = {}
         self._published_ns = 0
@@ -235,7 +237,8 @@ class Gate:
             self._frames.stop(now_ns)
         if speeds := self.core.step(now_ns):
             frame = self._board.motor_speeds(speeds, self._max_rps)
-            self._frames.put(records.MOTION, frame, now_ns, self.core.epoch)
+            self._turn, self._frame = (self._turn + 1 if frame == self._frame else 0), frame
+            self._frames.put(records.MOTION, self._board.marked(frame, self._turn), now_ns, self.core.epoch)
 
     def _follow_epoch(self) -> None:
         epoch = self._epoch_word.get()

@@ -142,6 +142,7 @@ class PortOwner:
         self.repeats.restart(written_ns)
         self.port.pings.stopped(written_ns)
         self.told.stopped()
+        self.port.commands(self.board.burst, written_ns)
         if self.wire.lost or self.wire.unsent:
             return 0
         self._written_word.set(written_ns)

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from time import monotonic_ns
 
+from failstop.board.handled import COMMANDED
 from failstop.board.port import waiting_bytes
-from failstop.messages import layout, records
+from failstop.messages import records
 from failstop.procs.context import Context
 from failstop.procs.loop import EDGE, GONE, HANGUP, NEVER, READ, WRITE, Loop, Timer
 from failstop.procs.port_owner.port_writer import PortWriter
@@ -41,7 +42,10 @@ class OpenPort:
         period_ns = min(context.settings.ns("link.ping_s"), board.ping_ns or NEVER)
         due = loop.timer() if board.pings else Timer()
         self.pings = Pings(len(board.pings), period_ns, due, self.hears_ns)
-        self._asked_words = [own.word(f"ping_{index}") for index in range(layout.PINGS)]
+        self._asked_word = own.word("asked_ns")
+        self.wrote = own.ring_writer("wrote")
+        """What the board will answer or echo. An entry comes before its bytes: one whose bytes never went out is as good
+        as lost, one that was missing would make the answer prove too much."""
         self._ping_backlog = 2 * len(board.burst)
         """Bytes under way behind which a ping may queue: it follows a stop at once, to be handled right after it."""
 
@@ -94,18 +98,25 @@ class OpenPort:
         self.pings.wait(self.hears_ns)
 
     def ask(self, now_ns: int) -> None:
-        """Write the next ping, if it is due, and publish the time before the write: no answer may seem to be older."""
+        """Write the next ping, if it is due, and publish the time before the write: it is what its answer proves."""
         pings = self.pings
         if not pings.due(now_ns):
             return
         asked_ns = monotonic_ns()
         if self._wire.free_ns > asked_ns:
             pings.wait(self._wire.free_ns)
-        elif self._wire.frame(self._board.pings[pings.index], backlog=self._ping_backlog):
-            self._asked_words[pings.index].set(asked_ns)
+            return
+        self.wrote.put(records.WROTE.pack(pings.index, ()), asked_ns)
+        if self._wire.frame(self._board.pings[pings.index], backlog=self._ping_backlog):
+            self._asked_word.set(asked_ns)
             pings.sent(asked_ns)
         else:
             pings.failed(now_ns)
+
+    def commands(self, frame: bytes, now_ns: int) -> None:
+        """A motion frame is about to be written, or a stop was: keep it, where the board echoes it."""
+        if (speeds := self._board.commanded(frame)) is not None:
+            self.wrote.put(records.WROTE.pack(COMMANDED, tuple(speeds)), now_ns)
 
     def serve(self, ready: dict[int, int]) -> None:
         """Keep what the board sent, finish what the kernel did not take, notice that it is gone."""

@@ -38,6 +38,7 @@ class Told:
         turns = frame != self._board.stop
         if not turns:
             self.stopped()
+        self._port.commands(frame, now_ns)
         if not self._wire.frame(frame, self._backlog + (len(self._board.arming) if first else 0)):
             return False
         if turns and not self._turning:

@@ -24,6 +24,7 @@ from failstop.procs.telemetry.odd import OddReports
 from failstop.procs.telemetry.odometry import Odometry
 from failstop.procs.telemetry.pad import PRESSES, STANDSTILL, Pad, Tones
 from failstop.procs.telemetry.port import HeardPort
+from failstop.procs.telemetry.proving import Proving
 from failstop.procs.telemetry.readback import ReadBack
 from failstop.procs.telemetry.restarts import Restarts
 from failstop.procs.telemetry.state_files import StateFiles
@@ -39,8 +40,6 @@ ODOMETRY_NS = 20_000_000
 """Odometry goes out at this rate, as the gate decides no more often, and with it whatever else can wait."""
 BIAS_NS = 80_000_000
 """The state is 10 Hz or faster; at 100 ms it would be 105 to 110, since it goes out with the wake-ups there are."""
-OBEYED_NS = 20_000_000
-"""How often the supervisor is told that the board goes on to obey a command of zeros."""
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
 BATTERY_LOG = "battery log"
@@ -124,7 +123,7 @@ class Telemetry:
         self._measured = Measured(self._board.reports)
         self._fact = WheelFact(settings.ns("still.after_s"))
         self._began_ns = monotonic_ns()
-        self._obeys_zeros, self._obeyed_ns = False, 0
+        self._proving = Proving(context)
         self._barrier = Barrier()
         self._epoch_followed = self._odometry_ns = self._bias_ns = 0
         self._heard: list[tuple[int, interface.Value, int]] = []
@@ -149,8 +148,6 @@ class Telemetry:
         self._box = own.ring_writer("box")
         self._still_word = own.word("still_ns")
         self._judged_word = own.word("judged_ns")
-        self._pong_word = own.word("pong")
-        self._obeyed_word = own.word("obeyed_ns")
         self._port_owner_bell = context.bell("port_owner_bell")
         self._gate_bell = context.bell("gate_bell")
         self.supervisor_bell = context.bell("supervisor_bell")
@@ -167,7 +164,7 @@ class Telemetry:
             interface.HEARD_BATTERY: self._on_battery,
             interface.HEARD_PAD: self._on_pad,
             interface.HEARD_KEY: self._on_key,
-            interface.HEARD_PONG: self._on_pong,
+            interface.HEARD_PONG: self._proving.answered,
             interface.HEARD_WHEELS: self._on_wheels,
             interface.HEARD_OBEYED: self._on_obeyed,
             interface.HEARD_SERVO: self._on_servo,
@@ -264,6 +261,7 @@ class Telemetry:
             twist = (found.vx_mps, found.vy_mps, found.wz_radps)
             self._latest["odometry"].write(records.ODOMETRY.pack(*pose, *twist, *found.twist_std), now_ns)
             self._publish_wheels(now_ns)
+        self._proving.forget(now_ns)
         gyro = self._gyro
         flags = (gyro.tracking, gyro.calibrated)
         if now_ns - self._bias_ns >= BIAS_NS or flags != self._bias_flags:
@@ -352,15 +350,9 @@ class Telemetry:
         )
 
     def _on_obeyed(self, speeds: interface.Value, t_ns: int) -> None:
-        """A report that it obeys a command of zeros; one now and then is enough while it does."""
-        zeros = bool(speeds) and not any(speeds)  # NaN is no zero, and no speeds are no report
         if speeds:
-            self._restarts.obeyed(zeros=zeros)
-        if zeros and (not self._obeys_zeros or t_ns - self._obeyed_ns >= OBEYED_NS):
-            self._obeyed_ns = t_ns
-            self._obeyed_word.set(t_ns)
-            self.supervisor_bell.ring()
-        self._obeys_zeros = zeros
+            self._restarts.obeyed(zeros=not any(speeds))
+        self._proving.obeyed(speeds, t_ns, moves=self._gate.enabled and self._gate.commanded)
 
     def _on_battery(self, sample: interface.Value, t_ns: int) -> None:
         (millivolts,) = sample
@@ -406,10 +398,6 @@ class Telemetry:
 
     def _on_health(self, rows: interface.Value, t_ns: int) -> None:
         self._latest["health"].write(records.HEALTH.pack(*rows), t_ns)
-
-    def _on_pong(self, said: interface.Value, t_ns: int) -> None:
-        self._pong_word.set(records.pack_pong(t_ns, said[0]))
-        self.supervisor_bell.ring()
 
     def _on_odd(self, said: interface.Value, t_ns: int) -> None:
         what, value = said

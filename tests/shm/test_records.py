@@ -53,6 +53,8 @@ def is_cut(found: str, text: str, room: int) -> bool:
 ROUND_TRIPS: dict[str, tuple[Shape, tuple[st.SearchStrategy[object], ...]]] = {
     "frame": (records.FRAME, (U64, U8, st.binary(max_size=260))),
     "stopped": (records.STOPPED, (U64, U64, U64, CAUSE)),
+    "wrote": (records.WROTE, (U8, st.lists(SPEED, max_size=records.MOST_REPORTED).map(tuple))),
+    "proved": (records.PROVED, (U64, U64)),
     "command": (records.COMMAND, (U64, SPEED, SPEED, SPEED, st.booleans(), st.just("teleop"))),
     "latch": (records.LATCH, (U64, U64, U64, CAUSE)),
     "request": (records.REQUEST, (U64, U64, U8)),
@@ -114,12 +116,11 @@ def test_said(session: int, sees: str, wrong: str) -> None:
         assert is_cut(told, text.replace("\n", " "), 190)
 
 
-@given(pid=U32, block=U32, arrival_ns=st.integers(0, 2**62 - 1), index=st.integers(0, 3))
-def test_a_life_and_a_pong_are_words(pid: int, block: int, arrival_ns: int, index: int) -> None:
-    life, pong = records.life(pid, block), records.pack_pong(arrival_ns, index)
-    assert all(0 <= word < 2**64 for word in (life, pong))
+@given(pid=U32, block=U32)
+def test_a_life_is_a_word(pid: int, block: int) -> None:
+    life = records.life(pid, block)
+    assert 0 <= life < 2**64
     assert records.unpack_life(life) == (pid, block)
-    assert records.unpack_pong(pong) == (arrival_ns, index)
 
 
 LONG = ["x" * 5000, "é" * 5000, "x" + "é" * 5000, "€" * 5000, "🛑" * 5000, "\udcff" * 5000, "\0" * 5000]
@@ -198,9 +199,10 @@ LEAST = (
     | {"request": 17, "seen": 16, "command": 49, "asserted": 8, "said": 8, "imu": 48, "battery": 5, "bias": 26}
     | {"odometry": 64, "pad_command": 24, "pad_request": 1, "pad": 8, "speed_limit": 9, "health": 0}
     | {"wheels_seen": 84}
+    | {"wrote": 1, "proved": 16}
 )
 """Bytes of each at least; those of a text, a frame or names may have more."""
-LONGER = {"frame", "stopped", "port", "latch", "hello", "reply", "asserted", "said", "pad_request", "health"}
+LONGER = {"frame", "stopped", "port", "latch", "hello", "reply", "asserted", "said", "pad_request", "health", "wrote"}
 SHAPES = {name.lower(): found for name, found in vars(records).items() if isinstance(found, Shape)}
 
 
@@ -208,7 +210,9 @@ def test_every_payload_is_under_test() -> None:
     assert SHAPES.keys() == set(LEAST) | {"arm_goal", "arm_path", "servo", "pad_arm"}
 
 
-def test_half_a_servo_is_damage() -> None:
+def test_half_a_servo_or_number_is_damage() -> None:
+    with pytest.raises(ValueError, match=r"^numbers in 12 bytes$"):
+        records.WROTE.unpack(bytes(13))
     with pytest.raises(ValueError, match=r"^servos in 4 bytes$"):
         records.HEALTH.unpack(bytes(4))
 

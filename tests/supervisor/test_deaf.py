@@ -17,9 +17,9 @@ def nearly_deaf(left_ns: int) -> Scene:
     """A board that has answered, and will be deaf in a while to those who hear it."""
     scene = Scene(*HEARS)
     deaf_ns = scene.now_ns + scene.settings.ns("link.deaf_s")
-    scene.pings(0)
+    scene.pings()
     scene.tick(400 * MS, beating=HEARS)
-    scene.pings(1, answered=False)
+    scene.pings(answered=False)
     scene.tick(deaf_ns - left_ns - scene.now_ns, beating=HEARS)
     assert scene.read("link") == b"alive"
     return scene

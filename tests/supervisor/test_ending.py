@@ -9,7 +9,7 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.board.interface import SUPERVISOR_ROW
 from failstop.lab.machine.kernel import TAKEDOWN_NS
-from failstop.messages import layout, records
+from failstop.messages import layout
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.shm import heartbeat
 from failstop.supervisor import main
@@ -39,8 +39,8 @@ def whole(settings: dict[str, object] | None = None) -> Scene:
 
 def answer(scene: Scene, sent_ns: int) -> None:
     """The board has answered a ping a millisecond after it was sent."""
-    scene.port_owner.word("ping_0").set(sent_ns)
-    scene.telemetry.word("pong").set(records.pack_pong(sent_ns + MS, 0))
+    scene.port_owner.word("asked_ns").set(sent_ns)
+    scene.answered(sent_ns, sent_ns + MS)
 
 
 def end(scene: Scene) -> tuple[bool, list[tuple[str, str]]]:
@@ -100,7 +100,7 @@ def test_a_board_that_goes_deaf_at_the_end_is_told_of(scene: Scene) -> None:
     deaf_ns = scene.settings.ns("link.deaf_s")
     answer(scene, scene.now_ns - 2 * deaf_ns)
     scene.pass_time()
-    scene.port_owner.word("ping_1").set(scene.now_ns - deaf_ns)
+    scene.port_owner.word("asked_ns").set(scene.now_ns - deaf_ns)
     well, told = end(scene)
     assert not well
     assert told[1][1].endswith("NOT acknowledged by the board (link deaf); wheels that turn: POWER SWITCH")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.lab.machine.process import Process
-from failstop.messages import layout, records
+from failstop.messages import layout
 from failstop.policy import causes
 from failstop.procs.loop import GONE
 from tests.support.stage import MS
@@ -71,13 +71,13 @@ def test_wheels_that_do_not_rest_are_stopped_for_again_and_the_command_runs_once
 
 def test_an_answer_acknowledges_what_was_written_before_its_ping(scene: Scene) -> None:
     sent_ns = scene.now_ns
-    scene.pings(0)
+    scene.pings()
     scene.turn(2 * MS)
     assert scene.supervisor.monitor.heard == (sent_ns, sent_ns + MS)
 
 
 def test_a_port_that_was_opened_anew_may_be_another_board(scene: Scene) -> None:
-    scene.pings(0)
+    scene.pings()
     scene.turn(2 * MS)
     assert scene.read("link") == b"alive"
     scene.supervisor.monitor.opened(scene.now_ns, scene.now_ns, sure=True)
@@ -85,19 +85,16 @@ def test_a_port_that_was_opened_anew_may_be_another_board(scene: Scene) -> None:
     assert scene.read("link") == b"unheard"
 
 
-def test_an_answer_whose_question_was_asked_anew_meanwhile_proves_nothing(scene: Scene) -> None:
-    """The words of the questions are used in turn: a late answer must not be taken for one to the newest."""
+def test_an_answer_to_an_older_question_proves_that_the_board_hears_and_not_the_stop(scene: Scene) -> None:
+    asked_ns = scene.now_ns
+    scene.turn(MS)
     scene.stops("the first")
-    asked = scene.port_owner.word("ping_0")
-    pong = scene.telemetry.word("pong")
-    asked.set(scene.now_ns + 2 * MS)
-    pong.set(records.pack_pong(scene.now_ns + MS, 0))
-    scene.turn(3 * MS)
-    assert scene.read("link") == b"unproven"
-    assert scene.table("stop")["acknowledged_us"] is None
-    pong.set(records.pack_pong(scene.now_ns + MS, 0))
-    scene.turn(2 * MS)
+    scene.answered(asked_ns, scene.now_ns)
+    scene.turn(MS)
     assert scene.read("link") == b"alive"
+    assert scene.table("stop")["acknowledged_us"] is None
+    scene.answered(scene.now_ns, scene.now_ns + MS)
+    scene.turn(2 * MS)
     assert scene.table("stop")["acknowledged_us"] > 0
 
 
@@ -121,15 +118,15 @@ def test_a_verdict_that_is_given_anew_meanwhile_is_looked_at_the_next_time() -> 
 
 
 def test_people_are_told_of_each_change_of_the_link(scene: Scene) -> None:
-    scene.pings(0)
+    scene.pings()
     assert follow(scene, 2 * MS) == []
     assert scene.said() == [("link", "notice", "the board answers", {"state": "alive"})]
     scene.now_ns += 500 * MS
-    scene.pings(1, answered=False)
+    scene.pings(answered=False)
     assert follow(scene, 600 * MS) == [(scene.now_ns, layout.SUPERVISOR, DEAF_REASON)]
     assert scene.said() == [("link", "critical", "the board answers no more", {"state": "deaf"})]
     assert follow(scene, 600 * MS) == [], "once"
-    scene.pings(3)
+    scene.pings()
     follow(scene, 2 * MS)
     assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
     scene.supervisor.handover.lost({scene.port.fd: GONE}, scene.now_ns)
@@ -138,23 +135,23 @@ def test_people_are_told_of_each_change_of_the_link(scene: Scene) -> None:
     follow(scene, MS)
     text = "whether the board hears is not known until it answers"
     assert scene.said() == [("link", "info", text, {"state": "unheard"})]
-    scene.pings(0, answered=False)
+    scene.pings(answered=False)
     follow(scene, MS)
     follow(scene, 1_000 * MS)
     text = "nothing has answered since the port came back, so it may not be the board: POWER SWITCH"
     assert scene.said() == [("link", "critical", text, {"state": "unheard"})]
     follow(scene, 1_000 * MS)
     assert scene.said() == [], "once"
-    scene.pings(1)
+    scene.pings()
     follow(scene, 2 * MS)
     assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
 
 
 def test_a_board_is_not_deaf_while_nobody_listens(scene: Scene) -> None:
-    scene.pings(0)
+    scene.pings()
     follow(scene, 2 * MS)
     scene.now_ns += 500 * MS
-    scene.pings(1, answered=False)
+    scene.pings(answered=False)
     assert follow(scene, 600 * MS, listening=False) == []
     assert follow(scene, 600 * MS) == [], "nor for the ping whose answer nobody could hear"
 
@@ -189,7 +186,7 @@ def test_a_stop_that_another_follows_is_told_of_with_what_is_known(scene: Scene)
     noticed_ns = scene.now_ns
     scene.stops("the first")
     scene.said()
-    scene.pings(0)
+    scene.pings()
     scene.turn(2 * MS)
     scene.reset()
     scene.stops("the second")
@@ -220,7 +217,7 @@ def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Scene) -
 
 def test_a_stop_that_went_to_another_device_is_that_of_the_board_s_opening(scene: Scene) -> None:
     """The bytes that the other device took prove nothing; those that the board takes do once it has answered."""
-    scene.pings(0)
+    scene.pings()
     scene.turn(2 * MS)
     opened = scene.supervisor.monitor.opened
     opened(scene.now_ns, scene.now_ns, sure=False)
@@ -231,7 +228,7 @@ def test_a_stop_that_went_to_another_device_is_that_of_the_board_s_opening(scene
     scene.now_ns += 5 * MS
     opened(stop.t_ns + 5 * MS, scene.now_ns, sure=True)
     found.append((scene.told()["written_us"], scene.table("stop")["believed"]))
-    scene.pings(1)
+    scene.pings()
     scene.turn(2 * MS)
     found.append((scene.told()["written_us"], scene.table("stop")["believed"]))
     assert found == [(1_000.0, False), (5_000.0, False), (5_000.0, True)]
@@ -244,7 +241,7 @@ def test_the_monitor_tells_of_a_stop_that_the_kernel_holds_unless_the_board_answ
     scene.wire.hold()  # of a later write, where the board has answered
     scene.stops("the first")
     scene.said()
-    scene.pings(0, answered=answered)
+    scene.pings(answered=answered)
     scene.turn(2 * MS)
     scene.reset()
     scene.stops("the second")

@@ -190,7 +190,7 @@ def test_the_loop_writes_a_burst_that_the_opener_could_not_and_tells_of_it(scene
 
 
 def test_the_link_of_a_port_that_is_gone_is_unheard(scene: Scene) -> None:
-    scene.pings(0)
+    scene.pings()
     turn(scene, 2 * MS)
     assert scene.read("link") == b"alive"
     lose(scene)

@@ -101,6 +101,11 @@ class Scene(Stage):
                 found.append((kind, length, taken))
         return found
 
+    def kept_writes(self) -> list[tuple[int, int, bytes]]:
+        """All that it has kept of what the board will answer or echo: (number, time, payload)."""
+        ring = self.segment(layout.PORT_OWNER).ring_reader("wrote", from_oldest=True)
+        return list(iter(ring.next, None))
+
     def port_state(self) -> int:
         return self._newest_port()[2]
 

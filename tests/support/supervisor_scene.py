@@ -200,11 +200,16 @@ class Scene(PortMachine):
         stop = records.STOPPED.pack(1, self.now_ns + late_ns, written_ns, cause.pack())
         self.own[name].ring_writer("stops").put(stop)
 
-    def pings(self, index: int, *, answered: bool = True) -> None:
+    def pings(self, *, answered: bool = True) -> None:
         """A ping goes out now; its answer comes a millisecond later."""
-        self.port_owner.word(f"ping_{index}").set(self.now_ns)
+        self.port_owner.word("asked_ns").set(self.now_ns)
         if answered:
-            self.telemetry.word("pong").set(records.pack_pong(self.now_ns + MS, index))
+            self.answered(self.now_ns, self.now_ns + MS)
+
+    def answered(self, asked_ns: int, came_ns: int) -> None:
+        """Telemetry has heard the answer to what was asked then, which proves that the board has handled it."""
+        for record in ("answered", "proved"):
+            self.telemetry.latest_writer(record).write(records.PROVED.pack(asked_ns, came_ns))
 
     def judge(self, *, still: bool) -> None:
         self.telemetry.word("still_ns").set(self.now_ns if still else 0)

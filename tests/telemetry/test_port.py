@@ -34,8 +34,21 @@ def heard(scene: Scene) -> list[tuple[int, bytes]]:
     return [entry[1:] for entry in iter(ring.next, None)]
 
 
+def told(scene: Scene) -> tuple[int, int]:
+    """The published (when it was asked, when the answer came); zeros before the first."""
+    entry = scene.own.latest_reader("answered").read()
+    return records.PROVED.unpack(entry[2]) if entry else (0, 0)
+
+
 def answered_ns(scene: Scene) -> int:
-    return records.unpack_pong(scene.own.word("pong").get())[0]
+    return told(scene)[1]
+
+
+def ask(scene: Scene, index: int = 1) -> int:
+    """The port owner asks now; returns when. No two questions have one time."""
+    scene.clock.now_ns += 1
+    scene.views[layout.PORT_OWNER].ring_writer("wrote").put(records.WROTE.pack(index, ()), scene.clock())
+    return scene.clock()
 
 
 def test_bytes_go_into_the_ring_in_order(scene: Scene) -> None:
@@ -49,10 +62,12 @@ def test_bytes_go_into_the_ring_in_order(scene: Scene) -> None:
 @pytest.mark.parametrize("late", [False, True])
 def test_bytes_that_may_have_waited_for_long_are_as_old_as_they_can_be(scene: Scene, late: bool) -> None:
     """An answer that telemetry, held up, has read late is none to a ping that was written meanwhile."""
+    ask(scene)
     scene.wake()
     empty_ns = scene.clock()
     scene.wake(PONG, elapsed_ns=port.LATE_NS - (not late))
     assert answered_ns(scene) == (empty_ns if late else scene.clock())
+    ask(scene)
     scene.wake(PONG, elapsed_ns=MS)
     assert answered_ns(scene) == scene.clock()
 
@@ -84,6 +99,7 @@ def test_a_port_that_has_gone_is_let_go_and_the_next_one_heard(scene: Scene, sig
     scene.replug(2)
     scene.wake()
     assert number.get() == 2
+    ask(scene)
     scene.wake(PONG)
     assert answered_ns(scene) == scene.clock()
 
@@ -97,6 +113,7 @@ def test_samples_alone_are_published_at_once_and_acted_on_with_the_odometry(scen
         beats.add(beat.get())
         assert published.read()[1] == scene.clock()
     assert abs(len(beats) - 100) <= 1
+    ask(scene)
     scene.wake(PONG, elapsed_ns=MS)
     assert answered_ns(scene) == beat.get() == scene.clock()
     assert [entry[1] for entry in iter(kept.next, None)] == came_ns
@@ -108,6 +125,7 @@ def test_at_rest_the_board_wakes_nobody_and_its_samples_are_told_apart(scene: Sc
 
     def wakes() -> bool:
         scene.wake()
+        ask(scene)
         scene.wire.port.send(PONG)
         woken = bool(scene.telemetry.loop.wait(0))
         scene.wake(elapsed_ns=MS)
@@ -183,48 +201,61 @@ def test_the_board_answers_every_ping_in_order_with_no_servo_connected() -> None
     assert board.wheels == (0.0, 0.0, 0.0, 0.0)
 
 
-def told(scene: Scene) -> tuple[int, int]:
-    """The published (arrival_ns, index)."""
-    return records.unpack_pong(scene.own.word("pong").get())
-
-
-def test_an_answer_is_published_with_the_time_it_was_read_and_rings_the_supervisor(scene: Scene) -> None:
+def test_an_answer_is_published_with_the_time_of_its_question_and_rings_the_supervisor(scene: Scene) -> None:
     assert told(scene) == (0, 0)
     for index in (0, 1, 2, 3, 0):
         scene.rung("supervisor_bell")
+        asked_ns = ask(scene, index)
         scene.turn(answer(index), elapsed_ns=500 * MS)
-        assert told(scene) == (scene.clock(), index)
+        assert told(scene) == (asked_ns, scene.clock())
         assert scene.rung("supervisor_bell")
+    before = told(scene)
+    ask(scene)
     scene.turn((framing.PWM_SERVO, b"\x01\x09\x05"), (framing.PWM_SERVO, b"\x05\x05\xdc\x05"), elapsed_ns=MS)
     scene.turn((framing.BUS_SERVO, b"\x01\x05\x00\xdc\x05"), (framing.IMU_FUNC, bytes(24)))
-    assert told(scene) == (scene.clock() - MS, 0), "nothing else counts as an answer"
+    assert told(scene) == before, "nothing else counts as an answer"
     assert not scene.rung("supervisor_bell")
     frame = upward.pwm_servo_position(2, 1500)
     for piece in (frame[:5], frame[5:]):
         scene.wake(piece, elapsed_ns=10 * MS)
-    assert told(scene) == (scene.clock(), 1), "an answer in pieces has the time of its last"
+    assert answered_ns(scene) == scene.clock(), "an answer in pieces has the time of its last"
+
+
+def test_a_successor_counts_on_from_what_was_answered(scene: Scene) -> None:
+    """It has not seen the answers before it, and an answer that it can't place would prove the oldest question alone."""
+    for _ in range(3):
+        asked_ns = ask(scene)
+        scene.wake(PONG, elapsed_ns=10 * MS)
+    scene.start_telemetry()
+    late_ns = ask(scene)
+    scene.wake(PONG, elapsed_ns=10 * MS)
+    assert told(scene)[0] == late_ns > asked_ns
 
 
 @pytest.mark.parametrize("reopened", [True, False])
 def test_half_a_frame_from_before_a_reopening_does_not_join_what_comes_after(scene: Scene, reopened: bool) -> None:
     frame = upward.pwm_servo_position(2, 1500)
+    ask(scene)
     scene.wake(frame[:5])
     if reopened:
         scene.replug(2)
         scene.turn(elapsed_ns=3 * S)
     scene.wake(frame[5:])
-    assert told(scene) == ((0, 0) if reopened else (scene.clock(), 1))
+    assert answered_ns(scene) == (0 if reopened else scene.clock())
 
 
 def test_bytes_of_the_lost_port_still_belong_together(scene: Scene) -> None:
     whole, torn = upward.pwm_servo_position(2, 1500), upward.pwm_servo_position(3, 1500)
+    for index in (1, 3):
+        ask(scene, index)
     scene.wake(whole[:5])
     following = Wire(scene.machine, 1)
     scene.send_port(following, 2)
     scene.wake(whole[5:] + torn[:5])
-    assert told(scene) == (scene.clock(), 1)
+    assert answered_ns(scene) == scene.clock()
     scene.wire = following
     scene.wake(torn[5:], elapsed_ns=MS)
-    assert told(scene) == (scene.clock() - MS, 1)
+    assert answered_ns(scene) == scene.clock() - MS
+    ask(scene, 3)
     scene.turn(answer(3))
-    assert told(scene) == (scene.clock(), 3)
+    assert answered_ns(scene) == scene.clock()

@@ -5,8 +5,8 @@ Firmware source, joshnewans 210a122 and hbrobotics a960c8a. There is no check in
 - The stop begins with a CR. It ends whatever was cut before; without it the stop would be taken for digits of the cut
   line, which is then executed.
 - Both speeds carry their sign, and a comma ends the first one. The firmware's atoi ends at either, so neither two glued
-  lines nor two speeds whose space was lost fuse their digits into a larger speed. Three bytes must be lost for that. Not
-  any character would do: the one before a lost space becomes the command, and letters are commands.
+  lines nor two speeds whose space was lost fuse their digits into a larger speed: three bytes must be lost for that. A
+  letter in the place of the comma could become the command.
 - Speeds have three digits at most: a cut line with a whole one behind it fits the firmware's 16 bytes an argument.
 
 A lost digit makes a wheel slower. A lost minus turns it the other way round, as fast: no form of this line prevents it.

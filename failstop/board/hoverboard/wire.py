@@ -71,6 +71,7 @@ WIRE = Wire(
         rest=codec.STOP,
         check=codec.check_motion,
         speeds=codec.speeds,
+        marked=codec.marked,
     ),
     questions=(),
     reader=Feedback,

@@ -119,7 +119,7 @@ class Rrc(Board):
     refresh = codec.STOP
     pings = tuple(codec.pwm_servo_read(servo) for servo in (1, 2, 3, 4))
     ping_ns = 0
-    echo_ns = 0
+    echo_ns = fades_ns = 0
     silent_ns = 60_000_000
     """Six samples of the IMU."""
     arming = b""

@@ -42,14 +42,30 @@ class BoardPort:
         self.port: Port | None = None
         self.on_frame: Callable[[Frame], None] = lambda frame: None
         self.on_bytes: Callable[[bytes], None] = lambda data: None
+        self.down_ns = self.up_ns = 0
+        """How long bytes are on their way to the board, and back: as behind a slow bridge. They overtake none."""
+        self._down_last_ns = self._up_last_ns = 0
+        self.written_ns: dict[int, int] = {}
+        """When the bytes were written that came to the board at a certain time; of those that took any."""
         self._told = 0
         self._due_ns = 1 << 62
         self.plan()
 
     def receive(self, data: bytes) -> None:
-        """Bytes of the port, now."""
+        """Bytes of the port, which come to the board now or later."""
         self.catch_up()
         self.on_bytes(data)
+        now_ns = self.machine.now_ns
+        if not self.down_ns and self._down_last_ns <= now_ns:
+            self.model.receive(data, now_ns)
+            self.plan()
+            return
+        self._down_last_ns = max(now_ns + self.down_ns, self._down_last_ns + 1)
+        self.written_ns[self._down_last_ns] = now_ns
+        self.machine.at(self._down_last_ns, lambda: self._arrive(data))
+
+    def _arrive(self, data: bytes) -> None:
+        self.catch_up()
         self.model.receive(data, self.machine.now_ns)
         self.plan()
 
@@ -89,12 +105,20 @@ class BoardPort:
         """Let everything happen that is due by now: a model of another board passes its time in steps."""
         for data in self.model.advance(self.machine.now_ns):
             if self.port:
-                self.port.send(data)
+                self._send(self.port, data)
         total = self.model.executed_total
         if total > self._told:
             for frame in self.model.executed(self._told):
                 self.on_frame(frame)
             self._told = total
+
+    def _send(self, port: Port, data: bytes) -> None:
+        now_ns = self.machine.now_ns
+        if not self.up_ns and self._up_last_ns <= now_ns:
+            port.send(data)
+            return
+        self._up_last_ns = max(now_ns + self.up_ns, self._up_last_ns + 1)
+        self.machine.at(self._up_last_ns, lambda: port.send(data))
 
 
 class Robot:

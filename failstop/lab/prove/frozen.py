@@ -172,7 +172,7 @@ class FrozenRun(PathRun):
     def _judge_echo(self) -> None:
         """The board says that it obeys zeros, though nobody has written any."""
         result = self.result
-        echo_ns = min((t_ns for _, t_ns in self.stand.watch.answers if t_ns >= self.cause_ns), default=None)
+        echo_ns = min((t_ns for t_ns in self.stand.watch.obeys_zeros if t_ns >= self.cause_ns), default=None)
         if echo_ns is None or self._unread:
             result.wrong += [] if self._unread else ["the board did not report that it obeys zero speed"]
             return

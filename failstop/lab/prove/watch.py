@@ -16,6 +16,7 @@ from struct import Struct
 from failstop.api.client import attach
 from failstop.board import servos
 from failstop.board.feetech.arm import FeetechBoard, goals
+from failstop.board.handled import Handled
 from failstop.board.interface import (
     BY_IMU,
     HEARD_IMU,
@@ -73,20 +74,21 @@ class Watch:
         self._hearing = board.hearing()
         self._received: list[RingReader] = []
         self._frames: RingReader | None = None
-        self._pings: list[Word] = []
+        self._wrote: RingReader | None = None
+        self._handled = Handled(board)
         self._writers: dict[str, Word] = {}
         self._last: dict[str, int] = {}
         self._tap: Tap | None = None
         self._asks = False
-        self._asked: dict[int, int] = {}
         self._ask_ns = 0
         # A board that says something of its wheels only when it is asked has a question for it among the others.
         self._ask_every_ns = board.ping_ns // len(board.pings) if board.ping_ns else ASK_EVERY_NS
         self.samples: list[SeenSample] = []
         """Reports of what observes that the wheels stand: the IMU, or the board's own of its wheels."""
         self.answers: list[tuple[int, int]] = []
-        """(when the ping was written, when its answer was read); of an echo of zeros, when they were written at the
-        latest."""
+        """(when something was written, when what the board said proved that it had handled it)."""
+        self.obeys_zeros: list[int] = []
+        """When the board reported that it obeys zeros, for whatever reason."""
         self.written: list[tuple[int, str]] = []
         """(when, by whom) of every burst."""
         self.zeros: list[int] = []
@@ -105,7 +107,8 @@ class Watch:
         owner = views[layout.PORT_OWNER]
         self._received = [view.ring_reader("received") for view in (views[layout.TELEMETRY], owner)]
         self._frames = views[layout.GATE].ring_reader("frames")
-        self._pings = [owner.word(f"ping_{index}") for index in range(layout.PINGS)]
+        self._wrote = owner.ring_reader("wrote", from_oldest=True)
+        self._handled = Handled(self._board)
         self._writers = {which: views[which].word("written_ns") for which in PORT_WRITERS}
         self._last = {which: word.get() for which, word in self._writers.items()}
         self._hearing.reset()
@@ -135,7 +138,6 @@ class Watch:
         self.let_go()
         self._asks = asks
         self._tap = Tap(fd, self._board)
-        self._asked = {}
         self._ask_ns = 0
 
     def let_go(self) -> None:
@@ -147,7 +149,8 @@ class Watch:
 
     def forget(self) -> None:
         """Begin again; what lies ahead is kept in order."""
-        for found in (self.samples, self.answers, self.written, self.zeros, self.buttons, self.moves, self.readings):
+        heard = (self.samples, self.answers, self.obeys_zeros, self.buttons, self.readings)
+        for found in (*heard, self.written, self.zeros, self.moves):
             found.clear()
 
     def look(self, now_ns: int) -> None:
@@ -162,6 +165,8 @@ class Watch:
                 self.zeros.append(entry[1])
             elif kind == records.ARM:
                 self.moves += moves(entry[1], body, self._board)
+        while self._wrote and (entry := self._wrote.next()):
+            self._handled.wrote(*records.WROTE.unpack(entry[2]), entry[1])
         # The port owner reads while no telemetry runs: in the order of time they are what the board has sent.
         for _, t_ns, data in sorted(chain(*(iter(ring.next, None) for ring in self._received)), key=itemgetter(1)):
             for kind, said in self._hearing.feed(data):
@@ -174,8 +179,7 @@ class Watch:
             if self._asks and now_ns >= self._ask_ns:
                 self._ask_ns = now_ns + self._ask_every_ns
                 with contextlib.suppress(BlockingIOError):
-                    index, asked_ns = tap.ping()
-                    self._asked[index] = asked_ns
+                    tap.ping()
             for t_ns, kind, said in tap.read():
                 self._take(t_ns, kind, said)
         except OSError:
@@ -188,9 +192,8 @@ class Watch:
         elif kind == HEARD_WHEELS:
             if self._board.observed_by != BY_IMU:
                 self.samples.append((t_ns, *said))
-        elif kind == HEARD_OBEYED:
-            if self._board.echo_ns and not any(said):
-                self.answers.append((t_ns - self._board.echo_ns, t_ns))
+        elif kind == HEARD_OBEYED and not any(said):
+            self.obeys_zeros.append(t_ns)
         elif kind == HEARD_PAD:
             if said[0]:
                 self.buttons.append((t_ns, said[0]))
@@ -198,7 +201,12 @@ class Watch:
             servo, what, value = said
             if what == servos.POSITION and value:  # 0 is what a late answer makes of the next (docs/arm.md)
                 self.readings.append((t_ns, servo, value))
-        elif kind == HEARD_PONG:
-            asked_ns = self._asked.get(said[0], 0) if self._tap else self._pings[said[0]].get()
-            if 0 < asked_ns <= t_ns:
-                self.answers.append((asked_ns, t_ns))
+        if kind in (HEARD_PONG, HEARD_OBEYED) and (proved_ns := self._proves(kind, said, t_ns)):
+            self.answers.append((proved_ns, t_ns))
+
+    def _proves(self, kind: int, said: Value, t_ns: int) -> int:
+        """What was written then the board has handled; 0: nothing new is known. On the port itself, an answer to a
+        question of this object's own."""
+        if self._tap and self._board.pings:
+            return self._tap.answers_ns(said, t_ns) if kind == HEARD_PONG else 0
+        return self._handled.heard(kind, said, t_ns, tuple(self._last.values()))

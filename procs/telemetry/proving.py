@@ -1,0 +1,73 @@
+"""What the board's answers and reports prove: up to which write it has handled everything, for the supervisor; and that
+it says zero while it is told to move, for people."""
+
+from __future__ import annotations
+
+from failstop.board.handled import Handled
+from failstop.board.interface import HEARD_OBEYED, HEARD_PONG
+from failstop.messages import layout, records
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.interface import Value
+    from failstop.procs.context import Context
+
+ZEROS_NS = 20_000_000
+"""How often the supervisor is told that the board goes on to obey a command of zeros."""
+FORGOTTEN_NS = 500_000_000
+"""An older report of the command that is obeyed says nothing of now."""
+
+
+class Proving:
+    """The records `answered` and `proved`, and the word `unheeded_ns`. A successor goes on where the process before it
+    was: what that knew to be answered stays so."""
+
+    def __init__(self, context: Context) -> None:
+        own = context.own
+        self._wrote = context.segment(layout.PORT_OWNER).ring_reader("wrote", from_oldest=True)
+        others = (layout.SUPERVISOR, layout.STOPPER)
+        self._stopped = [context.segment(name).word("written_ns") for name in others]
+        self._bell = context.bell("supervisor_bell")
+        self._answered, self._proved = own.latest_writer("answered"), own.latest_writer("proved")
+        entry = own.latest_reader("answered").read()
+        self._handled = Handled(context.board, records.PROVED.unpack(entry[2])[0] if entry else 0)
+        self._unheeded_word = own.word("unheeded_ns")
+        self._unheeded_word.set(0)
+        self._zeros_word = own.word("obeyed_ns")
+        self._unheeded_ns = self._obeyed_ns = self._zeros_ns = 0
+
+    def answered(self, indices: Value, came_ns: int) -> None:
+        """The answer to one of these pings has come."""
+        before_ns = self._handled.asked_ns
+        self._take(HEARD_PONG, indices, came_ns)
+        if self._handled.asked_ns != before_ns:
+            self._answered.write(records.PROVED.pack(self._handled.asked_ns, came_ns), came_ns)
+            self._bell.ring()
+
+    def obeyed(self, speeds: Value, came_ns: int, *, moves: bool) -> None:
+        """The board has reported the command that it obeys; `moves`: it is told to move."""
+        self._obeyed_ns = came_ns
+        zeros = bool(speeds) and not any(speeds)  # NaN is no zero, and no speeds are no report
+        self._tell_unheeded((self._unheeded_ns or came_ns) if moves and zeros else 0)
+        if zeros and came_ns - self._zeros_ns >= ZEROS_NS:
+            self._zeros_ns = came_ns
+            self._zeros_word.set(came_ns)
+            self._bell.ring()
+        self._take(HEARD_OBEYED, speeds, came_ns)
+
+    def forget(self, now_ns: int) -> None:
+        """Once in a while: a report that is old is none."""
+        if self._unheeded_ns and now_ns - self._obeyed_ns >= FORGOTTEN_NS:
+            self._tell_unheeded(0)
+
+    def _take(self, kind: int, said: Value, came_ns: int) -> None:
+        while entry := self._wrote.next():
+            self._handled.wrote(*records.WROTE.unpack(entry[2]), entry[1])
+        if proved_ns := self._handled.heard(kind, said, came_ns, [word.get() for word in self._stopped]):
+            self._proved.write(records.PROVED.pack(proved_ns, came_ns), came_ns)
+            self._bell.ring()
+
+    def _tell_unheeded(self, since_ns: int) -> None:
+        if since_ns != self._unheeded_ns:
+            self._unheeded_ns = since_ns
+            self._unheeded_word.set(since_ns)
