@@ -17,12 +17,14 @@ from failstop.messages.packing import pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.proofs import (
+    ACKNOWLEDGED_BY,
     LINK_ALIVE,
     LINK_DEAF,
     LINK_UNASKED,
     LINK_UNHEARD,
     LINK_UNPROVEN,
     NOT_SENT,
+    UNMOVED,
     observer,
 )
 from failstop.shm.words import Barrier
@@ -260,7 +262,9 @@ class Monitor:
             told = f"the second stop was handed over, {NOT_SENT}"
         fields = {"link": link, "acknowledged_us": round(heard_ns / 1e3, 1) if heard_ns else None}
         if heard_ns:
-            heard, level = f"acknowledged by the board after {heard_ns / 1e6:.1f} ms", ""
+            heard, level = f"acknowledged by {ACKNOWLEDGED_BY[self._by[0]]} after {heard_ns / 1e6:.1f} ms", ""
+        elif link == LINK_UNASKED and self._by[0]:
+            heard, level = UNMOVED, ""
         elif link == LINK_UNPROVEN:
             heard, level = "whether the board hears is not known (link unproven)", "warning"
         elif link == LINK_UNASKED:

@@ -20,6 +20,7 @@ from failstop.policy.proofs import (
     LINK_UNPROVEN,
     NO_IMU,
     NOT_SENT,
+    UNMOVED,
     wheels_seen,
 )
 from failstop.supervisor.stops import Stop
@@ -123,7 +124,8 @@ class Proof:
         if self.acknowledged_ns:
             heard = f"acknowledged by {ACKNOWLEDGED_BY[self._by[0]]} after {self.acknowledged_ns / 1e6:.1f} ms"
         else:
-            heard = f"handed over, {NOT_SENT}" if self.held else f"not acknowledged (link {link})"
+            unheard = UNMOVED if link == LINK_UNASKED and self._by[0] else f"not acknowledged (link {link})"
+            heard = f"handed over, {NOT_SENT}" if self.held else unheard
         if self.observed_ns is None:
             unstill = "wheels NOT seen still" if self.wheels == WHEELS_UNSTILL else "not observed"
             seen = unstill if self._by[1] else NO_IMU

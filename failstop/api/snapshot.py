@@ -162,6 +162,8 @@ class Device:
     """The act of that watchdog: zero (it stops the wheels), coast (they roll on without current), or disarm."""
     imu: bool = True
     """False: the robot has no IMU (setting board.imu)."""
+    unheeded_s: float | None = None
+    """How long the board has reported to obey zero speed while motion is commanded, s; None: it has not."""
 
 
 @dataclasses.dataclass(frozen=True)

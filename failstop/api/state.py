@@ -92,6 +92,7 @@ class StateReader(SeenRun):
         self._epoch = self.supervisor.word("epoch")
         self._latest = {record: views[whose].latest_reader(record) for record, (whose, _) in RECORDS.items()}
         self._telemetry = views[layout.TELEMETRY]
+        self._unheeded = self._telemetry.word("unheeded_ns")
         self._sampled: Odometry | None = None
 
     def _value(self, record: str) -> Any:
@@ -249,7 +250,9 @@ class StateReader(SeenRun):
         # A run begins with an open port, which its supervisor has; then the port owner tells of it.
         *_, state, path = self._value("port") or (records.PORT_OPEN, str(self.settings()["device.path"]))
         found: Any = records.PORT_STATES[state]
-        return snapshot.Device(path, found, self._value("link") or "unproven", *self._watchdog)
+        since_ns = self._unheeded.get()
+        unheeded_s = (time.monotonic_ns() - since_ns) / 1e9 if since_ns else None
+        return snapshot.Device(path, found, self._value("link") or "unproven", *self._watchdog, unheeded_s)
 
     @cached_property
     def _watchdog(self) -> tuple[float, str, bool]:

@@ -18,6 +18,8 @@ MAY_TURN = "MAY TURN"
 """A stop that is not known to reach the wheels is none: nobody must rely on it."""
 MOVING, CAN_MOVE, WRITTEN, WHEELS_MAY_TURN = "MOVING", "CAN MOVE", "STOP WRITTEN", "WHEELS MAY TURN"
 """Large words, beside STOPPED."""
+COMMANDED = "COMMANDED TO DRIVE"
+"""In the place of DRIVING, while the board reports that it obeys zero speed."""
 NO_SERVICE = "NO SERVICE"
 """The word where no service runs."""
 NEVER_ANSWERED = "the board has never answered"
@@ -29,6 +31,9 @@ LINKS = {
     "unasked": "this board answers no question, by its nature",
 }
 """The proof by each state of the link, in words."""
+UNHEEDED_S = 0.5
+"""A board that reports zero speed for as long amid motion does not obey: its reports come every 100 ms at least, and an
+adapter may hold a command back."""
 STALE_S = 0.5
 """A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
 LATE_BEAT_S = 0.3
@@ -58,8 +63,19 @@ def doubt(state: State) -> str:
 def unproven(state: State) -> str:
     """Why nothing proves what the wheels are said to do; empty when the board's answers do, when the wheels are in
     doubt, and of a board that answers nothing by its nature."""
+    if doubt(state):
+        return ""
     never = state.device.state == "open" and state.device.link == "unproven"
-    return NEVER_ANSWERED if never and not doubt(state) else ""
+    return NEVER_ANSWERED if never else unheeded(state)
+
+
+def unheeded(state: State) -> str:
+    """How long the board has said that it obeys zero speed although motion is commanded; empty when it does not say
+    so, or not for long enough to be sure."""
+    for_s = state.device.unheeded_s
+    if not state.moving or for_s is None or for_s < UNHEEDED_S:
+        return ""
+    return f"for {words.span(for_s)} the board has reported that it obeys zero speed"
 
 
 def word(state: State) -> str:
@@ -74,7 +90,8 @@ def word(state: State) -> str:
 def proven_word(state: State) -> str:
     """The word; where nothing proves it, with that."""
     why = unproven(state)
-    return f"{word(state)}, unproven: {why}" if why else word(state)
+    found = COMMANDED if unheeded(state) else word(state)
+    return f"{found}, unproven: {why}" if why else found
 
 
 def large_word(state: State) -> str:
@@ -108,7 +125,8 @@ def headline(state: State) -> str:
         return f"stop latched: {state.cause}"
     if state.block:
         return f"blocked: {state.block.value}"
-    return words.velocity(*state.body_vel) or "zero is commanded"
+    how = words.velocity(*state.body_vel)
+    return (f"{how} is commanded" if unheeded(state) else how) or "zero is commanded"
 
 
 def down(state: State) -> list[str]:

@@ -11,7 +11,16 @@ from failstop.api.snapshot import Block, State, Stop
 from failstop.board.decoder import BUTTONS
 from failstop.policy.causes import Cause, filled
 from failstop.policy.processes import ROLES
-from failstop.policy.proofs import ACKNOWLEDGED_BY, NO_IMU, NOT_SENT, SEEN_BY, TO_A_STRANGER, wheels_seen
+from failstop.policy.proofs import (
+    ACKNOWLEDGED_BY,
+    LINK_UNASKED,
+    NO_IMU,
+    NOT_SENT,
+    SEEN_BY,
+    TO_A_STRANGER,
+    UNMOVED,
+    wheels_seen,
+)
 
 YET_S = 2.0
 """By then everything that will be known of a stop is known."""
@@ -109,7 +118,12 @@ def _buttons(pressed: int) -> str:
 
 def _free(state: State) -> str:
     how = words.velocity(*state.body_vel) or "zero, so the wheels stand"
-    if driver := state.driver:
+    driver = state.driver
+    if driver and verdict.unheeded(state):
+        return (
+            f"nothing holds the wheels: {driver.who} commands {how} as {driver.source}, which does not reach the board"
+        )
+    if driver:
         return f"nothing holds the wheels: {driver.who} drives as {driver.source}, {how}"
     return f"nothing holds the wheels: the command is {how}"
 
@@ -137,7 +151,7 @@ def _proof(state: State, now_s: float) -> str:
     stop = state.last_stop
     if stop and (state.block is Block.DISABLED or stop.cause == state.cause):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
-        told = ", ".join(text for text, _ in proofs(stop, now_s))
+        told = ", ".join(text for text, _ in proofs(stop, now_s, state.device.link))
         if stop.written_s is None and not verdict.doubt(state):
             told += " at first; the port is open now, and the board is told zero"
         return f"{which}{told}"
@@ -145,9 +159,10 @@ def _proof(state: State, now_s: float) -> str:
     return told if state.block in (None, Block.LATCHED) else f"the board is told zero; {told}"
 
 
-def proofs(stop: Stop, now_s: float) -> list[tuple[str, bool | None]]:
+def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | None]]:
     """Its three proofs in words, each with whether it is one (None: there was nothing to see, as the wheels did not
-    shake before the stop either, or as this board acknowledges nothing); of a stop that was not written, that alone."""
+    shake before the stop either, or as this board acknowledges nothing); of a stop that was not written, that alone.
+    `link`: that of the board."""
     if stop.written_s is None:
         return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
@@ -160,6 +175,8 @@ def proofs(stop: Stop, now_s: float) -> list[tuple[str, bool | None]]:
         heard = "this board acknowledges nothing"
     elif stop.acknowledged_s is not None:
         heard = f"acknowledged by {ACKNOWLEDGED_BY[stop.acknowledged_by]} after {words.took(stop.acknowledged_s)}"
+    elif link == LINK_UNASKED:
+        heard = UNMOVED
     if stop.observed_s is not None:
         seen = wheels_seen(stop.observed_s, by)
     return [

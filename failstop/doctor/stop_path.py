@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from failstop import stopping
 from failstop.api.snapshot import State
 from failstop.board import asking
-from failstop.board.interface import Board
+from failstop.board.interface import BY_ECHO, Board
 from failstop.board.kinds import board_of, is_own
 from failstop.board.port import PortError, release_exclusive, set_speed
 from failstop.board.stop_port import StopPort
@@ -24,7 +24,7 @@ from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.files.instance import option
 from failstop.instances import unit_of
 from failstop.policy.layouts import BOARDS
-from failstop.policy.proofs import LINK_ALIVE, LINK_UNASKED
+from failstop.policy.proofs import LINK_ALIVE, LINK_UNASKED, UNMOVED
 from failstop.supervisor.port_handover import OwnPort
 
 ANSWER_S = 0.5
@@ -89,7 +89,9 @@ def of_service(name: str, state: State) -> list[Finding]:
     if stop and stop.acknowledged_s is not None:
         return ok(f"the service's last stop: acknowledged by the board after {stop.acknowledged_s * 1e3:.1f} ms")
     if stop and stop.written_s is not None and state.device.link == LINK_UNASKED:
-        return ok(f"the service's last stop: {UNANSWERED}")
+        return ok(
+            f"the service's last stop: {f'written, {UNMOVED}' if stop.acknowledged_by == BY_ECHO else UNANSWERED}"
+        )
     text = "the service's last stop: not acknowledged by the board" if stop else "the service has stopped nothing yet"
     advice = f"it latches a stop; then doctor once more, and `failstop reset{option(name)}`"
     return (warn if stop else skip)(text, f"failstop stop{option(name)}", advice)

@@ -13,6 +13,8 @@ NOT_SENT = "NOT sent: the board takes no bytes"
 """For people: of bytes that the kernel was handed and holds (with cdc_acm; a pty that is full takes none)."""
 ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo"}
 """For people: what acknowledges a stop, by the word of the board's interface."""
+UNMOVED = "not acknowledged: the board's echo shows a stop only where it ends motion"
+"""For people: of a board that is asked nothing and whose echo was zero already, or did not say that it moves."""
 SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
 """For people: what observes that the wheels stand, likewise. By nothing: NO_IMU."""
 NO_IMU = "not observed: the robot has no IMU"

@@ -140,7 +140,7 @@ def _held(state: State) -> str:
         return words.sentence(meaning(state.cause)[0])
     if state.block:
         return HOLDS[state.block][1]
-    return words.sentence(words.velocity(*state.body_vel) or "The command is zero")
+    return words.sentence(verdict.headline(state) if any(state.body_vel) else "The command is zero")
 
 
 def _obstacles(state: State) -> dict[str, str]:

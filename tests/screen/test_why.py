@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from failstop.api import words
+from failstop.api import verdict, words
 from failstop.api.events import Event
 from failstop.api.snapshot import Block, Device, Starved, State
 from failstop.api.why import HOLDS, Why, explain
@@ -145,3 +145,22 @@ def test_a_board_that_answers_nothing_by_its_nature_is_not_warned_of() -> None:
     assert found.what.startswith("a stop is latched since ")
     assert "this board acknowledges nothing, wheels still after about 0.3 s" in found.proof
     assert found.also == ()
+
+
+def test_a_command_that_the_board_says_it_does_not_obey_is_no_driving() -> None:
+    """Its echo is zero: the command wire is broken, or its own watchdog has acted."""
+    deaf, young = (driving(device=Device("/dev/ttyACM0", "open", "unasked", unheeded_s=for_s)) for for_s in (0.8, 0.3))
+    found = why(deaf)
+    assert "drives" not in str(found)
+    assert found.what == (
+        "COMMANDED TO DRIVE, unproven: for 0.8 s the board has reported that it obeys zero speed; nothing holds the "
+        "wheels: nav (pid 42) commands 0.20 m/s forward as cmd_vel, which does not reach the board"
+    )
+    assert verdict.large_word(deaf) == "MOVING, UNPROVEN"
+    assert "drives" in why(young).what, "it may be on its way"
+
+
+def test_an_echo_that_ended_no_motion_is_no_acknowledgement() -> None:
+    unasked = Device("/dev/ttyACM0", "open", "unasked")
+    told = why(latched(device=unasked, last_stop=stop(acknowledged_by="echo", acknowledged_s=None))).proof
+    assert "not acknowledged: the board's echo shows a stop only where it ends motion" in told

@@ -79,13 +79,25 @@ def test_a_board_that_has_never_answered_is_waited_for_a_while_and_is_no_failure
     assert scene.word("beat_ns").get() > began_ns, "its own beat goes on: nobody stops for its silence"
 
 
-def test_a_board_that_can_not_answer_is_not_waited_for() -> None:
+def test_a_board_that_can_not_answer_is_waited_for_no_longer_than_for_its_echo() -> None:
     scene = whole({"board.kind": "hoverboard"})
-    began_ns, repeats_ns = scene.now_ns, scene.port.board.repeats_ns[SUPERVISOR_ROW]
+    began_ns, repeats_ns, echo_ns = (
+        scene.now_ns,
+        scene.port.board.repeats_ns[SUPERVISOR_ROW],
+        2 * scene.port.board.echo_ns,
+    )
     well, told = end(scene)
     assert well
-    assert told[1][1].endswith("this board acknowledges nothing (link unasked)")
-    assert scene.now_ns == began_ns + KILLED_NS + repeats_ns[-1]
+    assert told[1][1].endswith("not acknowledged: the board's echo shows a stop only where it ends motion")
+    assert scene.now_ns == began_ns + echo_ns + KILLED_NS + repeats_ns[-1]
+
+
+def test_the_last_line_names_the_echo_that_has_acknowledged_the_last_stop() -> None:
+    scene = whole({"board.kind": "hoverboard"})
+    scene.telemetry.latest_writer("proved").write(records.PROVED.pack(scene.now_ns, scene.now_ns + MS))
+    well, told = end(scene)
+    assert well
+    assert told[1][1].endswith("acknowledged by the board's echo after 1.0 ms")
 
 
 def test_a_board_that_does_not_hear_the_last_stop_is_a_failure(scene: Scene) -> None:

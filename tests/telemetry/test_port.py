@@ -222,7 +222,7 @@ def test_an_answer_is_published_with_the_time_of_its_question_and_rings_the_supe
 
 
 def test_a_successor_counts_on_from_what_was_answered(scene: Scene) -> None:
-    """It has not seen the answers before it, and an answer that it can't place would prove the oldest question alone."""
+    """It has not seen the answers before it: one that it can not place would prove the oldest question alone."""
     for _ in range(3):
         asked_ns = ask(scene)
         scene.wake(PONG, elapsed_ns=10 * MS)

@@ -104,7 +104,7 @@ def last_stop(state: State, now_s: float) -> list[Line]:
         return [row("last stop", "none since the service was started")]
     what = "the one that is latched" if stop.cause == state.cause else stop.reason
     line = row("", "")
-    for number, (text, proven) in enumerate(proofs(stop, now_s)):
+    for number, (text, proven) in enumerate(proofs(stop, now_s, state.device.link)):
         unwritten = number == 0 and not proven
         line += [(", " if number else "", PLAIN), (text, FAIL if unwritten else PROOFS[proven])]
     return [[*row("last stop", what), (f" ({words.ago(stop.t, now_s)})", DIM)], line]
