@@ -118,7 +118,7 @@ class Echo:
 
 
 class Handled:
-    """What a board has handled, by all that it says: first wrote() everything that was written, then heard()."""
+    """Follows how much a board has handled, by all that it says: wrote() everything that was written, then heard()."""
 
     def __init__(self, board: Board, since_ns: int = 0) -> None:
         """`since_ns`: what was written until then is known to be handled."""
@@ -139,8 +139,8 @@ class Handled:
             self._answers.asked(index, written_ns)
 
     def heard(self, kind: int, said: Value, came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """What the board has said at `came_ns` proves that it has handled all that was written until the time that is
-        returned, a stop then; 0: it proves nothing new. `others_ns`: as of Echo."""
+        """Returns the time of a write (ns): by what the board has said at `came_ns` it has handled everything up to
+        there, and obeys a stop among it. 0: nothing new is proved. `others_ns`: as in Echo."""
         if kind == HEARD_PONG:
             if not (asked_ns := self._answers.answered(said, came_ns)):
                 return 0

@@ -158,13 +158,13 @@ class Board:
         raise NotImplementedError
 
     def commanded(self, frame: bytes) -> Sequence[float] | None:
-        """What a board that reports its command will say when it obeys this motion frame or stop; None: it reports
-        none, or these are other bytes. Never raises."""
+        """The speeds that the board will report when it obeys this motion frame or stop; None: it reports none, or
+        these are other bytes. Never raises."""
         return None
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """The same motion frame, a trifle slower: of those of consecutive turns the reports of a board can tell that
-        they have arrived. The frame itself, where nothing is proved by that."""
+        """A motion frame that is sent again, for the `turn`th time, a trifle slower by its turn: reports of a steady
+        command could not tell whether frames still arrive. The frame itself, where no report proves anything."""
         return frame
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:

@@ -44,8 +44,8 @@ class OpenPort:
         self.pings = Pings(len(board.pings), period_ns, due, self.hears_ns)
         self._asked_word = own.word("asked_ns")
         self.wrote = own.ring_writer("wrote")
-        """What the board will answer or echo. An entry comes before its bytes: one whose bytes never went out is as good
-        as lost, one that was missing would make the answer prove too much."""
+        """Keeps everything that the board will answer or echo, each entry before its bytes: an entry whose bytes never
+        went out counts as lost, but without an entry the answer would prove a later write than its own."""
         self._ping_backlog = 2 * len(board.burst)
         """Bytes under way behind which a ping may queue: it follows a stop at once, to be handled right after it."""
 

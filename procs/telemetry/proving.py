@@ -1,5 +1,5 @@
-"""What the board's answers and reports prove: up to which write it has handled everything, for the supervisor; and that
-it says zero while it is told to move, for people."""
+"""Proving: how much the board has handled, by its answers and reports, for the supervisor; and for people, whether it
+reports zero speed although it is told to move."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which write an answer or an echo proves: never one that the board may not have handled yet."""
+"""An answer or an echo never proves a write that the board may not have handled yet."""
 
 from __future__ import annotations
 

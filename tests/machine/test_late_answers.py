@@ -28,7 +28,7 @@ EACH = 50
 
 
 class Judge:
-    """What the service says of its stops, and what the receiver did."""
+    """Compares the stops that the service calls acknowledged with those that the receiver handled."""
 
     def __init__(self, kind: str, rng: random.Random) -> None:
         self.sim = Simulated(kind=kind)

@@ -39,7 +39,7 @@ def reports(stops_s: float, until_s: float = 3.0, speed: float = 0.2) -> list[Se
 def frozen(**changed: object) -> FrozenRun:
     """A run on a real board that reports its wheels and what it obeys, seen through to the end of the freeze."""
     zeros_ns = FAULT_NS + round(WITHIN_S * 1000) * MS
-    watch = SimpleNamespace(samples=reports(WITHIN_S), written=[], answers=[(zeros_ns - 50 * MS, zeros_ns)])
+    watch = SimpleNamespace(samples=reports(WITHIN_S), written=[], obeys_zeros=[zeros_ns])
     for name, value in changed.items():
         setattr(watch, name, value)
     stand = SimpleNamespace(board=None, watch=watch, means=BOARD)
@@ -67,8 +67,8 @@ WRONG: dict[str, tuple[dict[str, object], bool]] = {
     "at rest after 1.90 s, the bar": ({"samples": reports(1.9)}, False),
     f"at rest after {1.0 - EARLY_S - 0.1:.2f} s: its own watchdog acts": ({"samples": reports(0.6)}, False),
     "gate wrote a stop": ({"written": [(FAULT_NS + MS, "gate")]}, False),
-    "the board did not report that it obeys zero": ({"answers": [(FAULT_NS - 90 * MS, FAULT_NS - MS)]}, True),
-    "its own watchdog acted after 1900 ms": ({"answers": [(FAULT_NS, FAULT_NS + 1900 * MS)]}, False),
+    "the board did not report that it obeys zero": ({"obeys_zeros": [FAULT_NS - MS]}, True),
+    "its own watchdog acted after 1900 ms": ({"obeys_zeros": [FAULT_NS + 1900 * MS]}, False),
 }
 
 

@@ -205,8 +205,8 @@ class Watch:
             self.answers.append((proved_ns, t_ns))
 
     def _proves(self, kind: int, said: Value, t_ns: int) -> int:
-        """What was written then the board has handled; 0: nothing new is known. On the port itself, an answer to a
-        question of this object's own."""
+        """The time of a write that the board has handled; 0: nothing new is known. On the port itself, only answers to
+        this object's own questions count."""
         if self._tap and self._board.pings:
             return self._tap.answers_ns(said, t_ns) if kind == HEARD_PONG else 0
         return self._handled.heard(kind, said, t_ns, tuple(self._last.values()))
