@@ -12,6 +12,8 @@ import pytest
 from failstop.api import distance
 from failstop.board.kinds import is_described
 from failstop.cli.main import main
+from failstop.lab.boards.live import DIAMETER_M
+from failstop.lab.boards.traits import traits_of
 from failstop.lab.faults.table import TABLE
 from failstop.lab.prove import report
 from failstop.policy.kinematics import AXES
@@ -73,6 +75,15 @@ def rolled_m(simulated: Simulated, settings: Settings) -> float:
     return max(ways)
 
 
+def least_share(kind: str) -> float:
+    """The slowest that a steady 0.2 m/s is sent, as a share of it: marks make some frames a trifle slower."""
+    board = traits_of(kind).language
+    rps = 0.2 / (math.pi * DIAMETER_M)
+    frame = board.motor_speeds((rps,) * board.wheels, 2 * rps)
+    every = [board.speeds(board.marked(frame, turn)) or () for turn in range(8)]
+    return min(min(speeds) for speeds in every) / rps
+
+
 def screens(kind: str, simulated: Simulated, folder: Path, capsys: pytest.CaptureFixture[str]) -> Iterator[str]:
     """Every screen that tells of the distance, in one line."""
     file = folder / "robot.toml"
@@ -101,7 +112,8 @@ def test_every_screen_tells_the_way_that_the_wheels_make(
     assert latest == ("telemetry hangs" if is_described(kind) else "the obstacle sensor falls silent")
     simulated = Simulated(kind=kind)
     # Behind a deadline the distance reckons with a busy machine, which the simulated one is not.
-    assert way * (0.9 if is_described(kind) else 1 - CLOSE) <= rolled_m(simulated, settings) <= way * (1 + CLOSE)
+    spare = 0.1 if is_described(kind) else CLOSE
+    assert way * (least_share(kind) - spare) <= rolled_m(simulated, settings) <= way * (1 + CLOSE)
     told = [" ".join(screen.split()) for screen in screens(kind, simulated, tmp_path, capsys)]
     assert [distance.WITHIN.format(way) in screen for screen in told] == [True] * len(SCREENS), told
     simulated.robot.limit_speed(0.5)

@@ -78,7 +78,8 @@ def speeds(frame: bytes) -> tuple[float, float] | None:
 
 
 MARKS = (0, 1, 0, 2)
-"""Units that a frame which is sent again and again is slower, in turn. Two lost in a row are seen at the next 2."""
+"""Units that a frame which is sent again and again is slower, in turn: of any three in a row the middle one may be
+lost, and the echo still says which of the others it is."""
 
 
 def marked(frame: bytes, turn: int) -> bytes:
