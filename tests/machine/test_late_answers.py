@@ -1,7 +1,7 @@
 """No stop is acknowledged before the board has handled it, whatever its line does.
 
 The judge is the board's receiver. The line holds bytes back for up to two seconds each way, for another time at each
-stop, and loses some, so that answers to old questions come while new ones are asked. Telemetry and port owner are
+stop, and loses questions and answers, so that old ones are answered while new ones are asked. Telemetry and port owner are
 killed with questions under way. Now and then the command wire is broken while it drives, and the stop never arrives.
 """
 
@@ -41,15 +41,16 @@ class Judge:
         """Of each stop frame that the receiver has handled: when it was written, and when it was handled."""
         self.sim.lab.board.on_frame = self._take
         self._loss = 0.0
-        """The share of writes, and of what the board says, that is lost."""
+        """The share of questions, and of what the board says, that is lost. Not of stops: that a question which was
+        written behind a stop comes no further than the stop is taken for granted (docs/dev/assumptions.md, PING)."""
         self._lose()
 
     def _lose(self) -> None:
         line = self.sim.lab.board
-        receive, send = line.model.receive, line._send
+        receive, send, pings = line.model.receive, line._send, line.traits.language.pings
 
         def received(chunk: bytes, t_ns: int) -> None:
-            if self._rng.random() >= self._loss:
+            if chunk not in pings or self._rng.random() >= self._loss:
                 receive(chunk, t_ns)
 
         def sent(port: Port, data: bytes) -> None:
