@@ -357,8 +357,8 @@ class Supervisor:
         return sent and (heard_ns > 0 or link in (LINK_UNPROVEN, LINK_UNASKED))
 
     def _hear(self, stop_ns: int) -> int:
-        """Wait until the board has acknowledged the stop that was written then (0: none was); returns how long after it,
-        in ns; 0: not within HEAR_NS, or the time of an echo. The processes that ask and listen must live for it."""
+        """Wait until the board has acknowledged the stop that was written then (0: none was); returns how long after
+        it, in ns; 0: not within HEAR_NS, or the time of an echo. The processes that ask and listen must live for it."""
         echo_ns = 2 * self._port.board.echo_ns
         until_ns = monotonic_ns() + (echo_ns if self.monitor.link.state == LINK_UNASKED else HEAR_NS)
         while stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening(now_ns):

@@ -1,8 +1,8 @@
 """No stop is acknowledged before the board has handled it, whatever its line does.
 
 The judge is the board's receiver. The line holds bytes back for up to two seconds each way, for another time at each
-stop, and loses questions and answers, so that old ones are answered while new ones are asked. Telemetry and port owner are
-killed with questions under way. Now and then the command wire is broken while it drives, and the stop never arrives.
+stop, and loses questions and answers, so that old ones are answered while new ones are asked. Telemetry and port owner
+are killed with questions under way. Now and then the command wire breaks while it drives, and the stop never arrives.
 """
 
 from __future__ import annotations
