@@ -114,9 +114,14 @@ def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
         StopPort(tap.fd, board).burst()
     for _ in range(QUESTIONS):
         time.sleep((len(board.burst) * board.port.byte_ns + board.idle_ns) / 1e9)
-        if (answered_ms := tap.answered_ms(ANSWER_S)) is not None:
+        if (answered_ms := heard_ms(tap, board)) is not None:
             return answered_ms
     return None
+
+
+def heard_ms(tap: Tap, board: Board) -> float | None:
+    """The time until the board answered a question, or, where it has none, reported that it obeys zeros, in ms."""
+    return tap.answered_ms(ANSWER_S) if board.pings else tap.zeros_ms(ANSWER_S)
 
 
 def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, str, str]:

@@ -125,8 +125,7 @@ def by_hand(path: str, boards: Mapping[str, Board], again: str) -> tuple[list[Fi
             tap = Tap(own.fd, board)
             for writer, write in WRITERS.items():
                 write(own, path)
-                heard_ms = tap.answered_ms(ANSWER_S) if board.pings else tap.zeros_ms(ANSWER_S)
-                found += judged(writer, board, heard_ms, again)
+                found += judged(writer, board, asking.heard_ms(tap, board), again)
                 if found[-1].level != OK:
                     break
             return told, found

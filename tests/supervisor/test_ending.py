@@ -9,7 +9,7 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.board.interface import SUPERVISOR_ROW
 from failstop.lab.machine.kernel import TAKEDOWN_NS
-from failstop.messages import layout
+from failstop.messages import layout, records
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.shm import heartbeat
 from failstop.supervisor import main

@@ -299,7 +299,8 @@ class Target:
         device, board = self.device(), self.board()
         heard = stopping.answered(device, board, patient=patient)
         if heard:
-            standard.tell(f"the board at {device} answers")
+            how = "answers" if board.pings else "reports that it obeys zero speed"
+            standard.tell(f"the board at {device} {how}")
         elif heard is None and (board.pings or board.echo_ns):
             standard.tell(f"whether the board at {device} answers is not known: a service reads that port")
         elif heard is None:
