@@ -23,6 +23,7 @@ EVERYWHERE = {
 }
 """Names that several modules of the core define, and why they may."""
 OF_THE_LAB = {
+    "HELD": "bytes that an Arduino holds",
     "HELLO": "the first packet of usbredir",
     "Imu": "the simulated one",
     "Port": "the simulated one",

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 COMMANDED = 255
 """In the place of a ping's index: what was written is a command."""
-LOST_NS = 10_000_000_000
+GIVEN_UP_NS = 10_000_000_000
 """A question that was not answered for as long never will be. Every stop proof rests on this: a line that holds bytes
 back for longer, there and back together, may make a late answer look like an early one."""
 COMMANDS_KEPT = 512
-TOGETHER_NS = 20_000_000
+ONE_STOP_NS = 20_000_000
 """Stops of several writers within this time are one stop: each answers the same cause."""
 MARGIN_NS = 100_000_000
 """A board's own watchdog may be early by as much."""
@@ -46,7 +46,7 @@ class Answers:
     def answered(self, indices: Sequence[int], came_ns: int) -> int:
         """When the earliest question was asked that this can be the answer to; 0: none can. `indices`: those that are
         answered like this. All before it are closed: what was not answered in its turn was lost."""
-        while self._open and came_ns - self._open[0][1] > LOST_NS:
+        while self._open and came_ns - self._open[0][1] > GIVEN_UP_NS:
             self._open.popleft()
         for at, (index, asked_ns) in enumerate(self._open):
             if asked_ns > came_ns:
@@ -98,7 +98,7 @@ class Echo:
         stops_ns += [written_ns] if written_ns else []
         if not stops_ns:
             return 0
-        latest_ns = max(each for each in stops_ns if each - min(stops_ns) <= TOGETHER_NS)
+        latest_ns = max(each for each in stops_ns if each - min(stops_ns) <= ONE_STOP_NS)
         if written_ns and written_ns <= latest_ns:
             self._close(at)
         return latest_ns

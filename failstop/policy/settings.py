@@ -24,7 +24,7 @@ def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | t
 
 SWITCH = ("on", "off")
 DEATHS = ("disable", "latch", "stay")
-SILENCES = ("wait", "disable", "latch")
+ANSWERS_TO_SILENCE = ("wait", "disable", "latch")
 TURNS = ("none", "yaw", "pitch", "roll")
 WEB_TLS = ("auto", "on", "off")
 
@@ -48,7 +48,7 @@ DECLARED = (
         "gate.driver_silence",
         "wait",
         "what to do when a program stops sending commands while it drives: wait for its next one, disable, or latch",
-        SILENCES,
+        ANSWERS_TO_SILENCE,
     ),
     Setting("limits.vx_mps", 0.2, "m/s", 0.01, 3.0, "fastest forward and backward"),
     Setting("limits.vy_mps", 0.2, "m/s", 0.01, 3.0, "fastest sideways"),

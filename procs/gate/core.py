@@ -20,7 +20,7 @@ from failstop.messages.records import FOR_AN_INTERLOCK, REFUSED
 from failstop.policy import causes
 from failstop.policy.causes import Cause, Reply, refused
 from failstop.policy.kinematics import Chassis, Velocity, WheelSpeeds
-from failstop.policy.settings import DEATHS, PAD_SOURCE, SILENCES, Settings
+from failstop.policy.settings import ANSWERS_TO_SILENCE, DEATHS, PAD_SOURCE, Settings
 from failstop.procs.gate.conditions import Attendance, Interlocks, ScanGate
 from failstop.procs.gate.remarks import DriverLosses, disabled_by_death, disabled_by_silence
 from failstop.procs.gate.sources import PAD_SESSION, Command, Sources
@@ -28,11 +28,11 @@ from failstop.procs.gate.sources import PAD_SESSION, Command, Sources
 REST = (0.0, 0.0, 0.0)
 IS_LATCHED = "a stop is latched"
 WHEELS_ENABLED = "wheels enabled"
-ENABLED = "motion enabled"
+MAY_MOVE = "motion enabled"
 LEAST_LIMIT = 5
 """Percent: a limit under it would be a stop without a word."""
 _DISABLE, _LATCH, _STAY = DEATHS
-_WAIT, *_ = SILENCES
+_WAIT, *_ = ANSWERS_TO_SILENCE
 MOST_IGNORED = 64
 """Sources that are no client's and are told of in the life of a gate."""
 
@@ -216,13 +216,13 @@ class GateCore:
         if refusal := self.refusal(missing, now_ns):
             return refusal
         if self.enabled:
-            return Reply(True, ENABLED)
+            return Reply(True, MAY_MOVE)
         self.stand_still()
         self.enabled = True
         self.enabled_ns = now_ns
         self.epoch = epoch
         held = " and ".join(self.sources.hold(now_ns))
-        return Reply(True, f"motion enabled; {held} must send zero or pause before it can drive" if held else ENABLED)
+        return Reply(True, f"motion enabled; {held} must send zero or pause before it can drive" if held else MAY_MOVE)
 
     def disable(self) -> Reply:
         self.stand_still()

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from failstop.board.interface import Value
     from failstop.procs.context import Context
 
-ZEROS_NS = 20_000_000
+TELL_ZEROS_NS = 20_000_000
 """How often the supervisor is told that the board goes on to obey a command of zeros."""
 FORGOTTEN_NS = 500_000_000
 """An older report of the command that is obeyed says nothing of now."""
@@ -49,7 +49,7 @@ class Proving:
         self._obeyed_ns = came_ns
         zeros = bool(speeds) and not any(speeds)  # NaN is no zero, and no speeds are no report
         self._tell_unheeded((self._unheeded_ns or came_ns) if moves and zeros else 0)
-        if zeros and came_ns - self._zeros_ns >= ZEROS_NS:
+        if zeros and came_ns - self._zeros_ns >= TELL_ZEROS_NS:
             self._zeros_ns = came_ns
             self._zeros_word.set(came_ns)
             self._bell.ring()

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from failstop.board.handled import LOST_NS, Answers, Echo
+from failstop.board.handled import GIVEN_UP_NS, Answers, Echo
 from failstop.procs.loop import Timer
 from failstop.procs.schedule import Pings
 from tests.support.amounts import amount
@@ -40,9 +40,9 @@ def test_an_answer_that_came_before_the_question_is_none_to_it() -> None:
 
 def test_a_question_that_was_not_answered_for_long_never_will_be() -> None:
     answers = Answers()
-    for at_ns in (1, LOST_NS):
+    for at_ns in (1, GIVEN_UP_NS):
         answers.asked(0, at_ns)
-    assert answers.answered((0,), LOST_NS + 2) == LOST_NS
+    assert answers.answered((0,), GIVEN_UP_NS + 2) == GIVEN_UP_NS
 
 
 def test_an_answer_that_may_be_to_either_of_two_questions_counts_once_and_as_the_older_one() -> None:

@@ -89,6 +89,7 @@ def test_what_is_not_finite_stops_the_wheels_at_once(slow: Simulated, value: flo
     """Of a program that sends what it likes, as one in another language might."""
     client: Any = slow.load("failstop.api.client").Client(slow.name, "foreign")
     for number in range(TRIES):
+        client.command(0.0, 0.0, 0.0, manual=True, source="cmd_vel")
         slow.enable()
         for _ in range(10):
             client.command(*FORWARD, manual=True, source="cmd_vel")

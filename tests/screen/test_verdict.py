@@ -135,6 +135,10 @@ def _gate_reasons() -> dict[str, str]:
     found["no command"] = core.blocked(1)
     core.take(Command(7, "nav (pid 42)", 1, (0.1, 0.0, 0.0)), 1)
     found["no sensor"] = core.blocked(1)
+    core.disable()
+    core.enable(1, "", 1)
+    found["held"] = core.blocked(1)
+    core.take(Command(7, "nav (pid 42)", 1, (0.0, 0.0, 0.0)), 1)
     core.scan.deliver(1, 1)
     found["nothing"] = core.blocked(1)
     core.stop(causes.KEY(1), 1)
@@ -147,7 +151,7 @@ def test_every_block_reason_of_the_gate_has_its_row() -> None:
     assert found.pop("nothing") == ""
     for reason in found.values():
         assert reason.startswith(box.EVERY_BLOCK)
-    assert [Block.of(found[key]) for key in ("latched", "disabled", "no command", "no sensor")] == list(Block)
+    assert [Block.of(found[key]) for key in ("latched", "disabled", "held", "no command", "no sensor")] == list(Block)
     assert len(set(found.values())) == len(Block) == len(box.EVERY_BLOCK)
 
 

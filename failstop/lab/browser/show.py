@@ -28,7 +28,7 @@ INTERLOCK = "arm"
 SETTINGS: dict[str, object] = {f"interlocks.{INTERLOCK}.timeout_s": 0.5, "restart.deaths": 1000}
 """A reader may kill processes as often as they like: it is no crash loop here."""
 SPEED = (0.2, 0.0, 0.0)
-ZERO = (0.0, 0.0, 0.0)
+NO_SPEED = (0.0, 0.0, 0.0)
 EVERY_S = 0.02
 IMU_HZ = 50.0
 RESTART_NS, WATCHDOG_NS = 100 * MS, 1000 * MS
@@ -73,7 +73,7 @@ class Show:
         self.robot.start()
         self._keep_running()
         self._each("sensors", self._sense)
-        self._speed = ZERO
+        self._speed = NO_SPEED
         self._driver = self._each("driver", self._drive)
 
     # The machine around the service, and its programs.
@@ -121,7 +121,7 @@ class Show:
         if self.on["commands"]:
             answer = robot.drive(*self._speed, wait_s=0)
             block = getattr(answer, "block", None)
-            self._speed = ZERO if block and block.name in ("LATCHED", "DISABLED", "HELD") else SPEED
+            self._speed = NO_SPEED if block and block.name in ("LATCHED", "DISABLED", "HELD") else SPEED
 
     # The acts.
 
@@ -161,7 +161,7 @@ class Show:
 
     def _kill_driver(self) -> None:
         self.machine.die(self._driver, -SIGKILL)
-        self._speed = ZERO
+        self._speed = NO_SPEED
         self._driver = self._each("driver", self._drive)
 
     def _command(self, vx: float, source: str = FIRST_SOURCE) -> None:

@@ -39,7 +39,7 @@ program that drives them fail. They may turn on until this stops them.
 
 Ctrl-C stops the wheels. Type "{word}" to begin, anything else to leave it: """
 ENDED_BY_PERSON = "interrupted"
-UNMOVED = "no wheel was turned"
+NEVER_TURNED = "no wheel was turned"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -90,7 +90,7 @@ def _ended(card: Card, known: Halted | None, error: BaseException | None) -> int
     """Say on the card why it ended early, if it did, and what is known of the wheels. Returns the exit code of that, or
     0."""
     if isinstance(error, KeyboardInterrupt):
-        card.ended = f"{ENDED_BY_PERSON}; {known.sentence() if known else UNMOVED}"
+        card.ended = f"{ENDED_BY_PERSON}; {known.sentence() if known else NEVER_TURNED}"
         return known.interrupted() if known else OF_CTRL_C
     if error or (known and not known.safe):
         card.ended = "; ".join([*([str(error)] if error else []), *([known.sentence()] if known else [])])
