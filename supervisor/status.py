@@ -21,10 +21,11 @@ import os
 
 import msgpack
 
-from failstop.messages import layout
+from failstop.messages import layout, records
 from failstop.messages.packing import pack
 from failstop.notify import Notify
 from failstop.policy.processes import PROCESS_BY_NAME, PROCESSES
+from failstop.policy.proofs import ALTHOUGH_TOLD_ZERO
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs import rights
 from failstop.procs.loop import NEVER
@@ -87,6 +88,7 @@ class Status:
         self._record = run.own.latest_writer("processes")
         self._table = b""
         self._gate_record = run.views[layout.GATE].latest_reader("state")
+        self._wheels_record = run.views[layout.TELEMETRY].latest_reader("wheels")
         self._told_ns = 0
         self._missing = ""
         self._missing_ns = 0
@@ -154,7 +156,9 @@ class Status:
         self.fault = fault(now_ns, killed_ns, owed_since_ns)
         down = ", ".join(child.row.name for child in children if child.state == DOWN)
         gate = msgpack.unpackb(state[2]) if state else {}
+        wheels = although_told_zero(self._wheels_record.read(), now_ns)
         line = self.fault or status_line(missing, down, str(latched.cause) if latched else "", gate)
+        line = "; ".join(filter(None, (wheels.upper(), line)))
         self.notify.follow(now_ns, line, ready=self.ever, healthy=not self.fault)
 
 
@@ -168,6 +172,15 @@ def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
     if owed_since_ns and now_ns - owed_since_ns >= OWED_NS:
         return f"a stop could not be written for {(now_ns - owed_since_ns) / 1e9:.0f} s"
     return ""
+
+
+def although_told_zero(entry: tuple[int, int, bytes] | None, now_ns: int) -> str:
+    """That the wheels turn although they were told zero, by telemetry's record; empty: nothing says so now. Pure."""
+    if entry is None:
+        return ""
+    _, by, unexpected, _, _, read_ns, *_ = records.WHEELS_SEEN.unpack(entry[2])
+    fresh = now_ns - read_ns <= records.OLD_READING_NS
+    return ALTHOUGH_TOLD_ZERO[records.WHEELS_BY[by]] if unexpected and fresh else ""
 
 
 def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> str:

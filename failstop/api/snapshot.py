@@ -78,6 +78,8 @@ class Turning:
     """For how long it has been so, s; None: not known."""
     age_s: float | None = None
     """Age of the newest reading, s; None: there was none."""
+    last: Literal["unknown", "still", "turning"] = "unknown"
+    """What the newest reading said, however old it is."""
     speeds_radps: Wheels | None = None
     """Measured speed of each wheel, rad/s, positive forward, by the names of `Wheels`; None: the board reports none."""
     turned_rad: Wheels | None = None

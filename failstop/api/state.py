@@ -29,8 +29,6 @@ from failstop.shm.thread_state import state_of
 T = TypeVar("T")
 
 HANGING_S = 0.5
-OLD_READING_NS = 500_000_000
-"""A reading of the wheels that is older says nothing of now."""
 UNITS = {"ms": 1e3, "us": 1e6}
 """Of times in records, by the end of their names: how many are a second."""
 
@@ -299,7 +297,8 @@ class StateReader(SeenRun):
         does, by, unexpected, count, since_ns, read_ns, *values = found
         most = records.MOST_WHEELS
         speeds, turns = (self._by_mount(values[at : at + count]) for at in (0, most))
-        if now_ns - read_ns > OLD_READING_NS or not does:
+        last = does
+        if now_ns - read_ns > records.OLD_READING_NS or not does:
             does, by, unexpected, since_ns = 0, 0, False, read_ns
         return snapshot.Turning(
             does=WHEELS_DO[does],
@@ -307,6 +306,7 @@ class StateReader(SeenRun):
             unexpected=unexpected,
             since_s=_age_s(now_ns, since_ns) if since_ns else None,
             age_s=_age_s(now_ns, read_ns) if read_ns else None,
+            last=WHEELS_DO[last],
             speeds_radps=speeds,
             turned_rad=turns,
         )

@@ -74,6 +74,7 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
     named = {process.state: process.pid for process in state.processes.values()}
     dead, suspended, down = "dead" in named, named.get("suspended"), verdict.down(state)
     doubt, waits, path = verdict.doubt(state), state.waiting_for, state.device.path
+    unless = f", unless {verdict.row(state).unless}" if verdict.row(state).unless else ""
     remedy = state.cause.kind.remedy if state.cause else ""
     heed = "" if dead else f"{remedy}; then {how['reset']}"
     start = host.start(state.name) if dead else ""
@@ -90,7 +91,7 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
             (dead, Step(Purpose.MEND, start, "start the service again")),
             (suspended, Step(Purpose.MEND, go_on)),
             (state.device.state != "open", Step(Purpose.MEND, f"plug the board in ({path})", lost)),
-            (doubt, Step(Purpose.POWER, "turn the robot's POWER SWITCH off and on", f"{POWER} and on again")),
+            (doubt, Step(Purpose.POWER, f"{POWER} and on{unless}", f"{POWER} and on again{unless}")),
             (GATE in down, Step(Purpose.MEND, *_for_the_gate(state))),
             (waits and not down, Step(Purpose.ALLOW, f"wait for {waits}")),
         ],

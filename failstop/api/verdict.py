@@ -5,19 +5,25 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from failstop.api import words
+from failstop.api import wheels, words
 from failstop.api.events import Event
 from failstop.api.snapshot import Block, Process, State
+from failstop.api.wheels import CAN_MOVE as CAN_MOVE
+from failstop.api.wheels import DRIVING as DRIVING
+from failstop.api.wheels import MAY_TURN as MAY_TURN
+from failstop.api.wheels import MOVED as MOVED
+from failstop.api.wheels import MOVING as MOVING
+from failstop.api.wheels import ROBOT_MOVES as ROBOT_MOVES
+from failstop.api.wheels import STANDING as STANDING
+from failstop.api.wheels import STOPPED as STOPPED
+from failstop.api.wheels import STOPPING as STOPPING
+from failstop.api.wheels import TOLD_TO_STOP as TOLD_TO_STOP
+from failstop.api.wheels import TURNING as TURNING
+from failstop.api.wheels import WHEELS_MAY_TURN as WHEELS_MAY_TURN
+from failstop.api.wheels import WHEELS_TURN as WHEELS_TURN
+from failstop.api.wheels import WRITTEN as WRITTEN
 from failstop.messages.layout import GATE
-from failstop.policy import causes
 
-DRIVING = "DRIVING"
-STANDING = "STANDING"
-STOPPED = "STOPPED"
-MAY_TURN = "MAY TURN"
-"""A stop that is not known to reach the wheels is none: nobody must rely on it."""
-MOVING, CAN_MOVE, WRITTEN, WHEELS_MAY_TURN = "MOVING", "CAN MOVE", "STOP WRITTEN", "WHEELS MAY TURN"
-"""Large words, beside STOPPED."""
 COMMANDED = "COMMANDED TO DRIVE"
 """In the place of DRIVING, while the board reports that it obeys zero speed."""
 NO_SERVICE = "NO SERVICE"
@@ -47,17 +53,34 @@ LEFT_OFF = frozenset(("driver_silent", "driver_gone"))
 SINCE = CHANGES | LEFT_OFF | {"driver_ended", "stop_again"}
 
 
-def doubt(state: State) -> str:
-    """Why the wheels may turn though they were told to stop; empty when there is no reason to think so."""
+def unreached(state: State) -> str:
+    """Why what is written to the board is not known to reach it; empty when there is no reason to think so."""
     if state.device.state != "open":
         return f"the port {state.device.path} is {state.device.state}, so no stop reaches the board"
     if state.device.link == "deaf":
         return "the board does not answer, so a stop may not reach the wheels"
     if state.device.link == "unheard":
         return f"{state.device.path} has not answered since it came back, so it may be another device than the board"
-    if state.cause and state.cause.kind is causes.UNSTILL:
-        return "the IMU sees the robot shake on"
     return ""
+
+
+def row(state: State) -> wheels.Row:
+    """What may be said of the wheels."""
+    return wheels.row(state, unreached(state))
+
+
+def doubt(state: State) -> str:
+    """Why the wheels may turn though they were told to stop, or that they do; empty when there is no reason to think
+    so."""
+    found = row(state)
+    return ", and ".join(filter(None, (found.text, unreached(state)))) if found.alarm else ""
+
+
+def unseen(state: State) -> str:
+    """What the word alone does not say of the wheels: that they still turn, or that nobody sees what they do; empty
+    when the word says it all, and when the wheels are in doubt."""
+    found = row(state)
+    return "" if found.alarm else found.text
 
 
 def unproven(state: State) -> str:
@@ -80,11 +103,8 @@ def unheeded(state: State) -> str:
 
 def word(state: State) -> str:
     """A word on the wheels."""
-    if doubt(state):
-        return MAY_TURN
-    if state.moving:
-        return DRIVING
-    return STOPPED if state.blocked else STANDING
+    found = row(state).word
+    return STANDING if found == STOPPED and not state.blocked else found
 
 
 def proven_word(state: State) -> str:
@@ -97,19 +117,20 @@ def proven_word(state: State) -> str:
 def large_word(state: State) -> str:
     """The word for a screen that is read at arm's length: whether the robot may begin to move counts more there than
     what holds it, and of a stop it says no more than is proved."""
-    if doubt(state):
-        return WHEELS_MAY_TURN
-    found = MOVING if state.moving else CAN_MOVE if state.enabled and not state.estop else _stopped(state)
-    return f"{found}, UNPROVEN" if unproven(state) and found not in (WRITTEN, WHEELS_MAY_TURN) else found
+    found = row(state)
+    if found.alarm:
+        return found.large
+    large = MOVING if state.moving else CAN_MOVE if state.enabled and not state.estop else _stopped(state, found.large)
+    return f"{large}, UNPROVEN" if unproven(state) and large not in (WRITTEN, WHEELS_MAY_TURN) else large
 
 
-def _stopped(state: State) -> str:
-    """As much as is proved of the last stop: that the kernel has its bytes is no proof that the wheels stand."""
+def _stopped(state: State, seen: str) -> str:
+    """As much as is proved of the last stop: that the kernel has its bytes is no proof that the board obeys."""
     stop = state.last_stop
     if stop is None:
-        return WHEELS_MAY_TURN if state.cause else STOPPED
+        return WHEELS_MAY_TURN if state.cause else seen
     if stop.acknowledged_s is not None or stop.observed_s is not None:
-        return STOPPED
+        return seen
     return WRITTEN if stop.written_s is not None and stop.sent else WHEELS_MAY_TURN
 
 

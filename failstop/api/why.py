@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from failstop.api import steps, verdict, words
+from failstop.api import steps, verdict, wheels, words
 from failstop.api.events import Event
 from failstop.api.snapshot import Block, State, Stop
 from failstop.board.decoder import BUTTONS
@@ -33,7 +33,8 @@ class Why:
     what: str
     """The reason why the wheels stand, and since when; who drives, if they do not."""
     proof: str
-    """The proof that they stand: of the last stop, what was written, acknowledged and observed."""
+    """The proof that they are stopped: what was written, acknowledged and observed of the last stop, and what is seen
+    of the wheels now, with the age of the reading."""
     do: tuple[str, ...]
     """Steps to take, in order, commands in backquotes; empty while they move."""
     also: tuple[str, ...]
@@ -78,14 +79,16 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
     what = f"{_holds(state)}{when}" if state.block else _free(state)
     also = troubles(state, events)
     if doubt := verdict.doubt(state):
-        what = f"THE WHEELS MAY TURN (then: POWER SWITCH): {doubt}; {what}"
+        row = verdict.row(state)
+        switch = f"POWER SWITCH, unless {row.unless}" if row.unless else "then: POWER SWITCH"
+        what = f"THE {row.large} ({switch}): {doubt}; {what}"
     elif verdict.unproven(state):
         what = f"{verdict.proven_word(state)}; {what}"
     if (before := verdict.before(events)) and not state.last_stop and state.block is Block.DISABLED:
         also.append(f"the run before this one: {before}")
     return Why(
         what=": ".join(filter(None, (what, began))),
-        proof=_proof(state, now_s),
+        proof=f"{_proof(state, now_s)}; now: {wheels.now(state)}",
         do=tuple(step.typed for step in steps.todo(state)),
         also=tuple(words.named(text, state.name) for text in also),
         since=start,
@@ -117,7 +120,7 @@ def _buttons(pressed: int) -> str:
 
 
 def _free(state: State) -> str:
-    how = words.velocity(*state.body_vel) or "zero, so the wheels stand"
+    how = words.velocity(*state.body_vel) or "zero"
     driver = state.driver
     if driver and verdict.unheeded(state):
         return (

@@ -49,7 +49,11 @@ def running(look: Look) -> list[Finding]:
         return fail(text, f"failstop why --name {look.name}", "cut the motors' power with the POWER SWITCH")
     if waits := state.waiting_for or (state.device.link == "unproven" and "the board's first answer"):
         return warn(f"{where} and waits for {waits}", f"failstop status --name {look.name}")
-    motion = f"stopped: {state.cause}" if state.cause else "enabled" if state.enabled else "disabled"
+    if doubt := verdict.doubt(state):
+        return fail(
+            f"{where}, and {doubt}", f"failstop why --name {look.name}", "cut the motors' power with the switch"
+        )
+    motion = f"stop latched: {state.cause}" if state.cause else "enabled" if state.enabled else "disabled"
     found = ok(f"{where}, device {state.device.state}, {verdict.LINKS[state.device.link]}, motion {motion}")
     if state.imu is None and look.board.observed_by == BY_IMU:
         text = "no IMU reports: nothing observes whether the wheels stand"

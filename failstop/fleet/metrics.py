@@ -96,6 +96,14 @@ def _stop_cause(state: State) -> list[Sample]:
     return [((("cause", stop.cause.kind.name), ("noticed_by", stop.noticed_by)), 1.0)] if stop else []
 
 
+def _wheel_speeds(state: State) -> list[Sample]:
+    """Of a reading that is old nobody knows whether it still holds."""
+    known = state.turning
+    if known.speeds_radps is None or not known.by:
+        return []
+    return _each("wheel", dict(zip(known.speeds_radps.names, known.speeds_radps, strict=True)))
+
+
 def _joints(value: str) -> Read:
     def read(state: State) -> list[Sample]:
         joints = state.arm.joints if state.arm else {}
@@ -121,8 +129,29 @@ def _rows() -> Iterator[Family]:
     yield row("motion_enabled", GAUGE, "1 while motion is enabled", lambda state: _one(state.enabled))
     yield row("moving", GAUGE, "1 while a velocity is commanded", lambda state: _one(state.moving))
     yield row(
-        "wheels_may_turn", GAUGE, "1 while a stop is not known to reach the wheels: the POWER SWITCH is all there is",
+        "wheels_may_turn", GAUGE,
+        "1 while a stop is not known to reach the wheels, or they are seen to turn although they are told zero",
         lambda state: _one(bool(verdict.doubt(state))),
+    )  # fmt: skip
+    yield row(
+        "wheels_state", GAUGE, "1 for what is seen of the wheels: still, turning, or unknown",
+        lambda state: _states("state", records.WHEELS_DO, state.turning.does), "state",
+    )  # fmt: skip
+    yield row(
+        "wheels_seen_by", GAUGE, "1 for what sees it: the board's reports (wheels), or the IMU; all 0: nothing does",
+        lambda state: _each("source", {name: name == state.turning.by for name in records.WHEELS_BY if name}), "source",
+    )  # fmt: skip
+    yield row(
+        "wheels_unexpected", GAUGE, "1 while they turn although they were told zero for longer than still.after_s",
+        lambda state: _one(state.turning.unexpected),
+    )  # fmt: skip
+    yield row(
+        "wheels_reading_age_seconds", GAUGE, "Age of the newest reading of the wheels; missing: there was none",
+        lambda state: _one(state.turning.age_s),
+    )  # fmt: skip
+    yield row(
+        "wheel_speed_radians_per_second", GAUGE, "Measured, positive forward; missing: the board reports none",
+        _wheel_speeds, "wheel",
     )  # fmt: skip
     yield row("stop_latched", GAUGE, "1 while a stop is latched", lambda state: _one(state.cause is not None))
     yield row(

@@ -10,7 +10,7 @@ import datetime
 import json
 import math
 
-from failstop.api import steps, verdict
+from failstop.api import steps, verdict, wheels
 from failstop.policy.causes import Cause
 
 TYPE_CHECKING = False
@@ -100,7 +100,7 @@ def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Mes
     latched = state.cause is not None
     return {
         **_NO_ORDER,
-        "driving": state.moving,
+        "driving": state.moving or state.turning.does == "turning",
         "paused": not state.enabled and not latched,
         "operatingMode": _mode(state),
         "velocity": {
@@ -116,10 +116,10 @@ def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Mes
 
 
 def steady(found: Message) -> Message:
-    """Of a body, what does not change all the time: without how fast and how full."""
+    """Of a body, what does not change all the time: without how fast, how full, and how old a reading is."""
     kept = {key: value for key, value in found.items() if key not in ("velocity", "batteryState")}
-    if found["driving"]:
-        kept["information"] = [row for row in found["information"] if row["infoType"] != "why"]
+    changing = ("wheels", "why") if found["driving"] else ("wheels",)
+    kept["information"] = [row for row in found["information"] if row["infoType"] not in changing]
     return kept
 
 
@@ -175,6 +175,7 @@ def _errors(state: State) -> list[Message]:
 
 def _information(state: State) -> list[Message]:
     found = [_info("word", verdict.word(state)), _info("why", why(state)), _info("next", steps.line(state))]
+    found.append(_info("wheels", wheels.now(state), _seen(state)))
     if state.battery_v is None or not math.isfinite(state.battery_v):
         found.append(_info("battery", "not known"))
     if state.last_stop:
@@ -187,8 +188,23 @@ def why(state: State) -> str:
     if doubt := verdict.doubt(state):
         return doubt
     blocked = str(state.cause) if state.cause else state.blocked
-    unproven = verdict.unproven(state)
-    return f"{f'unproven: {unproven}; ' if unproven else ''}{blocked or verdict.headline(state)}"
+    unproven, unseen = verdict.unproven(state), verdict.unseen(state)
+    said = (unproven and f"unproven: {unproven}", unseen, blocked or verdict.headline(state))
+    return "; ".join(filter(None, said))
+
+
+def _seen(state: State) -> dict[str, object]:
+    """What is seen of the wheels, for programs."""
+    known = state.turning
+    found: dict[str, object] = {"does": known.does, "by": known.by or None, "unexpected": known.unexpected}
+    if known.age_s is not None:
+        found["age_s"] = round(known.age_s, 2)
+    if known.speeds_radps:
+        found |= {
+            f"{name}_radps": round(speed, 3)
+            for name, speed in zip(known.speeds_radps.names, known.speeds_radps, strict=True)
+        }
+    return {key: value for key, value in found.items() if value is not None}
 
 
 def _named(cause: Cause) -> dict[str, object]:

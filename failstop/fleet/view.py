@@ -26,12 +26,25 @@ ROLES = {
     verdict.DRIVING: OK,
     verdict.STANDING: OK,
     verdict.STOPPED: WARN,
-    verdict.MAY_TURN: FAIL,
+    **dict.fromkeys((verdict.TURNING, verdict.MOVED, verdict.MAY_TURN), FAIL),
+    **dict.fromkeys((verdict.STOPPING, verdict.TOLD_TO_STOP), WARN),
     verdict.NO_SERVICE: FAIL,
     LOST: FAIL,
     ENDED: DIM,
 }
-ORDER = (verdict.MAY_TURN, LOST, verdict.NO_SERVICE, verdict.STOPPED, verdict.DRIVING, verdict.STANDING, ENDED)
+ORDER = (
+    verdict.TURNING,
+    verdict.MAY_TURN,
+    verdict.MOVED,
+    LOST,
+    verdict.NO_SERVICE,
+    verdict.STOPPING,
+    verdict.STOPPED,
+    verdict.TOLD_TO_STOP,
+    verdict.DRIVING,
+    verdict.STANDING,
+    ENDED,
+)
 """The order of rows: those that need a person come first."""
 
 
@@ -88,7 +101,7 @@ def table(robots: Sequence[Robot], now_s: float, unix_s: float, columns: int | N
         age_s = robot.age_s(now_s, unix_s)
         old = age_s is not None and age_s > OLD_S
         does, lost = word(robot, now_s, unix_s), robot.lost(now_s, unix_s)
-        role = FAIL if does == verdict.STOPPED and robot.latched else ROLES.get(does, PLAIN)
+        role = FAIL if does in (verdict.STOPPED, verdict.TOLD_TO_STOP) and robot.latched else ROLES.get(does, PLAIN)
         rows.append(
             [
                 (style.cut(robot.id, most), PLAIN),

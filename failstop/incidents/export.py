@@ -20,11 +20,13 @@ TOPICS = {
     "command": "geometry_msgs/TwistStamped",
     "gated": "geometry_msgs/TwistStamped",
     "wheels": "sensor_msgs/JointState",
+    "measured": "sensor_msgs/JointState",
     "imu": "sensor_msgs/Imu",
     "events": "rcl_interfaces/Log",
 }
 """Below /failstop: the newest command of each tick in which one came; what the gate made of it, each tick; each motor
-frame and stop burst written (rad/s); IMU; what people were told, and the cause."""
+frame and stop burst written (rad/s), and the speeds that the board reports; IMU; what people were told, and the
+cause."""
 FIELDS = {
     "builtin_interfaces/Time": "int32 sec; uint32 nanosec",
     "std_msgs/Header": "builtin_interfaces/Time stamp; string frame_id",
@@ -92,6 +94,8 @@ def _motion(incident: Incident) -> Iterator[Message]:
     for write in incident.writes:
         if speeds := write.speeds_rps:
             yield write.ns, "wheels", {"name": names, "velocity": [speed * tau for speed in speeds]}
+    for ns, speeds in incident.measured:
+        yield ns, "measured", {"name": names, "velocity": [speed * tau for speed in speeds]}
 
 
 def _board(incident: Incident) -> Iterator[Message]:

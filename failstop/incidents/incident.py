@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import groupby
+from math import isnan
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -37,6 +38,8 @@ SAYS = {
     SILENT: "the gate is silent",
 }
 """The gate's word, or that it says nothing, for people."""
+SLOWEST_RPS = 1e-4
+"""A wheel that is reported to turn slower than this is still."""
 _SERVO_HEAD = framing.HEAD + bytes((framing.BUS_SERVO,))
 
 
@@ -124,6 +127,12 @@ class Incident:
         self.imu = [Imu(ns, values[:3], values[3:]) for ns, (kind, values) in board if kind == box.IMU_KIND]
         self.battery_v = [values[0] / 1e3 for _, (kind, values) in board if kind == box.BATTERY_KIND]
         """Volts, at each of its readings."""
+        self.measured = [
+            (ns, tuple(values[wire_id] for wire_id in ids))
+            for ns, (kind, values) in board
+            if kind == box.WHEELS_KIND and not any(isnan(values[wire_id]) for wire_id in ids)
+        ]
+        """(when, the speed of each wheel in turns a second, as PortWrite.speeds_rps): the board's reports of them."""
         self.arm_goals = self._entries(layout.GATE, "arm_box", box.unpack_arm)
         """(when, (mode, who, aims)): what the arm was to do, ten times a second while somebody moved it."""
         heard = [self._entries(process, "received", bytes) for process in (layout.TELEMETRY, layout.PORT_OWNER)]
@@ -229,6 +238,16 @@ class Incident:
             parts.append((SILENT if silent else tick.block, tick.ns, end_ns))
         runs = [(what, list(run)) for what, run in groupby(parts, itemgetter(0))]
         return [(what, run[0][1], run[-1][2]) for what, run in runs]
+
+    def rolled(self) -> list[tuple[bool, int, int, float, int]]:
+        """(whether they turn, from when, until when, the fastest in turns a second, how many reports said so): what the
+        board's reports say of the wheels, in order."""
+        found = []
+        for turn, group in groupby(self.measured, lambda report: max(map(abs, report[1]), default=0.0) >= SLOWEST_RPS):
+            run = list(group)
+            fastest = max(max(map(abs, speeds), default=0.0) for _, speeds in run)
+            found.append((turn, run[0][0], run[-1][0], fastest, len(run)))
+        return found
 
     def _board(self) -> Board | None:
         """The board that the settings name; None: of the user's own, whose code no reader of a file runs."""

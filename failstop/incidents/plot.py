@@ -171,6 +171,9 @@ def _wheels(axes: Axes, incident: Incident) -> None:
         line: dict[str, Any] = {"linewidth": 1.4} if index % 2 else {"linewidth": 4.5, "alpha": 0.3}
         line |= {"where": "post", "label": name, "color": f"C{2 * index // len(incident.wheels)}"}
         axes.step(_at(incident, frames), [speeds[index] for _, speeds in frames], **line)
+        if incident.measured:
+            reported = broken(_at(incident, incident.measured), [speeds[index] for _, speeds in incident.measured])
+            axes.plot(*reported, color=line["color"], linewidth=1.0, linestyle=":" if index % 2 else "--")
 
 
 def _joints(axes: Axes, incident: Incident) -> None:
@@ -224,7 +227,7 @@ def _lanes(axes: Axes, incident: Incident) -> None:
 
 PANELS: tuple[Panel, ...] = (
     ("Velocity (dashed: commanded)", 1.85, _velocity),
-    ("Wheel speeds written to the board (rps)", 1.6, _wheels),
+    ("Wheel speeds written to the board (rps); broken: as it reports them", 1.6, _wheels),
     ("Where the arm was sent (pulses of 0.24 degrees)", 1.6, _joints),
     ("Vibration: gyro std over 0.5 s (mrad/s); orange: the wheels turn", 1.3, _vibration),
     ("Who was heard: a stroke each; green: a process beats, red: silent for too long; cross: it died", 2.4, _lanes),

@@ -58,6 +58,7 @@ def tell(incident: Incident) -> list[Line]:
         *_arm(incident),
         *_writes(incident),
         *_board(incident),
+        *_wheels(incident),
         *_silences(incident),
         *_events(incident),
     ]
@@ -140,6 +141,13 @@ def _board(incident: Incident) -> Iterator[Line]:
     for earlier, later in pairwise([*times, incident.span_ns[1]] if times else ()):
         if later - earlier > QUIET_NS:
             yield Line(earlier, "board", f"silent for {(later - earlier) / 1e6:.0f} ms from here", later)
+
+
+def _wheels(incident: Incident) -> Iterator[Line]:
+    """Each time they began to turn or came to rest, as the board reports."""
+    for turn, begin_ns, end_ns, fastest_rps, count in incident.rolled():
+        said = f"turn, at most {fastest_rps:.2f} turns/s" if turn else "are still"
+        yield Line(begin_ns, "wheels", f"{said}, by the board's reports", end_ns, count)
 
 
 def _silences(incident: Incident) -> Iterator[Line]:

@@ -358,6 +358,8 @@ WHEELS_SEEN = Shape(f"<BB?BQQ{MOST_WHEELS}d{MOST_WHEELS}d")
 were told zero for longer than still.after_s; how many wheels are reported; since when it is so, and the newest reading
 (both ns, 0: never); then the measured speed of each wheel by wire id in turns a second, and how far each has turned
 (NaN: not reported)."""
+OLD_READING_NS = 500_000_000
+"""A reading of the wheels that is older says nothing of now."""
 BATTERY: Payload[int, int] = Payload("<IB")
 """The battery's mV, and whether the charger is plugged in: an index of PLUGGED."""
 HEALTH = Shape("<", Tail(_pack_health, _unpack_health, MOST_SERVOS * 3))

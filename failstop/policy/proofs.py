@@ -20,6 +20,11 @@ SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
 NO_IMU = "not observed: the robot has no IMU"
 NEVER_SEEN = {"IMU": "no shaking seen before or after", "wheels": "not seen turning before or after"}
 """For people: what observes saw nothing to come to rest."""
+ALTHOUGH_TOLD_ZERO = {
+    "wheels": "the wheels turn although they are told zero",
+    "IMU": "the robot moves, or is being moved, although its wheels are told zero",
+}
+"""For people: wheels that turn on for longer than they may, by what says so."""
 WATCHDOGS = {"zero": "it stops its wheels", "coast": "its wheels roll on without current", "disarm": "it disarms"}
 """For people: what the board's own watchdog does, by its word."""
 RESOLUTION_S = 0.2

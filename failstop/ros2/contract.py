@@ -136,8 +136,8 @@ DIAGNOSTICS = Topic(
     "diagnostic_msgs/msg/DiagnosticArray",
     PLAIN,
     1,
-    "the stop layer with the next command, each process, port, link, battery, real-time rights, what ROS nodes do; on "
-    "every change too",
+    "the stop layer with the next command, the wheels, each process, port, link, battery, real-time rights, what ROS "
+    "nodes do; on every change too",
 )
 ARM_GOAL = Topic(
     "arm/goal",
@@ -219,6 +219,9 @@ STATE_KEYS = {
     "port": "open, closed or lost",
     "processes": "pid, state, age_ms and restarts of each",
     "last_stop": "reason, written_us, acknowledged_us, observed_ms, or null",
+    "wheels": "what is seen of the wheels: word (as in `failstop status`), does (turning, still, unknown), by (wheels: "
+    "the board's reports; IMU; null), unexpected (they turn although they were told zero), age_ms of the reading, and "
+    "radps, the measured speed by wheel",
     "state_age_ms": "of the gate's record; null: no service",
 }
 """The keys of ~/state: up to auto_tuck_in_s those of the driver before, then the bridge's own."""

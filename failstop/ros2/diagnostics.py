@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from failstop.api import steps, verdict
+from failstop.api import wheels as seen
 from failstop.api.state import Process, State
 from failstop.ros2 import report, words
 
@@ -29,7 +30,7 @@ def statuses(
     if state is None:
         rows = [_status("stop layer", ERROR, problem)]
     else:
-        rows = [_stop_layer(state), *_processes(state), _port(state), _link(state), _battery(state)]
+        rows = [_stop_layer(state), _wheels(state), *_processes(state), _port(state), _link(state), _battery(state)]
         rows += [*_servos(state), _rights(state)]
     rows.append(_status("ROS", WARN if wrong else OK, "; ".join(wrong or sees)))
     rows += [_status("not offered", OK, line) for line in lacks]
@@ -48,7 +49,7 @@ def _stop_layer(state: State) -> StatusMessage:
         level = STALE
     step = steps.line(state)
     blocked = report.blocked(state)
-    what = f"blocked: {blocked}" if blocked else verdict.headline(state)
+    what = verdict.doubt(state) or (f"blocked: {blocked}" if blocked else verdict.headline(state))
     message = f"{verdict.proven_word(state)}: {what}" + (f"; next: {step}" if step else "")
     return _status(
         "stop layer",
@@ -59,6 +60,16 @@ def _stop_layer(state: State) -> StatusMessage:
         blocked=report.blocked(state) or "",
         waiting_for=state.waiting_for or "",
     )
+
+
+def _wheels(state: State) -> StatusMessage:
+    """What is seen of the wheels. The numbers are values: the message changes only with the fact."""
+    doubt, unseen, known = verdict.doubt(state), verdict.unseen(state), state.turning
+    level = ERROR if doubt else WARN if unseen and verdict.word(state) != verdict.TOLD_TO_STOP else OK
+    message = f"{verdict.word(state)}: {doubt or unseen or seen.SEEN[seen.seen(state)]}"
+    values = {"does": known.does, "by": known.by, "unexpected": known.unexpected, "speeds": seen.speeds(state)}
+    age_ms = "" if known.age_s is None else round(known.age_s * 1e3, 1)
+    return _status("wheels", level, message, **values, age_ms=age_ms)
 
 
 def _processes(state: State) -> Iterator[StatusMessage]:

@@ -236,7 +236,10 @@ class Outward:
         if names:
             self._send(contract.JOINT_STATES, values)
         if state and self._heard.get(STATUS.name):
-            self._publish(STATUS, {"stamp": messages.stamp(ros_ns), **report.status(state)})
+            # A package failstop_msgs that was built from older source lacks the newest fields.
+            status = report.status(state)
+            fields = {name: value for name, value in status.items() if hasattr(self._messages[STATUS.name], name)}
+            self._publish(STATUS, {"stamp": messages.stamp(ros_ns), **fields})
 
     def _diagnose(self, state: State | None, now_ns: int) -> None:
         slow = now_ns - self._slow_ns >= SLOW_NS

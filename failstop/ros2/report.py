@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import degrees, nan
 from typing import Any
 
-from failstop.api import steps
+from failstop.api import steps, verdict
 from failstop.api.state import State, Stop
 from failstop.messages import box
 from failstop.policy.proofs import NO_IMU, NOT_SENT, TO_A_STRANGER, wheels_seen
@@ -55,6 +55,31 @@ def arm(state: State) -> dict[str, Any]:
     }
 
 
+UNKNOWN_WHEELS: dict[str, Any] = {
+    "word": verdict.NO_SERVICE,
+    "does": "unknown",
+    "by": None,
+    "unexpected": False,
+    "age_ms": None,
+    "radps": {},
+}
+
+
+def wheels(state: State) -> dict[str, Any]:
+    """The key `wheels` of ~/state: what is seen of them, and the word that every screen shows."""
+    known = state.turning
+    measured = known.speeds_radps or ()
+    names = known.speeds_radps.names if known.speeds_radps else ()
+    return {
+        "word": verdict.word(state),
+        "does": known.does,
+        "by": known.by or None,
+        "unexpected": known.unexpected,
+        "age_ms": _times(known.age_s, 1e3),
+        "radps": {name: round(speed, 3) for name, speed in zip(names, measured, strict=True)},
+    }
+
+
 def busy(state: State | None) -> bool:
     """~/arm_busy: it moves, or is about to."""
     return bool(state and state.arm and state.arm.mode)
@@ -92,6 +117,7 @@ def as_json(state: State, publishers: Sequence[str], wrong: Sequence[str]) -> di
             "acknowledged_us": _times(stop.acknowledged_s, 1e6),
             "observed_ms": _times(stop.observed_s, 1e3),
         },
+        "wheels": wheels(state),
         "state_age_ms": round(state.age_s * 1e3, 1),
     }
     return {key: found[key] for key in STATE_KEYS}
@@ -118,6 +144,7 @@ def without_service(problem: str) -> dict[str, Any]:
         "port": "closed",
         "processes": {},
         "last_stop": None,
+        "wheels": UNKNOWN_WHEELS,
         "state_age_ms": None,
     }
     return {key: found[key] for key in STATE_KEYS}
@@ -135,6 +162,10 @@ def status(state: State) -> dict[str, Any]:
         "state_age_s": state.age_s,
         "scan_age_s": _known(state.scan_age_s),
         "link": state.device.link,
+        "wheels": state.turning.does,
+        "wheels_by": state.turning.by,
+        "wheels_unexpected": state.turning.unexpected,
+        "wheels_age_s": _known(state.turning.age_s),
         "last_stop": words.plain(stop.cause) if stop else "",
         "last_stop_written_s": _known(stop.written_s if stop else None),
         "last_stop_acknowledged_s": _known(stop.acknowledged_s if stop else None),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from failstop.api import distance, steps, verdict, words
+from failstop.api import distance, steps, verdict, wheels, words
 from failstop.api.steps import Purpose
 from failstop.api.why import HOLDS, meaning, since, troubles
 from failstop.policy import proofs
@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 
 BAD = "bad"
 """The role that colours the word: the wheels may turn, nobody knows whether they do, or no service runs."""
-ROLES = {verdict.MOVING: "moves", verdict.WRITTEN: "moves", verdict.CAN_MOVE: "free", verdict.STOPPED: "stopped"}
+ROLES = {
+    **dict.fromkeys((verdict.MOVING, verdict.WRITTEN, verdict.STOPPING), "moves"),
+    **dict.fromkeys((verdict.STOPPED, verdict.TOLD_TO_STOP), "stopped"),
+    verdict.CAN_MOVE: "free",
+}
 MOST_EVENTS = 40
 
 
@@ -65,10 +69,10 @@ def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
 
 def live(state: State, vibration_radps: float | None) -> list[Any]:
     """Values that change all the time: forward, left, turn, vibration (mrad/s, None: the IMU is silent), age of the
-    gate's word (ms), and in words how a steered base is steered while it drives."""
+    gate's word (ms), in words how a steered base is steered while it drives, and what is seen of the wheels."""
     shake = None if vibration_radps is None else round(vibration_radps * 1e3, 2)
     steered = "" if state.steering_rad is None else words.steering(state.steering_rad)
-    return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_s * 1e3), steered]
+    return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_s * 1e3), steered, wheels.now(state)]
 
 
 def absent(note: str) -> dict[str, Any]:
@@ -130,8 +134,8 @@ def _role(state: State) -> str:
 def _why(state: State) -> str:
     if doubt := verdict.doubt(state):
         return words.sentence(doubt)
-    unproven = verdict.unproven(state)
-    return f"{words.sentence(unproven)} {_held(state)}" if unproven else _held(state)
+    told = filter(None, (verdict.unproven(state), verdict.unseen(state)))
+    return " ".join((*map(words.sentence, told), _held(state)))
 
 
 def _held(state: State) -> str:

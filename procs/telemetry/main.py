@@ -63,6 +63,8 @@ class GateState:
         """m/s forward, m/s left, rad/s counter-clockwise."""
         self.since_ns = 0
         """When this state began, as far as is known."""
+        self.zero_ns = 0
+        """Since when zero is commanded; 0: something else is, or nothing was published yet."""
 
     @property
     def commanded(self) -> bool:
@@ -79,6 +81,7 @@ class GateState:
             self.enabled = False
             self.velocity = STANDSTILL
             self.since_ns = now_ns
+            self.zero_ns = self.zero_ns or now_ns
             news = True
         return news
 
@@ -94,6 +97,7 @@ class GateState:
         except (ValueError, KeyError, TypeError):
             return False
         self.enabled, self.latched, self.epoch, self.velocity, self.since_ns = enabled, latched, epoch, velocity, t_ns
+        self.zero_ns = 0 if any(velocity) else self.zero_ns or t_ns
         return True
 
 
@@ -339,7 +343,7 @@ class Telemetry:
     def _publish_wheels(self, now_ns: int) -> None:
         """What is known of the wheels: at once when it changes, and with the odometry."""
         fact, measured = self._fact, self._measured
-        told_zero_ns = 0 if self._gate.commanded else self._gate.since_ns or self._began_ns
+        told_zero_ns = 0 if self._gate.commanded else self._gate.zero_ns or self._began_ns
         fact.follow(self._read_back, self._still, told_zero_ns, now_ns)
         speeds = (*measured.speeds_rps, *NOT_REPORTED)[: records.MOST_WHEELS]
         turns = (*measured.turns, *NOT_REPORTED)[: records.MOST_WHEELS]

@@ -118,7 +118,7 @@ def test_its_blocks_work_pasted_one_after_the_other_into_a_fresh_shell(shell: Sh
     assert "motion enabled" in start
     assert "drove for 2 s" in drive
     assert "hand near wheel" in drive
-    assert shell.paste("failstop status", 9).count("STOPPED") == 1
+    assert shell.paste("sleep 1; failstop status", 9).count("STOPPED") == 1, "seen still by then"
 
 
 def test_a_person_s_pictures_come_before_the_picture_of_processes() -> None:

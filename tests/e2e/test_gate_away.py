@@ -32,7 +32,7 @@ def test_a_dead_gate_drives_nothing(late: Simulated) -> None:
     assert state.sources == ()
     assert [client.driving for client in state.clients] == [False]
     said = late.printed("status")
-    assert "STOPPED" in said
+    assert "TOLD TO STOP" in said, "so few samples of the IMU say nothing of the wheels"
     assert "DRIVING" not in said
     assert "a stop is latched" in late.printed("why")
     late.wait_for("its successor", lambda: late.robot.state.waiting_for is None)

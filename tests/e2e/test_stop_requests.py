@@ -47,7 +47,7 @@ def test_nobody_s_words_pass_for_a_cause_of_the_service_s_own(simulated: Simulat
     state = simulated.robot.state
     assert state.estop == f"stop request: {words}"
     assert state.cause == simulated.load("failstop.policy.causes").PIPED(words)
-    assert verdict.word(state) == verdict.STOPPED, "what the IMU sees is not for anybody to say"
+    assert verdict.word(state) == verdict.TOLD_TO_STOP, "what the IMU sees is not for anybody to say"
     assert all(process.restarts == 0 for process in state.processes.values())
     simulated.die("gate")
     simulated.wait_for("the death to be told beside it", lambda: BESIDE.search(simulated.said) is not None)

@@ -288,7 +288,7 @@ def test_a_robot_without_an_imu_says_so_and_waits_for_none() -> None:
     assert "bias" not in robot.said
     assert NO_IMU in robot.printed("status")
     assert "no IMU" in robot.printed("status").partition("sensor")[2]
-    assert robot.json("why")["proof"].endswith(NO_IMU)
+    assert robot.json("why")["proof"].endswith(f"{NO_IMU}; now: not known: nothing reports what the wheels do")
     shown = robot.load("failstop.web.view").view(robot.robot.state, [], 0.0)
     assert (shown["imu"], shown["stop"]["observed"], shown["stop"]["unseen"]) == (False, "", "no IMU")
 
@@ -313,10 +313,10 @@ def mute() -> Simulated:
 
 
 def test_every_screen_says_that_nothing_proves_the_stop(mute: Simulated) -> None:
-    assert mute.printed("status").startswith(f"wheels STOPPED, {UNPROVEN}")
-    assert mute.json("why")["what"].startswith(f"STOPPED, {UNPROVEN}; motion is disabled")
+    assert mute.printed("status").startswith(f"wheels TOLD TO STOP, {UNPROVEN}")
+    assert mute.json("why")["what"].startswith(f"TOLD TO STOP, {UNPROVEN}; motion is disabled")
     shown = mute.load("failstop.web.view").view(mute.robot.state, [], 0.0)
-    assert (shown["word"], shown["role"]) == ("STOPPED, UNPROVEN", "bad")
+    assert (shown["word"], shown["role"]) == ("TOLD TO STOP, UNPROVEN", "bad")
     code, out, err = mute.command("enable")
     assert (code, out) == (0, "motion enabled\n")
     assert err.startswith(f"failstop: {UNPROVEN}, so no stop is known to reach the wheels")
@@ -325,7 +325,7 @@ def test_every_screen_says_that_nothing_proves_the_stop(mute: Simulated) -> None
 def test_its_first_answer_ends_that(mute: Simulated) -> None:
     mute.board.deaf(False)
     mute.wait_for("an answer", lambda: mute.robot.state.device.link == "alive")
-    assert mute.command("status")[1].startswith("wheels    STOPPED  ")
+    assert mute.command("status")[1].startswith("wheels    TOLD TO STOP  ")
     assert mute.command("enable")[2] == ""
 
 

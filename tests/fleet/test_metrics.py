@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import re
 import socket
 import threading
@@ -57,6 +58,7 @@ def test_without_a_service_there_is_up_alone() -> None:
 def test_every_family_has_samples_of_some_state_with_its_labels_and_no_others() -> None:
     servos = {"joint elbow (servo 3)": (-0.25, 41)}
     full = states.latched(scan_age_s=0.2, plugged="plugged", arm=states.arm("elbow", "wrist"), servos=servos)
+    full = dataclasses.replace(full, turning=states.TURNS_ON)
     assert one(full, "servo_load_ratio", servo="joint elbow (servo 3)") == -0.25
     assert one(full, "servo_temperature_celsius", servo="joint elbow (servo 3)") == 41
     seen = {family.name: samples for family, samples in metrics.collect(full)}

@@ -26,7 +26,10 @@ SHOWN = (
 
 @pytest.fixture(scope="module")
 def incident() -> Incident:
-    return drive_and_die().incident()
+    made = drive_and_die()
+    for ms in range(-3000, 2200, 50):
+        made.wheels(ms, *((0.8, 0.8, -0.8, -0.8) if ms < 80 else (0.0,) * 4))
+    return made.incident()
 
 
 @pytest.mark.parametrize(
@@ -59,7 +62,7 @@ def test_an_export_is_read_back_with_the_decoder_of_ros_2(incident: Incident, tm
         found.setdefault(message.channel.topic, []).append((message.log_time_ns, message.ros_msg))
         assert message.schema.data.decode() == export.definition(message.schema.name.replace("/msg/", "/"))
     assert sum(map(len, found.values())) == count
-    assert set(found) == {f"/failstop/{topic}" for topic in ("command", "gated", "wheels", "imu", "events")}
+    assert set(found) == {f"/failstop/{topic}" for topic in ("command", "gated", "wheels", "measured", "imu", "events")}
     check_values(found)
 
 
@@ -76,6 +79,9 @@ def check_values(found: dict[str, list[tuple[int, object]]]) -> None:
     speeds = [0.796 * tau, 0.796 * tau, -0.796 * tau, -0.796 * tau]
     assert moving.velocity == pytest.approx(speeds, abs=0.01)  # type: ignore[attr-defined]
     assert [m.velocity for at_ns, m in wheels if at_ns > UNIX_NS] == [[0.0] * 4] * 13  # type: ignore[attr-defined]
+    measured = found["/failstop/measured"]
+    assert measured[0][1].velocity == pytest.approx([0.8 * tau, 0.8 * tau, -0.8 * tau, -0.8 * tau])  # type: ignore[attr-defined]
+    assert measured[-1][1].velocity == [0.0] * 4  # type: ignore[attr-defined]
     imu = value("imu", 0)
     assert imu.angular_velocity.z == pytest.approx(0.01)  # type: ignore[attr-defined]
     assert imu.linear_acceleration.z == pytest.approx(9.8)  # type: ignore[attr-defined]

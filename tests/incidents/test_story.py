@@ -266,8 +266,41 @@ def test_since_when_the_wheels_stood() -> None:
     for ms in range(-2000, 0, 20):
         made.core.scan.deliver(at(ms), at(ms))
         made.tick(ms)
-    assert fact(made, "before") == "the wheels stood (no command), for 1.7 s"
+    assert fact(made, "before") == "zero was commanded (no command), for 1.7 s"
 
 
 def test_a_cause_is_there_even_when_nothing_else_is() -> None:
     assert [what for what, _ in chosen(Recorder().incident())] == [CAUSE]
+
+
+def rolled(*speeds: tuple[float, float]) -> Incident:
+    made = drive_and_die()
+    for ms, rps in speeds:
+        made.wheels(ms, rps, -rps, rps, -rps)
+    made.wheels(speeds[-1][0], nan, nan)
+    return made.incident()
+
+
+def test_what_the_board_reports_of_the_wheels_is_told_beside_what_they_were_told() -> None:
+    found = rolled((-40, 0.8), (-20, 0.8), (20, 0.5), (40, 0.0), (60, 0.0))
+    lines = [line for line in story.tell(found) if line.what == "wheels"]
+    assert [(line.text, found.ms(line.ns), line.count) for line in lines] == [
+        ("turn, at most 0.80 turns/s, by the board's reports", -40.0, 3),
+        ("are still, by the board's reports", 40.0, 2),
+    ]
+    assert "wheels    turned, at most 0.80 turns/s; still 40 ms after it (by the board's reports)" in text(found, 160)
+
+
+def test_wheels_that_turn_at_the_end_are_told_with_their_speed() -> None:
+    found = rolled((-40, 0.0), (20, 0.0), (40, 0.8), (2000, 0.81))
+    said = "were still; TURNED at the last report, 2.0 s after it: at most 0.81 turns/s (by the board's reports)"
+    assert f"wheels    {said}" in text(found, 160)
+    assert ("wheels", "turn, at most 0.81 turns/s, by the board's reports") in [
+        (line.what, line.text) for line in story.brief(found)
+    ]
+
+
+def test_where_nothing_reports_the_wheels_no_line_says_what_they_did(incident: Incident) -> None:
+    assert told(incident, "wheels") == []
+    assert "wheels    " not in text(incident, 160)
+    assert "the wheels stood" not in text(incident, 160)

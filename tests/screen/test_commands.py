@@ -34,8 +34,9 @@ def latch(trial: Trial, reason: str = "hand near") -> None:
 
 
 def test_status_through_its_states(trial: Trial) -> None:
-    head = f"wheels    STOPPED  blocked: disabled\nnext      `failstop enable --name {trial.name}`\n"
-    assert said(trial, "status").startswith(head)
+    wait_for("the IMU's word", lambda: trial.robot.state.turning.does == "still")
+    head = "wheels    STOPPED  blocked: disabled\nseen      the IMU feels no movement (0.0 s ago)\n"
+    assert said(trial, "status").startswith(f"{head}next      `failstop enable --name {trial.name}`\n")
     trial.enable()
     assert "blocked: no command" in said(trial, "status")
     latch(trial)
@@ -51,6 +52,7 @@ def test_status_through_its_states(trial: Trial) -> None:
 
 def test_colours_on_a_terminal_only_and_not_with_no_color(trial: Trial) -> None:
     words = [*FAILSTOP, "status", "--name", trial.name]
+    wait_for("the IMU's word", lambda: trial.robot.state.turning.does == "still")
     with Typist(words) as coloured, Typist(words, environ={"NO_COLOR": "1"}) as plain:
         assert (coloured.end(), plain.end()) == (0, 0)
         assert "\x1b[38;5;166mSTOPPED" in coloured.raw

@@ -14,6 +14,8 @@ from failstop.lab.trial import Trial, wait_for
 from tests.support.commands import FAILSTOP
 from tests.support.typist import Typist
 
+IMU_HZ = 110.0
+"""The robot is seen still by the samples of a real board."""
 REPEAT_S = 0.03
 STILL_S = 0.3
 """Nothing moves for so long after a stop."""

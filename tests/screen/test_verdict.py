@@ -14,14 +14,14 @@ from failstop.policy import causes, kinematics
 from failstop.policy.settings import Settings
 from failstop.procs.gate.core import GateCore
 from failstop.procs.gate.sources import Command
-from tests.support.states import driving, latched, process, state, stop
+from tests.support.states import STILL, driving, latched, process, state, stop
 
 LOST = Device("/dev/ttyACM0", "lost", "unproven")
 DEAF = Device("/dev/ttyACM0", "open", "deaf")
 UNPROVEN = Device("/dev/ttyACM0", "open", "unproven")
 UNASKED = Device("/dev/ttyACM0", "open", "unasked")
 NEVER = "unproven: the board has never answered"
-STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_radps": (0.0, 0.0, 0.0, 0.0)}
+STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_radps": (0.0, 0.0, 0.0, 0.0), "turning": STILL}
 SWITCH = "turn the robot's POWER SWITCH off and on"
 PLUG = "plug the board in (/dev/ttyACM0)"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
@@ -45,7 +45,7 @@ TABLE: tuple[tuple[Any, str, list[str]], ...] = (
     ),
     (state(device=LOST, waiting_for="the port"), verdict.MAY_TURN, [PLUG, "`failstop enable`"]),
     (latched(causes.DEAF(), device=DEAF), verdict.MAY_TURN, [SWITCH, "`failstop reset`", "`failstop enable`"]),
-    (latched(causes.UNSTILL()), verdict.MAY_TURN, [SWITCH, "`failstop reset`", "`failstop enable`"]),
+    (latched(causes.UNSTILL()), verdict.STOPPED, ["`failstop reset`", "`failstop enable`"]),
     (state(device=UNPROVEN), verdict.STOPPED, ["`failstop enable`"]),
     (
         latched(causes.DIED("gate"), waiting_for="gate", processes={"gate": process(pid=0, state="down")}),
@@ -110,7 +110,7 @@ def test_a_refusal_names_what_stands_in_its_way_alone(found: Any, goal: Purpose,
         (state(device=UNPROVEN), f"STOPPED, {NEVER}", "STOPPED, UNPROVEN"),
         (driving(device=UNPROVEN), f"DRIVING, {NEVER}", "MOVING, UNPROVEN"),
         (driving(device=UNPROVEN, **STANDING), f"STANDING, {NEVER}", "CAN MOVE, UNPROVEN"),
-        (latched(causes.UNSTILL(), device=UNPROVEN), "MAY TURN", "WHEELS MAY TURN"),
+        (latched(causes.UNSTILL(), device=UNPROVEN), f"STOPPED, {NEVER}", "STOPPED, UNPROVEN"),
         (state(device=LOST), "MAY TURN", "WHEELS MAY TURN"),
         (state(device=UNASKED), "STOPPED", "STOPPED"),
     ],

@@ -22,6 +22,8 @@ BUSY = 2.0
 """A shared machine may give it that much more."""
 
 
+IMU_HZ = 110.0
+"""The robot is seen still by the samples of a real board."""
 COLUMNS = 250
 """Enough for the whole command that starts a trial's service."""
 

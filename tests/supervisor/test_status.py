@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
+from failstop.messages import records
 from failstop.notify import Notify
-from failstop.supervisor.status import OWED_NS, UNDYING_NS, fault, status_line
+from failstop.supervisor.status import OWED_NS, UNDYING_NS, although_told_zero, fault, status_line
 
 NOW = 10**12
 S = 10**9
@@ -55,6 +56,21 @@ DRIVING: dict[str, Any] = {"enabled": True, "blocked": None, "sources": [DRIVES,
 )
 def test_the_line(missing: str, down: str, latched: str, gate: dict[str, Any], line: str) -> None:
     assert status_line(missing, down, latched, gate) == line
+
+
+@pytest.mark.parametrize(
+    ("by", "unexpected", "age_ms", "told"),
+    [
+        (2, True, 100, "the wheels turn although they are told zero"),
+        (1, True, 100, "the robot moves, or is being moved, although its wheels are told zero"),
+        (2, False, 100, ""),
+        (2, True, 600, ""),
+    ],
+)
+def test_wheels_that_turn_although_told_zero(by: int, unexpected: bool, age_ms: int, told: str) -> None:
+    record = records.WHEELS_SEEN.pack(2, by, unexpected, 2, 1, NOW - age_ms * MS, *[0.8] * 4, *[0.0] * 4)
+    assert although_told_zero((1, NOW, record), NOW) == told
+    assert although_told_zero(None, NOW) == ""
 
 
 MS = 1_000_000

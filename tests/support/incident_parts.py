@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,11 @@ class Recorder:
         ring = self.ring(layout.TELEMETRY, "box")
         rate = spread if len(ring.entries) % 2 else -spread
         ring.put(box.pack_board(box.IMU_KIND, 0.1, 0.2, 9.8, rate, -rate, 0.01), at(ms))
+
+    def wheels(self, ms: float, *speeds_rps: float) -> None:
+        """A report of the wheels' measured speeds, by wire id."""
+        given = (*speeds_rps, *[nan] * records.MOST_WHEELS)[: records.MOST_WHEELS]
+        self.ring(layout.TELEMETRY, "box").put(box.pack_board(box.WHEELS_KIND, *given), at(ms))
 
     def beats(self, ms: float, **ages_ms: float) -> None:
         ages = [round(ages_ms.get(process, 5.0) * 1000) for process in layout.PROCESS_NAMES]

@@ -5,11 +5,34 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from failstop.api.snapshot import ArmState, Client, Device, JointState, Process, Source, State, Stop, Velocity, Wheels
+from failstop.api.snapshot import (
+    ArmState,
+    Client,
+    Device,
+    JointState,
+    Process,
+    Source,
+    State,
+    Stop,
+    Turning,
+    Velocity,
+    Wheels,
+)
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 
 NOW_S = 1_700_000_000.0
+STILL = Turning("still", "IMU", since_s=60.0, age_s=0.01, last="still")
+SEEN = "; now: the IMU feels no movement (0.0 s ago)"
+"""STILL, at the end of the proof in `failstop why`."""
+SPEEDS = Wheels((5.0, 5.0, 5.0, 5.0))
+TURNS = Turning("turning", "wheels", since_s=0.4, age_s=0.02, last="turning", speeds_radps=SPEEDS)
+TURNS_ON = dataclasses.replace(TURNS, unexpected=True, since_s=12.0)
+MOVES = Turning("turning", "IMU", since_s=0.4, age_s=0.01, last="turning")
+MOVES_ON = dataclasses.replace(MOVES, unexpected=True, since_s=12.0)
+TURNED = Turning(age_s=3.2, last="turning", speeds_radps=SPEEDS)
+UNREAD = Turning(age_s=3.2, last="still")
+UNSEEN = Turning()
 KEY = causes.KEY(1)
 KEY_STOP = Stop(KEY, str(KEY), NOW_S - 12, "port_owner", "port owner", 210e-6, 4.4e-3, 0.3)
 
@@ -31,7 +54,7 @@ def state(**changed: Any) -> State:
     base |= {"device": Device("/dev/ttyACM0", "open", "alive"), "starved": None, "clients": (), "sources": ()}
     base |= {"processes": {name: process() for name in ("supervisor", "port_owner", "stopper", "gate", "telemetry")}}
     base |= dict.fromkeys(("scan_age_s", "last_stop", "imu", "gyro_bias", "odometry", "pad_mode"))
-    base |= {"battery_v": 12.0, "plugged": "unknown", "age_s": 0.004}
+    base |= {"turning": STILL, "battery_v": 12.0, "plugged": "unknown", "age_s": 0.004}
     return State(**{**base, **changed})
 
 
@@ -54,5 +77,5 @@ def driving(**changed: Any) -> State:
         "sources": (source,),
         "clients": (Client(0, "nav", 42, True),),
     }
-    base |= {"body_vel": Velocity(0.2, 0.0, 0.0), "wheels_radps": Wheels((5.0,) * 4)}
+    base |= {"turning": MOVES, "body_vel": Velocity(0.2, 0.0, 0.0), "wheels_radps": Wheels((5.0,) * 4)}
     return state(**{**base, **changed})

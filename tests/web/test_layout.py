@@ -25,7 +25,16 @@ ZOOMS = [150, 200, 300]
 """Percent by which the browser enlarges everything: the screen is so much smaller to the page."""
 FAILED = "NOT WRITTEN (no service named 'failstop' is running). Still trying: use the POWER SWITCH"
 """A long text of a stop that failed."""
-WORDS = ["STOPPED", "WHEELS MAY TURN", "NO CONTACT", "CONNECTING", "STOP WRITTEN"]
+WORDS = [
+    "STOPPED",
+    "WHEELS MAY TURN",
+    "NO CONTACT",
+    "CONNECTING",
+    "STOP WRITTEN",
+    "WHEELS TURN",
+    "ROBOT MOVES",
+    "TOLD TO STOP",
+]
 LONGEST = 20
 """Characters of a word that is kept whole; a path may be broken."""
 LEAST_SHARE = 0.15

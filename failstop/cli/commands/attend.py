@@ -125,6 +125,4 @@ def _lines(robot: Robot, who: str, columns: int) -> list[Line]:
     rows = summary.wrapped(summary.wheels(state), columns)
     if state.attended_by is None:
         rows += [[], [('nobody needs to attend this robot: attend.required is "off"', WARN)]]
-    elif doubt := verdict.doubt(state):
-        rows.append([(doubt, FAIL)])
     return [*head, *rows]

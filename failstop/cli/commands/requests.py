@@ -75,8 +75,11 @@ def main(arguments: Namespace) -> int:
             with progress:  # with an arm an enable takes seconds
                 said = verbs[command]()
             standard.tell(said)
-            if command == "enable" and (why := verdict.unproven(robot.state)):
-                standard.say(f"unproven: {why}, so no stop is known to reach the wheels; next: see to its power")
+            if command == "enable" and (state := robot.state):
+                if why := verdict.unproven(state):
+                    standard.say(f"unproven: {why}, so no stop is known to reach the wheels; next: see to its power")
+                if doubt := verdict.doubt(state):
+                    standard.say(f"{doubt}; next: {steps.line(state)}")
         except ValueError as error:  # out of bounds, or not finite
             raise FailstopError(str(error)) from None
     return 0

@@ -137,7 +137,8 @@ class Live:
         call. `rows`: of the terminal, which the last events fill. `events`: of this run, oldest first."""
         self._device = state.device.path
         wheels = summary.wrapped([summary.headline(state)], columns)
-        said = (state.blocked, state.epoch, state.waiting_for, state.device, state.moving)
+        fact = state.turning.does, state.turning.unexpected
+        said = (state.blocked, state.epoch, state.waiting_for, state.device, state.moving, fact)
         if (key := (int(mono_s / SLOW_S), columns, said)) != self._key:
             self._key = key
             self._slow = summary.lines(state, unix_s, columns, events)[len(wheels) :]
@@ -154,7 +155,7 @@ class Live:
         speed, turn, shake = hypot(vx, vy), abs(wz), self._vibration.add(state.imu.rate_radps if state.imu else None)
         shakes = shake is not None and shake > STILL_RADPS
         unknown = "not known" if state.device.imu else "no IMU"
-        text = unknown if shake is None else f"{shake:.4f} rad/s {'shakes' if shakes else 'still'}"
+        text = unknown if shake is None else f"{shake:.4f} rad/s"
         moves, shaken = OK if state.moving else PLAIN, WARN if shakes and not state.moving else PLAIN
         return [
             self._bar("speed", speed, f"{speed:.2f} m/s", TOP_MPS, moves, columns),

@@ -285,6 +285,7 @@ class Pilot:
             row("speed", f"{self.percent} %: {speed_mps:.2f} m/s, {turn_radps:.2f} rad/s"),
             row("command", "none" if command is None else words.velocity(*command) or "zero"),
             summary.headline(state),
+            summary.observed(state),
             *(self._arm(state.arm) if state.arm else []),
             summary.battery(state),
             summary.device(state),

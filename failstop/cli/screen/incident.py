@@ -75,6 +75,7 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
         ("why", incident.why, FAIL),
         ("when", f'{words.clock(head["t"])}{ago}; service "{head["name"]}" on {head["host"]}', PLAIN),
         ("before", _before(incident), PLAIN),
+        *_wheels(incident),
         ("noticed", noticed, PLAIN),
     ]
     if clock:
@@ -92,7 +93,7 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
 
 
 def _before(incident: Incident) -> str:
-    """The robot's motion when it happened, and since when it stood."""
+    """What was commanded when it happened, and since when nothing was."""
     ticks = [tick for tick in incident.ticks if tick.ns <= incident.cause_ns]
     if not ticks:
         return memory.NOT_KNOWN
@@ -104,7 +105,26 @@ def _before(incident: Incident) -> str:
     driven = [tick.ns for tick in ticks if tick.block == DRIVING]
     least = "" if driven else "at least "
     stood_s = (incident.cause_ns - (driven[-1] if driven else ticks[0].ns)) / 1e9
-    return f"the wheels stood ({SAYS.get(last.block, last.block)}), for {least}{words.took(stood_s)}"
+    return f"zero was commanded ({SAYS.get(last.block, last.block)}), for {least}{words.took(stood_s)}"
+
+
+def _wheels(incident: Incident) -> list[Fact]:
+    """What the board reported of the wheels at the cause and at the end of the file."""
+    spans = incident.rolled()
+    if not spans:
+        return []
+    before = [span for span in spans if span[1] <= incident.cause_ns]
+    turn, begin_ns, end_ns, fastest_rps, _ = spans[-1]
+    first = "not reported before"
+    if before:
+        first = f"turned, at most {before[-1][3]:.2f} turns/s" if before[-1][0] else "were still"
+    if turn:
+        after = f"TURNED at the last report, {words.took(max(0, end_ns - incident.cause_ns) / 1e9)} after it"
+        return [("wheels", f"{first}; {after}: at most {fastest_rps:.2f} turns/s (by the board's reports)", FAIL)]
+    rest = (
+        f"; still {words.took((begin_ns - incident.cause_ns) / 1e9)} after it" if begin_ns > incident.cause_ns else ""
+    )
+    return [("wheels", f"{first}{rest} (by the board's reports)", PLAIN)]
 
 
 def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 
 from failstop.api import steps, verdict, words
+from failstop.api import wheels as seen
 from failstop.api.events import Event
 from failstop.api.snapshot import ArmState, Block, State
 from failstop.api.why import WAITS, explain, proofs
@@ -19,7 +20,12 @@ from failstop.supervisor.status import cost
 LABEL = 10
 """Columns of the names on the left."""
 LINKS = {"alive": OK, "unproven": WARN, "deaf": FAIL, "unheard": FAIL}
-WORDS = {verdict.MAY_TURN: FAIL, verdict.DRIVING: OK, verdict.STANDING: OK}
+WORDS = {
+    **dict.fromkeys((verdict.MAY_TURN, verdict.TURNING, verdict.MOVED), FAIL),
+    **dict.fromkeys((verdict.STOPPING, verdict.TOLD_TO_STOP), WARN),
+    verdict.DRIVING: OK,
+    verdict.STANDING: OK,
+}
 PORTS = {"open": PLAIN, "closed": WARN, "lost": FAIL}
 PROOFS = {True: OK, None: PLAIN, False: WARN}
 STATE_STYLES = {"running": PLAIN, "starting": WARN, "waiting": WARN}
@@ -65,18 +71,25 @@ def wrapped(rows: list[Line], columns: int, label: int = LABEL) -> list[Line]:
 def headline(state: State) -> Line:
     """A line on the wheels and why they do it."""
     word = verdict.word(state)
-    role = WORDS.get(word) or (FAIL if state.cause else WARN)
+    role = FAIL if state.cause else WORDS.get(word, WARN)
     if verdict.unproven(state) and role == OK:
         role = WARN
     return [*row("wheels", verdict.proven_word(state), role), ("  ", PLAIN), (verdict.headline(state), STRONG)]
 
 
 def wheels(state: State) -> list[Line]:
-    """That line, and the next command."""
-    rows = [headline(state)]
+    """That line, what is seen of them, and the next command."""
+    rows = [headline(state), observed(state)]
     if step := steps.line(state):
         rows.append(row("next", "") + commands(step))
     return rows
+
+
+def observed(state: State) -> Line:
+    """What is seen of the wheels now, and the age of the reading."""
+    role = FAIL if verdict.doubt(state) else WARN if verdict.unseen(state) else PLAIN
+    text = "; ".join(filter(None, (seen.now(state), verdict.unreached(state))))
+    return row("seen", text, role)
 
 
 def commands(text: str) -> Line:

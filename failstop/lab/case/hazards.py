@@ -148,7 +148,8 @@ HAZARDS = (
     ),
     Hazard(
         "H-TRUST", PEOPLE, "A person trusts the screen and goes near", "a page that says STOPPED of a wheel that turns",
-        "tells what is proved: written, acknowledged, observed; says that a picture is old",
+        "tells what is proved: written, acknowledged, observed; shows what is seen of the wheels now, and says when "
+        "nobody sees them or a picture is old",
         "the wheels may turn although a stop is acknowledged", "look at the robot; the power switch", ("PROOF-1",
         "BOARD-1"),
     ),

@@ -96,6 +96,7 @@ function showStop() {
 function showFacts() {
   const charger = view.plugged === "unknown" ? "" : `, charger ${view.plugged}`;
   const rows = [
+    ["Wheels", ""],
     ["Drives", view.driver || "nobody"],
     ...(view.limit < 100 ? [["Limit", `${view.limit} % of the settings' speeds`]] : []),
     ["Stands", view.stands],
@@ -105,13 +106,21 @@ function showFacts() {
     ...(view.imu ? [] : [["IMU", "none"]]),
     ["Clients", view.clients.join(", ") || "none"],
   ];
-  list("facts", rows, ([name, value]) => [node("dt", name), node("dd", value)]);
+  list("facts", rows, ([name, value]) => {
+    const shown = node("dd", value || seen());
+    if (!value) shown.id = "wheels"; // it changes all the time
+    return [node("dt", name), shown];
+  });
   list("troubles", view.troubles, (trouble) => node("li", trouble));
   list("processes", view.processes, ({name, state, restarts}) => {
     const shown = node("li", `${name} ${state}${restarts ? `, started anew ${restarts} times` : ""}`);
     shown.classList.toggle("wrong", state !== "running");
     return shown;
   });
+}
+
+function seen() {
+  return live ? live[6] : "not known";
 }
 
 function showEvents() {
@@ -145,6 +154,7 @@ function drawLive() {
   Object.values(charts).forEach((chart) => chart.draw());
   const steered = live && live[5] ? `, steered ${live[5]}` : "", silent = view && !view.imu ? "no IMU" : "IMU silent";
   text("speed", live ? `${speed.toFixed(2)} m/s, ${live[2].toFixed(2)} rad/s${steered}` : "not known");
+  if ($("wheels")) text("wheels", seen());
   text("shake", shake === null || shake === undefined ? silent : `${shake.toFixed(1)} mrad/s`);
 }
 

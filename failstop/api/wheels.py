@@ -1,0 +1,167 @@
+"""Wheels: what a screen may say of them, by one table: what they are told, and what is seen of them. Pure.
+
+`State.turning` is the only source of what the wheels do. The cause of a latched stop says why the robot was stopped,
+and nothing about its wheels: they may turn again hours after they were seen still.
+"""
+
+from __future__ import annotations
+
+import enum
+from math import tau
+from typing import NamedTuple
+
+from failstop.api import words
+from failstop.policy.proofs import ALTHOUGH_TOLD_ZERO
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.api.snapshot import State
+
+DRIVING = "DRIVING"
+STANDING = "STANDING"
+"""Motion is enabled, zero is commanded, and nothing is seen to move."""
+STOPPED = "STOPPED"
+"""The wheels are told zero and are seen still."""
+STOPPING = "STOPPING"
+"""They are told zero and still move, for no longer than the setting still.after_s allows."""
+TOLD_TO_STOP = "TOLD TO STOP"
+"""They are told zero, and nobody sees whether they obey."""
+TURNING = "TURNING"
+"""The board reports that they turn although they are told zero."""
+MOVED = "MOVED"
+"""The IMU feels the robot move although its wheels are told zero: it moves by itself, or somebody moves it."""
+MAY_TURN = "MAY TURN"
+"""A stop that is not known to reach the wheels is none: nobody must rely on it."""
+MOVING, CAN_MOVE, WRITTEN, WHEELS_MAY_TURN = "MOVING", "CAN MOVE", "STOP WRITTEN", "WHEELS MAY TURN"
+WHEELS_TURN, ROBOT_MOVES = "WHEELS TURN", "ROBOT MOVES"
+"""Large words, along with STOPPED, STOPPING and TOLD TO STOP."""
+
+
+class Told(enum.Enum):
+    """What the wheels are told."""
+
+    ZERO = "zero"
+    MOTION = "motion"
+    NOBODY_KNOWS = "nobody knows"
+    """What is written to the board may not reach it."""
+
+
+class Seen(enum.Enum):
+    """What is seen of the wheels."""
+
+    TURN = "they turn"
+    TURN_ON = "they turn although they were told zero for longer than they may"
+    MOVE = "the IMU feels the robot move"
+    MOVE_ON = "it feels that although the wheels were told zero for longer than they may move"
+    STILL = "they are still"
+    TURNED = "they turned at the newest reading, which is too old to say anything of now"
+    UNREAD = "no reading says what they do now"
+    UNSEEN = "nothing has ever reported it"
+
+
+class Row(NamedTuple):
+    """What may be said."""
+
+    word: str
+    large: str
+    """For a screen that is read at arm's length."""
+    text: str = ""
+    """A clause that a screen adds to the word; empty: the word says it all."""
+    alarm: bool = False
+    """The wheels turn, or may, although nobody wants that."""
+    unless: str = ""
+    """Who else may turn them, for the advice to use the power switch."""
+
+
+_UNKNOWN = "the wheels are told zero, and what they do is not known now"
+_UNSEEN = "the wheels are told zero, and nothing reports what they do"
+_TURN_ON, _MOVE_ON = ALTHOUGH_TOLD_ZERO["wheels"], ALTHOUGH_TOLD_ZERO["IMU"]
+_TURNED = "the wheels turned when they were last read, and nothing is read of them now"
+_DRIVES = Row(DRIVING, MOVING)
+_NO_STOP = Row(MAY_TURN, WHEELS_MAY_TURN, alarm=True)
+TABLE: dict[tuple[Told, Seen], Row] = {
+    (Told.ZERO, Seen.TURN): Row(STOPPING, STOPPING, "the wheels are told zero and turn"),
+    (Told.ZERO, Seen.TURN_ON): Row(TURNING, WHEELS_TURN, _TURN_ON, True, "somebody pushes it"),
+    (Told.ZERO, Seen.MOVE): Row(STOPPING, STOPPING, "the wheels are told zero, and the robot moves"),
+    (Told.ZERO, Seen.MOVE_ON): Row(MOVED, ROBOT_MOVES, _MOVE_ON, True, "somebody moves it"),
+    (Told.ZERO, Seen.STILL): Row(STOPPED, STOPPED),
+    (Told.ZERO, Seen.TURNED): Row(MAY_TURN, WHEELS_MAY_TURN, _TURNED, True),
+    (Told.ZERO, Seen.UNREAD): Row(TOLD_TO_STOP, TOLD_TO_STOP, _UNKNOWN),
+    (Told.ZERO, Seen.UNSEEN): Row(TOLD_TO_STOP, TOLD_TO_STOP, _UNSEEN),
+    **{(Told.MOTION, seen): _DRIVES for seen in Seen},
+    **{(Told.NOBODY_KNOWS, seen): _NO_STOP for seen in Seen},
+    (Told.NOBODY_KNOWS, Seen.TURN): Row(TURNING, WHEELS_TURN, "the wheels turn", True),
+    (Told.NOBODY_KNOWS, Seen.TURN_ON): Row(TURNING, WHEELS_TURN, _TURN_ON, True),
+    (Told.NOBODY_KNOWS, Seen.MOVE_ON): Row(MOVED, ROBOT_MOVES, _MOVE_ON, True),
+}
+"""Every pair, and what may be said then. A board that reports nothing on a robot without an IMU is no alarm: it is
+UNSEEN, and the screens say that."""
+
+SEEN = {
+    Seen.TURN: "the wheels turn",
+    Seen.TURN_ON: _TURN_ON,
+    Seen.MOVE: "the robot moves, or is being moved",
+    Seen.MOVE_ON: _MOVE_ON,
+    Seen.STILL: "the wheels are still",
+    Seen.TURNED: "not known; when last read the wheels turned",
+    Seen.UNREAD: "not known",
+    Seen.UNSEEN: "not known: nothing reports what the wheels do",
+}
+"""Each in words."""
+SAYS = {"wheels": "by the board's reports", "IMU": "by the IMU"}
+"""What says so, by `Turning.by`."""
+
+
+def seen(state: State) -> Seen:
+    """What is seen of the wheels."""
+    known = state.turning
+    if known.does == "still":
+        return Seen.STILL
+    if known.does == "turning" and known.by == "IMU":
+        return Seen.MOVE_ON if known.unexpected else Seen.MOVE
+    if known.does == "turning":
+        return Seen.TURN_ON if known.unexpected else Seen.TURN
+    if known.last == "turning":
+        return Seen.TURNED
+    return Seen.UNSEEN if known.age_s is None and state.imu is None else Seen.UNREAD
+
+
+def told(state: State, unreached: str) -> Told:
+    """What the wheels are told. `unreached`: why nothing is known to reach the board; empty: it does."""
+    if unreached:
+        return Told.NOBODY_KNOWS
+    return Told.MOTION if state.moving else Told.ZERO
+
+
+def row(state: State, unreached: str) -> Row:
+    """What may be said of the wheels; `unreached` as above."""
+    return TABLE[told(state, unreached), seen(state)]
+
+
+def now(state: State) -> str:
+    """What is seen, with the speeds that the board reports, what says so, and the age of the reading."""
+    known, found = state.turning, seen(state)
+    text = SEEN[found]
+    if found is Seen.STILL and known.by == "IMU":
+        # It feels neither wheels that turn in the air nor a robot that goes slowly.
+        return f"the IMU feels no movement ({words.span(known.age_s or 0.0)} ago)"
+    if found in (Seen.TURN, Seen.TURN_ON, Seen.TURNED) and (how := speeds(state)):
+        text += f": {how}"
+    if known.by:
+        text += f" ({SAYS[known.by]}, {words.span(known.age_s or 0.0)} ago)"
+    elif known.age_s is not None:
+        text += f" (last read {words.span(known.age_s)} ago)"
+    elif found is Seen.UNREAD:
+        text += " (the IMU does not tell it yet)"
+    return text
+
+
+def speeds(state: State) -> str:
+    """The measured speed of each wheel in turns a second, positive forward; empty: the board reports none."""
+    measured = state.turning.speeds_radps
+    if measured is None:
+        return ""
+    each = (
+        f"{name.replace('_', ' ')} {radps / tau:+.2f}" for name, radps in zip(measured.names, measured, strict=True)
+    )
+    return f"{', '.join(each)} turns/s"
