@@ -16,6 +16,8 @@ from failstop.lab.trial import Trial, TrialError, judge, wait_for
 from tests.web.driving_parts import COMMAND_S, DRIVING, LATE_S, enable_soon
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
+IMU_HZ = 110.0
+"""The robot is seen still by the samples of a real board."""
 SETTINGS = DRIVING
 
 WORD = "document.getElementById('word').textContent"

@@ -17,6 +17,8 @@ from failstop.web.storage import Storage
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 
+IMU_HZ = 110.0
+"""The robot is seen still by the samples of a real board."""
 WORD = "document.getElementById('word').textContent"
 SAID = "document.getElementById('stop-said').textContent"
 SEEN = f"{WORD} !== 'CONNECTING' && {WORD} !== 'NO CONTACT'"
