@@ -131,7 +131,7 @@ class Described(Board):
     __slots__ = (
         "_motion", "_per_rps", "_wire", "acknowledged_by", "after_ns", "arming", "burst", "commanders", "echo_ns",
         "fades_ns", "first_stop", "idle_ns", "most_rps", "name", "observed_by", "ping_ns", "pings", "port", "refresh",
-        "repeats_ns", "reports", "silent_ns", "stop", "usb", "wheels",
+        "repeats_ns", "reports", "silent_ns", "step_rps", "stop", "usb", "wheels",
     )  # fmt: skip
 
     usb_alone = arm_beside_wheels = holds_by_goal = False
@@ -157,6 +157,7 @@ class Described(Board):
         self.usb, self.commanders = wire.usb, wire.commanders
         self.wheels = wire.motion.wheels
         self.most_rps = min(wire.motion.limit, wire.motion.apart / 2) / per_rps
+        self.step_rps = wire.motion.step / per_rps
 
     def burst_with(self, servos: Sequence[int]) -> bytes:
         """The stop: it has no servos."""

@@ -124,6 +124,8 @@ class Board:
     """How many speeds a frame sets, at most box.MOST_SPEEDS: their wire ids are counted from 0."""
     most_rps: float
     """The fastest wheel that it can be told."""
+    step_rps: float
+    """Speeds are told in multiples of this, rounded towards zero; 0: any speed."""
     usb: tuple[str, ...]
     """Vendor:product, in hexadecimal, of USB ports of its own."""
     usb_alone: bool

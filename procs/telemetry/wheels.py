@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 UNKNOWN_WHEELS, ARE_STILL, THEY_TURN = range(len(WHEELS_DO))
 SEEN_BY_NOTHING, SEEN_BY_IMU, SEEN_BY_REPORTS = range(len(WHEELS_BY))
 NOT_REPORTED = (nan,) * MOST_WHEELS
+LEAST_COUNTS = 2.5
+"""Less than this is the to and fro of an encoder at rest."""
 
 
 class Measured:
@@ -60,6 +62,24 @@ class Measured:
         return tuple(step / told.position_per_turn for step in steps)
 
 
+class Way:
+    """How far the wheels have gone since they were last at rest, where the board reports positions. A count that
+    changes to and fro on the edge of an encoder is no way."""
+
+    def __init__(self, reports: WheelReports) -> None:
+        self._counts = 0.0 if reports.speed_per_rps else reports.position_per_turn
+        self._from: tuple[float, ...] = ()
+
+    def went(self, turns: tuple[float, ...], *, rest: bool) -> bool:
+        """`turns`: of each wheel; `rest`: they are at rest now. True also where nothing is known of positions."""
+        if not self._counts:
+            return True
+        if rest or len(self._from) != len(turns):
+            self._from = turns
+        steps = [abs(now - then) * self._counts for now, then in zip(turns, self._from, strict=True)]
+        return max(steps, default=0.0) >= LEAST_COUNTS
+
+
 class WheelFact:
     """What is known, and since when. `follow` once for each reading and each news of the gate."""
 
@@ -75,9 +95,11 @@ class WheelFact:
         self.unexpected = False
         """They turn although they were told zero for longer than they may."""
 
-    def follow(self, read_back: ReadBack, still: StillJudge, told_zero_ns: int, now_ns: int) -> bool:
+    def follow(
+        self, read_back: ReadBack, still: StillJudge, told_zero_ns: int, now_ns: int, *, went: bool = True
+    ) -> bool:
         """Judge anew; True when what is known has changed. `told_zero_ns`: since when they are told zero, 0: they are
-        told to turn."""
+        told to turn. `went`: they have got further than an encoder that rests on the edge of a count."""
         judge: ReadBack | StillJudge = read_back if read_back.judged_ns else still
         before = (self.does, self.by, self.unexpected)
         self.read_ns = judge.judged_ns
@@ -86,8 +108,9 @@ class WheelFact:
         else:
             self.does = ARE_STILL if judge.still_ns else THEY_TURN
             self.by = SEEN_BY_REPORTS if judge is read_back else SEEN_BY_IMU
-        late = told_zero_ns > 0 and now_ns - max(told_zero_ns, self.since_ns) >= self._after_ns
-        self.unexpected = self.does == THEY_TURN and late
+        late = told_zero_ns > 0 and self.read_ns - max(told_zero_ns, self.since_ns) >= self._after_ns
+        # Reports that have ended say nothing of now.
+        self.unexpected = self.does == THEY_TURN and late and went and now_ns - self.read_ns < self._after_ns
         if before[:2] != (self.does, self.by):
             self.since_ns = judge.still_ns or judge.judged_ns or now_ns
             self.unexpected = False

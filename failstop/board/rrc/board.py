@@ -128,6 +128,7 @@ class Rrc(Board):
     reports = NO_WHEEL_REPORTS
     wheels = framing.WHEELS
     most_rps = codec.RPS_CEILING
+    step_rps = 0.0
     usb = ("1a86:55d4",)
     usb_alone = True
     arm_beside_wheels = holds_by_goal = False

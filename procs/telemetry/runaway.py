@@ -1,0 +1,282 @@
+"""Runaway: whether a wheel does what it is told, by what the board reports. Pure.
+
+Every report is compared with all that the wheels were told in the time that it may be about. A wheel has run away when
+it has turned faster than that, or the other way, for its run-down time, and has not slowed down meanwhile. One that
+stands although it is told to turn is a warning. docs/dev/runaway.md has the thresholds, and why they are what they are.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import pi
+
+from failstop.data import Data
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from failstop.board.interface import Board
+    from failstop.policy.settings import Settings
+
+    Told = tuple[float, ...]
+
+RAN_AWAY, STANDS = "ran away", "stands"
+
+LAG_NS = 300_000_000
+"""So long after a command the wheels may still do what they were told before it: the way to the board, its controller,
+and a report that comes late."""
+LEAST_NS = 200_000_000
+"""A wheel is beyond what it was told for this long at least, and in this many reports, before it counts."""
+LEAST_REPORTS = 3
+BLIND_NS = 150_000_000
+"""Commands that nobody has looked at for longer than this are not known, and neither is what the wheels should do."""
+SLOWS = 0.92
+"""A wheel that turns at less than this share of its speed in the second half of the time, against the first one, is
+slowing down: it rolls out, and has not run away."""
+STANDS_NS = 3_000_000_000
+"""A wheel that stands for so long although it is told to turn is stalled or unplugged."""
+STANDS_SHARE = 0.1
+STANDS_MPS = 0.02
+"""A slower command may be too little to move it."""
+SELDOM_NS = 1_000_000_000
+"""A board that reports no more often than this, or does not say how often, is not judged here."""
+
+
+class Margins(Data):
+    """How much a wheel may differ from what it is told."""
+
+    share: float
+    """Of what it is told."""
+    rim_mps: float
+    """And at its rim, in either direction."""
+
+
+HOLDS_SPEED = Margins(0.3, 0.05)
+"""For a board that measures the speed and holds it."""
+SETS_VOLTAGE = Margins(0.75, 0.1)
+"""For a board that sets a voltage: its wheels turn faster downhill and with a full battery, and roll back on a
+slope."""
+
+
+class Limits(Data):
+    """The thresholds of one robot."""
+
+    every_ns: int
+    """The longest time between two reports."""
+    share: float
+    rps: float
+    """Turns a second that count as none; with the step of a command in it."""
+    counts: float
+    """Counts in a turn; 0: the board reports speeds."""
+    braking_rps2: float
+    """How fast a wheel slows down at least."""
+    told_rps: float
+    """A wheel that is told less than this may stand."""
+
+    def run_down_ns(self, told_rps: float) -> int:
+        """How long after a command a wheel that was told this before it may take to follow, as the reports show it."""
+        return LAG_NS + self.rolls_ns(told_rps) + 3 * self.every_ns
+
+    def rolls_ns(self, told_rps: float) -> int:
+        """How long a wheel may be beyond what it is told."""
+        return LEAST_NS + round(abs(told_rps) / self.braking_rps2 * 1e9)
+
+
+def limits_of(settings: Settings, board: Board) -> Limits | None:
+    """The thresholds for this robot; None: its board does not report well enough to be judged."""
+    reports, rim_m = board.reports, pi * settings["wheels.diameter_m"]
+    if not 0 < reports.every_ns < SELDOM_NS or not (reports.speed_per_rps or reports.position_per_turn):
+        return None
+    margins = HOLDS_SPEED if reports.holds_speed else SETS_VOLTAGE
+    return Limits(
+        every_ns=reports.every_ns,
+        share=margins.share,
+        rps=margins.rim_mps / rim_m + board.step_rps,
+        counts=0.0 if reports.speed_per_rps else reports.position_per_turn,
+        braking_rps2=settings["limits.braking_mps2"] / rim_m,
+        told_rps=STANDS_MPS / rim_m + 2 * board.step_rps,
+    )
+
+
+class Finding(Data):
+    """A wheel that does not do what it is told; both speeds in turns a second, by the direction of the wire."""
+
+    what: str
+    """RAN_AWAY or STANDS."""
+    wheel: int
+    """Its id on the wire."""
+    told_rps: float
+    seen_rps: float
+
+
+class _Wheel:
+    """One wheel: since when it is beyond what it was told, and since when it stands."""
+
+    __slots__ = (
+        "before_rps",
+        "beyond_ns",
+        "halves",
+        "last_ns",
+        "reports",
+        "rolls_ns",
+        "second_ns",
+        "side",
+        "stands_ns",
+        "told_off",
+    )
+
+    def __init__(self) -> None:
+        self.beyond_ns = self.last_ns = self.rolls_ns = self.reports = self.second_ns = self.side = self.stands_ns = 0
+        self.before_rps = 0.0
+        """The fastest that it was told since it was last within what it was told."""
+        self.halves = [0.0, 0.0, 0.0, 0.0]
+        """Of the first half of the time and of the second: speed times weight, and weight."""
+        self.told_off = False
+        """It was told of that it stands."""
+
+    def within(self) -> None:
+        self.beyond_ns, self.before_rps = 0, 0.0
+
+    def begin(self, side: int, since_ns: int, rolls_ns: int, every_ns: int) -> None:
+        """From then on it is beyond what it was told, and may be for so long; there is a report each `every_ns`."""
+        self.side, self.beyond_ns, self.rolls_ns, self.reports = side, since_ns, rolls_ns, 0
+        self.second_ns = since_ns + max(rolls_ns // 2, every_ns + every_ns // 4)
+        self.halves = [0.0, 0.0, 0.0, 0.0]
+
+    def add(self, seen_rps: float, weight: float, t_ns: int) -> None:
+        """Take in a report while it is beyond."""
+        self.reports += 1
+        half = 2 * (t_ns > self.second_ns)
+        self.halves[half] += seen_rps * weight
+        self.halves[half + 1] += weight
+
+    def slows(self, count: float) -> bool:
+        """Whether it is slowing down, by more than a count of the encoder (in turns times ns) explains; also while too
+        little is known of either half."""
+        way, weight, later_way, later_weight = self.halves
+        return not (weight and later_weight) or (abs(later_way) + count) / later_weight < SLOWS * abs(way / weight)
+
+
+class Runaway:
+    """`follow` at each look at what the gate tells the wheels, `take` for each report, in the order of time."""
+
+    def __init__(self, limits: Limits, wheels: Sequence[int]) -> None:
+        """`wheels`: the ids on the wire of those that the robot has."""
+        self._limits = limits
+        self._wheels = {wheel: _Wheel() for wheel in wheels}
+        self._told: deque[tuple[int, Told]] = deque()
+        """What the wheels are told, and from when on; the oldest entry is older than any report to come."""
+        self._followed_ns = 0
+        self._read_ns = 0
+        self._turns: Told = ()
+        self._moves = False
+        """The wheels are told to turn, or have not been seen at rest since they were."""
+
+    def follow(self, told_rps: Told, since_ns: int, now_ns: int, *, enabled: bool) -> None:
+        """The wheels are told this, in turns a second by wire id, since then. While motion is not `enabled`, nothing is
+        judged."""
+        if not enabled or now_ns - self._followed_ns > BLIND_NS:
+            self._forget(now_ns)
+        self._followed_ns = now_ns
+        if not enabled:
+            return
+        told = self._told
+        if not told:
+            told.append((now_ns, told_rps))
+        elif told[-1][1] != told_rps:
+            told.append((max(since_ns, told[-1][0]), told_rps))
+        self._moves = self._moves or any(told_rps)
+        while len(told) > 1 and told[1][0] < now_ns - 2 * (LAG_NS + self._limits.every_ns):
+            told.popleft()
+
+    def _forget(self, now_ns: int) -> None:
+        for index, wheel in self._wheels.items():
+            wheel.before_rps = max(wheel.before_rps, self._fastest(index))
+            wheel.beyond_ns = wheel.stands_ns = 0
+            wheel.told_off = False
+        self._told.clear()
+        self._moves = False
+        self._read_ns, self._turns = now_ns, ()
+
+    def _fastest(self, index: int) -> float:
+        """The fastest that this wheel was told lately."""
+        return max((abs(told[index]) for _, told in self._told if index < len(told)), default=0.0)
+
+    def take(self, speeds_rps: Told, turns: Told, t_ns: int) -> Finding | None:
+        """Take a report: speeds in turns a second, or how far each wheel has turned, by wire id. Returns the first
+        wheel that does not do what it is told, once."""
+        limits = self._limits
+        begun_ns, blur_rps = t_ns - limits.every_ns, limits.rps
+        if limits.counts:
+            elapsed_ns, before = t_ns - self._read_ns, self._turns
+            if len(before) == len(turns) and elapsed_ns < limits.every_ns // 2:
+                return None  # reports that were held up come together: nobody knows when each was made
+            begun_ns, self._read_ns, self._turns = self._read_ns, t_ns, turns
+            if len(before) != len(turns):
+                return None
+            speeds_rps = tuple([(now - then) * 1e9 / elapsed_ns for now, then in zip(turns, before, strict=True)])
+            blur_rps += 1e9 / (limits.counts * elapsed_ns)
+        if not self._told or begun_ns - LAG_NS < self._told[0][0]:
+            return None  # what they were told then is not known
+        found, rests = None, True
+        for index, wheel in self._wheels.items():
+            if index < len(speeds_rps):
+                lowest, highest = self._bounds(index, begun_ns - LAG_NS)
+                finding = self._judge(index, wheel, speeds_rps[index], (lowest, highest, blur_rps), (begun_ns, t_ns))
+                found = found or finding
+                rests = rests and abs(speeds_rps[index]) <= blur_rps and lowest == highest == 0.0
+        if rests:
+            self._moves = False
+        return found
+
+    def _bounds(self, index: int, since_ns: int) -> tuple[float, float]:
+        """The lowest and the highest speed that this wheel was told since then."""
+        lowest = highest = self._told[-1][1][index]
+        for at in range(len(self._told) - 2, -1, -1):
+            if self._told[at + 1][0] <= since_ns:
+                break
+            speed = self._told[at][1][index]
+            lowest, highest = min(lowest, speed), max(highest, speed)
+        return lowest, highest
+
+    def _judge(
+        self, index: int, wheel: _Wheel, seen: float, bounds: tuple[float, float, float], span: tuple[int, int]
+    ) -> Finding | None:
+        (lowest, highest, blur), (begun_ns, t_ns), limits = bounds, span, self._limits
+        most = max(highest, 0.0) * (1.0 + limits.share) + blur
+        least = min(lowest, 0.0) * (1.0 + limits.share) - blur
+        side = (seen > most) - (seen < least)
+        if not side or not self._moves:
+            wheel.within()
+        else:
+            if side != wheel.side or not wheel.beyond_ns or t_ns - wheel.last_ns > self._gap_ns():
+                wheel.before_rps = max(wheel.before_rps, self._fastest(index))
+                since_ns = begun_ns if limits.counts else t_ns
+                wheel.begin(side, since_ns, limits.rolls_ns(wheel.before_rps), limits.every_ns)
+            wheel.add(seen, t_ns - begun_ns, t_ns)
+            if t_ns - wheel.beyond_ns >= wheel.rolls_ns and wheel.reports >= LEAST_REPORTS:
+                if not wheel.slows(1e9 / limits.counts if limits.counts else 0.0):
+                    wheel.beyond_ns = 0
+                    return Finding(RAN_AWAY, index, self._told[-1][1][index], seen)
+                wheel.begin(side, t_ns, wheel.rolls_ns, limits.every_ns)  # it has as long again
+        wheel.last_ns = t_ns
+        return self._stands(index, wheel, seen, bounds, span)
+
+    def _gap_ns(self) -> int:
+        """Between two reports of speeds longer than this the wheel may have done anything; a position says what."""
+        return LEAST_NS + 2 * self._limits.every_ns if self._limits.counts else LEAST_NS
+
+    def _stands(
+        self, index: int, wheel: _Wheel, seen: float, bounds: tuple[float, float, float], span: tuple[int, int]
+    ) -> Finding | None:
+        lowest, highest, _ = bounds
+        told = max(lowest, -highest)  # the least, where both have one sign
+        if told < self._limits.told_rps or abs(seen) > STANDS_SHARE * told:
+            wheel.stands_ns, wheel.told_off = 0, False
+            return None
+        wheel.stands_ns = wheel.stands_ns or span[0]
+        if wheel.told_off or span[1] - wheel.stands_ns < STANDS_NS:
+            return None
+        wheel.told_off = True
+        return Finding(STANDS, index, self._told[-1][1][index], seen)
