@@ -228,9 +228,14 @@ DEAF = Kind(
     "the board had answered before and then answered no ping for a second, so it may not hear anything", _POWER,
 )  # fmt: skip
 UNSTILL = Kind(
-    12, "unstill", "the wheels do not come to rest: use the POWER SWITCH", "supervisor",
-    "the IMU saw the robot shake on after a stop, as it does while wheels turn",
+    12, "unstill", "the wheels do not come to rest: use the POWER SWITCH", "supervisor telemetry",
+    "the wheels turned on after a stop, as the board reported, or the IMU felt the robot shake on as it does then",
     f"{_POWER}; a robot that somebody carries or pushes looks the same",
+)  # fmt: skip
+RUNAWAY = Kind(
+    43, "runaway", "the {wheel} wheel ran away: told {told:.2f} turns a second, and it turned {seen:.2f}", "telemetry",
+    "the board reported that the {wheel} wheel turned {seen:.2f} turns a second when it was told {told:.2f}",
+    "look at that wheel's motor, encoder and wiring, at wheels.sign_* and board.per_rps, and at the slope it stands on",
 )  # fmt: skip
 NOT_FINITE = Kind(
     13, "not_finite", "command from {who} is not finite", CLIENTS,

@@ -89,7 +89,7 @@ DECLARED = (
     Setting("link.ping_s", 0.5, "s", 0.1, 0.5, "time between two pings, which the board answers"),
     Setting("link.deaf_s", 1.0, "s", 1.0, 60.0, "a board that has answered before and is silent for this long is deaf"),
     Setting("still.std_radps", 0.0035, "rad/s", 0.0001, 1.0, "gyro x and y vary less than this: the wheels are still"),
-    Setting("still.after_s", 1.5, "s", 0.2, 60.0, "wheels not still this long after a stop: stop again, CRITICAL"),
+    Setting("still.after_s", 1.5, "s", 0.2, 60.0, "wheels may turn so long after they were told zero; then they are stopped again"),
     _word("still.command", "", "command to run when wheels are not still after a stop; empty: none"),
     Setting("stop.wait_s", 30.0, "s", 0.0, 3600.0, "`failstop stop` tries to have the port for this long"),
     Setting("key.stop", 1, "", 1, 255, "the board key that stops"),

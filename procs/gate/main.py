@@ -8,7 +8,7 @@ from time import monotonic_ns
 
 from failstop.files import instance, place
 from failstop.messages import layout, records
-from failstop.messages.packing import pack
+from failstop.messages.packing import Note, pack
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause, Reply, refused
 from failstop.policy.settings import PAD_SOURCE
@@ -21,6 +21,7 @@ from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rest import PERIODS_AT_REST, Rest
 from failstop.procs.gate.rings import Frames, GateBox
 from failstop.procs.gate.sources import PAD_SESSION, Command
+from failstop.procs.gate.turning import Turning
 from failstop.procs.loop import MS, NEVER, READ, Loop
 from failstop.shm import bell
 from failstop.shm.heartbeat import HeartbeatReader
@@ -115,6 +116,7 @@ class Gate:
         self._pad_command = telemetry.latest_reader("pad_command")
         self._pad_seq = newest_number(self._pad_command)
         self._pad_requests = telemetry.ring_reader("pad_requests")
+        self._turning = Turning(telemetry.latest_reader("wheels"), context.settings.ns("still.after_s"))
         self._client_bell = context.fd("client_bell")
         self.loop.listen(context.bell("bell"), context.early.bell)
         self.loop.watch(self._client_bell, READ)
@@ -206,6 +208,7 @@ class Gate:
         if self.core.check_interlocks(now_ns):
             self._frames.stop(now_ns)
         self._check_supervisor(now_ns)
+        self._check_turning(now_ns)
         self._ticking = False
         self._step(now_ns)
         self._box.tick(now_ns, self.core, self.epoch)
@@ -215,6 +218,14 @@ class Gate:
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
         if silent_ns > self._lease_ns:
             self._stop(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
+
+    def _check_turning(self, now_ns: int) -> None:
+        """Wheels that turn while nobody commands anything are no reason to leave motion enabled."""
+        core = self.core
+        if why := self._turning.check(now_ns, idle=core.enabled and not any(core.velocity)):
+            core.stand_still()
+            core.notes.append(Note("disabled", f"motion disabled: {why}", {"reason": why}))
+            self._frames.stop(now_ns)
 
     def _follow_said(self, now_ns: int) -> None:
         """Pass on clients' remarks on themselves, unjudged."""

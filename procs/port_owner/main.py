@@ -158,10 +158,19 @@ class PortOwner:
         self._own_stop(now_ns, written_ns, self._requests.take(now_ns))
 
     def _hear_causes(self) -> None:
-        """Buttons and keys, which telemetry has decoded."""
+        """Buttons, keys and wheels, which telemetry has decoded; an empty cause asks for the stop once more."""
         while entry := self._causes.next():
+            if not entry[2]:
+                self._stop_again()
+                continue
             self.wire.burst()
             self._own_stop(entry[1], monotonic_ns(), causes.read(entry[2]))
+
+    def _stop_again(self) -> None:
+        """Write the stop of the wheels once more, without a cause; an arm may go on. Where the line has to be silent
+        first, that is left to the next refresh."""
+        if self.wire.free_ns <= monotonic_ns():
+            self.wire.frame(self.board.burst, backlog=OTHER_BACKLOG)
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
         self.wire.heed()

@@ -14,7 +14,9 @@ from failstop.messages import box, records
 from failstop.messages.packing import NO_FIELDS, Fields, Note
 from failstop.policy import causes
 from failstop.policy.causes import Cause
+from failstop.policy.layouts import WHEEL_NAMES
 from failstop.policy.processes import HANG_NS
+from failstop.policy.settings import mounted_wheels
 from failstop.procs.context import Context
 from failstop.procs.loop import Loop
 from failstop.procs.telemetry import battery, imu
@@ -27,9 +29,11 @@ from failstop.procs.telemetry.port import HeardPort
 from failstop.procs.telemetry.proving import Proving
 from failstop.procs.telemetry.readback import ReadBack
 from failstop.procs.telemetry.restarts import Restarts
+from failstop.procs.telemetry.runaway import RAN_AWAY, Finding, Runaway, limits_of
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
-from failstop.procs.telemetry.wheels import NOT_REPORTED, Measured, WheelFact
+from failstop.procs.telemetry.unasked import Unasked
+from failstop.procs.telemetry.wheels import NOT_REPORTED, THEY_TURN, Measured, Way, WheelFact
 from failstop.shm.cell import LatestReader
 from failstop.shm.segment import Segment
 from failstop.shm.words import Barrier
@@ -65,6 +69,8 @@ class GateState:
         """When this state began, as far as is known."""
         self.zero_ns = 0
         """Since when zero is commanded; 0: something else is, or nothing was published yet."""
+        self.wheels_rps: tuple[float, ...] = ()
+        """Turns a second that the wheels are told, by wire id."""
 
     @property
     def commanded(self) -> bool:
@@ -92,12 +98,14 @@ class GateState:
             found = self._found = msgpack.unpackb(payload)
             vx, vy, wz = found["body_vel"]
             velocity = float(vx), float(vy), float(wz)
+            wheels_rps = tuple(map(float, found["wheels_rps"]))
             enabled, latched, epoch = bool(found["enabled"]), found["estop"] is not None, int(found["epoch"])
             self.tucks = bool(found["arm"]["tucks"]) if "arm" in found else False
         except (ValueError, KeyError, TypeError):
             return False
         self.enabled, self.latched, self.epoch, self.velocity, self.since_ns = enabled, latched, epoch, velocity, t_ns
         self.zero_ns = 0 if any(velocity) else self.zero_ns or t_ns
+        self.wheels_rps = wheels_rps
         return True
 
 
@@ -126,6 +134,14 @@ class Telemetry:
         self._read_back = ReadBack()
         self._measured = Measured(self._board.reports)
         self._fact = WheelFact(settings.ns("still.after_s"))
+        self._way = Way(self._board.reports)
+        self._unasked = Unasked(settings.ns("still.after_s"))
+        mounted = mounted_wheels(settings.values)
+        limits = limits_of(settings, self._board)
+        self._runaway = Runaway(limits, [wheel for wheel, _ in mounted]) if limits else None
+        self._named = {
+            wheel: (name, sign) for (wheel, sign), name in zip(mounted, WHEEL_NAMES[len(mounted)], strict=True)
+        }
         self._began_ns = monotonic_ns()
         self._proving = Proving(context)
         self._barrier = Barrier()
@@ -220,6 +236,9 @@ class Telemetry:
         """Everything else of a turn."""
         if self._gate.read(now_ns):
             self._follow_gate(now_ns)
+        if self._runaway:
+            gate = self._gate
+            self._runaway.follow(gate.wheels_rps, gate.since_ns, now_ns, enabled=gate.enabled and not gate.latched)
         heard, self._heard = self._heard, []
         for kind, said, came_ns in heard:
             if handler := self._handlers.get(kind):
@@ -339,12 +358,26 @@ class Telemetry:
         self._restarts.counted(positions, t_ns)
         if self._read_back.take(speeds, positions, t_ns):
             self._tell_still(self._read_back, was_still=was_still)
+        if self._runaway and (found := self._runaway.take(self._measured.speeds_rps, self._measured.turns, t_ns)):
+            self._on_finding(found)
+
+    def _on_finding(self, found: Finding) -> None:
+        """A wheel that has run away stops the robot; one that stands is told of."""
+        name, sign = self._named[found.wheel]
+        told, seen = round(sign * found.told_rps, 2) + 0.0, round(sign * found.seen_rps, 2) + 0.0
+        if found.what == RAN_AWAY:
+            self._raise(causes.RUNAWAY(name, told, seen))
+        else:
+            text = f"the {name} wheel stands although it is told {told:.2f} turns a second: stalled, or unplugged"
+            self._note("wheel_stands", text, {"wheel": name, "told": told, "seen": seen})
 
     def _publish_wheels(self, now_ns: int) -> None:
         """What is known of the wheels: at once when it changes, and with the odometry."""
         fact, measured = self._fact, self._measured
         told_zero_ns = 0 if self._gate.commanded else self._gate.zero_ns or self._began_ns
-        fact.follow(self._read_back, self._still, told_zero_ns, now_ns)
+        went = self._way.went(measured.turns, rest=fact.does != THEY_TURN)
+        fact.follow(self._read_back, self._still, told_zero_ns, now_ns, went=went)
+        self._act_unasked(now_ns)
         speeds = (*measured.speeds_rps, *NOT_REPORTED)[: records.MOST_WHEELS]
         turns = (*measured.turns, *NOT_REPORTED)[: records.MOST_WHEELS]
         count = max(len(measured.speeds_rps), len(measured.turns))
@@ -352,6 +385,20 @@ class Telemetry:
         self._latest["wheels"].write(
             records.WHEELS_SEEN.pack(*flags, fact.since_ns, fact.read_ns, *speeds, *turns), now_ns
         )
+
+    def _act_unasked(self, now_ns: int) -> None:
+        """Wheels that turn although they were told zero."""
+        gate = self._gate
+        act = self._unasked.follow(
+            self._fact, now_ns, enabled=gate.enabled, latched=gate.latched, epoch=self._epoch_word.get()
+        )
+        self._raise(act.cause)
+        if act.again:
+            self._rings["causes"].put(b"")
+            self._port_owner_bell.ring()
+        if act.note:
+            self._rings["notes"].put(act.note.pack())
+            self.supervisor_bell.ring()
 
     def _on_obeyed(self, speeds: interface.Value, t_ns: int) -> None:
         if speeds:

@@ -356,3 +356,12 @@ def test_a_button_that_telemetry_has_seen_stops_before_any_motion_under_its_own_
     buttons.put(b"\xff\xff")
     assert scene.turn() == BURST
     assert scene.reasons() == ["stopped by the supervisor"], "whatever it is"
+
+
+def test_the_stop_is_written_again_without_a_cause(scene: Scene) -> None:
+    scene.turn()
+    epoch = scene.word("stopped_epoch")
+    scene.views[layout.TELEMETRY].ring_writer("causes").put(b"")
+    assert scene.answer() == (BURST, [])
+    assert scene.word("stopped_epoch") == epoch
+    assert scene.forward() == MOTION, "nothing has to be enabled again"

@@ -29,6 +29,7 @@ class Scene(Stage):
         self.views[layout.GATE].word("busy").set(1)
         self._gate = self.views[layout.GATE].latest_writer("state")
         self.gate: dict[str, Any] = {"enabled": False, "estop": None, "epoch": 1, "body_vel": [0.0, 0.0, 0.0]}
+        self.gate["wheels_rps"] = [0.0] * 4
         self._readers = {name: self.own.ring_reader(name) for name in ("causes", "pad_requests", "notes")}
         self.start_telemetry()
 

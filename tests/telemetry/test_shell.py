@@ -252,6 +252,7 @@ class Published:
 
     def put(self, t_ns: int, **changed: object) -> None:
         state = {"enabled": True, "estop": None, "blocked": None, "epoch": 7, "body_vel": [0.1, 0.0, -0.5], **changed}
+        state.setdefault("wheels_rps", [0.4, 0.4])
         self.raw(t_ns, msgpack.packb(state))
 
     def raw(self, t_ns: int, payload: bytes) -> None:

@@ -47,6 +47,19 @@ TEXTS = {
         "pushes the robot. The stop is written again and again, and still.command is run where there is one.\n"
         "Next: use the POWER SWITCH. Software can do no more.",
     ),
+    "wheels_turn": (
+        "The wheels turn although they were told to stop, or are still again",
+        "Motion is disabled, so somebody pushes the robot, another program at the port drives it, or the board does\n"
+        "not obey. FAILSTOP_BY is wheels where the board reports it, and then the stop is written again. IMU: the\n"
+        "robot moves, or is being moved. Nothing is latched, and still.command is not run.\n"
+        "Next: if nobody pushes the robot, use the POWER SWITCH; then failstop doctor --name @FAILSTOP_NAME@",
+    ),
+    "wheel_stands": (
+        "The @FAILSTOP_WHEEL@ wheel stands although it is told to turn",
+        "It is told @FAILSTOP_TOLD@ turns a second, and the board has reported @FAILSTOP_SEEN@ for 3 s. It is\n"
+        "stalled, or its motor or its encoder is unplugged. The robot is not stopped for that.\n"
+        "Next: look at that wheel, its cable and its encoder",
+    ),
     "died": (
         "@FAILSTOP_PROCESS@ died",
         "Process @FAILSTOP_PID@ @FAILSTOP_HOW@. Its death was a stop cause; how it died is known only now.\n"

@@ -19,6 +19,7 @@ NOT_TRIED = {
     "admission bad frame": "nor does a gate that sends nonsense",
     "admission burst": "a zero frame that is too old comes of a gate and a port owner that are both held up",
     "cause unstill": "the simulated board's IMU does not feel its wheels shake on here",
+    "cause runaway": "the wheels of the simulated board do what they are told here",
     "cause defect": "nothing happens to a process that cannot happen",
     "cause battery": "its voltage takes seconds to show",
     "cause button": "no gamepad is plugged in",

@@ -1,0 +1,94 @@
+"""Unasked: what telemetry does about wheels that turn although they were told zero. Pure.
+
+    enabled            nothing: the gate reads the same fact, and disables motion with a burst
+    disabled for that  the stop is written again; if the wheels turn on as long once more, it is latched (UNSTILL)
+    disabled           somebody pushes the robot, or another program drives it: told, and the stop is written again
+    latched            the supervisor looks after the stop until the wheels were once seen still; then as disabled
+
+What only an IMU feels is told, and nothing else: a robot that is carried shakes too.
+"""
+
+from __future__ import annotations
+
+from failstop.data import Data
+from failstop.messages.packing import Note
+from failstop.policy import causes
+from failstop.policy.causes import Cause
+from failstop.procs.telemetry.wheels import ARE_STILL, SEEN_BY_REPORTS, THEY_TURN, WheelFact
+
+TELL_NS = {True: 10_000_000_000, False: 60_000_000_000}
+"""So long people are told nothing new of wheels that still turn; False: of what an IMU feels."""
+TURNING, STILL = "turning", "still"
+
+
+class Act(Data):
+    """What to do now."""
+
+    cause: Cause | None
+    """To stop and latch for."""
+    again: bool
+    """Write the stop again, without a cause."""
+    note: Note | None
+
+
+NOTHING = Act(None, False, None)
+
+
+class Unasked:
+    """`follow` once for each news of the wheels or of the gate."""
+
+    def __init__(self, after_ns: int) -> None:
+        """`after_ns`: how long wheels may turn on after they were told zero."""
+        self._after_ns = after_ns
+        self._was_enabled = self._was_unexpected = False
+        self._disabled_ns = 0
+        """When motion was disabled because the wheels turned, as far as is known; 0: it was not."""
+        self._epoch = 0
+        self._rested = False
+        """The wheels were seen still since the epoch of the latched stop."""
+        self._again_ns = self._told_ns = 0
+        self._told_turning = False
+
+    def follow(self, fact: WheelFact, now_ns: int, *, enabled: bool, latched: bool, epoch: int) -> Act:
+        """`epoch`: the gate's, which every stop raises."""
+        reported = fact.by == SEEN_BY_REPORTS
+        if epoch != self._epoch:
+            self._epoch, self._rested = epoch, False
+        self._rested = self._rested or fact.does == ARE_STILL
+        if self._was_enabled and not (enabled or latched) and self._was_unexpected and reported:
+            self._disabled_ns = now_ns
+        if enabled or latched or fact.does != THEY_TURN:
+            self._disabled_ns = 0
+        self._was_enabled, self._was_unexpected = enabled, fact.unexpected
+        if not fact.unexpected:
+            return self._over(fact, now_ns)
+        if enabled or (latched and not self._rested):
+            return NOTHING
+        if self._disabled_ns and now_ns - self._disabled_ns >= self._after_ns:
+            self._disabled_ns = 0
+            return Act(causes.UNSTILL(), False, None)
+        again = reported and now_ns - self._again_ns >= self._after_ns
+        if again:
+            self._again_ns = now_ns
+        return Act(None, again, self._turning(reported, now_ns))
+
+    def _turning(self, reported: bool, now_ns: int) -> Note | None:
+        if self._told_ns and now_ns - self._told_ns < TELL_NS[reported]:
+            return None
+        self._told_ns, self._told_turning = now_ns, True
+        if reported:
+            text = (
+                "the wheels turn although they were told to stop, so the stop is written again: "
+                "somebody pushes the robot, or another program drives it"
+            )
+            return Note("wheels_turn", text, {"state": TURNING, "by": "wheels"})
+        text = "the robot moves, or is being moved, although it was told to stop"
+        return Note("wheels_turn", text, {"state": TURNING, "by": "IMU"}, level="info")
+
+    def _over(self, fact: WheelFact, now_ns: int) -> Act:
+        if not self._told_turning or fact.does != ARE_STILL:
+            return NOTHING
+        self._told_turning = False
+        return Act(
+            None, False, Note("wheels_turn", "the wheels are still again", {"state": STILL, "by": ""}, level="info")
+        )
