@@ -14,13 +14,18 @@ from subprocess import PIPE
 import pytest
 
 from failstop.cli import main as cli
+from failstop.lab.boards.traits import traits_of
 from failstop.lab.faults.campaign import draw
-from failstop.lab.faults.report import EVERY
+from failstop.lab.faults.report import rows_of
+from failstop.policy.layouts import BOARDS
 from tests.support.amounts import amount
 from tests.support.commands import FAILSTOP, failstop
 
 SECONDS = amount(4, 120)
 """Each row is injected by tests/faults/test_table.py; here the command is tried, and chance in a campaign."""
+
+
+EVERY = rows_of(traits_of(BOARDS[0]))
 
 
 def chaos(*words: str, timeout: float = 60.0) -> subprocess.CompletedProcess[str]:

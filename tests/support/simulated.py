@@ -90,6 +90,11 @@ class Board:
     def refuse_stop(self, on: bool) -> None:
         self._model.refuse_stop = on
 
+    def roll(self, faster: float = 1.0, pushed_rps: float = 0.0) -> None:
+        model = self._model
+        self._robot.board.catch_up()
+        model.roll(faster, pushed_rps)
+
     def imu(self, on: bool) -> None:
         self._model.imu_on = on
 

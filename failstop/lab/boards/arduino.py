@@ -20,7 +20,7 @@ from collections.abc import Iterator
 
 from failstop.board.arduino.codec import PERIODS
 from failstop.board.wire import TimedStop, Write
-from failstop.lab.boards.line import ReceiverModel
+from failstop.lab.boards.line import ReceiverModel, Rolling
 
 BYTE_NS = 175_000
 """At the AVR's real rate for 57600, 16 MHz / 280."""
@@ -44,7 +44,7 @@ def atoi(text: bytes) -> int:
     return (value + 0x8000) % 0x10000 - 0x8000
 
 
-class Arduino:
+class Arduino(Rolling):
     """At rest between lines, or in the state of `cmd`, `arg` and `args`."""
 
     def __init__(self, answer_ns: int = BYTE_NS, *, turns: bool = False) -> None:
@@ -102,7 +102,7 @@ class Arduino:
     def _turn(self, at_ns: int) -> None:
         """A raw line's PWM counts as if it were ticks."""
         passed_s, self._turned_ns = (at_ns - self._turned_ns) / 1e9, at_ns
-        self._way = [way + speed * PERIODS * passed_s for way, speed in zip(self._way, self.wheels, strict=True)]
+        self._way = [way + speed * PERIODS * passed_s for way, speed in zip(self._way, self.rolls, strict=True)]
         self.counts = (int(self._way[0]), int(self._way[1]))
 
     def _auto_stop(self, at_ns: int) -> None:

@@ -23,12 +23,13 @@ from failstop.board.wire import TimedStop, Write
 from failstop.lab.boards.feetech_joints import ARM_IDS, SUPPLY_AT, TEMPERATURE_AT, Joints
 from failstop.lab.boards.feetech_joints import MIDDLE as MIDDLE
 from failstop.lab.boards.feetech_joints import POSITION_AT as POSITION_AT
-from failstop.lab.boards.line import Receiver, ReceiverModel
+from failstop.lab.boards.line import Receiver, ReceiverModel, Rolling
 from failstop.lab.sim.servos import Servos
 
 BYTE_NS = 10_000
 PING = 0x01
 MEMORY = 71
+NEGATIVE = 0x8000
 MODE_AT, SPEED_AT, MOVING_AT = 33, 58, 66
 DELAY_NS = 30_000
 """From a question to its answer, where the return delay is set to 0."""
@@ -76,7 +77,7 @@ class Ear:
         return b""
 
 
-class Bus:
+class Bus(Rolling):
     """The servos. `delay_ns`: of each before its answer; `seed`: of what bytes become that meet; `heard`: what all have
     heard already of a packet that was cut; `turns`: its wheels turn as they are told, and joints go to their goals."""
 
@@ -226,9 +227,9 @@ class Bus:
                 continue
             ear.ids.discard(servo)
             if self.turns and servo in codec.WHEELS:
-                self.memory[servo][SPEED_AT : SPEED_AT + 2] = self.memory[servo][
-                    codec.GOAL_SPEED : codec.GOAL_SPEED + 2
-                ]
+                steps = int(self.rolls[codec.WHEELS.index(servo)])
+                said = steps if steps >= 0 else -steps | NEGATIVE
+                self.memory[servo][SPEED_AT : SPEED_AT + 2] = said.to_bytes(2, "little")
             data = bytearray(codec.packet(servo, 0, bytes(self.memory[servo][address : address + size])))
             begin_ns += self._delay_ns
             self._answers.append((begin_ns, servo, data))

@@ -17,7 +17,7 @@ from struct import Struct
 
 from failstop.board.hoverboard import codec, feedback
 from failstop.board.wire import TimedStop, Write
-from failstop.lab.boards.line import ReceiverModel
+from failstop.lab.boards.line import ReceiverModel, Rolling
 
 BUFFER = 64
 FRAME_LENGTH = 8
@@ -30,7 +30,7 @@ _COMMAND = Struct("<HhhH")
 _NEVER = 1 << 62
 
 
-class Hoverboard:
+class Hoverboard(Rolling):
     """`first_loop_ns`: when the main loop runs first, which sends feedback; `at`: the position in the ring."""
 
     def __init__(
@@ -92,7 +92,7 @@ class Hoverboard:
     def _main_loop(self) -> None:
         self.loop()
         if self._loops % 2 == 0:
-            left, right = map(int, self.wheels) if self.turns else (0, 0)
+            left, right = map(int, self.rolls) if self.turns else (0, 0)
             volts = CENTIVOLTS if self.turns else 0
             frame = feedback.seal(
                 *self.obeyed, right_rpm=-right, left_rpm=left, centivolts=volts, counters=self.counters

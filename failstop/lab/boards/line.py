@@ -8,7 +8,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from failstop.board import own
 from failstop.board.kinds import is_own
@@ -42,6 +42,29 @@ class Receiver(Protocol):
 
     def until(self, at_ns: int) -> None:
         """Let time pass: timeouts, idle lines, reports."""
+
+
+class Rolling:
+    """What the wheels of a receiver do, against what they are told. The faults may be set at any time."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def wheels(self) -> tuple[float, ...]:
+            """Speeds that are commanded now."""
+
+    faster = 1.0
+    """The first wheel turns so many times as fast as it is told, or with a negative number the other way."""
+    pushed = 0.0
+    """And by so much more, in the unit of the board's motion: somebody pushes it, or it does not obey."""
+
+    @property
+    def rolls(self) -> tuple[float, ...]:
+        """Speeds in the unit of its motion."""
+        if self.faster == 1.0 and not self.pushed:
+            return self.wheels
+        first, *others = self.wheels
+        return (first * self.faster + self.pushed, *others)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from struct import Struct
 
 from failstop.board.framing import MOTOR, WHEELS
 from failstop.board.kinds import is_described, wire_of
-from failstop.lab.boards.line import model_of
+from failstop.lab.boards.line import Rolling, model_of
 from failstop.lab.sim.model import NEVER_NS, BoardModel, Frame, Speeds
 
 STEP_NS = 1_000_000
@@ -126,7 +126,13 @@ class LiveModel(BoardModel):
             self._executed.append(frame)
             self.executed_total += 1
         self._commands = len(board.commands)
-        self.wheels = self._rps(board.wheels)
+        self.wheels = self._rps(board.rolls if isinstance(board, Rolling) else board.wheels)
+
+    def roll(self, faster: float, pushed_rps: float) -> None:
+        """Its first wheel turns so many times as fast as it is told, and by `pushed_rps` more."""
+        if not isinstance(self.receiver, Rolling):
+            raise ValueError("the wheels of this board's receiver do what they are told")
+        self.receiver.faster, self.receiver.pushed = faster, pushed_rps * self._per_rps
 
     def _rps(self, speeds: tuple[float, ...]) -> Speeds:
         """Turns a second of each wheel."""

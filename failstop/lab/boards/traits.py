@@ -19,8 +19,14 @@ HAS_CHECK = "a check in its frames"
 """A stop of which one bit was changed on the way turns no wheel."""
 HAS_BATTERY = "a battery that it reports"
 HAS_REPORTS = "reports of its wheels or its IMU that nobody asks for"
+HAS_WHEEL_REPORTS = "reports of its wheels"
+"""So often that a wheel which runs away shows in them."""
 HAS_ARM_BESIDE = "an arm that moves beside the wheels"
-PARTS = (HAS_ARM, HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU, HAS_CHECK, HAS_BATTERY, HAS_REPORTS)
+PARTS = (
+    *(HAS_ARM, HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU, HAS_CHECK, HAS_BATTERY, HAS_REPORTS),
+    HAS_WHEEL_REPORTS,
+)
+SELDOM_NS = 1_000_000_000
 CARRIED_OUT_NS = 100_000_000
 """So long after its first byte every stop has been carried out."""
 
@@ -61,6 +67,7 @@ def traits_of(kind: str) -> Traits:
         HAS_PINGS: bool(language.pings),
         HAS_REPORTS: language.silent_ns > 0 and not language.ping_ns,
         HAS_IMU: language.observed_by == BY_IMU,
+        HAS_WHEEL_REPORTS: 0 < language.reports.every_ns < SELDOM_NS,
         # A Wire has no word for these.
         HAS_GAMEPAD: not is_described(kind),
         HAS_KEYS: not is_described(kind),

@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from failstop.board.ugv import codec
 from failstop.board.wire import TimedStop, Write
 from failstop.lab.boards import arduino_json
-from failstop.lab.boards.line import ReceiverModel
+from failstop.lab.boards.line import ReceiverModel, Rolling
 
 LOOP_NS = 1_000_000
 """How often its main loop comes round; its real time is not known."""
@@ -31,7 +31,7 @@ FASTEST = 2.0
 _MS = 1_000_000
 
 
-class Ugv:
+class Ugv(Rolling):
     """`loop_ns`: how often it looks for bytes."""
 
     def __init__(self, loop_ns: int = LOOP_NS, *, turns: bool = False) -> None:
@@ -85,7 +85,7 @@ class Ugv:
     def _report(self, at_ns: int) -> None:
         passed_s = (at_ns - self._report_ns + REPORT_NS) / 1e9
         self._report_ns = at_ns + REPORT_NS
-        wheels = self.wheels
+        wheels = self.rolls
         self._odometers = [way + 100 * speed * passed_s for way, speed in zip(self._odometers, wheels, strict=True)]
         said = b'{"T":1001,"L":%g,"R":%g,"ax":0,"ay":0,"az":8192,"gx":0,"gy":0,"gz":0,"odl":%d,"odr":%d,"v":1180}\r\n'
         self.said.append((at_ns, said % (*wheels, *self._odometers)))

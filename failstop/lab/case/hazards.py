@@ -56,9 +56,11 @@ HAZARDS = (
     ),
     Hazard(
         "H-FAST", SOFTWARE, "The robot drives faster than anybody wants",
-        "a program that commands too much, or no number",
-        "limits speed and acceleration; a command that is no number stops", "a motor without its encoder",
-        "limits at which an impact is acceptable", ("LIMIT-1", "CLIENT-1"),
+        "a program that commands too much, or no number; a wheel that runs away",
+        "limits speed and acceleration; a command that is no number stops, and so does a wheel that is reported faster"
+        " than it is told",
+        "a motor without its encoder, and a board that reports nothing",
+        "limits at which an impact is acceptable", ("LIMIT-1", "CLIENT-1", "RUNAWAY-1"),
     ),
     Hazard(
         "H-BLIND", SOFTWARE, "A program drives without its obstacle sensor", "a sensor, its driver or its cable fails",

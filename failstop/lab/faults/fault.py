@@ -29,6 +29,7 @@ ASKED_TO_STOP = "somebody asks for a stop"
 SENSOR = "the obstacle sensor or an interlock fails"
 USB = "the USB connection drops"
 BOARD_FAILS = "the board does not take, hear or obey"
+WHEEL_FAILS = "a wheel does not do what it is told"
 MACHINE = "the machine is out of something, or takes it away"
 MEMORY = "a client damages shared memory"
 TIME = "the machine freezes or sleeps, its clock is stepped"
@@ -42,6 +43,7 @@ FAULT_CLASSES = (
     SENSOR,
     USB,
     BOARD_FAILS,
+    WHEEL_FAILS,
     MACHINE,
     MEMORY,
     TIME,
@@ -57,6 +59,7 @@ CLAIMS_OF: dict[str, tuple[str, ...]] = {
     SENSOR: ("SENSOR-1",),
     USB: ("PORT-1",),
     BOARD_FAILS: ("BOARD-1",),
+    WHEEL_FAILS: ("RUNAWAY-1",),
     MACHINE: ("ASK-2",),
     MEMORY: ("MEMORY-1",),
     TIME: ("TIME-1",),

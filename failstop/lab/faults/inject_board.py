@@ -24,11 +24,14 @@ PRESSED = 0x01
 FLOOD = 100
 LATCH_S = 3.0
 FAST = (0.2, 0.0, 0.0)
+STRAIGHT = (0.1, 0.0, 0.0)
 UP_TO_SPEED_S = 0.5
 FAR_S = 2.0
 STARTS_S = (0.3, 0.6)
 BLOCK = 256
 IDLE_FILLS = 3
+RUNS_AWAY = 5.0
+"""Times as fast as it is told."""
 SETTLED_S = 0.01
 
 
@@ -281,6 +284,23 @@ class Refuses(Injector):
         scene.board.refuse_stop(False)
 
 
+class RunsAway(Injector):
+    """One wheel is out of control, as with a shorted transistor."""
+
+    def prepare(self, scene: Scene) -> None:
+        # In a narrow curve that wheel may be told next to nothing, and five times of that is within its margin.
+        scene.driver.velocity = STRAIGHT
+        scene.driver.run(UP_TO_SPEED_S)
+
+    def strike(self, scene: Scene) -> int:
+        now_ns = time.monotonic_ns()
+        scene.board.roll(faster=RUNS_AWAY)
+        return now_ns
+
+    def heal(self, scene: Scene) -> None:
+        scene.board.roll()
+
+
 INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "usb-drop": UsbDrop,
     "usb-drop-mid-frame": UsbDropMidFrame,
@@ -295,4 +315,5 @@ INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "board-garbles-down": GarblesDown,
     "board-floods": Floods,
     "board-refuses": Refuses,
+    "board-wheel-runs-away": RunsAway,
 }

@@ -252,6 +252,8 @@ def markdown(result: dict[str, Any]) -> str:
     ]
     for event in FAULT_CLASSES:
         rows = [fault for fault in known if isinstance(fault, Fault) and fault.event == event]
+        if not rows:
+            continue  # this board can have none of them
         lines += ["", f"## {event[0].upper()}{event[1:]}", ""]
         lines += _head("row", "cause", "first to stop", "latched", "cleared", "said", *COLUMNS)
         lines += [_line(fault, measured.get(fault.name, {})) for fault in rows]

@@ -6,7 +6,7 @@ is the simulated board's word (judge.py), never the service's.
 
 from __future__ import annotations
 
-from failstop.lab.boards.traits import HAS_BATTERY, HAS_CHECK, HAS_GAMEPAD, HAS_IMU, HAS_KEYS, HAS_PINGS
+from failstop.lab.boards.traits import HAS_BATTERY, HAS_CHECK, HAS_GAMEPAD, HAS_IMU, HAS_KEYS, HAS_PINGS, HAS_WHEEL_REPORTS
 from failstop.lab.faults import processes
 from failstop.lab.faults.fault import (
     ASKED_TO_STOP,
@@ -25,6 +25,7 @@ from failstop.lab.faults.fault import (
     SEVERAL,
     TIME,
     USB,
+    WHEEL_FAILS,
     Fault,
 )
 from failstop.lab.faults.inject_board import WATCHDOG_S
@@ -41,6 +42,7 @@ from failstop.policy.causes import (
     PIPED,
     REMOVED,
     RESTARTED,
+    RUNAWAY,
     STARVED,
     STUCK,
     SUPERVISOR_SUSPENDED,
@@ -52,6 +54,8 @@ from failstop.policy.causes import HANGS as HANGS_CAUSE
 BACK = "the device's return"
 STOP_ASKED_MEANWHILE = "a stop request meanwhile"
 THAWED = "the thaw"
+RUN_DOWN_MS = 1_550.0
+"""The run-down time of the board that reports least often, at the trials' speed, and 0.2 s (docs/dev/runaway.md)."""
 DRIVER_HAS_DIED = "which had driven, has died"
 
 
@@ -239,6 +243,12 @@ PORT_ROWS = (
         ((PIPED, "asked meanwhile"),), BY_RESET, "CRITICAL", processes.ASKED_MS, "board-refuses",
         counted_from=STOP_ASKED_MEANWHILE,
         aftermath_s=2.0, needs=frozenset({HAS_IMU}), weight=1,
+    ),
+    Fault(
+        "board-wheel-runs-away", WHEEL_FAILS, "a wheel turns five times as fast as told, and the board reports it",
+        "port owner, asked by telemetry",
+        ((RUNAWAY,),), BY_RESET, "", RUN_DOWN_MS, "board-wheel-runs-away", aftermath_s=1.9,
+        needs=frozenset({HAS_WHEEL_REPORTS}), weight=1,
     ),
 )  # fmt: skip
 

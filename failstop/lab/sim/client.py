@@ -298,6 +298,11 @@ class SimBoard:
         """Motor frames are received, but a wheel that is told to stop turns on until this is off and a frame comes."""
         self._ask("refuse_stop", on=on)
 
+    def roll(self, faster: float = 1.0, pushed_rps: float = 0.0) -> None:
+        """The first wheel turns so many times as fast as it is told, and by `pushed_rps` more, and the board reports
+        it."""
+        self._ask("roll", faster=faster, pushed_rps=pushed_rps)
+
     def imu(self, on: bool) -> None:
         """Silence the IMU, or let it report again."""
         self._ask("imu", on=on)

@@ -207,6 +207,10 @@ class BoardModel:
             wanted = tuple(new or old for new, old in zip(wanted, self.wheels, strict=True))
         self.wheels = wanted
 
+    def roll(self, faster: float, pushed_rps: float) -> None:
+        """Only boards that report what their wheels do can have one that does something else."""
+        raise ValueError("this board does not report its wheels")
+
     def _pwm_servo(self, data: bytes, t_ns: int) -> None:
         command = data[0] if data else 0
         if command == 0x01 and len(data) >= 4:

@@ -282,6 +282,8 @@ class Simulator:
             model.restart(now_ns, round(_number(request, "deaf_s", 60.0) * 1e9))
         elif operation == "refuse_stop":
             model.refuse_stop = _flag(request, "on")
+        elif operation == "roll":
+            model.roll(float(request["faster"]), float(request["pushed_rps"]))
         elif operation == "imu":
             model.imu_on = _flag(request, "on")
         elif operation == "gyro_bias":
