@@ -6,7 +6,15 @@ is the simulated board's word (judge.py), never the service's.
 
 from __future__ import annotations
 
-from failstop.lab.boards.traits import HAS_BATTERY, HAS_CHECK, HAS_GAMEPAD, HAS_IMU, HAS_KEYS, HAS_PINGS, HAS_WHEEL_REPORTS
+from failstop.lab.boards.traits import (
+    HAS_BATTERY,
+    HAS_CHECK,
+    HAS_GAMEPAD,
+    HAS_IMU,
+    HAS_KEYS,
+    HAS_PINGS,
+    HAS_WHEEL_REPORTS,
+)
 from failstop.lab.faults import processes
 from failstop.lab.faults.fault import (
     ASKED_TO_STOP,
