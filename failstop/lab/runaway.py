@@ -22,7 +22,7 @@ from multiprocessing import get_context
 from failstop.board.kinds import board_of
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry import runaway
-from failstop.procs.telemetry.runaway import Finding, Runaway
+from failstop.procs.telemetry.runaway import Finding, RunawayJudge
 
 MS = 1_000_000
 TICK_NS = 20 * MS
@@ -32,14 +32,14 @@ SLACK_NS = 200 * MS
 NEVER_NS = 3_000 * MS
 """A runaway wheel that is not found so long after its bar is not found at all."""
 
-FASTER, OTHER_WAY, THOUGH_ZERO = "faster than told", "the other way", "although told zero"
-FAULTS = (FASTER, OTHER_WAY, THOUGH_ZERO)
+TOO_FAST, OTHER_WAY, THOUGH_ZERO = "faster than told", "the other way", "although told zero"
+FAULTS = (TOO_FAST, OTHER_WAY, THOUGH_ZERO)
 SHARES = {"hoverboard": (0.75, 0.1), "arduino": (0.3, 0.05), "feetech": (0.3, 0.05), "ugv": (0.3, 0.05)}
 """The documented margins: a share of what is told, and m/s at the rim."""
 REPORTS_MS = {"hoverboard": (20, 20), "ugv": (50, 100), "feetech": (50, 125), "arduino": (150, 250)}
 """The time between two reports: the shortest, and the longest that the page names."""
 COUNTS = (12, 20, 44, 64, 200, 360, 680, 1320, 1992, 3436)
-BOARDS = tuple(SHARES)
+JUDGED_BOARDS = tuple(SHARES)
 
 
 @dataclass
@@ -200,7 +200,7 @@ class Wheel:
 
 
 @dataclass
-class Reports:
+class ReportStream:
     """The board's reports of one wheel: when each arrives, and what it says."""
 
     chance: random.Random
@@ -252,7 +252,7 @@ class Reports:
             yield self._coming.popleft()
 
 
-class Telemetry:
+class Follower:
     """It looks at every tick, and is held up now and then: what waited may count as come when it last looked."""
 
     def __init__(self, chance: random.Random, robot: Robot) -> None:
@@ -260,12 +260,12 @@ class Telemetry:
         limits = runaway.limits_of(robot.settings, board)
         assert limits is not None
         self._counts = bool(robot.counts)
-        self.judge = Runaway(limits, (0,))
+        self.judge = RunawayJudge(limits, (0,))
         self._chance = chance
         self._held_ns = self._looked_ns = self._told_ns = 0
         self._told = (0.0,)
 
-    def step(self, driver: Driver, reports: Reports, now_ns: int, *, calm: bool = False) -> list[Finding]:
+    def step(self, driver: Driver, reports: ReportStream, now_ns: int, *, calm: bool = False) -> list[Finding]:
         """A tick."""
         if (driver.told,) != self._told:
             self._told, self._told_ns = (driver.told,), now_ns
@@ -312,8 +312,8 @@ def healthy(seed: str, kind: str, seconds: float) -> Outcome:
     """Drive a healthy wheel; each alarm is a false one."""
     chance = random.Random(seed)
     robot = draw_robot(chance, kind)
-    driver, wheel, reports = Driver(chance, robot), Wheel(chance, robot), Reports(chance, robot)
-    telemetry, outcome, now_ns = Telemetry(chance, robot), Outcome(seconds=seconds), 10**12
+    driver, wheel, reports = Driver(chance, robot), Wheel(chance, robot), ReportStream(chance, robot)
+    telemetry, outcome, now_ns = Follower(chance, robot), Outcome(seconds=seconds), 10**12
     for _ in range(round(seconds / TICK_S)):
         now_ns += TICK_NS
         driver.step()
@@ -335,8 +335,8 @@ def failing(seed: str, kind: str, fault: str) -> Outcome:
     """Drive a wheel that runs away at a drawn moment, and see how much later that is found."""
     chance = random.Random(seed)
     robot = draw_robot(chance, kind)
-    driver, wheel, reports = Driver(chance, robot), Wheel(chance, robot), Reports(chance, robot, calm=True)
-    telemetry, now_ns = Telemetry(chance, robot), 10**12
+    driver, wheel, reports = Driver(chance, robot), Wheel(chance, robot), ReportStream(chance, robot, calm=True)
+    telemetry, now_ns = Follower(chance, robot), 10**12
     share, _ = SHARES[kind]
     count_rps = robot.count_rps(reports.every_ns - 40 * MS)
     beyond = robot.slack_rps + count_rps
@@ -350,7 +350,7 @@ def failing(seed: str, kind: str, fault: str) -> Outcome:
         reports.step(wheel.speed, wheel.turned, now_ns)
         telemetry.step(driver, reports, now_ns, calm=True)
     before, fault_ns, times = driver.told, now_ns, chance.uniform(1.25, 4.0)
-    if fault == FASTER:
+    if fault == TOO_FAST:
         speed = (driver.told * (1 + share) + beyond) * times
     elif fault == OTHER_WAY:
         speed = -beyond * times
@@ -382,9 +382,9 @@ def _episode(what: tuple[str, str, str]) -> Outcome:
 def trials(seconds: float, seed: str = "runaway") -> Iterator[tuple[str, str, str]]:
     """Healthy wheels for so long in all, and as many runaway ones as episodes."""
     for number in range(max(1, round(seconds / EPISODE_S))):
-        kind = BOARDS[number % len(BOARDS)]
+        kind = JUDGED_BOARDS[number % len(JUDGED_BOARDS)]
         yield f"{seed}-{number}", kind, ""
-        yield f"{seed}-fault-{number}", kind, FAULTS[number // len(BOARDS) % len(FAULTS)]
+        yield f"{seed}-fault-{number}", kind, FAULTS[number // len(JUDGED_BOARDS) % len(FAULTS)]
 
 
 def campaign(seconds: float, jobs: int = 1, seed: str = "runaway") -> Outcome:

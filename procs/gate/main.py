@@ -21,7 +21,7 @@ from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rest import PERIODS_AT_REST, Rest
 from failstop.procs.gate.rings import Frames, GateBox
 from failstop.procs.gate.sources import PAD_SESSION, Command
-from failstop.procs.gate.turning import Turning
+from failstop.procs.gate.turning import TurningWatch
 from failstop.procs.loop import MS, NEVER, READ, Loop
 from failstop.shm import bell
 from failstop.shm.heartbeat import HeartbeatReader
@@ -116,7 +116,7 @@ class Gate:
         self._pad_command = telemetry.latest_reader("pad_command")
         self._pad_seq = newest_number(self._pad_command)
         self._pad_requests = telemetry.ring_reader("pad_requests")
-        self._turning = Turning(telemetry.latest_reader("wheels"), context.settings.ns("still.after_s"))
+        self._turning = TurningWatch(telemetry.latest_reader("wheels"), context.settings.ns("still.after_s"))
         self._client_bell = context.fd("client_bell")
         self.loop.listen(context.bell("bell"), context.early.bell)
         self.loop.watch(self._client_bell, READ)

@@ -8,7 +8,7 @@ from failstop.shm.cell import LatestReader
 _BY_REPORTS = records.WHEELS_BY.index("wheels")
 
 
-class Turning:
+class TurningWatch:
     """`check` once a tick."""
 
     def __init__(self, seen: LatestReader, after_ns: int) -> None:

@@ -29,7 +29,7 @@ from failstop.procs.telemetry.port import HeardPort
 from failstop.procs.telemetry.proving import Proving
 from failstop.procs.telemetry.readback import ReadBack
 from failstop.procs.telemetry.restarts import Restarts
-from failstop.procs.telemetry.runaway import RAN_AWAY, Finding, Runaway, limits_of
+from failstop.procs.telemetry.runaway import RAN_AWAY, Finding, RunawayJudge, limits_of
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
 from failstop.procs.telemetry.unasked import Unasked
@@ -138,7 +138,7 @@ class Telemetry:
         self._unasked = Unasked(settings.ns("still.after_s"))
         mounted = mounted_wheels(settings.values)
         limits = limits_of(settings, self._board)
-        self._runaway = Runaway(limits, [wheel for wheel, _ in mounted]) if limits else None
+        self._runaway = RunawayJudge(limits, [wheel for wheel, _ in mounted]) if limits else None
         self._named = {
             wheel: (name, sign) for (wheel, sign), name in zip(mounted, WHEEL_NAMES[len(mounted)], strict=True)
         }

@@ -26,10 +26,10 @@ RAN_AWAY, STANDS = "ran away", "stands"
 LAG_NS = 300_000_000
 """So long after a command the wheels may still do what they were told before it: the way to the board, its controller,
 and a report that comes late."""
-LEAST_NS = 200_000_000
+BEYOND_NS = 200_000_000
 """A wheel is beyond what it was told for this long at least, and in this many reports, before it counts."""
 LEAST_REPORTS = 3
-BLIND_NS = 150_000_000
+UNFOLLOWED_NS = 150_000_000
 """Commands that nobody has looked at for longer than this are not known, and neither is what the wheels should do."""
 SLOWS = 0.92
 """A wheel that turns at less than this share of its speed in the second half of the time, against the first one, is
@@ -80,7 +80,7 @@ class Limits(Data):
 
     def rolls_ns(self, told_rps: float) -> int:
         """How long a wheel may be beyond what it is told."""
-        return LEAST_NS + round(abs(told_rps) / self.braking_rps2 * 1e9)
+        return BEYOND_NS + round(abs(told_rps) / self.braking_rps2 * 1e9)
 
 
 def limits_of(settings: Settings, board: Board) -> Limits | None:
@@ -158,7 +158,7 @@ class _Wheel:
         return not (weight and later_weight) or (abs(later_way) + count) / later_weight < SLOWS * abs(way / weight)
 
 
-class Runaway:
+class RunawayJudge:
     """`follow` at each look at what the gate tells the wheels, `take` for each report, in the order of time."""
 
     def __init__(self, limits: Limits, wheels: Sequence[int]) -> None:
@@ -176,7 +176,7 @@ class Runaway:
     def follow(self, told_rps: Told, since_ns: int, now_ns: int, *, enabled: bool) -> None:
         """The wheels are told this, in turns a second by wire id, since then. While motion is not `enabled`, nothing is
         judged."""
-        if not enabled or now_ns - self._followed_ns > BLIND_NS:
+        if not enabled or now_ns - self._followed_ns > UNFOLLOWED_NS:
             self._forget(now_ns)
         self._followed_ns = now_ns
         if not enabled:
@@ -265,7 +265,7 @@ class Runaway:
 
     def _gap_ns(self) -> int:
         """Between two reports of speeds longer than this the wheel may have done anything; a position says what."""
-        return LEAST_NS + 2 * self._limits.every_ns if self._limits.counts else LEAST_NS
+        return BEYOND_NS + 2 * self._limits.every_ns if self._limits.counts else BEYOND_NS
 
     def _stands(
         self, index: int, wheel: _Wheel, seen: float, bounds: tuple[float, float, float], span: tuple[int, int]

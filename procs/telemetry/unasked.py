@@ -16,12 +16,11 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.telemetry.wheels import ARE_STILL, SEEN_BY_REPORTS, THEY_TURN, WheelFact
 
-TELL_NS = {True: 10_000_000_000, False: 60_000_000_000}
+TOLD_AGAIN_NS = {True: 10_000_000_000, False: 60_000_000_000}
 """So long people are told nothing new of wheels that still turn; False: of what an IMU feels."""
-TURNING, STILL = "turning", "still"
 
 
-class Act(Data):
+class Reaction(Data):
     """What to do now."""
 
     cause: Cause | None
@@ -31,7 +30,7 @@ class Act(Data):
     note: Note | None
 
 
-NOTHING = Act(None, False, None)
+NO_REACTION = Reaction(None, False, None)
 
 
 class Unasked:
@@ -49,7 +48,7 @@ class Unasked:
         self._again_ns = self._told_ns = 0
         self._told_turning = False
 
-    def follow(self, fact: WheelFact, now_ns: int, *, enabled: bool, latched: bool, epoch: int) -> Act:
+    def follow(self, fact: WheelFact, now_ns: int, *, enabled: bool, latched: bool, epoch: int) -> Reaction:
         """`epoch`: the gate's, which every stop raises."""
         reported = fact.by == SEEN_BY_REPORTS
         if epoch != self._epoch:
@@ -63,17 +62,17 @@ class Unasked:
         if not fact.unexpected:
             return self._over(fact, now_ns)
         if enabled or (latched and not self._rested):
-            return NOTHING
+            return NO_REACTION
         if self._disabled_ns and now_ns - self._disabled_ns >= self._after_ns:
             self._disabled_ns = 0
-            return Act(causes.UNSTILL(), False, None)
+            return Reaction(causes.UNSTILL(), False, None)
         again = reported and now_ns - self._again_ns >= self._after_ns
         if again:
             self._again_ns = now_ns
-        return Act(None, again, self._turning(reported, now_ns))
+        return Reaction(None, again, self._turning(reported, now_ns))
 
     def _turning(self, reported: bool, now_ns: int) -> Note | None:
-        if self._told_ns and now_ns - self._told_ns < TELL_NS[reported]:
+        if self._told_ns and now_ns - self._told_ns < TOLD_AGAIN_NS[reported]:
             return None
         self._told_ns, self._told_turning = now_ns, True
         if reported:
@@ -81,14 +80,14 @@ class Unasked:
                 "the wheels turn although they were told to stop, so the stop is written again: "
                 "somebody pushes the robot, or another program drives it"
             )
-            return Note("wheels_turn", text, {"state": TURNING, "by": "wheels"})
+            return Note("wheels_turn", text, {"state": "turning", "by": "wheels"})
         text = "the robot moves, or is being moved, although it was told to stop"
-        return Note("wheels_turn", text, {"state": TURNING, "by": "IMU"}, level="info")
+        return Note("wheels_turn", text, {"state": "turning", "by": "IMU"}, level="info")
 
-    def _over(self, fact: WheelFact, now_ns: int) -> Act:
+    def _over(self, fact: WheelFact, now_ns: int) -> Reaction:
         if not self._told_turning or fact.does != ARE_STILL:
-            return NOTHING
+            return NO_REACTION
         self._told_turning = False
-        return Act(
-            None, False, Note("wheels_turn", "the wheels are still again", {"state": STILL, "by": ""}, level="info")
+        return Reaction(
+            None, False, Note("wheels_turn", "the wheels are still again", {"state": "still", "by": ""}, level="info")
         )

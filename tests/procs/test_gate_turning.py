@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.messages import records
-from failstop.procs.gate.turning import Turning
+from failstop.procs.gate.turning import TurningWatch
 
 MS = 1_000_000
 AFTER_NS = 1500 * MS
@@ -28,7 +28,7 @@ class Seen:
 
 def first_ns(seen: Seen, *, by: str = "wheels", unexpected: bool = True, driven_until_ns: int = 0) -> int:
     """When it is disabled, of looks every 20 ms from 20 ms on; 0: never within 5 s."""
-    turning = Turning(seen, AFTER_NS)  # type: ignore[arg-type]
+    turning = TurningWatch(seen, AFTER_NS)  # type: ignore[arg-type]
     for now_ns in range(20 * MS, 5000 * MS, 20 * MS):
         seen.say(now_ns - 5 * MS, by=by, unexpected=unexpected)
         if turning.check(now_ns, idle=now_ns > driven_until_ns):
@@ -51,6 +51,6 @@ def test_what_an_imu_feels_and_wheels_that_still_may_turn_disable_nothing(by: st
 
 def test_a_record_from_before_is_about_other_commands() -> None:
     seen = Seen()
-    turning = Turning(seen, AFTER_NS)  # type: ignore[arg-type]
+    turning = TurningWatch(seen, AFTER_NS)  # type: ignore[arg-type]
     seen.say(1000 * MS)
     assert not any(turning.check(now_ns, idle=True) for now_ns in range(20 * MS, 5000 * MS, 20 * MS))

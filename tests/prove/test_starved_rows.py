@@ -18,7 +18,7 @@ import pytest
 from failstop.api.client import send_stop
 from failstop.lab.faults import processes
 from failstop.lab.prove import character, report, session, table
-from failstop.lab.prove.character import MOUNTED, Runaway, Unfit
+from failstop.lab.prove.character import MOUNTED, Restless, Unfit
 from failstop.lab.prove.held import WOKEN_LATE_NS, Held, waited_ns
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.run import PathRun, Result, judge_latch
@@ -182,7 +182,7 @@ def evidence(*verdicts: str, ended: str = "", spoiled: bool = False) -> Evidence
         (evidence("PASS", ended="the IMU can't tell"), "FAIL", 1),
         (evidence(ended="the IMU can't tell", spoiled=True), "INVALID", 1),
         (evidence("PASS", "FAIL", ended="no service", spoiled=True), "FAIL", 1),
-        (evidence("PASS", "INVALID", ended=session.RUNAWAY), "FAIL", 1),
+        (evidence("PASS", "INVALID", ended=session.NOT_SEEN_AT_REST), "FAIL", 1),
         (evidence("PASS", "INVALID", ended=report.INTERRUPTED), "FAIL", 130),
     ],
 )
@@ -289,7 +289,7 @@ def on_stand(tmp_path: Path) -> Iterator[ProveStand]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("error", "verdict"), [(Unfit("no rest"), "INVALID"), (Runaway("NO REST"), "FAIL")])
+@pytest.mark.parametrize(("error", "verdict"), [(Unfit("no rest"), "INVALID"), (Restless("NO REST"), "FAIL")])
 def test_a_session_that_the_machine_spoils_ends_as_invalid(tmp_path: Path, error: Exception, verdict: str) -> None:
     def breaks_off(_: str) -> None:
         stand.held.woken(time.monotonic_ns() - 2 * WOKEN_LATE_NS, time.monotonic_ns())

@@ -9,7 +9,7 @@ from failstop.lab import runaway as lab
 from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry import runaway
-from failstop.procs.telemetry.runaway import RAN_AWAY, Limits, Margins, Runaway, limits_of
+from failstop.procs.telemetry.runaway import RAN_AWAY, Limits, Margins, RunawayJudge, limits_of
 from failstop.procs.telemetry.wheels import Way
 from tests.support.amounts import amount
 
@@ -48,7 +48,7 @@ def test_only_boards_that_report_often_enough_are_judged() -> None:
     assert judged == set(KINDS)
 
 
-def told(judge: Runaway, speeds: list[tuple[float, float]], seen: list[float], enabled: bool = True) -> list[str]:
+def told(judge: RunawayJudge, speeds: list[tuple[float, float]], seen: list[float], enabled: bool = True) -> list[str]:
     """Commands of one wheel and reports of it, one every 20 ms; what was found."""
     found = []
     for number, (now, report) in enumerate(zip(speeds, seen, strict=True)):
@@ -61,21 +61,21 @@ def told(judge: Runaway, speeds: list[tuple[float, float]], seen: list[float], e
 
 def test_a_wheel_told_zero_beside_one_that_turns_may_not_turn() -> None:
     speeds = [(0.0, 1.0)] * 100
-    assert told(Runaway(SPEEDS, (0, 1)), speeds, [0.0] * 50 + [0.5] * 50)[:1] == [RAN_AWAY]
+    assert told(RunawayJudge(SPEEDS, (0, 1)), speeds, [0.0] * 50 + [0.5] * 50)[:1] == [RAN_AWAY]
 
 
 def test_wheels_that_came_to_rest_and_are_pushed_have_not_run_away() -> None:
     speeds = [(1.0, 1.0)] * 50 + [(0.0, 0.0)] * 300
     seen = [1.0] * 60 + [0.0] * 40 + [2.0] * 250
-    assert told(Runaway(SPEEDS, (0, 1)), speeds, seen) == []
+    assert told(RunawayJudge(SPEEDS, (0, 1)), speeds, seen) == []
 
 
 def test_nothing_is_judged_while_motion_is_disabled() -> None:
-    assert told(Runaway(SPEEDS, (0, 1)), [(0.0, 0.0)] * 300, [3.0] * 300, enabled=False) == []
+    assert told(RunawayJudge(SPEEDS, (0, 1)), [(0.0, 0.0)] * 300, [3.0] * 300, enabled=False) == []
 
 
 def test_commands_that_nobody_has_seen_are_compared_with_nothing() -> None:
-    judge = Runaway(SPEEDS, (0,))
+    judge = RunawayJudge(SPEEDS, (0,))
     for number in range(500):
         t_ns = (number + 100) * 20 * MS
         if number % 10 == 0:

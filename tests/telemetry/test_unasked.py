@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.policy import causes
-from failstop.procs.telemetry.unasked import Act, Unasked
+from failstop.procs.telemetry.unasked import Reaction, Unasked
 from failstop.procs.telemetry.wheels import ARE_STILL, SEEN_BY_IMU, SEEN_BY_REPORTS, THEY_TURN, WheelFact
 
 MS = 1_000_000
@@ -25,7 +25,7 @@ class Scene:
     def turn(self, by: int = SEEN_BY_REPORTS) -> None:
         self.fact.does, self.fact.by, self.fact.unexpected = THEY_TURN, by, True
 
-    def look(self, ms: int, *, enabled: bool = False, latched: bool = False, epoch: int = 1) -> list[Act]:
+    def look(self, ms: int, *, enabled: bool = False, latched: bool = False, epoch: int = 1) -> list[Reaction]:
         """What came of looking for so long."""
         found = []
         for _ in range(ms // 20):

@@ -26,7 +26,7 @@ PARTS = (
     *(HAS_ARM, HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU, HAS_CHECK, HAS_BATTERY, HAS_REPORTS),
     HAS_WHEEL_REPORTS,
 )
-SELDOM_NS = 1_000_000_000
+RARELY_NS = 1_000_000_000
 CARRIED_OUT_NS = 100_000_000
 """So long after its first byte every stop has been carried out."""
 
@@ -67,7 +67,7 @@ def traits_of(kind: str) -> Traits:
         HAS_PINGS: bool(language.pings),
         HAS_REPORTS: language.silent_ns > 0 and not language.ping_ns,
         HAS_IMU: language.observed_by == BY_IMU,
-        HAS_WHEEL_REPORTS: 0 < language.reports.every_ns < SELDOM_NS,
+        HAS_WHEEL_REPORTS: 0 < language.reports.every_ns < RARELY_NS,
         # A Wire has no word for these.
         HAS_GAMEPAD: not is_described(kind),
         HAS_KEYS: not is_described(kind),

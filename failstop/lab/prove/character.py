@@ -22,19 +22,19 @@ STOOD_S = 1.0
 MOUNTED = "lift the robot less softly, or mount the IMU firmly"
 SIMULATED = "the simulated board was held up, or its wheels were stopped; repeat on a quieter machine"
 SUPPLIED = "are the motors' supply and the encoders plugged in, and is board.per_rps right?"
-RUNAWAY = "THE WHEELS DID NOT COME TO REST after {}: use the POWER SWITCH"
+NOT_AT_REST = "THE WHEELS DID NOT COME TO REST after {}: use the POWER SWITCH"
 
 
 class Unfit(FailstopError):
     """The robot's rest can't be told from its turning: nothing can be proved."""
 
 
-class Runaway(FailstopError):
+class Restless(FailstopError):
     """The wheels do not stop."""
 
 
 def characterize(stand: ProveStand, velocities: Iterable[Turning], *, quick: bool) -> Sight:
-    """Measure. Raises Unfit, Runaway, TrialError, FailstopError."""
+    """Measure. Raises Unfit, Restless, TrialError, FailstopError."""
     share = 0.6 if quick else 1.0
     if stand.means.observed_by == BY_WHEELS:
         return _by_wheels(stand, velocities, share)
@@ -86,7 +86,7 @@ def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -
         stand.run(STAYS_S)
         rest_ns = sight.rest_ns([sample for sample in stand.watch.samples if sample[0] >= begun_ns])
         if rest_ns is None:
-            raise Runaway(RUNAWAY.format(velocity.words))
+            raise Restless(NOT_AT_REST.format(velocity.words))
         found.rolled_s[velocity.name] = (rest_ns - begun_ns) / NS
     return found
 
@@ -101,7 +101,7 @@ def _spin(stand: ProveStand, velocity: Turning, seconds: float) -> list[SeenSamp
 
 def _come_to_rest(stand: ProveStand, velocity: Turning, verdict: Verdict) -> None:
     if not stand.run(MOST_S, lambda: verdict.still(stand.watch.samples)):
-        raise Runaway(RUNAWAY.format(velocity.words))
+        raise Restless(NOT_AT_REST.format(velocity.words))
 
 
 def _collect(stand: ProveStand, seconds: float) -> list[SeenSample]:

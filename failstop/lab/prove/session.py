@@ -17,7 +17,7 @@ from failstop.doctor.system import System
 from failstop.instances import unit_of
 from failstop.lab.prove import report
 from failstop.lab.prove.arm_run import ArmRun
-from failstop.lab.prove.character import Runaway, Unfit, characterize
+from failstop.lab.prove.character import Restless, Unfit, characterize
 from failstop.lab.prove.frozen import FrozenRun
 from failstop.lab.prove.held import repeat
 from failstop.lab.prove.report import Evidence
@@ -34,7 +34,7 @@ TAKES = 3
 """Of a row, where the machine spoils it."""
 COMES_TO_REST_S = 1.5
 """Before the robot is characterized again."""
-RUNAWAY = "the wheels were not seen to come to rest: if they turn, use the POWER SWITCH"
+NOT_SEEN_AT_REST = "the wheels were not seen to come to rest: if they turn, use the POWER SWITCH"
 
 Runs = Iterable[tuple[Path, Turning, random.Random]]
 """The plan, and the part of it that is left to chance."""
@@ -79,8 +79,8 @@ def session(
                 evidence.results.append(result)
                 say(report.row(result, style.paint, width))
                 if result.runaway:
-                    evidence.ended = RUNAWAY
-                    _alarm(RUNAWAY)
+                    evidence.ended = NOT_SEEN_AT_REST
+                    _alarm(NOT_SEEN_AT_REST)
                     break
                 if result.over:
                     evidence.ended = result.over
@@ -89,7 +89,7 @@ def session(
         evidence.ended = report.INTERRUPTED
     except (TrialError, SimBoardError, FailstopError, OSError) as error:
         starved = stand.held.starved(begun)
-        evidence.spoiled = bool(starved) and not isinstance(error, Runaway)
+        evidence.spoiled = bool(starved) and not isinstance(error, Restless)
         evidence.ended = f"{repeat(starved)}; {error}" if evidence.spoiled else str(error)
     if not stand.board:
         evidence.outcome = stand.outcome
@@ -124,7 +124,7 @@ def _characterize(
         begun = stand.held.mark()
         try:
             return characterize(stand, velocities, quick=quick)
-        except Runaway as error:
+        except Restless as error:
             _alarm(str(error))
             raise
         except Unfit as error:
