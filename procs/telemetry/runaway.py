@@ -188,7 +188,9 @@ class RunawayJudge:
             told.append((max(since_ns, told[-1][0]), told_rps))
         self._moves = self._moves or any(told_rps)
         while len(told) > 1 and told[1][0] < now_ns - 2 * (LAG_NS + self._limits.every_ns):
-            told.popleft()
+            _, before = told.popleft()
+            for index, wheel in self._wheels.items():
+                wheel.before_rps = max(wheel.before_rps, abs(before[index]))
 
     def _forget(self, now_ns: int) -> None:
         for index, wheel in self._wheels.items():
