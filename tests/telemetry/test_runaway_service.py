@@ -187,9 +187,8 @@ def test_a_robot_whose_imu_alone_feels_something_is_told_of(monkeypatch: pytest.
 @pytest.mark.slow
 @every_reporter
 def test_no_drive_of_a_healthy_robot_is_taken_for_a_runaway(kind: str) -> None:
-    """At random: ramps, reversals, sudden zeros, rests, and one byte in 500 of what the board says garbled."""
+    """At random: ramps, reversals, sudden zeros, rests."""
     chance, simulated = Random(kind), service(kind)
-    simulated.lab.board.model.garble_up = 0.002
     simulated.enable()
     until_ns = simulated.now_ns() + amount(30, 3600) * 1_000_000_000
     ahead = forward(kind)[0]
