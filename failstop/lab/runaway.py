@@ -36,7 +36,7 @@ TOO_FAST, OTHER_WAY, THOUGH_ZERO = "faster than told", "the other way", "althoug
 FAULTS = (TOO_FAST, OTHER_WAY, THOUGH_ZERO)
 SHARES = {"hoverboard": (0.75, 0.1), "arduino": (0.3, 0.05), "feetech": (0.3, 0.05), "ugv": (0.3, 0.05)}
 """The documented margins: a share of what is told, and m/s at the rim."""
-REPORTS_MS = {"hoverboard": (20, 20), "ugv": (50, 100), "feetech": (50, 125), "arduino": (150, 250)}
+REPORTS_MS = {"hoverboard": (20, 20), "ugv": (50, 100), "feetech": (50, 125), "arduino": (150, 300)}
 """The time between two reports: the shortest, and the longest that the page names."""
 COUNTS = (12, 20, 44, 64, 200, 360, 680, 1320, 1992, 3436)
 JUDGED_BOARDS = tuple(SHARES)
@@ -211,6 +211,8 @@ class ReportStream:
     _next_ns: int = 0
     _arrived_ns: int = 0
     _silent_ns: int = 0
+    _uneven: bool = False
+    """Other questions come between those for positions."""
     _loss: float = 0.0
     _late_ns: int = 0
     _noise: float = 0.0
@@ -219,6 +221,7 @@ class ReportStream:
     def __post_init__(self) -> None:
         shortest, longest = REPORTS_MS[self.robot.kind]
         self.every_ns = self.chance.randrange(shortest, longest + 1) * MS
+        self._uneven = bool(self.robot.counts) and self.chance.random() < 0.5
         self._loss = 0.0 if self.calm else self.chance.choice((0.0, 0.01, 0.1, 0.3))
         self._late_ns = self.chance.choice((1, 5, 20)) * MS
         self._noise = self.chance.choice((0.0, 0.01, 0.02))
@@ -227,7 +230,8 @@ class ReportStream:
         """Make a report when it is due."""
         if now_ns < self._next_ns:
             return
-        self._next_ns = max(self._next_ns + self.every_ns, now_ns)
+        every_ns = self.chance.choice((100, 200, 300)) * MS if self._uneven else self.every_ns
+        self._next_ns = max(self._next_ns + every_ns, now_ns)
         if not self.calm and self.chance.random() < 0.0005:
             self._silent_ns = now_ns + self.chance.randrange(100, 4000) * MS
         if now_ns < self._silent_ns or self.chance.random() < self._loss:
@@ -338,7 +342,7 @@ def failing(seed: str, kind: str, fault: str) -> Outcome:
     driver, wheel, reports = Driver(chance, robot), Wheel(chance, robot), ReportStream(chance, robot, calm=True)
     telemetry, now_ns = Follower(chance, robot), 10**12
     share, _ = SHARES[kind]
-    count_rps = robot.count_rps(reports.every_ns - 40 * MS)
+    count_rps = robot.count_rps(60 * MS)
     beyond = robot.slack_rps + count_rps
     driver.enabled, driver.held = True, True
     goal = robot.limit_rps * chance.uniform(0.3, 1.0)

@@ -212,7 +212,7 @@ class RunawayJudge:
         begun_ns, blur_rps = t_ns - limits.every_ns, limits.rps
         if limits.counts:
             elapsed_ns, before = t_ns - self._read_ns, self._turns
-            if len(before) == len(turns) and elapsed_ns < limits.every_ns // 2:
+            if len(before) == len(turns) and elapsed_ns < limits.every_ns // 4:
                 return None  # reports that were held up come together: nobody knows when each was made
             begun_ns, self._read_ns, self._turns = self._read_ns, t_ns, turns
             if len(before) != len(turns):

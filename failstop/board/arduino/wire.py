@@ -71,7 +71,7 @@ WIRE = Wire(
     echo_ns=0,
     # Every other question asks for positions. They are counters of 32 bits, and turns by the same number as the speeds.
     reports=Reports(
-        every_ns=250 * _MS,
+        every_ns=300 * _MS,
         speed_per_rps=None,
         position_per_turn=lambda per_rps, _diameter_m: per_rps * codec.PERIODS,
         wraps=2.0**32,

@@ -110,7 +110,7 @@ CLAIMS = (
         "RUNAWAY-1",
         "Where the board reports what its wheels do, a wheel that turns faster than it is told, the other way, or on"
         " although it is told zero, stops the robot.",
-        1550.0, "from when it runs away, at 0.1 m/s and the board that reports least often", ("RECEIVER", "WRITE"),
+        1700.0, "from when it runs away, at 0.1 m/s and the board that reports least often", ("RECEIVER", "WRITE"),
         "a wheel that is reported beyond its margin for its run-down time without slowing down, and is not stopped",
     ),
     Claim(

@@ -62,7 +62,7 @@ from failstop.policy.causes import HANGS as HANGS_CAUSE
 BACK = "the device's return"
 STOP_ASKED_MEANWHILE = "a stop request meanwhile"
 THAWED = "the thaw"
-RUN_DOWN_MS = 1_550.0
+RUN_DOWN_MS = 1_700.0
 """The run-down time of the board that reports least often, at the trials' speed, and 0.2 s (docs/dev/runaway.md)."""
 DRIVER_HAS_DIED = "which had driven, has died"
 
@@ -255,7 +255,7 @@ PORT_ROWS = (
     Fault(
         "board-wheel-runs-away", WHEEL_FAILS, "a wheel turns five times as fast as told, and the board reports it",
         "port owner, asked by telemetry",
-        ((RUNAWAY,),), BY_RESET, "", RUN_DOWN_MS, "board-wheel-runs-away", aftermath_s=1.9,
+        ((RUNAWAY,),), BY_RESET, "", RUN_DOWN_MS, "board-wheel-runs-away", aftermath_s=2.1,
         needs=frozenset({HAS_WHEEL_REPORTS}), weight=1,
     ),
 )  # fmt: skip
