@@ -34,6 +34,8 @@ UNFOLLOWED_NS = 150_000_000
 SLOWS = 0.92
 """A wheel that turns at less than this share of its speed in the second half of the time, against the first one, is
 slowing down: it rolls out, and has not run away."""
+HELD_BACK_NS = 20_000_000
+"""As late is a report by a serial adapter (its latency timer); where it says a position, that looks like speed."""
 STANDS_NS = 3_000_000_000
 """A wheel that stands for so long although it is told to turn is stalled or unplugged."""
 STANDS_SHARE = 0.1
@@ -151,11 +153,13 @@ class _Wheel:
         self.halves[half] += seen_rps * weight
         self.halves[half + 1] += weight
 
-    def slows(self, count: float) -> bool:
-        """Whether it is slowing down, by more than a count of the encoder (in turns times ns) explains; also while too
-        little is known of either half."""
+    def slows(self, count: float, late_ns: int) -> bool:
+        """Whether it is slowing down, by more than explains a count of the encoder (in turns times ns), and a report
+        that is late by so much; also while too little is known of either half."""
         way, weight, later_way, later_weight = self.halves
-        return not (weight and later_weight) or (abs(later_way) + count) / later_weight < SLOWS * abs(way / weight)
+        if not weight or not later_weight:
+            return True
+        return (abs(later_way) + count) / later_weight < SLOWS * abs(way) / (weight + late_ns)
 
 
 class RunawayJudge:
@@ -258,7 +262,7 @@ class RunawayJudge:
                 wheel.begin(side, since_ns, limits.rolls_ns(wheel.before_rps), limits.every_ns)
             wheel.add(seen, t_ns - begun_ns, t_ns)
             if t_ns - wheel.beyond_ns >= wheel.rolls_ns and wheel.reports >= LEAST_REPORTS:
-                if not wheel.slows(1e9 / limits.counts if limits.counts else 0.0):
+                if not wheel.slows(*((1e9 / limits.counts, HELD_BACK_NS) if limits.counts else (0.0, 0))):
                     wheel.beyond_ns = 0
                     return Finding(RAN_AWAY, index, self._told[-1][1][index], seen)
                 wheel.begin(side, t_ns, wheel.rolls_ns, limits.every_ns)  # it has as long again
