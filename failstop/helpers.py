@@ -32,7 +32,9 @@ def search_path() -> list[str]:
         left_out = {here, *(os.path.abspath(path) for path in named if not os.path.isabs(path))} - meant
     except OSError:  # the current folder was removed, so nothing can be imported from it
         left_out = set()
-    found = dict.fromkeys(path for path in sys.path if os.path.isabs(path) and path not in left_out)
+    # As a program that is started does: PYTHONPATH may have been set since this one was.
+    since = [path for path in named if path not in sys.path]
+    found = dict.fromkeys(path for path in (*since, *sys.path) if os.path.isabs(path) and path not in left_out)
     return [*found, *{os.path.dirname(_PACKAGE)} - found.keys()]
 
 

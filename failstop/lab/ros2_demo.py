@@ -24,7 +24,7 @@ def rows(trial: Trial, said: Callable[[str, str], None]) -> Iterator[Row]:
         found = rest.enter_context(bridge(trial.name))
         _connected(trial)
         rest.enter_context(publisher("lidar", "scan"))
-        trial.enable()
+        _enabled(trial)
         with publisher("nav", "0.2") as driver:
             _moving(trial)
             said("node /nav publishes cmd_vel", f"wheels {trial.board.wheels()[0]:+.2f} rps")
@@ -33,7 +33,7 @@ def rows(trial: Trial, said: Callable[[str, str], None]) -> Iterator[Row]:
             driver.end()
             row = _judged(trial, told_ns)
         yield "cmd_vel node ends", row, 600.0
-        trial.enable()
+        _enabled(trial)
         with publisher("nav", "0.2"):
             _moving(trial)
             trial.board.events()
@@ -42,7 +42,7 @@ def rows(trial: Trial, said: Callable[[str, str], None]) -> Iterator[Row]:
                 said("node /joystick does too", trial.robot.state.estop or "nothing is latched")
         yield "a second one joins", row, SEEN_S * 1000
         wait_for("both to leave", lambda: _sees(trial, "nobody publishes cmd_vel"), SEEN_S)
-        trial.enable()
+        _enabled(trial)
         with publisher("nav", "0.2"):
             _moving(trial)
             trial.board.events()
@@ -59,6 +59,12 @@ def _sees(trial: Trial, text: str) -> bool:
 
 def _connected(trial: Trial) -> None:
     wait_for("the bridge to connect", lambda: _sees(trial, "cmd_vel"), CONNECTED_S)
+
+
+def _enabled(trial: Trial) -> None:
+    """Motion is enabled while nobody commands: a node that commanded just now would be held."""
+    wait_for("nobody to command", lambda: all(it.state == "silent" for it in trial.robot.state.sources), SEEN_S)
+    trial.enable()
 
 
 def _moving(trial: Trial) -> None:

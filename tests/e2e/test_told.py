@@ -143,7 +143,7 @@ def test_the_death_of_a_process_is_shown(simulated: Simulated, process: str) -> 
     assert simulated.robot.state.blocked == "disabled"
     simulated.drive(0.1)
     assert not simulated.turning(), "a reset must not enable motion"
-    simulated.robot.enable()
+    simulated.enable()
     simulated.drive(0.1)
     assert simulated.turning()
 

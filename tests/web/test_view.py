@@ -36,7 +36,7 @@ def shown(state: State) -> dict[str, Any]:
         (states.state(device=UNPROVEN), "STOPPED, UNPROVEN", "The board has never answered. Motion is", "Hold ENABLE"),
         (states.state(unmet="it is open"), "STOPPED", "Motion is disabled", "the interlock (it is open)."),
         (states.state(attended_by=()), "STOPPED", "Motion is disabled", "press ATTEND"),
-        (states.state(enabled=True, blocked="cmd timeout"), "CAN MOVE", "nobody commands", "Start your driving program"),
+        (states.state(enabled=True, blocked="cmd timeout"), "CAN MOVE", "nobody commands", "Start your driving"),
         (states.state(enabled=True, blocked="no scan"), "CAN MOVE", "sensor is silent", "Start the obstacle sensor"),
         (states.state(**DRIVING), "MOVING", "0.20 m/s forward.", ""),
         (states.state(enabled=True, blocked=None), "CAN MOVE", "The command is zero.", ""),

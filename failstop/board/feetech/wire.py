@@ -95,8 +95,8 @@ WIRE = Wire(
         holds_speed=True,
         own_scale=False,
     ),
-    # Two answers are missing.
-    silent_ns=250 * _MS,
+    # Four answers are missing: noise on the line loses one or two in a row.
+    silent_ns=450 * _MS,
     commanders=(
         Commander(
             who="LeRobot's own host writes to the bus, and its wheels keep their speed when it dies",

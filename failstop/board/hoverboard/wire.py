@@ -88,8 +88,8 @@ WIRE = Wire(
         holds_speed=False,
         own_scale=True,
     ),
-    # Six of its feedbacks.
-    silent_ns=60 * _MS,
+    # Fifteen of its feedbacks: a shorter pause is more likely a busy computer. A short restart shows by its echo.
+    silent_ns=150 * _MS,
     commanders=(
         Commander(
             who="its second cable: a side board or a receiver there drives it too, in firmware built with DUAL_INPUTS",

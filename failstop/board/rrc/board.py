@@ -120,7 +120,8 @@ class Rrc(Board):
     pings = tuple(codec.pwm_servo_read(servo) for servo in (1, 2, 3, 4))
     ping_ns = 0
     echo_ns = fades_ns = 0
-    silent_ns = 60_000_000
+    silent_ns = 150_000_000
+    """Sixteen samples of the IMU: a shorter pause is more likely a busy computer or adapter than a restart."""
     """Six samples of the IMU."""
     arming = b""
     acknowledged_by = BY_ANSWER
