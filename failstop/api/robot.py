@@ -104,6 +104,13 @@ class Calls(Session):
             run.check("source", source)
             self._slot(run).command(vx, vy, wz, manual=manual, source=source, t_ns=proven_ns)
 
+    def _of_wheels(self, speeds_radps: tuple[float, ...], steering_rad: float | None) -> Velocity:
+        """Raises ValueError, NoService, FailstopError."""
+        if not all(map(isfinite, (*speeds_radps, steering_rad or 0.0))):
+            raise ValueError(f"drive_wheels{speeds_radps}: every value must be finite")
+        with self._lock:
+            return self._current().of_wheels(speeds_radps, steering_rad)
+
     def _judged(self, source: str) -> tuple[Answer, bool]:
         """The answer by what the gate has decided last, and whether it is settled (judge)."""
         with self._lock:
@@ -214,6 +221,16 @@ class AsyncRobot(Calls):
         self._command(vx, vy, wz, manual=manual, source=source)
         return self._judged(source)[0]
 
+    def drive_wheels(
+        self,
+        *speeds_radps: float,
+        steering_rad: float | None = None,
+        manual: bool = False,
+        source: str = FIRST_SOURCE,
+    ) -> Answer:
+        """As Robot.drive_wheels; like drive() it never waits."""
+        return self.drive(*self._of_wheels(speeds_radps, steering_rad), manual=manual, source=source)
+
     async def _answered(self, verb: int, told: Told = None) -> str:
         return await _through(self._asking(verb, told, awaited=True))
 
@@ -302,6 +319,27 @@ class Robot(Calls):
             if settled or time.monotonic() >= until_s:
                 return answer
             time.sleep(POLL_S)
+
+    def drive_wheels(
+        self,
+        *speeds_radps: float,
+        steering_rad: float | None = None,
+        manual: bool = False,
+        source: str = FIRST_SOURCE,
+        wait_s: float = 0.01,
+        proven_ns: int | None = None,
+    ) -> Answer:
+        """Command the speed of each wheel, rad/s, positive forward, in the order of `state.wheels_radps` (its `names`).
+        A steered base has two rear wheels, which say how fast it goes and turns; with `steering_rad` (to the left
+        positive) their mean says how fast it goes, and the angle how it turns.
+
+        It is drive() with the velocity of the base whose wheels turn so, by the settings' sizes: all limits, ramps and
+        sources are the same, and what it returns is too. So a limit slows all wheels alike, and four mecanum wheels
+        get the nearest speeds that they can roll without slip. Raises what drive() raises, and ValueError for another
+        number of wheels, or for an angle where nothing is steered.
+        """
+        velocity = self._of_wheels(speeds_radps, steering_rad)
+        return self.drive(*velocity, manual=manual, source=source, wait_s=wait_s, proven_ns=proven_ns)
 
     def enable(self, told: Told = None) -> str:
         """Enable motion. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked

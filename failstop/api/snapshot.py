@@ -83,7 +83,8 @@ class Turning:
     speeds_radps: Wheels | None = None
     """Measured speed of each wheel, rad/s, positive forward, by the names of `Wheels`; None: the board reports none."""
     turned_rad: Wheels | None = None
-    """How far each wheel has turned since the first report, rad, positive forward; None: the board reports none."""
+    """How far each wheel has turned since the first report, rad, positive forward: counted by the board, or added up
+    from its speeds. None: the board reports none."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -241,11 +242,14 @@ class Imu(NamedTuple):
     """Of each axis of the rate, (rad/s)2."""
 
 
+DEAD_RECKONING = (records.POSE_VARIANCE, 0.0, 0.0, records.POSE_VARIANCE, 0.0, records.POSE_VARIANCE)
+
+
 class Odometry(NamedTuple):
-    """Pose since the start and velocity, both integrated from what was commanded."""
+    """Pose since the start and velocity, from the wheels where the board reports them, else from what was commanded."""
 
     t_ns: int
-    """CLOCK_MONOTONIC of when it was so, ns."""
+    """CLOCK_MONOTONIC of when it was so, ns: of the newest report of the wheels, where they count."""
     x_m: float
     """m, forward at the start."""
     y_m: float
@@ -262,8 +266,17 @@ class Odometry(NamedTuple):
     """Standard deviation of vx and vy, m/s, by the settings."""
     twist_std_radps: float
     """Standard deviation of wz, rad/s, by the settings."""
-    pose_variance: float = records.POSE_VARIANCE
-    """Of each of x, y (m2) and th (rad2): so large that nobody trusts the pose."""
+    source: Literal["commands", "wheels"] = "commands"
+    """wheels: as far as the board reports that they have turned. commands: as far as they were told to turn, whatever
+    they did, because the board has reported nothing of them."""
+    pose_covariance: tuple[float, ...] = DEAD_RECKONING
+    """Of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th. From wheels it grows with the way; from commands it is
+    so large that nobody trusts the pose."""
+
+    @property
+    def pose_variance(self) -> float:
+        """The largest variance of x, y (m2) and th (rad2)."""
+        return max(self.pose_covariance[0], self.pose_covariance[3], self.pose_covariance[5])
 
 
 class Pad(NamedTuple):

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from functools import cached_property
 from math import pi
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import msgpack
 
@@ -25,6 +25,9 @@ from failstop.policy.settings import Settings, mounted_wheels
 from failstop.shm import heartbeat
 from failstop.shm.cell import RingReader
 from failstop.shm.thread_state import state_of
+
+if TYPE_CHECKING:
+    from failstop.policy.kinematics import Chassis
 
 T = TypeVar("T")
 
@@ -63,11 +66,16 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
 PLUGGED: tuple[Any, ...] = records.PLUGGED
 WHEELS_DO: tuple[Any, ...] = records.WHEELS_DO
 WHEELS_BY: tuple[Any, ...] = records.WHEELS_BY
+ODOMETRY_FROM: tuple[Any, ...] = records.ODOMETRY_FROM
 PAD_MODES = cast("tuple[snapshot.PadMode, ...]", records.PAD_MODES)
 
 
 def _imu(t_ns: int, *values: float) -> Imu:
     return Imu(t_ns, values[:3], values[3:])
+
+
+def _odometry(t_ns: int, *values: Any) -> Odometry:
+    return Odometry._make((t_ns, *values[:8], ODOMETRY_FROM[values[8]], values[9:]))
 
 
 def _pad(t_ns: int, buttons: int, hat: int, *rest: int) -> Pad:
@@ -119,7 +127,7 @@ class StateReader(SeenRun):
             kind, values = box.unpack_board(entry[2])
             if make := SAMPLES.get(kind):
                 found.append(make(entry[1], *values))
-        if (odometry := self._timed("odometry", Odometry)) and odometry != self._sampled:
+        if (odometry := self._timed("odometry", _odometry)) and odometry != self._sampled:
             self._sampled = odometry
             found.append(odometry)
         return found
@@ -141,6 +149,23 @@ class StateReader(SeenRun):
     def _mounted(self) -> list[tuple[int, float]]:
         """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
         return [(id_, sign * 2 * pi) for id_, sign in mounted_wheels(self.settings())]
+
+    @cached_property
+    def _chassis(self) -> Chassis:
+        from failstop.policy.kinematics import from_settings as chassis_of  # only drive_wheels() needs it
+
+        return chassis_of(self._declared)
+
+    def of_wheels(self, speeds_radps: tuple[float, ...], steering_rad: float | None) -> snapshot.Velocity:
+        """The velocity of the base while its wheels turn so fast. Raises ValueError for another number of wheels, or
+        for an angle where nothing is steered; FailstopError."""
+        from failstop.policy.kinematics import of_wheels
+
+        mounted = mounted_wheels(self.settings())
+        if len(speeds_radps) != len(mounted):
+            names = ", ".join(snapshot.Wheels((0.0,) * len(mounted)).names)
+            raise ValueError(f"{len(speeds_radps)} speeds: this robot has {len(mounted)} wheels: {names}")
+        return snapshot.Velocity(*of_wheels(self._chassis, mounted, speeds_radps, steering_rad))
 
     def _steering_rad(self, speeds: tuple[float, ...]) -> float | None:
         """Of a steered base the angle is the last of what the gate commands; 0 at rest says nothing."""
@@ -180,7 +205,7 @@ class StateReader(SeenRun):
             last_stop=self._last_stop(),
             imu=self._timed("imu", _imu),
             gyro_bias=bias and snapshot.GyroBias(bias[:3], *bias[3:]),
-            odometry=self._timed("odometry", Odometry),
+            odometry=self._timed("odometry", _odometry),
             turning=self._turning(now_ns),
             pad_mode=pad and PAD_MODES[pad[6]],
             battery_v=millivolts / 1000 or None,

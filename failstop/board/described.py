@@ -113,7 +113,8 @@ def _reports(wire: Wire, per_rps: float, diameter_m: float) -> WheelReports:
         return WheelReports(UNKNOWN_EVERY_NS, per_rps, 0.0, 0.0, holds_speed=False, own_scale=False)
     speed = told.speed_per_rps(per_rps, diameter_m) if told.speed_per_rps else 0.0
     position = told.position_per_turn(per_rps, diameter_m) if told.position_per_turn else 0.0
-    return WheelReports(told.every_ns, speed, position, told.wraps, told.holds_speed, told.own_scale)
+    scale = (told.holds_speed, told.own_scale, told.position_step)
+    return WheelReports(told.every_ns, speed, position, told.wraps, *scale)
 
 
 def _wheels(values: Sequence[float], least: int) -> tuple[float, ...]:

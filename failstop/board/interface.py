@@ -47,6 +47,8 @@ class WheelReports(Data):
     """The board holds the speed that it was told; False: it sets a voltage."""
     own_scale: bool
     """The reports do not depend on the setting board.per_rps."""
+    position_step: float = 0.0
+    """Positions are whole multiples of this, cut towards zero; 0: too fine to matter."""
 
 
 NO_WHEEL_REPORTS = WheelReports(0, 0.0, 0.0, 0.0, holds_speed=False, own_scale=False)

@@ -238,6 +238,8 @@ class Reports(Data):
     own_scale: bool
     """True: the board reports in a unit of the real world, so a wrong setting board.per_rps shows. False: commands and
     reports share that setting."""
+    position_step: float = 0.0
+    """Positions are whole multiples of this, cut towards zero; 0: too fine to matter."""
 
 
 class Wire(Data):

@@ -345,11 +345,14 @@ RATE_VARIANCE = 0.0012**2
 """(rad/s)^2, to publish with a rate: the gyro's standard deviation at rest is 0.0007 to 0.0011 rad/s (measured)."""
 BIAS: Payload[float, float, float, bool, bool] = Payload("<3d??")
 """The gyro's bias (rad/s on x, y, z), whether it follows the reading now, whether a calibration ever found it."""
-ODOMETRY: Payload[float, float, float, float, float, float, float, float] = Payload("<8d")
+ODOMETRY_FROM = ("commands", "wheels")
+BY_COMMANDS, BY_ROLLING = range(len(ODOMETRY_FROM))
+ODOMETRY = Shape("<8dB6d")
 """Pose: x m, y m, th rad since the start; twist in the robot's frame: vx m/s, vy m/s, wz rad/s; the standard deviation
-told with it: m/s of vx and vy, rad/s of wz."""
+published with it: m/s of vx and vy, rad/s of wz; what both come from, an index of ODOMETRY_FROM; the covariance of the
+pose: xx, xy, x th, yy, y th, th th. Its time is that of the newest report of the wheels, or of now for commands."""
 POSE_VARIANCE = 1e3
-"""m^2 of x and y, rad^2 of th, to publish with the pose: dead reckoning is not to be trusted."""
+"""m^2 of x and y, rad^2 of th, to publish with a pose from commands: dead reckoning is not to be trusted."""
 MOST_WHEELS = 4
 WHEELS_DO = ("unknown", "still", "turning")
 WHEELS_BY = ("", "IMU", "wheels")

@@ -1,4 +1,4 @@
-"""Kinematics of a wheeled base: body velocity to wheel speeds, in each of the layouts there are. Pure.
+"""Kinematics of a wheeled base: body velocity to wheel speeds and back, in each of the layouts there are. Pure.
 
 Body velocity is x forward, y left, wz counter-clockwise. Speeds come in the order of the ids on the wire, each with the
 sign of how its motor is mounted. The wheels of two sides are numbered left before right, and front before rear.
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import atan2, copysign, cos, pi, radians, sin, tan
+from operator import mul
 
 from failstop.policy.layouts import ACKERMANN
 from failstop.policy.settings import Settings, mounted_wheels
@@ -30,10 +31,14 @@ AXES = {
 """Factors of (vx, vy, wz) that each layout can follow: a limit times its factor is the limit that holds."""
 
 
+LEAST_PIVOT = 1e-9
+"""Less than this share of the largest number is a rounding error."""
+
+
 class Chassis:
     """Wheels of one diameter: each turns in proportion to the body's velocity."""
 
-    __slots__ = ("_rows", "axes", "rest")
+    __slots__ = ("_back", "_rows", "axes", "rest")
     steers = False
     """The last of its speeds is the angle of the steered wheels, in rad to the left."""
 
@@ -54,6 +59,22 @@ class Chassis:
             id_: tuple(sign * turns_per_m * rim for rim in row) for row, (id_, sign) in zip(rows, mounted, strict=True)
         }
         self._rows = [by_id.get(id_, (0.0, 0.0, 0.0)) for id_ in range(speeds)]
+        self._back: tuple[tuple[float, ...], ...] | None = None
+
+    def rolled(self) -> tuple[tuple[float, ...], ...]:
+        """The way back: for each of vx, vy (m/s) and wz (rad/s) the factor of each wheel's turns a second, by wire id.
+        The product is the velocity that fits all wheels best (least squares): four mecanum wheels have one speed more
+        than the body has directions, and what they can't roll together is slip. Raises ValueError for wheels that can't
+        tell the directions apart, such as three omni wheels that all roll the same way."""
+        if self._back is None:
+            self._back = _least_squares(self._rows, self.axes)
+        return self._back
+
+    def velocity(self, rps: Sequence[float]) -> Velocity:
+        """The body's velocity (m/s, m/s, rad/s) while the wheels turn so fast, in revolutions per second by wire id.
+        Raises ValueError as rolled() does."""
+        vx, vy, wz = [sum(map(mul, row, rps)) for row in self.rolled()]
+        return vx, vy, wz
 
     def reach(self, velocity: Velocity) -> Velocity:
         """The velocity that the base can have, nearest to this."""
@@ -95,9 +116,39 @@ class Steered(Chassis):
         # The quotient of the smallest numbers there are is rounded to more than the curve that was reached.
         return *self._rear.wheels_rps(vx, vy, wz), copysign(min(angle, self._most_rad), vx * wz) if angle else 0.0
 
+    def rolled(self) -> tuple[tuple[float, ...], ...]:
+        """By the two rear wheels: how much faster one turns than the other says how the base turns, whatever the angle
+        of the steered wheels is by then."""
+        return self._rear.rolled()
+
+    def turn_radps(self, vx_mps: float, steering_rad: float) -> float:
+        """How fast it turns with its wheels steered to this angle (to the left positive), rad/s."""
+        return vx_mps * tan(max(-self._most_rad, min(steering_rad, self._most_rad))) / self._wheelbase_m
+
     def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
         """The fastest wheel: the outer one of the narrowest curve."""
         return self._rear.worst_rps(*self.reach((vx_mps, vy_mps, wz_radps)))
+
+
+def _least_squares(rows: Sequence[Sequence[float]], axes: Velocity) -> tuple[tuple[float, ...], ...]:
+    """The pseudo-inverse of rows of three numbers, without the directions whose factor in `axes` is 0."""
+    used = [at for at in range(3) if axes[at]]
+    # Gauss and Jordan, on the normal equations with the wheels on their right side.
+    table = [[sum(row[a] * row[b] for row in rows) for b in used] + [row[a] for row in rows] for a in used]
+    least = LEAST_PIVOT * max(abs(value) for line in table for value in line[: len(used)])
+    for at, _ in enumerate(used):
+        best = max(range(at, len(used)), key=lambda line: abs(table[line][at]))
+        table[at], table[best] = table[best], table[at]
+        pivot = table[at][at]
+        if abs(pivot) <= least:
+            raise ValueError("these wheels can't tell the directions of the base apart")
+        table[at] = [value / pivot for value in table[at]]
+        for line, values in enumerate(table):
+            if line != at and (share := values[at]):
+                table[line] = [value - share * own for value, own in zip(values, table[at], strict=True)]
+    found = {axis: tuple(line[len(used) :]) for axis, line in zip(used, table, strict=True)}
+    nothing = (0.0,) * len(rows)
+    return tuple(found.get(at, nothing) for at in range(3))
 
 
 def two_sides(wheels: int, lever_m: float, sideways: float) -> list[RimSpeeds]:
@@ -131,6 +182,23 @@ def from_settings(settings: Settings) -> Chassis:
     else:
         raise ValueError(f"wheels.layout = {layout!r}: it has no kinematics")
     return Chassis(AXES[layout], rows, settings["wheels.diameter_m"], mounted, settings.speeds)
+
+
+def of_wheels(
+    base: Chassis, mounted: Sequence[tuple[int, int]], speeds_radps: Sequence[float], steering_rad: float | None = None
+) -> Velocity:
+    """The body's velocity while its wheels turn so fast (rad/s, positive forward, in the order of their numbers).
+    `mounted`: as settings.mounted_wheels has them; `steering_rad`: the angle of the steered wheels, to the left
+    positive; then the rear wheels only say how fast it goes. Raises ValueError."""
+    rps = [0.0] * len(base.rest)
+    for (id_, sign), speed in zip(mounted, speeds_radps, strict=True):
+        rps[id_] = sign * speed / (2 * pi)
+    vx, vy, wz = base.velocity(rps)
+    if steering_rad is None:
+        return vx, vy, wz
+    if not isinstance(base, Steered):
+        raise ValueError("this base is not steered")
+    return vx, vy, base.turn_radps(vx, steering_rad)
 
 
 def max_wheel_rps(settings: Settings) -> float:

@@ -80,16 +80,21 @@ def odometry_constant(frame: str, child: str) -> Fields:
 
 
 def odometry_covariances(sample: Odometry) -> Fields:
-    """Of pose and twist; they change with the service's settings alone."""
-    pose, twist = [0.0] * 36, [0.0] * 36
-    for at in (X, Y, YAW):
-        pose[at] = sample.pose_variance
+    """Of the twist, by the service's settings; that of the pose is one of the places."""
+    twist = [0.0] * 36
     twist[X] = twist[Y] = sample.twist_std_mps**2
     twist[YAW] = sample.twist_std_radps**2
-    return {"pose": {"covariance": pose}, "twist": {"covariance": twist}}
+    return {"pose": {"covariance": [0.0] * 36}, "twist": {"covariance": twist}}
 
 
-ODOMETRY_PLACES = ("header.stamp", "pose.pose", "twist.twist")
+ODOMETRY_PLACES = ("header.stamp", "pose.pose", "pose.covariance", "twist.twist")
+
+
+def _covariance(sample: Odometry) -> Sequence[float]:
+    """Rows of x, y, z, and the turns about them."""
+    xx, xy, xt, yy, yt, tt = sample.pose_covariance
+    zeros = (0.0,) * 12
+    return (xx, xy, 0.0, 0.0, 0.0, xt, xy, yy, 0.0, 0.0, 0.0, yt, *zeros, *zeros[:6], xt, yt, 0.0, 0.0, 0.0, tt)
 
 
 def _pose(sample: Odometry) -> Sequence[float]:
@@ -99,7 +104,8 @@ def _pose(sample: Odometry) -> Sequence[float]:
 
 def odometry(sample: Odometry, ros_ns: int) -> Values:
     """nav_msgs/Odometry."""
-    return _stamped(ros_ns), _pose(sample), (sample.vx_mps, sample.vy_mps, 0.0, 0.0, 0.0, sample.wz_radps)
+    twist = (sample.vx_mps, sample.vy_mps, 0.0, 0.0, 0.0, sample.wz_radps)
+    return _stamped(ros_ns), _pose(sample), _covariance(sample), twist
 
 
 TRANSFORM_PLACES = ("transforms.0.header.stamp", "transforms.0.transform")
@@ -126,11 +132,14 @@ def gamepad(sample: Pad, ros_ns: int) -> Values:
     return _stamped(ros_ns), axes, [sample.buttons >> bit & 1 for bit in range(BUTTONS)]
 
 
+OLD_S = 0.5
+"""A report of the wheels that is older says nothing of how fast they turn now."""
 JOINT_PLACES = ("header.stamp", "position", "velocity")
 
 
 class Wheels:
-    """The wheels' joints: how far each has turned, by what was commanded; positive turns forward."""
+    """The wheels' joints: how far each has turned and how fast it turns, as the board reports it, or else as it was
+    commanded; positive turns forward."""
 
     def __init__(self) -> None:
         self._names: list[str] = []
@@ -139,15 +148,24 @@ class Wheels:
         """Empty: the base is not steered, or was not told to be yet."""
         self._position_rad: list[float] = []
         self._velocity_radps: list[float] = []
+        self._measured = False
         self._ns = 0
 
-    def follow(self, wheels_radps: snapshot.Wheels | None, now_ns: int, steering_rad: float | None = None) -> None:
+    def follow(
+        self,
+        wheels_radps: snapshot.Wheels | None,
+        now_ns: int,
+        steering_rad: float | None = None,
+        turning: snapshot.Turning | None = None,
+    ) -> None:
         """The speeds commanded from now on: State.wheels_radps; None: there is no service, and they are zero.
-        `steering_rad`: State.steering_rad; where it is None, a steered base stays as it was."""
+        `steering_rad`: State.steering_rad; where it is None, a steered base stays as it was. `turning`: State.turning;
+        where the board has reported its wheels, nothing but its reports counts, and old ones say of no speed."""
         if steering_rad is not None:
             self._steering_rad = {"steering": steering_rad}
-        for at, speed_radps in enumerate(self._velocity_radps):
-            self._position_rad[at] += speed_radps * (now_ns - self._ns) / 1e9
+        if not self._measured:
+            for at, speed_radps in enumerate(self._velocity_radps):
+                self._position_rad[at] += speed_radps * (now_ns - self._ns) / 1e9
         self._ns = now_ns
         if wheels_radps is None:
             self._velocity_radps = [0.0] * len(self._names)
@@ -155,7 +173,15 @@ class Wheels:
         if len(wheels_radps) != len(self._names):
             self._names = [f"wheel_{name}" for name in wheels_radps.names]
             self._position_rad = [0.0] * len(self._names)
-        self._velocity_radps = list(wheels_radps)
+        seen = turning.speeds_radps if turning else None
+        self._measured = seen is not None and len(seen) == len(self._names)
+        if not turning or not seen or not self._measured:
+            self._velocity_radps = list(wheels_radps)
+            return
+        old = turning.age_s is None or turning.age_s > OLD_S
+        self._velocity_radps = [nan] * len(seen) if old else list(seen)
+        if turning.turned_rad and len(turning.turned_rad) == len(self._names):
+            self._position_rad = list(turning.turned_rad)
 
     def fields(self, ros_ns: int, arm: ArmState | None = None) -> tuple[list[str], Values]:
         """sensor_msgs/JointState: names, and what changes; `arm`: as in State.arm. A joint that was not read yet is

@@ -164,7 +164,7 @@ class Outward:
 
     def _odometry(self, sample: Odometry) -> None:
         ros_ns = sample.t_ns + self._offset_ns
-        deviations = (sample.pose_variance, sample.twist_std_mps, sample.twist_std_radps)
+        deviations = (sample.twist_std_mps, sample.twist_std_radps)
         if deviations != self._deviations:
             self._deviations = deviations
             self._keep(contract.ODOMETRY, messages.odometry_covariances(sample), messages.ODOMETRY_PLACES)
@@ -209,7 +209,7 @@ class Outward:
 
     def _log(self, state: State, now_ns: int) -> None:
         settings = self._shared.settings or {}
-        self._wheels.follow(state.wheels_radps, now_ns, state.steering_rad)
+        self._wheels.follow(state.wheels_radps, now_ns, state.steering_rad, state.turning)
         timeout_s = float(settings["scan.timeout_s"])
         if line := self._scan_log.follow(state.blocked, state.scan_age_s, timeout_s, now_ns):
             self._node.get_logger().warning(line)

@@ -132,7 +132,7 @@ class Telemetry:
         self._charger = Charger(settings, self._known_charger_state())
         self._log = BatteryLog(settings)
         self._read_back = ReadBack()
-        self._measured = Measured(self._board.reports)
+        self._measured = Measured(self._board.reports, self._board.most_rps)
         self._fact = WheelFact(settings.ns("still.after_s"))
         self._way = Way(self._board.reports)
         self._unasked = Unasked(settings.ns("still.after_s"))
@@ -202,8 +202,17 @@ class Telemetry:
             if calibrated:
                 self._gyro.inherit((x, y, z))
         if entry := own.latest_reader("odometry").read():
-            x_m, y_m, th_rad = records.ODOMETRY.unpack(entry[2])[:3]
-            self._odometry.inherit(x_m, y_m, th_rad)
+            x_m, y_m, th_rad, *_, source, xx, xy, xt, yy, yt, tt = records.ODOMETRY.unpack(entry[2])
+            self._inherit_wheels(own)
+            self._odometry.inherit(x_m, y_m, th_rad, source, (xx, xy, xt, yy, yt, tt), self._measured)
+
+    def _inherit_wheels(self, own: Segment) -> None:
+        """How far the wheels had turned. What they do until the first report of this run is not known."""
+        if entry := own.latest_reader("wheels").read():
+            _, _, _, count, _, _, *values = records.WHEELS_SEEN.unpack(entry[2])
+            speeds, turns = values[:count], values[records.MOST_WHEELS :][:count]
+            if all(value == value for value in (*speeds, *turns)):  # NaN: not reported
+                self._measured.inherit(turns, speeds, entry[1])
 
     def _known_charger_state(self) -> int:
         """The charger's state as the run before this one saw it last."""
@@ -282,7 +291,8 @@ class Telemetry:
             found = self._odometry
             pose = (found.x_m, found.y_m, found.th_rad)
             twist = (found.vx_mps, found.vy_mps, found.wz_radps)
-            self._latest["odometry"].write(records.ODOMETRY.pack(*pose, *twist, *found.twist_std), now_ns)
+            known = (*pose, *twist, *found.twist_std, found.source, *found.covariance)
+            self._latest["odometry"].write(records.ODOMETRY.pack(*known), found.t_ns)
             self._publish_wheels(now_ns)
         self._proving.forget(now_ns)
         gyro = self._gyro
@@ -353,6 +363,7 @@ class Telemetry:
         was_still = self._read_back.still_ns > 0
         speeds, positions = sample
         self._measured.take(speeds, positions, t_ns)
+        self._odometry.roll(self._measured)
         measured = (*self._measured.speeds_rps, *NOT_REPORTED)[: records.MOST_WHEELS]
         self._box.put(box.pack_board(box.WHEELS_KIND, *map(box.single, measured)), t_ns)
         self._restarts.counted(positions, t_ns)

@@ -1,41 +1,114 @@
-"""Wheel odometry. Pure. No encoders report, so it integrates what the gate commands: dead reckoning."""
+"""Wheel odometry: the pose, from what the wheels report, or else from what the gate commands. Pure.
+
+Reports of the wheels say how far the base has rolled, whatever it was told. Commands are all there is for a board that
+reports nothing: dead reckoning, whose pose nobody should trust. The first report that counts ends it for good.
+"""
 
 from __future__ import annotations
 
+import contextlib
+from collections import deque
 from math import cos, pi, remainder, sin
 
+from failstop.messages.records import BY_COMMANDS, BY_ROLLING, POSE_VARIANCE
+from failstop.policy import kinematics
+from failstop.policy.layouts import ACKERMANN
 from failstop.policy.settings import Settings
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from failstop.procs.telemetry.wheels import Measured
+
+    Covariance = tuple[float, float, float, float, float, float]
 
 LONGEST_STEP_NS = 100_000_000
 """More time than this between two looks does not count: nobody knows what the wheels did in it."""
+WINDOW_NS = 200_000_000
+"""Speeds are means over this time where the board counts: one count in 50 ms may be 0.2 m/s."""
+SLIP = {"differential": 0.02, ACKERMANN: 0.02, "omni3": 0.05, "mecanum": 0.05}
+"""Standard deviation of what each wheel really rolls, m after 1 m; it grows with the root of the way. Rollers slip:
+on a carpet, a mecanum base makes 0.765 of the way sideways that its wheels make."""
+DEAD_RECKONING: Covariance = (POSE_VARIANCE, 0.0, 0.0, POSE_VARIANCE, 0.0, POSE_VARIANCE)
 
 
 class Odometry:
     """The pose since the start: x, y in m, th in rad from -pi to pi; and the twist in the robot's own frame."""
 
     def __init__(self, settings: Settings) -> None:
-        # How much of a commanded speed mecanum wheels make good: here only, never in what the motors are sent.
-        self._forward_scale = settings["odometry.forward_scale"]
-        self._sideways_scale = settings["odometry.sideways_scale"]
+        # How much of the way that the wheels roll, or are told to, the base makes: here only, never in what the motors
+        # are sent.
+        self._scales = (settings["odometry.forward_scale"], settings["odometry.sideways_scale"], 1.0)
         self.twist_std = (settings["odometry.twist_std_mps"], settings["odometry.twist_std_radps"])
         """m/s of vx and vy, rad/s of wz, to publish with the twist."""
         self._last_ns: int | None = None
         self.x_m = self.y_m = self.th_rad = 0.0
         self.vx_mps = self.vy_mps = self.wz_radps = 0.0
+        self.source = BY_COMMANDS
+        """BY_ROLLING or BY_COMMANDS."""
+        self._covariance = DEAD_RECKONING
+        """Of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th; without what is rounded."""
+        self._rounded = 0.0
+        """The variance of a wheel's turns that are counted in whole steps. It does not grow."""
+        self._ways: tuple[tuple[float, ...], ...] = ()
+        """For each of x, y (m) and th (rad) of the base the factor of each wheel's turns, by wire id."""
+        base = kinematics.from_settings(settings)
+        with contextlib.suppress(ValueError):  # nobody can say how such wheels move the base, so commands count
+            self._ways = tuple(
+                tuple(scale * each for each in row) for scale, row in zip(self._scales, base.rolled(), strict=True)
+            )
+        rim_m = pi * settings["wheels.diameter_m"]
+        self._slip_turns2 = SLIP[settings.text("wheels.layout")] ** 2 / rim_m
+        """The variance of a wheel's turns, for each turn."""
+        self._turns: tuple[float, ...] = ()
+        self._missed = 0.0
+        self._recent: deque[tuple[int, float, float, float]] = deque()
+        """Of reports in the window: when, and how far the base had gone in its own frame."""
+        self._gone = (0.0, 0.0, 0.0)
 
-    def inherit(self, x_m: float, y_m: float, th_rad: float) -> None:
-        """Go on from where an earlier run of this process had come to."""
+    @property
+    def t_ns(self) -> int:
+        """When it was so."""
+        return self._last_ns or 0
+
+    @property
+    def covariance(self) -> Covariance:
+        """Of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th."""
+        xx, xy, xt, yy, yt, tt = self._covariance
+        if self._rounded:
+            x, y, th = (self._rounded * sum(way * way for way in row) for row in self._ways)
+            xx, yy, tt = xx + x + y, yy + x + y, tt + th
+        return xx, xy, xt, yy, yt, tt
+
+    def inherit(
+        self,
+        x_m: float,
+        y_m: float,
+        th_rad: float,
+        source: int = BY_COMMANDS,
+        covariance: Covariance = DEAD_RECKONING,
+        measured: Measured | None = None,
+    ) -> None:
+        """Go on from where an earlier run of this process had come to. `measured`: the wheels, as it knew them."""
         self.x_m, self.y_m, self.th_rad = x_m, y_m, remainder(th_rad, 2 * pi)
+        self.source, self._covariance = source, covariance
+        if measured and source == BY_ROLLING:
+            self._turns, self._missed, self._last_ns = measured.turns, measured.missed, measured.t_ns
 
     def follow(self, velocity: tuple[float, float, float], t_ns: int) -> None:
         """From `t_ns` on the gate commands another velocity (m/s, m/s, rad/s)."""
+        if self.source == BY_ROLLING:
+            return
         self.advance(t_ns)
         vx, vy, self.wz_radps = velocity
-        self.vx_mps = vx * self._forward_scale
-        self.vy_mps = vy * self._sideways_scale
+        self.vx_mps = vx * self._scales[0]
+        self.vy_mps = vy * self._scales[1]
 
     def advance(self, now_ns: int) -> None:
-        """Integrate the present velocity up to now, along the heading in the middle of the step."""
+        """Integrate the commanded velocity up to now, along the heading in the middle of the step."""
+        if self.source == BY_ROLLING:
+            return
         if self._last_ns is None:
             self._last_ns = now_ns
         elapsed_ns = now_ns - self._last_ns
@@ -43,9 +116,82 @@ class Odometry:
             return
         self._last_ns = now_ns
         dt_s = min(elapsed_ns, LONGEST_STEP_NS) * 1e-9
-        turned_rad = self.wz_radps * dt_s
+        self._move(self.vx_mps * dt_s, self.vy_mps * dt_s, self.wz_radps * dt_s)
+
+    def _move(self, ahead_m: float, aside_m: float, turned_rad: float) -> tuple[float, float]:
+        """Go this far, as seen from the heading in the middle; returns that heading's cosine and sine."""
         middle_rad = self.th_rad + turned_rad / 2
         ahead, aside = cos(middle_rad), sin(middle_rad)
-        self.x_m += (self.vx_mps * ahead - self.vy_mps * aside) * dt_s
-        self.y_m += (self.vx_mps * aside + self.vy_mps * ahead) * dt_s
+        self.x_m += ahead_m * ahead - aside_m * aside
+        self.y_m += ahead_m * aside + aside_m * ahead
         self.th_rad = remainder(self.th_rad + turned_rad, 2 * pi)
+        return ahead, aside
+
+    def roll(self, measured: Measured) -> None:
+        """Go as far as the wheels have turned since the report before. For each new report."""
+        turns, missed, t_ns = measured.turns, measured.missed, measured.t_ns
+        if not turns or len(turns) != len(self._ways[0] if self._ways else ()):
+            return  # another number of wheels than this robot has
+        if self.source == BY_COMMANDS:
+            self.source = BY_ROLLING
+            if not (self.x_m or self.y_m or self.th_rad):
+                self._covariance = (0.0,) * 6
+            self._last_ns = t_ns
+        # A way is between two counts, and each is cut by up to a step.
+        self._rounded = measured.step**2 / 6
+        before, self._turns = self._turns, turns
+        lost, self._missed = missed - self._missed, missed
+        if len(before) == len(turns):
+            self._go([now - then for now, then in zip(turns, before, strict=True)], max(0.0, lost))
+        self._follow_speeds(measured)
+        self._last_ns = max(t_ns, self._last_ns or 0)
+
+    def _go(self, steps: Sequence[float], lost: float) -> None:
+        """`steps`: turns of each wheel; `lost`: turns that each may have made besides."""
+        dx, dy, dth = (sum(way * step for way, step in zip(row, steps, strict=True)) for row in self._ways)
+        self._gone = (self._gone[0] + dx, self._gone[1] + dy, self._gone[2] + dth)
+        if not lost and not any(steps):
+            return
+        # The chord of the arc.
+        share = sin(dth / 2) / (dth / 2) if dth else 1.0
+        dx, dy = dx * share, dy * share
+        ahead, aside = self._move(dx, dy, dth)
+        variances = [self._slip_turns2 * abs(step) + lost * lost for step in steps]
+        self._grow(ahead, aside, dx, dy, variances)
+
+    def _grow(self, ahead: float, aside: float, dx: float, dy: float, variances: Sequence[float]) -> None:
+        """Grow the covariance by a step of this way in the robot's frame and these variances of the wheels' turns."""
+        xs, ys, ths = self._ways
+        # A heading that is wrong by 1 rad carries the way off to the side.
+        out_x, out_y = -(dx * aside + dy * ahead), dx * ahead - dy * aside
+        xx, xy, xt, yy, yt, tt = self._covariance
+        xx, xy, yy = (
+            xx + 2 * out_x * xt + out_x * out_x * tt,
+            xy + out_x * yt + out_y * xt + out_x * out_y * tt,
+            yy + 2 * out_y * yt + out_y * out_y * tt,
+        )
+        xt, yt = xt + out_x * tt, yt + out_y * tt
+        for x, y, th, variance in zip(xs, ys, ths, variances, strict=True):
+            # The heading in the middle has half of the turn's error.
+            gx = x * ahead - y * aside + out_x * th / 2
+            gy = x * aside + y * ahead + out_y * th / 2
+            xx, xy, xt = xx + gx * gx * variance, xy + gx * gy * variance, xt + gx * th * variance
+            yy, yt, tt = yy + gy * gy * variance, yt + gy * th * variance, tt + th * th * variance
+        self._covariance = (xx, xy, xt, yy, yt, tt)
+
+    def _follow_speeds(self, measured: Measured) -> None:
+        if not measured.counts:
+            self.vx_mps, self.vy_mps, self.wz_radps = (
+                sum(way * rps for way, rps in zip(row, measured.speeds_rps, strict=True)) for row in self._ways
+            )
+            return
+        recent, t_ns = self._recent, measured.t_ns
+        while len(recent) > 1 and recent[1][0] <= t_ns - WINDOW_NS:
+            recent.popleft()
+        if recent and t_ns > recent[0][0]:
+            since_ns, *gone = recent[0]
+            self.vx_mps, self.vy_mps, self.wz_radps = (
+                (now - then) * 1e9 / (t_ns - since_ns) for now, then in zip(self._gone, gone, strict=True)
+            )
+        if not recent or t_ns > recent[-1][0]:
+            recent.append((t_ns, *self._gone))

@@ -6,7 +6,7 @@ first, because an IMU only feels that the robot moves, or is being moved.
 
 from __future__ import annotations
 
-from math import nan
+from math import isfinite, nan
 
 from failstop.messages.records import MOST_WHEELS, WHEELS_BY, WHEELS_DO
 from failstop.procs.telemetry.readback import ReadBack
@@ -25,41 +25,148 @@ LEAST_COUNTS = 2.5
 """Less than this is the to and fro of an encoder at rest."""
 
 
-class Measured:
-    """Speeds and turns of the wheels by wire id, as the board reports them."""
+FASTEST_RPS = 50.0
+"""Turns a second that no wheel makes: 12 m/s with a wheel of 8 cm. A report beyond it is not believed."""
+LEAST_TURN = 0.02
+"""Less than this is no jump of a counter: 5 mm with a wheel of 8 cm."""
+LONGEST_GAP_NS = 500_000_000
+"""Nobody knows how a wheel turned in a longer silence of its board, unless the board has counted."""
+APART_NS = 5_000_000
+"""Reports that came closer together than this came in one read, so their times say nothing of a speed."""
+_AT_ONCE_NS = 250_000_000
+"""A counter that has begun at zero has not counted for longer than this before it is read."""
 
-    def __init__(self, reports: WheelReports) -> None:
+
+class Measured:
+    """Speeds and turns of the wheels by wire id, as the board reports them.
+
+    What a wheel can't have done counts as not reported. A counter that jumps is believed when the next report goes on
+    from there, and the jump itself is no turn: the board has restarted, or somebody has reset its counters.
+    """
+
+    def __init__(self, reports: WheelReports, most_rps: float = 0.0) -> None:
+        """`most_rps`: the fastest wheel that the board can be told."""
         self._reports = reports
+        self._fastest_rps = max(FASTEST_RPS, 4 * most_rps)
+        self.counts = reports.position_per_turn > 0
+        """The board counts the turns itself; else they are added up from its speeds, and what it does not report is
+        lost."""
+        self.step = reports.position_step / reports.position_per_turn if self.counts else 0.0
+        """Turns between two counts; 0: too few to matter."""
+        self._jump = max(LEAST_TURN, 1.5 * self.step)
         self.t_ns = 0
-        """When the newest report came; 0: never."""
+        """When the newest report came that counts; 0: never."""
         self.speeds_rps: tuple[float, ...] = ()
         """Turns a second; empty: not known."""
         self.turns: tuple[float, ...] = ()
         """Since the first report; empty: not reported."""
+        self.missed = 0.0
+        """Turns that a wheel may have made unseen since the first report, all gaps together."""
         self._positions: tuple[float, ...] = ()
+        self._strange: tuple[int, tuple[float, ...]] = (0, ())
+        """A report that may begin a new count: its time and its positions."""
+        self._moved: tuple[float, ...] = ()
+        self._moved_ns = 0
+        """Turns since then, of which the speeds are made."""
+
+    def inherit(self, turns: Sequence[float], speeds_rps: Sequence[float], t_ns: int) -> None:
+        """Go on from the newest report that an earlier run of this process had."""
+        self.turns, self.speeds_rps, self.t_ns = tuple(turns), tuple(speeds_rps), t_ns
 
     def take(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> None:
         """Take a report of the board, in its own units."""
         told = self._reports
-        elapsed_ns, self.t_ns = t_ns - self.t_ns, t_ns
-        if positions and told.position_per_turn:
-            moved = self._moved(positions)
-            self.turns = tuple(map(sum, zip(self.turns, moved, strict=True))) if moved and self.turns else moved
-            if not told.speed_per_rps and elapsed_ns > 0:
-                self.speeds_rps = tuple(turns * 1e9 / elapsed_ns for turns in moved)
-        if speeds and told.speed_per_rps:
-            self.speeds_rps = tuple(speed / told.speed_per_rps for speed in speeds)
+        rps = tuple(speed / told.speed_per_rps for speed in speeds) if told.speed_per_rps else ()
+        counts = positions if self.counts else ()
+        # A chained comparison is false for NaN.
+        if not all(-self._fastest_rps <= each <= self._fastest_rps for each in rps):
+            rps = ()
+        if not all(map(isfinite, counts)):
+            return
+        if counts:
+            if not self._count(counts, t_ns):
+                return
+            if not rps and t_ns - self._moved_ns >= APART_NS:
+                rps = tuple(turns * 1e9 / (t_ns - self._moved_ns) for turns in self._moved)
+            if t_ns - self._moved_ns >= APART_NS:
+                self._moved, self._moved_ns = (0.0,) * len(counts), t_ns
+        elif rps and not self.counts:
+            self._add_up(rps, t_ns)
+        if rps or counts:
+            self.t_ns = max(self.t_ns, t_ns)
+            self.speeds_rps = rps or self.speeds_rps
 
-    def _moved(self, positions: tuple[float, ...]) -> tuple[float, ...]:
-        """Turns since the report before; zeros for the first."""
-        told, before = self._reports, self._positions
+    def _add_up(self, rps: tuple[float, ...], t_ns: int) -> None:
+        """Turns from speeds: the mean of two reports, for the time between them."""
+        if len(self.turns) != len(rps):
+            self.turns = (0.0,) * len(rps)
+        if self.t_ns and t_ns > self.t_ns and len(self.speeds_rps) == len(rps):
+            gap_ns = t_ns - self.t_ns
+            known_s = min(gap_ns, LONGEST_GAP_NS) * 1e-9
+            pairs = zip(self.turns, self.speeds_rps, rps, strict=True)
+            self.turns = tuple(turns + (before + now) / 2 * known_s for turns, before, now in pairs)
+            if gap_ns > LONGEST_GAP_NS:
+                self.missed += max(map(abs, (*self.speeds_rps, *rps)), default=0.0) * gap_ns * 1e-9
+
+    def _count(self, positions: tuple[float, ...], t_ns: int) -> bool:
+        """Turns from counters; False when the report is not believed."""
+        elapsed_ns = max(0, t_ns - self.t_ns)
+        strange_ns, strange = self._strange
+        self._strange = (0, ())
+        if len(self._positions) != len(positions):
+            self._begin(positions, t_ns)
+            return True
+        steps = self._steps(self._positions, positions)
+        if self._restarted(positions, steps, elapsed_ns):
+            self._lose(elapsed_ns)
+            steps = (0.0,) * len(positions)
+        elif not self._possible(steps, elapsed_ns):
+            steps = self._steps(strange, positions) if len(strange) == len(positions) else ()
+            if not steps or not self._possible(steps, max(0, t_ns - strange_ns)):
+                self._strange = (t_ns, positions)
+                return False
+            self._lose(elapsed_ns)
         self._positions = positions
-        if len(before) != len(positions):
-            return (0.0,) * len(positions)
+        self.turns = tuple(map(sum, zip(self.turns, steps, strict=True)))
+        self._moved = tuple(map(sum, zip(self._moved, steps, strict=True)))
+        return True
+
+    def _begin(self, positions: tuple[float, ...], t_ns: int) -> None:
+        if len(self.turns) == len(positions):
+            self._lose(t_ns - self.t_ns)
+        else:
+            self.turns = (0.0,) * len(positions)
+        self._positions, self._moved, self._moved_ns = positions, (0.0,) * len(positions), t_ns
+
+    def _lose(self, elapsed_ns: int) -> None:
+        self.missed += max(map(abs, self.speeds_rps), default=0.0) * min(max(0, elapsed_ns), 2 * LONGEST_GAP_NS) * 1e-9
+
+    def _steps(self, before: tuple[float, ...], positions: tuple[float, ...]) -> tuple[float, ...]:
+        """Turns between two reports."""
+        told = self._reports
         steps = [now - then for now, then in zip(positions, before, strict=True)]
         if told.wraps:
             steps = [(step + told.wraps / 2) % told.wraps - told.wraps / 2 for step in steps]
         return tuple(step / told.position_per_turn for step in steps)
+
+    def _possible(self, steps: tuple[float, ...], elapsed_ns: int) -> bool:
+        most = self._fastest_rps * elapsed_ns * 1e-9 + 1.0
+        return all(abs(step) <= most for step in steps)
+
+    def _restarted(self, positions: tuple[float, ...], steps: tuple[float, ...], elapsed_ns: int) -> bool:
+        """All counters are close to zero, and the wheels were not on their way there."""
+        if len(self.speeds_rps) != len(positions):
+            return False
+        short_s, elapsed_s = min(elapsed_ns, _AT_ONCE_NS) * 1e-9, elapsed_ns * 1e-9
+        near = [self._jump + 2 * abs(rps) * short_s for rps in self.speeds_rps]
+        at_zero = [abs(position) / self._reports.position_per_turn for position in positions]
+        if any(at > most for at, most in zip(at_zero, near, strict=True)):
+            return False
+        if elapsed_ns > LONGEST_GAP_NS and not any(positions):
+            return any(abs(step) > self._jump for step in steps)
+        ways = [(step, rps * elapsed_s) for step, rps in zip(steps, self.speeds_rps, strict=True)]
+        far = [(step, way) for step, way in ways if abs(step) > self._jump]
+        return any(step * way < 0 or abs(step) > 2 * abs(way) + self._jump for step, way in far)
 
 
 class Way:

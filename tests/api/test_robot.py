@@ -52,6 +52,23 @@ def test_drive_tells_the_velocity_that_the_ramp_has_reached(robot: Robot) -> Non
     assert reached[-1] == pytest.approx(0.1)
 
 
+def test_wheel_speeds_are_a_command_like_any_other(robot: Robot) -> None:
+    robot.enable()
+    wheel_radps = 0.1 / 0.04
+    forward = pytest.approx((0.1, 0.0, 0.0))
+    wait_for(
+        "the ramp to end",
+        lambda: (answer := robot.drive_wheels(*[wheel_radps] * 4, manual=True)) and answer.velocity == forward,
+    )
+    assert robot.state.wheels_radps == pytest.approx((wheel_radps,) * 4)
+    with pytest.raises(ValueError, match=r"^2 speeds: this robot has 4 wheels: front_left, rear_left, front_r"):
+        robot.drive_wheels(1.0, 1.0)
+    with pytest.raises(ValueError, match="every value must be finite"):
+        robot.drive_wheels(1.0, 1.0, float("nan"), 1.0)
+    with pytest.raises(ValueError, match="this base is not steered"):
+        robot.drive_wheels(1.0, 1.0, 1.0, 1.0, steering_rad=0.1)
+
+
 def test_drive_names_who_goes_before(robot: Robot, trial: Trial) -> None:
     robot.enable()
     with Robot(trial.name, client="person") as person:

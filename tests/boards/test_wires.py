@@ -173,7 +173,7 @@ def test_a_reader_takes_any_pieces_and_any_bytes(kind: str) -> None:
 
 def test_readings_are_the_same_few_samples_for_all() -> None:
     read = wire_of("hoverboard").reader().feed(b"\xcd" + feedback.seal(100, 200, -50, 40, 3650, 30))
-    assert fields(read) == [(Obeyed, (250.0, 150.0)), (Wheels, (40.0, 50.0), ()), (Battery, 36.5)]
+    assert fields(read) == [(Obeyed, (250.0, 150.0)), (Wheels, (40.5, 49.5625), ()), (Battery, 36.5)]
     assert fields(wire_of("arduino").reader().feed(b"-12 7\r\nOK\r\n")) == [
         (Wheels, (), (-12.0, 7.0)),
         (Answer, "OK"),
@@ -210,10 +210,26 @@ def test_hoverboard_feedback_of_either_length_is_read_whatever_comes_between() -
             stream = stream[size:]
         found += reader.feed(bytes(24))
         assert [each.volts for each in found if isinstance(each, Battery)] == [36.5] * 8
-        assert [each.speeds for each in found if isinstance(each, Wheels)] == [
-            (left, -right) for *_, right, left in sent
+        speeds = [each.speeds for each in found if isinstance(each, Wheels)]
+        assert [tuple(map(math.floor, (left, -right))) for left, right in speeds] == [
+            (left, right) for *_, right, left in sent
         ]
         assert sum(isinstance(each, Firmware) for each in found) == bool(counters)
+
+
+def test_both_wheels_of_a_hoverboard_are_as_fast_on_a_straight_way() -> None:
+    """Its firmware cuts to sixteenths of an rpm and rounds those down to whole ones; the right wheel goes backward."""
+    read, rng = wire_of("hoverboard").reader(), random.Random(1)
+    off = [0.0, 0.0]
+    for _ in range(4000):
+        sixteenths = int(16 * (rpm := rng.uniform(5.5, 60.0)))
+        right, left = -sixteenths >> 4, sixteenths >> 4
+        _, wheels, _ = read.feed(feedback.seal(0, 0, right, left, 3650, 30))
+        assert isinstance(wheels, Wheels)
+        off = [sum_rpm + speed - rpm for sum_rpm, speed in zip(off, wheels.speeds, strict=True)]
+    assert [each / 4000 for each in off] == pytest.approx((0.0, 0.0), abs=0.03)
+    _, still, _ = read.feed(feedback.seal(0, 0, 0, 0, 3650, 30))
+    assert fields([still]) == [(Wheels, (0.0, 0.0), ())]
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from failstop.board import codec
 from failstop.board.kinds import board_of
-from failstop.policy.kinematics import Chassis, Velocity, from_settings
+from failstop.policy.kinematics import Chassis, Velocity, from_settings, of_wheels
 from failstop.policy.layouts import LAYOUTS, WHEEL_NAMES
 from failstop.policy.settings import Settings, mounted_wheels
 
@@ -97,6 +97,75 @@ def body(robot: str, rps: tuple[float, ...]) -> Velocity:
     a, b, c, d = (RIM_M * each * sign for each, sign in zip(rps, (1, 1, -1, -1), strict=True))
     sideways, lever = (1, WHEELBASE_M + TRACK_M) if robot == ROBOT else (0, TRACK_M)
     return (a + b + c + d) / 4, sideways * (b - a + c - d) / 4, (c + d - a - b) / 2 / lever
+
+
+EVERY_BASE = [ROBOT, TWO_SIDED, TWO_SPEEDS, LEKIWI, OMNI, STEERED]
+
+
+@given(speed, speed, speed)
+@pytest.mark.parametrize("robot", EVERY_BASE)
+def test_the_way_back_is_the_inverse_of_the_gate_s(robot: str, vx: float, vy: float, wz: float) -> None:
+    chassis = known(robot)
+    ahead, aside, around = chassis.axes
+    velocity = chassis.reach((ahead * vx, aside * vy, around * wz))
+    rps = chassis.wheels_rps(*velocity)
+    # A steered base has its angle behind the wheels, which map() leaves out.
+    assert chassis.velocity(rps) == pytest.approx(velocity, rel=1e-9, abs=1e-9)
+    if robot not in (OMNI, STEERED):
+        assert chassis.velocity(rps) == pytest.approx(body(robot, rps), rel=1e-9, abs=1e-9)
+
+
+@given(st.lists(speed, min_size=4, max_size=4))
+def test_mecanum_wheels_are_projected_on_what_can_roll(speeds: list[float]) -> None:
+    """What is left over is the one pattern that moves nothing: the front wheels against the rear ones."""
+    chassis = known(ROBOT)
+    velocity = chassis.velocity(speeds)
+    rolled = chassis.wheels_rps(*velocity)
+    assert chassis.velocity(rolled) == pytest.approx(velocity, abs=1e-9), "a projection changes nothing again"
+    rest = [sign * (asked - got) for sign, asked, got in zip((1, 1, -1, -1), speeds, rolled, strict=True)]
+    front_left, rear_left, front_right, rear_right = rest
+    assert (front_right, rear_left, rear_right) == pytest.approx((front_left, -front_left, -front_left), abs=1e-9)
+
+
+@given(st.lists(speed, min_size=4, max_size=4), st.floats(-0.5, 0.5))
+@pytest.mark.parametrize("robot", EVERY_BASE)
+def test_wheel_speeds_become_a_velocity_and_the_same_wheel_speeds(
+    robot: str, drawn: list[float], steering_rad: float
+) -> None:
+    """For a differential base, three omni wheels, and a steered base whose wheels fit a curve that it can drive."""
+    layout, board = BASES[robot]
+    settings = Settings({"board.kind": board, "wheels.layout": layout})
+    chassis, mounted = known(robot), mounted_wheels(settings.values)
+    asked = drawn[: len(mounted)]
+    if robot in (ROBOT, TWO_SIDED):  # one speed more than it has ways to go
+        vx, wz = drawn[0] / 10, drawn[1] / 10
+        rps = chassis.wheels_rps(vx, drawn[2] / 10, wz)
+        asked = [sign * 2 * pi * rps[id_] for id_, sign in mounted]
+    if robot == STEERED:
+        turn = tan(steering_rad) / WHEELBASE_M * TRACK_M / 2
+        asked = [drawn[0] * (1 - turn), drawn[0] * (1 + turn)]
+    velocity = of_wheels(chassis, mounted, asked)
+    rps = chassis.wheels_rps(*velocity)
+    assert [sign * 2 * pi * rps[id_] for id_, sign in mounted] == pytest.approx(asked, rel=1e-9, abs=1e-9)
+    if robot == STEERED:
+        assert of_wheels(chassis, mounted, asked, steering_rad) == pytest.approx(velocity, rel=1e-9, abs=1e-9)
+        if drawn[0]:
+            assert rps[-1] == pytest.approx(steering_rad, abs=1e-9)
+
+
+def test_an_angle_is_for_a_base_that_is_steered_and_no_more_than_it_steers() -> None:
+    wheels = mounted_wheels(Settings({"wheels.layout": "ackermann"}).values)
+    found = [of_wheels(known(STEERED), wheels, (2.0, 2.0), angle) for angle in (radians(34.0), 1.5)]
+    assert found[0] == pytest.approx(found[1]), "its steering makes no narrower curve"
+    with pytest.raises(ValueError, match=r"^this base is not steered$"):
+        of_wheels(known(ROBOT), mounted_wheels(Settings().values), (1.0,) * 4, 0.1)
+
+
+def test_wheels_that_all_roll_the_same_way_say_nothing_of_the_base() -> None:
+    same = base("omni3", changed={f"wheels.angle_{number}_deg": 30.0 for number in (1, 2, 3)})
+    with pytest.raises(ValueError, match="tell the directions"):
+        same.velocity((1.0, 1.0, 1.0, 0.0))
+    assert any(same.wheels_rps(0.1, 0.0, 0.0)), "the gate drives them all the same"
 
 
 @pytest.mark.claim("LIMIT-1")

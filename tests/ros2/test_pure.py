@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -71,12 +72,26 @@ def test_imu_values() -> None:
 
 def test_odometry_and_transform_agree() -> None:
     sample = Odometry(0, 1.0, 2.0, math.pi / 2, 0.2, 0.1, 0.3, 0.05, 0.2)
-    stamp, pose, twist = messages.odometry(sample, S)
+    stamp, pose, covariance, twist = messages.odometry(sample, S)
     assert messages.transform(sample, S) == (stamp, pose)
     assert stamp == (1, 0)
     assert pose[:5] == (1.0, 2.0, 0.0, 0.0, 0.0)
     assert 2 * math.atan2(*pose[5:]) == pytest.approx(math.pi / 2)
     assert twist == (0.2, 0.1, 0.0, 0.0, 0.0, 0.3)
+    assert {at: value for at, value in enumerate(covariance) if value} == {0: 1e3, 7: 1e3, 35: 1e3}
+    assert len(covariance) == 36
+
+
+def test_a_covariance_is_the_matrix_of_x_y_z_and_the_turns_about_them() -> None:
+    sample = Odometry(0, 0, 0, 0, 0, 0, 0, 0.05, 0.2, "wheels", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    flat = messages.odometry(sample, S)[2]
+    rows = [list(flat[at : at + 6]) for at in range(0, 36, 6)]
+    assert rows == [list(column) for column in zip(*rows, strict=True)], "it is symmetric"
+    at = {"x": 0, "y": 1, "th": 5}
+    pairs = (("x", "x"), ("x", "y"), ("x", "th"), ("y", "y"), ("y", "th"), ("th", "th"))
+    found = [rows[at[a]][at[b]] for a, b in pairs]
+    assert found == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    assert sum(map(sum, rows)) == 1 + 4 + 6 + 2 * (2 + 3 + 5)
 
 
 @pytest.mark.parametrize(("plugged", "status"), [("plugged", 1), ("unplugged", 2), ("unknown", 0)])
@@ -111,6 +126,25 @@ def test_wheels_turn_as_far_as_they_were_told() -> None:
         assert velocity == [0.0] * count
         wheels.follow(None, 9 * S)
         assert wheels.fields(0)[1][1] == pytest.approx([math.pi] * count)
+
+
+def test_wheels_turn_as_far_as_they_are_measured_to() -> None:
+    """Told to turn, and held: the joints say what the board reports, and not what it was told."""
+    wheels, told = messages.Wheels(), snapshot.Wheels((3.0, 3.0))
+    wheels.follow(told, 0)
+    wheels.follow(told, S, turning=snapshot.Turning())
+    assert wheels.fields(S)[1][1:] == ([3.0, 3.0], [3.0, 3.0]), "nothing is reported"
+    seen = snapshot.Turning("turning", "wheels", age_s=0.02, speeds_radps=snapshot.Wheels((0.0, 2.5)),
+                            turned_rad=snapshot.Wheels((0.25, 7.0)))  # fmt: skip
+    for at_s in (2, 3):
+        wheels.follow(told, at_s * S, turning=seen)
+        assert wheels.fields(at_s * S)[1][1:] == ([0.25, 7.0], [0.0, 2.5])
+    wheels.follow(told, 4 * S, turning=dataclasses.replace(seen, age_s=0.8))
+    _, position, velocity = wheels.fields(4 * S)[1]
+    assert position == [0.25, 7.0]
+    assert all(map(math.isnan, velocity)), "an old report says nothing of how fast they turn now"
+    wheels.follow(None, 5 * S)
+    assert wheels.fields(5 * S)[1][1] == [0.25, 7.0]
 
 
 def test_a_steered_base_stays_steered_as_it_was_told_last() -> None:

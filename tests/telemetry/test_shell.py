@@ -90,7 +90,8 @@ def test_odometry_follows_the_gate_and_stands_when_that_is_silent(scene: Scene) 
         scene.turn(elapsed_ns=20 * MS)
     found = scene.latest("odometry")
     assert found[:3] == pytest.approx((0.2, 0.0, 0.0))
-    assert found[3:] == (0.2, 0.0, 0.0, 0.05, 0.2), "the velocity, and the standard deviation of the twist"
+    assert found[3:8] == (0.2, 0.0, 0.0, 0.05, 0.2), "the velocity, and the standard deviation of the twist"
+    assert found[8:] == (records.BY_COMMANDS, 1e3, 0.0, 0.0, 1e3, 0.0, 1e3)
     scene.start_telemetry()
     scene.turn(elapsed_ns=20 * MS)
     begun_m = scene.latest("odometry")[0]

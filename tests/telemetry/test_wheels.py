@@ -25,7 +25,103 @@ def test_reported_speeds_become_turns_a_second() -> None:
     measured = Measured(RPM)
     measured.take((30.0, -60.0), (), 10 * MS)
     assert measured.speeds_rps == (0.5, -1.0)
-    assert measured.turns == ()
+    assert measured.turns == (0.0, 0.0)
+
+
+def test_turns_are_added_up_from_speeds_for_as_long_as_reports_come() -> None:
+    measured = Measured(RPM)
+    for at_ms, rpm in ((10, 0.0), (20, 60.0), (40, 60.0)):
+        measured.take((rpm, -rpm), (), at_ms * MS)
+    assert measured.turns == pytest.approx((0.025, -0.025)), "the mean of two reports, for the time between them"
+    measured.take((60.0, -60.0), (), 30 * MS)
+    assert measured.turns == pytest.approx((0.025, -0.025)), "a report that comes late takes nothing back"
+    measured.take((60.0, -60.0), (), 240 * MS)
+    assert measured.turns == pytest.approx((0.225, -0.225)), "what was lost for a while was as fast as before and after"
+    assert measured.missed == 0.0
+    measured.take((60.0, -60.0), (), 5_240 * MS)
+    assert measured.turns == pytest.approx((0.725, -0.725)), "nobody knows how it went on after 0.5 s of silence"
+    assert measured.missed == pytest.approx(5.0)
+
+
+def counted(*reports: tuple[int, float, float]) -> Measured:
+    """After reports of (time in ms, left, right) in counts."""
+    measured = Measured(COUNTS)
+    for at_ms, left, right in reports:
+        measured.take((), (left, right), at_ms * MS)
+    return measured
+
+
+DRIVEN = ((100, 9000.0, 9100.0), (200, 9344.0, 9444.0), (300, 9688.0, 9788.0))
+"""A turn a second, forward."""
+
+
+def test_a_lost_report_of_counters_loses_nothing() -> None:
+    measured = counted(*DRIVEN, (800, 11408.0, 11508.0))
+    assert measured.turns == pytest.approx((2408 / 3436, 2408 / 3436))
+    assert measured.speeds_rps == pytest.approx((1720 / 3436 / 0.5,) * 2)
+    assert measured.missed == 0.0
+
+
+@pytest.mark.parametrize("strange", [float("nan"), float("inf"), -float("inf"), 1e14, 9688.0 + 2**16 * 16])
+def test_an_impossible_position_never_spreads_into_turns(strange: float) -> None:
+    before = counted(*DRIVEN)
+    after = counted(*DRIVEN, (400, strange, 10132.0))
+    assert (after.turns, after.speeds_rps) == (before.turns, before.speeds_rps)
+    after.take((), (10376.0, 10476.0), 500 * MS)
+    assert after.turns == pytest.approx((1376 / 3436, 1376 / 3436)), "and the next report has all that was rolled"
+    assert after.speeds_rps == pytest.approx((1.0, 1.0), rel=2e-3)
+
+
+@pytest.mark.parametrize("speed", [float("nan"), float("inf"), 1e14])
+def test_an_impossible_speed_is_no_report(speed: float) -> None:
+    measured = Measured(RPM)
+    for at_ms, rpm in ((10, 60.0), (20, speed), (30, 60.0)):
+        measured.take((rpm, 60.0), (), at_ms * MS)
+    assert measured.turns == pytest.approx((0.02, 0.02))
+    assert measured.speeds_rps == (1.0, 1.0)
+
+
+@pytest.mark.parametrize("silent_ms", [50, 100, 400, 2_500, 60_000])
+@pytest.mark.parametrize("far", [300.0, 9_000.0, 3_000_000.0, -2_000_000_000.0])
+@pytest.mark.parametrize("driving", [0.0, 343.6])
+def test_a_board_that_restarts_moves_nothing(silent_ms: int, far: float, driving: float) -> None:
+    """Its counters fall to zero, from anywhere, and it goes on from there."""
+    reports = [(100 * at, far + driving * at, far + driving * at) for at in range(1, 4)]
+    measured = counted(*reports)
+    before = measured.turns
+    for at, count in enumerate((0.0, 0.0, 34.0, 378.0, 722.0)):
+        measured.take((), (count, count), (300 + silent_ms + 100 * at) * MS)
+    assert measured.turns == pytest.approx([turns + 722 / 3436 for turns in before], abs=0.02)
+    assert measured.missed == pytest.approx(driving / 343.6 * min(silent_ms / 1000, 1.0), abs=0.15)
+
+
+def test_counters_that_somebody_has_set_to_anything_go_on_from_there() -> None:
+    measured = counted(*DRIVEN, (400, 5_000_000.0, 5_000_000.0), (500, 5_000_344.0, 5_000_344.0))
+    assert measured.turns == pytest.approx((1032 / 3436, 1032 / 3436))
+
+
+@pytest.mark.parametrize("speed", [-343.6, -34.36, 3.0])
+def test_a_way_through_zero_is_no_restart(speed: float) -> None:
+    """Back over the place where the counters began, and slower and slower."""
+    reports = [(100 * at, 1718.0 - abs(speed) + speed * at, 1718.0 - abs(speed) + speed * at) for at in range(1, 100)]
+    measured = counted(*reports)
+    assert measured.turns == pytest.approx((speed * 98 / 3436,) * 2)
+    assert measured.missed == 0.0
+
+
+def test_a_successor_goes_on_from_the_turns_and_says_what_it_may_have_missed() -> None:
+    measured = Measured(COUNTS)
+    measured.inherit((5.0, -5.0), (1.0, -2.0), 1_000 * MS)
+    measured.take((), (70_000.0, 70_000.0), 1_100 * MS)
+    measured.take((), (73_436.0, 73_436.0), 2_100 * MS)
+    assert measured.turns == pytest.approx((6.0, -4.0))
+    assert measured.missed == pytest.approx(0.2)
+
+
+def test_another_number_of_wheels_begins_again() -> None:
+    measured = counted(*DRIVEN)
+    measured.take((), (1.0, 2.0, 3.0), 400 * MS)
+    assert measured.turns == (0.0, 0.0, 0.0)
 
 
 def test_positions_give_turns_and_speeds_across_a_wrap() -> None:

@@ -77,6 +77,7 @@ WIRE = Wire(
         wraps=2.0**32,
         holds_speed=True,
         own_scale=False,
+        position_step=1.0,
     ),
     # Its counts are asked for every 200 ms, and two answers are missing.
     silent_ns=450 * _MS,

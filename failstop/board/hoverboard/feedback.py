@@ -76,6 +76,15 @@ class Feedback(Reader):
         return found
 
 
+def _rpm(word: int) -> float:
+    """What a word means on average. The firmware cuts a speed towards zero to sixteenths of an rpm, and rounds those
+    down to whole ones (BLDC_controller.c, commit a0751d5). Taken as it is, the right wheel, which is mounted the other
+    way round, would be 1 rpm faster than the left one on a straight way. Below 5 rpm it sends 0."""
+    if not word:
+        return 0.0
+    return word + (8 / 16 if word > 0 else 7 / 16)
+
+
 def _whole(form: Struct, frame: bytes) -> bool:
     """Whether these bytes are a frame of that form."""
     if len(frame) != form.size:
@@ -90,4 +99,5 @@ def _samples(words: tuple[int, ...]) -> list[Sample]:
     """Those of a frame of either form: the battery is the fourth word from its end."""
     _, steer, speed, right, left, *_ = words
     # The motors are mounted against each other: forward is negative on the right.
-    return [Obeyed(wheels(steer, speed)), Wheels((float(left), float(-right)), ()), Battery(words[-4] / 100)]
+    speeds = (_rpm(left), -_rpm(right) + 0.0)
+    return [Obeyed(wheels(steer, speed)), Wheels(speeds, ()), Battery(words[-4] / 100)]

@@ -73,7 +73,8 @@ WIRE = Wire(
     proofs=(ANSWERED, OBSERVED),
     ping_ns=0,
     echo_ns=0,
-    # Speeds are reported in m/s, odometers in cm.
+    # ugv_base_ros c967326, ugv_advance.h: T:1001 every 50 ms. L and R are m/s of the last loop, odl and odr whole cm,
+    # cut towards zero, by the size of wheel that its firmware has.
     reports=Reports(
         every_ns=100 * _MS,
         speed_per_rps=lambda _per_rps, diameter_m: pi * diameter_m,
@@ -81,6 +82,7 @@ WIRE = Wire(
         wraps=0.0,
         holds_speed=True,
         own_scale=True,
+        position_step=1.0,
     ),
     # Eight of its reports: noise on the line loses several in a row. A short restart shows by its boot text.
     silent_ns=400 * _MS,
