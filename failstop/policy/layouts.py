@@ -148,6 +148,8 @@ def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
         del values[key]
     if "board.robot" in values:
         robots.fill_figures(values, changed)
+    elif "odometry.sideways_scale" not in changed:
+        values["odometry.sideways_scale"] = 1.0  # the default is how much ROSOrin's mecanum wheels slip
 
 
 def _absent(layout: str, count: int) -> dict[str, str]:

@@ -103,7 +103,9 @@ ODOMETRY = Topic(
     "nav_msgs/msg/Odometry",
     PLAIN,
     50,
-    "integrated from what was commanded: no encoders report. The transform only with `publish_tf`",
+    "from the wheels where the board reports them, as often as it does (`arduino` and `feetech` 10 Hz, `ugv` 20, "
+    "`hoverboard` 50), with a covariance that grows; else from what was commanded, with a variance of 1000. The "
+    "transform only with `publish_tf`",
 )
 GAMEPAD = Topic(
     "gamepad", "sensor_msgs/msg/Joy", PLAIN, 20, "each frame: axes lx, ly, rx, ry / 127 and the hat; 16 buttons"
@@ -113,8 +115,9 @@ JOINT_STATES = Topic(
     "sensor_msgs/msg/JointState",
     PLAIN,
     10,
-    "the wheels: position and velocity integrated from what was commanded; of a steered base `steering`, the angle "
-    "that was commanded last, positive to the left",
+    "the wheels: position and velocity as the board reports them (a velocity is NaN while its report is older than "
+    "0.5 s), else integrated from what was commanded; of a steered base `steering`, the angle that was commanded last, "
+    "positive to the left",
 )
 STATE = Topic("~/state", "std_msgs/msg/String", PLAIN, 10, "the state as JSON; its keys are below")
 STATUS = Topic(

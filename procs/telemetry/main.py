@@ -203,16 +203,16 @@ class Telemetry:
                 self._gyro.inherit((x, y, z))
         if entry := own.latest_reader("odometry").read():
             x_m, y_m, th_rad, *_, source, xx, xy, xt, yy, yt, tt = records.ODOMETRY.unpack(entry[2])
-            self._inherit_wheels(own)
+            self._inherit_wheels(own, entry[1])
             self._odometry.inherit(x_m, y_m, th_rad, source, (xx, xy, xt, yy, yt, tt), self._measured)
 
-    def _inherit_wheels(self, own: Segment) -> None:
-        """How far the wheels had turned. What they do until the first report of this run is not known."""
+    def _inherit_wheels(self, own: Segment, read_ns: int) -> None:
+        """How far the wheels had turned by then. What they do until the first report of this run is not known."""
         if entry := own.latest_reader("wheels").read():
             _, _, _, count, _, _, *values = records.WHEELS_SEEN.unpack(entry[2])
             speeds, turns = values[:count], values[records.MOST_WHEELS :][:count]
             if all(value == value for value in (*speeds, *turns)):  # NaN: not reported
-                self._measured.inherit(turns, speeds, entry[1])
+                self._measured.inherit(turns, speeds, read_ns)
 
     def _known_charger_state(self) -> int:
         """The charger's state as the run before this one saw it last."""

@@ -58,7 +58,10 @@ def test_wheel_speeds_are_a_command_like_any_other(robot: Robot) -> None:
     forward = pytest.approx((0.1, 0.0, 0.0))
     wait_for(
         "the ramp to end",
-        lambda: (answer := robot.drive_wheels(*[wheel_radps] * 4, manual=True)) and answer.velocity == forward,
+        lambda: (
+            isinstance(answer := robot.drive_wheels(*[wheel_radps] * 4, manual=True), Driving)
+            and answer.velocity == forward
+        ),
     )
     assert robot.state.wheels_radps == pytest.approx((wheel_radps,) * 4)
     with pytest.raises(ValueError, match=r"^2 speeds: this robot has 4 wheels: front_left, rear_left, front_r"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import random
 from itertools import combinations_with_replacement
-from math import inf, nan, pi
+from math import floor, inf, nan, pi
 from struct import Struct
 from typing import Any
 
@@ -211,7 +211,7 @@ def test_hoverboard_feedback_of_either_length_is_read_whatever_comes_between() -
         found += reader.feed(bytes(24))
         assert [each.volts for each in found if isinstance(each, Battery)] == [36.5] * 8
         speeds = [each.speeds for each in found if isinstance(each, Wheels)]
-        assert [tuple(map(math.floor, (left, -right))) for left, right in speeds] == [
+        assert [tuple(map(floor, (left, -right))) for left, right in speeds] == [
             (left, right) for *_, right, left in sent
         ]
         assert sum(isinstance(each, Firmware) for each in found) == bool(counters)

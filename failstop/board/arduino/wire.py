@@ -67,9 +67,11 @@ WIRE = Wire(
     ),
     reader=codec.answers,
     proofs=(ANSWERED, OBSERVED),
-    ping_ns=100 * _MS,
+    # Positions ten times a second, which is enough to navigate by.
+    ping_ns=50 * _MS,
     echo_ns=0,
-    # Every other question asks for positions. They are counters of 32 bits, and turns by the same number as the speeds.
+    # Every other question asks for positions. They are counters of 32 bits (`volatile long`, joshnewans 210a122,
+    # encoder_driver.ino), and turns by the same number as the speeds.
     reports=Reports(
         every_ns=300 * _MS,
         speed_per_rps=None,

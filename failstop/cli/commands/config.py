@@ -34,7 +34,7 @@ GROUPS = {
     "scan": "The sensor-validity interlock: software drives only while the obstacle sensor delivers.",
     "attend": "An operator without whom nothing moves: the page, `failstop attend`, or a program proves one.",
     "imu": "Inertial measurement: calibration, and the gyro's bias.",
-    "odometry": "Where the robot got to, from what it was told.",
+    "odometry": "Where the robot got to, from what its wheels did, or were told to.",
     "battery": "Charger detection and the voltage log.",
     "pad": "The gamepad at the board.",
     "link": "The proof that the board hears: a question that it answers.",

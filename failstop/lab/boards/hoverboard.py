@@ -28,6 +28,10 @@ LOOP_NS = 5_062_500
 """81 ticks of the 16 kHz timer; the loop's own body comes on top."""
 _COMMAND = Struct("<HhhH")
 _NEVER = 1 << 62
+FOUR_STEPS = 4 * 10_667.0
+"""Ticks in which a wheel of 1 rpm makes four steps (BLDC_controller_data.c: cf_speedCoef)."""
+MOST_TICKS = 2000
+"""A step that takes longer is none, and the wheel counts as standing (z_maxCntRst)."""
 
 
 class Hoverboard(Rolling):
@@ -92,14 +96,23 @@ class Hoverboard(Rolling):
     def _main_loop(self) -> None:
         self.loop()
         if self._loops % 2 == 0:
-            left, right = map(int, self.rolls) if self.turns else (0, 0)
+            left, right = [self._rpm(speed) for speed in (self.rolls[0], -self.rolls[1])] if self.turns else (0, 0)
             volts = CENTIVOLTS if self.turns else 0
             frame = feedback.seal(
-                *self.obeyed, right_rpm=-right, left_rpm=left, centivolts=volts, counters=self.counters
+                *self.obeyed, right_rpm=right, left_rpm=left, centivolts=volts, counters=self.counters
             )
             self.said.append((self._now_ns, frame))
             self._sent_ns = self._now_ns + len(frame) * BYTE_NS
         self._loops += 1
+
+    def _rpm(self, speed: float) -> int:
+        """As the firmware measures it: from how many ticks of 16 kHz the last four of 90 steps of a turn took, which
+        alternates around the true time; cut to sixteenths of an rpm, and those rounded down to whole ones."""
+        if not speed or (ticks := FOUR_STEPS / abs(speed)) > 4 * MOST_TICKS:
+            return 0
+        whole = int(ticks * (self._loops + 1)) - int(ticks * self._loops)
+        sixteenths = int(16 * FOUR_STEPS) // whole
+        return (sixteenths if speed > 0 else -sixteenths) >> 4
 
     def received(self, value: int) -> None:
         """A byte, into the ring."""
