@@ -37,6 +37,11 @@ HEARD_NS = 500_000_000
 """How often the graph is asked which topics somebody hears: the others are published when that is cheap."""
 SLOW_NS = 1_000_000_000
 SUPERVISOR = "supervisor"
+FROM = {
+    "wheels": "the wheels, as the board reports them",
+    "commands": "what the wheels are told, because the board has reported nothing of them",
+}
+"""Of Odometry.source, for people."""
 
 
 class Outward:
@@ -72,6 +77,7 @@ class Outward:
         """Topics, and whether somebody hears each."""
         self._told: list[diagnostics.StatusMessage] = []
         self._deviations: tuple[float, ...] = ()
+        self._odometry_from = ""
         self._joints: list[str] = []
         self._thread = threading.Thread(target=self._run, name="outward", daemon=True)
 
@@ -164,6 +170,9 @@ class Outward:
 
     def _odometry(self, sample: Odometry) -> None:
         ros_ns = sample.t_ns + self._offset_ns
+        if sample.source != self._odometry_from:
+            self._odometry_from = sample.source
+            self._node.get_logger().info(f"{contract.ODOMETRY.name} comes from {FROM[sample.source]}")
         deviations = (sample.twist_std_mps, sample.twist_std_radps)
         if deviations != self._deviations:
             self._deviations = deviations

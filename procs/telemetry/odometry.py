@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 LONGEST_STEP_NS = 100_000_000
 """More time than this between two looks does not count: nobody knows what the wheels did in it."""
-WINDOW_NS = 200_000_000
+MEAN_NS = 200_000_000
 """Speeds are means over this time where the board counts: one count in 50 ms may be 0.2 m/s."""
 SLIP = {"differential": 0.02, ACKERMANN: 0.02, "omni3": 0.05, "mecanum": 0.05}
 """Standard deviation of what each wheel really rolls, m after 1 m; it grows with the root of the way. Rollers slip:
@@ -61,6 +61,8 @@ class Odometry:
         rim_m = pi * settings["wheels.diameter_m"]
         self._slip_turns2 = SLIP[settings.text("wheels.layout")] ** 2 / rim_m
         """The variance of a wheel's turns, for each turn."""
+        self._told_m = self._told_rad = 0.0
+        """How far it was commanded to go, there and back together."""
         self._turns: tuple[float, ...] = ()
         self._missed = 0.0
         self._recent: deque[tuple[int, float, float, float]] = deque()
@@ -116,6 +118,8 @@ class Odometry:
             return
         self._last_ns = now_ns
         dt_s = min(elapsed_ns, LONGEST_STEP_NS) * 1e-9
+        self._told_m += (abs(self.vx_mps) + abs(self.vy_mps)) * dt_s
+        self._told_rad += abs(self.wz_radps) * dt_s
         self._move(self.vx_mps * dt_s, self.vy_mps * dt_s, self.wz_radps * dt_s)
 
     def _move(self, ahead_m: float, aside_m: float, turned_rad: float) -> tuple[float, float]:
@@ -134,8 +138,9 @@ class Odometry:
             return  # another number of wheels than this robot has
         if self.source == BY_COMMANDS:
             self.source = BY_ROLLING
-            if not (self.x_m or self.y_m or self.th_rad):
-                self._covariance = (0.0,) * 6
+            # The way that it was told to go until now may be right or not.
+            way, turn = self._told_m**2, self._told_rad**2
+            self._covariance = (way, 0.0, 0.0, way, 0.0, turn)
             self._last_ns = t_ns
         # A way is between two counts, and each is cut by up to a step.
         self._rounded = measured.step**2 / 6
@@ -186,7 +191,7 @@ class Odometry:
             )
             return
         recent, t_ns = self._recent, measured.t_ns
-        while len(recent) > 1 and recent[1][0] <= t_ns - WINDOW_NS:
+        while len(recent) > 1 and recent[1][0] <= t_ns - MEAN_NS:
             recent.popleft()
         if recent and t_ns > recent[0][0]:
             since_ns, *gone = recent[0]

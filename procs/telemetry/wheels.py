@@ -29,9 +29,9 @@ FASTEST_RPS = 50.0
 """Turns a second that no wheel makes: 12 m/s with a wheel of 8 cm. A report beyond it is not believed."""
 LEAST_TURN = 0.02
 """Less than this is no jump of a counter: 5 mm with a wheel of 8 cm."""
-LONGEST_GAP_NS = 500_000_000
+LONGEST_SILENCE_NS = 500_000_000
 """Nobody knows how a wheel turned in a longer silence of its board, unless the board has counted."""
-APART_NS = 5_000_000
+SAME_READ_NS = 5_000_000
 """Reports that came closer together than this came in one read, so their times say nothing of a speed."""
 _AT_ONCE_NS = 250_000_000
 """A counter that has begun at zero has not counted for longer than this before it is read."""
@@ -86,9 +86,9 @@ class Measured:
         if counts:
             if not self._count(counts, t_ns):
                 return
-            if not rps and t_ns - self._moved_ns >= APART_NS:
+            if not rps and t_ns - self._moved_ns >= SAME_READ_NS:
                 rps = tuple(turns * 1e9 / (t_ns - self._moved_ns) for turns in self._moved)
-            if t_ns - self._moved_ns >= APART_NS:
+            if t_ns - self._moved_ns >= SAME_READ_NS:
                 self._moved, self._moved_ns = (0.0,) * len(counts), t_ns
         elif rps and not self.counts:
             self._add_up(rps, t_ns)
@@ -102,10 +102,10 @@ class Measured:
             self.turns = (0.0,) * len(rps)
         if self.t_ns and t_ns > self.t_ns and len(self.speeds_rps) == len(rps):
             gap_ns = t_ns - self.t_ns
-            known_s = min(gap_ns, LONGEST_GAP_NS) * 1e-9
+            known_s = min(gap_ns, LONGEST_SILENCE_NS) * 1e-9
             pairs = zip(self.turns, self.speeds_rps, rps, strict=True)
             self.turns = tuple(turns + (before + now) / 2 * known_s for turns, before, now in pairs)
-            if gap_ns > LONGEST_GAP_NS:
+            if gap_ns > LONGEST_SILENCE_NS:
                 self.missed += max(map(abs, (*self.speeds_rps, *rps)), default=0.0) * gap_ns * 1e-9
 
     def _count(self, positions: tuple[float, ...], t_ns: int) -> bool:
@@ -139,7 +139,9 @@ class Measured:
         self._positions, self._moved, self._moved_ns = positions, (0.0,) * len(positions), t_ns
 
     def _lose(self, elapsed_ns: int) -> None:
-        self.missed += max(map(abs, self.speeds_rps), default=0.0) * min(max(0, elapsed_ns), 2 * LONGEST_GAP_NS) * 1e-9
+        self.missed += (
+            max(map(abs, self.speeds_rps), default=0.0) * min(max(0, elapsed_ns), 2 * LONGEST_SILENCE_NS) * 1e-9
+        )
 
     def _steps(self, before: tuple[float, ...], positions: tuple[float, ...]) -> tuple[float, ...]:
         """Turns between two reports."""
@@ -162,7 +164,7 @@ class Measured:
         at_zero = [abs(position) / self._reports.position_per_turn for position in positions]
         if any(at > most for at, most in zip(at_zero, near, strict=True)):
             return False
-        if elapsed_ns > LONGEST_GAP_NS and not any(positions):
+        if elapsed_ns > LONGEST_SILENCE_NS and not any(positions):
             return any(abs(step) > self._jump for step in steps)
         ways = [(step, rps * elapsed_s) for step, rps in zip(steps, self.speeds_rps, strict=True)]
         far = [(step, way) for step, way in ways if abs(step) > self._jump]

@@ -50,8 +50,10 @@ def test_commands_count_until_the_board_has_reported_its_wheels_and_never_again(
     scene = bridge()
     scene.turn(elapsed_ns=40 * MS)
     assert source(scene) == "commands"
+    assert scene.latest("odometry")[9] == records.POSE_VARIANCE
     say(scene, *[(5000, 7000)] * 20)
     assert source(scene) == "wheels"
+    assert 0.0 < scene.latest("odometry")[9] < 0.1**2, "what it was told until then may have been done or not"
     at = pose(scene)
     say(scene, *[(5000, 7000)] * 20)
     assert pose(scene) == at, "told to drive, and held"
