@@ -139,9 +139,8 @@ class Measured:
         self._positions, self._moved, self._moved_ns = positions, (0.0,) * len(positions), t_ns
 
     def _lose(self, elapsed_ns: int) -> None:
-        self.missed += (
-            max(map(abs, self.speeds_rps), default=0.0) * min(max(0, elapsed_ns), 2 * LONGEST_SILENCE_NS) * 1e-9
-        )
+        longest_s = min(max(0, elapsed_ns), 2 * LONGEST_SILENCE_NS) * 1e-9
+        self.missed += max(map(abs, self.speeds_rps), default=0.0) * longest_s
 
     def _steps(self, before: tuple[float, ...], positions: tuple[float, ...]) -> tuple[float, ...]:
         """Turns between two reports."""
