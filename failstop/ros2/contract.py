@@ -103,9 +103,8 @@ ODOMETRY = Topic(
     "nav_msgs/msg/Odometry",
     PLAIN,
     50,
-    "from the wheels where the board reports them, as often as it does (`arduino` and `feetech` 10 Hz, `ugv` 20, "
-    "`hoverboard` 50), with a covariance that grows; else from what was commanded, with a variance of 1000. The "
-    "transform only with `publish_tf`",
+    "from the wheels where the board reports them, as often as it does (10 times a second or more), with a covariance "
+    "that grows; else from what was commanded, with a variance of 1000. The transform only with `publish_tf`",
 )
 GAMEPAD = Topic(
     "gamepad", "sensor_msgs/msg/Joy", PLAIN, 20, "each frame: axes lx, ly, rx, ry / 127 and the hat; 16 buttons"
