@@ -17,7 +17,7 @@ from failstop.messages import layout, records
 from failstop.notify import Notify
 from failstop.policy import causes
 from failstop.policy.processes import HANG_NS, SUPERVISOR_PRIORITY
-from failstop.policy.proofs import LINK_UNASKED, LINK_UNPROVEN
+from failstop.policy.proofs import LINK_UNASKED, LINK_UNPROVEN, WAITS_FOR
 from failstop.procs import rights, starved
 from failstop.procs.loop import MS
 from failstop.procs.schedule import Repeats
@@ -65,7 +65,7 @@ class Supervisor:
         self.processes = ProcessTable(run, port, self._advice)
         self.children = self.processes.children
         self.epochs = Epochs(run)
-        self.monitor = Monitor(run, self.epochs.latch, port.board, port.holds)
+        self.monitor = Monitor(run, self.epochs.latch, port.board, port.holds, self._motion)
         self.blackbox = BlackBox(run, self._motion)
         self.handover = PortHandover(run, port, self.processes)
         self.status = Status(run, notify, self.processes, self.epochs, self.handover)
@@ -319,7 +319,9 @@ class Supervisor:
 
     def _publish(self, now_ns: int) -> None:
         """Publish what motion waits for, and serve the service manager."""
+        link = self.monitor.link
         missing = self.status.missing(stopping=self._unanswered is not None)
+        missing = missing or (WAITS_FOR[link.state] if link.forbids else "")
         if self.status.publish(missing):
             self.heartbeat.state(heartbeat.BEAT_RUNNING, now_ns)
             for what, text in lacking(self._granted, self._advice, self._run.settings[LEASE]):

@@ -20,9 +20,11 @@ from failstop.policy.proofs import (
     ACKNOWLEDGED_BY,
     LINK_ALIVE,
     LINK_DEAF,
+    LINK_SILENT,
     LINK_UNASKED,
     LINK_UNHEARD,
     LINK_UNPROVEN,
+    NOT_CONNECTED,
     NOT_SENT,
     UNMOVED,
     observer,
@@ -35,21 +37,29 @@ from failstop.supervisor.run import Run
 from failstop.supervisor.stops import BY_SUPERVISOR, Stop
 
 SENTENCES_KEPT = 64
+STOPS_FOR = {LINK_DEAF: causes.DEAF, LINK_SILENT: causes.BOARD_SILENT}
+UNCONNECTED = {
+    LINK_DEAF: "the board does not hear any more: POWER SWITCH, then look at its wires",
+    LINK_SILENT: "the board says nothing any more. It has lost power, or hangs, or the wire from it is broken, which "
+    "nobody can tell from here: POWER SWITCH, then look at its wires",
+}
+"""For people: what happened to the link."""
 
 
 class Monitor:
     """Tells of stops, follows the last one, and the link. One follow() a turn. `heard`: of the newest ping that was
     answered, when it was sent, and when the answer came."""
 
-    def __init__(self, run: Run, latch: Latch, board: Board, holds: Callable[[], bool]) -> None:
-        """`holds`: whether the kernel holds bytes for the board."""
+    def __init__(
+        self, run: Run, latch: Latch, board: Board, holds: Callable[[], bool], moves: Callable[[], bool]
+    ) -> None:
+        """`holds`: whether the kernel holds bytes for the board; `moves`: whether motion is enabled."""
         self._run = run
-        self._holds = holds
+        self._holds, self._moves = holds, moves
         port_owner, telemetry = run.views[layout.PORT_OWNER], run.views[layout.TELEMETRY]
         self._record = run.own.latest_writer("stop")
         self._link_record = run.own.latest_writer("link")
         self._asked = port_owner.word("asked_ns")
-        self._obeyed, self._echo_ns = telemetry.word("obeyed_ns"), board.echo_ns
         self._answered, self._proved = telemetry.latest_reader("answered"), telemetry.latest_reader("proved")
         self._by = board.acknowledged_by, observer(board.observed_by, imu=run.settings.on("board.imu"))
         self._still = telemetry.word("still_ns")
@@ -63,8 +73,12 @@ class Monitor:
         self._command_ran = False
         self._seen_answer = self._seen_proof = 0
         self.heard = (0, 0)
-        self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(board.pings))
+        self._unheeded, self._said_word = telemetry.word("unheeded_ns"), telemetry.word("said_ns")
+        self._patience = telemetry.word("patience_ns")
+        self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(board.pings), echo_ns=board.echo_ns)
         self._published = ""
+        self._stopped_for = ""
+        """The state of the link that motion was stopped for, until motion has ended."""
         self._last: Proof | None = None
         self._said: set[Cause] = set()
         """Those that were told of since the latch."""
@@ -142,14 +156,8 @@ class Monitor:
         if self._last and self.link.believed and not self._last.believed:
             self._last.believed = True
             self._publish(self._last)
-        newest_ns = self._asked.get()
-        if not listening:
-            self.link.listen(newest_ns)
-        elif self.link.silent(newest_ns, now_ns):
-            stops.append(Stop(now_ns, layout.SUPERVISOR, causes.DEAF()))
-        elif self.link.missed(now_ns):
-            text = "nothing has answered since the port came back, so it may not be the board: POWER SWITCH"
-            self._run.events.tell("link", text, {"state": LINK_UNHEARD}, level="critical")
+        self._follow_link(now_ns, listening=listening)
+        stops += self._stops_for_link(now_ns)
         self._reap_command()
         if self._last and self._unstill(self._last, now_ns):
             stops.append(Stop(now_ns, layout.SUPERVISOR, causes.UNSTILL()))
@@ -160,6 +168,36 @@ class Monitor:
             self._published = self.link.state
             self._link_record.write(self._published.encode())
         return stops
+
+    def _follow_link(self, now_ns: int, *, listening: bool) -> None:
+        """Look whether the board hears, and says anything."""
+        link, newest_ns = self.link, self._asked.get()
+        if not self._latch.stop:
+            link.cleared()
+        said_ns = self._said_word.get()
+        self._barrier()
+        link.said(said_ns, newest_ns)
+        if not listening:
+            link.listen(newest_ns, now_ns)
+            return
+        link.follow_silence(self._patience.get(), now_ns)
+        link.follow_echo(self._unheeded.get())
+        link.gone_deaf(newest_ns, now_ns)
+        if link.missed(now_ns):
+            text = "nothing has answered since the port came back, so it may not be the board: POWER SWITCH"
+            self._run.events.tell("link", text, {"state": LINK_UNHEARD}, level="critical")
+
+    def _stops_for_link(self, now_ns: int) -> list[Stop]:
+        """The stop for a board that is deaf or silent, while motion is enabled: once, and again if motion is enabled
+        again, as it may have been enabled while nobody knew of it yet."""
+        kind = STOPS_FOR.get(self.link.state)
+        if kind is None or not self._moves():
+            self._stopped_for = ""
+            return []
+        if self._stopped_for == kind.name:
+            return []
+        self._stopped_for = kind.name
+        return [Stop(now_ns, layout.SUPERVISOR, kind())]
 
     def opened(self, written_ns: int, now_ns: int, *, sure: bool) -> None:
         """A port was opened again, perhaps another board's; the supervisor's burst on it was at `written_ns`. `sure`:
@@ -176,8 +214,6 @@ class Monitor:
     def _take_answer(self) -> None:
         """Take what telemetry has found out: up to which write the board has handled everything (board/handled.py). A
         report of zeros shows who is at the port, and no more."""
-        if obeyed_ns := self._obeyed.get():
-            self.link.obeyed(obeyed_ns - self._echo_ns)
         answered, proved = self._answered.read(), self._proved.read()
         if answered and answered[0] != self._seen_answer:
             self._seen_answer = answered[0]
@@ -274,11 +310,13 @@ class Monitor:
         self._run.events.tell("stopped", f"stopped; {told}, {heard}", fields, level=level if sent else "critical")
 
     def _tell_link(self, before: str, state: str) -> None:
-        if state == LINK_DEAF:
-            self._run.events.tell("link", "the board answers no more", {"state": state}, level="critical")
+        if state in UNCONNECTED:
+            self._run.events.tell("link", UNCONNECTED[state], {"state": state}, level="critical")
         elif state == LINK_ALIVE:
-            again = " again" if before in (LINK_DEAF, LINK_UNHEARD) else ""
+            again = " again" if before in NOT_CONNECTED else ""
             self._run.events.tell("link", f"the board answers{again}", {"state": state})
+        elif before == LINK_SILENT:
+            self._run.events.tell("link", "the board reports again", {"state": state})
         elif before and state in (LINK_UNPROVEN, LINK_UNHEARD):
             text = "whether the board hears is not known until it answers"
             self._run.events.tell("link", text, {"state": state}, level="info")

@@ -15,6 +15,7 @@ from failstop.policy.proofs import (
     ACKNOWLEDGED_BY,
     LINK_ALIVE,
     LINK_DEAF,
+    LINK_SILENT,
     LINK_UNASKED,
     LINK_UNHEARD,
     LINK_UNPROVEN,
@@ -40,6 +41,8 @@ JUDGED_WITHIN_NS = 500_000_000
 """A judgement older than this is none: the IMU, or who decodes it, is silent."""
 LEAST_NS = 1_000_000
 """The shortest time to rest: 0 means that there was nothing to come to rest."""
+HEEDS_NS = 200_000_000
+"""A board that reports zero for so long after it should have reported to obey motion does not hear."""
 LATE_LOOK_NS = 200_000_000
 """A first look at the IMU's word this long after the cause (the supervisor was held up) may have missed the shaking."""
 
@@ -169,26 +172,35 @@ class Proof:
 
 
 class Link:
-    """Link: whether the board at one opened port hears what is written to it. Pure.
+    """Link: whether the board at one opened port hears what is written to it, and whether it still says anything. Pure.
 
     unproven   it has never answered a ping since the port was opened: nothing is known, nothing is stopped for
     alive      it answers
-    deaf       it has answered before and is silent: a stop cause, once, until it answers again
+    deaf       it has answered before and answers no more, or it reports that it obeys zero while motion is written
+    silent     it has reported before, and now it says nothing at all: it has no power, its program has ended, or the
+               wire from it is broken. From here these look the same, and nobody knows whether it hears
     unheard    the port was lost, and the device that is there now has not answered: it may be another one
     unasked    it has no ping, so that it can answer none: nothing is known, and nothing is waited for
 
-    Unheard is for a board that had answered before the loss, and for a device that may not be the board (finder.py).
-    A board can go deaf while its telemetry goes on, so only answers count.
+    Unheard is for a board that was heard before the loss, and for a device that may not be the board (finder.py).
+    A board can go deaf while its telemetry goes on, so what it reports never proves that it hears.
     """
 
-    def __init__(self, deaf_ns: int, *, asked: bool = True) -> None:
-        """`asked`: the board has pings."""
+    def __init__(self, deaf_ns: int, *, asked: bool = True, echo_ns: int = 0) -> None:
+        """`asked`: the board has pings. `echo_ns`: when a command that was written is reported as obeyed at the latest;
+        0: the board reports none."""
         self._deaf_ns = deaf_ns
         self._asked = asked
-        self.state = self._first = LINK_UNPROVEN if asked else LINK_UNASKED
+        self._heeds_ns = echo_ns + HEEDS_NS if echo_ns else 0
+        self._first = LINK_UNPROVEN if asked else LINK_UNASKED
+        self._answers = self._first
+        """The state by its answers and its echo alone."""
+        self._silent = self._by_echo = False
         self._heard = False
-        """It has answered, or was seen to obey, in this run."""
-        self._opened_ns = 0
+        """It has answered in this run, or has reported if nothing is asked."""
+        self._opened_ns = self._listened_ns = 0
+        self._said_ns = 0
+        """When it said something last; 0: not since the port was opened."""
         self._answered_ns = 0
         """When the newest answered ping was sent."""
         self._asked_ns = 0
@@ -196,35 +208,72 @@ class Link:
         self._missed = False
 
     @property
+    def state(self) -> str:
+        """The state, in a word."""
+        return LINK_SILENT if self._silent else self._answers
+
+    @property
     def believed(self) -> bool:
         """False while nothing shows that the device at the port is the board."""
-        return self.state not in (LINK_UNPROVEN, LINK_UNHEARD)
+        return self._answers not in (LINK_UNPROVEN, LINK_UNHEARD)
+
+    @property
+    def forbids(self) -> bool:
+        """Motion must not be enabled: the board was heard in this run, and is not now. Of a device that was never heard
+        nothing better can be asked, as it may be a board that says nothing by its nature. After an echo of zeros a stop
+        is latched, and behind the reset only the next motion tells whether it hears again."""
+        known = self._answers == LINK_DEAF and not self._by_echo
+        return known or self.state == LINK_SILENT or (self.state == LINK_UNHEARD and self._heard)
 
     def opened(self, now_ns: int, *, sure: bool = True) -> None:
         """Another port: nothing is known of what is there now. `sure`: it is known to be the board."""
-        self.state = self._first if sure and not self._heard else LINK_UNHEARD
-        self._opened_ns = self._answered_ns = now_ns
-        self._asked_ns = 0
-        self._missed = False
+        self._answers = self._first if sure and not self._heard else LINK_UNHEARD
+        self._opened_ns = self._answered_ns = self._listened_ns = now_ns
+        self._asked_ns = self._said_ns = 0
+        self._missed = self._silent = self._by_echo = False
 
-    def listen(self, newest_ping_ns: int) -> None:
-        """Nobody could have heard an answer until now: a silence begins with the next ping at the earliest."""
+    def listen(self, newest_ping_ns: int, now_ns: int = 0) -> None:
+        """Nobody could have heard anything until now: a silence begins now, or with the next ping, at the earliest."""
         self._asked_ns = 0
         self._answered_ns = max(self._answered_ns, newest_ping_ns)
+        self._listened_ns = max(self._listened_ns, now_ns)
 
-    def obeyed(self, since_ns: int) -> None:
-        """The board reports that it obeys what was written at `since_ns` or before."""
-        if since_ns < self._opened_ns:
+    def said(self, said_ns: int, newest_ping_ns: int) -> None:
+        """It said something at `said_ns`, of whatever kind."""
+        if said_ns <= max(self._said_ns, self._opened_ns):
             return
-        self._heard = True
+        self._said_ns = said_ns
+        if self._silent:
+            self._silent = False
+            self.listen(newest_ping_ns, said_ns)
         if not self._asked:
-            self.state = LINK_UNASKED
+            self._heard = True
+            if self._answers == LINK_UNHEARD:
+                self._answers = LINK_UNASKED
+
+    def follow_silence(self, patience_ns: int, now_ns: int) -> None:
+        """Look whether it has gone silent; `patience_ns`: how long it may pause, 0: it speaks only when it is asked."""
+        if self._said_ns and patience_ns and now_ns - max(self._said_ns, self._listened_ns) >= patience_ns:
+            self._silent = True
+
+    def follow_echo(self, unheeded_ns: int) -> None:
+        """Look whether it obeys zero although motion is written; `unheeded_ns`: since when it reports so, 0: it does
+        not. What its reports said last is of the time of the newest, so a pause of them makes no board deaf."""
+        if self._heeds_ns and unheeded_ns and self._said_ns - unheeded_ns >= self._heeds_ns:
+            self._answers, self._by_echo = LINK_DEAF, True
+
+    def cleared(self) -> None:
+        """Nothing is latched. After a stop a board that hears reports zero as one does that is deaf, so only the next
+        motion tells whether it hears again."""
+        if self._by_echo:
+            self._answers, self._by_echo = self._first, False
 
     def answered(self, sent_ns: int) -> None:
         """A ping that was sent at `sent_ns` was answered."""
         if sent_ns < self._opened_ns:
             return  # by the device that was at the port before
-        self.state = LINK_ALIVE
+        if not self._by_echo:
+            self._answers = LINK_ALIVE
         self._heard = True
         self._answered_ns = max(self._answered_ns, sent_ns)
         self._asked_ns = 0
@@ -237,7 +286,7 @@ class Link:
         self._missed = now_ns - since_ns >= self._deaf_ns
         return self._missed
 
-    def silent(self, newest_ping_ns: int, now_ns: int) -> bool:
+    def gone_deaf(self, newest_ping_ns: int, now_ns: int) -> bool:
         """True when the board has just become deaf; `newest_ping_ns`: when the last ping was sent."""
         if self._asked_ns == 0 and newest_ping_ns > self._answered_ns:
             self._asked_ns = newest_ping_ns
@@ -248,5 +297,5 @@ class Link:
             return False
         if now_ns - newest_ping_ns < PONG_NS:
             return False
-        self.state = LINK_DEAF
+        self._answers = LINK_DEAF
         return True

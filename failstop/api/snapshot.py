@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 from failstop.messages import box, records
 from failstop.policy.causes import Cause
 from failstop.policy.layouts import WHEEL_NAMES
+from failstop.policy.proofs import LINK_SILENT, LINK_UNHEARD
 
 PadMode = Literal["locked", "drive", "joint"]
 
@@ -87,6 +88,26 @@ class Turning:
     from its speeds. None: the board reports none."""
 
 
+OLD_S = 10.0
+"""A reading as old as this says nothing of now."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Ages:
+    """Ages of the newest readings, s; None: there was none in this run."""
+
+    board_s: float | None = None
+    """Since the board said anything, of whatever kind."""
+    battery_s: float | None = None
+    """Of `State.battery_v`."""
+    imu_s: float | None = None
+    """Of `State.imu`."""
+    odometry_s: float | None = None
+    """Of `State.odometry`."""
+    servos_s: float | None = None
+    """Of `State.servos`."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Stop:
     """The last stop, and the three proofs of it; one is None while it is not known."""
@@ -157,8 +178,9 @@ class Device:
     """Of its file, as the settings or `--device` name it."""
     state: Literal["closed", "open", "lost"]
     """closed, open, or lost (unplugged)."""
-    link: Literal["unproven", "alive", "deaf", "unheard", "unasked"]
-    """alive: it answers; unproven: never yet; deaf: no more; unheard: not since a replug; unasked: never, by nature."""
+    link: Literal["unproven", "alive", "deaf", "silent", "unheard", "unasked"]
+    """alive: it answers; unproven: it has not answered yet; deaf: it does not hear; silent: it says nothing any more;
+    unheard: it has not answered since a replug; unasked: it can't answer, by its nature."""
     watchdog_s: float = 0.0
     """How long after the last frame the board's own watchdog acts, s; 0: it has none, or it is not known."""
     watchdog_does: str = ""
@@ -430,6 +452,10 @@ class State:
     soon one follows the other."""
     servos: dict[str, tuple[float, int]] = dataclasses.field(default_factory=dict)
     """By the part that each turns: load (a share of the most that it gives, signed) and temperature in degrees C."""
+    ages: Ages = Ages()
+    """How old the readings are."""
+    battery_ns: int = 0
+    """When `battery_v` was read (CLOCK_MONOTONIC, ns); 0: never."""
 
     @property
     def block(self) -> Block | None:
@@ -444,6 +470,11 @@ class State:
     def source_that(self, state: str) -> Source | None:
         """The highest source in this state: drives, waits, held or silent."""
         return next((source for source in self.sources if source.state == state), None)
+
+    def is_current(self, age_s: float | None) -> bool:
+        """Whether a reading of this age says something of now: it does not once the board says nothing any more."""
+        heard = self.device.state == "open" and self.device.link not in (LINK_SILENT, LINK_UNHEARD)
+        return heard and (age_s or 0.0) < OLD_S
 
     @property
     def driver(self) -> Source | None:

@@ -98,7 +98,7 @@ class StateReader(SeenRun):
         self._epoch = self.supervisor.word("epoch")
         self._latest = {record: views[whose].latest_reader(record) for record, (whose, _) in RECORDS.items()}
         self._telemetry = views[layout.TELEMETRY]
-        self._unheeded = self._telemetry.word("unheeded_ns")
+        self._unheeded, self._said = self._telemetry.word("unheeded_ns"), self._telemetry.word("said_ns")
         self._sampled: Odometry | None = None
 
     def _value(self, record: str) -> Any:
@@ -184,6 +184,7 @@ class StateReader(SeenRun):
         _, known = self.told("processes")
         now_ns = time.monotonic_ns()
         millivolts, plugged = self._value("battery") or (0, 0)
+        ages, battery_ns = self._ages(now_ns)
         bias, pad = self._value("bias"), self._value("pad")
         starved, attended = known["starved"], decided.get("attended")
         return State(
@@ -221,7 +222,19 @@ class StateReader(SeenRun):
             stands_within_m=distance.furthest(self._declared, decided["limit"] / 100)[0],
             enabled_ns=decided.get("enabled_ns", 0),
             servos=servos.by_part(rows, self._declared) if (rows := self._value("health")) else {},
+            ages=ages,
+            battery_ns=battery_ns,
         )
+
+    def _ages(self, now_ns: int) -> tuple[snapshot.Ages, int]:
+        """Ages of the readings, and when the battery was read."""
+        read_ns = {}
+        for record in ("battery", "imu", "odometry", "health"):
+            entry = self._latest[record].read()
+            read_ns[record] = entry[1] if entry else 0
+        times_ns = self._said.get(), *read_ns.values()
+        ages = [_age_s(now_ns, t_ns) if t_ns else None for t_ns in times_ns]
+        return snapshot.Ages(*ages), read_ns["battery"]
 
     def _arm(self, found: dict[str, Any] | None, now_ns: int) -> ArmState | None:
         if found is None:

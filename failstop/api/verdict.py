@@ -23,19 +23,14 @@ from failstop.api.wheels import WHEELS_MAY_TURN as WHEELS_MAY_TURN
 from failstop.api.wheels import WHEELS_TURN as WHEELS_TURN
 from failstop.api.wheels import WRITTEN as WRITTEN
 from failstop.messages.layout import GATE
+from failstop.policy import proofs
 
 COMMANDED = "COMMANDED TO DRIVE"
 """In the place of DRIVING, while the board reports that it obeys zero speed."""
 NO_SERVICE = "NO SERVICE"
 """The word where no service runs."""
-NEVER_ANSWERED = "the board has never answered"
-LINKS = {
-    "unproven": NEVER_ANSWERED,
-    "alive": "the board answers",
-    "deaf": "the board does NOT answer",
-    "unheard": "the board has NOT answered since its port came back",
-    "unasked": "this board answers no question, by its nature",
-}
+NEVER_ANSWERED = proofs.LINKS_IN_WORDS[proofs.LINK_UNPROVEN]
+LINKS = proofs.LINKS_IN_WORDS
 """The proof by each state of the link, in words."""
 UNHEEDED_S = 0.5
 """A board that reports zero speed for as long amid motion does not obey: its reports come every 100 ms at least, and an
@@ -58,7 +53,11 @@ def unreached(state: State) -> str:
     if state.device.state != "open":
         return f"the port {state.device.path} is {state.device.state}, so no stop reaches the board"
     if state.device.link == "deaf":
-        return "the board does not answer, so a stop may not reach the wheels"
+        return "the board does not hear, so a stop may not reach the wheels"
+    if state.device.link == "silent":
+        since_s = state.ages.board_s
+        for_s = f" for {words.span(since_s)}" if since_s else ""
+        return f"the board has said nothing{for_s}, so nobody knows whether a stop reaches the wheels"
     if state.device.link == "unheard":
         return f"{state.device.path} has not answered since it came back, so it may be another device than the board"
     return ""

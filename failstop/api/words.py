@@ -67,6 +67,16 @@ def ago(unix_s: float, now_s: float) -> str:
     return f"{clock(unix_s, now_s)}, {span(seconds)} ago" if seconds >= 0 else clock(unix_s, now_s)
 
 
+AGED_S = 3.0
+"""The age of a reading is worth a word from then on: some boards report their battery once a second."""
+
+
+def aged(age_s: float | None, *, current: bool = True) -> str:
+    """`, 12 s ago`, to go behind a reading that is not of now; empty for one that is. `current`: the board still says
+    something."""
+    return "" if age_s is None or (age_s < AGED_S and current) else f", {span(age_s)} ago"
+
+
 def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
     """A body velocity, the axes that are zero left out."""
     axes = (

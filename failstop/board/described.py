@@ -20,6 +20,7 @@ from failstop.board.interface import (
     HEARD_SERVO,
     HEARD_WHEELS,
     NO_WHEEL_REPORTS,
+    UNKNOWN_EVERY_NS,
     Board,
     Hearing,
     WheelReports,
@@ -42,8 +43,6 @@ MOST_LOAD = 1.27
 _ROUNDING = 1.0 + 2.0**-40
 _GRAVITY = 9.80665
 _NO_ARM = "this board has no servos"
-UNKNOWN_EVERY_NS = 1_000_000_000
-"""For a board whose description does not say how often it reports."""
 
 
 class Samples(Hearing):

@@ -73,6 +73,9 @@ class Echo:
         self._obeyed: tuple[float, ...] | None = None
         self._moved_ns = 0
         """When the motion was written that it said last to obey; 0: it does not say that it moves."""
+        self.faded_ns = 0
+        """When the motion was written after which it heard nothing more, so that its own watchdog set the command to
+        zero; 0: it does not say zero, or for another reason."""
 
     def wrote(self, speeds: Sequence[float], written_ns: int) -> None:
         """A command was written; of equal ones in a row the first counts."""
@@ -88,11 +91,14 @@ class Echo:
         self._obeyed = obeyed
         at, written_ns = self._earliest(obeyed, came_ns)
         if any(obeyed):
-            self._moved_ns = written_ns
+            self._moved_ns, self.faded_ns = written_ns, 0
             self._close(at)
             return 0
         moved_ns, self._moved_ns = self._moved_ns, 0
-        if not moved_ns or (self._fades_ns and came_ns - moved_ns >= self._fades_ns):
+        if not moved_ns:
+            return 0
+        if self._fades_ns and came_ns - moved_ns >= self._fades_ns:
+            self.faded_ns = moved_ns
             return 0
         stops_ns = [other_ns for other_ns in others_ns if moved_ns < other_ns <= came_ns]
         stops_ns += [written_ns] if written_ns else []
@@ -128,6 +134,11 @@ class Handled:
         self._zeros = False
         self.asked_ns = 0
         """When the newest question was written that is known to be answered."""
+
+    @property
+    def faded_ns(self) -> int:
+        """As in Echo."""
+        return self._echo.faded_ns
 
     def wrote(self, index: int, speeds: Sequence[float], written_ns: int) -> None:
         """The ping of this index is about to be written, or, where the index is COMMANDED, these speeds."""

@@ -51,6 +51,8 @@ class WheelReports(Data):
     """Positions are whole multiples of this, cut towards zero; 0: too fine to matter."""
 
 
+UNKNOWN_EVERY_NS = 1_000_000_000
+"""For a board whose description does not say how often it reports."""
 NO_WHEEL_REPORTS = WheelReports(0, 0.0, 0.0, 0.0, holds_speed=False, own_scale=False)
 
 

@@ -17,6 +17,7 @@ from failstop.version import VERSION
 FIRST_REGULAR_UID = 1000
 """logind spares system users (below this, as Debian and Ubuntu count)."""
 LOGIND = "/etc/systemd/logind.conf.d"
+OFF = "cut the motors' power with the POWER SWITCH"
 UNIT_USER = "failstop"
 """The user of the service's unit."""
 REMOVE_IPC = ("org.freedesktop.login1", "/org/freedesktop/login1", "org.freedesktop.login1.Manager", "RemoveIPC")
@@ -43,10 +44,13 @@ def running(look: Look) -> list[Finding]:
     user, newer = look.system.owner(f"/proc/{look.pid}"), "" if version == VERSION else f", this command is {VERSION}"
     where = f"{look.name!r} runs (pid {look.pid}, user {user}, failstop {version}{newer})"
     if state.device.link == "deaf":
-        return fail(f"{where}, and the board does not answer", "", "cut the motors' power with the POWER SWITCH")
+        return fail(f"{where}, and the board does not hear", "", f"{OFF}, then look at the wire to it")
+    if state.device.link == "silent":
+        text = f"{where}, and {verdict.doubt(state)}"
+        return fail(text, f"failstop why --name {look.name}", f"{OFF}, then look at its supply and the wire from it")
     if state.device.link == "unheard":
         text = f"{where}, and {state.device.path} has not answered since it came back: it may not be the board"
-        return fail(text, f"failstop why --name {look.name}", "cut the motors' power with the POWER SWITCH")
+        return fail(text, f"failstop why --name {look.name}", OFF)
     if waits := state.waiting_for or (state.device.link == "unproven" and "the board's first answer"):
         return warn(f"{where} and waits for {waits}", f"failstop status --name {look.name}")
     if doubt := verdict.doubt(state):

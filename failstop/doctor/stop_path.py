@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping
 
 from failstop import stopping
+from failstop.api import verdict, words
 from failstop.api.snapshot import State
 from failstop.board import asking
 from failstop.board.interface import BY_ECHO, Board
@@ -24,7 +25,7 @@ from failstop.doctor.look import OK, Finding, Look, fail, ok, skip, warn
 from failstop.files.instance import option
 from failstop.instances import unit_of
 from failstop.policy.layouts import BOARDS
-from failstop.policy.proofs import LINK_ALIVE, LINK_UNASKED, UNMOVED
+from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_SILENT, LINK_UNASKED, UNMOVED
 from failstop.supervisor.port_handover import OwnPort
 
 ANSWER_S = 0.5
@@ -71,12 +72,18 @@ def _left_alone(look: Look) -> list[Finding]:
 
 def _known_by_the_service(look: Look, state: State) -> list[Finding]:
     """The board as the service hears it."""
-    battery = f", and reports a battery of {state.battery_v:.1f} V" if state.battery_v else ""
+    age_s, now = state.ages.board_s, state.is_current(state.ages.battery_s)
+    battery = f", and reports a battery of {state.battery_v:.1f} V" if state.battery_v and now else ""
+    if state.device.link in (LINK_DEAF, LINK_SILENT):
+        return fail(verdict.doubt(state), f"failstop why{option(look.name)}", asking.WIRES)
     if state.device.link == LINK_ALIVE:
         return ok(f"it answers the service's questions as {look.kind} does{battery}")
     if state.device.link == LINK_UNASKED:
         text = f"the service reads it as {look.kind}, which answers no question{battery}"
-        return ok(text) if battery or not look.board.echo_ns else warn(f"{text}; no report has come", "", asking.WIRES)
+        if age_s is None:
+            reports = look.board.echo_ns or look.board.reports.every_ns
+            return warn(f"{text}; no report has come", "", asking.WIRES) if reports else ok(text)
+        return ok(f"{text}; it reported last {words.span(age_s)} ago")
     text = f"it is not known to be {look.kind}: it answers none of the service's questions{battery}"
     stop = f"sudo systemctl stop {unit_of(look.name)} && " if look.unit else ""
     advice = "with no service running doctor asks for the other boards too"
@@ -86,6 +93,8 @@ def _known_by_the_service(look: Look, state: State) -> list[Finding]:
 def of_service(name: str, state: State) -> list[Finding]:
     """The outcome of the running service's last stop."""
     stop = state.last_stop
+    if state.device.link in (LINK_DEAF, LINK_SILENT):
+        return fail(f"{verdict.doubt(state)}, whatever its last stop proved", f"failstop why{option(name)}")
     if stop and stop.acknowledged_s is not None:
         return ok(f"the service's last stop: acknowledged by the board after {stop.acknowledged_s * 1e3:.1f} ms")
     if stop and stop.written_s is not None and state.device.link == LINK_UNASKED:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from failstop.api import verdict
 from failstop.messages import box, records
-from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_UNASKED, LINK_UNHEARD, LINK_UNPROVEN
+from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_SILENT, LINK_UNASKED, LINK_UNHEARD, LINK_UNPROVEN
 from failstop.version import VERSION
 
 TYPE_CHECKING = False
@@ -62,6 +62,20 @@ def _each(label: str, values: dict[str, float]) -> list[Sample]:
 def _states(label: str, names: Iterable[str], now: str) -> list[Sample]:
     """One sample for each word that there is, of which one is 1."""
     return _each(label, {name: float(name == now) for name in dict.fromkeys((*names, now))})
+
+
+def _ages(state: State) -> list[Sample]:
+    """Of each reading that there was."""
+    ages = state.ages
+    named = {
+        "board": ages.board_s,
+        "battery": ages.battery_s,
+        "imu": ages.imu_s,
+        "odometry": ages.odometry_s,
+        "servos": ages.servos_s,
+        "wheels": state.turning.age_s,
+    }
+    return _each("reading", {name: age_s for name, age_s in named.items() if age_s is not None})
 
 
 def _blocked(state: State) -> list[Sample]:
@@ -208,6 +222,10 @@ def _rows() -> Iterator[Family]:
         "battery_charger_plugged", GAUGE, "1 while the charger is plugged in; missing: the board does not say",
         lambda state: _one({"plugged": 1.0, "unplugged": 0.0}.get(state.plugged)),
     )  # fmt: skip
+    yield row(
+        "reading_age_seconds", GAUGE, "Age of the newest of each reading, and of anything that the board said",
+        _ages, "reading",
+    )  # fmt: skip
     yield row("decision_age_seconds", GAUGE, "Age of the gate's decision", lambda state: _one(state.age_s))
     yield row(
         "scan_age_seconds", GAUGE, "Since the obstacle sensor delivered; missing: never",
@@ -245,7 +263,7 @@ def _rows() -> Iterator[Family]:
     )  # fmt: skip
 
 
-LINKS = (LINK_UNPROVEN, LINK_ALIVE, LINK_DEAF, LINK_UNHEARD, LINK_UNASKED)
+LINKS = (LINK_UNPROVEN, LINK_ALIVE, LINK_DEAF, LINK_SILENT, LINK_UNHEARD, LINK_UNASKED)
 FAMILIES = tuple(_rows())
 UP = FAMILIES[0]
 

@@ -150,8 +150,15 @@ def _mode(state: State) -> str:
     return "SERVICE" if state.waiting_for else "AUTOMATIC"
 
 
+def _volts(state: State) -> float | None:
+    """The battery's voltage now."""
+    volts = state.battery_v
+    known = volts is not None and math.isfinite(volts) and state.is_current(state.ages.battery_s)
+    return volts if known else None
+
+
 def _battery(state: State) -> Message:
-    known = state.battery_v if state.battery_v is not None and math.isfinite(state.battery_v) else 0.0
+    known = _volts(state) or 0.0
     charge = (GOOD_CHARGE if known >= verdict.BATTERY_LOW_V else LOW_CHARGE) if known else 0.0
     volts = {"batteryVoltage": known} if known else {}
     return {"batteryCharge": charge, **volts, "charging": state.plugged == "plugged"}
@@ -176,7 +183,7 @@ def _errors(state: State) -> list[Message]:
 def _information(state: State) -> list[Message]:
     found = [_info("word", verdict.word(state)), _info("why", why(state)), _info("next", steps.line(state))]
     found.append(_info("wheels", wheels.now(state), _seen(state)))
-    if state.battery_v is None or not math.isfinite(state.battery_v):
+    if _volts(state) is None:
         found.append(_info("battery", "not known"))
     if state.last_stop:
         found.append(_info("lastStop", state.last_stop.reason, _proofs(state.last_stop)))

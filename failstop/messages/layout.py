@@ -95,7 +95,7 @@ SEGMENTS = (
             _word("resets", "gate"),  # the number of the newest reset that was decided
             _latest("reset", records.REPLY, "gate"),  # the answer to it (policy/causes.py)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
-            _latest("link", 32, "clients"),  # whether the board answers (ASCII)
+            _latest("link", 32, "gate, clients"),  # whether the board answers (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
             _latest("rules", 512, "clients"),  # the settings that clients need (msgpack), written once
             _latest("settings", 16384, "clients"),  # every setting of this run by its whole key (msgpack)
@@ -150,11 +150,13 @@ SEGMENTS = (
         (
             *_beat(),
             _word("port_number", "supervisor"),  # of the port that it reads; 0: it has none
-            _word("obeyed_ns", "supervisor"),  # when the board last said that it obeys a command of zeros; 0: never
             _word("restarts", "port_owner"),  # so often the board was seen to restart
             _latest("answered", records.PROVED, "supervisor, its successor"),  # the newest ping that was answered
             _latest("proved", records.PROVED, "supervisor"),  # the newest stop that the board has obeyed
-            _word("unheeded_ns", "clients"),  # since when it obeys zeros by its own word, told to move
+            _word("unheeded_ns", "supervisor, clients"),  # since when it obeys zeros by its own word, told to move
+            _word("said_ns", "supervisor, clients"),  # when the board said anything last; 0: never
+            # So long it may say nothing; 0: it speaks only when asked, or nobody knows yet.
+            _word("patience_ns", "supervisor, its successor"),
             _word("still_ns", "supervisor"),  # since when the IMU says that the wheels are still; 0: it shakes
             _word("judged_ns", "supervisor"),  # the last IMU sample that still_ns is judged from; 0: none yet
             _latest("imu", records.IMU, "clients"),  # corrected, the rate less its bias

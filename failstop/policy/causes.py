@@ -225,7 +225,14 @@ STUCK = Kind(
 )  # fmt: skip
 DEAF = Kind(
     11, "deaf", "the board is deaf: use the POWER SWITCH", "supervisor",
-    "the board had answered before and then answered no ping for a second, so it may not hear anything", _POWER,
+    "the board stopped answering, or it reported zero speed while motion was written to it, so it may hear nothing",
+    f"{_POWER}; then look at the wire to the board",
+)  # fmt: skip
+BOARD_SILENT = Kind(
+    44, "board_silent", "the board is silent: use the POWER SWITCH", "supervisor",
+    "the board had reported all the time and then said nothing any more. It has lost power, or hangs, or the wire from "
+    "it is broken: from here these look the same, so nobody knows whether it has stopped",
+    f"{_POWER}; then look at the board's supply and at the wire from it",
 )  # fmt: skip
 UNSTILL = Kind(
     12, "unstill", "the wheels do not come to rest: use the POWER SWITCH", "supervisor telemetry",

@@ -7,6 +7,24 @@ LINK_ALIVE = "alive"
 LINK_DEAF = "deaf"
 LINK_UNHEARD = "unheard"
 LINK_UNASKED = "unasked"
+LINK_SILENT = "silent"
+LINKS_IN_WORDS = {
+    LINK_UNPROVEN: "the board has never answered",
+    LINK_ALIVE: "the board answers",
+    LINK_DEAF: "the board does NOT hear",
+    LINK_SILENT: "the board says NOTHING any more",
+    LINK_UNHEARD: "the board has NOT answered since its port came back",
+    LINK_UNASKED: "this board answers no question, by its nature",
+}
+"""For people: what each state of the link means."""
+NOT_CONNECTED = (LINK_DEAF, LINK_SILENT, LINK_UNHEARD)
+"""A stop may not reach the wheels in these states, or nobody would see that it did not."""
+WAITS_FOR = {
+    LINK_DEAF: "the board, which does not hear",
+    LINK_SILENT: "the board, which says nothing any more",
+    LINK_UNHEARD: "the board, which has not answered since its port came back",
+}
+"""For people: what motion waits for in these states."""
 TO_A_STRANGER = "to a device that has not answered as the board does"
 """For people: of bytes that the kernel has passed on, to whom nobody knows."""
 NOT_SENT = "NOT sent: the board takes no bytes"

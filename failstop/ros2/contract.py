@@ -217,7 +217,7 @@ STATE_KEYS = {
     "driver": "who drives, or null",
     "publishers": "the nodes that publish cmd_vel",
     "wrong": "what is wrong with cmd_vel, scan or estop, or null",
-    "link": "whether the board answers: unproven, alive, deaf, unheard, unasked",
+    "link": "whether the board answers: unproven, alive, deaf, silent, unheard, unasked",
     "port": "open, closed or lost",
     "processes": "pid, state, age_ms and restarts of each",
     "last_stop": "reason, written_us, acknowledged_us, observed_ms, or null",

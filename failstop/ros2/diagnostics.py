@@ -7,6 +7,7 @@ from typing import Any
 
 from failstop.api import steps, verdict
 from failstop.api import wheels as seen
+from failstop.api import words as api_words
 from failstop.api.state import Process, State
 from failstop.ros2 import report, words
 
@@ -18,7 +19,11 @@ STALE = 3
 StatusMessage = dict[str, Any]
 LINKS = {
     "unproven": (WARN, f"unproven: {verdict.NEVER_ANSWERED}, so nobody knows that it hears"),
-    "deaf": (ERROR, "deaf: the board has stopped answering, so it may not hear a stop: use the POWER SWITCH"),
+    "deaf": (ERROR, "deaf: the board does not hear, so it may not hear a stop: use the POWER SWITCH"),
+    "silent": (
+        ERROR,
+        "silent: the board says nothing any more, so nobody knows whether it hears: use the POWER SWITCH",
+    ),
     "unheard": (ERROR, "unheard: nothing answers since the port came back, so it may not be the board: POWER SWITCH"),
 }
 
@@ -105,13 +110,18 @@ def _link(state: State) -> StatusMessage:
 def _battery(state: State) -> StatusMessage:
     if not state.battery_v:
         return _status("battery", OK, "not told by the board")
+    age_s = state.ages.battery_s
+    if not state.is_current(age_s):
+        age = api_words.aged(age_s, current=False)
+        return _status("battery", STALE, f"{state.battery_v:.2f} V{age}", charger=state.plugged)
     level = WARN if state.battery_v < verdict.BATTERY_LOW_V else OK
     return _status("battery", level, f"{state.battery_v:.2f} V", charger=state.plugged)
 
 
 def _servos(state: State) -> Iterator[StatusMessage]:
+    level = OK if state.is_current(state.ages.servos_s) else STALE
     for name, (load, temperature_c) in state.servos.items():
-        yield _status(name, OK, f"{temperature_c} degrees C", temperature_c=temperature_c, load=load)
+        yield _status(name, level, f"{temperature_c} degrees C", temperature_c=temperature_c, load=load)
 
 
 def _rights(state: State) -> StatusMessage:

@@ -36,6 +36,8 @@ DIAGNOSE_NS = 200_000_000
 HEARD_NS = 500_000_000
 """How often the graph is asked which topics somebody hears: the others are published when that is cheap."""
 SLOW_NS = 1_000_000_000
+BATTERY_NS = SLOW_NS * 9 // 10
+"""New voltages are published this far apart at least: a board that reads one a second is sometimes early."""
 SUPERVISOR = "supervisor"
 FROM = {
     "wheels": "the wheels, as the board reports them",
@@ -72,6 +74,9 @@ class Outward:
         self._report_ns = self._diagnose_ns = self._slow_ns = 0
         self._stopped: bool | None = None
         self._begun = self._moves = self._ending = self._battery_seen = False
+        self._battery_ns = -1
+        """When the voltage was read that was published last."""
+        self._battery_told_ns = 0
         self._asked = 0
         self._heard: dict[str, bool] = {}
         """Topics, and whether somebody hears each."""
@@ -250,15 +255,25 @@ class Outward:
             fields = {name: value for name, value in status.items() if hasattr(self._messages[STATUS.name], name)}
             self._publish(STATUS, {"stamp": messages.stamp(ros_ns), **fields})
 
+    def _tell_battery(self, state: State, ros_ns: int, now_ns: int, *, slow: bool) -> None:
+        """Publish a reading once, with the time at which it was read. A battery that is reported no more is published
+        as such: subscribers would keep its last voltage."""
+        self._battery_seen = True
+        if not state.battery_v or not state.is_current(state.ages.battery_s):
+            if slow:
+                self._publish(contract.BATTERY, messages.battery(None, state.plugged, ros_ns))
+        elif state.battery_ns != self._battery_ns and now_ns - self._battery_told_ns >= BATTERY_NS:
+            self._battery_ns, self._battery_told_ns = state.battery_ns, now_ns
+            read_ns = state.battery_ns + self._offset_ns if state.battery_ns else ros_ns
+            self._publish(contract.BATTERY, messages.battery(state.battery_v, state.plugged, read_ns))
+
     def _diagnose(self, state: State | None, now_ns: int) -> None:
         slow = now_ns - self._slow_ns >= SLOW_NS
         if slow:
             self._slow_ns = max(self._slow_ns + SLOW_NS, now_ns - SLOW_NS // 2)
         ros_ns = monotonic_ns() + self._offset_ns
-        if slow and state and (state.battery_v or self._battery_seen) and state.device.state == "open":
-            # A battery that is reported no more is published as such: subscribers would keep its last voltage.
-            self._battery_seen = True
-            self._publish(contract.BATTERY, messages.battery(state.battery_v, state.plugged, ros_ns))
+        if state and (state.battery_v or self._battery_seen) and state.device.state == "open":
+            self._tell_battery(state, ros_ns, now_ns, slow=slow)
         if not self._heard[contract.DIAGNOSTICS.name] or not (slow or now_ns - self._diagnose_ns >= DIAGNOSE_NS):
             return
         self._diagnose_ns = now_ns

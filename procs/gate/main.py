@@ -11,6 +11,7 @@ from failstop.messages import layout, records
 from failstop.messages.packing import Note, pack
 from failstop.policy import causes, kinematics
 from failstop.policy.causes import Cause, Reply, refused
+from failstop.policy.proofs import WAITS_FOR
 from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate.arm.shell import TELL_NS, Arm
@@ -112,7 +113,7 @@ class Gate:
         self._epoch_word = supervisor.word("epoch")
         self._supervisor_heart = HeartbeatReader(supervisor)
         self._ready_word = supervisor.word("ready")
-        self._latch = supervisor.latest_reader("latch")
+        self._latch, self._link = supervisor.latest_reader("latch"), supervisor.latest_reader("link")
         self._pad_command = telemetry.latest_reader("pad_command")
         self._pad_seq = newest_number(self._pad_command)
         self._pad_requests = telemetry.ring_reader("pad_requests")
@@ -296,7 +297,12 @@ class Gate:
             self.requests.settle(request, reply, now_ns, enabled=enabled)
 
     def _missing(self) -> str:
-        return "" if self._ready_word.get() else "a process or the port is not up yet, see `failstop status`"
+        """Why motion can't be enabled yet; empty when nothing is missing."""
+        if self._ready_word.get():
+            return ""
+        link = self._link.read()
+        waits_for = WAITS_FOR.get(link[2].decode()) if link else None
+        return waits_for or "a process or the port is not up yet, see `failstop status`"
 
     def _enable(self, request: Request, now_ns: int) -> Reply:
         """Motion, if nothing is against it; with an arm that is to be folded, its way to the drive pose first."""

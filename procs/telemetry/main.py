@@ -30,6 +30,7 @@ from failstop.procs.telemetry.proving import Proving
 from failstop.procs.telemetry.readback import ReadBack
 from failstop.procs.telemetry.restarts import Restarts
 from failstop.procs.telemetry.runaway import RAN_AWAY, Finding, RunawayJudge, limits_of
+from failstop.procs.telemetry.silence import Silence
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
 from failstop.procs.telemetry.unasked import Unasked
@@ -149,6 +150,7 @@ class Telemetry:
         self._heard: list[tuple[int, interface.Value, int]] = []
         """News of the board that nobody has acted on: the kind, the value, when it came."""
         self._bias_flags = (False, False)
+        self._silence = Silence(self._board, context.own.word("patience_ns").get())
         self._odd = OddReports(low_battery_stops=self._low_battery.stops)
         self._attach(context)
         self._watch_others(context)
@@ -168,6 +170,7 @@ class Telemetry:
         self._box = own.ring_writer("box")
         self._still_word = own.word("still_ns")
         self._judged_word = own.word("judged_ns")
+        self._said_word, self._patience_word = own.word("said_ns"), own.word("patience_ns")
         self._port_owner_bell = context.bell("port_owner_bell")
         self._gate_bell = context.bell("gate_bell")
         self.supervisor_bell = context.bell("supervisor_bell")
@@ -228,6 +231,7 @@ class Telemetry:
             found = self._hearing.feed(data)
             # Samples that came together are as far apart as they can be.
             step_ns = self._port.waited_ns // (len(found) or 1)
+            self._silence.heard([kind for kind, _ in found], came_ns)
             for at, (kind, said) in enumerate(found, 1 - len(found)):
                 t_ns = came_ns
                 kinds.append(kind)
@@ -258,6 +262,7 @@ class Telemetry:
         if sound and (frame := self._board.buzzer(*sound)):
             self._request(records.PAD_FRAME, frame)
         self._publish(now_ns)
+        self._tell_said()
         self._tell_pad_mode()
         for text, step in self._files.notes():
             self._note("disk", text, step=step)
@@ -281,6 +286,16 @@ class Telemetry:
         if self._port.held.follow(ready, lost=self._port.lost):
             self._hearing.reset()
             self._restarts.forget()
+            self._silence.forget()
+
+    def _tell_said(self) -> None:
+        """When the board has said something last. It comes behind everything that was made of what it said."""
+        silence = self._silence
+        if silence.said_ns and silence.said_ns != self._said_word.get():
+            self._barrier()
+            self._said_word.set(silence.said_ns)
+        if silence.patience_ns != self._patience_word.get():
+            self._patience_word.set(silence.patience_ns)
 
     def _publish(self, now_ns: int) -> None:
         """Publish the records that come with no frame of the board."""
@@ -412,9 +427,9 @@ class Telemetry:
             self.supervisor_bell.ring()
 
     def _on_obeyed(self, speeds: interface.Value, t_ns: int) -> None:
-        if speeds:
-            self._restarts.obeyed(zeros=not any(speeds))
         self._proving.obeyed(speeds, t_ns, moves=self._gate.enabled and self._gate.commanded)
+        if speeds and not self._proving.faded_ns:  # else it has not restarted but heard nothing
+            self._restarts.obeyed(zeros=not any(speeds))
 
     def _on_battery(self, sample: interface.Value, t_ns: int) -> None:
         (millivolts,) = sample

@@ -12,10 +12,11 @@ if TYPE_CHECKING:
     from failstop.board.interface import Value
     from failstop.procs.context import Context
 
-TELL_ZEROS_NS = 20_000_000
-"""How often the supervisor is told that the board goes on to obey a command of zeros."""
 FORGOTTEN_NS = 500_000_000
 """An older report of the command that is obeyed says nothing of now."""
+PAUSE_NS = 100_000_000
+"""After a pause of the reports that is longer than this, and than two of them take, what they say counts anew: an
+adapter that stalls brings old reports afterwards."""
 
 
 class Proving:
@@ -33,8 +34,14 @@ class Proving:
         self._handled = Handled(context.board, records.PROVED.unpack(entry[2])[0] if entry else 0)
         self._unheeded_word = own.word("unheeded_ns")
         self._unheeded_word.set(0)
-        self._zeros_word = own.word("obeyed_ns")
-        self._unheeded_ns = self._obeyed_ns = self._zeros_ns = 0
+        self._unheeded_ns = self._obeyed_ns = 0
+        self._pause_ns = max(PAUSE_NS, 2 * context.board.reports.every_ns)
+        self._told_word = context.segment(layout.PORT_OWNER).word("told_ns")
+
+    @property
+    def faded_ns(self) -> int:
+        """When the board heard something last, if its own watchdog has stopped it for that; 0: it has not."""
+        return self._handled.faded_ns
 
     def answered(self, indices: Value, came_ns: int) -> None:
         """The answer to one of these pings has come."""
@@ -46,14 +53,12 @@ class Proving:
 
     def obeyed(self, speeds: Value, came_ns: int, *, moves: bool) -> None:
         """The board has reported the command that it obeys; `moves`: it is told to move."""
-        self._obeyed_ns = came_ns
-        zeros = bool(speeds) and not any(speeds)  # NaN is no zero, and no speeds are no report
-        self._tell_unheeded((self._unheeded_ns or came_ns) if moves and zeros else 0)
-        if zeros and came_ns - self._zeros_ns >= TELL_ZEROS_NS:
-            self._zeros_ns = came_ns
-            self._zeros_word.set(came_ns)
-            self._bell.ring()
         self._take(HEARD_OBEYED, speeds, came_ns)
+        paused, self._obeyed_ns = came_ns - self._obeyed_ns > self._pause_ns, came_ns
+        written = max(word.get() for word in self._stopped) < self._told_word.get() <= came_ns
+        zeros = bool(speeds) and not any(speeds)  # NaN is no zero, and no speeds are no report
+        since_ns = self.faded_ns or (0 if paused else self._unheeded_ns)
+        self._tell_unheeded((since_ns or came_ns) if moves and written and zeros else 0)
 
     def forget(self, now_ns: int) -> None:
         """Once in a while: a report that is old is none."""

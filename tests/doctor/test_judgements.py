@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from failstop.api.snapshot import Client, Starved
+from failstop.api.snapshot import Ages, Client, Starved
 from failstop.board.finder import Device
 from failstop.board.rrc.board import BOARD
 from failstop.doctor import port, stop_path
@@ -67,9 +67,12 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("holders", look(node=None, opens=REMOVED, files=on("minicom", 7)), WARN, "minicom (pid 7)"),
     ("holders", look(holders=((), 3)), WARN, "3 processes hide"),
     ("identity", look(usb_id="2341:0043", told=of("ugv")), WARN, "is USB 2341:0043, as arduino has it"),
-    ("board", look(service=linked("deaf")), WARN, "it is not known to be rrc"),
+    ("board", look(service=linked("deaf")), FAIL, "the board does not hear"),
+    ("board", look(service=linked("silent", ages=Ages(4.0))), FAIL, "has said nothing for 4.0 s"),
+    ("stop path", look(service=linked("silent", ages=Ages(4.0))), FAIL, "has said nothing for 4.0 s"),
+    ("service", look(service=linked("silent", ages=Ages(4.0))), FAIL, "has said nothing for 4.0 s"),
     ("board", look(service=linked("unproven", battery_v=7.2)), WARN, "questions, and reports a battery of 7.2 V"),
-    ("board", look(service=linked("unasked", battery_v=None), told=of("hoverboard")), WARN, "no report has"),
+    ("board", look(service=linked("unasked"), told=of("hoverboard")), WARN, "no report has"),
     ("commanders", look(files=on("python3", command=VENDORS), told=of("ugv")), WARN, "(pid 9) runs: the vendor"),
     ("commanders", look(told=of("ugv")), WARN, "its Wi-Fi: "),
     ("commanders", look(told=of("ugv")), WARN, "ESP-NOW: "),
@@ -81,7 +84,7 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("deaths", look(early_news=False), WARN, "tells of a death late"),
     ("service", look(service=NOBODY), WARN, "no service named 'failstop' runs"),
     ("service", look(service=(None, "", "is of failstop 0.0.9")), FAIL, "0.0.9"),
-    ("service", look(service=linked("deaf")), FAIL, "does not answer"),
+    ("service", look(service=linked("deaf")), FAIL, "does not hear"),
     ("service", look(service=linked("unheard")), FAIL, "has not answered since it came back"),
     ("service", look(service=linked("unproven")), WARN, "waits for the board's first answer"),
     ("service", look(service=serving(waiting_for="the port")), WARN, "waits for the port"),
@@ -146,7 +149,10 @@ def said(given: Look, check: str) -> list[tuple[str, str, str]]:
 RUNS = f"'failstop' runs (pid 100, user failstop, failstop {VERSION}"
 WELL = "device open, the board answers, motion"
 FT232 = "USB 0403:6001, a FT232 as in many devices: it says nothing of the board behind it"
-READ = "the service reads it as hoverboard, which answers no question, and reports a battery of 36.1 V"
+READ = (
+    "the service reads it as hoverboard, which answers no question, and reports a battery of 36.1 V; it reported last "
+    "0.0 s ago"
+)
 OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
 
 
@@ -168,7 +174,7 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
         ("identity", look(usb_id="1209:2444", told=of("ugv")), "USB 1209:2444; ugv may be at any port"),
         ("identity", look(usb_id="", told=of("ugv")), "no USB device; ugv may be at any port"),
         ("board", look(), "it answers the service's questions as rrc does, and reports a battery of 12.0 V"),
-        ("board", look(service=linked("unasked", battery_v=36.1), told=of("hoverboard")), READ),
+        ("board", look(service=linked("unasked", battery_v=36.1, ages=Ages(0.01)), told=of("hoverboard")), READ),
         ("commanders", look(told=of("arduino")), "nobody is known who could command it beside failstop"),
         ("ROS 2", look(**nodes("anna")), "no bridge to ROS 2 is connected"),
         ("unit", look(), "failstop.service is active, started at boot"),

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.lab.boards.traits import HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_WHEEL_REPORTS, traits_of
+from failstop.lab.boards.traits import HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_WHEEL_REPORTS, SHOWS_DEAF, traits_of
 from failstop.lab.faults.arm_table import BESIDE_BY_NAME
 from failstop.lab.faults.campaign import inject_one
 from failstop.lab.faults.fault import Fault
@@ -58,7 +58,7 @@ def test_a_row_is_absent_where_a_board_has_not_what_it_needs() -> None:
         arm = {name for name in EVERY if name.startswith("arm-")}
         beside = set(BESIDE_BY_NAME) if HAS_ARM_BESIDE in traits.parts else set()
         assert absent & arm == arm - beside
-        assert ("board-deaf" in absent) == (HAS_PINGS not in traits.parts)
+        assert ("board-deaf" in absent) == (SHOWS_DEAF not in traits.parts)
         assert {"pad-button", "board-key"} <= absent
         assert not traits.parts & {HAS_GAMEPAD, HAS_KEYS}
         assert "kill-port_owner" not in absent

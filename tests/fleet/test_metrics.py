@@ -13,7 +13,7 @@ import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
-from failstop.api.snapshot import Device
+from failstop.api.snapshot import Ages, Device
 from failstop.api.state import State
 from failstop.fleet import FleetError, exposition, metrics, scraped
 from failstop.lab.pages import fleet as page
@@ -58,7 +58,8 @@ def test_without_a_service_there_is_up_alone() -> None:
 def test_every_family_has_samples_of_some_state_with_its_labels_and_no_others() -> None:
     servos = {"joint elbow (servo 3)": (-0.25, 41)}
     full = states.latched(scan_age_s=0.2, plugged="plugged", arm=states.arm("elbow", "wrist"), servos=servos)
-    full = dataclasses.replace(full, turning=states.TURNS_ON)
+    full = dataclasses.replace(full, turning=states.TURNS_ON, ages=Ages(battery_s=12.0))
+    assert one(full, "reading_age_seconds", reading="battery") == 12.0
     assert one(full, "servo_load_ratio", servo="joint elbow (servo 3)") == -0.25
     assert one(full, "servo_temperature_celsius", servo="joint elbow (servo 3)") == 41
     seen = {family.name: samples for family, samples in metrics.collect(full)}

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from failstop.api.snapshot import Device, Source, Starved
+from failstop.api.snapshot import OLD_S, Ages, Device, Source, Starved
 from failstop.api.state import State
 from failstop.fleet import topics, vda5050
 from failstop.policy import causes
@@ -110,6 +110,12 @@ def test_the_battery(volts: float | None, charge: float) -> None:
     assert found["batteryCharge"] == charge
     assert found.get("batteryVoltage") == volts
     assert found["charging"] is True
+
+
+def test_an_old_battery_voltage_is_not_sent() -> None:
+    found = body(states.state(battery_v=12.0, ages=Ages(battery_s=OLD_S)))
+    assert "batteryVoltage" not in found["batteryState"]
+    assert told(found, "battery") == "not known"
 
 
 def test_no_service() -> None:

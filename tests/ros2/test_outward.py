@@ -113,6 +113,22 @@ def test_battery(still: dict[str, Heard]) -> None:
     assert message["power_supply_status"] == 0
 
 
+def test_a_battery_of_a_silent_board_is_not_published_as_new(scene: BridgeTrial) -> None:
+    scene.eyes.hear("battery", "sensor_msgs/msg/BatteryState")
+    wait_for("a voltage", lambda: scene.eyes.take("battery"))
+    scene.trial.board.silent(True)
+    try:
+        found: Heard = []
+        wait_for(
+            "no voltage",
+            lambda: found.extend(scene.eyes.take("battery")) or any(not one[2]["present"] for one in found),
+        )
+        times = stamps([one for one in found if one[2]["present"]])
+        assert len(set(times)) == len(times)
+    finally:
+        scene.trial.board.silent(False)
+
+
 def test_gamepad(scene: BridgeTrial) -> None:
     scene.eyes.hear("gamepad", "sensor_msgs/msg/Joy")
 

@@ -13,7 +13,7 @@ import pytest
 
 from failstop.api import snapshot
 from failstop.api.errors import FailstopError
-from failstop.api.snapshot import Device, GyroBias, Imu, Odometry, Pad
+from failstop.api.snapshot import OLD_S, Ages, Device, GyroBias, Imu, Odometry, Pad
 from failstop.api.state import Stop
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -277,6 +277,8 @@ def test_diagnostics_of_a_service_that_is_well() -> None:
         ({"device": Device("/dev/x", "open", "unproven")}, "link", diagnostics.WARN),
         ({"battery_v": 9.0}, "battery", diagnostics.WARN),
         ({"battery_v": None}, "battery", diagnostics.OK),
+        ({"battery_v": 9.0, "ages": Ages(battery_s=OLD_S)}, "battery", diagnostics.STALE),
+        ({"device": Device("/dev/x", "open", "silent")}, "link", diagnostics.ERROR),
         ({"servos": {"rear wheel (servo 8)": (0.1, 41)}}, "rear wheel (servo 8)", diagnostics.OK),
         ({"processes": {"gate": states.process(state="down")}}, "process gate", diagnostics.ERROR),
         ({"processes": {"gate": states.process(state="waiting")}}, "process gate", diagnostics.WARN),

@@ -124,7 +124,7 @@ def test_the_words(found: State, word: str, large: str, alarm: bool) -> None:
 
 def test_a_board_that_does_not_answer_and_reports_turning_wheels_is_told_as_both() -> None:
     told = verdict.doubt(state(device=DEAF, turning=states.TURNS))
-    assert told == "the wheels turn, and the board does not answer, so a stop may not reach the wheels"
+    assert told == "the wheels turn, and the board does not hear, so a stop may not reach the wheels"
 
 
 @pytest.mark.parametrize(

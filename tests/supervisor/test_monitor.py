@@ -106,7 +106,8 @@ def test_a_verdict_that_is_given_anew_meanwhile_is_looked_at_the_next_time() -> 
     scene.stops("the first")
     shake(scene, 0.1)
     scene.judge(still=True)
-    scene.load(between).MEANWHILE.append(lambda: scene.telemetry.word("judged_ns").set(scene.now_ns))
+    judges = lambda: scene.telemetry.word("judged_ns").set(scene.now_ns)  # noqa: E731
+    scene.load(between).MEANWHILE.extend([judges, lambda: None])  # the last is for the barrier of the link's words
     scene.turn(MS)
     assert scene.table("stop")["observed_ms"] is None
     assert scene.supervisor.epochs.number == 2
@@ -123,9 +124,13 @@ def test_people_are_told_of_each_change_of_the_link(scene: Scene) -> None:
     assert scene.said() == [("link", "notice", "the board answers", {"state": "alive"})]
     scene.now_ns += 500 * MS
     scene.pings(answered=False)
-    assert follow(scene, 600 * MS) == [(scene.now_ns, layout.SUPERVISOR, DEAF_REASON)]
-    assert scene.said() == [("link", "critical", "the board answers no more", {"state": "deaf"})]
+    assert follow(scene, 600 * MS) == [], "motion is disabled"
+    text = "the board does not hear any more: POWER SWITCH, then look at its wires"
+    assert scene.said() == [("link", "critical", text, {"state": "deaf"})]
+    scene.port_owner.word("moving").set(1)
+    assert follow(scene, 600 * MS) == [(scene.now_ns, layout.SUPERVISOR, DEAF_REASON)], "it was enabled all the same"
     assert follow(scene, 600 * MS) == [], "once"
+    scene.port_owner.word("moving").set(0)
     scene.pings()
     follow(scene, 2 * MS)
     assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
@@ -145,6 +150,29 @@ def test_people_are_told_of_each_change_of_the_link(scene: Scene) -> None:
     scene.pings()
     follow(scene, 2 * MS)
     assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
+
+
+def test_a_board_that_reports_no_more_is_silent_until_it_reports_again(scene: Scene) -> None:
+    said, patience = (scene.telemetry.word(name) for name in ("said_ns", "patience_ns"))
+    patience.set(700 * MS)
+    follow(scene, 5_000 * MS)
+    assert scene.said() == [], "it has said nothing yet"
+    said.set(scene.now_ns)
+    follow(scene, 699 * MS)
+    follow(scene, 500 * MS, listening=False)
+    follow(scene, 699 * MS)
+    assert scene.read("link") == b"unproven", "while nobody listens it can't be heard"
+    scene.port_owner.word("moving").set(1)
+    reason = str(causes.BOARD_SILENT())
+    assert follow(scene, MS) == [(scene.now_ns, layout.SUPERVISOR, reason)]
+    assert scene.read("link") == b"silent"
+    [(kind, level, text, fields)] = scene.said()
+    assert (kind, level, fields) == ("link", "critical", {"state": "silent"})
+    assert "nobody can tell from here" in text
+    assert follow(scene, MS) == [], "once"
+    said.set(scene.now_ns)
+    follow(scene, MS)
+    assert scene.said() == [("link", "notice", "the board reports again", {"state": "unproven"})]
 
 
 def test_a_board_is_not_deaf_while_nobody_listens(scene: Scene) -> None:

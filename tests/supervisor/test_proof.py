@@ -9,6 +9,7 @@ import pytest
 from failstop.policy.proofs import (
     LINK_ALIVE,
     LINK_DEAF,
+    LINK_SILENT,
     LINK_UNASKED,
     LINK_UNHEARD,
     LINK_UNPROVEN,
@@ -220,7 +221,7 @@ def deaf_after_ms(link: Link, pings_ms: Sequence[int], until_ms: int = 5_000) ->
     """Look every 20 ms, from T0 on, with pings sent at these times; returns when it became deaf."""
     for ms in range(0, until_ms, 20):
         newest = max([T0 + at * MS for at in pings_ms if at <= ms], default=0)
-        if link.silent(newest, T0 + ms * MS):
+        if link.gone_deaf(newest, T0 + ms * MS):
             return ms
     return None
 
@@ -228,7 +229,7 @@ def deaf_after_ms(link: Link, pings_ms: Sequence[int], until_ms: int = 5_000) ->
 def test_a_board_without_pings_is_never_unproven_nor_deaf() -> None:
     link = Link(1_000 * MS, asked=False)
     assert link.state == LINK_UNASKED
-    assert not link.silent(T0 + 10_000 * MS, T0 + 20_000 * MS)
+    assert not link.gone_deaf(T0 + 10_000 * MS, T0 + 20_000 * MS)
     link.opened(T0)
     assert link.state == LINK_UNASKED
 
@@ -258,18 +259,18 @@ def test_a_board_that_has_answered_and_is_silent_for_a_second_is_deaf_once(
 def test_a_board_that_answers_is_alive() -> None:
     link = heard(T0)
     for ms in range(0, 10_000, 500):
-        assert not link.silent(T0 + ms * MS, T0 + ms * MS + 20 * MS)
+        assert not link.gone_deaf(T0 + ms * MS, T0 + ms * MS + 20 * MS)
         link.answered(T0 + ms * MS)
     assert link.state == LINK_ALIVE
 
 
 def test_silence_while_nobody_listened_does_not_count() -> None:
     link = heard(T0)
-    assert not link.silent(T0 + 500 * MS, T0 + 990 * MS)
+    assert not link.gone_deaf(T0 + 500 * MS, T0 + 990 * MS)
     link.listen(T0 + 1_500 * MS)
-    assert not link.silent(T0 + 1_500 * MS, T0 + 2_400 * MS), "nobody heard the answer to that one"
-    assert not link.silent(T0 + 2_500 * MS, T0 + 2_510 * MS)
-    assert link.silent(T0 + 2_500 * MS, T0 + 3_010 * MS)
+    assert not link.gone_deaf(T0 + 1_500 * MS, T0 + 2_400 * MS), "nobody heard the answer to that one"
+    assert not link.gone_deaf(T0 + 2_500 * MS, T0 + 2_510 * MS)
+    assert link.gone_deaf(T0 + 2_500 * MS, T0 + 3_010 * MS)
 
 
 @pytest.mark.parametrize("sure", [True, False])
@@ -296,13 +297,13 @@ def test_of_a_board_that_was_never_heard_as_much_is_known_as_of_its_device(asked
     assert link.state == first
 
 
-def test_a_board_without_pings_is_heard_by_its_echo() -> None:
+def test_a_board_without_pings_is_heard_by_its_reports() -> None:
     link = Link(DEAF_NS, asked=False)
-    link.obeyed(T0)
+    link.said(T0, 0)
     link.opened(T0 + MS)
-    link.obeyed(T0)
-    assert link.state == LINK_UNHEARD, "that echo is of before"
-    link.obeyed(T0 + MS)
+    link.said(T0, 0)
+    assert link.state == LINK_UNHEARD, "that report is of before"
+    link.said(T0 + 2 * MS, 0)
     assert link.state == LINK_UNASKED
 
 
@@ -310,7 +311,53 @@ def test_a_board_without_pings_is_heard_by_its_echo() -> None:
 def test_a_device_that_should_have_answered_by_now_is_missed_once(asked: bool) -> None:
     link = Link(DEAF_NS, asked=asked)
     link.opened(T0, sure=False)
-    link.silent(T0 + MS, T0 + MS)
+    link.gone_deaf(T0 + MS, T0 + MS)
     assert not link.missed(T0 + DEAF_NS - 1)
     assert link.missed(T0 + MS + DEAF_NS)
     assert not link.missed(T0 + 2 * DEAF_NS)
+
+
+def echoing() -> Link:
+    link = Link(DEAF_NS, asked=False, echo_ns=50 * MS)
+    link.said(T0, 0)
+    return link
+
+
+def test_zeros_while_motion_is_written_are_deafness_until_the_reset() -> None:
+    link = echoing()
+    link.said(T0 + 349 * MS, 0)
+    link.follow_echo(T0 + 100 * MS)
+    assert link.state == LINK_UNASKED
+    link.said(T0 + 350 * MS, 0)
+    link.follow_echo(T0 + 100 * MS)
+    assert (link.state, link.forbids) == (LINK_DEAF, False)
+    link.follow_echo(0)
+    assert link.state == LINK_DEAF, "after the stop it says zero whether it hears or not"
+    link.cleared()
+    assert link.state == LINK_UNASKED
+
+
+def test_a_pause_of_the_reports_is_no_echo_of_zeros() -> None:
+    link = echoing()
+    link.follow_silence(700 * MS, T0 + 600 * MS)
+    link.follow_echo(T0)
+    assert link.state == LINK_UNASKED
+
+
+def test_a_board_that_was_silent_has_its_time_to_answer() -> None:
+    link = heard(T0)
+    link.said(T0, 0)
+    link.follow_silence(700 * MS, T0 + 700 * MS)
+    assert (link.state, link.forbids) == (LINK_SILENT, True)
+    assert not link.gone_deaf(T0 + 500 * MS, T0 + 1_600 * MS), "what is silent is not called deaf too"
+    link.said(T0 + 2_000 * MS, T0 + 1_900 * MS)
+    assert link.state == LINK_ALIVE
+    assert not link.gone_deaf(T0 + 2_000 * MS, T0 + 2_400 * MS)
+    assert link.gone_deaf(T0 + 2_000 * MS, T0 + 2_900 * MS)
+
+
+@pytest.mark.parametrize(("known", "forbids"), [(True, True), (False, False)])
+def test_a_board_that_was_heard_must_be_heard_again_before_motion(known: bool, forbids: bool) -> None:
+    link = heard(T0) if known else Link(DEAF_NS)
+    link.opened(T0 + MS, sure=False)
+    assert (link.state, link.forbids) == (LINK_UNHEARD, forbids)

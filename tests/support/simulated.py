@@ -87,6 +87,9 @@ class Board:
     def deaf(self, on: bool) -> None:
         self._model.deaf = on
 
+    def silent(self, on: bool) -> None:
+        self._model.silent = on
+
     def refuse_stop(self, on: bool) -> None:
         self._model.refuse_stop = on
 

@@ -19,7 +19,7 @@ from failstop.supervisor.status import cost
 
 LABEL = 10
 """Columns of the names on the left."""
-LINKS = {"alive": OK, "unproven": WARN, "deaf": FAIL, "unheard": FAIL}
+LINKS = {"alive": OK, "unproven": WARN, "deaf": FAIL, "silent": FAIL, "unheard": FAIL}
 WORDS = {
     **dict.fromkeys((verdict.MAY_TURN, verdict.TURNING, verdict.MOVED), FAIL),
     **dict.fromkeys((verdict.STOPPING, verdict.TOLD_TO_STOP), WARN),
@@ -48,7 +48,9 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
     if state.arm:
         rows.append(row("arm", arm_headline(state.arm)))
     rows += [device(state), battery(state), _sensors(state)]
-    rows += [row("servos", servos.summary(state.servos))] if state.servos else []
+    if state.servos:
+        age = words.aged(state.ages.servos_s, current=state.is_current(0.0))
+        rows.append([*row("servos", servos.summary(state.servos)), (age, WARN)])
     if state.clients:
         rows.append(row("clients", ", ".join(f"{client.name} (pid {client.pid})" for client in state.clients)))
     rows += [
@@ -138,7 +140,8 @@ def battery(state: State) -> Line:
     if not state.battery_v:
         return row("battery", "not told by the board")
     found = row("battery", f"{state.battery_v:.2f} V", WARN if state.battery_v < verdict.BATTERY_LOW_V else PLAIN)
-    return [*found, (f", charger {state.plugged}" if state.plugged != "unknown" else "", PLAIN)]
+    charger = f", charger {state.plugged}" if state.plugged != "unknown" else ""
+    return [*found, (charger, PLAIN), (words.aged(state.ages.battery_s, current=state.is_current(0.0)), WARN)]
 
 
 def _sensors(state: State) -> Line:

@@ -109,6 +109,8 @@ class LiveModel(BoardModel):
         self._pass(min(now_ns, self._coming[0][0] - self._byte_ns) if self._coming else now_ns)
         said = self.receiver.said[self._said :]
         self._said += len(said)
+        if self.silent:
+            return []
         return [self._garbled(data, self.garble_up) if self.garble_up else data for _, data in said]
 
     def _pass(self, until_ns: int) -> None:

@@ -21,10 +21,11 @@ HAS_BATTERY = "a battery that it reports"
 HAS_REPORTS = "reports of its wheels or its IMU that nobody asks for"
 HAS_WHEEL_REPORTS = "reports of its wheels"
 """So often that a wheel which runs away shows in them."""
+SHOWS_DEAF = "pings, or an echo of its command"
 HAS_ARM_BESIDE = "an arm that moves beside the wheels"
 PARTS = (
     *(HAS_ARM, HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU, HAS_CHECK, HAS_BATTERY, HAS_REPORTS),
-    HAS_WHEEL_REPORTS,
+    *(HAS_WHEEL_REPORTS, SHOWS_DEAF),
 )
 RARELY_NS = 1_000_000_000
 CARRIED_OUT_NS = 100_000_000
@@ -68,6 +69,7 @@ def traits_of(kind: str) -> Traits:
         HAS_REPORTS: language.silent_ns > 0 and not language.ping_ns,
         HAS_IMU: language.observed_by == BY_IMU,
         HAS_WHEEL_REPORTS: 0 < language.reports.every_ns < RARELY_NS,
+        SHOWS_DEAF: bool(language.pings) or language.echo_ns > 0,
         # A Wire has no word for these.
         HAS_GAMEPAD: not is_described(kind),
         HAS_KEYS: not is_described(kind),

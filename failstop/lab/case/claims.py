@@ -114,6 +114,13 @@ CLAIMS = (
         "a wheel that is reported beyond its margin for its run-down time without slowing down, and is not stopped",
     ),
     Claim(
+        "SILENCE-1",
+        "A board that had reported all the time and says nothing any more is told of, and is stopped while motion is"
+        " enabled.",
+        1000.0, "from its last report, where its reports come every 0.1 s at least", ("RECEIVER", "WRITE"),
+        "a board that says nothing for longer, while motion is enabled",
+    ),
+    Claim(
         "TIME-1",
         "A machine that froze or slept has stopped the wheels as soon as it is back; steps of the wall clock stop"
         " nothing.",

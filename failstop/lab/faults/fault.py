@@ -29,6 +29,7 @@ ASKED_TO_STOP = "somebody asks for a stop"
 SENSOR = "the obstacle sensor or an interlock fails"
 USB = "the USB connection drops"
 BOARD_FAILS = "the board does not take, hear or obey"
+BOARD_SAYS_NOTHING = "the board says nothing any more, and hears"
 WHEEL_FAILS = "a wheel does not do what it is told"
 MACHINE = "the machine is out of something, or takes it away"
 MEMORY = "a client damages shared memory"
@@ -43,6 +44,7 @@ FAULT_CLASSES = (
     SENSOR,
     USB,
     BOARD_FAILS,
+    BOARD_SAYS_NOTHING,
     WHEEL_FAILS,
     MACHINE,
     MEMORY,
@@ -59,6 +61,7 @@ CLAIMS_OF: dict[str, tuple[str, ...]] = {
     SENSOR: ("SENSOR-1",),
     USB: ("PORT-1",),
     BOARD_FAILS: ("BOARD-1",),
+    BOARD_SAYS_NOTHING: ("SILENCE-1",),
     WHEEL_FAILS: ("RUNAWAY-1",),
     MACHINE: ("ASK-2",),
     MEMORY: ("MEMORY-1",),

@@ -23,6 +23,7 @@ IDLE_KEY = 2
 PRESSED = 0x01
 FLOOD = 100
 LATCH_S = 3.0
+LEARNED_S = 4.0
 FAST = (0.2, 0.0, 0.0)
 STRAIGHT = (0.1, 0.0, 0.0)
 UP_TO_SPEED_S = 0.5
@@ -184,7 +185,8 @@ class Deaf(Injector):
 
     def prepare(self, scene: Scene) -> None:
         # A board that has never answered is not deaf but unproven.
-        scene.driver.until("the link to be alive", lambda: scene.driver.robot.state.device.link == "alive", LATCH_S)
+        heard = ("alive", "unasked")
+        scene.driver.until("the link to be alive", lambda: scene.driver.robot.state.device.link in heard, LATCH_S)
 
     def strike(self, scene: Scene) -> int:
         scene.board.deaf(True)
@@ -209,6 +211,35 @@ class BoardRestarts(Injector):
         scene.board.restart(deaf_s)
         scene.driver.run(deaf_s)
         return time.monotonic_ns()
+
+
+class Silent(Injector):
+    """Nothing comes from it any more."""
+
+    def prepare(self, scene: Scene) -> None:
+        if not scene.traits.language.reports.every_ns:
+            scene.driver.run(LEARNED_S)  # how often it reports is seen first
+
+    def strike(self, scene: Scene) -> int:
+        now_ns = time.monotonic_ns()
+        scene.board.silent(True)
+        return now_ns
+
+    def heal(self, scene: Scene) -> None:
+        scene.board.silent(False)
+        scene.driver.until("it to be heard", lambda: scene.driver.robot.state.device.link != "silent", LATCH_S)
+
+
+class Unwired(Silent):
+    """It is latched as silent, and stopped once it hears."""
+
+    def strike(self, scene: Scene) -> int:
+        scene.board.deaf(True)
+        scene.board.silent(True)
+        _see_latch(scene)
+        now_ns = time.monotonic_ns()
+        scene.board.deaf(False)
+        return now_ns
 
 
 def _see_latch(scene: Scene) -> None:
@@ -310,6 +341,8 @@ INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "board-not-draining": NotDraining,
     "board-deaf": Deaf,
     "board-restarts": BoardRestarts,
+    "board-silent": Silent,
+    "board-unwired": Unwired,
     "board-unproven": Unproven,
     "board-garbles-up": GarblesUp,
     "board-garbles-down": GarblesDown,

@@ -13,12 +13,15 @@ from failstop.lab.boards.traits import (
     HAS_IMU,
     HAS_KEYS,
     HAS_PINGS,
+    HAS_REPORTS,
     HAS_WHEEL_REPORTS,
+    SHOWS_DEAF,
 )
 from failstop.lab.faults import processes
 from failstop.lab.faults.fault import (
     ASKED_TO_STOP,
     BOARD_FAILS,
+    BOARD_SAYS_NOTHING,
     BY_ENABLE,
     BY_ITSELF,
     BY_NEW_RUN,
@@ -39,6 +42,7 @@ from failstop.lab.faults.fault import (
 from failstop.lab.faults.inject_board import WATCHDOG_S
 from failstop.messages.layout import GATE, PORT_OWNER, SUPERVISOR
 from failstop.policy.causes import (
+    BOARD_SILENT,
     BUTTON,
     DEAF,
     DEVICE_LOST,
@@ -224,7 +228,18 @@ PORT_ROWS = (
         "board-deaf", BOARD_FAILS, "the board hears nothing while its telemetry goes on",
         "nobody; its 5 Hz zeros, later",
         ((DEAF,),), BY_RESET, "POWER SWITCH", 210.0, "board-deaf", counted_from="hearing again",
-        aftermath_s=0.3, needs=frozenset({HAS_PINGS}), weight=1,
+        aftermath_s=0.3, needs=frozenset({SHOWS_DEAF}), weight=1,
+    ),
+    Fault(
+        "board-silent", BOARD_SAYS_NOTHING, "the board says nothing any more, and still hears", "port owner, by the epoch",
+        ((BOARD_SILENT,),), BY_RESET, "POWER SWITCH", 1000.0, "board-silent",
+        aftermath_s=1.2, needs=frozenset({HAS_REPORTS}), weight=1,
+    ),
+    Fault(
+        "board-unwired", BOARD_FAILS, "the board neither says nor hears anything, as without its cable",
+        "nobody; its 5 Hz zeros, later",
+        ((BOARD_SILENT,),), BY_RESET, "POWER SWITCH", 210.0, "board-unwired", counted_from="hearing again",
+        aftermath_s=0.3, needs=frozenset({HAS_REPORTS}), weight=1,
     ),
     Fault(
         "board-unproven", BOARD_FAILS, "the board has never answered a ping", "nobody",

@@ -184,7 +184,11 @@ TEXTS = {
     "link": (
         "The board's link is @FAILSTOP_STATE@",
         "unproven: it has not answered a ping since the port was opened, so whether it hears is not known.\n"
-        "alive: it answers. deaf: it answered before and is silent now, a stop cause: then use the POWER SWITCH.\n"
+        "alive: it answers.\n"
+        "deaf: it answers no more, or it obeys zero although motion is written to it.\n"
+        "silent: it had reported and says nothing any more. It has lost power, or hangs, or the wire from it is\n"
+        "broken, which look the same from here.\n"
+        "Deaf and silent stop the robot while motion is enabled: then use the POWER SWITCH.\n"
         "unheard: nothing has answered since the port came back, so it may be another device: use the POWER SWITCH.\n"
         "Next: failstop status --name @FAILSTOP_NAME@",
     ),

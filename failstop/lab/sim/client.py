@@ -282,6 +282,10 @@ class SimBoard:
         """The receiver drops every byte while telemetry goes on."""
         self._ask("deaf", on=on)
 
+    def silent(self, on: bool) -> None:
+        """Nothing that the board says arrives, while it hears and obeys."""
+        self._ask("silent", on=on)
+
     def garble(self, down: float = 0.0, up: float = 0.0) -> None:
         """Flip one bit of a byte with this probability, from the host and to it."""
         self._ask("garble", down=down, up=up)

@@ -107,6 +107,7 @@ class BoardModel:
 
         # Faults.
         self.deaf = False
+        self.silent = False
         self.refuse_stop = False
         self.imu_on = True
         self.garble_down = 0.0
@@ -302,7 +303,9 @@ class BoardModel:
             if due_ns > now_ns:
                 return ready
             if self._outbox and self._outbox[0][0] == due_ns:
-                ready.append(self._outbox.popleft()[1])
+                data = self._outbox.popleft()[1]
+                if not self.silent:
+                    ready.append(data)
             elif self._pending and self._pending[0][0] == due_ns:
                 self._execute()
             elif self._imu_ns == due_ns:

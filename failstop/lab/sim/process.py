@@ -274,6 +274,8 @@ class Simulator:
         now_ns = time.monotonic_ns()
         if operation == "deaf":
             model.deaf = _flag(request, "on")
+        elif operation == "silent":
+            model.silent = _flag(request, "on")
         elif operation == "garble":
             model.garble_down, model.garble_up = _number(request, "down", 1.0), _number(request, "up", 1.0)
         elif operation == "cut":

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from failstop.lab.boards.traits import HAS_ARM, HAS_KEYS, HAS_PINGS, HAS_REPORTS, Traits
+from failstop.lab.boards.traits import HAS_ARM, HAS_KEYS, HAS_REPORTS, SHOWS_DEAF, Traits
 from failstop.lab.machine.kernel import Machine
 from failstop.lab.machine.loading import Loader
 from failstop.lab.simulate.witness import Witness
@@ -48,6 +48,7 @@ CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("cause removed", ("ASK-2",)),
     ("cause device_lost", ("PORT-1",)),
     ("cause (stuck|deaf|restarted)", ("BOARD-1",)),
+    ("cause board_silent", ("SILENCE-1",)),
     ("cause (not_finite|two_publishers|driver_died|driver_silent)", ("CLIENT-1",)),
     ("cause (key|requested|piped)", ("ASK-1",)),
     ("cause stopping", ("END-1",)),
@@ -62,7 +63,13 @@ CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("state [a-z]+ (started|runs|reaped|recalled)", ("RETURN-1",)),
 )
 """The claims (lab/case/claims.py) that a mark carries, by the first pattern that fits its name."""
-OF_PARTS = {"cause key": HAS_KEYS, "cause deaf": HAS_PINGS, "cause restarted": HAS_REPORTS, "admission hangs": HAS_ARM}
+OF_PARTS = {
+    "cause key": HAS_KEYS,
+    "cause deaf": SHOWS_DEAF,
+    "cause board_silent": HAS_REPORTS,
+    "cause restarted": HAS_REPORTS,
+    "admission hangs": HAS_ARM,
+}
 """Marks that a campaign reaches at a board which has this part alone (lab/boards/traits.py). A lease runs out
 between the look at it and a frame where frames wait for the servos' bus."""
 ADMISSION = ("write", "drop", "burst", "request", "bad frame", "hangs")

@@ -314,6 +314,20 @@ driven(
 )
 
 
+def _board_says_nothing(stage: Stage, robot: Any) -> None:
+    stage.drive(robot, 0.0 if stage.traits.language.reports.every_ns else 3.5)
+    stage.silence_board()
+    stage.drive(robot, 1.3)
+
+
+driven(
+    _board_says_nothing,
+    "board_says_nothing",
+    "The board reports nothing any more while it drives.",
+    needs=(HAS_REPORTS,),
+)
+
+
 @driven
 def machine_sleeps(stage: Stage, robot: Any) -> None:
     """The machine sleeps while it drives."""

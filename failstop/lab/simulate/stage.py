@@ -50,6 +50,8 @@ RESTART_NS = 100 * MS
 DRIVER_NS = 500 * MS
 NOTICED_MS = 350
 """A board that is asked for its counters every 0.2 s may be told to drive again until the next answer."""
+SILENT_MS = 1_000
+"""A board that says nothing any more is stopped within so long."""
 MOVING_AT = layout.SEGMENT_BY_NAME[layout.PORT_OWNER].offsets["moving"]
 STOP_PIPE = "/run/failstop/failstop/stop"
 
@@ -269,6 +271,11 @@ class Stage:
         self.witness.tell("the board is deaf")
         self.robot.board.model.deaf = True
 
+    def silence_board(self) -> None:
+        """Nothing that the board says arrives any more; it hears and obeys."""
+        self.must_stop("the board says nothing", SILENT_MS, layout.SUPERVISOR)
+        self.robot.board.model.silent = True
+
     def restart_board(self, deaf_ms: int) -> None:
         """The board starts again, and hears and reports nothing for so long; its reports afterwards tell."""
         self.witness.tell(f"the board restarts, deaf for {deaf_ms} ms")
@@ -361,6 +368,7 @@ class Stage:
         if self.robot.board.model.deaf:
             self.robot.board.model.deaf = False
             self.witness.hears_ns = machine.now_ns + ZEROS_NS
+        self.robot.board.model.silent = False
         if self.robot.board.port is None:
             self.replug()
         else:

@@ -100,7 +100,7 @@ function showFacts() {
     ["Drives", view.driver || "nobody"],
     ...(view.limit < 100 ? [["Limit", `${view.limit} % of the settings' speeds`]] : []),
     ["Stands", view.stands],
-    ["Battery", view.battery_v ? `${view.battery_v.toFixed(2)} V${charger}` : "not known"],
+    ["Battery", view.battery_v ? `${view.battery_v.toFixed(2)} V${charger}${view.battery_age}` : "not known"],
     ["Port", view.port],
     ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has never answered", unasked: "answers no question, by its nature"}[view.link] || view.link],
     ...(view.imu ? [] : [["IMU", "none"]]),

@@ -1,0 +1,78 @@
+"""Silence: when the board last said anything, and how long it may pause before it counts as silent. Pure.
+
+Only reports that nobody asks for count as a sign of life that must not end. Where a board speaks only when it is asked,
+silence shows as questions without an answer, and the supervisor judges that (supervisor/proof.py).
+"""
+
+from __future__ import annotations
+
+from failstop.board.interface import HEARD_BATTERY, HEARD_IMU, HEARD_OBEYED, HEARD_WHEELS, UNKNOWN_EVERY_NS
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from failstop.board.interface import Board
+
+REGULAR = frozenset((HEARD_IMU, HEARD_BATTERY, HEARD_WHEELS, HEARD_OBEYED))
+"""Kinds of reports that come again and again. A key or a gamepad says something only when somebody touches it."""
+LEAST_PAUSE_NS = 700_000_000
+"""No pause shorter than this is silence: an adapter stalls for up to 0.3 s, and a restart takes about as long."""
+DESCRIBED_PAUSES = 4
+"""A pause of this many times the longest that a healthy board makes, by its description, is silence."""
+SEEN_FOR_NS = 3_000_000_000
+SEEN_PAUSES = 20
+"""Where the description says nothing, pauses are measured over that long and that many of them. A board of which too
+little was seen is never silent."""
+MEAN_PAUSES, LONGEST_PAUSES = 12, 2
+"""A pause of as many times the mean one, and of as many times the longest, is silence then. A machine that was held up
+saw a long one, so each new measurement may shorten the time."""
+NOISE_NS = 2_000_000_000
+"""Bytes that can't be read count as a sign of life for this long: a few garbled reports in a row are no silence."""
+
+
+class Silence:
+    """One board at one port. Times are CLOCK_MONOTONIC in ns."""
+
+    def __init__(self, board: Board, patience_ns: int = 0) -> None:
+        """`patience_ns`: as the process before this one has learned it."""
+        self.said_ns = 0
+        """When the board said something last; 0: never."""
+        self.patience_ns = patience_ns
+        """How long it may pause; 0: not known, or it speaks only when it is asked."""
+        self._understood_ns = self._regular_ns = 0
+        self._asked = bool(board.pings) and board.ping_ns > 0
+        every_ns = board.reports.every_ns
+        self._known = self._asked or every_ns not in (0, UNKNOWN_EVERY_NS)
+        self._longest_ns = self._pauses = self._begun_ns = 0
+        if self._known or not patience_ns:
+            self.patience_ns = 0 if self._asked or not every_ns else max(LEAST_PAUSE_NS, DESCRIBED_PAUSES * every_ns)
+
+    def heard(self, kinds: Collection[int], came_ns: int) -> None:
+        """Bytes have come, with reports of these kinds; none: they could not be read."""
+        if kinds:
+            self._understood_ns = came_ns
+        if not self._understood_ns or came_ns - self._understood_ns >= NOISE_NS:
+            return
+        self.said_ns = came_ns
+        if not self._known and not REGULAR.isdisjoint(kinds):
+            self._learn(came_ns)
+
+    def _learn(self, came_ns: int) -> None:
+        before_ns, self._regular_ns = self._regular_ns, came_ns
+        if not before_ns:
+            self._begun_ns = came_ns
+            return
+        self._longest_ns = max(self._longest_ns, came_ns - before_ns)
+        self._pauses += 1
+        passed_ns = came_ns - self._begun_ns
+        if passed_ns >= SEEN_FOR_NS and self._pauses >= SEEN_PAUSES:
+            found_ns = max(LEAST_PAUSE_NS, MEAN_PAUSES * passed_ns // self._pauses, LONGEST_PAUSES * self._longest_ns)
+            self.patience_ns = min(self.patience_ns or found_ns, found_ns)
+            self._longest_ns = self._pauses = 0
+            self._begun_ns = came_ns
+
+    def forget(self) -> None:
+        """The port has gone: what is said now may come from another device."""
+        self.said_ns = self._understood_ns = self._regular_ns = 0
+        self._longest_ns = self._pauses = 0
