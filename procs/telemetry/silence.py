@@ -20,7 +20,7 @@ LEAST_PAUSE_NS = 700_000_000
 """No pause shorter than this is silence: an adapter stalls for up to 0.3 s, and a restart takes about as long."""
 DESCRIBED_PAUSES = 4
 """A pause of this many times the longest that a healthy board makes, by its description, is silence."""
-SEEN_FOR_NS = 3_000_000_000
+SEEN_FOR_NS = 1_000_000_000
 SEEN_PAUSES = 20
 """Where the description says nothing, pauses are measured over that long and that many of them. A board of which too
 little was seen is never silent."""

@@ -22,7 +22,7 @@ ECHO_FADES_S = 0.8
 """Its own watchdog sets the command to zero so long after the last frame; only then does its echo say zero."""
 SILENT = [kind for kind in BOARDS if HAS_REPORTS in traits_of(kind).parts]
 DEAF = [kind for kind in BOARDS if SHOWS_DEAF in traits_of(kind).parts]
-SEEN_S = 6.0
+SEEN_S = 3.0
 """How long a board of which no period is known is watched first."""
 
 

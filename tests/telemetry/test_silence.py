@@ -32,7 +32,7 @@ def test_a_description_says_how_long(kind: str, patience_ns: int) -> None:
 
 def test_without_a_description_it_is_seen() -> None:
     silence = of("rrc")
-    assert stream(silence, HEARD_IMU, 9 * MS, 2.9) == silence.said_ns
+    assert stream(silence, HEARD_IMU, 9 * MS, 0.9) == silence.said_ns
     assert silence.patience_ns == 0, "too little was seen"
     stream(silence, HEARD_IMU, 9 * MS, 1.0, silence.said_ns + 9 * MS)
     assert silence.patience_ns == LEAST_PAUSE_NS
@@ -46,10 +46,10 @@ def test_reports_that_come_seldom_are_given_their_time() -> None:
 
 def test_a_machine_that_was_held_up_learns_better() -> None:
     silence = of("rrc")
-    held_ns = stream(silence, HEARD_IMU, 10 * MS, 1.0) + 600 * MS
-    held_ns = stream(silence, HEARD_IMU, 10 * MS, 3.0, held_ns)
+    held_ns = stream(silence, HEARD_IMU, 10 * MS, 0.5) + 600 * MS
+    held_ns = stream(silence, HEARD_IMU, 10 * MS, 0.2, held_ns)
     assert silence.patience_ns == 1_200 * MS
-    stream(silence, HEARD_IMU, 10 * MS, 4.0, held_ns + 10 * MS)
+    stream(silence, HEARD_IMU, 10 * MS, 1.5, held_ns + 10 * MS)
     assert silence.patience_ns == LEAST_PAUSE_NS
 
 

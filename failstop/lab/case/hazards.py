@@ -90,8 +90,8 @@ HAZARDS = (
         "H-DEAF", OUTSIDE, "The board is deaf, full or does not obey",
         "a firmware that hangs, a broken driver or encoder",
         "tells of it within a second where the board can answer, repeats the stop, runs `still.command`",
-        "the wheels turn until power is cut", "the power switch; a relay by `still.command`", ("BOARD-1", "SILENCE-1", "BOARD-2",
-        "PROOF-1"),
+        "the wheels turn until power is cut", "the power switch; a relay by `still.command`",
+        ("BOARD-1", "SILENCE-1", "BOARD-2", "PROOF-1"),
     ),
     Hazard(
         "H-FROZEN", OUTSIDE, "The machine is frozen or its kernel is dead", "a panic, a hypervisor, overheating",

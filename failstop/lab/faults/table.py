@@ -231,7 +231,8 @@ PORT_ROWS = (
         aftermath_s=0.3, needs=frozenset({SHOWS_DEAF}), weight=1,
     ),
     Fault(
-        "board-silent", BOARD_SAYS_NOTHING, "the board says nothing any more, and still hears", "port owner, by the epoch",
+        "board-silent", BOARD_SAYS_NOTHING, "the board says nothing any more, and still hears",
+        "port owner, by the epoch",
         ((BOARD_SILENT,),), BY_RESET, "POWER SWITCH", 1000.0, "board-silent",
         aftermath_s=1.2, needs=frozenset({HAS_REPORTS}), weight=1,
     ),

@@ -315,7 +315,7 @@ driven(
 
 
 def _board_says_nothing(stage: Stage, robot: Any) -> None:
-    stage.drive(robot, 0.0 if stage.traits.language.reports.every_ns else 3.5)
+    stage.drive(robot, 0.0 if stage.traits.language.reports.every_ns else 2.0)
     stage.silence_board()
     stage.drive(robot, 1.3)
 
