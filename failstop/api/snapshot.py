@@ -109,6 +109,20 @@ class Ages:
 
 
 @dataclasses.dataclass(frozen=True)
+class Scale:
+    """Whether the wheels turn as fast as they are told (setting board.per_rps)."""
+
+    capped: str = ""
+    """Nobody has confirmed board.per_rps, so speeds are capped: in words, with the remedy; empty: it is known."""
+    wheels: float | None = None
+    """Measured speed of the wheels over the told one, by reports in a unit of their own; None: not known."""
+    turn: float | None = None
+    """Measured turn of the robot over the told one, by the gyro; None: not known."""
+    wrong: tuple[str, ...] = ()
+    """What differs, in words, with the setting to look at."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Stop:
     """The last stop, and the three proofs of it; one is None while it is not known."""
 
@@ -445,6 +459,8 @@ class State:
     """Commanded angle of the steered wheels, rad, positive to the left. None: there are none, or the robot stands."""
     stands_within_m: float = 0.0
     """Stopping distance: from any fault that software answers until the robot stands, m, at the speed limit of now."""
+    scale: Scale = Scale()
+    """Whether the wheels turn as fast as they are told."""
     turning: Turning = Turning()
     """What is known of the wheels now, whatever they were told."""
     enabled_ns: int = 0

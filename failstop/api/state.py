@@ -6,7 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from functools import cached_property
-from math import pi
+from math import isnan, nan, pi
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import msgpack
@@ -55,6 +55,7 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "port": (layout.PORT_OWNER, records.PORT.unpack),
     "imu": (layout.TELEMETRY, records.IMU.unpack),
     "wheels": (layout.TELEMETRY, records.WHEELS_SEEN.unpack),
+    "scale": (layout.TELEMETRY, msgpack.unpackb),
     "battery": (layout.TELEMETRY, records.BATTERY.unpack),
     "health": (layout.TELEMETRY, records.HEALTH.unpack),
     "bias": (layout.TELEMETRY, records.BIAS.unpack),
@@ -207,6 +208,7 @@ class StateReader(SeenRun):
             imu=self._timed("imu", _imu),
             gyro_bias=bias and snapshot.GyroBias(bias[:3], *bias[3:]),
             odometry=self._timed("odometry", _odometry),
+            scale=self._scale(decided.get("capped", "")),
             turning=self._turning(now_ns),
             pad_mode=pad and PAD_MODES[pad[6]],
             battery_v=millivolts / 1000 or None,
@@ -348,6 +350,11 @@ class StateReader(SeenRun):
             speeds_radps=speeds,
             turned_rad=turns,
         )
+
+    def _scale(self, capped: str) -> snapshot.Scale:
+        wheels, turn, wrong = self._value("scale") or (nan, nan, ())
+        of_wheels, of_turn = (None if isnan(value) else round(value, 3) for value in (wheels, turn))
+        return snapshot.Scale(capped, of_wheels, of_turn, tuple(wrong))
 
     def _by_mount(self, values: list[float]) -> snapshot.Wheels | None:
         """Turns by wire id as radians by wheel; None where a wheel is not reported."""

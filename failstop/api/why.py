@@ -199,6 +199,7 @@ def troubles(state: State, events: Sequence[Event]) -> list[str]:
             found.append(f"{name} {verdict.absence(process, ends[name] if process.last_exit else '')}")
     if state.device.state == "open" and state.device.link == "unproven":
         found.append(f"{verdict.NEVER_ANSWERED}, so no stop is known to reach the wheels: see to its power")
+    found += [text for text in (state.scale.capped, *state.scale.wrong) if text]
     if state.starved:
         found.append(f"{state.starved} (`failstop doctor` says what helps)")
     if not all(process.early_news for process in state.processes.values() if process.pid):

@@ -51,6 +51,7 @@ class Unknown(Board):
     usb = ()
     usb_alone = False
     commanders = ()
+    scale_assumed = False
 
     def __init__(self, why: str) -> None:
         """`why`: in a line, with the remedy."""

@@ -129,9 +129,10 @@ class Described(Board):
     """As many speeds as the wire's motion has, in its unit."""
 
     __slots__ = (
-        "_motion", "_per_rps", "_wire", "acknowledged_by", "after_ns", "arming", "burst", "commanders", "echo_ns",
-        "fades_ns", "first_stop", "idle_ns", "most_rps", "name", "observed_by", "ping_ns", "pings", "port", "refresh",
-        "repeats_ns", "reports", "silent_ns", "step_rps", "stop", "usb", "wheels",
+        "_motion", "_wire", "acknowledged_by", "after_ns", "arming", "burst", "commanders", "echo_ns", "fades_ns",
+        "first_stop", "idle_ns", "most_rps", "name", "observed_by", "per_rps", "ping_ns", "pings", "port", "refresh",
+        "repeats_ns", "reports", "scale_assumed", "silent_ns", "step_rps", "stop", "usb",
+        "wheels",
     )  # fmt: skip
 
     usb_alone = arm_beside_wheels = holds_by_goal = False
@@ -139,7 +140,8 @@ class Described(Board):
     def __init__(self, wire: Wire, per_rps: float, diameter_m: float) -> None:
         """`per_rps`: a speed of one turn a second, in its unit; `diameter_m`: of a wheel."""
         (write,) = wire.stop.writes
-        self._wire, self._motion, self._per_rps = wire, wire.motion, per_rps
+        self._wire, self._motion, self.per_rps = wire, wire.motion, per_rps
+        self.scale_assumed = False
         self.name, self.port = wire.name, wire.port
         self.idle_ns = max(wire.stop.after_ns, wire.pace.idle_ns)
         self.after_ns = wire.stop.after_ns
@@ -171,7 +173,7 @@ class Described(Board):
         """The frame for all of its wheels."""
         limit = self._limit(max_rps)
         every = [number("speed of a wheel", speed, -max_rps, max_rps, "rps") for speed in rps]
-        return self._motion.frame(tuple([max(-limit, min(speed * self._per_rps, limit)) for speed in every]), limit)
+        return self._motion.frame(tuple([max(-limit, min(speed * self.per_rps, limit)) for speed in every]), limit)
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
         """The wire's check, with the limit in its unit."""
@@ -180,7 +182,7 @@ class Described(Board):
     def speeds(self, frame: bytes) -> Sequence[float] | None:
         """Of all of its wheels."""
         found = self._motion.speeds(frame)
-        return None if found is None else tuple([speed / self._per_rps for speed in found])
+        return None if found is None else tuple([speed / self.per_rps for speed in found])
 
     def commanded(self, frame: bytes) -> Sequence[float] | None:
         """Of a motion frame or a stop, where the board reports its command and is asked nothing."""
@@ -193,7 +195,7 @@ class Described(Board):
         return self._motion.marked(frame, turn) if self._motion.marked else frame
 
     def _limit(self, max_rps: float) -> float:
-        return min(max_rps * self._per_rps * _ROUNDING, self._motion.limit)
+        return min(max_rps * self.per_rps * _ROUNDING, self._motion.limit)
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
         """It has none."""

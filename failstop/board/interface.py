@@ -122,6 +122,11 @@ class Board:
     """BY_ANSWER or BY_ECHO; empty: it acknowledges nothing."""
     observed_by: str
     """BY_IMU or BY_WHEELS."""
+    per_rps: float
+    """One turn a second of a wheel in the unit of its motion."""
+    scale_assumed: bool
+    """`per_rps` is only the usual value: it depends on this robot's motors and encoders, the board's reports share it,
+    and the setting board.per_rps has not confirmed it."""
     reports: WheelReports
     """What it says of its wheels, and how to read it."""
     wheels: int

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from failstop.board.interface import Board
     from failstop.board.wire import Wire
 
@@ -58,6 +60,9 @@ def board_of(
         from failstop.board.described import Described
 
         wire = wire_of(kind, tried=tried)
-        return (wire.board or Described)(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m)
+        made: Any = (wire.board or Described)(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m)
+        made.scale_assumed = not (per_rps or wire.motion.scale_known or made.reports.own_scale)
+        described: Board = made
+        return described
     board: Board = __import__(f"failstop.board.{kind}.board", fromlist=["board"]).board(diameter_m, per_rps, steering)
     return board

@@ -129,6 +129,9 @@ class Motion(Data):
     marked: Callable[[bytes, int], bytes] | None = None
     """(frame, turn): a motion frame that is sent again, a step or two slower by its turn, so that the report of the
     command that the board obeys tells which frame it was. Only a board that is asked nothing needs it."""
+    scale_known: bool = False
+    """True: `per_rps` is a fact of the board, the same for every robot. False: it depends on the robot's motors and
+    encoders, so `per_rps` is only a guess until somebody has confirmed it by the setting board.per_rps."""
 
 
 class Sample:

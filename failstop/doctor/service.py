@@ -6,12 +6,13 @@ import os
 import shlex
 
 from failstop.api import verdict, words
+from failstop.board.asking import Unknown
 from failstop.board.interface import BY_IMU
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.files import root
 from failstop.files.instance import option
 from failstop.instances import unit_of
-from failstop.policy import servos
+from failstop.policy import scale, servos
 from failstop.version import VERSION
 
 FIRST_REGULAR_UID = 1000
@@ -20,6 +21,7 @@ LOGIND = "/etc/systemd/logind.conf.d"
 OFF = "cut the motors' power with the POWER SWITCH"
 UNIT_USER = "failstop"
 """The user of the service's unit."""
+ALONE = "nothing here measures speeds apart from it, so no drive can show that it is wrong"
 REMOVE_IPC = ("org.freedesktop.login1", "/org/freedesktop/login1", "org.freedesktop.login1.Manager", "RemoveIPC")
 """Where logind says whether it does."""
 
@@ -78,6 +80,28 @@ def _not_running(look: Look) -> list[Finding]:
         return warn(text, f"sudo systemctl start {unit_of(look.name)}")
     config = f" --config {shlex.quote(look.settings[0])}" if look.settings[0] else ""
     return warn(text, f"failstop run{option(look.name)}{config} --device {shlex.quote(look.device[0])}")
+
+
+def wheels_scale(look: Look) -> list[Finding]:
+    """Whether the wheels turn as fast as they are told."""
+    fix = f"failstop setup{option(look.name)}"
+    if look.state is None:
+        if isinstance(look.board, Unknown):
+            return []
+        if look.board.scale_assumed:
+            return warn(scale.cap_text(scale.capped(look.told, assumed=True)), fix)
+        return ok(f"board.per_rps is {look.board.per_rps:g}, and a drive would show whether it fits")
+    known = look.state.scale
+    if known.capped:
+        return warn(known.capped, fix)
+    if known.wrong:
+        return [row for text in known.wrong for row in warn(text, "", "correct the setting, and restart the service")]
+    seen = [(known.wheels, "as the board reports them"), (known.turn, "as the gyro feels the turn")]
+    said = [f"{share:.2f} times as fast as told, {by}" for share, by in seen if share is not None]
+    if said:
+        return ok(f"they turn {', and '.join(said)}")
+    independent = look.board.reports.own_scale or look.told.on("board.imu")
+    return ok("not compared yet: the next drive will show it" if independent else ALONE)
 
 
 def clients(look: Look) -> list[Finding]:

@@ -25,6 +25,7 @@ CHECKS: dict[str, Check] = {
     "commanders": port.commanders,
     "settings": service.settings,
     "service": service.running,
+    "scale": service.wheels_scale,
     "clients": service.clients,
     "ROS 2": _of("ros2.check"),
     "unit": service.unit,

@@ -68,6 +68,8 @@ class GateCore:
         """The epoch that motion was enabled in; every frame carries it."""
         self.velocity = REST
         self.speeds = kinematics.rest
+        self.capped = ""
+        """What a scale that nobody has confirmed means for driving, in words; empty: the scale is known."""
         self.notes: list[Note] = []
         """Notes for people, in order; the shell, which passes them on, empties the list."""
         self._losses = DriverLosses(now_ns)
@@ -216,13 +218,14 @@ class GateCore:
         if refusal := self.refusal(missing, now_ns):
             return refusal
         if self.enabled:
-            return Reply(True, MAY_MOVE)
+            return Reply(True, f"{MAY_MOVE}; {self.capped}" if self.capped else MAY_MOVE)
         self.stand_still()
         self.enabled = True
         self.enabled_ns = now_ns
         self.epoch = epoch
         held = " and ".join(self.sources.hold(now_ns))
-        return Reply(True, f"motion enabled; {held} must send zero or pause before it can drive" if held else MAY_MOVE)
+        waits = f"{held} must send zero or pause before it can drive" if held else ""
+        return Reply(True, "; ".join(filter(None, (MAY_MOVE, waits, self.capped))))
 
     def disable(self) -> Reply:
         self.stand_still()

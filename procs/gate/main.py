@@ -9,7 +9,7 @@ from time import monotonic_ns
 from failstop.files import instance, place
 from failstop.messages import layout, records
 from failstop.messages.packing import Note, pack
-from failstop.policy import causes, kinematics
+from failstop.policy import causes, kinematics, scale
 from failstop.policy.causes import Cause, Reply, refused
 from failstop.policy.proofs import WAITS_FOR
 from failstop.policy.settings import PAD_SOURCE
@@ -56,6 +56,9 @@ class Gate:
         self._lease_ns = settings.ns("gate.lease_s")
         beside = context.board.arm_beside_wheels
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns, arm_beside_wheels=beside)
+        if context.board.scale_assumed:
+            self.core.capped = scale.cap_text(settings)
+            self.core.notes.append(Note("scale", self.core.capped))
         self._said = SelfReports(now_ns)
         self._barrier = Barrier()
         self._looked_ns, self._rings, self._ticking = 0, 0, False
@@ -379,6 +382,8 @@ class Gate:
             state["attended"] = core.attendance.names(now_ns)
         if unmet := core.interlocks.unmet(now_ns):
             state["unmet"] = unmet
+        if core.capped:
+            state["capped"] = core.capped
         state |= {
             "enabled": core.enabled,
             "enabled_ns": core.enabled_ns,

@@ -11,7 +11,7 @@ import msgpack
 from failstop.board import interface
 from failstop.files.root import state_directory
 from failstop.messages import box, records
-from failstop.messages.packing import NO_FIELDS, Fields, Note
+from failstop.messages.packing import NO_FIELDS, Fields, Note, pack
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.layouts import WHEEL_NAMES
@@ -30,6 +30,7 @@ from failstop.procs.telemetry.proving import Proving
 from failstop.procs.telemetry.readback import ReadBack
 from failstop.procs.telemetry.restarts import Restarts
 from failstop.procs.telemetry.runaway import RAN_AWAY, Finding, RunawayJudge, limits_of
+from failstop.procs.telemetry.scale import ScaleJudge
 from failstop.procs.telemetry.silence import Silence
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
@@ -43,6 +44,8 @@ LONGEST_IDLE_NS = 50_000_000
 """At rest the board wakes nobody: what it has said is looked at so often."""
 ODOMETRY_NS = 20_000_000
 """Odometry goes out at this rate, as the gate decides no more often, and with it whatever else can wait."""
+SCALE_NS = 500_000_000
+"""How often it is published how the measured speeds compare with the told ones."""
 BIAS_NS = 80_000_000
 """The state is 10 Hz or faster; at 100 ms it would be 105 to 110, since it goes out with the wake-ups there are."""
 CHARGER_FILE = "charger"
@@ -151,6 +154,8 @@ class Telemetry:
         """News of the board that nobody has acted on: the kind, the value, when it came."""
         self._bias_flags = (False, False)
         self._silence = Silence(self._board, context.own.word("patience_ns").get())
+        self._scale, self._scale_ns, self._scale_noted = ScaleJudge(settings, self._board), 0, False
+        self._turn_radps = 0.0
         self._odd = OddReports(low_battery_stops=self._low_battery.stops)
         self._attach(context)
         self._watch_others(context)
@@ -163,7 +168,7 @@ class Telemetry:
     def _attach(self, context: Context) -> None:
         """Make the writers of its records, and the bells that it rings."""
         own = context.own
-        latest = ("imu", "bias", "odometry", "wheels", "battery", "health", "pad", "pad_command", "pad_arm")
+        latest = ("imu", "bias", "odometry", "wheels", "scale", "battery", "health", "pad", "pad_command", "pad_arm")
         self._latest = {name: own.latest_writer(name) for name in latest}
         rings = ("causes", "pad_requests", "notes", "servos")
         self._rings = {name: own.ring_writer(name) for name in rings}
@@ -309,6 +314,7 @@ class Telemetry:
             known = (*pose, *twist, *found.twist_std, found.source, *found.covariance)
             self._latest["odometry"].write(records.ODOMETRY.pack(*known), found.t_ns)
             self._publish_wheels(now_ns)
+            self._follow_scale(now_ns)
         self._proving.forget(now_ns)
         gyro = self._gyro
         flags = (gyro.tracking, gyro.calibrated)
@@ -354,6 +360,7 @@ class Telemetry:
 
     def _on_imu(self, sample: interface.Value, t_ns: int) -> None:
         raw_radps, found = sample
+        self._turn_radps = found[5]
         note = self._gyro.take(raw_radps, t_ns)
         self._box.put(box.pack_board(box.IMU_KIND, *map(box.single, found)), t_ns)
         if not self._read_back.judged_ns:
@@ -425,6 +432,19 @@ class Telemetry:
         if act.note:
             self._rings["notes"].put(act.note.pack())
             self.supervisor_bell.ring()
+
+    def _follow_scale(self, now_ns: int) -> None:
+        """How what was measured compares with what is told; people are told once that it differs."""
+        measured, judge = self._measured, self._scale
+        turn_radps = self._turn_radps if self._gyro.calibrated else None
+        changed = judge.follow(self._gate.velocity, measured.speeds_rps, measured.t_ns, turn_radps, now_ns)
+        if changed or now_ns - self._scale_ns >= SCALE_NS:
+            self._scale_ns = now_ns
+            self._latest["scale"].write(pack([judge.wheels, judge.turn, judge.wrong]), now_ns)
+        if judge.wrong and not self._scale_noted:
+            self._scale_noted = True
+            for text in judge.wrong:
+                self._note("scale", text, {"wheels": judge.wheels, "turn": judge.turn})
 
     def _on_obeyed(self, speeds: interface.Value, t_ns: int) -> None:
         self._proving.obeyed(speeds, t_ns, moves=self._gate.enabled and self._gate.commanded)

@@ -76,6 +76,8 @@ WIRE = Wire(
         rest=codec.STOP,
         check=codec.check_motion,
         speeds=codec.speeds,
+        # A wheel is on its servo's own axle, and the servo counts its turns.
+        scale_known=True,
     ),
     questions=tuple(
         Question(f"{size} bytes of each wheel", ask, _answers(size))

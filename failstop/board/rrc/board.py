@@ -127,6 +127,9 @@ class Rrc(Board):
     acknowledged_by = BY_ANSWER
     observed_by = BY_IMU
     reports = NO_WHEEL_REPORTS
+    # It takes turns a second: its firmware knows the encoders of the motors.
+    per_rps = 1.0
+    scale_assumed = False
     wheels = framing.WHEELS
     most_rps = codec.RPS_CEILING
     step_rps = 0.0

@@ -1,0 +1,68 @@
+"""Scale: how much of the board's unit is one turn a second of a wheel (the setting board.per_rps), and what holds until
+a person has confirmed it. Pure.
+
+Where commands and reports share the scale, their ratio is 1 whatever it is: only a person, who sees the wheel, can tell
+that it is wrong. So a robot whose scale nobody has confirmed drives slowly. Where the board reports in a unit of its
+own, or a gyro feels the turn, what was measured is compared with what was told.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from failstop.policy.layouts import ACKERMANN
+from failstop.policy.settings import Settings
+
+PER_RPS = "board.per_rps"
+CAPS = {"limits.vx_mps": 0.05, "limits.vy_mps": 0.05, "limits.wz_radps": 0.25}
+"""Speeds that an unconfirmed scale allows at most. A scale that is five times too large makes 0.25 m/s of 0.05: the
+reduced speed at which people may work beside a machine (ISO 10218-1)."""
+ASSUMED = "nobody has confirmed the scale of the wheels (board.per_rps)"
+REMEDY = "`failstop setup` measures it by a turn of a wheel; or set board.per_rps"
+WHEELS_FIT = {True: 1.25, False: 2.0}
+"""How far the measured speed of a wheel may be from the told one, either way, as a factor; by whether the board holds
+the speed that it was told. One that sets a voltage is faster downhill, and slower under load."""
+GYRO_FITS = 1.6
+"""The same for a turn of the robot: tracks and skidding wheels make less of a turn than they roll."""
+ON_A_STAND = 0.1
+"""A gyro that feels less than this share of the turn says nothing of scale: the robot is on a stand, or held."""
+
+
+def capped(settings: Settings, *, assumed: bool) -> Settings:
+    """The settings with the limits that hold: lower ones while the scale is `assumed`."""
+    if not assumed:
+        return settings
+    found = Settings.from_lines(settings.lines())
+    for key, most in CAPS.items():
+        found.values[key] = min(found[key], most)
+    return found
+
+
+def cap_text(settings: Settings) -> str:
+    """What an unconfirmed scale means for driving, in words. `settings`: those of the run, with the cap in them."""
+    fastest = settings["limits.vx_mps"]
+    return f"speed capped at {fastest:g} m/s, because {ASSUMED}; {REMEDY}"
+
+
+def fits(ratio: float, factor: float) -> bool:
+    """Whether measured over told is within this factor, either way."""
+    return 1 / factor <= ratio <= factor
+
+
+def wheels_differ(ratio: float, per_rps: float, *, holds_speed: bool) -> str:
+    """What to say of wheels that turn at `ratio` times the told speed, and of the setting; empty: it fits. `per_rps`:
+    in use now, in the board's unit."""
+    if not (isfinite(ratio) and ratio > 0) or fits(ratio, WHEELS_FIT[holds_speed]):
+        return ""
+    would = f"board.per_rps = {per_rps / ratio:.4g} would fit it (now {per_rps:.4g})"
+    return f"the wheels turn {ratio:.2g} times as fast as they are told, as the board reports them: {would}"
+
+
+def gyro_differs(ratio: float, layout: str) -> str:
+    """The same of a robot of which the gyro feels `ratio` times the turn that was told."""
+    if not (isfinite(ratio) and ratio >= ON_A_STAND) or fits(ratio, GYRO_FITS):
+        return ""
+    of_layout = {"omni3": "wheels.lever_m", ACKERMANN: "steering.per_rad, wheels.wheelbase_m"}
+    across = of_layout.get(layout, "wheels.track_m")
+    may_be = f"one of {across}, wheels.diameter_m and board.per_rps is not this robot's, or its wheels slip"
+    return f"the robot turns {ratio:.2g} times as fast as it is told, as the gyro feels it: {may_be}"
