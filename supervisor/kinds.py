@@ -60,7 +60,7 @@ EVENT_KINDS = (
     EventKind("charger", "info", "72df7bd7397a41fca08599cf028e6a11", "state battery_mv"),
     EventKind("odd", "warning", "0a7a36f2fd3a4f13bd343acb84ccd8dd", "what value"),
     EventKind("scan", "warning", "5db72888dc83420d9884c7633dd8d1f9", "state"),
-    EventKind("scale", "warning", "b2f1d9c05a7e4c6e9a2f60d3c7e81b54", ""),
+    EventKind("scale", "warning", "76eedeefe3404555ba6a97353d5482f6"),
     EventKind("gyro", "info", "082c033a964f4063a2b4f6814ee960e8"),
     EventKind("disk", "warning", "9e790b1bc2634737a9047e698e7df8ff"),
     EventKind("command", "warning", "24cb47b33041490ba3a67714e953ea58", "state"),

@@ -124,7 +124,7 @@ class Board:
     """BY_IMU or BY_WHEELS."""
     per_rps: float
     """One turn a second of a wheel in the unit of its motion."""
-    scale_assumed: bool
+    scale_assumed: bool = False
     """`per_rps` is only the usual value: it depends on this robot's motors and encoders, the board's reports share it,
     and the setting board.per_rps has not confirmed it."""
     reports: WheelReports

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Any
-
     from failstop.board.interface import Board
     from failstop.board.wire import Wire
 
@@ -60,9 +58,9 @@ def board_of(
         from failstop.board.described import Described
 
         wire = wire_of(kind, tried=tried)
-        made: Any = (wire.board or Described)(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m)
-        made.scale_assumed = not (per_rps or wire.motion.scale_known or made.reports.own_scale)
-        described: Board = made
-        return described
+        made = (wire.board or Described)(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m)
+        if isinstance(made, Described):
+            made.scale_assumed = not (per_rps or wire.motion.scale_known or made.reports.own_scale)
+        return made
     board: Board = __import__(f"failstop.board.{kind}.board", fromlist=["board"]).board(diameter_m, per_rps, steering)
     return board

@@ -33,6 +33,8 @@ QUESTIONS = {
     "robot": "the robot's name, or other",
     "layout": "how body velocity becomes wheel speeds, for a robot without a name",
     "stand": "yes: the wheels are off the ground and free",
+    "per_rps": "one turn a second of a wheel in the board's own unit, instead of a turn by hand (of an Arduino the "
+    "encoder counts of a turn, divided by 30); unknown: speeds stay capped",
     **{f"wheel_{number - 1}": f"the wheel of id {number - 1} and its way, as fl+" for number in NUMBERS},
     "forward": "yes: every wheel turned forward",
     "turn": "yes: the robot would have turned to the left",
@@ -90,11 +92,11 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
     _take_up(talk)
     device = ports.step(talk, System())
     kind = boards.step(talk, device)
-    robot, values = _robot(talk, kind)
+    robot, values, known = _robot(talk, kind)
     halt = Halt(device, board_of(kind, 1.0, 0.0), lambda text: talk.say(text, style.FAIL))
     halts.append(halt)
     wheels = Trial(talk, device, values, halt).step()
-    chosen = sizes.step(talk, {**values, **wheels})
+    chosen = sizes.step(talk, {**values, **wheels}, known=known)
     settings = {"device.path": ports.stable(device), **values, **wheels, **chosen}
     Settings(dict(settings))
     finish.watchdog(talk, kind)
@@ -127,8 +129,8 @@ def _take_up(talk: Talk) -> None:
         talk.draft.forget()
 
 
-def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object]]:
-    """The robot's name, and what is known of it."""
+def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object], bool]:
+    """The robot's name, what is known of it, and whether its sizes are."""
     known = robots.of_kind(kind)
     choices = {**{key: robot.name for key, robot in known.items()}, robots.OTHER: "another one"}
     chosen = robots.OTHER
@@ -140,7 +142,7 @@ def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object]]:
     if chosen in known:
         if known[chosen].remark:
             talk.say(known[chosen].remark, style.WARN)
-        return known[chosen].name, known[chosen].settings
+        return known[chosen].name, known[chosen].settings, True
     speeds = SPEEDS.get(kind)
     layouts = [
         layout
@@ -148,6 +150,6 @@ def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object]]:
         if (speeds is None or counts[0] <= speeds) and (layout != ACKERMANN or kind in STEERED)
     ]
     if speeds == 2 and not is_own(kind):
-        return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": "differential"}
+        return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": "differential"}, False
     layout = talk.ask("layout", f"How are its wheels? ({', '.join(layouts)})", "", word_of(layouts))
-    return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": layout}
+    return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": layout}, False

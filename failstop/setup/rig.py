@@ -101,6 +101,9 @@ class Rig:
         self.turned: dict[int, float] = {}
         """Of each wheel by its id the largest speed that the board has reported, in the unit of its motion, or 1 or -1
         by the way that its position went; empty: it has reported nothing."""
+        self.moved: dict[int, float] = {}
+        """Of each wheel by its id how far its position went, either way, in the board's counts; empty: it reports
+        none."""
 
     def __enter__(self) -> Rig:
         try:
@@ -151,7 +154,7 @@ class Rig:
         assert self._robot
         view = attach(self.name, layout.TELEMETRY).ring_reader("received")
         self._hearing.reset()
-        self.turned = {}
+        self.turned, self.moved = {}, {}
         places: dict[int, list[float]] = {}
         blocked, moved_s = "", time.monotonic()
         self._drove = True
@@ -168,15 +171,15 @@ class Rig:
                     self._robot.enable()
                 time.sleep(REPEAT_S)
                 for entry in iter(view.next, None):
-                    for kind, said in self._hearing.feed(entry[2]):
-                        if kind == HEARD_WHEELS:
-                            self._take(said, places)
+                    self._hear(entry[2], places)
             self._robot.disable()
         except (FailstopError, Refused) as error:
             blocked = str(error)
         if blocked:
             raise Left(f"the wheels could not be turned to the end: {self._why() or blocked}")
         self._stand()
+        for entry in iter(view.next, None):
+            self._hear(entry[2], places)
 
     def _stand(self) -> None:
         """Stop, and wait until the board says that it has: nobody is asked anything while a wheel may turn. Raises
@@ -197,6 +200,11 @@ class Rig:
         except FailstopError:
             raise Left(f"the board did not say within {STANDS_S:g} s that it has stopped the wheels") from None
 
+    def _hear(self, data: bytes, places: dict[int, list[float]]) -> None:
+        for kind, said in self._hearing.feed(data):
+            if kind == HEARD_WHEELS:
+                self._take(said, places)
+
     def _take(self, said: tuple[tuple[float, ...], tuple[float, ...]], places: dict[int, list[float]]) -> None:
         speeds, positions = said
         for id_, speed in enumerate(speeds):
@@ -205,6 +213,7 @@ class Rig:
         for id_, place in enumerate(positions) if not speeds else ():
             places.setdefault(id_, []).append(place)
             way = place - places[id_][0]
+            self.moved[id_] = abs(way)
             self.turned[id_] = float((way > 0) - (way < 0))
 
     def _why(self) -> str:

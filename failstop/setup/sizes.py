@@ -25,27 +25,31 @@ def answer_key(key: str) -> str:
     return key.partition(".")[2]
 
 
-def step(talk: Talk, values: Mapping[str, object]) -> dict[str, object]:
-    """The fourth step. Raises Left."""
+def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, object]:
+    """The fourth step. `known`: the robot has a name, by which its sizes are known; nobody else's are offered. Raises
+    Left."""
     talk.step(4, "Sizes and limits")
-    talk.say("An empty line takes what stands in brackets.", style.DIM)
+    if not known:
+        talk.say("Measure the wheels: speeds and distances follow from their sizes.")
+    talk.say("An empty line takes the value in brackets.", style.DIM)
     settings = Settings(dict(values))
     chosen: dict[str, object] = {}
     layout = settings.text("wheels.layout")
     limits = [key for key in LIMITS if AXES[layout][1] or key != "limits.vy_mps"]
     for key in (*OF_LAYOUT[layout], *limits):
-        chosen[key] = _number(talk, key, settings[key])
+        offered = f"{settings[key]:g}" if known or key in limits else ""
+        chosen[key] = _number(talk, key, offered)
     for way in distance.told(Settings({**values, **chosen})):
         talk.say(way)
     return chosen
 
 
-def _number(talk: Talk, key: str, now: float) -> float:
+def _number(talk: Talk, key: str, offered: str) -> float:
     declared = declaration(key)
     assert declared.low is not None
     assert declared.high is not None
     words = f"{declared.doc[0].upper()}{declared.doc[1:]}, {declared.unit}"
-    return float(talk.ask(answer_key(key), words, f"{now:g}", number(declared.low, declared.high, declared.unit)))
+    return float(talk.ask(answer_key(key), words, offered, number(declared.low, declared.high, declared.unit)))
 
 
 OPTIONS = {

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from statistics import median
 
 from failstop.board.kinds import board_of
 from failstop.cli import style
+from failstop.policy import scale
 from failstop.policy.layouts import SPEEDS, WHEEL_NAMES, wheel_count
 from failstop.policy.settings import Settings
+from failstop.setup import turn
 from failstop.setup.halt import Halt
 from failstop.setup.rig import Rig, alone, rim_mps
 from failstop.setup.talk import YES, Left, NotAnAnswer, Talk, begun, yes_or_no
@@ -69,8 +72,17 @@ class Trial:
         self._speeds = SPEEDS.get(self._kind, board_of(self._kind, 1.0, 0.0).wheels)
         self._words = names(self._count)
         self._way = "the way that turns the robot to the left" if self._count == 3 else "forward"
-        self._fastest = min(FASTEST_RPS, board_of(*settings.board()).most_rps / 2)
-        """Half of what the board takes: a wheel has to turn for two ways at once."""
+        self._ratios: list[float] = []
+        """Measured speed over the told one, of each wheel that turned."""
+        self._set_speeds()
+
+    def _set_speeds(self) -> None:
+        """By the settings so far: a scale that nobody has confirmed caps them."""
+        board = self._board = board_of(*Settings(dict(self._values)).board())
+        # Half of what the board takes: a wheel has to turn for two ways at once.
+        self._fastest = min(FASTEST_RPS, board.most_rps / 2)
+        if board.scale_assumed:
+            self._fastest = min(self._fastest, turn.SLOWEST_MPS / rim_mps(1.0, self._diameter_m))
         self._rps = min(RPS, self._fastest)
 
     def step(self) -> dict[str, object]:
@@ -78,11 +90,14 @@ class Trial:
         talk = self._talk
         talk.step(3, "The wheels")
         stand(talk)
-        found: dict[str, object] = {}
+        found = turn.asked(talk, self._device, self._values, self._halt, self._speeds)
+        self._values |= found
+        self._set_speeds()
         if self._speeds == self._count == 4 and self._kind.startswith("/"):
             talk.warn("Of a board of your own with four wheels no single wheel can be turned.", "set [wheels] by hand")
         else:
-            found = self._ids()
+            found |= self._ids()
+            found |= self._scale()
         self._together({**self._values, **found})
         return found
 
@@ -113,6 +128,19 @@ class Trial:
             found[f"wheels.id_{number}"], found[f"wheels.sign_{number}"] = ids[word]
         return found
 
+    def _scale(self) -> dict[str, object]:
+        """The setting by which the wheels would turn as fast as they are told, where the board reports in a unit of its
+        own that they do not."""
+        if not self._ratios:
+            return {}
+        ratio, board = median(self._ratios), self._board
+        if not (wrong := scale.wheels_differ(ratio, board.per_rps, holds_speed=board.reports.holds_speed)):
+            return {}
+        self._talk.say(f"{wrong[0].upper()}{wrong[1:]}.", style.WARN)
+        self._values[scale.PER_RPS] = float(f"{board.per_rps / ratio:.4g}")
+        self._set_speeds()
+        return {scale.PER_RPS: self._values[scale.PER_RPS]}
+
     def _legend(self) -> None:
         """How the questions are answered, once."""
         wheels = ", ".join(f"{word} {name}" for word, name in zip(self._words, WHEEL_NAMES[self._count], strict=True))
@@ -139,6 +167,7 @@ class Trial:
     def _turn(self, id_: int) -> None:
         rim = rim_mps(self._rps, self._diameter_m)
         values, velocity = alone(self._kind, self._speeds, id_, rim, self._diameter_m)
+        values |= {key: value for key, value in self._values.items() if key == scale.PER_RPS}
         self._talk.say(f"The wheel of id {id_} turns for {SECONDS:g} s, alone ...", style.DIM)
         with Rig(self._device, values, self._halt) as rig:
             rig.drive(velocity, SECONDS)
@@ -149,6 +178,8 @@ class Trial:
             self._talk.warn("The board reports that no wheel turned.", f"{SUPPLY} Or type {FASTER}.")
         for other, speed in moved.items():
             self._talk.say(f"The board reports that id {other} turned {'forward' if speed > 0 else 'backward'}.")
+        if self._board.reports.own_scale and (per_rps := self._board.reports.speed_per_rps):
+            self._ratios += [abs(speed) / per_rps / self._rps for speed in moved.values()]
 
     def _together(self, values: Mapping[str, object]) -> None:
         """All of them, as a robot: forward, then to the left. Raises Left."""

@@ -129,7 +129,6 @@ class Rrc(Board):
     reports = NO_WHEEL_REPORTS
     # It takes turns a second: its firmware knows the encoders of the motors.
     per_rps = 1.0
-    scale_assumed = False
     wheels = framing.WHEELS
     most_rps = codec.RPS_CEILING
     step_rps = 0.0

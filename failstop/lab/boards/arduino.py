@@ -105,6 +105,10 @@ class Arduino(Rolling):
         self._way = [way + speed * PERIODS * passed_s for way, speed in zip(self._way, self.rolls, strict=True)]
         self.counts = (int(self._way[0]), int(self._way[1]))
 
+    def turn_by_hand(self, wheel: int, counts: float) -> None:
+        """A person turns a wheel that has no current, by so many counts of its encoder."""
+        self._way[wheel] += counts
+
     def _auto_stop(self, at_ns: int) -> None:
         if at_ns - self._fed_ns >= AUTO_STOP_NS:
             self.moving, self.pwm = False, (0, 0)

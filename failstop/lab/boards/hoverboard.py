@@ -56,6 +56,8 @@ class Hoverboard(Rolling):
         """Whether its wheels turn as they are told, in rpm, and its feedback says so."""
         self.counters: tuple[int, ...] = ()
         """Its feedback has these two as well, as the fork's: 22 bytes."""
+        self.gain = 1.0
+        """How many rpm a unit of a command is."""
         self._timed_out = False
         self._now_ns = 0
         self._idle_ns = _NEVER
@@ -96,7 +98,7 @@ class Hoverboard(Rolling):
     def _main_loop(self) -> None:
         self.loop()
         if self._loops % 2 == 0:
-            left, right = [self._rpm(speed) for speed in (self.rolls[0], -self.rolls[1])] if self.turns else (0, 0)
+            left, right = [self._rpm(speed * self.gain) for speed in (self.rolls[0], -self.rolls[1])] if self.turns else (0, 0)
             volts = CENTIVOLTS if self.turns else 0
             frame = feedback.seal(
                 *self.obeyed, right_rpm=right, left_rpm=left, centivolts=volts, counters=self.counters

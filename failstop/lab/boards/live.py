@@ -36,14 +36,22 @@ def _command(speeds: Speeds) -> bytes:
 class LiveModel(BoardModel):
     """One of KINDS, or a board of the user's own."""
 
-    def __init__(self, kind: str, start_ns: int, seed: int = 0) -> None:
+    def __init__(self, kind: str, start_ns: int, seed: int = 0, per_rps: float = 0.0) -> None:
+        """`per_rps`: one turn a second of its wheels in its own unit, whatever the settings say; 0: as such boards
+        usually have it. It is a fact of the simulated motors and encoders, so a wrong setting shows in its wheels."""
         super().__init__(start_ns, imu_hz=0.0, seed=seed)
         wire = wire_of(kind)
         self._byte_ns = wire.port.byte_ns
-        self._per_rps = wire.motion.per_rps(DIAMETER_M)
+        self._per_rps = per_rps or wire.motion.per_rps(DIAMETER_M)
+        reports = wire.reports
+        self._counts_per_turn = 0.0
+        if reports and reports.position_per_turn and not reports.own_scale:
+            self._counts_per_turn = reports.position_per_turn(self._per_rps, DIAMETER_M)
+        self._gain = wire.motion.per_rps(DIAMETER_M) / self._per_rps
         self._kind = kind
         self._begin(start_ns)
         self.wheels = (0.0,) * wire.motion.wheels
+        self.turned = (0.0,) * wire.motion.wheels
         self._passed_ns = start_ns
         self._coming: deque[tuple[int, int, int]] = deque()
         """When a byte has come through, which, and when it was read."""
@@ -60,6 +68,8 @@ class LiveModel(BoardModel):
         """A receiver that starts then."""
         model = model_of(self._kind)
         self.receiver, self._start_ns = model.live(), start_ns
+        if hasattr(self.receiver, "gain"):
+            self.receiver.gain = self._gain
         if model.joints:
             self.servos = model.joints(self.receiver, start_ns)
 
@@ -116,7 +126,11 @@ class LiveModel(BoardModel):
     def _pass(self, until_ns: int) -> None:
         """Time until then, in steps."""
         while self._passed_ns < until_ns:
+            begun_ns = self._passed_ns
             self._passed_ns = min(self._passed_ns + STEP_NS, until_ns)
+            if any(self.wheels):
+                step_s = (self._passed_ns - begun_ns) / 1e9
+                self.turned = tuple(was + rps * step_s for was, rps in zip(self.turned, self.wheels, strict=True))
             self.receiver.until(self._passed_ns - self._start_ns)
             self._take()
 
@@ -136,6 +150,13 @@ class LiveModel(BoardModel):
             raise ValueError("the wheels of this board's receiver do what they are told")
         self.receiver.faster, self.receiver.pushed = faster, pushed_rps * self._per_rps
 
+    def turn_by_hand(self, wheel: int, turns: float) -> None:
+        """A person turns a wheel, and its encoder counts. Raises ValueError."""
+        turned = getattr(self.receiver, "turn_by_hand", None)
+        if not (turned and self._counts_per_turn and 0 <= wheel < len(self.wheels)):
+            raise ValueError(f"wheel {wheel}: this board counts no turns of it")
+        turned(wheel, turns * self._counts_per_turn)
+
     def _rps(self, speeds: tuple[float, ...]) -> Speeds:
         """Turns a second of each wheel."""
         return tuple(speed / self._per_rps for speed in speeds)
@@ -149,9 +170,10 @@ def board_model(
     battery_mv: int = 12_000,
     seed: int = 0,
     first_invalid: int = 12,
+    per_rps: float = 0.0,
 ) -> BoardModel:
     """The model of any kind of board, as the setting board.kind names it; the options that such a board has not are
     not looked at. Raises ValueError."""
     if is_described(kind):
-        return LiveModel(kind, start_ns, seed)
+        return LiveModel(kind, start_ns, seed, per_rps)
     return BoardModel(start_ns, imu_hz=imu_hz, battery_mv=battery_mv, seed=seed, first_invalid=first_invalid)

@@ -47,6 +47,8 @@ class Ugv(Rolling):
         self.said: list[tuple[int, bytes]] = []
         self.turns = turns
         """Whether its wheels turn as they are told, and it reports every 50 ms."""
+        self.gain = 1.0
+        """How many m/s a unit of a command is."""
         self._odometers = [0.0, 0.0]
         self._report_ns = REPORT_NS
         self._compared = [0.0, 0.0]
@@ -85,7 +87,7 @@ class Ugv(Rolling):
     def _report(self, at_ns: int) -> None:
         passed_s = (at_ns - self._report_ns + REPORT_NS) / 1e9
         self._report_ns = at_ns + REPORT_NS
-        wheels = self.rolls
+        wheels = tuple(speed * self.gain for speed in self.rolls)
         self._odometers = [way + 100 * speed * passed_s for way, speed in zip(self._odometers, wheels, strict=True)]
         said = b'{"T":1001,"L":%g,"R":%g,"ax":0,"ay":0,"az":8192,"gx":0,"gy":0,"gz":0,"odl":%d,"odr":%d,"v":1180}\r\n'
         self.said.append((at_ns, said % (*wheels, *self._odometers)))

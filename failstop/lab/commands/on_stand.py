@@ -18,7 +18,7 @@ from failstop.lab.prove import campaign, report
 from failstop.lab.prove.campaign import Draw
 from failstop.lab.prove.session import check_free, session
 from failstop.lab.prove.stand import ProveStand
-from failstop.lab.prove.table import TURNINGS, Path
+from failstop.lab.prove.table import Path, Turning, within
 from failstop.setup.ending import interruptible
 
 WARNING = """\
@@ -43,8 +43,9 @@ def run(arguments: Namespace, seed: int, default_s: float) -> int:
     with interruptible(), tempfile.TemporaryDirectory(prefix="failstop-chaos-", ignore_cleanup_errors=True) as folder:
         stand = ProveStand(device, config.read(path), folder)
         width = max(len(path.name) for path in chosen)
-        draws = _draws(arguments, chosen, seed, default_s)
-        evidence = session(draws, TURNINGS, stand, say=report.print_now, tool="chaos", keep_all=False, width=width)
+        velocities = within(stand.settings)
+        draws = _draws(arguments, chosen, seed, default_s, velocities)
+        evidence = session(draws, velocities, stand, say=report.print_now, tool="chaos", keep_all=False, width=width)
     print("\n" + "\n".join([*campaign.table_lines(evidence.results), "", *report.last_lines(evidence)]), flush=True)
     if arguments.json:
         with open(arguments.json, "w", encoding="utf-8") as file:
@@ -73,14 +74,16 @@ def list_paths(only: str | None) -> None:
         print(f"{path.name:<{campaign.WIDTH}} {path.words}")
 
 
-def _draws(arguments: Namespace, chosen: list[Path], seed: int, default_s: float) -> Iterator[Draw]:
+def _draws(
+    arguments: Namespace, chosen: list[Path], seed: int, default_s: float, velocities: list[Turning]
+) -> Iterator[Draw]:
     if arguments.each is not None:
         plan = [path for path in chosen for _ in range(arguments.each)]
-        return ((path, *campaign.draw([path], index, seed)[1:]) for index, path in enumerate(plan))
+        return ((path, *campaign.draw([path], index, seed, velocities)[1:]) for index, path in enumerate(plan))
     if arguments.count is not None:
-        return campaign.draws(chosen, seed, lambda made: made >= arguments.count, arguments.first)
+        return campaign.draws(chosen, seed, lambda made: made >= arguments.count, arguments.first, velocities)
     seconds = default_s if arguments.seconds is None else arguments.seconds
-    return campaign.draws(chosen, seed, _after(seconds), arguments.first)
+    return campaign.draws(chosen, seed, _after(seconds), arguments.first, velocities)
 
 
 def _after(seconds: float) -> Callable[[int], bool]:

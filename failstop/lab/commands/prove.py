@@ -21,7 +21,7 @@ from failstop.lab.prove import pack, report, table
 from failstop.lab.prove.means import means_of
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.session import check_free, session
-from failstop.lab.prove.stand import ProveStand, settings_for
+from failstop.lab.prove.stand import ProveStand, driven, settings_for
 from failstop.lab.prove.swing import REACH_RAD
 from failstop.lab.prove.table import BY_ARM_PATH, BY_PATH, BY_TURNING, SWINGING, Path, Turning
 from failstop.lab.sim.client import SimBoard
@@ -70,7 +70,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_board(parser, None, "with --sim: {} (default: the setting board.kind)")
     add("--quick", action="store_true", help="the main paths, each at one velocity in turn")
     add("--only", metavar="PATH,...", help=f"these stop paths alone: {', '.join(KNOWN)}")
-    add("--at", metavar="V,...", help=f"these velocities alone: {', '.join(BY_TURNING)}")
+    add("--at", metavar="V,...", help=f"these velocities alone, within the limits: {', '.join(BY_TURNING)}")
     add("--pad", action="store_true", help="ask a person to press a button of the gamepad")
     add("--device", metavar="PATH", help="the board's port (default: the setting device.path)")
     add("--config", metavar="FILE", help="the service's settings (default: the installed file, if there is one)")
@@ -128,10 +128,11 @@ def _plan(
 ) -> tuple[Plan, bool]:
     """The runs that this robot can have, in order, and whether its arm moves. Raises FailstopError where there are
     none, SettingError."""
-    settings = config.checked(settings_for(user))
+    settings = driven(settings_for(user))
     has_arm, board = bool(settings.servos()), board_of(*settings.board())
     means = means_of(settings.text("board.kind"), board, imu=settings.on("board.imu"))
-    plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm, beside=board.arm_beside_wheels)
+    beside = board.arm_beside_wheels
+    plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm, beside=beside, settings=settings)
     fitted = [(means.fitted(path), velocity) for path, velocity in plan if not means.lacks(path)]
     if not fitted:
         why = {means.lacks(path) for path, _ in plan} or {"the settings name no joints, and this is the arm's alone"}

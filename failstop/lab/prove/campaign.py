@@ -7,7 +7,7 @@ answers a ping behind the stop, and its IMU, which shows the wheels come to rest
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from failstop.lab.faults import ptrace, table
 from failstop.lab.faults.fault import SPIN, Fault
@@ -31,17 +31,23 @@ def paths() -> dict[str, Path]:
     return {path.name: path for path in found}
 
 
-def draw(chosen: list[Path], index: int, seed: int) -> Draw:
+def draw(chosen: list[Path], index: int, seed: int, velocities: Sequence[Turning] = TURNINGS) -> Draw:
     """The run of this index of a campaign: the same for the same seed and paths."""
     chance = random.Random(f"{seed} {index}")
-    return chance.choice(chosen), chance.choice(TURNINGS), chance
+    return chance.choice(chosen), chance.choice(velocities), chance
 
 
-def draws(chosen: list[Path], seed: int, until: Callable[[int], bool], first: int = 0) -> Iterator[Draw]:
+def draws(
+    chosen: list[Path],
+    seed: int,
+    until: Callable[[int], bool],
+    first: int = 0,
+    velocities: Sequence[Turning] = TURNINGS,
+) -> Iterator[Draw]:
     """One after the other, until `until` (how many there were) is true."""
     index = first
     while not until(index - first):
-        yield draw(chosen, index, seed)
+        yield draw(chosen, index, seed, velocities)
         index += 1
 
 

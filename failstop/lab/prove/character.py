@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Iterable
 
 from failstop.api.errors import FailstopError
 from failstop.board.interface import BY_WHEELS
-from failstop.lab.prove import shake, sight
+from failstop.lab.prove import pace, shake, sight
 from failstop.lab.prove.run import MOST_S, NS, STAYS_S, STEADY_S, speed_up_s
 from failstop.lab.prove.shake import Noise
 from failstop.lab.prove.sight import ByImu, ByWheels, SeenSample, Sight, Unseen, Verdict
 from failstop.lab.prove.stand import ProveStand
 from failstop.lab.prove.table import Turning
+from failstop.policy import scale
 from failstop.procs.telemetry.still import StillJudge
 
 STILL_S = 3.0
@@ -29,12 +31,16 @@ class Unfit(FailstopError):
     """The robot's rest can't be told from its turning: nothing can be proved."""
 
 
+class WrongScale(FailstopError):
+    """The wheels do not turn as fast as they are told: every speed here would be another one."""
+
+
 class Restless(FailstopError):
     """The wheels do not stop."""
 
 
 def characterize(stand: ProveStand, velocities: Iterable[Turning], *, quick: bool) -> Sight:
-    """Measure. Raises Unfit, Restless, TrialError, FailstopError."""
+    """Measure. Raises Unfit, WrongScale, Restless, TrialError, FailstopError."""
     share = 0.6 if quick else 1.0
     if stand.means.observed_by == BY_WHEELS:
         return _by_wheels(stand, velocities, share)
@@ -72,8 +78,16 @@ def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -
     found = ByWheels(sight.longest_gap_s(stood), {})
     for velocity in velocities:
         turned = _spin(stand, velocity, SPIN_S * share)
-        begun_ns = time.monotonic_ns()
+        begun_ns, true_rps = time.monotonic_ns(), stand.board.wheels() if stand.board else ()
         stand.driver.robot.disable()
+        told_rps = pace.told_rps(stand.settings, velocity)
+        if (ratio := pace.measured(turned, stand.language.reports, told_rps)) is not None:
+            found.speeds[velocity.name] = ratio
+            holds, per_rps = stand.language.reports.holds_speed, stand.language.per_rps
+            if wrong := scale.wheels_differ(ratio, per_rps, holds_speed=holds):
+                raise WrongScale(f"at {velocity.words} {wrong}; correct it, and repeat")
+        elif true_rps and not found.notes:
+            found = dataclasses.replace(found, notes=pace.of_simulated(true_rps, told_rps, stand.language.per_rps))
         if not found.turning(turned):
             if cause := stand.driver.robot.state.cause:
                 raise Unfit(f"a stop came while the wheels were to turn: {cause}")
@@ -81,7 +95,7 @@ def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -
                 f"at {velocity.words} the board's reports do not show turning wheels: "
                 f"{SIMULATED if stand.board else SUPPLIED}"
             )
-        found = ByWheels(max(found.gap_s, sight.longest_gap_s(turned)), found.rolled_s)
+        found = dataclasses.replace(found, gap_s=max(found.gap_s, sight.longest_gap_s(turned)))
         _come_to_rest(stand, velocity, found.verdict(begun_ns))
         stand.run(STAYS_S)
         rest_ns = sight.rest_ns([sample for sample in stand.watch.samples if sample[0] >= begun_ns])

@@ -17,6 +17,9 @@ NO_REPORTS = (
     "turn on"
 )
 NO_ANSWER = "acknowledged: this board answers no question, and does not report the command that it obeys"
+UNCONFIRMED = "speeds: nobody has confirmed board.per_rps, so this is proved at a capped speed (`failstop setup`)"
+SHARED = "speeds: this board's reports share board.per_rps, so a wrong one does not show in them"
+UNMEASURED = "speeds: this board reports none of its wheels"
 FREEZES = "a frozen computer, a pulled cable"
 
 
@@ -36,6 +39,8 @@ class Means:
     """After how long its own watchdog acts; 0: it has none."""
     does: str = ""
     """Its watchdog's act, as wire.py words it."""
+    speeds: str = ""
+    """Why its speeds are not proved; empty: it reports them in a unit of their own."""
 
     def lacks(self, path: Path) -> str:
         """Why this board can't have a path; empty: it can."""
@@ -61,6 +66,8 @@ class Means:
         found = [NO_REPORTS] if blind else []
         if not self.acknowledged_by:
             found.append(NO_ANSWER)
+        if self.speeds:
+            found.append(self.speeds)
         if not self.pad:
             found.append(f"{PAD_STOP}: {NO_PAD}")
         if not self.watchdog_s:
@@ -77,7 +84,7 @@ def means_of(kind: str, board: Board, *, imu: bool = True) -> Means:
     ValueError."""
     seen = observer(board.observed_by, imu=imu)
     if not is_described(kind):
-        return Means(board.acknowledged_by, seen, pad=True, may_be_blind=not imu)
+        return Means(board.acknowledged_by, seen, pad=True, may_be_blind=not imu, speeds=_speeds(board))
     watchdog = wire_of(kind).watchdog
     return Means(
         board.acknowledged_by,
@@ -86,4 +93,13 @@ def means_of(kind: str, board: Board, *, imu: bool = True) -> Means:
         seen != BY_WHEELS,
         watchdog.acts_ns / 1e9,
         watchdog.does if watchdog.acts_ns else "",
+        _speeds(board),
     )
+
+
+def _speeds(board: Board) -> str:
+    if board.scale_assumed:
+        return UNCONFIRMED
+    if board.reports.own_scale:
+        return ""
+    return SHARED if board.reports.every_ns else UNMEASURED

@@ -17,7 +17,7 @@ from failstop.doctor.system import System
 from failstop.instances import unit_of
 from failstop.lab.prove import report
 from failstop.lab.prove.arm_run import ArmRun
-from failstop.lab.prove.character import Restless, Unfit, characterize
+from failstop.lab.prove.character import Restless, Unfit, WrongScale, characterize
 from failstop.lab.prove.frozen import FrozenRun
 from failstop.lab.prove.held import repeat
 from failstop.lab.prove.report import Evidence
@@ -89,7 +89,7 @@ def session(
         evidence.ended = report.INTERRUPTED
     except (TrialError, SimBoardError, FailstopError, OSError) as error:
         starved = stand.held.starved(begun)
-        evidence.spoiled = bool(starved) and not isinstance(error, Restless)
+        evidence.spoiled = bool(starved) and not isinstance(error, (Restless, WrongScale))
         evidence.ended = f"{repeat(starved)}; {error}" if evidence.spoiled else str(error)
     if not stand.board:
         evidence.outcome = stand.outcome

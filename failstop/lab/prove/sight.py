@@ -121,6 +121,10 @@ class ByWheels(Sight):
     """The longest time between two of its judged reports."""
     rolled_s: dict[str, float]
     """From a stop at a velocity to rest, as this robot took when it was characterized."""
+    speeds: dict[str, float] = dataclasses.field(default_factory=dict)
+    """At each velocity the measured speed of the wheels over the told one; empty: not known."""
+    notes: tuple[str, ...] = ()
+    """What is seen of a simulated board, and could not be of a robot."""
 
     by = "wheels"
     source = "board's report of its wheels"
@@ -147,6 +151,8 @@ class ByWheels(Sight):
         rolled = ", ".join(f"{seconds:.2f} s from {name}" for name, seconds in self.rolled_s.items())
         return [
             f"reports of the wheels are {self.gap_s:.2f} s apart at most; from a stop to rest they took {rolled}",
+            *(f"at {name} the wheels turn {share:.2f} times as fast as told" for name, share in self.speeds.items()),
+            *self.notes,
         ]
 
     def as_dict(self) -> dict[str, Any]:

@@ -17,13 +17,12 @@ from failstop.cli import style
 from failstop.lab.faults.driving import Driver
 from failstop.lab.prove.held import Held
 from failstop.lab.prove.means import Means, means_of
-from failstop.lab.prove.table import TURNINGS
 from failstop.lab.prove.watch import Watch
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.stand import Stand
 from failstop.lab.trial import COMMAND_EVERY_S, Service, write_settings
+from failstop.policy import scale
 from failstop.policy.halted import Halted
-from failstop.policy.kinematics import max_wheel_rps
 from failstop.policy.settings import Settings
 from failstop.setup.ending import end_with_parent, uninterrupted
 from failstop.setup.halt import WAITS_S, Halt
@@ -31,7 +30,6 @@ from failstop.setup.halt import WAITS_S, Halt
 if TYPE_CHECKING:
     from failstop.lab.prove.swing import Swing
 
-OF_SPEEDS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
 LOOK_EVERY_S = 0.001
 SIM_WAITS_S = 0.5
 """How long an unplugged port is waited for that is a simulated board's: it may have ended with the same Ctrl-C."""
@@ -65,18 +63,15 @@ class StandService(Service):
 
 
 def settings_for(user: dict[str, object]) -> dict[str, object]:
-    """The user's settings, with limits that let the velocities of the table pass. Raises SettingError."""
-    fastest = [max(abs(velocity.command[axis]) for velocity in TURNINGS) for axis in (0, 2)]
-    have = Settings({**user})
-    limits = {key: have[key] for key in OF_SPEEDS}
-    for key, needed in zip((OF_SPEEDS[0], OF_SPEEDS[-1]), fastest, strict=True):
-        limits[key] = max(have[key], needed)
-    kept = {key: value for key, value in user.items() if key != "device.path"}
-    fastest_rps, most_rps = max_wheel_rps(Settings({**kept, **limits})), board_of(*have.board()).most_rps
-    if fastest_rps > most_rps:
-        # A base that is slower than the table goes as fast as its wheels can in every direction at once.
-        limits = {key: value * 0.999 * most_rps / fastest_rps for key, value in limits.items()}
-    return {**kept, **OVERRIDES, **limits}
+    """The user's settings, with those of the test over them. The robot's own limits hold."""
+    return {**{key: value for key, value in user.items() if key != "device.path"}, **OVERRIDES}
+
+
+def driven(user: dict[str, object]) -> Settings:
+    """The settings that the service of a test runs with: while nobody has confirmed the scale of the wheels, it caps
+    the limits. Raises SettingError."""
+    settings = config.checked(dict(user))
+    return scale.capped(settings, assumed=board_of(*settings.board()).scale_assumed)
 
 
 def _alarm(text: str) -> None:
@@ -91,8 +86,8 @@ class ProveStand(Stand):
         then judges too. Raises SettingError."""
         self.device = device
         values = settings_for(user)
-        self.user: Settings = config.checked(dict(user))
-        self.settings: Settings = config.checked(dict(values))
+        self.user: Settings = driven(user)
+        self.settings: Settings = driven(values)
         self.language = board_of(*self.settings.board())
         self.means: Means = means_of(self.settings.text("board.kind"), self.language, imu=self.settings.on("board.imu"))
         path = os.path.join(folder, "prove.toml")

@@ -10,6 +10,7 @@ from failstop.lab.faults.fault import Fault, Wanted
 from failstop.lab.faults.table import FAULT_BY_NAME
 from failstop.messages.layout import GATE, PORT_OWNER, PROCESS_NAMES, STOPPER, SUPERVISOR, TELEMETRY
 from failstop.policy import causes
+from failstop.policy.settings import Settings
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,6 +24,8 @@ class Turning:
     """From the stop to rest, as measured on the robot with the driver before (stop request)."""
     said: str = ""
     """For people, where no wheel turns."""
+    column: int = 0
+    """Of MEASURED_S."""
 
     @property
     def words(self) -> str:
@@ -35,8 +38,8 @@ class Turning:
 
 TURNINGS = (
     Turning("0.2", (0.2, 0.0, 0.0), 0.40),
-    Turning("0.35", (0.35, 0.0, 0.0), 0.50),
-    Turning("turn", (0.0, 0.0, 1.0), 0.25),
+    Turning("0.35", (0.35, 0.0, 0.0), 0.50, column=1),
+    Turning("turn", (0.0, 0.0, 1.0), 0.25, column=2),
 )
 
 SWINGING = Turning("arm", (0.0, 0.0, 0.0), 0.0, "arm swings")
@@ -123,7 +126,7 @@ class Path:
         if self.arm:
             return (self.reaction_ms - STOP_MS + arm_table.BY_ITSELF_MS) / 1000 + ARM_RESOLUTION_S
         if measured := MEASURED_S.get(self.kind):
-            return measured[TURNINGS.index(velocity)] + REST_RESOLUTION_S
+            return measured[velocity.column] + REST_RESOLUTION_S
         return self.reaction_ms / 1000 + velocity.coast_s + REST_RESOLUTION_S
 
 
@@ -185,16 +188,37 @@ ARM_QUICK = ("arm-kill-gate", "arm-client-killed", "arm-stop-request")
 BY_ARM_PATH = {path.name: path for path in ARM_PATHS}
 
 
+def within(settings: Settings, at: tuple[str, ...] = ()) -> list[Turning]:
+    """The velocities of the table, each no faster than this robot's limits, and none twice. `at`: those of these names
+    alone."""
+    most_vx, most_wz = settings["limits.vx_mps"], settings["limits.wz_radps"]
+    found: dict[tuple[float, float, float], Turning] = {}
+    for velocity in TURNINGS:
+        forward, aside, turn = velocity.command
+        command = min(forward, most_vx), aside, min(turn, most_wz)
+        name = velocity.name if command[0] == forward else f"{command[0]:g}"
+        if not at or velocity.name in at:
+            found.setdefault(command, dataclasses.replace(velocity, command=command, name=name))
+    return list(found.values())
+
+
 def plan(
-    *, quick: bool, only: tuple[str, ...] = (), at: tuple[str, ...] = (), has_arm: bool = False, beside: bool = False
+    *,
+    quick: bool,
+    only: tuple[str, ...] = (),
+    at: tuple[str, ...] = (),
+    has_arm: bool = False,
+    beside: bool = False,
+    settings: Settings,
 ) -> list[tuple[Path, Turning]]:
-    """Runs in order: every path at every velocity, or each once. `only` and `at` are names of the tables;
-    `has_arm`: the arm's too, but for a plan of velocities; `beside`: it may move beside the wheels."""
-    velocities = [velocity for velocity in TURNINGS if not at or velocity.name in at]
+    """Runs in order: every path at every velocity within the limits of `settings`, or each once. `only` and `at` are
+    names of the tables; `has_arm`: the arm's too, but for a plan of velocities; `beside`: it may move beside the
+    wheels."""
+    velocities = within(settings, at)
     names = only or (QUICK_NAMES if quick else tuple(BY_PATH))
     paths = [path for path in PATHS if path.name in names]
     moving = only or (() if at else ARM_QUICK if quick else tuple(BY_ARM_PATH))
-    swinging = TURNINGS[0] if beside else SWINGING
+    swinging = within(settings)[0] if beside else SWINGING
     of_arm = BESIDE_PATHS if beside else ARM_PATHS
     swings = [(path, swinging) for path in of_arm if has_arm and path.name in moving]
     if quick:

@@ -69,8 +69,10 @@ class SimBoard:
         cooked: bool = False,
         usb: str = "",
         board: str = "",
+        per_rps: float = 0.0,
     ) -> None:
-        """`board`: its kind; empty: the first."""
+        """`board`: its kind; empty: the first. `per_rps`: one turn a second of its wheels in its own unit; 0: as such
+        boards usually have it."""
         self.link = os.fspath(link)
         self._control = self.link + SUFFIX
         self._command = helpers.python("failstop.lab.sim", "--until-eof", "--device", self.link)
@@ -81,6 +83,7 @@ class SimBoard:
         self._command += ["--cooked"] if cooked else []
         self._command += ["--usb", usb] if usb else []
         self._command += ["--board", board] if board else []
+        self._command += ["--per-rps", str(per_rps)] if per_rps else []
         self._process: subprocess.Popen[bytes] | None = None
         self._stderr: IO[bytes] | None = None
         # One connection a thread, so that one may wait while another works.
@@ -163,6 +166,10 @@ class SimBoard:
     def wheels(self) -> Speeds:
         """The wheel speeds now, in rps by wire id."""
         return tuple(self._ask("wheels")["speeds_rps"])
+
+    def turned(self) -> Speeds:
+        """How far each wheel has been driven since the start, in turns by wire id; empty: this board does not count."""
+        return tuple(self._ask("wheels")["turned"])
 
     def joints(self) -> dict[int, float]:
         """Where each of the arm's servos stands now, in pulses."""
@@ -306,6 +313,10 @@ class SimBoard:
         """The first wheel turns so many times as fast as it is told, and by `pushed_rps` more, and the board reports
         it."""
         self._ask("roll", faster=faster, pushed_rps=pushed_rps)
+
+    def turn_by_hand(self, wheel: int, turns: float) -> None:
+        """A person turns the wheel of this id."""
+        self._ask("hand", wheel=wheel, turns=turns)
 
     def imu(self, on: bool) -> None:
         """Silence the IMU, or let it report again."""

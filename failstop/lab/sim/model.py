@@ -101,6 +101,8 @@ class BoardModel:
     ) -> None:
         self.executed_total = 0
         self.wheels: Speeds = (0.0, 0.0, 0.0, 0.0)
+        self.turned: Speeds = ()
+        """How far each wheel has been driven, in turns; empty: nobody counts."""
         self.imu = Imu(start_ns, seed)
         self.battery_mv = battery_mv
         self.imu_sent = 0
@@ -243,6 +245,10 @@ class BoardModel:
     def pad_silent(self) -> None:
         """The pad is unplugged: plain silence."""
         self._pad_ns = NEVER_NS
+
+    def turn_by_hand(self, wheel: int, turns: float) -> None:
+        """A person turns a wheel. Raises ValueError."""
+        raise ValueError(f"wheel {wheel}, {turns:g} turns: this board counts no turns")
 
     def key(self, key_id: int, event: int, t_ns: int) -> None:
         """Send one key frame."""

@@ -35,6 +35,8 @@ class Options:
     """Where the plug goes in: `vhci`, or a usbredir host; empty: the port is a pty."""
     verbose: bool = False
     until_eof: bool = False
+    per_rps: float = 0.0
+    """One turn a second of its wheels in its own unit; 0: as such boards usually have it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,6 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where to place the link to the simulated port (default: %(default)s)",
     )
     add_board(parser)
+    add(
+        "--per-rps",
+        type=_positive,
+        default=0.0,
+        metavar="N",
+        help="one turn a second of its wheels in its own unit, whatever board.per_rps says: of an Arduino the encoder "
+        "counts of a turn, divided by 30 (default: as such boards usually have it)",
+    )
     add("--record", metavar="FILE", help="write every chunk, frame and fault to FILE, one JSON object per line")
     add(
         "--imu-hz",
@@ -96,6 +106,13 @@ def _kind(text: str) -> str:
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     return kind
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value <= 10_000:
+        raise argparse.ArgumentTypeError(f"{text}, must be above 0 and at most 10000")
+    return value
 
 
 def _rate_hz(text: str) -> float:

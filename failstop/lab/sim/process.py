@@ -56,6 +56,7 @@ class Simulator:
             battery_mv=options.battery_mv,
             seed=options.seed,
             first_invalid=options.first_invalid_func,
+            per_rps=options.per_rps,
         )
         self._requests: dict[str, Callable[[ControlMessage], ControlMessage | Wait]] = {
             "info": self._info,
@@ -213,7 +214,7 @@ class Simulator:
         }
 
     def _wheels(self, _request: ControlMessage) -> ControlMessage:
-        return {"speeds_rps": self._model.wheels, "executed": self._model.executed_total}
+        return {"speeds_rps": self._model.wheels, "turned": self._model.turned, "executed": self._model.executed_total}
 
     def _joints(self, request: ControlMessage) -> ControlMessage:
         servos, now_ns = self._model.servos, time.monotonic_ns()
@@ -302,6 +303,8 @@ class Simulator:
         elif operation == "servo":
             values = {name: value for name, value in request.items() if name not in ("op", "servo")}
             model.servos.change(_integer(request, "servo", 253), now_ns, **values)
+        elif operation == "hand":
+            model.turn_by_hand(_integer(request, "wheel", 3), float(request["turns"]))
         elif operation == "pad_silent":
             model.pad_silent()
         else:

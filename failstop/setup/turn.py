@@ -1,0 +1,164 @@
+"""Turn: how much of the board's unit is one turn of a wheel, which only a person can tell.
+
+Where commands and reports share the scale, every report fits every command, however wrong the scale is. So a person
+turns a wheel by hand, and the board's counts before and after say the rest; or, where no wheel can be turned by hand,
+counts the turns of a wheel that failstop drives slowly.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Mapping
+
+from failstop.board.interface import HEARD_WHEELS, Board
+from failstop.board.kinds import board_of
+from failstop.board.port import PortError, set_speed
+from failstop.board.tap import Tap
+from failstop.policy.scale import CAPS, PER_RPS
+from failstop.policy.settings import BY_KEY, Settings
+from failstop.setup.halt import Halt
+from failstop.setup.rig import Rig, alone, rim_mps
+from failstop.setup.talk import NO, Left, NotAnAnswer, Talk, number
+from failstop.supervisor.port_handover import OwnPort
+
+KEY = "per_rps"
+UNKNOWN = "unknown"
+SLOWEST_MPS = min(CAPS["limits.vx_mps"], CAPS["limits.vy_mps"])
+"""At the rim: within the cap of a robot whose scale nobody has confirmed."""
+SECONDS = 10.0
+ASK_S = 0.1
+REPORTS_S = 3.0
+LEAST_COUNTS = 4.0
+"""Fewer are play, or noise."""
+OTHERS = 0.2
+"""Another wheel that moved by more than this share of the first was turned too."""
+MOST_TURNS = 100.0
+
+
+def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, speeds: int) -> dict[str, object]:
+    """The setting board.per_rps by a person's word; nothing where the board knows it, or the person does not. `speeds`:
+    in a frame of the board. Raises Left."""
+    settings = Settings(dict(values))
+    board = board_of(*settings.board())
+    if not board.scale_assumed:
+        return {}
+    talk.say("How far a wheel turns depends on its motor and its encoder, and nothing but you can tell.")
+    if not talk.known(KEY):
+        if talk.silent:
+            raise Left(f"nobody is here to turn a wheel: give --per-rps, a number or {UNKNOWN}")
+        found = by_hand(talk, device, board) if board.reports.position_per_turn else None
+        answer = found or driven(talk, device, settings, halt, speeds, board)
+        talk.draft.keep(KEY, answer)
+    else:
+        answer = talk.ask(KEY, "", "", _check)
+    if answer == UNKNOWN:
+        talk.warn(f"Speeds stay capped at {SLOWEST_MPS:g} m/s until it is known.", f"set {PER_RPS}, or run setup again")
+        return {}
+    return {PER_RPS: float(answer)}
+
+
+def _check(answer: str) -> str:
+    """A number that the setting takes, or UNKNOWN. Raises NotAnAnswer."""
+    if answer == UNKNOWN:
+        return answer
+    declared = BY_KEY[PER_RPS]
+    assert declared.high is not None
+    with contextlib.suppress(ValueError):
+        if 0 < float(answer) <= declared.high:
+            return f"{float(answer):g}"
+    raise NotAnAnswer(f"type a number above 0, up to {declared.high:g}, or {UNKNOWN}")
+
+
+def _turns(answer: str) -> str:
+    return answer if answer in (NO, UNKNOWN) else number(0.05, MOST_TURNS, "")(answer)
+
+
+def by_hand(talk: Talk, device: str, board: Board) -> str | None:
+    """The setting, by a wheel that a person turns; UNKNOWN; None: no wheel can be turned by hand. Raises Left."""
+    try:
+        with contextlib.closing(OwnPort.open_and_stop(device, board)) as own:
+            set_speed(own.fd, board.port)
+            tap = Tap(own.fd, board)
+            while True:
+                before = _positions(tap, board)
+                talk.say("Mark one wheel. Turn it by hand: whole turns, one at least, and leave the others alone.")
+                how = f"How many turns did it make? ({NO}: it can't be turned by hand; {UNKNOWN}: leave it)"
+                answer = talk.ask("turned", how, "1", _turns, keep=False)
+                if answer == NO:
+                    return None
+                if answer == UNKNOWN:
+                    return answer
+                if not (problem := _wrong(counts := _moved(before, _positions(tap, board), board.reports.wraps))):
+                    return _found(
+                        talk, board, max(counts) / board.reports.position_per_turn, float(answer), max(counts)
+                    )
+                talk.warn(problem, "turn one wheel once more")
+    except (PortError, OSError, ValueError) as error:
+        text = str(error) if os.path.exists(device) else f"{device} went away: is the plug in?"
+        raise Left(text) from None
+
+
+def _positions(tap: Tap, board: Board) -> tuple[float, ...]:
+    """The newest that the board reports. Raises Left."""
+    with contextlib.suppress(BlockingIOError):
+        tap.read()  # what has waited is old
+    until_s = time.monotonic() + REPORTS_S + board.port.deaf_ns / 1e9
+    while time.monotonic() < until_s:
+        if board.pings:
+            with contextlib.suppress(BlockingIOError):
+                tap.ping()
+        time.sleep(ASK_S)
+        found = [said[1] for _, kind, said in tap.read() if kind == HEARD_WHEELS and said[1]]
+        if found:
+            return tuple(found[-1])
+    raise Left("the board does not say where its wheels are: are the encoders plugged in?")
+
+
+def _moved(before: tuple[float, ...], after: tuple[float, ...], wraps: float) -> list[float]:
+    """By how much each position has changed, either way."""
+    steps = [now - then for then, now in zip(before, after, strict=True)]
+    if wraps:
+        steps = [(step + wraps / 2) % wraps - wraps / 2 for step in steps]
+    return [abs(step) for step in steps]
+
+
+def _wrong(counts: list[float]) -> str:
+    """Why these are no turn of one wheel; empty: they are."""
+    *others, most = sorted(counts)
+    if most < LEAST_COUNTS:
+        return "The board has counted nothing: is the encoder of that wheel plugged in?"
+    if others and others[-1] > OTHERS * most:
+        return "More than one wheel has turned."
+    return ""
+
+
+def driven(talk: Talk, device: str, settings: Settings, halt: Halt, speeds: int, board: Board) -> str:
+    """The setting, by the turns that a person counts of a wheel that turns slowly; or UNKNOWN. Raises Left."""
+    kind, diameter_m = settings.text("board.kind"), settings["wheels.diameter_m"]
+    rps = SLOWEST_MPS / rim_mps(1.0, diameter_m)
+    values, velocity = alone(kind, speeds, 0, SLOWEST_MPS, diameter_m)
+    while True:
+        talk.say(f"Mark the wheels. The one of id 0 turns for {SECONDS:g} s: count its turns, quarters too (2.25).")
+        with Rig(device, values, halt) as rig:
+            rig.drive(velocity, SECONDS)
+        answer = talk.ask("counted", f"How many turns did it make? (again; {UNKNOWN})", "", _counted, keep=False)
+        if answer == UNKNOWN:
+            return answer
+        if answer != "again":
+            per_turn = board.reports.position_per_turn
+            told = rig.moved[0] / per_turn if per_turn and rig.moved.get(0) else rps * SECONDS
+            return _found(talk, board, told, float(answer), rig.moved.get(0, 0.0))
+
+
+def _counted(answer: str) -> str:
+    return answer if answer in ("again", UNKNOWN) else number(0.05, MOST_TURNS, "")(answer)
+
+
+def _found(talk: Talk, board: Board, told: float, turns: float, counts: float) -> str:
+    """The setting of a wheel that has made `turns` where the scale of now says `told`."""
+    per_rps = board.per_rps * told / turns
+    counted = f"{counts / turns:.0f} counts a turn: " if counts else ""
+    talk.say(f"{counted}{PER_RPS} is {per_rps:.4g} (such boards usually have {board.per_rps:.4g}).")
+    return f"{per_rps:.6g}"

@@ -1,0 +1,139 @@
+"""The scale of the wheels, which only a person can tell where commands and reports share it: by a wheel turned by hand,
+by turns counted, or left unknown. The simulated board knows its own encoder, whatever the settings say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from failstop import config
+from failstop.board.arduino.codec import COUNTS, PERIODS
+from failstop.board.kinds import board_of
+from failstop.lab.sim.client import SimBoard
+from failstop.policy.settings import Settings
+from failstop.setup import sizes, turn
+from failstop.setup.draft import Draft
+from failstop.setup.talk import Left, Talk
+from tests.setup.person import Person
+from tests.setup.test_wrong import GIVEN, words
+from tests.support.amounts import LONG
+
+USUAL = COUNTS / PERIODS
+TOO_LARGE = (0.2, 0.5, 2.0, 5.2, 6.0)
+"""The usual scale over the robot's own."""
+ANSWERED = {key: value for key, value in GIVEN.items() if key != "robot"} | {"board": "arduino"}
+
+
+def made(place: Path) -> Settings:
+    """The settings that were written."""
+    return config.load(str(place / "made.toml"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("too_large", TOO_LARGE if LONG else [5.2])
+def test_a_wheel_turned_by_hand_tells_the_scale(too_large: float, place: Path) -> None:
+    port, true = str(place / "b"), USUAL / too_large
+    given = {**ANSWERED, "port": port, "file": str(place / "made.toml")}
+    with SimBoard(port, board="arduino", per_rps=true) as board, Person(place, *words(place, given)) as person:
+        person.says("How many turns did it make?", "1")
+        person.reads("The board has counted nothing")
+        person.reads("How many turns did it make?")
+        for wheel in (0, 1):
+            board.turn_by_hand(wheel, 1.0)
+        person.types("1")
+        person.reads("More than one wheel has turned.")
+        person.reads("How many turns did it make?")
+        board.turn_by_hand(1, -3.0)
+        person.types("3")
+        person.reads("board.per_rps is")
+        person.reads("Written to")
+        assert person.ends() == 0
+        assert not any(event.is_motor and any(event.speeds) for event in board.events())
+    assert made(place)["board.per_rps"] == pytest.approx(true, rel=0.01)
+    assert not board_of(*made(place).board()).scale_assumed
+
+
+@pytest.mark.slow
+def test_the_turns_of_a_wheel_that_can_not_be_turned_by_hand_are_counted(place: Path) -> None:
+    port, true = str(place / "b"), USUAL / 5.2
+    given = {**ANSWERED, "port": port, "file": str(place / "made.toml")}
+    with SimBoard(port, board="arduino", per_rps=true) as board, Person(place, *words(place, given)) as person:
+        person.says("How many turns did it make?", "no")
+        board.wait_wheels(True, 30.0)
+        fastest_mps = max(map(abs, board.wheels())) * 3.1416 * 0.08
+        person.reads("How many turns did it make?")
+        assert fastest_mps <= 5.2 * 0.051, "within the cap, by the scale that is assumed"
+        turned = board.turned()[0]
+        person.types(f"{turned:.2f}")
+        person.reads("Written to")
+        assert person.ends() == 0
+    assert made(place)["board.per_rps"] == pytest.approx(true, rel=0.05)
+
+
+def talk(place: Path, **given: str) -> Talk:
+    return Talk(given, Draft("failstop", {"STATE_DIRECTORY": str(place)}), silent=True)
+
+
+VALUES = {"board.kind": "arduino", "wheels.layout": "differential"}
+
+
+def asked(place: Path, values: dict[str, object], **given: str) -> dict[str, object]:
+    return turn.asked(talk(place, **given), "/nowhere", values, None, 2)  # type: ignore[arg-type]
+
+
+def test_a_number_that_is_given_is_taken_and_an_unknown_one_stays_unset(place: Path) -> None:
+    assert asked(place, dict(VALUES), per_rps="22") == {"board.per_rps": 22.0}
+    assert asked(place, dict(VALUES)) == {"board.per_rps": 22.0}, "as before"
+    assert asked(place, dict(VALUES), per_rps="unknown") == {}
+    with pytest.raises(Left, match="type a number above 0, up to 10000, or unknown"):
+        asked(place, dict(VALUES), per_rps="0")
+
+
+def test_without_a_person_the_scale_has_to_be_given(place: Path) -> None:
+    with pytest.raises(Left, match="nobody is here to turn a wheel: give --per-rps"):
+        asked(place, dict(VALUES))
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"board.kind": "rrc"},
+        {"board.kind": "feetech"},
+        {"board.kind": "hoverboard"},
+        {"board.kind": "ugv"},
+        {"board.kind": "arduino", "board.per_rps": 20.0},
+    ],
+    ids=str,
+)
+def test_a_scale_that_is_known_is_not_asked_for(values: dict[str, object], place: Path) -> None:
+    assert asked(place, values) == {}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "wraps", "counts"),
+    [
+        ((0.0, 10.0), (-660.0, 10.0), 2.0**32, [660.0, 0.0]),
+        ((32700.0, 0.0), (-32736.0, 0.0), 65536.0, [100.0, 0.0]),
+        ((1.5,), (3.0,), 0.0, [1.5]),
+    ],
+)
+def test_counts_are_told_either_way_and_over_a_wrap(
+    before: tuple[float, ...], after: tuple[float, ...], wraps: float, counts: list[float]
+) -> None:
+    assert turn._moved(before, after, wraps) == counts
+
+
+def test_sizes_of_a_robot_without_a_name_are_asked_for_and_nobody_elses_are_offered(place: Path) -> None:
+    with pytest.raises(Left, match="nobody is here to ask: Wheel diameter, m Give --diameter-m"):
+        sizes.step(talk(place), VALUES, known=False)
+    measured = {"diameter_m": "0.065", "track_m": "0.3", "vx_mps": "0.2", "wz_radps": "1"}
+    assert sizes.step(talk(place, **measured), VALUES, known=False)["wheels.track_m"] == 0.3
+
+
+def test_sizes_of_a_robot_with_a_name_are_offered(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    conversation = talk(place)
+    conversation.silent = False
+    monkeypatch.setattr("builtins.input", lambda _: "")
+    found = sizes.step(conversation, {"board.kind": "rrc", "wheels.layout": "mecanum"}, known=True)
+    assert found["wheels.diameter_m"] == 0.08
