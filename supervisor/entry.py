@@ -10,6 +10,7 @@ from failstop.board.kinds import board_of
 from failstop.files.instance import InstanceError
 from failstop.messages.segments import AttachError
 from failstop.notify import Notify, Outbox
+from failstop.policy import scale
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
 from failstop.procs import rights
 from failstop.supervisor.events import JOURNAL, Events, is_journal
@@ -28,7 +29,9 @@ def start(words: dict[str, str]) -> int:
     signal.pthread_sigmask(signal.SIG_SETMASK, (signal.SIGCONT,))
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
     fd = _take_descriptors(int(words["lock"]), int(words["port"]))
-    port = OwnPort(fd, board_of(*settings.board(), tried=True), settings.servos())
+    board = board_of(*settings.board(), tried=True)
+    settings = scale.capped(settings, assumed=board.scale_assumed)
+    port = OwnPort(fd, board, settings.servos())
     notify = Notify.taken_from(os.environ, os.getpid())
     journal = Outbox(JOURNAL) if is_journal(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:

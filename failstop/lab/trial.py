@@ -22,6 +22,7 @@ from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 from failstop.board.kinds import is_described, wire_of
 from failstop.files import instance
+from failstop.lab.boards.traits import traits_of
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.stopped import Stopped as Stopped
 from failstop.lab.stopped import judge as judge
@@ -211,7 +212,7 @@ class Trial:
         self.board = SimBoard(self.link, imu_hz=imu_hz, board=kind)
         if kind and "--config" not in options:
             settings = os.path.join(self._directory.name, "settings.toml")
-            write_settings(settings, {"board.kind": kind})
+            write_settings(settings, traits_of(kind).settings)
             options = (*options, "--config", settings)
         self.service = Service(self.name, self.link, self.state, options)
         if is_described(kind):

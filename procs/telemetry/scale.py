@@ -1,7 +1,7 @@
 """Scale: how fast the wheels turn, and the robot turns, beside what they are told. Pure.
 
 It compares only where the measurement is independent of the command: reports in a unit of their own, and the gyro. A
-wheel that speeds up lags behind, so what is compared begins a moment after the command last fell, and the less of it
+wheel lags behind its command, so what is compared begins a moment after the command has changed; and the less of it
 there is, the further off it must be before anybody is told.
 """
 
@@ -18,54 +18,84 @@ if TYPE_CHECKING:
     from failstop.board.interface import Board
     from failstop.policy.settings import Settings
 
-SETTLES_S = 0.2
-"""After a command has fallen, or has changed its sign, nothing is compared for so long."""
-FAST_S, SLOW_S = 0.1, 0.6
-"""How much has to be compared before it is called too fast, or too slow: a motor needs a moment to begin."""
-LAG_S = 0.3
-"""Added to the factor that still fits, divided by the seconds that were compared."""
+FALLEN_S = 0.6
+"""Nothing is compared for so long after a command has fallen, because a wheel may still turn as fast as before."""
+BEGINS_S = 0.2
+"""Nor for so long after it was told to begin."""
+STEADY_S = 0.4
+"""A command that has stayed the same for so long has been reached, so from then on a wheel can be called too slow."""
+FAST_S, SLOW_S = 0.1, 0.15
+"""How much has to be compared before it is called too fast, or too slow."""
+LAG_S = {True: 0.3, False: 0.1}
+"""Added to the factor that still fits, divided by the seconds that were compared: for too fast, and for too slow."""
 FORGET_S = 10.0
 """Half of it is forgotten then, so that what is known follows the robot."""
 LEAST_RPS, LEAST_RADPS = 0.1, 0.1
 """A slower command is not compared: it is rounded, and a motor may not begin to turn."""
 STANDS = 0.05
 """Wheels that make less of their speed stand: unplugged, or held."""
+SAME = 1e-6
 
 
-class Ratio:
-    """Measured over told, of one wheel or of the turn."""
+class Sum:
+    """What was told and what was measured, over a time."""
 
-    __slots__ = ("_least", "_measured", "_settled_s", "_told", "_told_before", "seconds")
+    __slots__ = ("_measured", "_told", "seconds")
 
-    def __init__(self, least: float) -> None:
-        """`least`: a smaller command is not compared."""
-        self._least = least
-        self._told_before = self._settled_s = 0.0
+    def __init__(self) -> None:
         self._told = self._measured = self.seconds = 0.0
 
-    @property
-    def value(self) -> float:
-        """NaN: nothing was compared."""
-        return self._measured / self._told if self._told else nan
-
     def add(self, told: float, measured: float, elapsed_s: float) -> None:
-        """What was told and measured in this time."""
-        falls = told * self._told_before <= 0 or abs(told) < abs(self._told_before)
-        self._told_before = told
-        self._settled_s = 0.0 if falls else self._settled_s + elapsed_s
-        if self._settled_s < SETTLES_S or abs(told) < self._least:
-            return
         self._told += abs(told) * elapsed_s
         self._measured += copysign(1.0, told) * measured * elapsed_s
         self.seconds += elapsed_s
         if self.seconds > FORGET_S:
             self._told, self._measured, self.seconds = self._told / 2, self._measured / 2, self.seconds / 2
 
+    @property
+    def ratio(self) -> float:
+        """NaN: nothing was compared."""
+        return self._measured / self._told if self._told else nan
+
+
+class Ratio:
+    """Measured over told, of one wheel or of the turn."""
+
+    __slots__ = ("_before", "_least", "_same_s", "_wait_s", "reached", "risen")
+
+    def __init__(self, least: float) -> None:
+        """`least`: a smaller command is not compared."""
+        self._least = least
+        self._before = self._same_s = 0.0
+        self._wait_s = BEGINS_S
+        self.risen, self.reached = Sum(), Sum()
+        """While the command rose or stayed the same; and once it had been reached."""
+
+    @property
+    def known(self) -> Sum:
+        """The better one."""
+        return self.reached if self.reached.seconds >= SLOW_S else self.risen
+
+    def add(self, told: float, measured: float, elapsed_s: float) -> None:
+        """What was told and measured in this time."""
+        fell = told * self._before < 0 or abs(told) < abs(self._before) - SAME
+        same = abs(told - self._before) <= SAME
+        self._before = told
+        self._same_s = self._same_s + elapsed_s if same else 0.0
+        least_s = 0.0 if told else BEGINS_S
+        self._wait_s = FALLEN_S if fell else max(least_s, self._wait_s - elapsed_s)
+        if self._wait_s or abs(told) < self._least:
+            return
+        self.risen.add(told, measured, elapsed_s)
+        if self._same_s >= STEADY_S:
+            self.reached.add(told, measured, elapsed_s)
+
     def differs(self, factor: float) -> bool:
         """Whether it is known to be off by more than this factor."""
-        if self.seconds < (FAST_S if self.value > 1 else SLOW_S):
-            return False
-        return not scale.fits(self.value, factor + LAG_S / self.seconds)
+        fast, slow = self.risen, self.reached
+        too_fast = fast.seconds >= FAST_S and fast.ratio > factor + LAG_S[True] / fast.seconds
+        too_slow = slow.seconds >= SLOW_S and slow.ratio < 1 / (factor + LAG_S[False] / slow.seconds)
+        return too_fast or too_slow
 
 
 class ScaleJudge:
@@ -84,14 +114,14 @@ class ScaleJudge:
     @property
     def wheels(self) -> float:
         """How fast the wheels turn beside what they are told; NaN: not known."""
-        turning = [wheel for wheel in self._wheels if wheel.value > STANDS]
+        turning = [wheel.known for wheel in self._wheels if wheel.known.ratio > STANDS]
         compared = sum(wheel.seconds for wheel in turning)
-        return sum(wheel.value * wheel.seconds for wheel in turning) / compared if compared else nan
+        return sum(wheel.ratio * wheel.seconds for wheel in turning) / compared if compared else nan
 
     @property
     def turn(self) -> float:
         """The same of the robot's turn; NaN: not known."""
-        return self._turn.value
+        return self._turn.known.ratio
 
     def follow(
         self,
@@ -117,7 +147,7 @@ class ScaleJudge:
 
     def _of_wheels(self) -> str:
         holds = self._reports.holds_speed
-        turning = [wheel for wheel in self._wheels if wheel.value > STANDS]
+        turning = [wheel for wheel in self._wheels if wheel.known.ratio > STANDS]
         if not turning or not all(wheel.differs(scale.WHEELS_FIT[holds]) for wheel in turning):
             return ""
         return scale.wheels_differ(self.wheels, self._per_rps, holds_speed=holds)
@@ -125,4 +155,4 @@ class ScaleJudge:
     def _of_turn(self) -> str:
         if not self._turn.differs(scale.GYRO_FITS):
             return ""
-        return scale.gyro_differs(self._turn.value, self._layout)
+        return scale.gyro_differs(self.turn, self._layout)

@@ -6,12 +6,13 @@ from typing import Any
 
 import pytest
 
-from failstop.api.snapshot import Ages, Client, Starved
+from failstop.api.snapshot import Ages, Client, Scale, Starved
 from failstop.board.finder import Device
 from failstop.board.rrc.board import BOARD
 from failstop.doctor import port, stop_path
 from failstop.doctor.look import FAIL, LEVELS, OK, SKIP, WARN, Look
 from failstop.doctor.machine import PROCESSORS
+from failstop.doctor.service import ALONE
 from failstop.doctor.system import Holder
 from failstop.doctor.table import CHECKS, examine
 from failstop.policy.settings import Settings
@@ -121,6 +122,9 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("processor", look(files={f"{PROCESSORS}/cpu1/cpufreq/scaling_governor": "powersave"}), WARN, "powersave"),
     ("ticks", look(quick=True), SKIP, "not measured"),
     ("ticks", look(ticks=(True, [1000, 41_000_000])), FAIL, "40 ms and the lease runs out"),
+    ("scale", look(service=serving(scale=Scale(capped="speed capped at 0.05 m/s"))), WARN, "capped at 0.05 m/s"),
+    ("scale", look(service=serving(scale=Scale(wheels=5.0, wrong=("turn 5 times",)))), WARN, "turn 5 times"),
+    ("scale", look(service=NOBODY, told=of("arduino")), WARN, "speed capped at 0.05 m/s, because nobody has confirmed"),
     ("ticks", look(ticks=(True, [1000, 6_000_000])), WARN, "worst 6000 us"),
     ("ticks", look(ticks=(False, [1000, 41_000_000])), WARN, "ordinary priority"),
     ("ticks", look(service=serving(lease_s=0.1), ticks=(False, [1000, 81_000_000])), WARN, "80 ms and the lease runs"),
@@ -175,6 +179,18 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
         ("identity", look(usb_id="", told=of("ugv")), "no USB device; ugv may be at any port"),
         ("board", look(), "it answers the service's questions as rrc does, and reports a battery of 12.0 V"),
         ("board", look(service=linked("unasked", battery_v=36.1, ages=Ages(0.01)), told=of("hoverboard")), READ),
+        ("scale", look(), "not compared yet: the next drive will show it"),
+        (
+            "scale",
+            look(service=serving(scale=Scale(wheels=0.98))),
+            "they turn 0.98 times as fast as told, as the board reports them",
+        ),
+        (
+            "scale",
+            look(service=NOBODY, told=of("hoverboard")),
+            "board.per_rps is 60, and a drive would show whether it fits",
+        ),
+        ("scale", look(told=of("feetech")), ALONE),
         ("commanders", look(told=of("arduino")), "nobody is known who could command it beside failstop"),
         ("ROS 2", look(**nodes("anna")), "no bridge to ROS 2 is connected"),
         ("unit", look(), "failstop.service is active, started at boot"),

@@ -6,7 +6,7 @@ import random
 from types import SimpleNamespace
 
 from failstop.board.interface import BY_ANSWER, BY_IMU
-from failstop.lab.prove.means import Means
+from failstop.lab.prove.means import UNMEASURED, Means
 from failstop.lab.prove.run import PathRun
 from failstop.lab.prove.table import BY_PATH, BY_TURNING
 from failstop.policy import causes
@@ -17,7 +17,7 @@ from tests.support.board_events import STILL as REST
 
 MS = 1_000_000
 LATCH = causes.PIPED("prove")
-MEANS = Means(BY_ANSWER, BY_IMU, pad=True)
+MEANS = Means(BY_ANSWER, BY_IMU, pad=True, speeds=UNMEASURED)
 """Of the first board."""
 
 

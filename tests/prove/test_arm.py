@@ -132,12 +132,14 @@ def test_a_robot_without_an_arm_has_no_such_paths() -> None:
 
 def test_plans() -> None:
     assert len(ARM_PATHS) == len(BY_ARM_PATH) == sum(row.what in SWUNG for row in ROWS)
-    whole = [path for path, _ in plan(quick=False, has_arm=True) if path.arm]
+    whole = [path for path, _ in plan(settings=Settings(), quick=False, has_arm=True) if path.arm]
     assert whole == list(ARM_PATHS)
-    assert not [path for path, _ in plan(quick=False) if path.arm]
-    assert not [path for path, _ in plan(quick=False, at=("0.2",), has_arm=True) if path.arm]
-    assert plan(quick=True, only=("arm-kill-gate",), has_arm=True) == [(BY_ARM_PATH["arm-kill-gate"], SWINGING)]
-    assert [path.name for path, _ in plan(quick=True, has_arm=True) if path.arm] == [
+    assert not [path for path, _ in plan(settings=Settings(), quick=False) if path.arm]
+    assert not [path for path, _ in plan(settings=Settings(), quick=False, at=("0.2",), has_arm=True) if path.arm]
+    assert plan(settings=Settings(), quick=True, only=("arm-kill-gate",), has_arm=True) == [
+        (BY_ARM_PATH["arm-kill-gate"], SWINGING)
+    ]
+    assert [path.name for path, _ in plan(settings=Settings(), quick=True, has_arm=True) if path.arm] == [
         "arm-kill-gate",
         "arm-client-killed",
         "arm-stop-request",

@@ -12,8 +12,9 @@ from failstop.lab.prove.character import characterize
 from failstop.lab.prove.session import until_valid
 from failstop.lab.prove.sight import Sight
 from failstop.lab.prove.stand import ProveStand
-from failstop.lab.prove.table import BESIDE_PATHS, TURNINGS, plan
+from failstop.lab.prove.table import BESIDE_PATHS, TURNINGS, plan, within
 from failstop.lab.sim.client import SimBoard
+from failstop.policy.settings import Settings
 from failstop.supervisor import status
 from tests.prove.judged import firm
 
@@ -27,12 +28,12 @@ def kiwi(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ProveStand,
         SimBoard(place / "board", board="feetech") as board,
         ProveStand(board.link, settings, str(place), board) as made,
     ):
-        yield made, characterize(made, TURNINGS[:1], quick=True)
+        yield made, characterize(made, within(made.settings)[:1], quick=True)
 
 
 def beside(kiwi: tuple[ProveStand, Sight], name: str) -> ArmRun:
     stand, sight = kiwi
-    ((path, velocity),) = plan(quick=True, only=(name,), has_arm=True, beside=True)
+    ((path, velocity),) = plan(quick=True, only=(name,), has_arm=True, beside=True, settings=stand.settings)
     return ArmRun(stand, path, velocity, sight)
 
 
@@ -43,7 +44,7 @@ def test_beside_the_wheels_both_are_judged(kiwi: tuple[ProveStand, Sight], name:
     assert firm(result.wrong) == []
     assert result.arm is not None
     assert result.arm["wheels_rest_s"] >= 0.0
-    assert result.velocity == TURNINGS[0]
+    assert result.velocity == within(kiwi[0].settings)[0]
 
 
 @pytest.mark.slow
@@ -58,7 +59,9 @@ def test_a_servo_that_lets_go_fails(kiwi: tuple[ProveStand, Sight], monkeypatch:
 @pytest.mark.slow
 def test_wheels_that_do_not_stop_beside_the_arm_fail(kiwi: tuple[ProveStand, Sight]) -> None:
     stand, sight = kiwi
-    ((path, velocity),) = plan(quick=True, only=("arm-stop-request",), has_arm=True, beside=True)
+    ((path, velocity),) = plan(
+        quick=True, only=("arm-stop-request",), has_arm=True, beside=True, settings=stand.settings
+    )
     result = ArmRun(stand, path, velocity, sight, lambda *_: None).take()
     assert result.verdict == "FAIL"
     assert result.runaway
@@ -66,6 +69,10 @@ def test_wheels_that_do_not_stop_beside_the_arm_fail(kiwi: tuple[ProveStand, Sig
 
 
 def test_an_arm_beside_the_wheels_is_proved_with_them() -> None:
-    whole = [(path, velocity) for path, velocity in plan(quick=False, has_arm=True, beside=True) if path.arm]
+    whole = [
+        (path, velocity)
+        for path, velocity in plan(quick=False, has_arm=True, beside=True, settings=Settings())
+        if path.arm
+    ]
     assert [path for path, _ in whole] == list(BESIDE_PATHS)
     assert {velocity for _, velocity in whole} == {TURNINGS[0]}

@@ -9,8 +9,10 @@ import pytest
 from failstop.lab.prove import report, table
 from failstop.lab.prove.report import Evidence
 from failstop.lab.prove.run import Result
-from failstop.lab.prove.table import BY_PATH, BY_TURNING, PATHS, QUICK_NAMES, TURNINGS, plan
+from failstop.lab.prove.stand import settings_for
+from failstop.lab.prove.table import BY_PATH, BY_TURNING, PATHS, QUICK_NAMES, TURNINGS, plan, within
 from failstop.messages.layout import PROCESS_NAMES
+from failstop.policy.settings import Settings
 from tests.prove.noise import SIMULATED, gyro
 
 
@@ -35,13 +37,35 @@ def test_the_bars_are_those_that_were_measured_before() -> None:
     assert BY_PATH["hang-gate"].rest_bar_s(BY_TURNING["turn"]) == pytest.approx(0.075 + 0.25 + table.REST_RESOLUTION_S)
 
 
+FAST = Settings({"limits.vx_mps": 0.5, "limits.wz_radps": 2.0})
+
+
+@pytest.mark.parametrize(
+    ("vx", "wz", "found"),
+    [
+        (0.5, 2.0, {"0.2": 0.2, "0.35": 0.35, "turn": 1.0}),
+        (0.3, 2.0, {"0.2": 0.2, "0.3": 0.3, "turn": 1.0}),
+        (0.2, 0.5, {"0.2": 0.2, "turn": 0.5}),
+        (0.05, 0.25, {"0.05": 0.05, "turn": 0.25}),
+    ],
+)
+def test_no_velocity_is_beyond_the_limits_of_the_robot(vx: float, wz: float, found: dict[str, float]) -> None:
+    settings = Settings({"limits.vx_mps": vx, "limits.wz_radps": wz})
+    assert {velocity.name: max(velocity.command) for velocity in within(settings)} == found
+    for path, velocity in plan(quick=False, settings=settings, has_arm=True, beside=True):
+        assert velocity.command[0] <= vx
+        assert velocity.command[2] <= wz
+        assert path.rest_bar_s(velocity) > 0
+    assert settings_for({"limits.vx_mps": vx})["limits.vx_mps"] == vx
+
+
 def test_plans() -> None:
-    whole = plan(quick=False)
+    whole = plan(quick=False, settings=FAST)
     assert len(whole) == len(set(whole)) == len(PATHS) * len(TURNINGS)
-    quick = plan(quick=True)
+    quick = plan(quick=True, settings=FAST)
     assert {path.name for path, _ in quick} == set(QUICK_NAMES)
     assert {velocity for _, velocity in quick} == set(TURNINGS)
-    assert plan(quick=False, only=("scan",), at=("turn",)) == [(BY_PATH["scan"], BY_TURNING["turn"])]
+    assert plan(quick=False, only=("scan",), at=("turn",), settings=FAST) == [(BY_PATH["scan"], BY_TURNING["turn"])]
 
 
 def result(**changed: object) -> Result:

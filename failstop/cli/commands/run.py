@@ -14,7 +14,6 @@ from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 from failstop.cli.commands import add_name
 from failstop.files import instance
-from failstop.policy import scale
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import BY_KEY
 from failstop.procs import rights
@@ -82,8 +81,7 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
     given = {DEVICE: BY_KEY[DEVICE].check(arguments.device, "--device")} if arguments.device else {}
     read = config.read(arguments.config) if read is None else read
     settings = status.leased(config.checked({**read, **given}, arguments.config), read)
-    board = fit.checked_board(settings, arguments.config)
-    settings = scale.capped(settings, assumed=board.scale_assumed)
+    fit.checked_board(settings, arguments.config)
     instance.check_name(arguments.name)
     if port is None:
         return

@@ -13,6 +13,7 @@ from failstop.board.kinds import board_of, is_described, wire_of
 from failstop.lab.boards.line import BAR_NS, CROWD_BAR_NS, ReceiverModel, arrivals, model_of, play
 from failstop.lab.boards.live import DIAMETER_M
 from failstop.policy.layouts import BOARDS
+from failstop.policy.scale import PER_RPS
 
 HAS_ARM, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU = "an arm", "a gamepad", "keys", "pings", "an IMU"
 HAS_CHECK = "a check in its frames"
@@ -54,8 +55,11 @@ class Traits:
 
     @property
     def settings(self) -> dict[str, object]:
-        """The settings that a service for it needs."""
-        return {} if self.kind == BOARDS[0] else {"board.kind": self.kind}
+        """The settings that a service for it needs: of a simulated board the scale of its wheels is known."""
+        if self.kind == BOARDS[0]:
+            return {}
+        known = {PER_RPS: self.language.per_rps} if self.language.scale_assumed else {}
+        return {"board.kind": self.kind, **known}
 
 
 @functools.cache

@@ -17,6 +17,7 @@ from failstop.board.kinds import board_of
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.files.root import state_directory
+from failstop.lab.boards.traits import traits_of
 from failstop.lab.prove import pack, report, table
 from failstop.lab.prove.means import means_of
 from failstop.lab.prove.report import Evidence
@@ -106,7 +107,7 @@ def main(arguments: Namespace) -> int:
             link = os.path.join(folder, "board")
             user = config.read(arguments.config)
             if arguments.board:
-                user["board.kind"] = arguments.board
+                user = {**traits_of(arguments.board).settings, **user, "board.kind": arguments.board}
             plan, _ = _plan(arguments, user, only, at)
             imu_hz = 0.0 if user.get("board.imu") == "off" else IMU_HZ
             with SimBoard(link, imu_hz=imu_hz, board=str(user.get("board.kind", ""))) as board:

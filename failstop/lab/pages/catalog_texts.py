@@ -131,13 +131,6 @@ TEXTS = {
         "It counts for every driver until another is set or the service ends.\n"
         "Next: failstop limit 100 --name @FAILSTOP_NAME@ lifts it",
     ),
-    "scale": (
-        "The wheels may not turn as fast as they are told",
-        "Either nobody has confirmed how much of the board's unit is one turn of a wheel, and speeds are capped until\n"
-        "then; or the board's reports, or the gyro, show another speed than the one that was told. The message names\n"
-        "the setting.\n"
-        "Next: failstop setup measures board.per_rps by a turn of a wheel",
-    ),
     "refused": (
         "@FAILSTOP_WHO@ was refused: @FAILSTOP_VERB@",
         "The reason: @FAILSTOP_REASON@. Nothing was changed.\nNext: failstop status --name @FAILSTOP_NAME@",
@@ -233,6 +226,13 @@ TEXTS = {
         "While it is silent, software commands move nothing (no scan). That is not latched: motion resumes by itself,\n"
         "from zero speed, when the sensor delivers again.\n"
         "Next: does the sensor's driver run, and does its client call sensed()?",
+    ),
+    "scale": (
+        "The wheels may not turn as fast as they are told",
+        "Either nobody has confirmed how much of the board's unit is one turn of a wheel, and speeds are capped until\n"
+        "then; or the board's reports, or the gyro, show another speed than the one that was told. The message names\n"
+        "the setting.\n"
+        "Next: failstop setup measures board.per_rps by a turn of a wheel",
     ),
     "gyro": (
         "The gyro's calibration",

@@ -82,7 +82,7 @@ class Watch:
         self._asks = False
         self._ask_ns = 0
         # A board that says something of its wheels only when it is asked has a question for it among the others.
-        self._ask_every_ns = board.ping_ns // len(board.pings) if board.ping_ns else ASK_EVERY_NS
+        self._ask_every_ns = board.ping_ns // len(board.pings) if board.ping_ns and board.pings else ASK_EVERY_NS
         self.samples: list[SeenSample] = []
         """Reports of what observes that the wheels stand: the IMU, or the board's own of its wheels."""
         self.answers: list[tuple[int, int]] = []
