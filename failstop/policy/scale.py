@@ -44,7 +44,7 @@ def cap_text(settings: Settings) -> str:
     return f"speed capped at {fastest:g} m/s, because {ASSUMED}; {REMEDY}"
 
 
-def fits(ratio: float, factor: float) -> bool:
+def near(ratio: float, factor: float) -> bool:
     """Whether measured over told is within this factor, either way."""
     return 1 / factor <= ratio <= factor
 
@@ -52,7 +52,7 @@ def fits(ratio: float, factor: float) -> bool:
 def wheels_differ(ratio: float, per_rps: float, *, holds_speed: bool) -> str:
     """What to say of wheels that turn at `ratio` times the told speed, and of the setting; empty: it fits. `per_rps`:
     in use now, in the board's unit."""
-    if not (isfinite(ratio) and ratio > 0) or fits(ratio, WHEELS_FIT[holds_speed]):
+    if not (isfinite(ratio) and ratio > 0) or near(ratio, WHEELS_FIT[holds_speed]):
         return ""
     would = f"board.per_rps = {per_rps / ratio:.4g} would fit it (now {per_rps:.4g})"
     return f"the wheels turn {ratio:.2g} times as fast as they are told, as the board reports them: {would}"
@@ -60,7 +60,7 @@ def wheels_differ(ratio: float, per_rps: float, *, holds_speed: bool) -> str:
 
 def gyro_differs(ratio: float, layout: str) -> str:
     """The same of a robot of which the gyro feels `ratio` times the turn that was told."""
-    if not (isfinite(ratio) and ratio >= ON_A_STAND) or fits(ratio, GYRO_FITS):
+    if not (isfinite(ratio) and ratio >= ON_A_STAND) or near(ratio, GYRO_FITS):
         return ""
     of_layout = {"omni3": "wheels.lever_m", ACKERMANN: "steering.per_rad, wheels.wheelbase_m"}
     across = of_layout.get(layout, "wheels.track_m")

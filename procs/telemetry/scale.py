@@ -22,7 +22,7 @@ FALLEN_S = 0.6
 """Nothing is compared for so long after a command has fallen, because a wheel may still turn as fast as before."""
 BEGINS_S = 0.2
 """Nor for so long after it was told to begin."""
-STEADY_S = 0.4
+REACHED_S = 0.4
 """A command that has stayed the same for so long has been reached, so from then on a wheel can be called too slow."""
 FAST_S, SLOW_S = 0.1, 0.15
 """How much has to be compared before it is called too fast, or too slow."""
@@ -87,7 +87,7 @@ class Ratio:
         if self._wait_s or abs(told) < self._least:
             return
         self.risen.add(told, measured, elapsed_s)
-        if self._same_s >= STEADY_S:
+        if self._same_s >= REACHED_S:
             self.reached.add(told, measured, elapsed_s)
 
     def differs(self, factor: float) -> bool:

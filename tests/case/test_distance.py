@@ -96,7 +96,7 @@ def screens(kind: str, simulated: Simulated, folder: Path, capsys: pytest.Captur
     asked = (*sizes.OF_LAYOUT[settings.text("wheels.layout")], *sizes.LIMITS)
     given = {sizes.answer_key(key): f"{settings[key]:g}" for key in asked}
     draft = Draft("failstop", {"STATE_DIRECTORY": str(folder)})
-    sizes.step(Talk(given, draft, silent=True), {"board.kind": kind})
+    sizes.step(Talk(given, draft, silent=True), {"board.kind": kind}, known=True)
     yield capsys.readouterr().out
     yield " ".join(report.ways(report.Evidence("", simulated=True, realtime=True, user=settings)))
     yield simulated.load("failstop.web.view").view(simulated.robot.state, [], 0.0)["stands"]

@@ -11,7 +11,7 @@ import pytest
 from failstop.board.interface import BY_ECHO
 from failstop.board.kinds import KINDS, board_of, wire_of
 from failstop.cli.main import main
-from failstop.lab.prove.means import NO_ANSWER, NO_PAD, NO_REPORTS, NO_WATCHDOG
+from failstop.lab.prove.means import NO_ANSWER, NO_PAD, NO_REPORTS, NO_WATCHDOG, UNCONFIRMED
 from failstop.lab.sim.client import SimBoard
 from failstop.lab.trial import wait_for
 from failstop.supervisor import status
@@ -113,3 +113,25 @@ def test_a_row_that_a_board_can_not_have_is_refused(
 ) -> None:
     assert main(["prove", *words]) == 1
     assert reason in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("too_large", [0.2, 5.0])
+def test_wheels_that_do_not_turn_as_told_end_it_and_the_setting_is_named(too_large: float, tmp_path: Path) -> None:
+    """The board reports rpm, whatever board.per_rps says."""
+    config = settings(tmp_path, **{"board.kind": "hoverboard", "board.per_rps": 60.0 * too_large})
+    done = failstop("prove", "--sim", "--json", *AT, "--config", config, timeout=LIMIT_S)
+    result = json.loads(done.stdout)
+    assert (done.returncode, result["verdict"], result["rows"]) == (1, "FAIL", [])
+    assert "times as fast as they are told, as the board reports them: board.per_rps = " in result["ended"]
+    would = float(result["ended"].partition("board.per_rps = ")[2].partition(" ")[0])
+    assert would == pytest.approx(60.0, rel=0.15)
+
+
+@pytest.mark.slow
+def test_a_scale_that_nobody_has_confirmed_is_named_and_no_wheel_is_faster_than_its_cap(tmp_path: Path) -> None:
+    config = settings(tmp_path, **{"board.kind": "arduino"})
+    done = failstop("prove", "--sim", "--json", *AT, "--config", config, timeout=LIMIT_S)
+    result = json.loads(done.stdout)
+    assert {row["velocity"] for row in result["rows"]} == {"0.05"}
+    assert UNCONFIRMED in result["unproved"]

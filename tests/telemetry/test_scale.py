@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
+from functools import partial
 from math import isnan, nan
 
 import pytest
@@ -33,7 +35,7 @@ class Robot:
         self._turn = 0.0
         self.told = self.velocity = (0.0, 0.0, 0.0)
         self.said: list[str] = []
-        self.noise = lambda: 0.0
+        self.noise: Callable[[], float] = float
         self.reports = True
         self._read_ns = 0
 
@@ -116,7 +118,7 @@ def test_ramps_reversals_lag_and_noise_are_no_wrong_scale(kind: str) -> None:
         holds = kind != "hoverboard"
         wheels = chance.uniform(0.95, 1.05) if holds else chance.uniform(0.6, 1.6)
         robot = Robot(kind, wheels=wheels, body=chance.uniform(0.75, 1.1), lag_s=chance.uniform(0.02, 0.25))
-        robot.noise = lambda chance=chance: chance.gauss(0.0, 0.02)
+        robot.noise = partial(chance.gauss, 0.0, 0.02)
         for _ in range(40):
             forward, turn = chance.choice([0.0, 0.1, 0.2, -0.2]), chance.choice([0.0, 0.0, 0.5, -1.0])
             robot.drive(forward, turn, chance.uniform(0.1, 2.0))

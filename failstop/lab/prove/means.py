@@ -18,7 +18,7 @@ NO_REPORTS = (
 )
 NO_ANSWER = "acknowledged: this board answers no question, and does not report the command that it obeys"
 UNCONFIRMED = "speeds: nobody has confirmed board.per_rps, so this is proved at a capped speed (`failstop setup`)"
-SHARED = "speeds: this board's reports share board.per_rps, so a wrong one does not show in them"
+SAME_SCALE = "speeds: this board's reports share board.per_rps, so a wrong one does not show in them"
 UNMEASURED = "speeds: this board reports none of its wheels"
 FREEZES = "a frozen computer, a pulled cable"
 
@@ -102,4 +102,4 @@ def _speeds(board: Board) -> str:
         return UNCONFIRMED
     if board.reports.own_scale:
         return ""
-    return SHARED if board.reports.every_ns else UNMEASURED
+    return SAME_SCALE if board.reports.every_ns else UNMEASURED

@@ -40,7 +40,7 @@ def of_simulated(true_rps: Sequence[float], told: Sequence[float], per_rps: floa
     """What a simulated board, which knows its wheels, says of the scale in the settings; empty: it fits."""
     found = [true / wanted for true, wanted in zip(true_rps, told, strict=False) if abs(wanted) >= TURNS_RPS]
     ratio = median(found) if found else 0.0
-    if ratio <= 0 or scale.fits(ratio, scale.WHEELS_FIT[True]):
+    if ratio <= 0 or scale.near(ratio, scale.WHEELS_FIT[True]):
         return ()
     return (
         f"THE SIMULATED WHEELS TURN {ratio:.2g} TIMES AS FAST AS TOLD: this simulated board has board.per_rps = "
