@@ -444,7 +444,7 @@ class Telemetry:
         if judge.wrong and not self._scale_noted:
             self._scale_noted = True
             for text in judge.wrong:
-                self._note("scale", text, {"wheels": judge.wheels, "turn": judge.turn})
+                self._note("scale", text)
 
     def _on_obeyed(self, speeds: interface.Value, t_ns: int) -> None:
         self._proving.obeyed(speeds, t_ns, moves=self._gate.enabled and self._gate.commanded)
