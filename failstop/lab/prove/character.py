@@ -80,7 +80,7 @@ def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -
         turned = _spin(stand, velocity, SPIN_S * share)
         begun_ns, true_rps = time.monotonic_ns(), stand.board.wheels() if stand.board else ()
         stand.driver.robot.disable()
-        told_rps = pace.told_rps(stand.settings, velocity)
+        told_rps = pace.told_rps(stand.settings, velocity, stand.language)
         if (ratio := pace.measured(turned, stand.language.reports, told_rps)) is not None:
             found.speeds[velocity.name] = ratio
             holds, per_rps = stand.language.reports.holds_speed, stand.language.per_rps

@@ -5,20 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import median
 
-from failstop.board.interface import WheelReports
+from failstop.board.interface import Board, WheelReports
 from failstop.lab.prove.sight import SeenSample
 from failstop.lab.prove.table import Turning
 from failstop.policy import kinematics, scale
 from failstop.policy.settings import Settings
 
+ROUNDING = 1.0005
+"""The gate's, of the fastest wheel."""
 TURNS_RPS = 0.02
 """A wheel that is told less is not compared."""
 
 
-def told_rps(settings: Settings, velocity: Turning) -> tuple[float, ...]:
-    """The speed that each wheel is told at this velocity, by wire id."""
+def told_rps(settings: Settings, velocity: Turning, board: Board) -> tuple[float, ...]:
+    """The speed that each wheel is told at this velocity, by wire id, as the board's frame has it: in whole units."""
     chassis = kinematics.from_settings(settings)
     speeds = chassis.wheels_rps(*velocity.command)
+    sent = board.speeds(board.motor_speeds(speeds, kinematics.max_wheel_rps(settings) * ROUNDING))
+    speeds = speeds if sent is None else tuple(sent)
     return speeds[:-1] if chassis.steers else speeds
 
 
