@@ -32,7 +32,7 @@ FORGET_S = 10.0
 """Half of it is forgotten then, so that what is known follows the robot."""
 LEAST_RPS, LEAST_RADPS = 0.1, 0.1
 """A slower command is not compared: it is rounded, and a motor may not begin to turn."""
-STANDS = 0.05
+UNTURNED = 0.05
 """Wheels that make less of their speed stand: unplugged, or held."""
 SAME = 1e-6
 
@@ -114,7 +114,7 @@ class ScaleJudge:
     @property
     def wheels(self) -> float:
         """How fast the wheels turn beside what they are told; NaN: not known."""
-        turning = [wheel.known for wheel in self._wheels if wheel.known.ratio > STANDS]
+        turning = [wheel.known for wheel in self._wheels if wheel.known.ratio > UNTURNED]
         compared = sum(wheel.seconds for wheel in turning)
         return sum(wheel.ratio * wheel.seconds for wheel in turning) / compared if compared else nan
 
@@ -147,7 +147,7 @@ class ScaleJudge:
 
     def _of_wheels(self) -> str:
         holds = self._reports.holds_speed
-        turning = [wheel for wheel in self._wheels if wheel.known.ratio > STANDS]
+        turning = [wheel for wheel in self._wheels if wheel.known.ratio > UNTURNED]
         if not turning or not all(wheel.differs(scale.WHEELS_FIT[holds]) for wheel in turning):
             return ""
         return scale.wheels_differ(self.wheels, self._per_rps, holds_speed=holds)

@@ -80,6 +80,11 @@ def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -
         turned = _spin(stand, velocity, SPIN_S * share)
         begun_ns, true_rps = time.monotonic_ns(), stand.board.wheels() if stand.board else ()
         stand.driver.robot.disable()
+        state = stand.driver.robot.state
+        if state.cause and state.scale.wrong:
+            # Wheels that are far too fast are stopped before they were at speed for long enough to be measured here.
+            wrong = "; ".join(state.scale.wrong)
+            raise WrongScale(f"at {velocity.words} {wrong}; correct it, and repeat (they were stopped: {state.cause})")
         told_rps = pace.told_rps(stand.settings, velocity, stand.language)
         if (ratio := pace.measured(turned, stand.language.reports, told_rps)) is not None:
             found.speeds[velocity.name] = ratio
