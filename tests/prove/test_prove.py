@@ -39,7 +39,7 @@ WORD = "spin\n"
 CTRL_C = b"\x03"
 LIMIT_S = 240
 TRIES = 5
-MINE = {"limits.vx_mps": 0.1, "limits.wz_radps": 1.5, "interlocks.dock.timeout_s": 0.3, "device.path": "/dev/x"}
+MINE = {"limits.vx_mps": 0.25, "limits.wz_radps": 1.5, "interlocks.dock.timeout_s": 0.3, "device.path": "/dev/x"}
 ROWS = ("timeout", "scan", "kill-supervisor", "service-stop")
 """Of the short form: who stops is the gate, the port owner, and the service as it ends."""
 
@@ -146,7 +146,7 @@ def test_paths_that_the_short_form_leaves_out(tmp_path: Path) -> None:
     """With a user's settings beside those of the test: the user's limits hold, interlocks are asserted.
     And at last a sensor whose return does not move the wheels again fails its path."""
     with on_stand(tmp_path, **MINE) as stand:
-        assert (stand.settings["limits.vx_mps"], stand.settings["limits.wz_radps"]) == (0.1, 1.5)
+        assert (stand.settings["limits.vx_mps"], stand.settings["limits.wz_radps"]) == (0.25, 1.5)
         for path in ("stop-request", "hang-supervisor", "pad", "kill-stopper"):
             result = one(stand, path, "turn")
             assert firm(result.wrong) == [], path

@@ -98,9 +98,8 @@ class Hoverboard(Rolling):
     def _main_loop(self) -> None:
         self.loop()
         if self._loops % 2 == 0:
-            left, right = (
-                [self._rpm(speed * self.gain) for speed in (self.rolls[0], -self.rolls[1])] if self.turns else (0, 0)
-            )
+            turned = (self.gain * self.rolls[0], -self.gain * self.rolls[1])
+            left, right = map(self._rpm, turned) if self.turns else (0, 0)
             volts = CENTIVOLTS if self.turns else 0
             frame = feedback.seal(
                 *self.obeyed, right_rpm=right, left_rpm=left, centivolts=volts, counters=self.counters
