@@ -61,7 +61,9 @@ def silent_folder(at: Path) -> str:
     folder = own_folder(at)
     wire = at / "wire.py"
     before, _, rest = wire.read_text().partition("    questions=(")
-    after = rest[rest.index("    reader=") :].replace("(ANSWERED, OBSERVED)", "()").replace("ping_ns=50 * _MS", "ping_ns=0")
+    after = (
+        rest[rest.index("    reader=") :].replace("(ANSWERED, OBSERVED)", "()").replace("ping_ns=50 * _MS", "ping_ns=0")
+    )
     wire.write_text(f"{before}    questions=(),\n{after}")
     return folder
 
