@@ -88,8 +88,8 @@ WIRE = Wire(
         holds_speed=False,
         own_scale=True,
     ),
-    # Fifteen of its feedbacks: a shorter pause is more likely a busy computer. A short restart shows by its echo.
-    silent_ns=150 * _MS,
+    # A busy computer explains any shorter pause. A short restart shows by its echo.
+    silent_ns=600 * _MS,
     commanders=(
         Commander(
             who="its second cable: a side board or a receiver there drives it too, in firmware built with DUAL_INPUTS",

@@ -120,8 +120,8 @@ class Rrc(Board):
     pings = tuple(codec.pwm_servo_read(servo) for servo in (1, 2, 3, 4))
     ping_ns = 0
     echo_ns = fades_ns = 0
-    silent_ns = 150_000_000
-    """Sixteen samples of the IMU: a shorter pause is more likely a busy computer or adapter than a restart."""
+    silent_ns = 600_000_000
+    """A busy computer or adapter explains any shorter pause of the IMU."""
     """Six samples of the IMU."""
     arming = b""
     acknowledged_by = BY_ANSWER

@@ -84,8 +84,8 @@ WIRE = Wire(
         own_scale=True,
         position_step=1.0,
     ),
-    # Eight of its reports: noise on the line loses several in a row. A short restart shows by its boot text.
-    silent_ns=400 * _MS,
+    # A busy computer explains any shorter pause. A short restart shows by its boot text and its odometers.
+    silent_ns=600 * _MS,
     commanders=(
         Commander(
             who="its Wi-Fi: who joins its access point (UGV, 12345678, unless changed), or the network that it has "

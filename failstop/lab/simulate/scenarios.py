@@ -315,7 +315,7 @@ def board_falls_silent(stage: Stage, robot: Any) -> None:
 
 def _board_restarts(stage: Stage, robot: Any) -> None:
     stage.drive(robot, 0.8)
-    stage.restart_board(500)
+    stage.restart_board(800)
     stage.drive(robot, 1.0)
 
 
