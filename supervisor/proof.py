@@ -199,8 +199,8 @@ class Link:
         self._heard = False
         """It has answered in this run, or has reported if nothing is asked."""
         self._opened_ns = self._listened_ns = 0
-        self._said_ns = 0
-        """When it said something last; 0: not since the port was opened."""
+        self._said_ns = self._patience_ns = 0
+        """When it said something last, 0: not since the port was opened; and how long it may pause."""
         self._answered_ns = 0
         """When the newest answered ping was sent."""
         self._asked_ns = 0
@@ -253,6 +253,7 @@ class Link:
 
     def follow_silence(self, patience_ns: int, now_ns: int) -> None:
         """Look whether it has gone silent; `patience_ns`: how long it may pause, 0: it speaks only when it is asked."""
+        self._patience_ns = patience_ns
         if self._said_ns and patience_ns and now_ns - max(self._said_ns, self._listened_ns) >= patience_ns:
             self._silent = True
 
@@ -295,7 +296,13 @@ class Link:
         # Half of it since a ping that it should have answered: a ping period before, it had nothing to answer.
         if now_ns - self._answered_ns < self._deaf_ns or now_ns - self._asked_ns < self._deaf_ns // 2:
             return False
-        if now_ns - newest_ping_ns < PONG_NS:
+        if now_ns - newest_ping_ns < PONG_NS or self._may_be_silent(now_ns):
             return False
         self._answers = LINK_DEAF
         return True
+
+    def _may_be_silent(self, now_ns: int) -> bool:
+        """A board that reports all the time has said nothing lately: soon it is known whether it is silent, and whether
+        a silent board hears is not known."""
+        quiet_ns = now_ns - max(self._said_ns, self._listened_ns)
+        return 0 < self._patience_ns <= self._deaf_ns and self._said_ns > 0 and quiet_ns >= self._patience_ns // 2

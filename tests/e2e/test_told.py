@@ -216,7 +216,7 @@ def test_what_is_not_known_is_not_told(simulated: Simulated) -> None:
     simulated.wait_for("the battery", lambda: simulated.robot.state.battery_v is not None)
     found = simulated.robot.state.as_dict()
     assert set(found["imu"]) == {"t_ns", "acceleration_mps2", "rate_radps", "rate_variance"}
-    assert {key for key in found if "battery" in key or "percent" in key} == {"battery_v"}
+    assert {key for key in found if "battery" in key or "percent" in key} == {"battery_v", "battery_ns"}
     assert found["plugged"] == "unknown", "until a step is seen"
 
 

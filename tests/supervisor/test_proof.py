@@ -317,6 +317,17 @@ def test_a_device_that_should_have_answered_by_now_is_missed_once(asked: bool) -
     assert not link.missed(T0 + 2 * DEAF_NS)
 
 
+def test_a_board_that_says_nothing_at_all_is_silent_and_not_deaf() -> None:
+    """A ping of up to half a second before may already be late when the silence is not yet sure."""
+    link = heard(T0)
+    link.said(T0 + 450 * MS, T0)
+    for ms in range(460, 1_150, 20):
+        link.follow_silence(700 * MS, T0 + ms * MS)
+        assert not link.gone_deaf(T0 + 500 * MS, T0 + ms * MS)
+    link.follow_silence(700 * MS, T0 + 1_150 * MS)
+    assert link.state == LINK_SILENT
+
+
 def echoing() -> Link:
     link = Link(DEAF_NS, asked=False, echo_ns=50 * MS)
     link.said(T0, 0)
