@@ -172,7 +172,7 @@ def test_a_stop_that_never_arrives_is_not_acknowledged_by_the_zero_of_the_board_
     sim.leave()
     sim.end()
     assert "acknowledges nothing" not in sim.said
-    # Its watchdog had acted before the stop where the last frame that it got was 0.8 s old: then it is known to be deaf.
+    # Where its watchdog had acted before the stop it is known to be deaf.
     deaf = before_s >= 0.7
     told = "(link deaf)" if deaf else "not acknowledged: the board's echo shows a stop only where it ends motion"
     assert told in sim.said

@@ -364,6 +364,7 @@ def test_a_board_that_was_silent_has_its_time_to_answer() -> None:
     link.said(T0 + 2_000 * MS, T0 + 1_900 * MS)
     assert link.state == LINK_ALIVE
     assert not link.gone_deaf(T0 + 2_000 * MS, T0 + 2_400 * MS)
+    link.said(T0 + 2_890 * MS, T0 + 2_000 * MS)
     assert link.gone_deaf(T0 + 2_000 * MS, T0 + 2_900 * MS)
 
 
