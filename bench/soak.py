@@ -150,6 +150,7 @@ class Driver:
 
     def _enabled(self) -> bool:
         with contextlib.suppress(FailstopError):
+            self._trial.robot.drive(0.0, 0.0, 0.0)  # else the enable would hold what it commanded just now
             self._trial.enable()
             return True
         time.sleep(0.05)

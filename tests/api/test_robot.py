@@ -26,6 +26,7 @@ def test_drive_says_what_holds_the_wheels(robot: Robot) -> None:
     assert answer == Blocked(Block.DISABLED, "disabled")
     assert not answer
     robot.enable()
+    robot.drive(0.0, 0.0, 0.0, manual=True)
     wait_for("the sensor to be silent", lambda: (age_s := robot.state.scan_age_s) is None or age_s > 0.6)
     silent = Blocked(Block.NO_SCAN, "no scan")
     wait_for("the gate to take it", lambda: robot.drive(0.1, 0.0, 0.0) == silent)

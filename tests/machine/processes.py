@@ -44,6 +44,7 @@ class Processes:
         self._play = play
         self.trial = Trial(name, ("--config", str(config)), imu_hz=20.0)
         self._robots: list[failstop.Robot] = []
+        self._drove: set[failstop.Robot] = set()
         self._keep = True
         self._over = threading.Event()
         self._keeper = threading.Thread(target=self._keep_running)
@@ -96,10 +97,13 @@ class Processes:
         robot.wait_for("ready", 3.0)
         if robot.state.cause is not None:
             robot.reset()
+        if robot in self._drove:
+            robot.drive(0.0, 0.0, 0.0)  # else the enable would hold what it commanded just now
         robot.enable()
 
     def drive(self, robot: failstop.Robot, seconds: float, speed_mps: float = SPEED_MPS) -> None:
         """Command a speed for so long."""
+        self._drove.add(robot)
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:
             robot.sensed()

@@ -71,4 +71,4 @@ def test_a_scenario_needs_what_a_board_has_by_its_description() -> None:
     assert scenarios_of(whole) == list(SCENARIOS)
     for traits in described:
         assert not traits.parts & {HAS_ARM, HAS_KEYS, HAS_IMU}
-        assert len(SCENARIOS) - len(scenarios_of(traits)) == 2 + (HAS_REPORTS not in traits.parts)
+        assert len(SCENARIOS) - len(scenarios_of(traits)) == 2 + 2 * (HAS_REPORTS not in traits.parts)

@@ -89,6 +89,8 @@ class Stage:
         """How much later who waits there hears of the loss of the port."""
         self.branch: Callable[[Continuation], Continuation] = lambda rest: rest
         """Asked at the end of what many scenarios begin with: what is to come then (scenarios.py, DRIVEN)."""
+        self._drove: set[Any] = set()
+        """Programs that have commanded a speed."""
         self._begun = False
         self._granted_ns = FOREVER_NS
         """When the last program may drive."""
@@ -126,7 +128,8 @@ class Stage:
         robot.wait_for("ready", self.ready_s)
         if robot.state.cause is not None:
             robot.reset()
-        robot.drive(0.0, 0.0, 0.0)  # else the enable would hold what it commanded just now
+        if robot in self._drove:
+            robot.drive(0.0, 0.0, 0.0)  # else the enable would hold what it commanded just now
         self.witness.asks_for_motion()
         robot.enable()
         self.witness.is_granted()
@@ -137,6 +140,7 @@ class Stage:
         def asks() -> None:
             self.witness.asks_for(speed_mps * RPS_PER_MPS)
 
+        self._drove.add(robot)
         asks()
         self.robot.drive(robot, seconds, (speed_mps, 0.0, 0.0), asks)
 
