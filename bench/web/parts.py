@@ -136,7 +136,7 @@ class Web:
 
 @contextlib.contextmanager
 def driven(trial: Trial) -> Iterator[None]:
-    """Somebody commands all the time."""
+    """Somebody commands all the time: zero until motion is enabled, since an enable holds who commands a velocity."""
     ended = threading.Event()
 
     def drive() -> None:
@@ -144,7 +144,7 @@ def driven(trial: Trial) -> Iterator[None]:
             while not ended.wait(0.02):
                 with contextlib.suppress(FailstopError):
                     robot.sensed()
-                    robot.drive(0.2, 0.0, 0.0)
+                    robot.drive(0.2 if robot.state.enabled else 0.0, 0.0, 0.0)
 
     thread = threading.Thread(target=drive)
     thread.start()

@@ -124,7 +124,7 @@ def test_the_interlock_holds_while_one_at_most_publishes(scene: BridgeTrial) -> 
 
 def test_a_service_that_was_started_anew_is_found_again(scene: BridgeTrial) -> None:
     """While there is none, no wheel turns in what the bridge publishes."""
-    scene.driving()
+    driver = scene.driving()
     scene.eyes.hear("joint_states", "sensor_msgs/msg/JointState")
     scene.eyes.next("joint_states", lambda message: all(message["velocity"][:4]))
     scene.trial.leave()
@@ -132,8 +132,10 @@ def test_a_service_that_was_started_anew_is_found_again(scene: BridgeTrial) -> N
     scene.state(lambda state: not state["enabled"])
     stood = scene.eyes.next("joint_states", lambda message: not any(message["velocity"][:4]))
     assert scene.eyes.next("joint_states")["position"] == stood["position"]
+    driver.ask("rest", topic="cmd_vel")
     scene.trial.service.start()
     scene.enable()
+    driver.ask("repeat", topic="cmd_vel", fields=FORWARD, hz=20.0)
     scene.moving()
     robot = scene.trial.robot
     wait_for("the gate to name it", lambda: any(client.name == "ros2" for client in robot.state.clients))

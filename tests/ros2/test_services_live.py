@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from failstop.lab.trial import wait_for
 from failstop.policy.settings import Settings
 from failstop.ros2.mirrors import TABLE, values
 from tests.ros2.scene import NODE, BridgeTrial
@@ -90,6 +91,7 @@ def test_who_is_on_the_list_of_publishers_drives_and_a_stranger_latches(scene: B
         scene.trial.robot.disable()
         scene.standing()
         scene.leave(driver)
+        wait_for("its last command to be too old", lambda: not scene.trial.robot.state.sources)
     scene.trial.board.events()
     scene.drive("intruder")
     scene.state(lambda state: state["estop"] == "stranger on cmd_vel: /intruder (allowed: /nav, teleop)")

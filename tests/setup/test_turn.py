@@ -15,8 +15,8 @@ from failstop.policy.settings import Settings
 from failstop.setup import sizes, turn
 from failstop.setup.draft import Draft
 from failstop.setup.talk import Left, Talk
+from tests.setup.given import GIVEN, words
 from tests.setup.person import Person
-from tests.setup.test_wrong import GIVEN, words
 from tests.support.amounts import LONG
 
 USUAL = COUNTS / PERIODS

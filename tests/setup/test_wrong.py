@@ -24,15 +24,16 @@ from failstop.policy.layouts import BOARDS
 from failstop.setup import command, finish, robots
 from failstop.setup.draft import Draft
 from failstop.setup.rig import LEVER_M, alone, toml
-from failstop.setup.talk import Left, NotAnAnswer, Talk, option, word_of
+from failstop.setup.talk import Left, NotAnAnswer, Talk, word_of
 from failstop.setup.wheels import names, parsed
+from tests.setup.given import GIVEN, KIND, words
 from tests.setup.person import Person, is_motion
 from tests.support.amounts import LONG
 from tests.support.children import needs_root
 from tests.support.commands import FAILSTOP
 from tests.support.unprivileged import may_reach, unprivileged
 
-KIND, WHEELS = "ugv", {0: "left+", 1: "right-"}
+WHEELS = {0: "left+", 1: "right-"}
 STOPS_S, ENDS_S, WAIT_S = 30.0, 60.0, 90.0
 CTRL_C = b"\x03"
 
@@ -46,23 +47,6 @@ def talk(place: Path, **given: str) -> Talk:
     return Talk(given, Draft("failstop", {"STATE_DIRECTORY": str(place)}), silent=True)
 
 
-GIVEN = {
-    "port": "PORT",
-    "board": KIND,
-    "robot": "ugv-rover",
-    "stand": "yes",
-    "wheel_0": "left+",
-    "wheel_1": "right-",
-    "forward": "yes",
-    "turn": "yes",
-    "diameter_m": "0.08",
-    "track_m": "0.172",
-    "vx_mps": "0.2",
-    "wz_radps": "1",
-    "prove": "no",
-    "file": "made.toml",
-}
-"""Right answers to all questions, in their order, which turn no wheel."""
 UNKEPT = ("stand", "prove", "file")
 """These are asked each time."""
 WHEELS_TOO = ("wheel_0", "wheel_1")
@@ -101,11 +85,6 @@ WRONG: dict[str, tuple[dict[str, str], tuple[str, ...], str]] = {
     "unwritten": ({"file": "no"}, (), "nothing was written"),
 }
 """Each wrong answer at each step: what is said, which answers before it are asked anew, and the sentence."""
-
-
-def words(place: Path, answers: Mapping[str, str]) -> list[str]:
-    """The options of these answers."""
-    return [word for key, value in answers.items() for word in (option(key), value.replace("PORT", str(place / "b")))]
 
 
 def run(place: Path, answers: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
