@@ -25,6 +25,7 @@ NOT_TRIED = {
     "cause button": "no gamepad is plugged in",
     "cause fleet": "no broker is there",
     "cause operator_gone": "no operator attends",
+    "cause driver_silent": "no setting asks for it",
     "cause two_move_the_arm": "one program moves the arm",
     "cause all_died": "told by readers of a run that is over, raised by nobody",
     "cause silent": "told by readers of a run that is over, raised by nobody",

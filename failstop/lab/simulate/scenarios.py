@@ -7,7 +7,6 @@ from typing import Any
 
 from failstop.lab.boards.traits import HAS_ARM, HAS_KEYS, HAS_REPORTS, Traits
 from failstop.lab.simulate.stage import FROM_THE_START, NEEDS, SETTINGS, Continuation, Stage
-from failstop.messages.layout import GATE
 
 Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
@@ -278,18 +277,6 @@ def _driver_dies(stage: Stage) -> None:
 
 
 scenario(_driver_dies, "driver_dies", settings={"gate.driver_death": "latch"})
-
-
-def _driver_falls_silent(stage: Stage) -> None:
-    """A program that drives stops sending commands, and that is to latch a stop."""
-    robot = stage.connect()
-    stage.enable(robot)
-    stage.drive(robot, 0.3)
-    stage.must_stop("the program that drives is silent", 330, GATE)
-    robot.wait_for("latched", 1.0)
-
-
-scenario(_driver_falls_silent, "driver_falls_silent", settings={"gate.driver_silence": "latch"})
 
 
 @driven
