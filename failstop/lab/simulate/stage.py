@@ -132,6 +132,8 @@ class Stage:
             robot.drive(0.0, 0.0, 0.0)  # else the enable would hold what it commanded just now
         self.witness.asks_for_motion()
         robot.enable()
+        if robot in self._drove:
+            robot.drive(0.0, 0.0, 0.0)  # a fault may have kept the first from the gate
         self.witness.is_granted()
 
     def drive(self, robot: Any, seconds: float, speed_mps: float = SPEED_MPS) -> None:
