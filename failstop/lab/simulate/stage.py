@@ -89,8 +89,8 @@ class Stage:
         """How much later who waits there hears of the loss of the port."""
         self.branch: Callable[[Continuation], Continuation] = lambda rest: rest
         """Asked at the end of what many scenarios begin with: what is to come then (scenarios.py, DRIVEN)."""
-        self._drove: set[Any] = set()
-        """Programs that have commanded a speed."""
+        self._drove: set[int] = set()
+        """Ids of the Robots that have commanded a speed: one that nobody refers to gives its slot back."""
         self._begun = False
         self._granted_ns = FOREVER_NS
         """When the last program may drive."""
@@ -128,12 +128,10 @@ class Stage:
         robot.wait_for("ready", self.ready_s)
         if robot.state.cause is not None:
             robot.reset()
-        if robot in self._drove:
+        if id(robot) in self._drove:
             robot.drive(0.0, 0.0, 0.0)  # else the enable would hold what it commanded just now
         self.witness.asks_for_motion()
         robot.enable()
-        if robot in self._drove:
-            robot.drive(0.0, 0.0, 0.0)  # a fault may have kept the first from the gate
         self.witness.is_granted()
 
     def drive(self, robot: Any, seconds: float, speed_mps: float = SPEED_MPS) -> None:
@@ -142,7 +140,7 @@ class Stage:
         def asks() -> None:
             self.witness.asks_for(speed_mps * RPS_PER_MPS)
 
-        self._drove.add(robot)
+        self._drove.add(id(robot))
         asks()
         self.robot.drive(robot, seconds, (speed_mps, 0.0, 0.0), asks)
 
