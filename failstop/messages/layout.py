@@ -169,9 +169,8 @@ SEGMENTS = (
             _latest("pad", records.PAD, "clients"),
             _latest("pad_arm", records.PAD_ARM, "gate"),  # one a frame while the pad moves a joint
             _latest("pad_command", records.PAD_COMMAND, "gate"),  # one a frame while the pad drives
-            _ring(
-                "causes", 64, 8, "port_owner"
-            ),  # what it stops for, in order; empty: write the stop again, for no cause
+            # What it stops for, in order; empty: write the stop again, for no cause.
+            _ring("causes", 64, 8, "port_owner"),
             _ring("servos", records.SERVO, 64, "gate"),  # answers of the arm's servos, in order
             _ring("pad_requests", records.PAD_REQUEST, 32, "gate"),  # resets, and frames that are not motion, in order
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (packing.py)

@@ -164,7 +164,7 @@ class GateCore:
         """Once a step: tell of a driver that has just fallen silent while the wheels turned. It disables motion or
         returns the cause to stop for, as the setting gate.driver_silence says; a person who lets go of a key does
         neither."""
-        if not any(self.velocity) or self.blocked(now_ns) not in (NO_COMMAND, HELD):
+        if not any(self.velocity) or self.sources.driving(now_ns):
             return None
         driver = self.sources.last_driver()
         if driver is None:
