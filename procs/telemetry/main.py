@@ -35,7 +35,7 @@ from failstop.procs.telemetry.silence import Silence
 from failstop.procs.telemetry.state_files import StateFiles
 from failstop.procs.telemetry.still import StillJudge
 from failstop.procs.telemetry.unasked import Unasked
-from failstop.procs.telemetry.wheels import NOT_REPORTED, THEY_TURN, Measured, Way, WheelFact
+from failstop.procs.telemetry.wheels import THEY_TURN, Measured, Way, WheelFact, of_every_wheel
 from failstop.shm.cell import LatestReader
 from failstop.shm.segment import Segment
 from failstop.shm.words import Barrier
@@ -325,7 +325,10 @@ class Telemetry:
 
     def _note(self, kind: str, text: str, fields: Fields = NO_FIELDS, *, level: str = "", step: str = "") -> None:
         """Tell people something; the supervisor passes it on."""
-        self._rings["notes"].put(Note(kind, text, fields, level, step).pack())
+        self._pass_on(Note(kind, text, fields, level, step))
+
+    def _pass_on(self, note: Note) -> None:
+        self._rings["notes"].put(note.pack())
         self.supervisor_bell.ring()
 
     def _note_gyro(self, text: str) -> None:
@@ -386,8 +389,8 @@ class Telemetry:
         speeds, positions = sample
         self._measured.take(speeds, positions, t_ns)
         self._odometry.roll(self._measured)
-        measured = (*self._measured.speeds_rps, *NOT_REPORTED)[: records.MOST_WHEELS]
-        self._box.put(box.pack_board(box.WHEELS_KIND, *map(box.single, measured)), t_ns)
+        measured = map(box.single, of_every_wheel(self._measured.speeds_rps))
+        self._box.put(box.pack_board(box.WHEELS_KIND, *measured), t_ns)
         self._restarts.counted(positions, t_ns)
         if self._read_back.take(speeds, positions, t_ns):
             self._tell_still(self._read_back, was_still=was_still)
@@ -405,14 +408,13 @@ class Telemetry:
             self._note("wheel_stands", text, {"wheel": name, "told": told, "seen": seen})
 
     def _publish_wheels(self, now_ns: int) -> None:
-        """What is known of the wheels: at once when it changes, and with the odometry."""
+        """What is known of the wheels, with the odometry."""
         fact, measured = self._fact, self._measured
         told_zero_ns = 0 if self._gate.commanded else self._gate.zero_ns or self._began_ns
         went = self._way.went(measured.turns, rest=fact.does != THEY_TURN)
         fact.follow(self._read_back, self._still, told_zero_ns, now_ns, went=went)
         self._act_unasked(now_ns)
-        speeds = (*measured.speeds_rps, *NOT_REPORTED)[: records.MOST_WHEELS]
-        turns = (*measured.turns, *NOT_REPORTED)[: records.MOST_WHEELS]
+        speeds, turns = of_every_wheel(measured.speeds_rps), of_every_wheel(measured.turns)
         count = max(len(measured.speeds_rps), len(measured.turns))
         flags = (fact.does, fact.by, fact.unexpected, count)
         self._latest["wheels"].write(
@@ -430,8 +432,7 @@ class Telemetry:
             self._rings["causes"].put(b"")
             self._port_owner_bell.ring()
         if act.note:
-            self._rings["notes"].put(act.note.pack())
-            self.supervisor_bell.ring()
+            self._pass_on(act.note)
 
     def _follow_scale(self, now_ns: int) -> None:
         """How what was measured compares with what is told; people are told once that it differs."""

@@ -20,11 +20,10 @@ if TYPE_CHECKING:
 
 UNKNOWN_WHEELS, ARE_STILL, THEY_TURN = range(len(WHEELS_DO))
 SEEN_BY_NOTHING, SEEN_BY_IMU, SEEN_BY_REPORTS = range(len(WHEELS_BY))
-NOT_REPORTED = (nan,) * MOST_WHEELS
+_NOT_REPORTED = (nan,) * MOST_WHEELS
+
 LEAST_COUNTS = 2.5
 """Less than this is the to and fro of an encoder at rest."""
-
-
 FASTEST_RPS = 50.0
 """Turns a second that no wheel makes: 12 m/s with a wheel of 8 cm. A report beyond it is not believed."""
 LEAST_TURN = 0.02
@@ -35,6 +34,11 @@ SAME_READ_NS = 5_000_000
 """Reports that came closer together than this came in one read, so their times say nothing of a speed."""
 _AT_ONCE_NS = 250_000_000
 """A counter that has begun at zero has not counted for longer than this before it is read."""
+
+
+def of_every_wheel(values: Sequence[float]) -> tuple[float, ...]:
+    """As many values as a record has wheels; NaN for those that are not reported."""
+    return (*values, *_NOT_REPORTED)[:MOST_WHEELS]
 
 
 class Measured:
@@ -205,11 +209,11 @@ class WheelFact:
 
     def follow(
         self, read_back: ReadBack, still: StillJudge, told_zero_ns: int, now_ns: int, *, went: bool = True
-    ) -> bool:
-        """Judge anew; True when what is known has changed. `told_zero_ns`: since when they are told zero, 0: they are
-        told to turn. `went`: they have got further than an encoder that rests on the edge of a count."""
+    ) -> None:
+        """Judge again. `told_zero_ns`: since when they are told zero, 0: they are told to turn. `went`: they have got
+        further than an encoder that rests on the edge of a count."""
         judge: ReadBack | StillJudge = read_back if read_back.judged_ns else still
-        before = (self.does, self.by, self.unexpected)
+        before = (self.does, self.by)
         self.read_ns = judge.judged_ns
         if not judge.judged_ns:
             self.does, self.by = UNKNOWN_WHEELS, SEEN_BY_NOTHING
@@ -219,7 +223,6 @@ class WheelFact:
         late = told_zero_ns > 0 and self.read_ns - max(told_zero_ns, self.since_ns) >= self._after_ns
         # Reports that have ended say nothing of now.
         self.unexpected = self.does == THEY_TURN and late and went and now_ns - self.read_ns < self._after_ns
-        if before[:2] != (self.does, self.by):
+        if before != (self.does, self.by):
             self.since_ns = judge.still_ns or judge.judged_ns or now_ns
             self.unexpected = False
-        return before != (self.does, self.by, self.unexpected)
