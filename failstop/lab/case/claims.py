@@ -115,7 +115,7 @@ CLAIMS = (
     ),
     Claim(
         "SILENCE-1",
-        "A board that had reported all the time and says nothing any more is told of, and is stopped while motion is"
+        "When a board that reported all the time falls silent, failstop says so, and stops the wheels while motion is"
         " enabled.",
         1000.0, "from its last report, where its reports come every 0.1 s at least", ("RECEIVER", "WRITE"),
         "a board that says nothing for longer, while motion is enabled",
