@@ -76,10 +76,6 @@ class Limits(Data):
     told_rps: float
     """A wheel that is told less than this may stand."""
 
-    def run_down_ns(self, told_rps: float) -> int:
-        """How long after a command a wheel that was told this before it may take to follow, as the reports show it."""
-        return LAG_NS + self.rolls_ns(told_rps) + 3 * self.every_ns
-
     def rolls_ns(self, told_rps: float) -> int:
         """How long a wheel may be beyond what it is told."""
         return BEYOND_NS + round(abs(told_rps) / self.braking_rps2 * 1e9)
