@@ -149,6 +149,7 @@ def hoverboards_without_reports(at: Path) -> str:
     return folder
 
 
+@pytest.mark.starts
 def test_an_own_board_is_judged_by_what_was_seen_of_it(tmp_path: Path) -> None:
     service = made(hoverboards_without_reports(tmp_path / "own"))
     service.set_off()
