@@ -103,9 +103,8 @@ def answered(path: str, board: Board, *, patient: bool) -> bool | None:
         if not (patient and board.port.deaf_ns and has_lines(fd)):
             return False
         time.sleep(board.port.deaf_ns / 1e9)
-        tap.read()
-        # A reset loses what was asked before it, so no answer belongs to that.
-        return asking.ask(Tap(fd, board), board, stop=True) is not None
+        tap.lost()
+        return asking.ask(tap, board, stop=True) is not None
     except OSError:
         return False
     finally:

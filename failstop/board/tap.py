@@ -73,6 +73,11 @@ class Tap:
         os.write(self.fd, self._board.pings[index])
         return index, now_ns
 
+    def lost(self) -> None:
+        """What was asked until now will not be answered, as behind a reset of the board. Raises OSError."""
+        self.read()
+        self._answers = Answers()
+
     def answers_ns(self, indices: Value, came_ns: int) -> int:
         """When the ping was written that this answer belongs to at the earliest (board/handled.py); 0: none was."""
         return self._answers.answered([index for index in indices if index not in self._flow], came_ns)

@@ -102,10 +102,15 @@ class Halt:
 
     def _confirmed(self, tap: Tap) -> bool:
         """Whether the board has answered a question that followed a stop. Stops and questions are repeated."""
-        until_s = time.monotonic() + CONFIRMS_S + self._board.port.deaf_ns / 1e9 * has_lines(tap.fd)
+        deaf_s = self._board.port.deaf_ns / 1e9 * has_lines(tap.fd)
+        hears_s, deaf = time.monotonic() + deaf_s, deaf_s > 0
         while tap.answered_ms(ANSWERS_S) is None:
-            if time.monotonic() >= until_s:
+            now_s = time.monotonic()
+            if now_s >= hears_s + CONFIRMS_S:
                 return False
+            if deaf and now_s >= hears_s:
+                deaf = False
+                tap.lost()
             stopping.write(self._path, self._board)
         return True
 
