@@ -91,7 +91,8 @@ def test_nothing_that_holds_the_wheels_makes_the_loop_wait(trial: Trial, monkeyp
             until_s = time.monotonic() + 10.0
             while (state := robot.state).block is not block or (block is None and not state.moving):
                 assert time.monotonic() < until_s
-                robot.drive(0.1, 0.0, 0.0, manual=manual)
+                # It has commanded all the time, so behind an enable it must send zero once.
+                robot.drive(0.0 if state.block is Block.HELD else 0.1, 0.0, 0.0, manual=manual)
                 await asyncio.sleep(0)
             answer = robot.drive(0.1, 0.0, 0.0, manual=manual)
             found.append(None if answer else getattr(answer, "block", None))

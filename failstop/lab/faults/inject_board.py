@@ -28,7 +28,9 @@ FAST = (0.2, 0.0, 0.0)
 STRAIGHT = (0.1, 0.0, 0.0)
 UP_TO_SPEED_S = 0.5
 FAR_S = 2.0
-STARTS_S = (0.3, 0.6)
+STARTS_S = 0.62, 0.66
+"""How long the board takes to start: longer than a busy computer makes its reports pause (`silent_ns` of the boards),
+and not so long that it counts as silent."""
 BLOCK = 256
 IDLE_FILLS = 3
 RUNS_AWAY = 5.0
