@@ -2,8 +2,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-# compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
-EDITABLE := --config-settings editable_mode=compat --editable
+# The laboratory too (lab/). compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
+EDITABLE := --config-settings editable_mode=compat --editable lab --editable
 
 .PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech
 
@@ -141,12 +141,12 @@ vm-arm64: $(VENV)/.dev
 
 # What is made from tables of the code: tests compare each with its table.
 docs: $(VENV)/.dev
-	$(BIN)/python -m failstop.lab.pages
+	$(BIN)/python -m failstop_lab.pages
 
 # The whole service as one page for a browser (docs/touch.md), with Pyodide from the npm registry.
 PYODIDE := build/pyodide/node_modules/pyodide
 browser: $(VENV)/.dev $(PYODIDE)
-	@$(BIN)/python -m failstop.lab.browser.build $(PYODIDE) build/browser/index.html
+	@$(BIN)/python -m failstop_lab.browser.build $(PYODIDE) build/browser/index.html
 
 $(PYODIDE): Makefile
 	@command -v npm >/dev/null || { echo "no npm, which fetches Pyodide: install it (Debian and Ubuntu: apt install npm)"; exit 1; }

@@ -14,7 +14,7 @@ from bench import arm, beside, kills, oneway, peers, report, service, visit
 from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
-from failstop.lab.trial import Trial
+from failstop_lab.trial import Trial
 
 
 def main() -> int:

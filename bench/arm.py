@@ -12,9 +12,9 @@ from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
 from failstop.api.errors import Refused
-from failstop.lab.faults import arm
-from failstop.lab.faults.arm import JOINTS, ArmTrial
-from failstop.lab.faults.arm_table import CLIENT_KILL, KILL, ROWS, SERVO_FAULT, STOP_REQUEST
+from failstop_lab.faults import arm
+from failstop_lab.faults.arm import JOINTS, ArmTrial
+from failstop_lab.faults.arm_table import CLIENT_KILL, KILL, ROWS, SERVO_FAULT, STOP_REQUEST
 
 SELDOM = 5
 """Hangs take long: a share of the count."""

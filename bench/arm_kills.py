@@ -10,10 +10,10 @@ from bench import stats
 from bench.carriers import Carriers
 from bench.stats import Row
 from failstop.board.servos import HELD_NS
-from failstop.lab.faults import arm
-from failstop.lab.faults.arm import ArmTrial, Rested
-from failstop.lab.faults.arm_table import KILL, ROWS
-from failstop.lab.trial import Stopped
+from failstop_lab.faults import arm
+from failstop_lab.faults.arm import ArmTrial, Rested
+from failstop_lab.faults.arm_table import KILL, ROWS
+from failstop_lab.trial import Stopped
 
 BUS_MS = HELD_NS / 1e6
 KILLS = {fault.process: fault for fault in ROWS if fault.what == KILL}

@@ -13,9 +13,9 @@ from bench.stats import Row
 from failstop.api.client import attach
 from failstop.board.framing import BUS_SERVO
 from failstop.board.servos import SERVO_MOVE
-from failstop.lab.faults.arm import ArmTrial
 from failstop.messages import box, layout, records
 from failstop.policy.joints import PULSES_PER_RAD
+from failstop_lab.faults.arm import ArmTrial
 
 PERIOD_NS = 40_000_000
 LOOK_EVERY_S = 0.1

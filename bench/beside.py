@@ -29,9 +29,9 @@ INSTRUMENT = (
     *(
         "bench/latency.py",
         "bench/stats.py",
-        "failstop/lab/sim",
-        "failstop/lab/faults/crowd.py",
-        "failstop/lab/trial.py",
+        "lab/failstop_lab/sim",
+        "lab/failstop_lab/faults/crowd.py",
+        "lab/failstop_lab/trial.py",
     ),
 )
 """Files that measure, of each commit its own: where they differ, so may the numbers."""
@@ -225,7 +225,8 @@ def _checked_out(commit: str) -> Iterator[Side]:
             versions.write_text(_run(sys.executable, "-m", "pip", "freeze", "--exclude-editable") + "\n", "utf-8")
             _run(sys.executable, "-m", "venv", str(tree / ".venv"))
             pip = (python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
-            editable = ("--config-settings", "editable_mode=compat", "--editable", str(tree))
+            parts = [part for part in (tree, tree / "lab") if (part / "pyproject.toml").exists()]
+            editable = ("--config-settings", "editable_mode=compat", *(f"--editable={part}" for part in parts))
             _run(*pip, "--constraint", str(versions), *editable)
             if not (tree / "bench/visit.py").exists():
                 shutil.copy(visit.__file__, tree / "bench/visit.py")

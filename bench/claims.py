@@ -40,7 +40,7 @@ how well the arm moves, and how others do."""
 
 
 def claims_of(measure: str) -> tuple[str, ...]:
-    """The names of the claims that a row of this measure carries (failstop/lab/case/claims.py)."""
+    """The names of the claims that a row of this measure carries (lab/failstop_lab/case/claims.py)."""
     return next((claims for begins, claims in CLAIMS if re.match(begins, measure)), ())
 
 

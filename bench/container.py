@@ -26,7 +26,7 @@ from types import TracebackType
 from typing import Any, NamedTuple
 
 from failstop import config
-from failstop.lab.trial import TrialError, wait_for
+from failstop_lab.trial import TrialError, wait_for
 
 SYSTEMD = "/lib/systemd/systemd"
 VENDOR = os.path.realpath("/lib/systemd/system")

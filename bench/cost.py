@@ -11,7 +11,7 @@ from collections.abc import Callable
 import psutil
 
 from bench import stats
-from failstop.lab.trial import Trial
+from failstop_lab.trial import Trial
 
 FLOOR = "import argparse, dataclasses, json, msgpack"
 SETTLE_S = 4.0

@@ -29,7 +29,7 @@ from bench.report import progress
 from failstop.fleet import levels, signed
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
-from failstop.lab.trial import TrialError, wait_for
+from failstop_lab.trial import TrialError, wait_for
 
 ROBOTS = 1000
 STOPS = 20

@@ -28,7 +28,7 @@ from failstop.fleet.levels import Order
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
-from failstop.lab.trial import TrialError
+from failstop_lab.trial import TrialError
 
 RATES = (1_000, 5_000, 10_000, 20_000, 40_000)
 STOPS = 5

@@ -28,7 +28,7 @@ from bench.fleet_robots import Pretended
 from failstop.fleet import signed
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.settings import FleetSettings
-from failstop.lab.trial import TrialError, wait_for
+from failstop_lab.trial import TrialError, wait_for
 
 TRIALS = 20
 MAKER = "trials"

@@ -21,7 +21,7 @@ from types import TracebackType
 
 from bench import BenchError
 from failstop.board.burst import BURST, FIRST_STOP_END
-from failstop.lab.sim.client import SimBoard
+from failstop_lab.sim.client import SimBoard
 
 PRIORITY = 30
 ASLEEP_S = 0.02

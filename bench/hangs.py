@@ -10,10 +10,10 @@ import time
 from collections.abc import Callable
 
 from bench import stats
-from failstop.lab.trial import Stopped, Trial, judge, wait_for
 from failstop.messages import layout
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.policy.settings import Settings
+from failstop_lab.trial import Stopped, Trial, judge, wait_for
 
 MARGIN_MS = 10.0
 AFTERMATH_S = 0.15

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 
 from bench import floor, stats
 from bench.carriers import Carriers
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import Stopped, Trial
 from failstop.messages import layout
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import Stopped, Trial
 
 WIRE_MS = 0.59
 

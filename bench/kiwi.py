@@ -25,12 +25,12 @@ from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
 from failstop.api.errors import Refused
-from failstop.lab.faults import arm, arm_table
-from failstop.lab.faults.arm import ArmTrial, Rested
-from failstop.lab.faults.arm_table import BESIDE_BY_NAME, BY_ITSELF_MS, GOAL_MS, ArmFault
-from failstop.lab.faults.table import FAULT_BY_NAME
-from failstop.lab.trial import Stopped, wait_for
 from failstop.messages.layout import PROCESS_NAMES
+from failstop_lab.faults import arm, arm_table
+from failstop_lab.faults.arm import ArmTrial, Rested
+from failstop_lab.faults.arm_table import BESIDE_BY_NAME, BY_ITSELF_MS, GOAL_MS, ArmFault
+from failstop_lab.faults.table import FAULT_BY_NAME
+from failstop_lab.trial import Stopped, wait_for
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAM = Path(__file__).with_name("kiwi_policy.py")

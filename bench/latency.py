@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable
 
 from bench import stats
-from failstop.lab.faults.crowd import Nobody
-from failstop.lab.sim.client import Event
-from failstop.lab.trial import LOG_CHARACTERS, Trial, TrialError
+from failstop_lab.faults.crowd import Nobody
+from failstop_lab.sim.client import Event
+from failstop_lab.trial import LOG_CHARACTERS, Trial, TrialError
 
 
 def _until(trial: Trial, since_ns: int, answers: Callable[[Event], bool]) -> int:

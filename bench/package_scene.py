@@ -10,7 +10,7 @@ from pathlib import Path
 
 from bench.container import Bind, Container
 from bench.service_scene import READY
-from failstop.lab.sim.client import SimBoard
+from failstop_lab.sim.client import SimBoard
 
 UNIT = "failstop.service"
 BOARD = "/board/port"

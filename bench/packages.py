@@ -25,7 +25,7 @@ from bench.container import ContainerMissing
 from bench.package_scene import BOARD, SETTINGS, UNIT, Place, machine
 from bench.report import progress
 from bench.service_scene import READY
-from failstop.lab.sim.client import Event
+from failstop_lab.sim.client import Event
 
 ROOT = Path(__file__).resolve().parents[1]
 ROUNDS = 3
@@ -99,7 +99,11 @@ def build(source: Path, out: Path) -> list[Path]:
     progress(f"building the packages of {source}")
     words = (sys.executable, source / "packaging/deb/build.py", "--out", out)
     done = subprocess.run(
-        words, env=os.environ | {"PYTHONPATH": str(source)}, capture_output=True, text=True, check=False
+        words,
+        env=os.environ | {"PYTHONPATH": f"{source}:{source}/lab"},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if done.returncode:
         raise BenchError(f"the packages of {source} can't be built: {done.stdout}{done.stderr}")

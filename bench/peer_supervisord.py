@@ -14,7 +14,7 @@ import sys
 import tempfile
 
 from bench.peer import ROOT, PeerMissing
-from failstop.lab.trial import wait_for
+from failstop_lab.trial import wait_for
 
 CONFIG = """
 [supervisord]

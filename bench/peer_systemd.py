@@ -10,7 +10,7 @@ from pathlib import Path
 from bench import installed
 from bench.container import Bind, Container, ContainerMissing
 from bench.peer import PeerMissing
-from failstop.lab.trial import wait_for
+from failstop_lab.trial import wait_for
 
 UNIT = "driver.service"
 PORT = "/board"

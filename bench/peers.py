@@ -21,9 +21,9 @@ from bench import report, stats
 from bench.peer import ExitHandler, Peer, PeerMissing
 from bench.peer_supervisord import BusySupervisord, Supervisord
 from bench.peer_systemd import Systemd
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import Stopped, Trial, judge
 from failstop.messages import layout
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import Stopped, Trial, judge
 
 PEERS: tuple[type[Peer], ...] = (ExitHandler, Supervisord, BusySupervisord, Systemd)
 OURS = (layout.GATE, layout.PORT_OWNER)

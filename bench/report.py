@@ -13,7 +13,7 @@ from bench import BenchError
 from bench.stats import Row
 from failstop.api.errors import FailstopError
 from failstop.doctor.machine import facts
-from failstop.lab.sim.client import SimBoardError
+from failstop_lab.sim.client import SimBoardError
 
 VERDICT = {True: "met", False: "MISSED", None: ""}
 

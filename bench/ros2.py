@@ -23,10 +23,10 @@ from bench import report, stats
 from bench.carriers import Carriers
 from bench.report import progress
 from failstop.api.errors import FailstopError
-from failstop.lab.trial import Trial, TrialError, wait_for
 from failstop.ros2.command import find_rclpy
 from failstop.ros2.contract import IMU, ODOMETRY, STATE
 from failstop.ros2.stage import StageProcess, bridge, environment, publisher
+from failstop_lab.trial import Trial, TrialError, wait_for
 
 TIMEOUT_MS = 300.0
 CONNECT_S = 20.0

@@ -17,8 +17,8 @@ from rich.terminal_theme import MONOKAI
 from rich.text import Text
 
 from failstop.api.snapshot import Stop
-from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout
+from failstop_lab.trial import Trial, wait_for
 
 PICTURES = Path(__file__).parents[1] / "docs/pictures"
 NAME = "failstop"

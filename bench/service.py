@@ -16,7 +16,7 @@ from typing import NamedTuple
 from bench import report, stats
 from bench.container import ContainerMissing
 from bench.service_scene import HARDY, UNIT, Scene
-from failstop.lab.trial import Stopped
+from failstop_lab.trial import Stopped
 
 WATCHDOG_MS = 1000.0
 """The unit's WatchdogSec."""

@@ -1,6 +1,6 @@
 """A scene: the systemd unit on a real systemd, a simulated board out here, and a client that drives in there.
 
-The board is the judge, as in failstop.lab.trial; it, the kills and all times are outside the container.
+The board is the judge, as in failstop_lab.trial; it, the kills and all times are outside the container.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from types import TracebackType
 
 from bench import installed
 from bench.container import Bind, Container
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import Stopped, TrialError, judge, wait_for
 from failstop.messages import layout
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import Stopped, TrialError, judge, wait_for
 
 UNIT = "failstop.service"
 CONFIG = "/etc/failstop/failstop.toml"

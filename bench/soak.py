@@ -20,13 +20,13 @@ import psutil
 from bench import conditions, report, stalls, stats, ticks
 from failstop.api.client import attach
 from failstop.api.errors import FailstopError
-from failstop.lab.sim.client import Event
-from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 from failstop.shm.cell import LatestReader
+from failstop_lab.sim.client import Event
+from failstop_lab.trial import Trial, wait_for
 
 LATE_MS = 10.0
 GROWTH_MB_H = 1.0

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from failstop.lab.sim.client import Event
+from failstop_lab.sim.client import Event
 
 COMMANDED_NS = 250_000_000
 """For so long after a command every tick has to move; less than the command timeout."""

@@ -16,7 +16,7 @@ from typing import Any
 
 from bench import cost, hangs, kills, latency, report, stats
 from bench.carriers import Carriers
-from failstop.lab.trial import Trial
+from failstop_lab.trial import Trial
 
 OPTIONS_TOML = "[restart]\ndeaths = 100000\nbackoff_s = 0.001\n"
 """So many kills are no crash loop here."""

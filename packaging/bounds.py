@@ -29,7 +29,7 @@ def steps(at: Path, resolution: str, interpreter: str) -> list[tuple[str, ...]]:
     """The commands that install it and run the tests, each with what it says only where it fails."""
     uv, python = str(Path(sys.executable).with_name("uv")), str(at / "bin/python")
     install = (uv, "pip", "install", "--quiet", "--python", python, "--only-binary", ":all:", "--no-binary", "failstop")
-    editable = ("--config-settings", "editable_mode=compat", "--editable", ".[test]")
+    editable = ("--config-settings", "editable_mode=compat", "--editable", ".[test]", "--editable", "lab")
     pytest = (python, "-m", "pytest", "-o", f"cache_dir={at / 'pytest'}", *versions.QUICK, "--numprocesses", "0")
     return [
         (interpreter, "-m", "venv", "--clear", str(at)),

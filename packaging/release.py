@@ -32,7 +32,7 @@ import image  # noqa: E402
 import sbom  # noqa: E402
 import tree  # noqa: E402
 
-from failstop.lab.pages import public, ros_changes  # noqa: E402
+from failstop_lab.pages import public, ros_changes  # noqa: E402
 
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 """Architectures by Debian's word, with Python's."""
@@ -105,7 +105,7 @@ def release(version: str, out: Path, folder: Path, wheels: Path | None = None) -
         run(
             *(sys.executable, "packaging/deb/build.py", "--out", out, "--architecture", architecture, "--site", site),
             cwd=source,
-            environ=environ | {"PYTHONPATH": str(source)},
+            environ=environ | {"PYTHONPATH": f"{source}:{source}/lab"},
         )
     if why := image.missing(tree.PYTHON):
         print(f"failstop: no image for containers: {why}", file=sys.stderr)
@@ -227,7 +227,7 @@ def python(source: Path, built: Path, environ: Mapping[str, str], bills: Mapping
     """The sdist, the wheel that is built from it, and the laboratory's; `bills` by what a wheel's name begins with."""
     build = (sys.executable, "-m", "build", "--no-isolation")
     run(*build, "--outdir", built, ".", cwd=source, environ=environ)
-    run(*build, "--wheel", "--outdir", built, "packaging/lab", cwd=source, environ=environ)
+    run(*build, "--wheel", "--outdir", built, "lab", cwd=source, environ=environ)
     for path in sorted(built.iterdir()):
         if path.suffix == ".whl":
             with_bill(path, out / path.name, bills[path.name.partition("-")[0]])

@@ -51,7 +51,7 @@ def run(version: str, interpreter: str, at: Path) -> tuple[bool, str]:
     """The quick tests there, in an environment of their own: whether they pass, and what they said."""
     python = str(at / version / "bin/python")
     pip = (python, "-m", "pip", "install", "--quiet", "--no-compile", "--disable-pip-version-check")
-    editable = ("--config-settings", "editable_mode=compat", "--editable", ".[test]")
+    editable = ("--config-settings", "editable_mode=compat", "--editable", ".[test]", "--editable", "lab")
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     pytest = (python, "-m", "pytest", "-o", f"cache_dir={at / version / 'pytest'}", *QUICK)
 

@@ -1,6 +1,6 @@
 """Kinds: every kind of event there is: its level, its MESSAGE_ID, the fields that every event of the kind has.
 
-The journal's catalog of them is failstop/lab/pages/catalog_texts.py. A MESSAGE_ID never changes its meaning.
+The journal's catalog of them is lab/failstop_lab/pages/catalog_texts.py. A MESSAGE_ID never changes its meaning.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from failstop.files import root
-from failstop.lab.machine.kernel import running_machines
+from failstop_lab.machine.kernel import running_machines
 from tests.support import starting
 
 # A loaded machine is no failure: the time limits are pytest's.

@@ -18,8 +18,8 @@ from bench.carriers import Carriers, Kernel
 from bench.oneway_peer import CHANNELS, FLOOR, OURS
 from bench.peer import ExitHandler, Peer, PeerMissing
 from bench.peer_supervisord import Supervisord
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import Stopped, wait_for
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import Stopped, wait_for
 
 MS = 1_000_000
 

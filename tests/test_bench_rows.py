@@ -17,11 +17,11 @@ from bench import arm_kills, hangs, kills, latency, pages, report, soak, stalls,
 from bench.arm_stream import PERIOD_NS, Hops
 from bench.stalls import Control, Stall
 from failstop.board.servos import bus_servo_move
-from failstop.lab.faults.arm import Rested
-from failstop.lab.faults.arm_table import ROWS
-from failstop.lab.trial import Stopped, wait_for
 from failstop.policy import causes
 from failstop.shm.heartbeat import MEMORY_LOCKED
+from failstop_lab.faults.arm import Rested
+from failstop_lab.faults.arm_table import ROWS
+from failstop_lab.trial import Stopped, wait_for
 
 Capture = pytest.CaptureFixture[str]
 HANGS = causes.HANGS("gate", 70)

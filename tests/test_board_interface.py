@@ -146,7 +146,7 @@ def test_a_described_board_is_told_no_more_than_its_limit(kind: str) -> None:
 
 THE_LIST = {"failstop/board/kinds.py", "failstop/policy/layouts.py"}
 """The settings' list of kinds, and of those what is known before one is chosen."""
-OF_THE_BENCH = "failstop/lab/"
+OF_THE_BENCH = "lab/failstop_lab/"
 """The room that tries boards out: it runs no robot."""
 
 

@@ -14,8 +14,8 @@ from failstop.board import codec, framing, servos
 from failstop.board.burst import BURST, FIRST_STOP_END
 from failstop.board.codec import STOP
 from failstop.board.framing import MOTOR
-from failstop.lab.sim.motors import Motors
-from failstop.lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
+from failstop_lab.sim.motors import Motors
+from failstop_lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
 from tests.support import frames
 from tests.support.amounts import amount
 

@@ -23,9 +23,9 @@ from failstop.board.burst import BURST
 from failstop.board.codec import STOP, buzzer, check_aux
 from failstop.board.framing import BUZZER, MOTOR, SYS, FrameError, crc8, seal
 from failstop.board.rrc.board import BOARD
-from failstop.lab.sim.motors import Motors
-from failstop.lab.sim.receiver import Receiver
 from failstop.procs.telemetry import pad
+from failstop_lab.sim.motors import Motors
+from failstop_lab.sim.receiver import Receiver
 from tests.support.amounts import amount
 
 FRAMES = amount(20_000, 2_000_000)

@@ -18,7 +18,7 @@ from failstop.board.decoder import Decoder
 from failstop.board.framing import BUS_SERVO, GAMEPAD, IMU_FUNC, KEY_FUNC, PWM_SERVO, SBUS, SYS, crc8, seal
 from failstop.board.interface import HEARD_ODD
 from failstop.board.rrc.board import BOARD as RRC
-from failstop.lab.sim import upward
+from failstop_lab.sim import upward
 
 UP = {
     name: bytes.fromhex(text)

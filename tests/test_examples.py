@@ -10,9 +10,9 @@ import pytest
 
 from failstop import config
 from failstop.cli import main as cli
-from failstop.lab.pages import settings as page_of_settings
 from failstop.policy import kinematics
 from failstop.policy.settings import DECLARED, FAMILIES, Settings
+from failstop_lab.pages import settings as page_of_settings
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples"

@@ -18,7 +18,7 @@ from tests.support.rooms import package
 MAY_NAME_THE_INTERPRETER = {
     "failstop/helpers.py": "it is the one way",
     "supervisor/starter.py": "the service's own processes: -I -S, and the search path of a command",
-    "failstop/lab/prove/frozen.py": "-I -S, and nothing but Python's own modules",
+    "lab/failstop_lab/prove/frozen.py": "-I -S, and nothing but Python's own modules",
     "failstop/extras.py": "advice for a person",
     "failstop/cli/missing.py": "advice for a person",
 }
@@ -54,7 +54,7 @@ def python_starts(tree: ast.AST) -> Iterator[str]:
     "source",
     [
         'subprocess.Popen([sys.executable, "-m", "failstop"])',
-        'subprocess.run(("python3", "-m", "failstop.lab.sim"))',
+        'subprocess.run(("python3", "-m", "failstop_lab.sim"))',
         'subprocess.run(["failstop", "stop"])',
         'os.system("python -m failstop")',
         'multiprocessing.get_context("spawn").Pool()',

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.case.cited import script
+from failstop_lab.case.cited import script
 from tests.support.amounts import LONG
 
 CHECK = Path(__file__).resolve().parent.parent / "model" / "check"

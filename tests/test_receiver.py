@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from failstop.board import codec, framing
 from failstop.board.framing import seal
-from failstop.lab.sim.motors import Motors
-from failstop.lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
+from failstop_lab.sim.motors import Motors
+from failstop_lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
 from tests.support import frames
 
 VECTORS = json.loads(Path(__file__).with_name("vectors.json").read_text())

@@ -20,9 +20,9 @@ from failstop.board.codec import STOP, check_aux, check_motion
 from failstop.board.framing import BUS_SERVO, MOTOR, FrameError, seal
 from failstop.board.rrc.board import BOARD
 from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, bus_ns, bus_servo_move, bus_servo_stop, check_bus
-from failstop.lab.sim.motors import Motors
-from failstop.lab.sim.receiver import Receiver
 from failstop.policy.settings import declaration
+from failstop_lab.sim.motors import Motors
+from failstop_lab.sim.receiver import Receiver
 
 ARM = (1, 2, 3, 4, 5, 10)
 WRITE = burst_with(ARM)

@@ -18,9 +18,9 @@ from bench import ticks
 from failstop import FailstopError, Robot
 from failstop.api.client import send_stop
 from failstop.board.framing import MOTOR
-from failstop.lab.sim.client import Event
-from failstop.lab.sim.motors import Motors
-from failstop.lab.trial import wait_for
+from failstop_lab.sim.client import Event
+from failstop_lab.sim.motors import Motors
+from failstop_lab.trial import wait_for
 
 ROOT = Path(__file__).resolve().parent.parent
 PERIOD_NS = 20_000_000

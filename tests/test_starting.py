@@ -8,7 +8,7 @@ import pytest
 from tests.support import starting
 
 CONFTEST = """
-from failstop.lab.trial import Trial
+from failstop_lab.trial import Trial
 from invented import Still
 
 @pytest.fixture
@@ -35,9 +35,9 @@ HELPERS = {
 STARTS = [
     "import subprocess\n",
     "import os\nos.fork()\n",
-    "from failstop.lab import trial\n",
-    "from failstop.lab.trial import Trial as Fine\n",
-    "def test():\n    from failstop.lab.sim import client\n",
+    "from failstop_lab import trial\n",
+    "from failstop_lab.trial import Trial as Fine\n",
+    "def test():\n    from failstop_lab.sim import client\n",
     "from tests.invented import far\n",
     "from .far import work\n",
     "def test(trial): ...\n",

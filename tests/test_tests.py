@@ -40,7 +40,7 @@ def test_what_tests_share_is_in_support() -> None:
         ("from . import test_it", ["one.test_it"]),
         ("from ..two import helper", ["two", "two.helper"]),
         ("import tests.two.helper", ["two.helper"]),
-        *((f"from {it} import it", []) for it in (".helper", "tests.one", "tests.support.pure", "failstop.lab.trial")),
+        *((f"from {it} import it", []) for it in (".helper", "tests.one", "tests.support.pure", "failstop_lab.trial")),
     ],
 )
 def test_the_check_sees_it(source: str, found: list[str], tmp_path: Path) -> None:

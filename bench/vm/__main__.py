@@ -25,8 +25,8 @@ from bench.vm.guest import Guest, GuestError
 from bench.vm.image import ImageError
 from bench.vm.outside import DO, IMU_HZ, Scene, journal
 from bench.vm.table import INSIDE, OUTSIDE, Result
-from failstop.lab.sim.client import SimBoard, SimBoardError
-from failstop.lab.trial import TrialError
+from failstop_lab.sim.client import SimBoard, SimBoardError
+from failstop_lab.trial import TrialError
 
 UNPACK_S = 200.0
 INSTALLED = "installed"

@@ -53,7 +53,7 @@ USERS = "root:x:0:0:root:/root:/bin/sh\nnobody:x:65534:65534:nobody:/nonexistent
 GROUPS = "root:x:0:\nnogroup:x:65534:\n"
 INIT = """\
 #!/bin/sh
-export PATH=/usr/sbin:/usr/bin HOME=/root PYTHONPATH=/srv/failstop:/srv/site
+export PATH=/usr/sbin:/usr/bin HOME=/root PYTHONPATH=/srv/failstop:/srv/failstop/lab:/srv/site
 mount -o remount,rw /
 mount -t proc proc /proc
 mount -t sysfs sysfs /sys

@@ -12,8 +12,8 @@ import os
 import threading
 import time
 
-from failstop.lab.faults.driving import Driver
-from failstop.lab.trial import TrialError
+from failstop_lab.faults.driving import Driver
+from failstop_lab.trial import TrialError
 
 PORT = "/dev/virtio-ports/failstop.clock"
 ENABLE = "/run/vm-enable"

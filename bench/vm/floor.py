@@ -14,7 +14,7 @@ from collections.abc import Iterator
 
 from failstop.board.framing import PWM_SERVO, frame
 from failstop.board.port import close_port, open_port
-from failstop.lab.sim.client import Event
+from failstop_lab.sim.client import Event
 
 LINK = "/dev/failstop"
 ROUNDS = 9

@@ -36,8 +36,8 @@ from bench.vm.scene import (
 )
 from bench.vm.table import KILLED, TRIAL_BY_NAME, Result
 from failstop.api.errors import FailstopError
-from failstop.lab.trial import TrialError, wait_for
 from failstop.policy import causes
+from failstop_lab.trial import TrialError, wait_for
 
 # Installing.
 

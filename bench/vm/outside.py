@@ -12,8 +12,8 @@ from bench.vm.client import ENABLE
 from bench.vm.floor import is_of_floor
 from bench.vm.guest import Guest, GuestError
 from bench.vm.table import Result
-from failstop.lab.sim.client import Event, SimBoard
-from failstop.lab.trial import TrialError, judge
+from failstop_lab.sim.client import Event, SimBoard
+from failstop_lab.trial import TrialError, judge
 
 PYTHON = "/srv/venv/bin/python"
 UNIT = "failstop.service"

@@ -49,7 +49,7 @@ def make(path: Path) -> Path:
         )
         subprocess.run(["tar", "-C", str(source), "-xf", "-"], input=copied.stdout, check=True)
         pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps")
-        _output(*pip, "--wheel-dir", directory, str(source), str(source / "packaging" / "lab"))
+        _output(*pip, "--wheel-dir", directory, str(source), str(source / "lab"))
         for wheel in Path(directory).glob("*.whl"):
             _output(sys.executable, "-m", "zipfile", "-e", str(wheel), f"{directory}/site")
         if sys.version_info[:2] == tuple(int(part) for part in PYTHON.split(".")):

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from bench.vm.table import Result
 from failstop.api.errors import FailstopError
-from failstop.lab.faults.driving import Driver
-from failstop.lab.sim.client import Event, SimBoard
-from failstop.lab.trial import TrialError, judge, wait_for
+from failstop_lab.faults.driving import Driver
+from failstop_lab.sim.client import Event, SimBoard
+from failstop_lab.trial import TrialError, judge, wait_for
 
 FAILSTOP = "/usr/bin/failstop"
 UNIT = "failstop.service"

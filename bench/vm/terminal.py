@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from failstop.lab.trial import TrialError
+from failstop_lab.trial import TrialError
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -27,7 +27,7 @@ from bench.web.cut import Cut
 from bench.web.parts import Web, driven
 from bench.web.viewer import Viewer
 from failstop.api.errors import Refused
-from failstop.lab.trial import Trial, judge, wait_for
+from failstop_lab.trial import Trial, judge, wait_for
 
 LEASE_S = 0.3
 PAGE_LATE_NS = 20_000_000

@@ -21,7 +21,7 @@ from bench.web.cut import Cut
 from bench.web.parts import Web
 from bench.web.viewer import Viewer
 from failstop.api.errors import Refused
-from failstop.lab.trial import Trial, TrialError, judge, wait_for
+from failstop_lab.trial import Trial, TrialError, judge, wait_for
 
 COMMAND_S, LATE_S, LEASE_S = 0.3, 0.02, 1.0
 SETTINGS = f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n[web]\npairing = "on"\ndrive = "on"\n'

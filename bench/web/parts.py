@@ -17,8 +17,8 @@ from typing import IO, Any
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
-from failstop.lab.trial import Trial, TrialError, wait_for
 from failstop.web import control
+from failstop_lab.trial import Trial, TrialError, wait_for
 
 HEADERS = {"X-Failstop": "1"}
 TIMEOUT_S = 30.0

@@ -13,7 +13,7 @@ from PIL import Image
 from bench.web.__main__ import ATTENDED, SHOWN, paired
 from bench.web.browser import Browser, Tab
 from bench.web.parts import Web, driven
-from failstop.lab.trial import Trial, wait_for
+from failstop_lab.trial import Trial, wait_for
 
 PICTURES = Path(__file__).parents[2] / "docs/pictures"
 NAME = "rover"

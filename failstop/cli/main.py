@@ -37,23 +37,25 @@ GROUPS = {
     },
     "check": {
         "setup": ("setup.command", "from a cable to a proved robot: a conversation, no editor"),
-        "demo": ("lab.commands.demo", "simulated robot: a drive, every kill, and its measured stop"),
-        "probe": ("lab.commands.probe", "does your robot stop? any base, without adopting failstop"),
+        "demo": ("failstop_lab.commands.demo", "simulated robot: a drive, every kill, and its measured stop"),
+        "probe": ("failstop_lab.commands.probe", "does your robot stop? any base, without adopting failstop"),
         "doctor": ("cli.commands.doctor", "what on this machine weakens the promises, and what helps"),
-        "prove": ("lab.commands.prove", "the stand test: every stop path timed on a real robot"),
-        "chaos": ("lab.commands.chaos", "random faults on a simulated board, judged by it"),
+        "prove": ("failstop_lab.commands.prove", "the stand test: every stop path timed on a real robot"),
+        "chaos": ("failstop_lab.commands.chaos", "random faults on a simulated board, judged by it"),
         "config": ("cli.commands.config", "every setting with its value and origin"),
     },
     "service": {
         "run": ("cli.commands.run", "run the service in the foreground"),
-        "simulate": ("lab.commands.simulate", "every single fault on a simulated machine, judged by its board"),
-        "sim": ("lab.commands.sim", "a simulated board on a pty"),
+        "simulate": ("failstop_lab.commands.simulate", "every fault on a simulated machine, judged by its board"),
+        "sim": ("failstop_lab.commands.sim", "a simulated board on a pty"),
         "web": ("web.command", "the operator's page: STOP, why, and what happened, on a phone"),
         "ros2": ("ros2.command", "the bridge to ROS 2: its nodes drive through the service"),
     },
 }
 """Groups of `failstop --help`: each command with its module and its purpose."""
 COMMANDS = {name: row for rows in GROUPS.values() for name, row in rows.items()}
+LABORATORY = "failstop_lab"
+"""The package of the commands that a robot's installation may lack."""
 HIDDEN = frozenset(("estop", "chaos"))
 """Commands that it leaves out: a second name, and tools for those who change failstop."""
 
@@ -121,11 +123,11 @@ def _meant(word: str) -> str:
 
 def here(name: str) -> bool:
     """Whether this installation has the command: a robot's may come without the laboratory."""
-    if COMMANDS[name][0].partition(".")[0] != "lab":
+    if not COMMANDS[name][0].startswith(LABORATORY):
         return True
     from importlib.util import find_spec
 
-    return find_spec("failstop.lab") is not None
+    return find_spec(LABORATORY) is not None
 
 
 def load(name: str) -> tuple[ArgumentParser, ModuleType]:
@@ -138,7 +140,7 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
         from failstop.api.errors import FailstopError
 
         raise FailstopError(f"`failstop {name}` is not installed here; next: install failstop-lab (docs/install.md)")
-    module = __import__(f"failstop.{home}", fromlist=["main"])
+    module = __import__(home if home.startswith(LABORATORY) else f"failstop.{home}", fromlist=["main"])
     parser = argparse.ArgumentParser(
         prog=f"failstop {name}",
         description=what[0].upper() + what[1:] + ".",

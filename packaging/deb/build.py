@@ -24,8 +24,8 @@ import sbom
 import tree
 from tree import BuildError, Entry
 
-from failstop.lab.pages import completion, man
 from failstop.version import VERSION
+from failstop_lab.pages import completion, man
 
 HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent.parent
@@ -38,7 +38,7 @@ EXTRAS = ("fleet", "web")
 ROBOT, LABORATORY = "failstop", "failstop-lab"
 BILL = "usr/share/doc/failstop/failstop.cdx.json"
 """The packages of others that it holds, as CycloneDX."""
-LAB = f"{tree.SITE}/failstop/lab/"
+LAB = f"{tree.SITE}/failstop_lab/"
 NOBODY = "failstop developers <root@localhost>"
 UNITS = "usr/lib/systemd/system"
 PLACES = {

@@ -19,6 +19,7 @@ from importlib.metadata import Distribution
 from pathlib import Path
 
 import failstop
+import failstop_lab
 from failstop.version import VERSION
 
 PREFIX = "/opt/failstop"
@@ -145,13 +146,14 @@ def needed(extras: Collection[str] = (), find: Find = importlib.metadata.distrib
 
 
 def _own() -> Iterator[Entry]:
-    """This package, with the rooms that a checkout has beside it, and what tools want to know of it."""
-    top = os.path.dirname(os.path.abspath(failstop.__file__))
-    for folder, folders, names in os.walk(top, followlinks=True):
-        folders[:] = sorted(name for name in folders if name != "__pycache__")
-        for name in sorted(names):
-            source = os.path.join(folder, name)
-            yield _copied(os.path.relpath(source, os.path.dirname(top)), source)
+    """failstop with the rooms that a checkout has next to it, the laboratory, and the metadata that tools look for."""
+    for package in (failstop, failstop_lab):
+        top = os.path.dirname(os.path.abspath(package.__file__))
+        for folder, folders, names in os.walk(top, followlinks=True):
+            folders[:] = sorted(name for name in folders if name != "__pycache__")
+            for name in sorted(names):
+                source = os.path.join(folder, name)
+                yield _copied(os.path.relpath(source, os.path.dirname(top)), source)
     told = f"{SITE}/failstop-{VERSION}.dist-info"
     yield Entry(f"{told}/METADATA", f"Metadata-Version: 2.1\nName: failstop\nVersion: {VERSION}\n")
     yield Entry(f"{told}/INSTALLER", "dpkg\n")

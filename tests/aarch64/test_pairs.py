@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from failstop.board.servos import bus_servo_move
-from failstop.lab.machine.kernel import Machine
 from failstop.messages import layout, records
 from failstop.policy.processes import HANG_NS
 from failstop.procs.gate.requests import Request
 from failstop.shm.cell import cell_bytes
+from failstop_lab.machine.kernel import Machine
 from tests.support import gate_scene, port_scene, stopper_scene
 from tests.support.stage import MS, PortMachine
 from tests.support.supervisor_scene import Scene as SupervisorScene

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.lab.trial import Trial, write_settings
 from failstop.supervisor import status
+from failstop_lab.trial import Trial, write_settings
 
 _numbers = itertools.count()
 

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from failstop import AsyncRobot, Block, Driving, Refused, Robot, TimedOut
-from failstop.lab.trial import Trial
+from failstop_lab.trial import Trial
 
 
 def test_a_robot_in_an_event_loop(trial: Trial) -> None:

@@ -6,8 +6,8 @@ import pytest
 
 from failstop.api import client as client_module
 from failstop.api.client import REPEAT_NS, Client
-from failstop.lab.trial import Trial
 from failstop.shm import bell
+from failstop_lab.trial import Trial
 
 MS = 1_000_000
 

@@ -9,8 +9,8 @@ import pytest
 
 from failstop import config, version
 from failstop.cli import main as cli
-from failstop.lab.pages import public
 from failstop.policy.setting import SettingError
+from failstop_lab.pages import public
 from tests.support.deb import release
 
 OLD_OPTION, OLD_SETTING = "config --sample", "gate.silence_s"

@@ -7,7 +7,7 @@ import sys
 import textwrap
 
 import failstop
-from failstop.lab.trial import Trial
+from failstop_lab.trial import Trial
 
 
 def test_the_example_drives_the_robot_and_leaves_it_disabled(trial: Trial) -> None:

@@ -11,9 +11,9 @@ from failstop import AsyncRobot, Robot
 from failstop.api import reason
 from failstop.api.client import send_stop
 from failstop.api.events import EventLog
-from failstop.lab.trial import Trial, wait_for
 from failstop.messages import records
 from failstop.shm import bell
+from failstop_lab.trial import Trial, wait_for
 
 
 class Raises:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import failstop
-from failstop.lab.pages import reference
+from failstop_lab.pages import reference
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs/python-reference.md"

@@ -11,8 +11,8 @@ from collections.abc import Callable
 import pytest
 
 from failstop import Block, Blocked, Driving, FailstopError, NoService, Preempted, Refused, Robot, TimedOut
-from failstop.lab.machine.robot import SETTINGS as FILE
-from failstop.lab.trial import Trial, wait_for
+from failstop_lab.machine.robot import SETTINGS as FILE
+from failstop_lab.trial import Trial, wait_for
 from tests.support.simulated import MS, Simulated
 
 

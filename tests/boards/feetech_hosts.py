@@ -19,7 +19,7 @@ from typing import Any
 
 from failstop.board.feetech import codec
 from failstop.board.wire import Battery, Obeyed, Wheels
-from failstop.lab.boards.feetech import BYTE_NS, Bus
+from failstop_lab.boards.feetech import BYTE_NS, Bus
 
 LONG_NS = 10_000_000
 """Longer than three answers take."""

@@ -16,11 +16,11 @@ from failstop.board.described import Described
 from failstop.board.interface import HEARD_WHEELS, Board
 from failstop.board.kinds import board_of, is_described, wire_of
 from failstop.board.wire import Wire
-from failstop.lab.boards.hoverboard import Hoverboard
-from failstop.lab.boards.live import LiveModel
-from failstop.lab.machine.robot import DEVICE, Robot
-from failstop.lab.sim.model import BoardModel
 from failstop.policy.layouts import BOARDS
+from failstop_lab.boards.hoverboard import Hoverboard
+from failstop_lab.boards.live import LiveModel
+from failstop_lab.machine.robot import DEVICE, Robot
+from failstop_lab.sim.model import BoardModel
 from tests.support.boards import own_folder
 
 NS = 1_000_000_000

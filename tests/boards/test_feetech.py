@@ -12,9 +12,9 @@ from failstop.board.feetech import codec
 from failstop.board.feetech.wire import ANSWERS_NS
 from failstop.board.kinds import wire_of
 from failstop.board.wire import Battery, Health, Wheels
-from failstop.lab.boards.feetech import DELAY_NS, LONGEST_DELAY_NS, Bus
-from failstop.lab.boards.line import arrivals, play, stop_writes
 from failstop.messages import records
+from failstop_lab.boards.feetech import DELAY_NS, LONGEST_DELAY_NS, Bus
+from failstop_lab.boards.line import arrivals, play, stop_writes
 from tests.support.simulated import Simulated
 
 MS = 1_000_000

@@ -11,10 +11,10 @@ from failstop.board import servos as questions
 from failstop.board.feetech import codec
 from failstop.board.framing import FrameError
 from failstop.board.kinds import board_of
-from failstop.lab.boards.feetech import MIDDLE, POSITION_AT, Bus
 from failstop.policy import servos
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
+from failstop_lab.boards.feetech import MIDDLE, POSITION_AT, Bus
 from tests.support.simulated import MS, Simulated
 
 NAMES = ("pan", "lift", "elbow", "flex", "roll", "gripper")

@@ -12,10 +12,10 @@ from failstop.board.interface import Board
 from failstop.board.kinds import board_of
 from failstop.board.rrc.steering import STEER
 from failstop.board.servos import SERVO_MOVE
-from failstop.lab.sim.model import BoardModel, Frame
 from failstop.messages.box import WIRE_HEAD
 from failstop.policy.kinematics import Chassis, from_settings
 from failstop.policy.settings import Settings
+from failstop_lab.sim.model import BoardModel, Frame
 from tests.support.simulated import Simulated
 
 PWM: dict[str, object] = {"wheels.layout": "ackermann"}

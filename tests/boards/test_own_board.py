@@ -21,12 +21,12 @@ from failstop.board.kinds import board_of, wire_of
 from failstop.board.own import OwnBoardError
 from failstop.board.wire import VOCABULARY
 from failstop.data import Data
-from failstop.lab.boards.line import model_of
-from failstop.lab.trial import Trial
 from failstop.messages import layout
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings, mounted_wheels
 from failstop.supervisor.fit import checked_board
+from failstop_lab.boards.line import model_of
+from failstop_lab.trial import Trial
 from tests.support import commands
 from tests.support.boards import own_folder
 from tests.support.pages import ROOT

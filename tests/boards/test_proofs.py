@@ -15,9 +15,9 @@ from failstop.board.interface import BY_ANSWER, BY_ECHO, BY_IMU, BY_WHEELS
 from failstop.board.kinds import KINDS, board_of
 from failstop.board.ugv.wire import WATCHDOG_NS
 from failstop.cli.main import main
-from failstop.lab.trial import Trial, wait_for
 from failstop.policy.layouts import BOARDS
 from failstop.policy.proofs import ACKNOWLEDGED_BY, NEVER_SEEN, SEEN_BY
+from failstop_lab.trial import Trial, wait_for
 
 HEARD = {"arduino": BY_ANSWER, "feetech": BY_ECHO, "hoverboard": BY_ECHO, "ugv": BY_ANSWER, "rrc": BY_ANSWER}
 

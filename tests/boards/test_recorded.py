@@ -12,10 +12,10 @@ import pytest
 
 from failstop.board.feetech import codec as feetech
 from failstop.board.wire import Battery, Obeyed, Wheels
-from failstop.lab.boards.arduino import Arduino
-from failstop.lab.boards.feetech import Bus
-from failstop.lab.boards.hoverboard import BYTE_NS, Hoverboard
-from failstop.lab.boards.ugv import Ugv
+from failstop_lab.boards.arduino import Arduino
+from failstop_lab.boards.feetech import Bus
+from failstop_lab.boards.hoverboard import BYTE_NS, Hoverboard
+from failstop_lab.boards.ugv import Ugv
 
 HERE = Path(__file__).parent
 MS = 1_000_000

@@ -19,8 +19,8 @@ from failstop.board.kinds import KINDS, board_of, wire_of
 from failstop.board.own import OwnBoardError
 from failstop.board.wire import ANSWERED, ECHOED, Question, Wire, Write
 from failstop.data import Data
-from failstop.lab.sim.client import SimBoard
 from failstop.messages import layout
+from failstop_lab.sim.client import SimBoard
 from tests.support import commands
 from tests.support.boards import EVERY_KIND, own_folder
 

@@ -12,8 +12,8 @@ import pytest
 from failstop.board.hoverboard import codec
 from failstop.board.kinds import wire_of
 from failstop.board.wire import TimedStop, Wire
-from failstop.lab.boards.hoverboard import Hoverboard
-from failstop.lab.boards.line import (
+from failstop_lab.boards.hoverboard import Hoverboard
+from failstop_lab.boards.line import (
     ADAPTER_BAR_NS,
     AT_ONCE,
     BAR_NS,

@@ -19,9 +19,9 @@ from failstop.board.hoverboard import feedback
 from failstop.board.kinds import board_of, wire_of
 from failstop.board.ugv import codec as ugv
 from failstop.board.wire import Answer, Battery, Firmware, Imu, Motion, Obeyed, Sample, Wheels, Wire, beyond
-from failstop.lab.boards.line import arrivals, model_of, play
 from failstop.policy.kinematics import from_settings
 from failstop.policy.settings import Settings
+from failstop_lab.boards.line import arrivals, model_of, play
 from tests.support.amounts import amount
 from tests.support.boards import EVERY_KIND, wide
 

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.case.asserted import ASSERTIONS
-from failstop.lab.case.assumptions import ASSUMPTIONS
-from failstop.lab.case.cited import CARRIERS, TEST, Citation, citations, of_bench, of_marks, of_tests, script
-from failstop.lab.case.claims import CLAIMS
-from failstop.lab.case.gaps import gaps, other_bounds
-from failstop.lab.case.hazards import HAZARDS
-from failstop.lab.faults import arm_table, table
-from failstop.lab.pages.case import claims_table
-from failstop.lab.pages.made import ROOT
-from failstop.lab.simulate import marks
+from failstop_lab.case.asserted import ASSERTIONS
+from failstop_lab.case.assumptions import ASSUMPTIONS
+from failstop_lab.case.cited import CARRIERS, TEST, Citation, citations, of_bench, of_marks, of_tests, script
+from failstop_lab.case.claims import CLAIMS
+from failstop_lab.case.gaps import gaps, other_bounds
+from failstop_lab.case.hazards import HAZARDS
+from failstop_lab.faults import arm_table, table
+from failstop_lab.pages.case import claims_table
+from failstop_lab.pages.made import ROOT
+from failstop_lab.simulate import marks
 
 SAFETY = ROOT / "docs/safety.md"
 

@@ -12,16 +12,16 @@ import pytest
 from failstop.api import distance
 from failstop.board.kinds import is_described
 from failstop.cli.main import main
-from failstop.lab.boards.live import DIAMETER_M
-from failstop.lab.boards.traits import traits_of
-from failstop.lab.faults.table import TABLE
-from failstop.lab.prove import report
 from failstop.policy.kinematics import AXES
 from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import Settings
 from failstop.setup import sizes
 from failstop.setup.draft import Draft
 from failstop.setup.talk import Talk
+from failstop_lab.boards.live import DIAMETER_M
+from failstop_lab.boards.traits import traits_of
+from failstop_lab.faults.table import TABLE
+from failstop_lab.prove import report
 from tests.support.simulated import Simulated
 
 CLOSE = 0.05

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.browser.acts import ACT_BY_NAME, ROWS, SWITCHES, TENTH
-from failstop.lab.browser.build import modules
-from failstop.lab.browser.show import ACT_BODIES, Show
-from failstop.lab.faults.fault import BY_ENABLE, BY_ITSELF, BY_NEW_RUN, BY_RESET
-from failstop.lab.faults.table import FAULT_BY_NAME
+from failstop_lab.browser.acts import ACT_BY_NAME, ROWS, SWITCHES, TENTH
+from failstop_lab.browser.build import modules
+from failstop_lab.browser.show import ACT_BODIES, Show
+from failstop_lab.faults.fault import BY_ENABLE, BY_ITSELF, BY_NEW_RUN, BY_RESET
+from failstop_lab.faults.table import FAULT_BY_NAME
 from tests.support.amounts import LONG
 from tests.support.robot_page import play
 
@@ -51,7 +51,7 @@ def test_the_page_has_every_module_that_it_asks_for() -> None:
     page.show.machine.end()
     names = {name.removesuffix(".py").removesuffix("/__init__").replace("/", ".") for _, name in modules()}
     own = {
-        name for name in sys.modules if name.startswith(("failstop.lab.browser", "failstop.lab.machine", "msgpack."))
+        name for name in sys.modules if name.startswith(("failstop_lab.browser", "failstop_lab.machine", "msgpack."))
     }
     assert {*page.show.robot.loader.loaded(), *own} - {"msgpack._cmsgpack"} <= names
 

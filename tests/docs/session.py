@@ -42,7 +42,7 @@ class Session:
         self._environment = {
             **os.environ,
             "PATH": f"{shim.parent}:{os.path.dirname(sys.executable)}:{os.environ['PATH']}",
-            "PYTHONPATH": str(ROOT),
+            "PYTHONPATH": f"{ROOT}:{ROOT / 'lab'}",
             "XDG_STATE_HOME": str(directory / "state"),
             "NO_COLOR": "1",
             "COLUMNS": "100",

@@ -13,8 +13,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import wait_for
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import wait_for
 from tests.support.pages import ROOT, blocks
 
 PAGE = ROOT / "docs/why-your-destructor-does-not-stop-the-robot.md"

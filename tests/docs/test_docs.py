@@ -11,7 +11,7 @@ import pytest
 
 from failstop import config
 from failstop.cli import main as cli
-from failstop.lab.pages import completion
+from failstop_lab.pages import completion
 from tests.support.pages import PAGES, ROOT, SHELL, Block, blocks, commands_in, indented, inline
 
 from .session import Session, differs

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.pages import made
-from failstop.lab.pages.marked import renewed
+from failstop_lab.pages import made
+from failstop_lab.pages.marked import renewed
 
 
 @pytest.mark.parametrize("name", made.FILES)

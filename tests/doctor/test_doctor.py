@@ -19,9 +19,9 @@ from failstop.cli.commands.doctor import ARROW, screen
 from failstop.cli.main import main
 from failstop.doctor.look import LEVELS, SKIP, WARN, Finding
 from failstop.incidents import files
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import Trial, wait_for
 from failstop.version import VERSION
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import Trial, wait_for
 
 Found = dict[str, list[dict[str, Any]]]
 """Findings by check."""

@@ -10,7 +10,7 @@ import pytest
 
 from bench.container import ContainerMissing
 from bench.service_scene import STRANGER, UNIT, Scene
-from failstop.lab.trial import wait_for
+from failstop_lab.trial import wait_for
 
 pytestmark = pytest.mark.slow
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.trial import Trial
 from failstop.policy.layouts import BOARDS
+from failstop_lab.trial import Trial
 from tests.support.shared_trial import IMU_HZ, Keeper, patient
 from tests.support.simulated import Simulated
 

@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from failstop.lab.trial import Trial, wait_for
 from failstop.procs.rights import DESCRIPTORS, STACK_BYTES
+from failstop_lab.trial import Trial, wait_for
 from tests.support.shared_trial import IMU_HZ
 
 OPEN = 1100

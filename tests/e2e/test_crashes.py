@@ -8,11 +8,11 @@ import time
 
 import pytest
 
-from failstop.lab.faults import ptrace
-from failstop.lab.trial import Trial, wait_for
 from failstop.messages.layout import PROCESS_NAMES, SUPERVISOR
 from failstop.procs.rights import LOOP_US, SUPERVISOR_LOOP_US
 from failstop.shm.futex import NO_DUMP
+from failstop_lab.faults import ptrace
+from failstop_lab.trial import Trial, wait_for
 
 OTHERS = tuple(name for name in PROCESS_NAMES if name != SUPERVISOR)
 LATEST_MS = 1500.0

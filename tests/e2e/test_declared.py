@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.robot import SETTINGS as FILE
+from failstop_lab.machine.robot import SETTINGS as FILE
 from tests.support.simulated import Simulated
 
 SETTINGS = {"sources.teleop.priority": 10, "interlocks.doors.timeout_s": 0.5, "interlocks.arm": {}}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.lab.commands import demo
-from failstop.lab.trial import Stopped, Trial
 from failstop.messages import layout
+from failstop_lab.commands import demo
+from failstop_lab.trial import Stopped, Trial
 
 
 class Busy:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.process import Process
+from failstop_lab.machine.process import Process
 from tests.support.simulated import Mistake, Simulated
 
 WAYS = {"kill -9": signal.SIGKILL, "SIGHUP": signal.SIGHUP, "an exception": signal.SIGUSR1}

@@ -18,8 +18,8 @@ import pytest
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import wait_for
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import wait_for
 from tests.support.amounts import LONG
 from tests.support.boards import own_folder
 from tests.support.children import NOBODY

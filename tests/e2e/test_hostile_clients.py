@@ -23,13 +23,13 @@ import pytest
 from failstop import FailstopError, Robot
 from failstop.api.client import Client, send_stop
 from failstop.files import instance
-from failstop.lab.sim.client import Event
-from failstop.lab.sim.model import Frame
-from failstop.lab.trial import Trial, wait_for, write_settings
 from failstop.messages import layout, records, segments
 from failstop.shm import claim
 from failstop.shm.segment import HEADER_BYTES
 from failstop.supervisor import status
+from failstop_lab.sim.client import Event
+from failstop_lab.sim.model import Frame
+from failstop_lab.trial import Trial, wait_for, write_settings
 from tests.support.amounts import amount
 from tests.support.pages import ROOT
 from tests.support.shared_trial import IMU_HZ, goes_on

@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from failstop.api import verdict
-from failstop.lab.machine.usb import LookAlike, Plug
+from failstop_lab.machine.usb import LookAlike, Plug
 from tests.support.boards import every_board
 from tests.support.simulated import Simulated
 

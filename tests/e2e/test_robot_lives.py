@@ -15,10 +15,10 @@ import pytest
 from failstop import FailstopError, Robot
 from failstop.api.client import run as run_of
 from failstop.api.state import StateReader
-from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout, segments
 from failstop.shm import cell
 from failstop.shm.segment import HEADER_BYTES
+from failstop_lab.trial import Trial, wait_for
 from tests.support import children
 from tests.support.simulated import MS, Simulated
 

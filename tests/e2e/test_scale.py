@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.boards.live import DIAMETER_M
 from failstop.policy.scale import ASSUMED, CAPS
+from failstop_lab.boards.live import DIAMETER_M
 from tests.support.simulated import Simulated
 
 STEP_S = 0.05

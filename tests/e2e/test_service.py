@@ -12,8 +12,8 @@ import psutil
 import pytest
 
 from failstop.board.burst import BURST
-from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout
+from failstop_lab.trial import Trial, wait_for
 from tests.support.commands import failstop
 from tests.support.simulated import Simulated
 

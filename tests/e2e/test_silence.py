@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.boards.traits import HAS_REPORTS, SHOWS_DEAF, traits_of
 from failstop.policy.layouts import BOARDS
+from failstop_lab.boards.traits import HAS_REPORTS, SHOWS_DEAF, traits_of
 from tests.support.boards import own_folder
 from tests.support.pages import ROOT
 from tests.support.simulated import Simulated
@@ -133,12 +133,12 @@ def hoverboards_without_reports(at: Path) -> str:
     """A hoverboard as a board of one's own, whose description does not say how often it reports."""
     folder = own_folder(at)
     for name, source in {
-        "codec": "board/hoverboard/codec",
-        "feedback": "board/hoverboard/feedback",
-        "wire": "board/hoverboard/wire",
-        "receiver": "lab/boards/hoverboard",
+        "codec": "failstop/board/hoverboard/codec.py",
+        "feedback": "failstop/board/hoverboard/feedback.py",
+        "wire": "failstop/board/hoverboard/wire.py",
+        "receiver": "lab/failstop_lab/boards/hoverboard.py",
     }.items():
-        text = (ROOT / "failstop" / f"{source}.py").read_text()
+        text = (ROOT / source).read_text()
         text = text.replace("from failstop.board.hoverboard import", "from . import")
         text = text.replace("from failstop.board.hoverboard.", "from .")
         if name == "wire":

@@ -22,11 +22,11 @@ import pytest
 from failstop.board.codec import motor_speeds
 from failstop.board.port import open_port
 from failstop.files import instance, root
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout
 from failstop.procs.rights import DESCRIPTORS
 from failstop.supervisor.blackbox import MOST_SAVERS
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import Trial, wait_for
 from tests.support.children import needs_root
 from tests.support.commands import FAILSTOP, failstop
 from tests.support.shared_trial import goes_on

@@ -15,9 +15,9 @@ import pytest
 
 from failstop import NoService, Robot, instances
 from failstop.cli.commands import run
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import wait_for
 from failstop.supervisor import status
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import wait_for
 from tests.support.commands import FAILSTOP, failstop
 
 

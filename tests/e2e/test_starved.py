@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.faults.starve import Starved
-from failstop.lab.trial import Trial, wait_for, write_settings
 from failstop.messages.layout import GATE, PORT_OWNER
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.supervisor import status
+from failstop_lab.faults.starve import Starved
+from failstop_lab.trial import Trial, wait_for, write_settings
 from tests.support.commands import failstop
 from tests.support.shared_trial import IMU_HZ, goes_on
 from tests.support.simulated import Simulated

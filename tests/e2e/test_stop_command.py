@@ -10,13 +10,13 @@ from failstop import config
 from failstop.board.burst import BURST, burst_with
 from failstop.board.rrc.board import BOARD
 from failstop.cli.commands import stop
-from failstop.lab.machine.files import Directory
-from failstop.lab.machine.kernel import Machine
-from failstop.lab.machine.port import Port
-from failstop.lab.machine.process import Process
-from failstop.lab.machine.robot import BoardPort, Robot
 from failstop.policy.halted import MAY_TURN
 from failstop.policy.layouts import BOARDS
+from failstop_lab.machine.files import Directory
+from failstop_lab.machine.kernel import Machine
+from failstop_lab.machine.port import Port
+from failstop_lab.machine.process import Process
+from failstop_lab.machine.robot import BoardPort, Robot
 
 FILE = "/root/failstop.toml"
 PORTS = ("board", "other", "ttyACM0", "last", "left")

@@ -17,7 +17,7 @@ import pytest
 
 from failstop.api.client import send_stop
 from failstop.board.burst import BURST
-from failstop.lab.trial import Trial, judge, wait_for
+from failstop_lab.trial import Trial, judge, wait_for
 from tests.support.children import NOBODY, call
 from tests.support.commands import FAILSTOP, failstop
 from tests.support.shared_trial import IMU_HZ, goes_on, set_off

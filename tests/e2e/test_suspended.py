@@ -8,9 +8,9 @@ import time
 
 import pytest
 
-from failstop.lab.trial import Trial, wait_for
 from failstop.messages.layout import SUPERVISOR
 from failstop.policy import causes
+from failstop_lab.trial import Trial, wait_for
 from tests.support.commands import failstop
 from tests.support.shared_trial import set_off
 

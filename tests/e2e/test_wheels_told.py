@@ -12,9 +12,9 @@ import pytest
 
 from failstop.board.feetech import codec as feetech
 from failstop.fleet import vda5050
-from failstop.lab.boards.feetech import SPEED_AT
 from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import BY_KEY
+from failstop_lab.boards.feetech import SPEED_AT
 from tests.support.simulated import Simulated
 
 AFTER_S = float(BY_KEY["still.after_s"].default)

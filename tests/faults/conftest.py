@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.lab.faults.scene import Scene
+from failstop_lab.faults.scene import Scene
 
 
 @pytest.fixture(scope="package")

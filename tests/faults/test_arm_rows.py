@@ -8,9 +8,11 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.faults import arm
-from failstop.lab.faults.arm import ArmTrial
-from failstop.lab.faults.arm_table import (
+from failstop.messages.layout import PROCESS_NAMES
+from failstop.policy import causes
+from failstop_lab.faults import arm
+from failstop_lab.faults.arm import ArmTrial
+from failstop_lab.faults.arm_table import (
     ARM_FAULT_BY_NAME,
     BESIDE_ROWS,
     HANG,
@@ -20,12 +22,10 @@ from failstop.lab.faults.arm_table import (
     SERVO_FAULT,
     ArmFault,
 )
-from failstop.lab.faults.fault import BY_NEW_RUN
-from failstop.lab.faults.table import FAULT_BY_NAME as OTHERS
-from failstop.lab.sim.servos import Leg
-from failstop.lab.stopped import Stopped
-from failstop.messages.layout import PROCESS_NAMES
-from failstop.policy import causes
+from failstop_lab.faults.fault import BY_NEW_RUN
+from failstop_lab.faults.table import FAULT_BY_NAME as OTHERS
+from failstop_lab.sim.servos import Leg
+from failstop_lab.stopped import Stopped
 from tests.support.amounts import LONG
 
 FEW = {"arm-kill-gate", "arm-kill-port_owner", "arm-hang-gate", "arm-client-killed", "arm-stop-posing", "arm-usb-drop"}

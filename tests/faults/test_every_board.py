@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.lab.boards.traits import HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_WHEEL_REPORTS, SHOWS_DEAF, traits_of
-from failstop.lab.faults.arm_table import BESIDE_BY_NAME
-from failstop.lab.faults.campaign import inject_one
-from failstop.lab.faults.fault import Fault
-from failstop.lab.faults.report import EVERY, rows_of
-from failstop.lab.faults.scene import Scene
 from failstop.policy.layouts import BOARDS
+from failstop_lab.boards.traits import HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_WHEEL_REPORTS, SHOWS_DEAF, traits_of
+from failstop_lab.faults.arm_table import BESIDE_BY_NAME
+from failstop_lab.faults.campaign import inject_one
+from failstop_lab.faults.fault import Fault
+from failstop_lab.faults.report import EVERY, rows_of
+from failstop_lab.faults.scene import Scene
 from tests.support.amounts import LONG
 from tests.support.boards import EVERY_KIND
 

@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 
 from failstop.api import distance
-from failstop.lab.faults import report
-from failstop.lab.faults.campaign import Outcome, _Injection, draw, inject_one
-from failstop.lab.faults.judge import verdict
-from failstop.lab.faults.scene import Scene
-from failstop.lab.faults.table import FAULT_BY_NAME, TABLE
-from failstop.lab.trial import judge
 from failstop.policy.causes import KEY
+from failstop_lab.faults import report
+from failstop_lab.faults.campaign import Outcome, _Injection, draw, inject_one
+from failstop_lab.faults.judge import verdict
+from failstop_lab.faults.scene import Scene
+from failstop_lab.faults.table import FAULT_BY_NAME, TABLE
+from failstop_lab.trial import judge
 from tests.support.board_events import FAULT_NS, MS, STILL, TURNING, event
 
 KILL_GATE = FAULT_BY_NAME["kill-gate"]

@@ -8,10 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.boards.traits import traits_of
-from failstop.lab.faults import arm_table, injectors, report
-from failstop.lab.faults.campaign import inject_one
-from failstop.lab.faults.fault import (
+from failstop.messages.layout import PORT_OWNER, PROCESS_NAMES, STOPPER, SUPERVISOR
+from failstop.policy import causes
+from failstop.policy.layouts import BOARDS
+from failstop_lab.boards.traits import traits_of
+from failstop_lab.faults import arm_table, injectors, report
+from failstop_lab.faults.campaign import inject_one
+from failstop_lab.faults.fault import (
     BY_ITSELF,
     BY_NEW_RUN,
     CONTINUE,
@@ -23,11 +26,8 @@ from failstop.lab.faults.fault import (
     Fault,
     fits,
 )
-from failstop.lab.faults.scene import Scene
-from failstop.lab.faults.table import FAULT_BY_NAME, TABLE
-from failstop.messages.layout import PORT_OWNER, PROCESS_NAMES, STOPPER, SUPERVISOR
-from failstop.policy import causes
-from failstop.policy.layouts import BOARDS
+from failstop_lab.faults.scene import Scene
+from failstop_lab.faults.table import FAULT_BY_NAME, TABLE
 from tests.support.amounts import LONG
 
 DESIGN = {

@@ -21,8 +21,8 @@ from failstop.fleet.broker import Broker
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
-from failstop.lab.trial import wait_for
 from failstop.policy import causes
+from failstop_lab.trial import wait_for
 from tests.support import states
 
 MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/usr/local/sbin")

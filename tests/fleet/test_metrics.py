@@ -16,9 +16,9 @@ from prometheus_client.parser import text_string_to_metric_families
 from failstop.api.snapshot import Ages, Device
 from failstop.api.state import State
 from failstop.fleet import FleetError, exposition, metrics, scraped
-from failstop.lab.pages import fleet as page
 from failstop.policy import causes
 from failstop.version import VERSION
+from failstop_lab.pages import fleet as page
 from tests.support import states
 from tests.support.pages import ROOT
 

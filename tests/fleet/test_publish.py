@@ -17,8 +17,8 @@ import pytest
 from failstop.api.events import Event
 from failstop.fleet import levels, repeats, sender, signed, topics
 from failstop.fleet.levels import StopAnswer
-from failstop.lab.trial import Trial
 from failstop.policy import causes
+from failstop_lab.trial import Trial
 from tests.support import states
 from tests.support.commands import FAILSTOP, failstop
 

@@ -31,8 +31,6 @@ from failstop.fleet.replay import Seen
 from failstop.fleet.roster import Roster
 from failstop.fleet.twins import Twins
 from failstop.incidents import files
-from failstop.lab.prove import pack
-from failstop.lab.sim.receiver import Receiver
 from failstop.messages import box, packing, records
 from failstop.policy import causes, layouts
 from failstop.policy.setting import SettingError
@@ -40,6 +38,8 @@ from failstop.ros2 import trajectory
 from failstop.web import driving, guard, lease, messages
 from failstop.web import incidents as cards
 from failstop.web.devices import Devices, typed
+from failstop_lab.prove import pack
+from failstop_lab.sim.receiver import Receiver
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "tests/incidents/kept/0.1.0-gate-died.incident"

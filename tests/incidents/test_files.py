@@ -13,9 +13,9 @@ from failstop.cli.screen import incident as screen
 from failstop.incidents import export, files, plot, story
 from failstop.incidents.files import IncidentError, prune
 from failstop.incidents.incident import Incident
-from failstop.lab.machine.kernel import Machine
-from failstop.lab.machine.loading import Loader
-from failstop.lab.machine.process import Thread
+from failstop_lab.machine.kernel import Machine
+from failstop_lab.machine.loading import Loader
+from failstop_lab.machine.process import Thread
 from tests.support.imports import FORBIDDEN, imported
 from tests.support.incident_parts import drive_and_die, printed
 

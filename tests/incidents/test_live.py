@@ -16,8 +16,8 @@ from failstop.api.events import EventLog
 from failstop.cli.main import main
 from failstop.incidents import files, story
 from failstop.incidents.incident import Incident, WriteSort
-from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout
+from failstop_lab.trial import Trial, wait_for
 from tests.support.shared_trial import patient
 
 pytestmark = pytest.mark.slow

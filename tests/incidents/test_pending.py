@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from failstop.incidents import files
-from failstop.lab.machine.files import Regular
+from failstop_lab.machine.files import Regular
 from tests.support.incident_parts import drive_and_die
 from tests.support.simulated import Simulated
 

@@ -19,12 +19,12 @@ import failstop
 from failstop.board.rrc.board import BOARD
 from failstop.incidents import files, saver
 from failstop.incidents.incident import Incident
-from failstop.lab.trial import wait_for
 from failstop.messages import box, layout, records, segments
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
 from failstop.shm.heartbeat import BEAT_RUNNING, BEAT_STARTING
+from failstop_lab.trial import wait_for
 from tests.support.incident_parts import drive_and_die
 
 _numbers = itertools.count()

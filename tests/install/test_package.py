@@ -11,8 +11,8 @@ import pytest
 from bench import BenchError, packages
 from failstop.cli.commands import config
 from failstop.doctor.port import LINK
-from failstop.lab.pages import completion, man
 from failstop.policy.settings import BY_KEY
+from failstop_lab.pages import completion, man
 from tests.support.deb import build, tree
 from tests.support.pages import ROOT
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.lab.faults.arm import ArmTrial
+from failstop_lab.faults.arm import ArmTrial
 
 from .scene import HERE, PLUGIN, LeRobot, robot_with_an_arm
 

@@ -17,13 +17,15 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.faults.arm import ArmTrial
-from failstop.lab.trial import Trial
 from failstop.supervisor import status
+from failstop_lab.faults.arm import ArmTrial
+from failstop_lab.trial import Trial
 from tests.support.pages import blocks
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
+CHECKOUT = (str(ROOT), str(ROOT / "lab"))
+"""What a program finds failstop and its laboratory by."""
 PLUGIN = ROOT / "integrations" / "lerobot"
 PAGE = ROOT / "docs" / "lekiwi.md"
 REQUIRED = "FAILSTOP_LEROBOT"
@@ -59,12 +61,12 @@ class LeRobot:
 
     def __init__(self, kind: str, folder: Path) -> None:
         self.python = sys.executable
-        path = [str(HERE / "standin"), str(PLUGIN), str(ROOT)]
+        path = [str(HERE / "standin"), str(PLUGIN), *CHECKOUT]
         if kind == "real":
             self.python = os.environ.get(REQUIRED, "")
             if not self.python:
                 pytest.skip("`make lerobot` tries it on the real LeRobot")
-            path = [str(installed(self.python, folder / "site")), str(ROOT)]
+            path = [str(installed(self.python, folder / "site")), *CHECKOUT]
         self.home = folder / "lerobot"
         self.environment = {
             **os.environ,

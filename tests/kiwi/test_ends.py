@@ -9,8 +9,8 @@ import pytest
 
 from failstop.board.framing import BUS_SERVO
 from failstop.board.servos import SERVO_MOVE, SERVO_STOP
-from failstop.lab.faults.arm import ArmTrial
-from failstop.lab.trial import wait_for
+from failstop_lab.faults.arm import ArmTrial
+from failstop_lab.trial import wait_for
 
 from .scene import LeRobot, policy
 

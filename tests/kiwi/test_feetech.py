@@ -10,8 +10,8 @@ from collections.abc import Iterator
 import pytest
 from lerobot_robot_failstop.__main__ import tables
 
-from failstop.lab.trial import Trial, wait_for
 from failstop.supervisor import status
+from failstop_lab.trial import Trial, wait_for
 
 from .scene import KIWI, LeRobot, policy
 

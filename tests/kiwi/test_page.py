@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.lab.faults.arm import ArmTrial
+from failstop_lab.faults.arm import ArmTrial
 
 from .scene import LeRobot, of_the_page
 

@@ -14,8 +14,8 @@ from lerobot.cameras import CameraConfig
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 from lerobot_robot_failstop import Failstop, FailstopConfig, RobotStopped
 
-from failstop.lab.faults.arm import ArmTrial
-from failstop.lab.trial import wait_for
+from failstop_lab.faults.arm import ArmTrial
+from failstop_lab.trial import wait_for
 
 from .scene import CALIBRATION, JOINTS, RANGES, until
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.faults.arm import ArmTrial
-from failstop.lab.trial import wait_for
+from failstop_lab.faults.arm import ArmTrial
+from failstop_lab.trial import wait_for
 
 from .scene import HERE, JOINTS, KIWI, RANGES, LeRobot, of_the_page, started
 

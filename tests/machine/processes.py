@@ -1,4 +1,4 @@
-"""Processes: the stage of failstop/lab/simulate/stage.py on this machine's kernel, for the same scenarios: real
+"""Processes: the stage of lab/failstop_lab/simulate/stage.py on this machine's kernel, for the same scenarios: real
 processes, real signals, a simulated board on a pty."""
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Any
 
 import failstop
 from failstop.files import instance
-from failstop.lab.machine.robot import COMMAND_EVERY_S
-from failstop.lab.simulate.scenarios import Play
-from failstop.lab.simulate.stage import SETTINGS, SPEED_MPS, Continuation
-from failstop.lab.trial import Trial, write_settings
+from failstop_lab.machine.robot import COMMAND_EVERY_S
+from failstop_lab.simulate.scenarios import Play
+from failstop_lab.simulate.stage import SETTINGS, SPEED_MPS, Continuation
+from failstop_lab.trial import Trial, write_settings
 
 CLICKED = 0x20
 DRIVER = """\

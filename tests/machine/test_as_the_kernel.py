@@ -17,8 +17,8 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.process import Process
-from failstop.lab.machine.robot import Robot
+from failstop_lab.machine.process import Process
+from failstop_lab.machine.robot import Robot
 
 LOCK = struct.Struct("hhqqi4x")
 ONE = (1).to_bytes(8, "little")

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from failstop.api import events as real_events
-from failstop.lab.simulate.scenarios import SCENARIOS, Play
-from failstop.lab.simulate.stage import Stage
+from failstop_lab.simulate.scenarios import SCENARIOS, Play
+from failstop_lab.simulate.stage import Stage
 from tests.machine.processes import Processes
 from tests.machine.twins import TWINS
 from tests.support.amounts import LONG

@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import pytest
 
-from failstop.lab.boards.traits import traits_of
-from failstop.lab.simulate import campaign, marks
-from failstop.lab.simulate.campaign import Plan
-from failstop.lab.simulate.controls import CONTROLS, Mutant
-from failstop.lab.simulate.scenarios import SCENARIOS
-from failstop.lab.simulate.stage import Stage
 from failstop.policy.layouts import BOARDS
+from failstop_lab.boards.traits import traits_of
+from failstop_lab.simulate import campaign, marks
+from failstop_lab.simulate.campaign import Plan
+from failstop_lab.simulate.controls import CONTROLS, Mutant
+from failstop_lab.simulate.scenarios import SCENARIOS
+from failstop_lab.simulate.stage import Stage
 
 pytestmark = pytest.mark.slow
 FOUND = ("own stop does not refuse motion", "one stop frame for a burst", "a sleep of the machine goes unnoticed")

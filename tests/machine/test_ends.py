@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.kernel import Machine, running_machines
-from failstop.lab.machine.robot import MS, Robot
+from failstop_lab.machine.kernel import Machine, running_machines
+from failstop_lab.machine.robot import MS, Robot
 
 SERVICES = 4
 MOST_OBJECTS = 2_000

@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.kernel import STEP_NS
-from failstop.lab.machine.process import Thread
-from failstop.lab.simulate.equal import ASKS, IS_HELD, IS_STARVED, SLEEPS, Equal
-from failstop.lab.simulate.faults import INTERNAL, faults
-from failstop.lab.simulate.scenarios import DRIVEN, SCENARIOS
-from failstop.lab.simulate.stage import Continuation, Stage
+from failstop_lab.machine.kernel import STEP_NS
+from failstop_lab.machine.process import Thread
+from failstop_lab.simulate.equal import ASKS, IS_HELD, IS_STARVED, SLEEPS, Equal
+from failstop_lab.simulate.faults import INTERNAL, faults
+from failstop_lab.simulate.scenarios import DRIVEN, SCENARIOS
+from failstop_lab.simulate.stage import Continuation, Stage
 
 pytestmark = pytest.mark.slow
 SCENARIO = "drive"

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.boards.traits import HAS_ARM, HAS_IMU, HAS_KEYS, HAS_REPORTS, traits_of
-from failstop.lab.simulate.campaign import Plan, explore
-from failstop.lab.simulate.controls import CONTROLS, Mutant
-from failstop.lab.simulate.scenarios import SCENARIOS, scenarios_of
-from failstop.lab.simulate.seeds import Nursery
-from failstop.lab.simulate.stage import Stage
 from failstop.policy.layouts import BOARDS
+from failstop_lab.boards.traits import HAS_ARM, HAS_IMU, HAS_KEYS, HAS_REPORTS, traits_of
+from failstop_lab.simulate.campaign import Plan, explore
+from failstop_lab.simulate.controls import CONTROLS, Mutant
+from failstop_lab.simulate.scenarios import SCENARIOS, scenarios_of
+from failstop_lab.simulate.seeds import Nursery
+from failstop_lab.simulate.stage import Stage
 from tests.support.amounts import LONG, amount
 from tests.support.boards import EVERY_KIND, own_folder
 

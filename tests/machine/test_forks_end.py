@@ -7,8 +7,8 @@ import sys
 
 PROGRAM = """\
 import os
-from failstop.lab.simulate import campaign
-from failstop.lab.simulate.campaign import Explorer, Plan
+from failstop_lab.simulate import campaign
+from failstop_lab.simulate.campaign import Explorer, Plan
 
 me = os.getpid()
 

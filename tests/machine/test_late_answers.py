@@ -14,8 +14,8 @@ from collections.abc import Iterator
 import msgpack
 import pytest
 
-from failstop.lab.machine.port import Port
 from failstop.policy.layouts import BOARDS
+from failstop_lab.machine.port import Port
 from tests.support.amounts import amount
 from tests.support.simulated import FORWARD, Simulated
 

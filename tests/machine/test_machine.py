@@ -9,22 +9,22 @@ import sys
 
 import pytest
 
-from failstop.lab.machine.kernel import Machine
-from failstop.lab.machine.loading import HARMLESS, SHARED_MODULES, Loader
-from failstop.lab.machine.robot import Robot
-from failstop.lab.simulate.control_runs import BOTH
-from failstop.lab.simulate.controls import Mutant
-from failstop.lab.simulate.for_seeds import FOR_SEEDS, play_of
-from failstop.lab.simulate.scenarios import SCENARIOS, driving
-from failstop.lab.simulate.stage import Stage
+from failstop_lab.machine.kernel import Machine
+from failstop_lab.machine.loading import HARMLESS, SHARED_MODULES, Loader
+from failstop_lab.machine.robot import Robot
+from failstop_lab.simulate.control_runs import BOTH
+from failstop_lab.simulate.controls import Mutant
+from failstop_lab.simulate.for_seeds import FOR_SEEDS, play_of
+from failstop_lab.simulate.scenarios import SCENARIOS, driving
+from failstop_lab.simulate.stage import Stage
 from tests.support import rooms
 
 SHELL_OF_ITS_OWN = {"failstop.shm.futex", "failstop.procs.rights", "failstop.procs.starved"}
 """Modules that a stand-in replaces: they speak with the kernel below Python."""
 TRACE = """\
 import zlib
-from failstop.lab.simulate.scenarios import SCENARIOS
-from failstop.lab.simulate.stage import Stage
+from failstop_lab.simulate.scenarios import SCENARIOS
+from failstop_lab.simulate.stage import Stage
 from tests.support import rooms
 stage, trace = Stage(SCENARIOS["replug"]), []
 stage.machine.at_seam = lambda thread, call, about: trace.append((stage.machine.now_ns, thread.number, call))

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.buffers import BUT_LAST, EARLY, LATE, REST_OF_PLACE, SAME_PLACE
-from failstop.lab.machine.files import Regular
-from failstop.lab.machine.loading import Loader
-from failstop.lab.machine.memory import WeakMachine
-from failstop.lab.machine.process import Process, Thread
+from failstop_lab.machine.buffers import BUT_LAST, EARLY, LATE, REST_OF_PLACE, SAME_PLACE
+from failstop_lab.machine.files import Regular
+from failstop_lab.machine.loading import Loader
+from failstop_lab.machine.memory import WeakMachine
+from failstop_lab.machine.process import Process, Thread
 
 PATH, A, B = "/dev/shm/both", 0, 64
 CELL = slice(128, 160)

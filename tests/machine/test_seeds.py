@@ -9,15 +9,15 @@ from random import Random
 import pytest
 
 from failstop.cli.main import main
-from failstop.lab.machine.files import Regular
-from failstop.lab.machine.memory import WeakMachine
-from failstop.lab.simulate import control_runs, controls, seeds
-from failstop.lab.simulate.control_runs import BOTH
-from failstop.lab.simulate.controls import CONTROLS
-from failstop.lab.simulate.kinds import DRAWN_KINDS, GROUPS
-from failstop.lab.simulate.pressing import PLACES, Pressing
-from failstop.lab.simulate.seeds import Nursery, Seeded
-from failstop.lab.simulate.tape import Draws, Tape, shrunk
+from failstop_lab.machine.files import Regular
+from failstop_lab.machine.memory import WeakMachine
+from failstop_lab.simulate import control_runs, controls, seeds
+from failstop_lab.simulate.control_runs import BOTH
+from failstop_lab.simulate.controls import CONTROLS
+from failstop_lab.simulate.kinds import DRAWN_KINDS, GROUPS
+from failstop_lab.simulate.pressing import PLACES, Pressing
+from failstop_lab.simulate.seeds import Nursery, Seeded
+from failstop_lab.simulate.tape import Draws, Tape, shrunk
 
 OWN_STOP = next(each for each in CONTROLS if each.row == "own stop does not refuse motion")
 MOST_DRAWS = 6

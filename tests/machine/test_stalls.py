@@ -7,9 +7,9 @@ import random
 
 import pytest
 
-from failstop.lab.boards.line import CROWD_BAR_NS
 from failstop.messages.layout import PROCESS_NAMES
 from failstop.policy.layouts import BOARDS
+from failstop_lab.boards.line import CROWD_BAR_NS
 from tests.support.amounts import amount
 from tests.support.simulated import FORWARD, MS, Simulated
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.calls import Calls
-from failstop.lab.machine.kernel import Machine
-from failstop.lab.machine.stand_ins import stand_ins
+from failstop_lab.machine.calls import Calls
+from failstop_lab.machine.kernel import Machine
+from failstop_lab.machine.stand_ins import stand_ins
 
 STAND_INS = stand_ins(Calls(Machine()))
 LEFT_OUT = {

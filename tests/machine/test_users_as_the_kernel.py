@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from failstop.lab.machine.process import Process
-from failstop.lab.machine.robot import Robot
+from failstop_lab.machine.process import Process
+from failstop_lab.machine.robot import Robot
 from tests.support.children import NOBODY, call, needs_root, reachable
 
 OTHER = 61_235

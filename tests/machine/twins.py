@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
-from failstop.lab.simulate.scenarios import Play, driving
+from failstop_lab.simulate.scenarios import Play, driving
 
 SHORT_S = 0.06
 

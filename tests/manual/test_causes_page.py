@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from failstop.lab.pages import causes as manual
 from failstop.policy import causes
+from failstop_lab.pages import causes as manual
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "causes.md"
 

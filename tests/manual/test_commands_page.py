@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from failstop.cli import main as cli
-from failstop.lab.pages import commands
+from failstop_lab.pages import commands
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "commands.md"

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from failstop.cli import main as cli
-from failstop.lab.pages import completion
+from failstop_lab.pages import completion
 
 ASK = """\
 source "$1"; shift

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from failstop.cli import main as cli
-from failstop.lab.pages import completion, man
+from failstop_lab.pages import completion, man
 from tests.support.commands import FAILSTOP
 from tests.support.pages import commands_in
 

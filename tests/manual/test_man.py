@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from failstop.cli import main as cli
-from failstop.lab.pages import completion, man
+from failstop_lab.pages import completion, man
 
 
 def test_man_takes_the_page_without_a_warning(tmp_path: Path) -> None:

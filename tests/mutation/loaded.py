@@ -14,7 +14,7 @@ from types import CodeType
 
 import pytest
 
-from failstop.lab.machine import loading
+from failstop_lab.machine import loading
 
 
 def pytest_configure() -> None:

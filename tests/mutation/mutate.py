@@ -11,7 +11,8 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
-os.environ["PYTHONPATH"] = os.path.abspath("mutants")  # what the tests start finds the copy first
+# What the tests start finds the copy first.
+os.environ["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, ("mutants", "mutants/lab")))
 
 from alone import BROKEN, alone, possible  # its neighbour: this file is run by its path
 from mutmut.__main__ import cli

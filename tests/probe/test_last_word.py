@@ -14,9 +14,9 @@ import psutil
 import pytest
 
 from bench.vm.terminal import Terminal
-from failstop.lab.probe.watcher import WATCHER_HANGS
-from failstop.lab.sim.client import SimBoard
 from failstop.policy.halted import CONFIRMED, MAY_TURN
+from failstop_lab.probe.watcher import WATCHER_HANGS
+from failstop_lab.sim.client import SimBoard
 from tests.support.commands import FAILSTOP
 
 MOVES_S, STOPS_S, ENDS_S = 40.0, 40.0, 60.0

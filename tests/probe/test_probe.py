@@ -22,13 +22,13 @@ import pytest
 from failstop.api.errors import FailstopError
 from failstop.board.kinds import board_of
 from failstop.cli import style
-from failstop.lab.boards.live import DIAMETER_M
-from failstop.lab.probe import judge
-from failstop.lab.probe.card import FORMATS, Card, Row
-from failstop.lab.probe.serial import ROWS, SerialProbe, check_kind, frame_of
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import wait_for
 from failstop.policy.halted import CONFIRMED
+from failstop_lab.boards.live import DIAMETER_M
+from failstop_lab.probe import judge
+from failstop_lab.probe.card import FORMATS, Card, Row
+from failstop_lab.probe.serial import ROWS, SerialProbe, check_kind, frame_of
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import wait_for
 from tests.support.amounts import LONG, amount
 from tests.support.commands import FAILSTOP, failstop
 from tests.support.pages import ROOT, blocks
@@ -148,7 +148,7 @@ def test_a_person_pulls_the_plug_and_says_when_the_wheels_stand(tmp_path: Path) 
 def wait_for_its_end(port: Path) -> None:
     """Wait for every process of a probe that is dead: nobody of it is left then who could drive, or stop."""
     found = {each: each.info["cmdline"] or [] for each in psutil.process_iter(["cmdline"])}
-    left = [each for each, words in found.items() if str(port) in words and "failstop.lab.sim" not in words]
+    left = [each for each, words in found.items() if str(port) in words and "failstop_lab.sim" not in words]
     assert not psutil.wait_procs(left, ENDS_S)[1]
 
 

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from failstop.board import decoder, servos
 from failstop.board.framing import BUS_SERVO
 from failstop.board.rrc.board import BOARD
-from failstop.lab.sim.servos import Servos
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import ArmCore
 from failstop.procs.gate.arm.goals import Goal, Trajectory
+from failstop_lab.sim.servos import Servos
 from tests.support.arm_settings import ARM, SERVOS
 from tests.support.gate_scene import Scene
 

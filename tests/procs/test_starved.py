@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterable, Iterator
 
 import pytest
 
-from failstop.lab.faults.crowd import Helper, spin_for_ever
-from failstop.lab.faults.starve import SHARP, Starved
 from failstop.messages import layout, segments
 from failstop.procs import starved
 from failstop.shm.bell import EventBell
 from failstop.shm.heartbeat import Heartbeat, HeartbeatReader
 from failstop.shm.segment import Segment
+from failstop_lab.faults.crowd import Helper, spin_for_ever
+from failstop_lab.faults.starve import SHARP, Starved
 from tests.support.stage import MS
 from tests.support.waiting import until
 

@@ -18,9 +18,9 @@ from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.kinds import board_of
 from failstop.board.rrc.board import BOARD
-from failstop.lab.machine.kernel import TAKEDOWN_NS
-from failstop.lab.machine.loading import File
-from failstop.lab.machine.process import Process
+from failstop_lab.machine.kernel import TAKEDOWN_NS
+from failstop_lab.machine.loading import File
+from failstop_lab.machine.process import Process
 from tests.support.arm_settings import SERVOS
 from tests.support.ptys import Board
 from tests.support.stage import MS, PortMachine, Wire

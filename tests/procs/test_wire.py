@@ -9,9 +9,9 @@ import pytest
 from failstop.board import codec
 from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
-from failstop.lab.machine.port import Port
 from failstop.messages import box
 from failstop.procs.port_owner.port_writer import DRAIN_NS
+from failstop_lab.machine.port import Port
 from tests.support.stage import MS, PortMachine, Wire
 
 MODULE = "failstop.procs.port_owner.port_writer"

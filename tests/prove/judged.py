@@ -6,11 +6,11 @@ import random
 from types import SimpleNamespace
 
 from failstop.board.interface import BY_ANSWER, BY_IMU
-from failstop.lab.prove.means import UNMEASURED, Means
-from failstop.lab.prove.run import PathRun
-from failstop.lab.prove.table import BY_PATH, BY_TURNING
 from failstop.policy import causes
 from failstop.policy.causes import Cause
+from failstop_lab.prove.means import UNMEASURED, Means
+from failstop_lab.prove.run import PathRun
+from failstop_lab.prove.table import BY_PATH, BY_TURNING
 from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
 from tests.support.board_events import FAULT_NS, event
 from tests.support.board_events import STILL as REST

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from random import Random
 
-from failstop.lab.prove.shake import GyroSample, Noise
-from failstop.lab.prove.sight import ByImu
+from failstop_lab.prove.shake import GyroSample, Noise
+from failstop_lab.prove.sight import ByImu
 
 S = 1_000_000_000
 RATE_HZ = 110

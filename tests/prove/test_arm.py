@@ -10,19 +10,19 @@ import pytest
 from failstop.board.kinds import board_of
 from failstop.board.rrc.board import BOARD
 from failstop.board.servos import bus_servo_move, bus_servo_stop
-from failstop.lab.faults.arm_table import ROWS
-from failstop.lab.faults.arm_table import SWINGING as SWUNG
-from failstop.lab.prove import arm_run
-from failstop.lab.prove.arm_run import ArmRun
-from failstop.lab.prove.run import Result
-from failstop.lab.prove.stand import ProveStand
-from failstop.lab.prove.swing import Swing
-from failstop.lab.prove.table import ARM_PATHS, BY_ARM_PATH, SWINGING, plan
-from failstop.lab.prove.watch import Move, moves
-from failstop.lab.sim.client import SimBoard
 from failstop.policy.joints import PULSES_PER_RAD, from_settings
 from failstop.policy.settings import Settings
 from failstop.supervisor import status
+from failstop_lab.faults.arm_table import ROWS
+from failstop_lab.faults.arm_table import SWINGING as SWUNG
+from failstop_lab.prove import arm_run
+from failstop_lab.prove.arm_run import ArmRun
+from failstop_lab.prove.run import Result
+from failstop_lab.prove.stand import ProveStand
+from failstop_lab.prove.swing import Swing
+from failstop_lab.prove.table import ARM_PATHS, BY_ARM_PATH, SWINGING, plan
+from failstop_lab.prove.watch import Move, moves
+from failstop_lab.sim.client import SimBoard
 from tests.prove.judged import firm
 from tests.support.arm_settings import ARM
 from tests.support.commands import failstop

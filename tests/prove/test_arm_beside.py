@@ -6,16 +6,16 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.lab.faults.arm import BESIDE
-from failstop.lab.prove.arm_run import ArmRun
-from failstop.lab.prove.character import characterize
-from failstop.lab.prove.session import until_valid
-from failstop.lab.prove.sight import Sight
-from failstop.lab.prove.stand import ProveStand
-from failstop.lab.prove.table import BESIDE_PATHS, TURNINGS, plan, within
-from failstop.lab.sim.client import SimBoard
 from failstop.policy.settings import Settings
 from failstop.supervisor import status
+from failstop_lab.faults.arm import BESIDE
+from failstop_lab.prove.arm_run import ArmRun
+from failstop_lab.prove.character import characterize
+from failstop_lab.prove.session import until_valid
+from failstop_lab.prove.sight import Sight
+from failstop_lab.prove.stand import ProveStand
+from failstop_lab.prove.table import BESIDE_PATHS, TURNINGS, plan, within
+from failstop_lab.sim.client import SimBoard
 from tests.prove.judged import firm
 
 

@@ -11,10 +11,10 @@ import pytest
 from failstop.board.interface import BY_ECHO
 from failstop.board.kinds import KINDS, board_of, wire_of
 from failstop.cli.main import main
-from failstop.lab.prove.means import NO_ANSWER, NO_PAD, NO_REPORTS, NO_WATCHDOG, UNCONFIRMED
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import wait_for
 from failstop.supervisor import status
+from failstop_lab.prove.means import NO_ANSWER, NO_PAD, NO_REPORTS, NO_WATCHDOG, UNCONFIRMED
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import wait_for
 from tests.prove.judged import firm
 from tests.support.boards import own_folder
 from tests.support.commands import FAILSTOP, failstop

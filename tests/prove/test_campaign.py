@@ -12,14 +12,14 @@ from typing import Any
 import pytest
 
 from failstop.cli.main import main
-from failstop.lab.faults.fault import CONTINUE, HANG, KILL
-from failstop.lab.faults.steps import Steps
-from failstop.lab.faults.table import FAULT_BY_NAME
-from failstop.lab.prove import campaign
-from failstop.lab.prove.run import PathRun, Result
-from failstop.lab.prove.stand import ProveStand
-from failstop.lab.prove.table import BY_PATH, BY_TURNING, of_fault
-from failstop.lab.sim.client import SimBoard
+from failstop_lab.faults.fault import CONTINUE, HANG, KILL
+from failstop_lab.faults.steps import Steps
+from failstop_lab.faults.table import FAULT_BY_NAME
+from failstop_lab.prove import campaign
+from failstop_lab.prove.run import PathRun, Result
+from failstop_lab.prove.stand import ProveStand
+from failstop_lab.prove.table import BY_PATH, BY_TURNING, of_fault
+from failstop_lab.sim.client import SimBoard
 from tests.prove.noise import SIMULATED
 from tests.support.commands import FAILSTOP
 

@@ -13,13 +13,13 @@ import pytest
 from failstop.board.interface import BY_ANSWER, BY_ECHO, BY_WHEELS
 from failstop.board.kinds import KINDS, board_of
 from failstop.board.wire import COAST, ZERO
-from failstop.lab.prove import table
-from failstop.lab.prove.frozen import EARLY_S, NOT_STOPPED, FrozenRun
-from failstop.lab.prove.means import NO_ANSWER, NO_PAD, NO_REPORTS, NO_WATCHDOG, UNMEASURED, Means, means_of
-from failstop.lab.prove.run import Result
-from failstop.lab.prove.sight import ByWheels, SeenSample, Unseen, longest_gap_s, rest_ns, rests
-from failstop.lab.prove.table import BY_PATH, BY_TURNING, PATHS
-from failstop.lab.trial import wait_for
+from failstop_lab.prove import table
+from failstop_lab.prove.frozen import EARLY_S, NOT_STOPPED, FrozenRun
+from failstop_lab.prove.means import NO_ANSWER, NO_PAD, NO_REPORTS, NO_WATCHDOG, UNMEASURED, Means, means_of
+from failstop_lab.prove.run import Result
+from failstop_lab.prove.sight import ByWheels, SeenSample, Unseen, longest_gap_s, rest_ns, rests
+from failstop_lab.prove.table import BY_PATH, BY_TURNING, PATHS
+from failstop_lab.trial import wait_for
 from tests.prove.judged import MEANS, MS
 from tests.support.board_events import FAULT_NS
 
@@ -119,7 +119,7 @@ def test_a_board_that_says_nothing_is_told_of_and_nobody_claims_to_see_it() -> N
 
 FREEZES = """
 import os, signal, sys
-from failstop.lab.prove.frozen import Freeze
+from failstop_lab.prove.frozen import Freeze
 with Freeze([int(sys.argv[1])]):
     while open(f"/proc/{sys.argv[1]}/stat").read().rpartition(") ")[2][0] != "T":
         pass

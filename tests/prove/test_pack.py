@@ -13,12 +13,12 @@ import pytest
 
 from failstop.api.errors import FailstopError
 from failstop.cli.main import main
-from failstop.lab.commands.prove import record_of
-from failstop.lab.prove import pack
-from failstop.lab.prove.report import Evidence
-from failstop.lab.prove.run import Result
-from failstop.lab.prove.table import BY_PATH, BY_TURNING
 from failstop.policy.settings import Settings
+from failstop_lab.commands.prove import record_of
+from failstop_lab.prove import pack
+from failstop_lab.prove.report import Evidence
+from failstop_lab.prove.run import Result
+from failstop_lab.prove.table import BY_PATH, BY_TURNING
 
 
 @pytest.fixture(scope="module")

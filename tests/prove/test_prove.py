@@ -20,17 +20,17 @@ from bench.vm.terminal import Terminal
 from failstop.api.errors import Refused
 from failstop.cli.main import main
 from failstop.doctor.system import System
-from failstop.lab.faults.driving import Driver
-from failstop.lab.prove import pack
-from failstop.lab.prove.run import PathRun, Result
-from failstop.lab.prove.session import check_free
-from failstop.lab.prove.stand import ProveStand
-from failstop.lab.prove.table import BY_PATH, BY_TURNING
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import Trial, wait_for
 from failstop.policy.halted import CONFIRMED, MAY_TURN
 from failstop.setup.ending import SIGNALS, interruptible
 from failstop.supervisor import status
+from failstop_lab.faults.driving import Driver
+from failstop_lab.prove import pack
+from failstop_lab.prove.run import PathRun, Result
+from failstop_lab.prove.session import check_free
+from failstop_lab.prove.stand import ProveStand
+from failstop_lab.prove.table import BY_PATH, BY_TURNING
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import Trial, wait_for
 from tests.prove.judged import UNSEEN, firm
 from tests.prove.noise import SIMULATED
 from tests.support.commands import FAILSTOP, failstop

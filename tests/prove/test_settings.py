@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from failstop import config
-from failstop.lab.faults import scene
-from failstop.lab.prove import stand
-from failstop.lab.trial import write_settings
+from failstop_lab.faults import scene
+from failstop_lab.prove import stand
+from failstop_lab.trial import write_settings
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*.toml"))
 

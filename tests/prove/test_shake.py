@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.lab.prove import shake
-from failstop.lab.prove.shake import Verdict
 from failstop.procs.telemetry.still import StillJudge
+from failstop_lab.prove import shake
+from failstop_lab.prove.shake import Verdict
 from tests.prove.noise import DRIVE, RATE_HZ, STILL, TURN, S, gyro, level
 
 STILL_NOISE = shake.noise(gyro((6.0, STILL), seed=77))

@@ -16,19 +16,19 @@ from types import SimpleNamespace
 import pytest
 
 from failstop.api.client import send_stop
-from failstop.lab.faults import processes
-from failstop.lab.prove import character, report, session, table
-from failstop.lab.prove.character import MOUNTED, Restless, Unfit
-from failstop.lab.prove.held import WOKEN_LATE_NS, Held, waited_ns
-from failstop.lab.prove.report import Evidence
-from failstop.lab.prove.run import PathRun, Result, judge_latch
-from failstop.lab.prove.stand import ProveStand
-from failstop.lab.prove.table import ARM_PATHS, BY_PATH, BY_TURNING, PATHS
-from failstop.lab.sim.client import Event, SimBoard
-from failstop.lab.trial import wait_for
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.supervisor import status
+from failstop_lab.faults import processes
+from failstop_lab.prove import character, report, session, table
+from failstop_lab.prove.character import MOUNTED, Restless, Unfit
+from failstop_lab.prove.held import WOKEN_LATE_NS, Held, waited_ns
+from failstop_lab.prove.report import Evidence
+from failstop_lab.prove.run import PathRun, Result, judge_latch
+from failstop_lab.prove.stand import ProveStand
+from failstop_lab.prove.table import ARM_PATHS, BY_PATH, BY_TURNING, PATHS
+from failstop_lab.sim.client import Event, SimBoard
+from failstop_lab.trial import wait_for
 from tests.prove.judged import MEANS, MS, UNSEEN, run, wrong
 from tests.prove.noise import DRIVE, SIMULATED, STILL, gyro
 from tests.support.board_events import FAULT_NS, TURNING, event
@@ -244,7 +244,7 @@ def test_the_kernel_counts_the_waiting() -> None:
 
 STOPPED = """
 import os, signal, time
-from failstop.lab.prove.held import Held
+from failstop_lab.prove.held import Held
 with Held() as held:
     os.kill(os.getpid(), signal.SIGSTOP)
     while not held.longest(0)[0]:

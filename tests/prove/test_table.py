@@ -6,13 +6,13 @@ import dataclasses
 
 import pytest
 
-from failstop.lab.prove import report, table
-from failstop.lab.prove.report import Evidence
-from failstop.lab.prove.run import Result
-from failstop.lab.prove.stand import settings_for
-from failstop.lab.prove.table import BY_PATH, BY_TURNING, PATHS, QUICK_NAMES, TURNINGS, plan, within
 from failstop.messages.layout import PROCESS_NAMES
 from failstop.policy.settings import Settings
+from failstop_lab.prove import report, table
+from failstop_lab.prove.report import Evidence
+from failstop_lab.prove.run import Result
+from failstop_lab.prove.stand import settings_for
+from failstop_lab.prove.table import BY_PATH, BY_TURNING, PATHS, QUICK_NAMES, TURNINGS, plan, within
 from tests.prove.noise import SIMULATED, gyro
 
 

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from failstop.lab.trial import Service, Trial, TrialError
+from failstop_lab.trial import Service, Trial, TrialError
 
 
 class Stubborn(Service):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from failstop.lab.trial import wait_for
+from failstop_lab.trial import wait_for
 from tests.ros2.scene import NODE, Node
 from tests.support.arm_settings import ARM
 

@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 
 import pytest
 
-from failstop.lab.trial import Trial, wait_for
+from failstop_lab.trial import Trial, wait_for
 from tests.support.leases import LEASES
 
 HERE = Path(__file__).resolve().parent

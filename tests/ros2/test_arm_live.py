@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from failstop.lab.trial import wait_for
 from failstop.ros2.alive import DISCOVERY_NS
+from failstop_lab.trial import wait_for
 from tests.ros2.arm_scene import ARM_SETTINGS, GOAL, GOAL_TIMEOUT_S, goal, point, publish_once, send
 from tests.ros2.scene import NODE, BridgeTrial, Node
 from tests.support.arm_settings import DRIVE, SERVOS

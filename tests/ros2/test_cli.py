@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.trial import wait_for
+from failstop_lab.trial import wait_for
 from tests.ros2.scene import FORWARD, NODE, TWIST, BridgeTrial, Ros, lacks
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.ros2_demo import rows
-from failstop.lab.trial import Trial
+from failstop_lab.ros2_demo import rows
+from failstop_lab.trial import Trial
 from tests.ros2.scene import Ros, new_name
 from tests.support.leases import LEASES
 

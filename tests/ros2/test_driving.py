@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from failstop.lab.trial import wait_for
+from failstop_lab.trial import wait_for
 from tests.ros2.scene import BOOL, DEADLINE_S, FORWARD, NODE, SCAN, SENSOR, STAMPED, TWIST, BridgeTrial
 from tests.support.commands import failstop
 from tests.support.leases import TIMEOUT_S

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from failstop import Block, Robot
-from failstop.lab.trial import wait_for
 from failstop.messages.layout import CLIENT_SLOTS
+from failstop_lab.trial import wait_for
 from tests.ros2.scene import BOOL, DEADLINE_S, FORWARD, NODE, TWIST, Bridge, BridgeTrial, Node, Ros, new_name
 from tests.support.amounts import amount
 from tests.support.commands import failstop

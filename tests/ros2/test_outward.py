@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.trial import wait_for
 from failstop.ros2 import contract
 from failstop.ros2.link import RobotLink
 from failstop.ros2.outward import Outward
 from failstop.ros2.shared import Shared
+from failstop_lab.trial import wait_for
 from tests.ros2.scene import DEADLINE_S, NODE, BridgeTrial, Node
 
 Heard = list[tuple[int, float, dict[str, Any]]]

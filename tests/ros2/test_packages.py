@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.pages import ros2, ros_changes
 from failstop.ros2 import contract, report
 from failstop.version import VERSION
+from failstop_lab.pages import ros2, ros_changes
 from tests.support import states
 
 ROOT = Path(__file__).resolve().parents[2]

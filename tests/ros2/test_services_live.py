@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from failstop.lab.trial import wait_for
 from failstop.policy.settings import Settings
 from failstop.ros2.mirrors import TABLE, values
+from failstop_lab.trial import wait_for
 from tests.ros2.scene import NODE, BridgeTrial
 from tests.support.leases import TIMEOUT_S
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.trial import wait_for
+from failstop_lab.trial import wait_for
 from tests.ros2.scene import FORWARD, SCAN, SENSOR, TWIST, BridgeTrial, Node, Ros, lacks, new_name
 from tests.support.commands import failstop
 

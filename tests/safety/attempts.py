@@ -24,9 +24,9 @@ from failstop.api.client import run, send_stop
 from failstop.api.events import EventLog
 from failstop.board.port import PortError, open_port
 from failstop.files import instance
-from failstop.lab.trial import Trial, TrialError
 from failstop.messages import layout, segments
 from failstop.shm import claim
+from failstop_lab.trial import Trial, TrialError
 from tests.safety.table import MEMBER, SERVICE, STRANGER, USERS
 from tests.support.children import NOBODY, Child
 from tests.support.shared_trial import IMU_HZ

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.lab.trial import Trial, wait_for
+from failstop_lab.trial import Trial, wait_for
 from tests.safety import page
 from tests.safety.attempts import ATTEMPTS, Attempt
 from tests.safety.table import TABLE, USERS, Row

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from failstop.files import root
-from failstop.lab.trial import Trial, wait_for
+from failstop_lab.trial import Trial, wait_for
 from tests.support.shared_trial import IMU_HZ
 
 

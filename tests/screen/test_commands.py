@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from failstop.lab.trial import Trial, wait_for
+from failstop_lab.trial import Trial, wait_for
 from tests.support.commands import FAILSTOP, failstop
 from tests.support.typist import Typist
 

@@ -18,8 +18,8 @@ from failstop.api.errors import NoService
 from failstop.api.follow import CHECK_S, Follower
 from failstop.files import instance
 from failstop.incidents import left
-from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout
+from failstop_lab.trial import Trial, wait_for
 from tests.support.commands import failstop
 from tests.support.shared_trial import IMU_HZ
 

@@ -9,9 +9,9 @@ import pytest
 from failstop.cli import main as cli
 from failstop.cli.commands.requests import ALLOWED_PERCENT
 from failstop.cli.screen.progress import Progress
-from failstop.lab.faults.arm import ArmTrial
-from failstop.lab.trial import Trial
 from failstop.procs.gate.core import LEAST_LIMIT
+from failstop_lab.faults.arm import ArmTrial
+from failstop_lab.trial import Trial
 from tests.support.commands import FAILSTOP
 from tests.support.typist import Typist
 

@@ -10,7 +10,7 @@ import pytest
 
 from failstop.api.events import EventLog
 from failstop.cli.screen.keys import COMMAND_S, ENDS_S
-from failstop.lab.trial import Trial, wait_for
+from failstop_lab.trial import Trial, wait_for
 from tests.support.commands import FAILSTOP
 from tests.support.typist import Typist
 

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.lab.trial import Trial, wait_for
 from failstop.messages import layout
+from failstop_lab.trial import Trial, wait_for
 from tests.support.commands import FAILSTOP
 from tests.support.typist import Typist
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from bench.vm.terminal import Terminal
-from failstop.lab.sim.client import Event, SimBoard
+from failstop_lab.sim.client import Event, SimBoard
 from tests.support.commands import FAILSTOP
 
 PATIENCE_S = 90.0

@@ -10,11 +10,11 @@ import pytest
 from failstop import config
 from failstop.board.arduino.codec import COUNTS, PERIODS
 from failstop.board.kinds import board_of
-from failstop.lab.sim.client import SimBoard
 from failstop.policy.settings import Settings
 from failstop.setup import sizes, turn
 from failstop.setup.draft import Draft
 from failstop.setup.talk import Left, Talk
+from failstop_lab.sim.client import SimBoard
 from tests.setup.given import GIVEN, words
 from tests.setup.person import Person
 from tests.support.amounts import LONG

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from failstop import config
-from failstop.lab.sim.client import SimBoard
 from failstop.policy.settings import mounted_wheels
+from failstop_lab.sim.client import SimBoard
 from tests.setup.person import Person, Wiring
 from tests.support.amounts import LONG
 

@@ -18,7 +18,6 @@ from typing import Any
 import psutil
 import pytest
 
-from failstop.lab.sim.client import SimBoard
 from failstop.policy.halted import CONFIRMED, MAY_TURN
 from failstop.policy.layouts import BOARDS
 from failstop.setup import command, finish, robots
@@ -26,6 +25,7 @@ from failstop.setup.draft import Draft
 from failstop.setup.rig import LEVER_M, alone, toml
 from failstop.setup.talk import Left, NotAnAnswer, Talk, word_of
 from failstop.setup.wheels import names, parsed
+from failstop_lab.sim.client import SimBoard
 from tests.setup.given import GIVEN, KIND, words
 from tests.setup.person import Person, is_motion
 from tests.support.amounts import LONG
@@ -200,7 +200,7 @@ FAULTS: dict[tuple[str, str], str] = {
 def wait_for_its_end(port: str) -> None:
     """Wait for every process of setup's at this port: nobody is left who could turn a wheel, or stop one."""
     found = {each: each.info["cmdline"] or [] for each in psutil.process_iter(["cmdline"])}
-    left = [each for each, words in found.items() if port in words and "failstop.lab.sim" not in words]
+    left = [each for each, words in found.items() if port in words and "failstop_lab.sim" not in words]
     assert not psutil.wait_procs(left, ENDS_S)[1]
 
 

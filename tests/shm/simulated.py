@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
-from failstop.lab.machine.kernel import Machine
-from failstop.lab.machine.loading import Loader
-from failstop.lab.machine.process import Process
-from failstop.lab.machine.users import ProcessFolder
+from failstop_lab.machine.kernel import Machine
+from failstop_lab.machine.loading import Loader
+from failstop_lab.machine.process import Process
+from failstop_lab.machine.users import ProcessFolder
 
 MODULES = (
     "instances",

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from failstop.files import durable
-from failstop.lab.machine.files import Fifo, Null
+from failstop_lab.machine.files import Fifo, Null
 
 from .simulated import content, open_fds, put
 

@@ -13,7 +13,7 @@ import pytest
 from failstop import instances
 from failstop.files import instance, root
 from failstop.files.instance import InstanceError
-from failstop.lab.machine.process import Process
+from failstop_lab.machine.process import Process
 
 from .simulated import OTHER, USER, content, give, kill, living, mode, open_fds, put, refusing, user
 

@@ -22,8 +22,8 @@ BIG_ENDIAN, SPLIT, TWICE = "big-endian format", "store that is no slice assignme
 ALLOWED = {
     ("shm/words.py", "memoryview"),  # a word's one store, which the module is about
     ("shm/bell.py", "memoryview"),  # read, of bytes from a pipe
-    ("failstop/lab/machine/memory.py", "memoryview"),  # the simulated machine's own, of one Python process
-    ("failstop/lab/machine/mapped.py", "memoryview"),  # likewise
+    ("lab/failstop_lab/machine/memory.py", "memoryview"),  # the simulated machine's own, of one Python process
+    ("lab/failstop_lab/machine/mapped.py", "memoryview"),  # likewise
     ("failstop/ros2/stencil.py", "pack_into"),  # a message for ROS, in a buffer of this process alone
 }
 
@@ -61,7 +61,7 @@ def read(text: str) -> set[str]:
 def test_no_room_packs_in_place() -> None:
     paths = [str(path.relative_to(ROOT)) for path in package()]
     assert len(paths) > 100
-    served = [path for path in paths if not path.startswith("failstop/lab/sim/")]  # a board, which shares no memory
+    served = [path for path in paths if not path.startswith("lab/failstop_lab/sim/")]  # a board, which shares no memory
     assert {(path, what) for path in served for what in read((ROOT / path).read_text())} == ALLOWED
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from failstop.board.port import open_port
-from failstop.lab.sim.client import SimBoard
+from failstop_lab.sim.client import SimBoard
 
 
 @pytest.fixture

@@ -15,8 +15,8 @@ import pytest
 from failstop.board import codec, decoder, framing, port
 from failstop.board.burst import BURST
 from failstop.board.port import open_port
-from failstop.lab.sim.client import Event, SimBoard, SimBoardError
-from failstop.lab.trial import wait_for
+from failstop_lab.sim.client import Event, SimBoard, SimBoardError
+from failstop_lab.trial import wait_for
 from tests.support import frames
 
 from .parts import DRIVE, FORWARD

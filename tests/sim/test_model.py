@@ -9,9 +9,9 @@ import pytest
 
 from failstop.board import codec, decoder, framing
 from failstop.board.burst import BURST
-from failstop.lab.sim import imu
-from failstop.lab.sim.client import Event
-from failstop.lab.sim.model import BoardModel, commands_stop
+from failstop_lab.sim import imu
+from failstop_lab.sim.client import Event
+from failstop_lab.sim.model import BoardModel, commands_stop
 from tests.support import frames
 from tests.support.amounts import amount
 

@@ -21,11 +21,11 @@ import pytest
 
 from failstop.board import codec
 from failstop.board.port import open_port
-from failstop.lab.sim.client import SimBoard, SimBoardError
-from failstop.lab.sim.control import connect
-from failstop.lab.sim.options import Options
-from failstop.lab.sim.process import Simulator
-from failstop.lab.trial import wait_for
+from failstop_lab.sim.client import SimBoard, SimBoardError
+from failstop_lab.sim.control import connect
+from failstop_lab.sim.options import Options
+from failstop_lab.sim.process import Simulator
+from failstop_lab.trial import wait_for
 from tests.support.children import NOBODY, become
 
 from .parts import DRIVE, FORWARD
@@ -151,7 +151,7 @@ def test_a_cooked_port_echoes_until_it_is_opened_right(tmp_path: Path) -> None:
 
 
 def run_sim(*words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "failstop.lab.sim", *words]
+    command = [sys.executable, "-m", "failstop_lab.sim", *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, stdin=subprocess.DEVNULL)
 
 
@@ -202,7 +202,7 @@ def test_a_dead_boards_link_is_replaced(tmp_path: Path) -> None:
 
 
 def test_it_says_which_setting_a_service_for_another_board_needs(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "failstop.lab.sim", "--device", str(tmp_path / "board"), "--board", "hoverboard"]
+    command = [sys.executable, "-m", "failstop_lab.sim", "--device", str(tmp_path / "board"), "--board", "hoverboard"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline().endswith(' --config FILE, which says board.kind = "hoverboard"\n')
@@ -211,7 +211,7 @@ def test_it_says_which_setting_a_service_for_another_board_needs(tmp_path: Path)
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_ends_clean_by_signal(number: signal.Signals, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "failstop.lab.sim", "--device", str(tmp_path / "board"), "--verbose"]
+    command = [sys.executable, "-m", "failstop_lab.sim", "--device", str(tmp_path / "board"), "--verbose"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         ready = process.stdout.readline()
@@ -229,7 +229,7 @@ def test_ends_clean_by_signal(number: signal.Signals, tmp_path: Path) -> None:
 
 
 def test_ends_with_its_parent(tmp_path: Path) -> None:
-    code = f"import time; from failstop.lab.sim.client import SimBoard; b = SimBoard({str(tmp_path / 'board')!r})\n"
+    code = f"import time; from failstop_lab.sim.client import SimBoard; b = SimBoard({str(tmp_path / 'board')!r})\n"
     code += "b.start(); print(b.pid, flush=True); time.sleep(60)"
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None

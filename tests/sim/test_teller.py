@@ -5,8 +5,8 @@ from __future__ import annotations
 from failstop.board import codec
 from failstop.board.framing import BUZZER, MOTOR
 from failstop.board.rrc.board import BOARD
-from failstop.lab.sim.model import Frame, Speeds
-from failstop.lab.sim.teller import Teller
+from failstop_lab.sim.model import Frame, Speeds
+from failstop_lab.sim.teller import Teller
 
 FAST: Speeds = (0.8, 0.8, -0.8, -0.8)
 STANDING: Speeds = (0.0,) * 4

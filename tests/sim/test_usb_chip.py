@@ -6,8 +6,8 @@ import struct
 
 import pytest
 
-from failstop.lab.sim.usb import acm, descriptors
-from failstop.lab.sim.usb.acm import Acm, Setup
+from failstop_lab.sim.usb import acm, descriptors
+from failstop_lab.sim.usb.acm import Acm, Setup
 
 IN = 0x80
 

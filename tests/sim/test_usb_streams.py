@@ -7,12 +7,12 @@ import struct
 
 import pytest
 
-from failstop.lab.sim.pty_port import SimError
-from failstop.lab.sim.usb import acm, descriptors, usbredir, vhci
-from failstop.lab.sim.usb.acm import Acm
-from failstop.lab.sim.usb.port import VHCI, UsbPort
-from failstop.lab.sim.usb.usbip import SUBMITTED, UNLINKED, UsbIp
-from failstop.lab.sim.usb.usbredir import UsbRedir
+from failstop_lab.sim.pty_port import SimError
+from failstop_lab.sim.usb import acm, descriptors, usbredir, vhci
+from failstop_lab.sim.usb.acm import Acm
+from failstop_lab.sim.usb.port import VHCI, UsbPort
+from failstop_lab.sim.usb.usbip import SUBMITTED, UNLINKED, UsbIp
+from failstop_lab.sim.usb.usbredir import UsbRedir
 
 CODING = struct.pack("<IBBB", acm.BAUD, 0, 0, 8)
 

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from failstop.board.burst import BURST
-from failstop.lab.machine.process import Thread
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.procs.schedule import ZERO_EVERY_NS
@@ -20,6 +19,7 @@ from failstop.supervisor.children import KILLED
 from failstop.supervisor.main import STOP_ANSWER_NS
 from failstop.supervisor.run import LOOK_EVERY_NS
 from failstop.supervisor.status import OWED_NS, TELL_EVERY_NS, UNDYING_NS
+from failstop_lab.machine.process import Thread
 from tests.support.stage import MS
 from tests.support.supervisor_scene import RUNTIME_DIR, Scene
 from tests.support.why import said, why

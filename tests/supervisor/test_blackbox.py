@@ -8,8 +8,6 @@ from typing import Any
 import msgpack
 import pytest
 
-from failstop.lab.machine.kernel import TAKEDOWN_NS
-from failstop.lab.machine.process import Process
 from failstop.messages import box, layout
 from failstop.supervisor.blackbox import (
     COPY_NS,
@@ -23,6 +21,8 @@ from failstop.supervisor.blackbox import (
     STEP,
     TOO_OFTEN,
 )
+from failstop_lab.machine.kernel import TAKEDOWN_NS
+from failstop_lab.machine.process import Process
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene
 from tests.support.why import why

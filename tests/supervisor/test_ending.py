@@ -8,11 +8,11 @@ import pytest
 
 from failstop.board.burst import BURST
 from failstop.board.interface import SUPERVISOR_ROW
-from failstop.lab.machine.kernel import TAKEDOWN_NS
 from failstop.messages import layout, records
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.shm import heartbeat
 from failstop.supervisor import main
+from failstop_lab.machine.kernel import TAKEDOWN_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 import failstop
-from failstop.lab.pages import catalog
-from failstop.lab.pages.catalog_texts import TEXTS
 from failstop.supervisor.kinds import EVENT_BY_NAME, EVENT_KINDS, LEVELS, EventKind
+from failstop_lab.pages import catalog
+from failstop_lab.pages.catalog_texts import TEXTS
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
 ALWAYS = {"MESSAGE", "FAILSTOP_NAME", "FAILSTOP_EVENT"}

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.kernel import FOREVER_NS, SIGTERM
-from failstop.lab.machine.process import Process, Thread
-from failstop.lab.machine.robot import DEVICE, MS, Robot
 from failstop.messages import layout
+from failstop_lab.machine.kernel import FOREVER_NS, SIGTERM
+from failstop_lab.machine.process import Process, Thread
+from failstop_lab.machine.robot import DEVICE, MS, Robot
 
 DIRECTORY = "/run/failstop/failstop"
 SUPERVISOR = 1 + len(layout.PROCESS_NAMES)

@@ -13,9 +13,9 @@ import pytest
 from failstop.board.burst import BURST
 from failstop.board.finder import Finder
 from failstop.board.rrc.board import BOARD
-from failstop.lab.machine.process import Thread
 from failstop.shm.bell import EventBell
 from failstop.supervisor.port_handover import LOOK_NS, Opener
+from failstop_lab.machine.process import Thread
 from tests.support.children import scheduled
 from tests.support.stage import MS
 from tests.support.supervisor_scene import DEVICE, Scene

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.kernel import TAKEDOWN_NS
 from failstop.messages import layout
 from failstop.policy.processes import PROCESSES, Process
 from failstop.policy.settings import Settings
 from failstop.supervisor.run import LOOK_EVERY_NS, Run
+from failstop_lab.machine.kernel import TAKEDOWN_NS
 from tests.support.supervisor_scene import RUNTIME_DIR, Scene
 
 GROUP = 4321

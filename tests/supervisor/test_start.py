@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from failstop.board.rrc.board import BOARD
-from failstop.lab.machine.files import Null, Open
-from failstop.lab.machine.process import Process, Thread
-from failstop.lab.machine.robot import DEVICE, MS, RUN, Robot
 from failstop.messages import layout
 from failstop.policy.processes import PROCESS_BY_NAME
+from failstop_lab.machine.files import Null, Open
+from failstop_lab.machine.process import Process, Thread
+from failstop_lab.machine.robot import DEVICE, MS, RUN, Robot
 from tests.support.arm_settings import ARM, SERVOS
 from tests.support.supervisor_scene import Scene
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from failstop.lab.machine.process import Thread
 from failstop.messages import layout
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs import starved
 from failstop.supervisor.process_table import STARVED_SHOWN_NS
+from failstop_lab.machine.process import Thread
 from tests.support.stage import MS
 from tests.support.supervisor_scene import NOT_STARVED, Scene
 

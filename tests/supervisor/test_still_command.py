@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import pytest
 
-from failstop.lab.machine.process import Process
 from failstop.messages import layout
 from failstop.policy import causes
+from failstop_lab.machine.process import Process
 from tests.support.stage import MS
 from tests.support.supervisor_scene import Scene
 from tests.support.why import why

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from failstop.board.codec import STOP, motor_speeds
 from failstop.board.framing import MOTOR
-from failstop.lab.sim.client import Event
+from failstop_lab.sim.client import Event
 
 MS = 1_000_000
 FAULT_NS = 10_000 * MS

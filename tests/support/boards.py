@@ -27,9 +27,10 @@ def own_folder(at: Path) -> str:
     """The smallest board of failstop's, as a user would have it: the same modules, in a folder that failstop does not
     know."""
     at.mkdir()
-    sources = {"codec": "board/arduino/codec", "wire": "board/arduino/wire", "receiver": "lab/boards/arduino"}
+    sources = {name: f"failstop/board/arduino/{name}.py" for name in ("codec", "wire")}
+    sources["receiver"] = "lab/failstop_lab/boards/arduino.py"
     for name, source in sources.items():
-        text = (ROOT / "failstop" / f"{source}.py").read_text()
+        text = (ROOT / source).read_text()
         text = text.replace("from failstop.board.arduino import", "from . import")
         text = text.replace("_MS = 1_000_000\n", f"_MS = 1_000_000\nVOCABULARY = {VOCABULARY}\n", name == "wire")
         (at / f"{name}.py").write_text(text.replace("from failstop.board.arduino.", "from ."))

@@ -13,7 +13,6 @@ import msgpack
 from failstop.board import decoder, servos
 from failstop.board.framing import BUS_SERVO
 from failstop.files import instance
-from failstop.lab.sim.servos import Servos
 from failstop.messages import layout, records
 from failstop.messages.packing import Note
 from failstop.policy import causes
@@ -22,6 +21,7 @@ from failstop.procs.loop import NEVER
 from failstop.procs.port_owner.admission import ServoBus
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.stops import Stop
+from failstop_lab.sim.servos import Servos
 from tests.support.arm_settings import SERVOS
 from tests.support.stage import MS, RUNTIME_DIR, Stage
 from tests.support.why import why

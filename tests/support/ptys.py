@@ -13,8 +13,8 @@ import tty
 from collections.abc import Iterator
 
 from failstop.board.framing import MOTOR
-from failstop.lab.sim.motors import Motors
-from failstop.lab.sim.receiver import Receiver
+from failstop_lab.sim.motors import Motors
+from failstop_lab.sim.receiver import Receiver
 
 DEADLINE_S = 20.0
 HELD = 4095

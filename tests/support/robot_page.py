@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from failstop.lab.browser.acts import ROWS, TENTH
-from failstop.lab.faults.fault import BY_ITSELF, BY_NEW_RUN, BY_RESET, PROCESS_DIES, PROCESS_HANGS, SEVERAL, Fault, fits
-from failstop.lab.faults.table import FAULT_BY_NAME
 from failstop.policy.causes import CAUSE_BY_NAME, Cause
+from failstop_lab.browser.acts import ROWS, TENTH
+from failstop_lab.faults.fault import BY_ITSELF, BY_NEW_RUN, BY_RESET, PROCESS_DIES, PROCESS_HANGS, SEVERAL, Fault, fits
+from failstop_lab.faults.table import FAULT_BY_NAME
 
 SEEN = 8
 """Steps in which a stop must have come: the longest row is silent for 0.525 s first."""

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from failstop import FailstopError, Robot
 from failstop.files import instance
-from failstop.lab.trial import Trial, wait_for, write_settings
 from failstop.messages.layout import GATE
 from failstop.supervisor import status
+from failstop_lab.trial import Trial, wait_for, write_settings
 
 HELD_UP_S = 0.035
 """A gate that was once late by so much, its period included, shows that for as long as it lives."""

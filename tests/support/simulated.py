@@ -12,16 +12,16 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from failstop.lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM
-from failstop.lab.machine.process import Process
-from failstop.lab.machine.robot import DEVICE, MS, Robot
-from failstop.lab.machine.usb import Plug
-from failstop.lab.sim import upward
-from failstop.lab.sim.model import Frame, Speeds
-from failstop.lab.sim.servos import Leg
-from failstop.lab.stopped import Stopped, judge
 from failstop.messages import layout
 from failstop.policy.layouts import BOARDS
+from failstop_lab.machine.kernel import SIGCONT, SIGSTOP, SIGTERM
+from failstop_lab.machine.process import Process
+from failstop_lab.machine.robot import DEVICE, MS, Robot
+from failstop_lab.machine.usb import Plug
+from failstop_lab.sim import upward
+from failstop_lab.sim.model import Frame, Speeds
+from failstop_lab.sim.servos import Leg
+from failstop_lab.stopped import Stopped, judge
 
 FORWARD = (0.2, 0.0, 0.0)
 LOOK_S, LOOK_SHARE = 0.001, 0.05

@@ -8,13 +8,13 @@ import os
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from failstop.lab.machine.files import IN, OUT, Open, Pidfd
-from failstop.lab.machine.kernel import Machine
-from failstop.lab.machine.loading import File, Loader, Patches
-from failstop.lab.machine.port import Port
-from failstop.lab.machine.process import Thread
 from failstop.messages import layout, records
 from failstop.shm import heartbeat
+from failstop_lab.machine.files import IN, OUT, Open, Pidfd
+from failstop_lab.machine.kernel import Machine
+from failstop_lab.machine.loading import File, Loader, Patches
+from failstop_lab.machine.port import Port
+from failstop_lab.machine.process import Thread
 
 MS = 1_000_000
 MOST_LATE = 3

@@ -22,8 +22,8 @@ KEPT = ROOT / ".pytest_cache" / "sources"
 STARTERS = frozenset(
     {
         *("multiprocessing", "subprocess"),
-        *("failstop.lab.faults.arm", "failstop.lab.faults.crowd", "failstop.lab.faults.scene"),
-        *("failstop.lab.sim.client", "failstop.supervisor.starter", "failstop.lab.trial"),
+        *("failstop_lab.faults.arm", "failstop_lab.faults.crowd", "failstop_lab.faults.scene"),
+        *("failstop_lab.sim.client", "failstop.supervisor.starter", "failstop_lab.trial"),
     }
 )
 """Modules that are there to start processes."""

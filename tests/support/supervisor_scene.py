@@ -9,11 +9,6 @@ from typing import Any
 
 import msgpack
 
-from failstop.lab.machine.files import Null, Open
-from failstop.lab.machine.kernel import TAKEDOWN_NS
-from failstop.lab.machine.loading import Patches
-from failstop.lab.machine.process import Process
-from failstop.lab.machine.stand_ins import EVERY_RIGHT
 from failstop.messages import layout, records
 from failstop.messages.packing import pack
 from failstop.policy import causes
@@ -21,6 +16,11 @@ from failstop.policy.causes import unpack_reply
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.shm.heartbeat import BEAT_RUNNING
 from failstop.supervisor import main
+from failstop_lab.machine.files import Null, Open
+from failstop_lab.machine.kernel import TAKEDOWN_NS
+from failstop_lab.machine.loading import Patches
+from failstop_lab.machine.process import Process
+from failstop_lab.machine.stand_ins import EVERY_RIGHT
 from tests.support.stage import MOST_LATE, MS, PortMachine, Wire
 from tests.support.why import said, told, why
 

@@ -9,7 +9,7 @@ import pytest
 from bench import service
 from bench.container import Container, ContainerMissing
 from bench.service_scene import Scene
-from failstop.lab.trial import Stopped
+from failstop_lab.trial import Stopped
 
 MS = 1_000_000
 

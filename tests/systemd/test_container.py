@@ -13,7 +13,7 @@ import pytest
 
 from bench import container
 from bench.container import Bind, Container, ContainerMissing
-from failstop.lab.trial import wait_for
+from failstop_lab.trial import wait_for
 
 SLEEP = "[Service]\nExecStart=/bin/sleep 1000\n"
 

@@ -16,8 +16,8 @@ import pytest
 import failstop
 from bench import installed
 from bench.service_scene import UNIT, Scene
-from failstop.lab.trial import wait_for
 from failstop.supervisor.kinds import EVENT_BY_NAME, EVENT_KINDS, LEVELS
+from failstop_lab.trial import wait_for
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
 QUESTIONS = re.findall(r"^ +(journalctl -b .*)$", (ROOT / "docs" / "journal.md").read_text(), re.MULTILINE)

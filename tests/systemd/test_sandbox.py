@@ -10,7 +10,7 @@ import pytest
 
 from bench import installed
 from bench.service_scene import RIGHTS, UNIT, Scene
-from failstop.lab.trial import wait_for
+from failstop_lab.trial import wait_for
 
 NODES = ((1, 11), (4, 64))
 ALLOWED = {

@@ -16,9 +16,9 @@ import pytest
 
 from bench import installed
 from bench.service_scene import CONFIG, DRIVER, DROP_IN, HARDY, NEVER_S, RIGHTS, STRANGER, UNIT, Scene
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import Stopped, wait_for
 from failstop.messages import layout
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import Stopped, wait_for
 
 CHILDREN = [name for name in layout.PROCESS_NAMES if name != layout.SUPERVISOR]
 WHOLE_S = 30.0

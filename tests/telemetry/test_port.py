@@ -10,11 +10,11 @@ import pytest
 from failstop.board import framing
 from failstop.board.decoder import Decoder, pong
 from failstop.board.rrc.board import BOARD
-from failstop.lab.sim import upward
-from failstop.lab.sim.model import BoardModel
-from failstop.lab.sim.receiver import Receiver
 from failstop.messages import layout, records
 from failstop.procs.telemetry import port
+from failstop_lab.sim import upward
+from failstop_lab.sim.model import BoardModel
+from failstop_lab.sim.receiver import Receiver
 from tests.support.stage import MS, Wire
 from tests.support.telemetry_scene import S, Scene
 

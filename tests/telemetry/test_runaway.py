@@ -1,16 +1,16 @@
-"""The judge of runaway wheels, against simulated ones that share no code with it (`python -m failstop.lab.runaway`)."""
+"""The judge of runaway wheels, against simulated ones that share no code with it (`python -m failstop_lab.runaway`)."""
 
 from __future__ import annotations
 
 import pytest
 
 from failstop.board.kinds import KINDS, board_of
-from failstop.lab import runaway as lab
 from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry import runaway
 from failstop.procs.telemetry.runaway import RAN_AWAY, Limits, Margins, RunawayJudge, limits_of
 from failstop.procs.telemetry.wheels import Way
+from failstop_lab import runaway as lab
 from tests.support.amounts import amount
 
 MS = 1_000_000

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.lab.sim.imu import Imu
 from failstop.policy.proofs import WINDOW_NS
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry.readback import READS_APART_NS, ReadBack
 from failstop.procs.telemetry.still import GAP_NS, HOLD_NS, StillJudge
+from failstop_lab.sim.imu import Imu
 from tests.support.stage import MS
 from tests.support.telemetry_scene import S, Scene
 

@@ -17,8 +17,8 @@ from typing import Any
 from failstop.api.client import send_stop
 from failstop.api.robot import Robot
 from failstop.files.instance import DEFAULT_NAME
-from failstop.lab.sim.client import SimBoard
-from failstop.lab.trial import Service, wait_for
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.trial import Service, wait_for
 
 OVERLAID = ("/etc", "/var/lib")
 EMPTIED = ("/run", "/dev/shm", "/var/tmp")

@@ -11,7 +11,7 @@ import pytest
 
 from bench.web.browser import Browser
 from bench.web.parts import Web
-from failstop.lab.trial import Trial
+from failstop_lab.trial import Trial
 from tests.support.leases import LEASES
 from tests.support.shared_trial import IMU_HZ
 

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable
 
 from failstop.api.errors import Refused
-from failstop.lab.trial import Trial, wait_for
+from failstop_lab.trial import Trial, wait_for
 
 COMMAND_S, LATE_S = 0.3, 0.02
 """A command's life, and what the gate and the wire may take beyond."""

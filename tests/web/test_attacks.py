@@ -14,8 +14,8 @@ import pytest
 
 from bench.web.parts import Web
 from bench.web.viewer import Viewer
-from failstop.lab.trial import Trial, wait_for
 from failstop.web import connections, sockets
+from failstop_lab.trial import Trial, wait_for
 
 pytestmark = pytest.mark.page
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from failstop.cli.commands.attend import BETWEEN
-from failstop.lab.trial import Trial, wait_for
+from failstop_lab.trial import Trial, wait_for
 from tests.support.commands import FAILSTOP
 from tests.support.typist import Typist
 

@@ -16,7 +16,7 @@ from bench.web.parts import Web, driven
 from bench.web.viewer import Viewer
 from failstop.api.errors import Refused
 from failstop.api.robot import Robot
-from failstop.lab.trial import Trial, judge, wait_for
+from failstop_lab.trial import Trial, judge, wait_for
 from tests.web.driving_parts import enable_soon
 
 LEASE_S = 1.0

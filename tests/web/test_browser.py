@@ -13,8 +13,8 @@ import pytest
 from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.parts import Web
 from failstop.api import distance
-from failstop.lab.trial import Trial, judge, wait_for
 from failstop.policy.settings import Settings
+from failstop_lab.trial import Trial, judge, wait_for
 from tests.web.driving_parts import enable_soon
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]

@@ -12,9 +12,9 @@ import pytest
 
 from bench.web.parts import Web
 from bench.web.viewer import Viewer
-from failstop.lab.trial import Trial, judge, wait_for
 from failstop.web import driving
 from failstop.web.lease import answer_to
+from failstop_lab.trial import Trial, judge, wait_for
 from tests.web.driving_parts import COMMAND_S, DRIVING, LATE_S, enable_soon
 
 pytestmark = pytest.mark.page

@@ -13,8 +13,8 @@ from bench.web.parts import Web, driven
 from failstop.api import verdict
 from failstop.board.interface import BY_WHEELS
 from failstop.board.kinds import KINDS
-from failstop.lab.boards.traits import HAS_PINGS, traits_of
-from failstop.lab.trial import Trial, judge, wait_for
+from failstop_lab.boards.traits import HAS_PINGS, traits_of
+from failstop_lab.trial import Trial, judge, wait_for
 from tests.support.amounts import LONG
 from tests.support.boards import EVERY_KIND
 from tests.support.leases import LEASES

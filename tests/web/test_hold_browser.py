@@ -14,8 +14,8 @@ import pytest
 
 from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.parts import Web
-from failstop.lab.trial import Trial, wait_for
 from failstop.web.hold import GAP_S, HOLD_S, SURE_S
+from failstop_lab.trial import Trial, wait_for
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 

@@ -12,7 +12,7 @@ import pytest
 
 from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.parts import Web
-from failstop.lab.trial import Trial
+from failstop_lab.trial import Trial
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 

@@ -12,8 +12,8 @@ import pytest
 
 from bench.web.parts import HEADERS, Web
 from bench.web.viewer import Viewer
-from failstop.lab.trial import Trial, judge, wait_for
 from failstop.web import assets, guard
+from failstop_lab.trial import Trial, judge, wait_for
 
 IMU_HZ = 110.0
 """The robot is seen still by the samples of a real board."""

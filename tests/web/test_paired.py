@@ -11,8 +11,8 @@ import pytest
 
 from bench.web.parts import Web
 from bench.web.viewer import Viewer
-from failstop.lab.trial import Trial, wait_for
 from failstop.web import devices
+from failstop_lab.trial import Trial, wait_for
 
 SETTINGS = '[web]\npairing = "on"\ntls = "on"\n'
 

@@ -13,7 +13,7 @@ import pytest
 
 from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.parts import Web, driven
-from failstop.lab.trial import Trial, TrialError, wait_for
+from failstop_lab.trial import Trial, TrialError, wait_for
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from bench.web.browser import CHROMIUM, Browser, Tab
-from failstop.lab.browser.acts import ROWS
+from failstop_lab.browser.acts import ROWS
 from tests.support.robot_page import play
 
 FILE = Path(__file__).parents[2] / "build" / "browser" / "index.html"

@@ -12,7 +12,7 @@ import pytest
 
 from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.parts import Web
-from failstop.lab.trial import Trial, TrialError, judge, wait_for
+from failstop_lab.trial import Trial, TrialError, judge, wait_for
 from tests.web.driving_parts import COMMAND_S, DRIVING, LATE_S, enable_soon
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]

@@ -12,8 +12,8 @@ import pytest
 from bench.web.browser import CHROMIUM, Browser, Tab
 from bench.web.front import Front
 from bench.web.parts import Web
-from failstop.lab.trial import Trial, wait_for
 from failstop.web.storage import Storage
+from failstop_lab.trial import Trial, wait_for
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 

@@ -11,8 +11,8 @@ import pytest
 
 from bench.web.parts import Web
 from bench.web.viewer import Viewer
-from failstop.lab.trial import Trial, wait_for, write_settings
 from failstop.web.hold import LATE
+from failstop_lab.trial import Trial, wait_for, write_settings
 from tests.support.arm_settings import ARM
 
 pytestmark = pytest.mark.page

@@ -1,0 +1,170 @@
+"""`failstop chaos`: random faults from the table while driving random velocities, judged by the simulated board (on a
+stand, by the real board's answers and its IMU: on_stand.py)."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
+
+from failstop.api.errors import FailstopError
+from failstop.cli import style
+from failstop.policy.layouts import BOARDS
+from failstop_lab.boards.traits import traits_of
+from failstop_lab.commands import check_json, matching
+from failstop_lab.faults import campaign, report
+from failstop_lab.faults.campaign import Row
+from failstop_lab.faults.scene import Scene
+from failstop_lab.sim.client import SimBoardError
+from failstop_lab.sim.options import add_board
+from failstop_lab.trial import TrialError
+
+EXAMPLES = """\
+failstop chaos                          # a minute of random faults
+failstop chaos --list
+failstop chaos --each 5 --only 'kill-*'
+failstop chaos --count 100 --seed 7 --json chaos.json
+failstop chaos --board hoverboard       # another, or a folder of your own
+failstop chaos --device /dev/ttyACM0 --on-the-stand --wheels-are-free
+"""
+
+CAMPAIGN_S = 60.0
+STORIES = 5
+SEEDS = 1_000_000
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop chaos`."""
+    add = parser.add_argument
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--seconds", type=float, metavar="S", help=f"how long (default: {CAMPAIGN_S:g} s)")
+    length.add_argument("--count", type=int, metavar="N", help="this many faults instead")
+    length.add_argument("--each", type=int, metavar="N", help="every row this many times instead, in order")
+    add("--seed", type=int, metavar="K", help="of the random choices; a campaign says its own")
+    add(
+        "--first",
+        type=int,
+        default=0,
+        metavar="I",
+        help="begin at this index of the seed's campaign (a story names it)",
+    )
+    add("--only", metavar="ROW,...", help="these rows alone; * stands for anything")
+    add_board(parser)
+    add("--config", metavar="FILE", help="settings for the service, under those that a campaign needs")
+    add("--list", action="store_true", help="list the rows")
+    add("--json", metavar="FILE", help="write the result there")
+    add("--markdown", action="store_true", help="print the result as docs/dev/faults.md")
+    add("--from", dest="source", metavar="FILE", help="with --markdown: of this result (--json), without a run")
+    add("--device", metavar="PATH", help="a real board on a stand, judged by its IMU; needs both consents")
+    add("--on-the-stand", action="store_true", help="consent: the robot stands on a stand")
+    add("--wheels-are-free", action="store_true", help="consent: nobody and nothing is near the wheels")
+
+
+def main(arguments: Namespace) -> int:
+    """Run the campaign; exit code 1 when anything was not as the table says."""
+    _check(arguments)
+    if arguments.device is not None:
+        from failstop_lab.commands import on_stand
+
+        if arguments.list:
+            on_stand.list_paths(arguments.only)
+            return 0
+        return on_stand.run(arguments, _seed(arguments), CAMPAIGN_S)
+    rows = _rows(arguments.only, arguments.board)
+    if arguments.list:
+        for fault in rows:
+            print(f"{fault.name:<50} {fault.cause}")
+        return 0
+    if arguments.source:
+        if not arguments.markdown:
+            raise FailstopError("--from is for --markdown")
+        print(report.markdown(_read(arguments.source)), end="")
+        return 0
+    check_json(arguments.json)
+    tally = _run(arguments, rows)
+    result = tally.as_dict()
+    if arguments.json:
+        with open(arguments.json, "w", encoding="utf-8") as file:
+            json.dump(result, file, indent=1)
+    print(report.markdown(result) if arguments.markdown else f"{tally.table()}\n\n{tally.summary()}", flush=True)
+    print(f"{'interrupted; ' if tally.interrupted else ''}the same again: --seed {tally.seed}", file=sys.stderr)
+    for story in tally.stories[:STORIES]:
+        print(f"\n{story}", file=sys.stderr)
+    if len(tally.stories) > STORIES:
+        print(f"\nand {len(tally.stories) - STORIES} more; --json has them all", file=sys.stderr)
+    return 130 if tally.interrupted else 1 if tally.stories else 0
+
+
+def _check(arguments: Namespace) -> None:
+    """Before anything moves. Raises FailstopError."""
+    for word in ("seconds", "count", "each"):
+        value = getattr(arguments, word)
+        if value is not None and value <= 0:
+            raise FailstopError(f"--{word} {value:g}: more than 0 is expected")
+    if arguments.device is not None and arguments.board != BOARDS[0]:
+        raise FailstopError("--board is a simulated board's: of a real one (--device) the settings say which it is")
+    if arguments.each is not None and arguments.first:
+        raise FailstopError("--first goes with --count and --seconds: --each takes every row from its first on")
+
+
+def _rows(only: str | None, board: str) -> tuple[Row, ...]:
+    known = report.rows_of(traits_of(board))
+    return tuple(matching(only, known, "no row {} in the fault table of this board; `failstop chaos --list` has them"))
+
+
+def _read(path: str) -> dict[str, object]:
+    try:
+        with open(path, encoding="utf-8") as file:
+            found: dict[str, object] = json.load(file)
+    except (OSError, ValueError) as error:
+        raise FailstopError(f"{path} is no result of a campaign: {error}; make one with --json {path}") from None
+    return found
+
+
+def _seed(arguments: Namespace) -> int:
+    return arguments.seed if arguments.seed is not None else time.time_ns() % SEEDS
+
+
+def _run(arguments: Namespace, rows: tuple[Row, ...]) -> report.Tally:
+    seed = _seed(arguments)
+    tally = report.Tally(rows, seed, arguments.board)
+    live = style.lives(os.environ, terminal=sys.stderr.isatty())
+    interrupted: list[bool] = []
+    signal.signal(signal.SIGINT, lambda *_: interrupted.append(True))
+    print(f"seed {seed}, {len(rows)} rows", file=sys.stderr, flush=True)
+    try:
+        with Scene(f"chaos-{os.getpid()}", arguments.config, arguments.board) as scene:
+            for outcome in _outcomes(arguments, scene, rows, tally):
+                if interrupted:
+                    # The terminal's signal went to the board and the service too: this one proves nothing.
+                    tally.interrupted = True
+                    break
+                tally.add(outcome)
+                if live:
+                    sys.stderr.write(f"\r\x1b[K{tally.summary()}; {outcome.fault.name}"[:200])
+                    sys.stderr.flush()
+    except (TrialError, SimBoardError) as error:
+        if interrupted:
+            tally.interrupted = True
+        else:
+            tally.stories.append(f"the campaign could not go on: {error}")
+    if live:
+        sys.stderr.write("\r\x1b[K")
+    return tally
+
+
+def _outcomes(
+    arguments: Namespace, scene: Scene, rows: tuple[Row, ...], tally: report.Tally
+) -> Iterator[campaign.Outcome]:
+    if arguments.each is not None:
+        return (
+            campaign.inject_one(scene, fault, index, tally.seed) for fault in rows for index in range(arguments.each)
+        )
+    if arguments.count is not None:
+        return campaign.campaign(scene, rows, tally.seed, lambda injected: injected >= arguments.count, arguments.first)
+    until_s = tally.begun_s + (arguments.seconds or CAMPAIGN_S)
+    return campaign.campaign(scene, rows, tally.seed, lambda _: time.monotonic() >= until_s, arguments.first)

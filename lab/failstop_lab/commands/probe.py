@@ -1,0 +1,186 @@
+"""`failstop probe`: does your robot stop? Any base, measured without adopting failstop, and a card of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping
+
+from failstop.api.errors import FailstopError, Refused
+from failstop.board.kinds import board_of
+from failstop.board.port import PortError
+from failstop.cli import style
+from failstop.policy.halted import OF_CTRL_C, Halted
+from failstop.policy.layouts import BOARDS
+from failstop.setup.ending import interruptible
+from failstop_lab.probe import ros2, serial
+from failstop_lab.probe.card import Card, Row
+from failstop_lab.prove.session import check_free
+from failstop_lab.sim.options import add_board
+
+EXAMPLES = """\
+failstop probe serial --board ugv --port /dev/ttyAMA0
+failstop probe serial --board ugv --port /dev/ttyAMA0 --key
+failstop probe serial --board arduino --port /dev/ttyUSB0 --frame 'm 50 50\\r'
+failstop probe ros2 --cmd-vel /cmd_vel --odom /odom
+"""
+WORD = "spin"
+DIAMETER_M = 0.08
+WARNING = """\
+THIS TURNS THE WHEELS, slowly, for up to {seconds:.0f} s at a time, {count} times, and lets the
+program that drives them fail. They may turn on until this stops them.
+
+  1. The robot stands on a stand: every wheel is OFF THE GROUND, free to turn.
+  2. No person, hair, clothing, cable or tool is near the wheels.
+  3. The POWER SWITCH is at hand.
+
+Ctrl-C stops the wheels. Type "{word}" to begin, anything else to leave it: """
+ENDED_BY_PERSON = "interrupted"
+NEVER_TURNED = "no wheel was turned"
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop probe`."""
+    ways = parser.add_subparsers(dest="way", required=True, metavar="serial|ros2")
+    by_port = ways.add_parser("serial", help="a motor board at its port, by its own frames")
+    by_ros = ways.add_parser("ros2", help="whatever obeys a topic of velocities")
+    add_board(by_port, None, "the board's kind: {}")
+    add = by_port.add_argument
+    add("--port", required=True, metavar="PATH", help="the board's port")
+    add("--frame", metavar="TEXT", help=r"what your driver sends, as text with \n or 0x.. (default: slow wheels)")
+    add = by_ros.add_argument
+    add("--cmd-vel", default="/cmd_vel", metavar="TOPIC", help="where it takes velocities (default: %(default)s)")
+    add("--odom", default="/odom", metavar="TOPIC", help="where it says how it moves (default: %(default)s)")
+    add(
+        "--imu",
+        metavar="TOPIC",
+        help="judge by this IMU instead: an odometry may be what it was told, not what it does",
+    )
+    add("--stamped", action="store_true", help="it takes TwistStamped")
+    add("--driver-pid", type=int, metavar="PID", help="its driver's process, which is killed as the last row")
+    for way, rows in ((by_port, serial.ROWS), (by_ros, ros2.ROWS)):
+        add = way.add_argument
+        add("--rows", metavar="ROW,...", help=f"these alone: {', '.join(rows)}")
+        add("--key", action="store_true", help="your key says when the wheels stand")
+        add("--robot", default="", metavar="TEXT", help="for the card: which robot")
+        add("--firmware", default="", metavar="TEXT", help="for the card: its firmware, with the version")
+        add("--driver", default="", metavar="TEXT", help="for the card: its driver, with the version")
+        add("--out", metavar="BASE", help="where the card goes: BASE.txt, .json, .svg (default: card-DATE)")
+        add("--json", action="store_true", help="print the card for programs instead")
+        add("--yes", action="store_true", help="the wheels are off the ground: begin without asking")
+
+
+def main(arguments: Namespace) -> int:
+    """Probe, and print the card; exit code 1 when a row never stopped, 2 without consent."""
+    card, code = _serial(arguments) if arguments.way == "serial" else _ros2(arguments)
+    print(json.dumps(card.as_dict(), indent=1) if arguments.json else f"\n{card.text()}", end="\n" * arguments.json)
+    base = arguments.out or f"card-{time.strftime('%Y%m%d-%H%M%S')}"
+    try:
+        for path in card.save(base):
+            print(f"card: {os.path.relpath(path)}", file=sys.stderr)
+    except OSError as error:
+        print(f"failstop: the card could not be kept: {error}", file=sys.stderr)
+    return code or int(bool(card.ended) or any(_never(row) for row in card.rows))
+
+
+def _ended(card: Card, known: Halted | None, error: BaseException | None) -> int:
+    """Say on the card why it ended early, if it did, and what is known of the wheels. Returns the exit code of that, or
+    0."""
+    if isinstance(error, KeyboardInterrupt):
+        card.ended = f"{ENDED_BY_PERSON}; {known.sentence() if known else NEVER_TURNED}"
+        return known.interrupted() if known else OF_CTRL_C
+    if error or (known and not known.safe):
+        card.ended = "; ".join([*([str(error)] if error else []), *([known.sentence()] if known else [])])
+        return 1
+    return 0
+
+
+def _never(row: Row) -> bool:
+    return not row.skipped and row.stands_s is None
+
+
+def _say(text: str) -> None:
+    style_line = style.wrap([(text, style.PLAIN)], min(80, style.width()), 2)
+    print("\n".join(map(style.plain, style_line)), file=sys.stderr, flush=True)
+
+
+def _consent(arguments: Namespace, count: int) -> None:
+    if arguments.yes:
+        return
+    sys.stderr.write(WARNING.format(seconds=15, count=count, word=WORD))
+    sys.stderr.flush()
+    if sys.stdin.readline().strip() != WORD:
+        raise Refused("no consent: nothing was moved")
+
+
+def _rows(given: str | None, known: Mapping[str, str]) -> list[str]:
+    """The names of --rows. Raises FailstopError."""
+    names = given.split(",") if given else list(known)
+    for name in names:
+        if name not in known:
+            raise FailstopError(f"no row {name!r}: there is {', '.join(known)}")
+    return names
+
+
+def _frame(text: str) -> bytes:
+    """The bytes of --frame. Raises FailstopError."""
+    try:
+        return (
+            bytes.fromhex(text[2:])
+            if text.startswith("0x")
+            else text.encode().decode("unicode_escape").encode("latin1")
+        )
+    except (ValueError, UnicodeError):
+        raise FailstopError(rf"--frame {text}: write hexadecimal digits behind 0x, or text with \n") from None
+
+
+def _serial(arguments: Namespace) -> tuple[Card, int]:
+    if not arguments.board:
+        raise FailstopError(f"which board? give --board: {', '.join(BOARDS)}, or a folder of your own")
+    board = board_of(arguments.board, DIAMETER_M, 0.0)
+    sent = _frame(arguments.frame) if arguments.frame else serial.frame_of(board)
+    names = _rows(arguments.rows, serial.ROWS)
+    if not os.path.exists(arguments.port):
+        raise FailstopError(f"no port {arguments.port}: plug the board in; `failstop doctor --quick` lists ports")
+    check_free(arguments.port)
+    if doubt := serial.check_kind(arguments.port, arguments.board):
+        _say(f"Not known to be {arguments.board}: {doubt}.")
+    _consent(arguments, len(names) + 1)
+    driver = arguments.driver or f"a throw-away process, one frame every {serial.PERIOD_S:g} s"
+    card = Card(arguments.robot, arguments.board, arguments.firmware, driver)
+    probe = serial.SerialProbe(arguments.port, arguments.board, board, sent, by_key=arguments.key, say=_say)
+    try:
+        with interruptible(), probe:
+            _say("first, how its wheels look at rest and while they turn ...")
+            probe.character()
+            for name in names:
+                if name == "plug" and not sys.stdin.isatty():
+                    card.rows.append(Row(name, serial.ROWS[name], skipped="nobody to pull it"))
+                    continue
+                _say(f"{serial.ROWS[name]} ...")
+                card.rows.append(row := probe.take(name))
+                _say(f"   {row.found}")
+    except (KeyboardInterrupt, FailstopError, PortError, OSError) as error:
+        return card, _ended(card, probe.outcome, error)
+    return card, _ended(card, probe.outcome, None)
+
+
+def _ros2(arguments: Namespace) -> tuple[Card, int]:
+    names = _rows(arguments.rows, ros2.ROWS)
+    # A number below 1 would mean more than one process.
+    if (pid := arguments.driver_pid) is not None and (pid < 1 or not os.path.exists(f"/proc/{pid}")):
+        raise FailstopError(f"no process {pid}: `ps -ef` shows the driver's")
+    _consent(arguments, len(names))
+    card = Card(arguments.robot, f"behind {arguments.cmd_vel}", arguments.firmware, arguments.driver or "a ROS 2 node")
+    probe = ros2.RosProbe(arguments, _say)
+    try:
+        with interruptible(), probe:
+            for row in probe.rows(names):
+                card.rows.append(row)
+                _say(f"   {row.found}")
+    except (KeyboardInterrupt, FailstopError, OSError) as error:
+        return card, _ended(card, probe.outcome, error)
+    return card, _ended(card, probe.outcome, None)

@@ -1,0 +1,199 @@
+"""`failstop prove`: the stand test. Every stop path is timed on the robot, and kept as evidence."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import random
+import sys
+import tempfile
+from argparse import ArgumentParser, Namespace
+from typing import Any
+
+from failstop import config
+from failstop.api.errors import FailstopError, Refused
+from failstop.board.kinds import board_of
+from failstop.cli import style
+from failstop.cli.commands import add_name
+from failstop.files.root import state_directory
+from failstop.setup.ending import interruptible
+from failstop_lab.boards.traits import traits_of
+from failstop_lab.prove import pack, report, table
+from failstop_lab.prove.means import means_of
+from failstop_lab.prove.report import Evidence
+from failstop_lab.prove.session import check_free, session
+from failstop_lab.prove.stand import ProveStand, driven, settings_for
+from failstop_lab.prove.swing import REACH_RAD
+from failstop_lab.prove.table import BY_ARM_PATH, BY_PATH, BY_TURNING, SWINGING, Path, Turning
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.sim.options import IMU_HZ, add_board
+
+EXAMPLES = """\
+failstop prove --sim --quick            # on a simulated board, half a minute
+failstop prove --sim --board hoverboard # another kind of board
+sudo systemctl stop failstop && sudo failstop prove
+failstop prove --sim --quick --pack evidence.html
+failstop prove --check evidence.html    # is it whole, and whose?
+failstop prove --only timeout,stop-request --at 0.2 --out /tmp/evidence
+"""
+
+Plan = list[tuple[Path, Turning]]
+
+WORD = "spin"
+PROVE_FOLDER = "prove"
+RUN_S = 3.5
+KNOWN = (*BY_PATH, *BY_ARM_PATH)
+ARM_WARNING = """\
+  5. THE ARM MOVES: to its drive pose, and its base joint swings by {reach:g} rad.
+     Nobody and nothing is in its reach.
+
+"""
+SAFETY = """\
+THIS TURNS THE WHEELS, at {fastest},
+and kills the programs that stop them: {count} runs, {minutes:.0f} min.
+
+  1. The robot stands on a stand: every wheel is OFF THE GROUND, free to turn.
+  2. No person, hair, clothing, cable or tool is near the wheels, and nobody
+     will come near.
+  3. The POWER SWITCH is at hand, and you will use it when the wheels turn on.
+  4. This is a latched protective stop by software, no emergency stop in the
+     sense of ISO 13850.
+
+{arm}Ctrl-C stops everything at any time.
+Type "{word}" to begin, anything else to leave it: """
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop prove`."""
+    add = parser.add_argument
+    add("--sim", action="store_true", help="on a simulated board of its own, without questions")
+    add_board(parser, None, "with --sim: {} (default: the setting board.kind)")
+    add("--quick", action="store_true", help="the main paths, each at one velocity in turn")
+    add("--only", metavar="PATH,...", help=f"these stop paths alone: {', '.join(KNOWN)}")
+    add("--at", metavar="V,...", help=f"these velocities alone, within the limits: {', '.join(BY_TURNING)}")
+    add("--pad", action="store_true", help="ask a person to press a button of the gamepad")
+    add("--device", metavar="PATH", help="the board's port (default: the setting device.path)")
+    add("--config", metavar="FILE", help="the service's settings (default: the installed file, if there is one)")
+    add("--out", metavar="DIR", help="where evidence is kept (default: prove/ in the state directory; --sim: nowhere)")
+    add("--pack", metavar="FILE", help="write the evidence as one page (FILE.html) that opens without a network")
+    add("--key", metavar="FILE", help="with --pack: sign it with this OpenSSH key")
+    add("--check", metavar="FILE", help="only say whether an evidence pack is whole, and whose signature it has")
+    add("--json", action="store_true", help="print the result for programs instead")
+    add_name(parser)
+
+
+def main(arguments: Namespace) -> int:
+    """Run the stand test; exit code 1 when anything failed or was left out, 2 without consent."""
+    if arguments.check:
+        print(pack.verified(arguments.check))
+        return 0
+    if arguments.pack and not arguments.pack.endswith(".html"):
+        raise FailstopError(f"--pack {arguments.pack}: name it FILE.html")
+    only, at = _words(arguments)
+    if arguments.board and not arguments.sim:
+        raise FailstopError("--board is for --sim: a real board is the one that the settings name, by board.kind")
+    say = (lambda _: None) if arguments.json else report.print_now
+
+    def taken(device: str, user: dict[str, object], plan: Plan, board: SimBoard | None = None) -> Evidence:
+        velocities = list(dict.fromkeys(velocity for _, velocity in plan if velocity != SWINGING))
+        runs = ((path, velocity, random.Random()) for path, velocity in plan)
+        ask, watcher = (report.print_now if asks else None for asks in (arguments.pad, not arguments.json))
+        stand = ProveStand(device, user, folder, board)
+        return session(runs, velocities, stand, quick=arguments.quick, say=say, ask=ask, watcher=watcher)
+
+    with interruptible(), tempfile.TemporaryDirectory(prefix="failstop-prove-", ignore_cleanup_errors=True) as folder:
+        if arguments.sim:
+            link = os.path.join(folder, "board")
+            user = config.read(arguments.config)
+            if arguments.board:
+                user = {**traits_of(arguments.board).settings, **user, "board.kind": arguments.board}
+            plan, _ = _plan(arguments, user, only, at)
+            imu_hz = 0.0 if user.get("board.imu") == "off" else IMU_HZ
+            with SimBoard(link, imu_hz=imu_hz, board=str(user.get("board.kind", ""))) as board:
+                evidence = taken(link, user, plan, board)
+        else:
+            path = config.chosen(arguments.name, arguments.config)
+            device = arguments.device or config.load(path).text("device.path")
+            check_free(device, arguments.name)
+            user = config.read(path)
+            plan, has_arm = _plan(arguments, user, only, at)
+            _ask_consent(device, plan, has_arm=has_arm)
+            evidence = taken(device, user, plan)
+    _show(arguments, evidence)
+    return evidence.exit_code
+
+
+def _plan(
+    arguments: Namespace, user: dict[str, object], only: tuple[str, ...], at: tuple[str, ...]
+) -> tuple[Plan, bool]:
+    """The runs that this robot can have, in order, and whether its arm moves. Raises FailstopError where there are
+    none, SettingError."""
+    settings = driven(settings_for(user))
+    has_arm, board = bool(settings.servos()), board_of(*settings.board())
+    means = means_of(settings.text("board.kind"), board, imu=settings.on("board.imu"))
+    beside = board.arm_beside_wheels
+    plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm, beside=beside, settings=settings)
+    fitted = [(means.fitted(path), velocity) for path, velocity in plan if not means.lacks(path)]
+    if not fitted:
+        why = {means.lacks(path) for path, _ in plan} or {"the settings name no joints, and this is the arm's alone"}
+        raise FailstopError(f"nothing to do of {', '.join(only)}: {'; '.join(sorted(why))}")
+    return fitted, has_arm
+
+
+def _words(arguments: Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The names that --only and --at give. Raises FailstopError for one that is in no table."""
+    chosen = []
+    for given, known, what in (
+        (arguments.only, KNOWN, "stop path"),
+        (arguments.at, tuple(BY_TURNING), "velocity"),
+    ):
+        names = tuple(given.split(",")) if given else ()
+        for name in names:
+            if name not in known:
+                raise FailstopError(f"no {what} {name!r}: there is {', '.join(known)}")
+        chosen.append(names)
+    return chosen[0], chosen[1]
+
+
+def _ask_consent(device: str, plan: Plan, *, has_arm: bool) -> None:
+    fastest = " and ".join(dict.fromkeys(velocity.words for _, velocity in plan))
+    arm = ARM_WARNING.format(reach=REACH_RAD) if has_arm else ""
+    print(f"{device}:", file=sys.stderr)
+    minutes = max(1.0, len(plan) * RUN_S / 60)
+    sys.stderr.write(SAFETY.format(fastest=fastest, count=len(plan), minutes=minutes, word=WORD, arm=arm))
+    sys.stderr.flush()
+    if sys.stdin.readline().strip() != WORD:
+        raise Refused("no consent: nothing was moved")
+
+
+def _show(arguments: Namespace, evidence: Evidence) -> None:
+    if arguments.json:
+        print(json.dumps(evidence.as_dict()))
+    else:
+        verdict = style.paint(evidence.verdict, report.VERDICT_STYLES[evidence.verdict])
+        lines = [verdict if line == evidence.verdict else line for line in report.last_lines(evidence)]
+        report.print_now("\n" + "\n".join(lines))
+    if arguments.pack:
+        for path in pack.save(record_of(evidence), arguments.pack, arguments.key):
+            print(f"evidence: {path}", file=sys.stderr)
+    if evidence.simulated and not arguments.out:
+        return
+    folder = arguments.out or os.path.join(state_directory(arguments.name, os.environ), PROVE_FOLDER)
+    for path in report.save(evidence, folder):
+        print(f"evidence: {path}", file=sys.stderr)
+
+
+def record_of(evidence: Evidence) -> dict[str, Any]:
+    """All that a pack holds; `samples` stay in the dated folder."""
+    assert evidence.user is not None  # that of a stand
+    settings, told = evidence.user.flat(), evidence.as_dict()
+    return {
+        **told,
+        "rows": [{**row, "samples": []} for row in told["rows"]],
+        "board": settings["board.kind"],
+        "settings": settings,
+        "settings_sha256": hashlib.sha256(evidence.user.lines().encode()).hexdigest(),
+        "code_sha256": pack.code_digest(),
+        "can_not": report.CAN_NOT,
+    }

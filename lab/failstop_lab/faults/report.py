@@ -1,0 +1,356 @@
+"""Report of a campaign: by row with its times, and as a page of documentation."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+import statistics
+import time
+from typing import Any
+
+from failstop.doctor.machine import facts
+from failstop.policy.layouts import BOARDS
+from failstop.procs import rights
+from failstop.supervisor.status import LEASE_S, LEASE_WITHOUT_S
+from failstop_lab.boards.line import BAR_NS
+from failstop_lab.boards.traits import HAS_ARM, HAS_ARM_BESIDE, PARTS, Traits, traits_of
+from failstop_lab.faults import arm_table, table
+from failstop_lab.faults.arm_table import ArmFault
+from failstop_lab.faults.campaign import Outcome
+from failstop_lab.faults.fault import FAULT_CLASSES, Fault, told
+from failstop_lab.faults.table import BEYOND
+
+USUAL, LONGER = (f"{1000 * lease_s:.0f} ms" for lease_s in (LEASE_S, LEASE_WITHOUT_S))
+LEASES = (
+    f"A campaign gives its service the lease of one with real-time rights ({USUAL}), whatever rights it has.",
+    f"Without them and without `gate.lease_s` in the settings the lease is {LONGER}, or nine tenths",
+    "of the shortest command timeout, and so is the least deadline: as much longer are the bars of *its lease*,",
+    "and of a port owner that hangs ([safety.md](../safety.md)).",
+)
+
+CONDITIONS = (
+    "A bar is for the p99 of a row, on two processor cores that nothing else uses, with real-time rights. Every",
+    "bar is one that the five campaigns from 2026-11-23 to 2026-11-26 support (18,323 faults). They ran on a",
+    "shared virtual machine, so on a quiet one stops come much sooner ([measured.md](measured.md)). On a busier",
+    "machine, or without the rights, a bar may be missed, and then *held* says no. Where a row was injected a few",
+    "times, its p99 is the slowest of these. The tests of a row allow its bar and 100 ms more, because they run on",
+    "any machine: they find a stop that does not come, and a campaign judges the bar.",
+)
+COLUMNS = ("n", "p50", "p99", "max", "bar", "held")
+"""Of what is measured, at the end of each row of the page."""
+UNRECORDED = "what rights it had and how busy the machine was is not recorded"
+EVERY: dict[str, Fault | ArmFault] = {**table.FAULT_BY_NAME, **arm_table.ARM_FAULT_BY_NAME}
+"""The rows of both tables."""
+
+
+def rows_of(traits: Traits) -> dict[str, Fault | ArmFault]:
+    """The rows that a board can have, with its bars."""
+    arm = arm_table.ARM_FAULT_BY_NAME if HAS_ARM in traits.parts else {}
+    if HAS_ARM_BESIDE in traits.parts:
+        arm = {name: row.at(traits) for name, row in arm_table.BESIDE_BY_NAME.items()}
+    return {name: row.at(traits) for name, row in table.FAULT_BY_NAME.items() if row.needs <= traits.parts} | arm
+
+
+@dataclasses.dataclass
+class Row:
+    """All injections of one row of the table. Times in ms; None: there was no stop to measure."""
+
+    name: str
+    count: int = 0
+    missed: int = 0
+    motion_after: int = 0
+    wrong: int = 0
+    """Injections that were not as the row says, for whatever reason."""
+    skipped: str = ""
+    times_ms: list[float] = dataclasses.field(default_factory=list)
+
+    def add(self, outcome: Outcome) -> None:
+        """Count one."""
+        if outcome.skipped:
+            self.skipped = outcome.skipped
+            return
+        self.count += outcome.struck
+        self.wrong += bool(outcome.wrong)
+        stopped = outcome.stopped
+        if outcome.struck and outcome.fault.bar_ms is not None and (stopped is None or stopped.stop_ns is None):
+            self.missed += 1
+        elif stopped and stopped.stop_ns is not None:
+            self.motion_after += stopped.motion_after
+            self.times_ms.append(stopped.stop_ns / 1e6)
+
+    def percentiles(self) -> tuple[float, float, float] | None:
+        """(p50, p99, max) in ms."""
+        if not self.times_ms:
+            return None
+        # Of a single value there are no quantiles.
+        times_ms = self.times_ms if len(self.times_ms) > 1 else 2 * self.times_ms
+        cuts = statistics.quantiles(times_ms, n=100, method="inclusive")
+        return cuts[49], cuts[98], max(times_ms)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        found = self.percentiles()
+        names = ("p50_ms", "p99_ms", "max_ms")
+        numbers = dict(zip(names, (round(value, 3) for value in found), strict=True)) if found else {}
+        plain = {"count": self.count, "missed": self.missed, "motion_after": self.motion_after, "wrong": self.wrong}
+        return {"name": self.name, **plain, "skipped": self.skipped, **numbers}
+
+
+class Tally:
+    """The rows of a campaign, in the table's order, and the stories of what went wrong."""
+
+    def __init__(self, rows: tuple[Fault | ArmFault, ...], seed: int, board: str = BOARDS[0]) -> None:
+        """`board`: its kind."""
+        self.seed, self.board = seed, board
+        self._faults = {fault.name: fault for fault in rows}
+        self.rows = {fault.name: Row(fault.name) for fault in rows}
+        self.stories: list[str] = []
+        self.interrupted = False
+        self.begun_s = time.monotonic()
+        self._begun_ticks = processor_ticks()
+
+    def add(self, outcome: Outcome) -> None:
+        """Count one."""
+        self.rows[outcome.fault.name].add(outcome)
+        if outcome.wrong:
+            self.stories.append(outcome.story(self.seed))
+
+    @property
+    def count(self) -> int:
+        """Faults injected."""
+        return sum(row.count for row in self.rows.values())
+
+    def total(self, field: str) -> int:
+        """The sum of a count over all rows."""
+        return sum(getattr(row, field) for row in self.rows.values())
+
+    def summary(self) -> str:
+        """One line."""
+        return (
+            f"{self.count} faults in {time.monotonic() - self.begun_s:.0f} s: {self.total('missed')} stops missed, "
+            f"{self.total('motion_after')} motion frames after a stop, {self.total('wrong')} not as the table says; "
+            f"{kept(self._faults, {name: row.as_dict() for name, row in self.rows.items()})}"
+        )
+
+    def table(self) -> str:
+        """For people."""
+        head = f"{'fault':<50} {'count':>6} {'missed':>7} {'moved':>6} {'p50':>9} {'p99':>9} {'max':>9}  bar"
+        lines = [head]
+        for row in self.rows.values():
+            if row.count:
+                fault = self._faults[row.name]
+                times = _times(row.as_dict())
+                bar = _bar(fault) + (" ms" if fault.bar_ms is not None else "")
+                late = ", MISSED" if bar_held(fault, row.as_dict()) is False else ""
+                lines.append(
+                    f"{row.name:<50} {row.count:>6} {row.missed:>7} {row.motion_after:>6}"
+                    f" {times[0]:>9} {times[1]:>9} {times[2]:>9}  {bar}{late}"
+                )
+        lines += [f"{row.name:<50} not here: {row.skipped}" for row in self.rows.values() if row.skipped]
+        lines.append(
+            "\nTimes in ms, from the fault (or what the table counts from) to the arrival of the first stop frame"
+        )
+        lines.append(
+            "that the board executes; moved: motion frames after it and before the next enable. Of the arm's: to"
+        )
+        lines.append("the last joint at rest; moved: moves of its servos after its stop.")
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, as in `--json`."""
+        machine = {
+            **facts(),
+            "took_s": round(time.monotonic() - self.begun_s),
+            "conditions": conditions(self._begun_ticks),
+        }
+        totals = {field: self.total(field) for field in ("count", "missed", "motion_after", "wrong")}
+        rows = [row.as_dict() for row in self.rows.values()]
+        told = {"machine": machine, "board": self.board, "seed": self.seed}
+        return {**told, **totals, "rows": rows, "stories": self.stories}
+
+
+def processor_ticks() -> tuple[int, int]:
+    """(all, withheld by the host) of the processors' time so far, in ticks; zeros where the kernel does not say."""
+    try:
+        with open("/proc/stat", encoding="ascii") as file:
+            ticks = [int(word) for word in file.readline().split()[1:9]]
+    except (OSError, ValueError):
+        return 0, 0
+    return sum(ticks), ticks[7] if len(ticks) > 7 else 0
+
+
+def conditions(begun: tuple[int, int]) -> str:
+    """What decides how late a stop is, of the machine since then, in words."""
+    (all_before, stolen_before), (now, stolen) = begun, processor_ticks()
+    share = (stolen - stolen_before) / max(1, now - all_before)
+    with rights.realtime(1) as granted:
+        found = "with real-time rights" if granted else "without real-time rights"
+    return f"{found}, load {os.getloadavg()[0]:.1f}, {share:.1%} of the processors' time withheld by the host"
+
+
+def bar_held(fault: Fault | ArmFault, row: dict[str, Any]) -> bool | None:
+    """Whether the p99 of a row kept its bar; None: it has no bar, or nothing was measured."""
+    p99_ms = row.get("p99_ms")
+    return None if fault.bar_ms is None or p99_ms is None else bool(p99_ms <= fault.bar_ms)
+
+
+def kept(faults: dict[str, Fault | ArmFault], measured: dict[str, dict[str, Any]]) -> str:
+    """How many rows kept their bars, and which did not."""
+    judged = {name: bar_held(fault, measured.get(name, {})) for name, fault in faults.items()}
+    late = [name for name, verdict in judged.items() if verdict is False]
+    count = sum(verdict is not None for verdict in judged.values())
+    named = f", all but {', '.join(late)}" if late else ""
+    return f"{count - len(late)} of {count} rows with a bar kept it{named}"
+
+
+def _bar(fault: Fault | ArmFault) -> str:
+    if fault.bar_ms is None:
+        return "refused" if isinstance(fault, ArmFault) else "no stop"
+    return f"{fault.bar_ms:g}"
+
+
+def _times(row: dict[str, Any]) -> tuple[str, str, str]:
+    found = [row.get(name) for name in ("p50_ms", "p99_ms", "max_ms")]
+    a, b, c = ("-" if value is None else f"{value:.2f}" for value in found)
+    return a, b, c
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """docs/dev/faults.md: the table, with what a campaign measured beside each row; of another board its rows."""
+    board = result.get("board", BOARDS[0])
+    of, known = "" if board == BOARDS[0] else f", board {board}", rows_of(traits_of(board)).values()
+    measured = {row["name"]: row for row in result["rows"]}
+    machine = result["machine"]
+    lines = [
+        "# Faults",
+        "",
+        "What goes wrong, who stops first, what stays latched and what clears it. Generated by",
+        "`failstop chaos --markdown` from `lab/failstop_lab/faults/table.py`: do not edit. Each row is a test",
+        "(`tests/faults/test_table.py`; some that kill several processes at once in `make campaigns` alone)",
+        "and is drawn by the random campaign of `failstop chaos`. The simulated board",
+        "judges, on its side of the wire: the first stop frame that it executes after the fault, and no motion frame",
+        "from there to the next enable, while the client goes on commanding.",
+        "",
+        f"Measured {machine['date']}{of}: {machine['cores']}-core {machine['machine']}, kernel {machine['kernel']}, "
+        f"Python {machine['python']}, failstop {machine['version']}; {result['count']} faults in "
+        f"{machine['took_s']} s, seed {result['seed']}: **{result['missed']} stops missed, "
+        f"{result['motion_after']} motion frames after a stop, {result['wrong']} not as the table says**.",
+        "",
+        f"**{kept(rows_of(traits_of(board)), measured)}.** Of this campaign {machine.get('conditions', UNRECORDED)}.",
+        "",
+        *CONDITIONS,
+        "",
+        "Times are in ms from the fault, or from what the row says, to the arrival of the last byte of that stop",
+        "frame. What is latched is a row of [causes.md](../causes.md) with its first",
+        "arguments, and the journal tells of it; what is said besides is in that column. Where nothing is latched",
+        "after a new start, motion is disabled. Clearing moves no wheel, but where it comes *by itself*.",
+        "What is *not here* this machine could not bring about: `make vm` puts one to sleep and steps its clock",
+        "([usb.md](usb.md)).",
+        "",
+        *LEASES,
+    ]
+    for event in FAULT_CLASSES:
+        rows = [fault for fault in known if isinstance(fault, Fault) and fault.event == event]
+        if not rows:
+            continue  # this board can have none of them
+        lines += ["", f"## {event[0].upper()}{event[1:]}", ""]
+        lines += _head("row", "cause", "first to stop", "latched", "cleared", "said", *COLUMNS)
+        lines += [_line(fault, measured.get(fault.name, {})) for fault in rows]
+    lines += [
+        *("", "## The arm moves", ""),
+        "From the fault to the last moment at which a joint turns, by the word of the servos. *refused*: motion",
+        "is not enabled, and no wheel turns. From `lab/failstop_lab/faults/arm_table.py`, each row a test in",
+        "`tests/faults/test_arm_rows.py`.",
+    ]
+    lines += ["", *_head("row", "cause", "first to stop", "latched", "cleared", *COLUMNS)]
+    for fault in known:
+        if isinstance(fault, ArmFault):
+            row = measured.get(fault.name, {})
+            cells = (str(row.get("count", 0)), *_times(row), _bar(fault), _held(fault, row))
+            lines.append(f"{fault.described()} {' | '.join(cells)} |")
+    lines += other_boards() if board == BOARDS[0] else []
+    lines += ["", "## Beyond this side of the wire", "", "| what | what helps |", "|---|---|"]
+    lines += [f"| {what} | {helps} |" for what, helps in BEYOND]
+    return "\n".join(lines) + "\n"
+
+
+def other_boards() -> list[str]:
+    """The part of the page on rows and bars of another board."""
+    by_need: dict[str, list[str]] = {}
+    for fault in table.TABLE:
+        for part in fault.needs:
+            by_need.setdefault(part, []).append(f"`{fault.name}`")
+    by_need[HAS_ARM] = ["all of *The arm moves*"]
+    beside = ", ".join(f"`{name}`" for name in arm_table.BESIDE_BY_NAME)
+    by_need[HAS_ARM_BESIDE] = [f"{beside}, while the wheels turn too: judged are both, and that no servo lets go"]
+    return [
+        *("", "## Another board", ""),
+        "`failstop chaos --board NAME`, or the path of an own board's folder, injects the same rows at that board,",
+        f"judged by its receiver. Each bar is {BAR_NS / 1e6:g} ms later, for the board's own line and loop (`BAR_NS`",
+        "of `lab/failstop_lab/boards/line.py`, to which `tests/boards` holds each receiver). A row is absent where a",
+        "board has not what the row needs; `lab/failstop_lab/boards/traits.py` tells that by its description. A few",
+        "rows of each board are in `make test` (`tests/faults/test_every_board.py`), all in `make campaigns`; `make",
+        "chaos BOARD=NAME` draws them.",
+        *("", "| needs | rows |", "|---|---|"),
+        *(f"| {part} | {', '.join(by_need[part])} |" for part in PARTS if part in by_need),
+    ]
+
+
+def described(fault: Fault) -> str:
+    """The part of a row that nothing is measured for."""
+    latched, logged = _code(told(fault.latched)), _code(fault.logged)
+    return f"| `{fault.name}` | {fault.cause} | {fault.first} | {latched} | {fault.cleared} | {logged} |"
+
+
+def _line(fault: Fault, row: dict[str, Any]) -> str:
+    counted = "" if fault.counted_from == "the fault" else f" (from {fault.counted_from})"
+    count = row.get("count") or ("not here" if row.get("skipped") else 0)
+    return f"{described(fault)} {' | '.join((str(count), *_times(row), _bar(fault) + counted, _held(fault, row)))} |"
+
+
+def _head(*columns: str) -> list[str]:
+    return [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
+
+
+def _held(fault: Fault | ArmFault, row: dict[str, Any]) -> str:
+    return {True: "yes", False: "**no**", None: "-"}[bar_held(fault, row)]
+
+
+MEASURED = re.compile(
+    r"Measured (?P<date>\S+): (?P<cores>\d+)-core (?P<machine>\S+), kernel (?P<kernel>\S+), Python (?P<python>\S+), "
+    r"failstop (?P<version>\S+); (?P<count>\d+) faults in (?P<took_s>\d+) s, seed (?P<seed>\d+): "
+    r"\*\*(?P<missed>\d+) stops missed, (?P<motion_after>\d+) motion frames after a stop, (?P<wrong>\d+) not as"
+)
+OF_THIS = re.compile(r"\*\* Of this campaign (.*)\.$", re.M)
+
+
+def result_of(page: str) -> dict[str, Any]:
+    """The result of a campaign at the first board, as far as its page has it. Raises ValueError."""
+    told = MEASURED.search(page)
+    if told is None:
+        raise ValueError("the page does not say what was measured")
+    found = {key: int(text) if text.isdigit() else text for key, text in told.groupdict().items()}
+    machine = {key: found.pop(key) for key in ("date", "cores", "machine", "kernel", "python", "version", "took_s")}
+    if (of_this := OF_THIS.search(page)) and of_this[1] != UNRECORDED:
+        machine["conditions"] = of_this[1]
+    rows, columns = [], list[str]()
+    for line in page.splitlines():
+        cells = [cell.strip() for cell in line.strip("| ").split(" | ")]
+        if line.startswith("| row |"):
+            columns = cells
+        elif line.startswith("| `") and len(cells) == len(columns):
+            row = dict(zip(columns, cells, strict=True))
+            numbers = {f"{name}_ms": float(row[name]) for name in ("p50", "p99", "max") if row[name] != "-"}
+            count = {"count": int(row["n"])} if row["n"].isdigit() else {"count": 0, "skipped": row["n"]}
+            rows.append({"name": row["row"].strip("`"), **count, **numbers})
+    return {**found, "machine": machine, "rows": rows}
+
+
+def remade(page: str) -> str:
+    """The page with the rows and bars of the tables as they are now, and what was measured as it says itself."""
+    return markdown(result_of(page))
+
+
+def _code(text: str) -> str:
+    return f"`{text}`" if text else "nothing"

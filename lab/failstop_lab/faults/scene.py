@@ -1,0 +1,145 @@
+"""Where faults happen: a trial with the settings of a campaign, its driving client, and the part of systemd."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import tempfile
+
+from failstop import helpers
+from failstop.api.errors import FailstopError
+from failstop.config import checked, read
+from failstop.messages.layout import SUPERVISOR
+from failstop.policy.layouts import BOARDS
+from failstop.supervisor import status
+from failstop_lab.boards.traits import traits_of
+from failstop_lab.faults.arm import ArmTrial
+from failstop_lab.faults.driving import INTERLOCK, WHOLE_S, Driver
+from failstop_lab.sim.client import SimBoard
+from failstop_lab.stand import Stand
+from failstop_lab.trial import Trial, TrialError, write_settings
+
+SETTINGS: dict[str, object] = {
+    "restart.deaths": 100_000,
+    "restart.backoff_s": 0.001,
+    "battery.log": "on",
+    "battery.log_s": 1.0,
+    "battery.directory": "",
+    f"interlocks.{INTERLOCK}.timeout_s": 0.5,
+    status.LEASE: status.LEASE_S,
+}
+"""Of a campaign, over the user's: so many deaths are no crash loop here, and the lease is that of the bars, whatever
+rights the service has."""
+GONE_S = 5.0
+
+
+class Scene(Stand):
+    """A context manager. `chance` is the injector's source of random choices."""
+
+    board: SimBoard
+
+    def __init__(self, name: str, config: str | None = None, kind: str = BOARDS[0]) -> None:
+        """`config`: a TOML file whose settings hold beside those of a campaign; `kind`: the board's. Raises
+        SettingError."""
+        self.traits = traits_of(kind)
+        self.chance = random.Random(0)
+        self.was_turning = False
+        """The board's word just before the fault."""
+        self._folder = tempfile.TemporaryDirectory(prefix="failstop-chaos-")
+        self._config = os.path.join(self._folder.name, "chaos.toml")
+        theirs = read(config)
+        checked(theirs, config)  # values that a campaign overrides are refused too
+        write_settings(self._config, {**theirs, **SETTINGS, **self.traits.settings})
+        self._tool: subprocess.Popen[bytes] | None = None
+        self._arm: ArmTrial | None = None
+        self._take_new(name)
+
+    def _take_new(self, name: str) -> None:
+        """A board, a service and a driving client that nothing was done to."""
+        self.trial = Trial(name, ("--config", self._config), kind=self.traits.kind)
+        super().__init__(self.trial.service, Driver(name), self.trial.board)
+
+    @property
+    def arm(self) -> ArmTrial:
+        """A board and a service of their own, with an arm; from when they are asked for first."""
+        if self._arm is None:
+            self._arm = ArmTrial(f"{self.name}-arm", kind=self.traits.kind)
+            self._arm.__enter__()
+        return self._arm
+
+    def renew_arm(self) -> None:
+        """The next one is new."""
+        if self._arm:
+            self._arm.close()
+            self._arm = None
+
+    def __enter__(self) -> Scene:
+        self.trial.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+        self._folder.cleanup()
+
+    def close(self) -> None:
+        """End everything, whatever state it is in."""
+        self.renew_arm()
+        self._end_tool()
+        process = self.service.process
+        self.service.signal_known(signal.SIGCONT)
+        if process and process.poll() is None and self._stopped_by_fault():
+            self.service.kill()
+        self.end()
+        self.trial.close()
+
+    def _stopped_by_fault(self) -> bool:
+        """Whether the service is too damaged to end in order."""
+        try:
+            return self.driver.robot.state.processes[SUPERVISOR].age_s > 0.5
+        except FailstopError:
+            return True
+        finally:
+            self.driver.leave()
+
+    def renew(self) -> None:
+        """A new board and a new service, after a fault that this one did not get over."""
+        self.close()
+        self._take_new(self.name)
+        self.trial.__enter__()
+
+    @property
+    def whole_s(self) -> float:
+        """A service is whole within so long, on a board that may be deaf first."""
+        return WHOLE_S + self.traits.deaf_ns / 1e9
+
+    # The part of systemd.
+
+    def start_stop_tool(self) -> None:
+        """Do as ExecStopPost does, once the supervisor is gone."""
+        if self.service.process:
+            self.service.process.wait(GONE_S)
+        command = helpers.python("failstop", "stop", "--device", self.trial.link, "--wait", "5")
+        self._tool = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+
+    def wait_for_stop_tool(self) -> None:
+        """Go on commanding until the stop tool has ended. Raises TrialError when it failed."""
+        if tool := self._tool:
+            self.driver.until("the stop tool to end", lambda: tool.poll() is not None)
+            self._tool = None
+            if tool.returncode:
+                raise TrialError(f"the stop tool ended with exit code {tool.returncode}")
+
+    def _end_tool(self) -> None:
+        if self._tool:
+            self._tool.kill()
+            self._tool.wait()
+            self._tool = None
+
+    def restart(self) -> None:
+        """End what is left of the run, as systemd does, and start a new one; the clients go on commanding."""
+        self.bury()
+        self.service.exec()
+        self.driver.until("the service to be ready again", self.service.ready, self.whole_s)
+        self.driver.leave()

@@ -1,0 +1,63 @@
+"""Steps: what a row of the fault table does to processes - killed, stopped, continued, put into an endless loop."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import random
+import signal
+import time
+from collections.abc import Callable
+
+from failstop_lab.faults import ptrace
+from failstop_lab.faults.fault import CONTINUE, CRASH, HANG, KILL, SPIN, Fault
+from failstop_lab.trial import is_ours
+
+SIGNALS = {KILL: signal.SIGKILL, CRASH: signal.SIGSEGV, HANG: signal.SIGSTOP}
+APART_S = 0.005
+STOPPED_ON_S = (0.04, 0.14)
+"""How long the hung stay stopped after the stop is due: less than it takes to fence them."""
+
+
+class Steps:
+    """The steps of one injection: together or within 5 ms, in any order; what is continued was stopped for longer."""
+
+    def __init__(self, fault: Fault, chance: random.Random, kill: Callable[[int, int], None] = os.kill) -> None:
+        """`kill`: what sends a signal."""
+        self._fault = fault
+        self._chance = chance
+        self._kill = kill
+        self._order = list(fault.steps)
+        chance.shuffle(self._order)
+        self._order.sort(key=lambda step: step[0] == CONTINUE)
+
+    def take(self, pids: dict[str, int], wait: Callable[[float], object]) -> int:
+        """Take them; `wait` lets the clients go on for so many seconds. Returns when it began (CLOCK_MONOTONIC ns)."""
+        spread_s = self._chance.choice((0.0, APART_S)) / max(1, len(self._order) - 1)
+        begun_ns = time.monotonic_ns()
+        for number, (action, process) in enumerate(self._order):
+            if action == CONTINUE and self._order[number - 1][0] != CONTINUE:
+                wait((self._fault.bar_ms or 0.0) / 1000 + self._chance.uniform(*STOPPED_ON_S))
+            elif number and spread_s:
+                time.sleep(self._chance.uniform(0.0, spread_s))
+            self._do(action, pids[process])
+        return begun_ns
+
+    def undo(self, pids: dict[str, int]) -> None:
+        """Continue what is still stopped."""
+        for process in self._fault.struck(HANG):
+            if process in pids and is_ours(pids[process]):
+                self._do(CONTINUE, pids[process])
+
+    def _do(self, action: str, pid: int) -> None:
+        if pid <= 0:  # it has just died by itself; to a signal, 0 is everybody here
+            raise ProcessLookupError(errno.ESRCH, "the process is not running")
+        if action == SPIN:
+            ptrace.spin(pid)
+        elif action == CONTINUE:
+            # It may have been fenced.
+            with contextlib.suppress(ProcessLookupError):
+                self._kill(pid, signal.SIGCONT)
+        else:
+            self._kill(pid, SIGNALS[action])

@@ -1,0 +1,213 @@
+"""Card: what a probe found, as text, as JSON, and as a picture to post (SVG)."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import time
+from collections.abc import Sequence
+from typing import Any
+from xml.sax.saxutils import escape
+
+from failstop.cli import style
+from failstop.cli.style import cells, cut
+from failstop.version import VERSION
+from failstop_lab.probe.judge import NEVER_S
+
+COLUMNS = 78
+TITLE = "Does this robot stop?"
+FORMATS = (".txt", ".json", ".svg")
+GOOD_S, BAD_S = 0.5, 2.0
+"""Up to the one a time is shown green, from the other on red."""
+SHARP_S = 0.03
+"""A time that is not known as well as that is shown with how well it is."""
+GREEN, AMBER, RED, GREY = "#1a7f37", "#bc4c00", "#cf222e", "#6e7781"
+LINE, WIDTH, MARGIN, TIMES_AT, BY_AT = 34, 760, 32, 450, 570
+VALUE, REASON = 64, 92
+"""Letters of a value in the picture, and of why the probe ended."""
+EARLY = "Ended early: "
+RECKON = "Wheels off the ground. On the ground a base goes on for longer."
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One way in which what drives the robot fails."""
+
+    name: str
+    words: str
+    stands_s: float | None = None
+    """From the failure to wheels at rest; None: they turned until the probe stopped them, or nobody saw."""
+    by: str = ""
+    """How it was judged."""
+    skipped: str = ""
+    """Why it was not done; empty: it was."""
+    note: str = ""
+    within_s: float = 0.0
+    """Give or take so much: half of the time between the two reports that the rest is between."""
+    cause_ns: int = 0
+    """When it failed (CLOCK_MONOTONIC)."""
+
+    @property
+    def found(self) -> str:
+        """For people: the time, never, or that it was not done."""
+        if self.skipped:
+            return "not tried"
+        return "never" if self.stands_s is None else f"{self.stands_s:.2f} s"
+
+    @property
+    def remark(self) -> str:
+        """For people: what else is to be said; empty: nothing."""
+        late = f"give or take {self.within_s:.2f} s: its reports came late" if self.within_s > SHARP_S else ""
+        return self.note or late
+
+    @property
+    def colour(self) -> str:
+        """In the picture."""
+        if self.skipped:
+            return GREY
+        if self.stands_s is None or self.stands_s >= BAD_S:
+            return RED
+        return GREEN if self.stands_s <= GOOD_S else AMBER
+
+
+@dataclasses.dataclass
+class Card:
+    """Everything of one probe."""
+
+    robot: str
+    board: str
+    firmware: str
+    driver: str
+    rows: list[Row] = dataclasses.field(default_factory=list)
+    ended: str = ""
+    """Why it ended before its end; empty: it did not."""
+    begun_unix_s: float = dataclasses.field(default_factory=time.time)
+
+    @property
+    def day(self) -> str:
+        """When it was made."""
+        return time.strftime("%Y-%m-%d", time.gmtime(self.begun_unix_s))
+
+    @property
+    def tried(self) -> list[Row]:
+        """The rows that were done."""
+        return [row for row in self.rows if not row.skipped]
+
+    @property
+    def verdict(self) -> str:
+        """A sentence of all of it."""
+        never = [row for row in self.tried if row.stands_s is None]
+        if not self.tried:
+            return "Nothing was tried."
+        if never:
+            return f"It does NOT stop in {len(never)} of {len(self.tried)} failures: it drove on for {NEVER_S:g} s."
+        late = "It stops LATE" if self.slowest_s >= BAD_S else "It stops"
+        failures = f"each of {len(self.tried)} failures" if len(self.tried) > 1 else "the one failure tried"
+        return f"{late}: within {self.slowest_s:.2f} s of {failures}."
+
+    @property
+    def slowest_s(self) -> float:
+        """Of the rows that stopped."""
+        return max((row.stands_s or 0.0 for row in self.tried), default=0.0)
+
+    def heads(self) -> list[tuple[str, str]]:
+        """The things that were probed."""
+        pairs = [("robot", self.robot), ("board", self.board), ("firmware", self.firmware), ("driver", self.driver)]
+        return [
+            *((name, what or "not said") for name, what in pairs),
+            ("made", f"{self.day}, failstop probe {VERSION}"),
+        ]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For programs."""
+        head = dict(self.heads())
+        rows = [
+            {
+                "row": row.name,
+                "failure": row.words,
+                "stands_s": None if row.stands_s is None else round(row.stands_s, 3),
+                "never": not row.skipped and row.stands_s is None,
+                "judged_by": row.by,
+                "skipped": row.skipped,
+                "failed_at_monotonic_s": round(row.cause_ns / 1e9, 6),
+                "give_or_take_s": round(row.within_s, 3),
+                "note": row.note,
+            }
+            for row in self.rows
+        ]
+        return {**head, "never_after_s": NEVER_S, "verdict": self.verdict, "ended": self.ended, "rows": rows}
+
+    def text(self) -> str:
+        """For people, in a terminal of 80 columns."""
+        edge = "+" + "-" * COLUMNS + "+"
+        lines = [edge, _boxed(TITLE), *(_boxed(f"{name:<9} {what}") for name, what in self.heads()), edge]
+        lines.append(_boxed(f"{'what failed':<40} {'wheels stand':>13}  judged by"))
+        for row in self.rows:
+            lines.append(_boxed(f"{row.words:<40} {row.found:>13}  {row.by or row.skipped}"))
+            lines += [_boxed(f"  {row.remark}")] if row.remark else []
+        lines += [edge, _boxed(self.verdict), _boxed(RECKON)]
+        ended = style.wrap([(f"{EARLY}{self.ended}", style.PLAIN)], COLUMNS - 2, 2) if self.ended else []
+        lines += [_boxed(style.plain(line)) for line in ended]
+        return "\n".join([*lines, edge]) + "\n"
+
+    def svg(self) -> str:
+        """A picture."""
+        y = 56
+        parts = [_said(MARGIN, y, TITLE, size=26, weight="bold")]
+        y += 12
+        for name, what in self.heads():
+            y += 24
+            parts += [_said(MARGIN, y, name, colour=GREY, size=15), _said(MARGIN + 100, y, cut(what, VALUE), size=15)]
+        y += 28
+        parts.append(f'<line x1="{MARGIN}" y1="{y}" x2="{WIDTH - MARGIN}" y2="{y}" stroke="#d0d7de"/>')
+        y += 24
+        for x, head in ((MARGIN, "what failed"), (TIMES_AT, "wheels stand"), (BY_AT, "judged by")):
+            parts.append(_said(x, y, head, colour=GREY, size=13))
+        for row in self.rows:
+            y += LINE
+            parts += [
+                _said(MARGIN, y, row.words, size=18),
+                _said(TIMES_AT, y, row.found, colour=row.colour, size=18, weight="bold"),
+                _said(BY_AT, y, row.by or row.skipped, colour=GREY, size=13),
+            ]
+            if row.remark:
+                y += 20
+                parts.append(_said(MARGIN, y, row.remark, colour=GREY, size=13))
+        y += 26
+        parts.append(f'<line x1="{MARGIN}" y1="{y}" x2="{WIDTH - MARGIN}" y2="{y}" stroke="#d0d7de"/>')
+        never = not self.tried or any(row.stands_s is None for row in self.tried)
+        colour = RED if never else AMBER if self.slowest_s >= BAD_S else GREEN
+        parts.append(_said(MARGIN, y + 36, self.verdict, colour=colour, size=20, weight="bold"))
+        parts.append(_said(MARGIN, y + 62, RECKON, colour=GREY, size=14))
+        if self.ended:
+            y += 26
+            parts.append(_said(MARGIN, y + 62, cut(f"{EARLY}{self.ended}", REASON), colour=RED, size=14))
+        height = y + 86
+        frame = f'<rect width="{WIDTH}" height="{height}" rx="14" fill="#ffffff" stroke="#d0d7de"/>'
+        head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{height}" font-family="sans-serif">'
+        return "\n".join([head, frame, *parts, "</svg>", ""])
+
+    def save(self, base: str) -> list[str]:
+        """Write base.txt, base.json and base.svg; returns their paths. Raises OSError."""
+        made = {".txt": self.text(), ".json": json.dumps(self.as_dict(), indent=1) + "\n", ".svg": self.svg()}
+        os.makedirs(os.path.dirname(os.path.abspath(base)), exist_ok=True)
+        for end in FORMATS:
+            with open(base + end, "w", encoding="utf-8") as file:
+                file.write(made[end])
+        return [base + end for end in FORMATS]
+
+
+def _boxed(line: str) -> str:
+    shown = cut(line, COLUMNS - 2)
+    return f"| {shown}{' ' * (COLUMNS - 2 - cells(shown))} |"
+
+
+def _said(x: int, y: int, text: str, *, colour: str = "#1f2328", size: int, weight: str = "normal") -> str:
+    look = f'font-size="{size}" font-weight="{weight}" fill="{colour}"'
+    return f'<text x="{x}" y="{y}" {look}>{escape(text)}</text>'
+
+
+def rows_in_order(rows: Sequence[Row], names: Sequence[str]) -> list[Row]:
+    """The rows by these names."""
+    return sorted(rows, key=lambda row: names.index(row.name))

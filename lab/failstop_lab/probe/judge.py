@@ -1,0 +1,85 @@
+"""Judge: when the wheels came to rest, by what a board or an odometry reports, or by a person's key. Pure but for the
+key.
+
+A rest is between two reports: the first of those that all say the same place and no speed, and the one before it.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import sys
+from collections.abc import Sequence
+
+from failstop.procs.telemetry.readback import AT_REST
+from failstop_lab.prove import shake
+from failstop_lab.prove.shake import Noise
+from failstop_lab.prove.sight import SeenSample
+
+NEVER_S = 10.0
+"""Wheels that turn for longer than this never stop, as far as a person near them is concerned."""
+RESTS_S = 0.5
+"""A rest lasts for so long before it is believed."""
+NS = 1e9
+OWN_WORD, GYRO, PERSON, ODOMETER, ROS_IMU = "board's wheels", "board's IMU", "a person's key", "odometry", "IMU"
+
+
+class Shaking:
+    """How the gyro tells rest from turning on this robot."""
+
+    def __init__(self, still: Noise, spinning: Noise) -> None:
+        self.still, self.spinning = still, spinning
+
+    def rest_ns(self, samples: Sequence[SeenSample]) -> int | None:
+        """The first sample of the rest; None: they shake to the end."""
+        return shake.rest_ns(samples, self.still, self.spinning)
+
+    @property
+    def least(self) -> float:
+        """The least shaking that is turning, rad/s: midway between the loudest rest and the quietest turning."""
+        return math.sqrt(self.still.most * self.spinning.least)
+
+    @property
+    def tells(self) -> bool:
+        """Whether the two can be told apart."""
+        return self.still.most < self.spinning.least
+
+
+def rest_ns(samples: Sequence[SeenSample]) -> int | None:
+    """The first report of the rest in which the samples end; None: they end in a turn, or there are none."""
+    found = None
+    last: tuple[float, ...] | None = None
+    for t_ns, speeds, positions in reversed(samples):
+        # A driver that was sent NaN may report it: as a speed it is no rest, as a place it is nowhere ever after.
+        places = tuple(place for place in positions if not math.isnan(place))
+        if not all(abs(speed) <= AT_REST for speed in speeds) or (last is not None and places != last):
+            break
+        if not speeds and not places:
+            continue
+        last = places
+        found = t_ns
+    return found
+
+
+def dated(samples: Sequence[SeenSample], cause_ns: int, rest: int) -> tuple[float, float]:
+    """After how many seconds the wheels came to rest, give or take how many: between the last report that came before
+    `rest`, the first of the rest, and that one. Reports that had waited are read one right after the other, and count
+    as one."""
+    unseen = shake.blind_ns(samples, cause_ns, rest, 0)
+    return max(0.0, rest - unseen / 2 - cause_ns) / NS, unseen / 2 / NS
+
+
+def believed(samples: Sequence[SeenSample], rest: int | None) -> bool:
+    """Whether the rest has lasted."""
+    return rest is not None and samples[-1][0] - rest >= RESTS_S * NS
+
+
+def key_pressed() -> bool:
+    """Whether a person has pressed Enter since the last look."""
+    pressed = False
+    while select.select([sys.stdin], [], [], 0)[0]:
+        if not os.read(sys.stdin.fileno(), 4096):
+            break
+        pressed = True
+    return pressed

@@ -1,0 +1,52 @@
+"""Pace: how fast the wheels turned beside what they were told, by the board's raw reports. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import median
+
+from failstop.board.interface import Board, WheelReports
+from failstop.policy import kinematics, scale
+from failstop.policy.settings import Settings
+from failstop_lab.prove.sight import SeenSample
+from failstop_lab.prove.table import Turning
+
+ROUNDING = 1.0005
+"""The gate's, of the fastest wheel."""
+TURNS_RPS = 0.02
+"""A wheel that is told less is not compared."""
+
+
+def told_rps(settings: Settings, velocity: Turning, board: Board) -> tuple[float, ...]:
+    """The speed that each wheel is told at this velocity, by wire id, as the board's frame has it: in whole units."""
+    chassis = kinematics.from_settings(settings)
+    speeds = chassis.wheels_rps(*velocity.command)
+    sent = board.speeds(board.motor_speeds(speeds, kinematics.max_wheel_rps(settings) * ROUNDING))
+    speeds = speeds if sent is None else tuple(sent)
+    return speeds[:-1] if chassis.steers else speeds
+
+
+def measured(samples: Sequence[SeenSample], reports: WheelReports, told: Sequence[float]) -> float | None:
+    """Measured speed over the told one, of the wheels that turn; None: the reports share the scale of the commands, or
+    say no speeds."""
+    if not (reports.own_scale and reports.speed_per_rps):
+        return None
+    found = [
+        speed / reports.speed_per_rps / wanted
+        for _, speeds, _ in samples
+        for speed, wanted in zip(speeds, told, strict=False)
+        if speed and abs(wanted) >= TURNS_RPS
+    ]
+    return median(found) if found else None
+
+
+def of_simulated(true_rps: Sequence[float], told: Sequence[float], per_rps: float) -> tuple[str, ...]:
+    """What a simulated board, which knows its wheels, says of the scale in the settings; empty: it fits."""
+    found = [true / wanted for true, wanted in zip(true_rps, told, strict=False) if abs(wanted) >= TURNS_RPS]
+    ratio = median(found) if found else 0.0
+    if ratio <= 0 or scale.near(ratio, scale.WHEELS_FIT[True]):
+        return ()
+    return (
+        f"THE SIMULATED WHEELS TURN {ratio:.2g} TIMES AS FAST AS TOLD: this simulated board has board.per_rps = "
+        f"{per_rps / ratio:.4g}, the settings say {per_rps:.4g}, and reports that share the setting can't show it",
+    )

@@ -1,0 +1,172 @@
+"""Evidence pack: one page that opens without a network, with the record of a stand test inside it and beside it.
+
+The page is made from the record alone, so the same record is the same page to the byte, and a page that somebody has
+changed is no longer that of its record. With a key, OpenSSH signs it (`ssh-keygen -Y sign`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import html
+import json
+import os
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from failstop.api.errors import FailstopError
+from failstop.api.words import printable
+from failstop_lab.case.assumptions import ASSUMPTIONS
+
+NAMESPACE = "failstop"
+"""The purpose that a signature is bound to."""
+RECORD = re.compile(r'<script type="application/json" id="record">(.*?)</script>', re.DOTALL)
+COLUMNS = (
+    ("path", "stop path"),
+    ("velocity", "velocity"),
+    ("verdict", "result"),
+    ("written_ms", "written, ms"),
+    ("written_bar_ms", "bar, ms"),
+    ("acknowledged_ms", "acknowledged, ms"),
+    ("rest_s", "at rest, s"),
+    ("rest_bar_s", "bar, s"),
+    ("latched", "latched"),
+)
+STYLE = """\
+body{font:16px/1.45 system-ui,sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem;color:#1a1a1a;background:#fff}
+h1{font-size:1.6rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .4rem}
+.verdict{display:inline-block;padding:.3rem .8rem;border-radius:.3rem;color:#fff;font-weight:700;background:#b00020}
+.PASS .verdict{background:#1b6e3c}table{border-collapse:collapse;width:100%;font-size:.88rem}
+th,td{text-align:left;padding:.3rem .5rem;border-bottom:1px solid #ddd;vertical-align:top}
+td.n{text-align:right;font-variant-numeric:tabular-nums}code{overflow-wrap:anywhere;font-size:.85rem}
+.wide{overflow-x:auto}@media print{body{margin:0}}
+"""
+
+
+def code_digest() -> str:
+    """SHA-256 of the source of failstop and its laboratory, as they ran, by the names of their modules."""
+    import failstop
+    import failstop_lab
+
+    digest = hashlib.sha256()
+    roots = [Path(package.__file__ or "").resolve().parent for package in (failstop, failstop_lab)]
+    found = {
+        os.path.relpath(os.path.join(folder, name), root.parent): os.path.join(folder, name)
+        for root in roots
+        for folder, _, names in os.walk(root, followlinks=True)
+        for name in names
+        if name.endswith(".py")
+    }
+    for name, path in sorted(found.items()):
+        digest.update(f"{name}\0{len(data := Path(path).read_bytes())}\0".encode() + data)
+    return digest.hexdigest()
+
+
+def canonical(record: dict[str, Any]) -> str:
+    """The record as JSON that is the same for the same values."""
+    return json.dumps(record, sort_keys=True, separators=(",", ":"))
+
+
+def page(record: dict[str, Any]) -> str:
+    """The whole page of a record."""
+    data = canonical(record)
+    digest = hashlib.sha256(data.encode()).hexdigest()
+    verdict = html.escape(str(record["verdict"]))
+    machine = f"{record['machine']}, {record['cores']} cores, kernel {record['kernel']}, Python {record['python']}"
+    facts = [
+        ("when", record["begun"]), ("failstop", record["version"]), ("code", record["code_sha256"]),
+        ("settings", record["settings_sha256"]), ("machine", machine),
+        ("board", f"{record['board']} at {record['device']}{' (SIMULATED)' if record['simulated'] else ''}"),
+        ("real-time rights", "yes" if record["realtime"] else "no: the bars are longer"), ("this record", digest),
+    ]  # fmt: skip
+    parts = [
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width">',
+        f"<title>failstop prove: {verdict}</title><style>{STYLE}</style></head>",
+        f'<body class="{verdict}"><h1>Does this robot stop?</h1><p class="verdict">{verdict}</p>',
+        _paragraphs([record["ended"]] if record["ended"] else []),
+        "<table>", *(f"<tr><th>{name}</th><td>{_code(value)}</td></tr>" for name, value in facts), "</table>",
+        "<h2>Stopping distance</h2>", _paragraphs(record["distances"]),
+        "<h2>Every run</h2><div class=wide><table><tr>", *(f"<th>{head}</th>" for _, head in COLUMNS), "</tr>",
+        *(_row(row) for row in record["rows"]), "</table></div>",
+        "<h2>Not proved here</h2>", _paragraphs([*record["unproved"], record["can_not"]]),
+        "<h2>Assumptions</h2><table>",
+        *(f"<tr><th>{row.name}</th><td>{html.escape(row.says)}<br>If it is wrong: {html.escape(row.wrong)}</td></tr>"
+          for row in ASSUMPTIONS), "</table>",
+        "<h2>Settings</h2><table>",
+        *(f"<tr><th>{html.escape(key)}</th><td>{html.escape(str(value))}</td></tr>"
+          for key, value in sorted(record["settings"].items())), "</table>",
+        # A `<` in a text of the record must not end the script.
+        '<script type="application/json" id="record">', data.replace("<", "\\u003c"), "</script></body></html>\n",
+    ]  # fmt: skip
+    return "".join(parts)
+
+
+def _paragraphs(lines: list[str]) -> str:
+    return "".join(f"<p>{html.escape(line)}</p>" for line in lines)
+
+
+def _code(value: str) -> str:
+    text = html.escape(str(value))
+    return f"<code>{text}</code>" if re.fullmatch("[0-9a-f]{64}", text) else text
+
+
+def _row(row: dict[str, Any]) -> str:
+    cells = []
+    for key, _ in COLUMNS:
+        value = row[key]
+        text = "-" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)
+        cells.append(f"<td{' class=n' if isinstance(value, float) else ''}>{html.escape(text)}</td>")
+    return f"<tr>{''.join(cells)}</tr>"
+
+
+def save(record: dict[str, Any], path: str, key: str | None = None) -> list[str]:
+    """Write the page and, beside it, the record; sign the page with an OpenSSH key. Returns the paths. Raises OSError,
+    and FailstopError where it can't be signed."""
+    beside = f"{os.path.splitext(path)[0]}.json"
+    Path(path).write_text(page(record), "utf-8")
+    Path(beside).write_text(canonical(record) + "\n", "utf-8")
+    if not key:
+        return [path, beside]
+    signature = f"{path}.sig"
+    Path(signature).unlink(missing_ok=True)
+    _openssh(["-Y", "sign", "-f", key, "-n", NAMESPACE, path], f"{path} can't be signed with {key}")
+    return [path, beside, signature]
+
+
+def verified(path: str) -> str:
+    """Tell whether a pack is whole, and of its signature. Raises FailstopError for one that was changed, OSError."""
+    text = Path(path).read_bytes().decode("utf-8", "replace")
+    found = RECORD.search(text)
+    if not found:
+        raise FailstopError(f"{path} is no evidence pack: it has no record")
+    try:
+        record = json.loads(found[1])
+        same = page(record) == text
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise FailstopError(f"{path}: its record can't be read ({printable(str(error))})") from None
+    if not same:
+        raise FailstopError(
+            f"{path} was changed, or is of another version of failstop: it is not the page of its record"
+        )
+    digest = hashlib.sha256(canonical(record).encode()).hexdigest()
+    told = printable(f"{record['verdict']}, {record['begun']}, failstop {record['version']}")
+    words = f"{told}\nrecord {digest}: whole"
+    if not os.path.exists(f"{path}.sig"):
+        return f"{words}\nno signature: whoever has the file may have made it"
+    arguments = ["-Y", "check-novalidate", "-n", NAMESPACE, "-s", f"{path}.sig"]
+    return f"{words}\n{_openssh(arguments, f'{path}.sig is not of this file', text)}"
+
+
+def _openssh(arguments: list[str], failed: str, text: str | None = None) -> str:
+    try:
+        done = subprocess.run(
+            ["ssh-keygen", *arguments], input=text, stdin=None if text else subprocess.DEVNULL, capture_output=True,
+            text=True, check=False, timeout=60,
+        )  # fmt: skip
+    except FileNotFoundError:
+        raise FailstopError(f"{failed}: there is no ssh-keygen here (openssh-client)") from None
+    if done.returncode:
+        raise FailstopError(f"{failed}: {(done.stderr or done.stdout).strip()}")
+    return done.stdout.strip()

@@ -1,0 +1,160 @@
+"""A session on the stand: alone with the board, from the robot's character to the last run, and out by way of wheels at
+rest."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+
+from failstop.api.errors import FailstopError, NoService, Refused
+from failstop.api.robot import Robot
+from failstop.cli import style
+from failstop.doctor.system import System
+from failstop.instances import unit_of
+from failstop.supervisor.status import LEASE
+from failstop_lab.prove import report
+from failstop_lab.prove.arm_run import ArmRun
+from failstop_lab.prove.character import Restless, Unfit, WrongScale, characterize
+from failstop_lab.prove.frozen import FrozenRun
+from failstop_lab.prove.held import repeat
+from failstop_lab.prove.report import Evidence
+from failstop_lab.prove.run import PathRun, Result
+from failstop_lab.prove.sight import Sight
+from failstop_lab.prove.stand import ProveStand
+from failstop_lab.prove.strike import Ask
+from failstop_lab.prove.table import FROZEN, Path, Turning
+from failstop_lab.sim.client import SimBoardError
+from failstop_lab.trial import TrialError
+
+TAKES = 3
+"""Of a row, where the machine spoils it."""
+COMES_TO_REST_S = 1.5
+"""Before the robot is characterized again."""
+NOT_SEEN_AT_REST = "the wheels were not seen to come to rest: if they turn, use the POWER SWITCH"
+
+Runs = Iterable[tuple[Path, Turning, random.Random]]
+"""The plan, and the part of it that is left to chance."""
+
+
+def session(
+    runs: Runs,
+    velocities: Sequence[Turning],
+    stand: ProveStand,
+    *,
+    quick: bool = False,
+    say: Callable[[str], None],
+    ask: Ask | None = None,
+    watcher: Ask | None = None,
+    tool: str = "prove",
+    keep_all: bool = True,
+    width: int = report.NAME,
+) -> Evidence:
+    """Characterize the robot at `velocities`, if there are any, and make the runs, saying rows as they come. Ends at
+    the first wheel that turns on. `stand` is entered here; `ask`: tells a person to press a button; `watcher`: tells
+    one who watches the wheels; `tool`: which command this is; `keep_all`: the samples of the runs that passed, too;
+    `width`: of the paths' names."""
+    begun = stand.held.mark()
+    evidence = Evidence(stand.device, stand.board is not None, False, tool=tool, means=stand.means, user=stand.user)
+    try:
+        with stand:
+            with Robot(stand.name) as robot:
+                evidence.realtime = all(process.realtime for process in robot.state.processes.values())
+                evidence.lease_s = robot.state.lease_s
+            say("\n".join(report.head_lines(evidence)) + "\n")
+            if velocities:
+                evidence.character = _characterize(stand, velocities, quick=quick, say=say)
+            say("\n".join([*report.character_lines(evidence), "", report.head(width)]))
+            # The settings give a lease, or the service's rights do: a bar is never of another one.
+            lease_s = evidence.lease_s if evidence.lease_s != stand.settings[LEASE] else 0.0
+            for path, velocity, chance in runs:
+                asks = watcher if path.kind == FROZEN else ask
+                take = partial(_take, stand, evidence.character, path.leased(lease_s), velocity, asks, chance)
+                result = until_valid(take, lambda invalid: say(report.row(invalid, style.paint, width)))
+                if result.verdict == "PASS" and not keep_all:
+                    result.samples = []
+                evidence.results.append(result)
+                say(report.row(result, style.paint, width))
+                if result.runaway:
+                    evidence.ended = NOT_SEEN_AT_REST
+                    _alarm(NOT_SEEN_AT_REST)
+                    break
+                if result.over:
+                    evidence.ended = result.over
+                    break
+    except KeyboardInterrupt:
+        evidence.ended = report.INTERRUPTED
+    except (TrialError, SimBoardError, FailstopError, OSError) as error:
+        starved = stand.held.starved(begun)
+        evidence.spoiled = bool(starved) and not isinstance(error, (Restless, WrongScale))
+        evidence.ended = f"{repeat(starved)}; {error}" if evidence.spoiled else str(error)
+    if not stand.board:
+        evidence.outcome = stand.outcome
+    return evidence
+
+
+def until_valid(take: Callable[[], Result], spoiled: Callable[[Result], None]) -> Result:
+    """The result of a row, which is taken again where the machine spoils it. `spoiled`: tells of one that it did."""
+    again: list[str] = []
+    while (result := take()).verdict == "INVALID" and not result.over and len(again) + 1 < TAKES:
+        spoiled(result)
+        again.append(result.starved)
+    result.again = again
+    return result
+
+
+def _take(
+    stand: ProveStand, sight: Sight | None, path: Path, velocity: Turning, ask: Ask | None, chance: random.Random
+) -> Result:
+    if path.arm:
+        return ArmRun(stand, path, velocity, sight).take()
+    assert sight
+    run = FrozenRun if path.kind == FROZEN else PathRun
+    return run(stand, sight, path, velocity, ask, chance).take()
+
+
+def _characterize(
+    stand: ProveStand, velocities: Sequence[Turning], *, quick: bool, say: Callable[[str], None]
+) -> Sight:
+    """Measured again where the machine spoils it."""
+    for left in reversed(range(TAKES)):
+        begun = stand.held.mark()
+        try:
+            return characterize(stand, velocities, quick=quick)
+        except Restless as error:
+            _alarm(str(error))
+            raise
+        except Unfit as error:
+            if not (left and (starved := stand.held.starved(begun))):
+                raise
+            say(f"{error}; {repeat(starved)}: it is measured again")
+            stand.driver.robot.disable()
+            stand.run(COMES_TO_REST_S)
+    raise AssertionError("unreachable")
+
+
+def check_free(device: str, *names: str, system: System | None = None) -> None:
+    """Nobody else drives this board, a service of one of these names least of all. Raises Refused with the command that
+    ends whoever does."""
+    system = system or System()
+    node = system.node(device)
+    for name in names:
+        with contextlib.suppress(NoService):
+            served = Robot(name).state.device.path
+            # A simulated board is nobody else's. On a robot the service may be between two openings of this very port.
+            if not (node and node.pseudo and served and os.path.realpath(served) != node.resolved):
+                end = f"sudo systemctl stop {unit_of(name)}"
+                raise Refused(f"the service {name!r} runs, and this test kills what it runs: {end}")
+    if node is None:
+        return  # the run says it, with the devices that are there
+    holders, _ = system.holders(node.resolved)
+    for holder in holders:
+        raise Refused(f"{holder} has {device} open: {holder.end()}")
+
+
+def _alarm(text: str) -> None:
+    """At once, before anything is wound up."""
+    print(style.paint(f"\a{text}", style.FAIL), file=sys.stderr, flush=True)

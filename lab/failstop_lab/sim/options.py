@@ -1,0 +1,136 @@
+"""Options of a simulated board at its start, and the command line for it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from dataclasses import dataclass
+
+from failstop.board.kinds import is_own, wire_of
+from failstop.policy.layouts import BOARDS
+from failstop.policy.settings import BY_KEY
+from failstop_lab.boards.line import model_of
+from failstop_lab.sim.usb.port import VHCI
+
+IMU_HZ = 110.0
+BATTERY_MV = 12_000
+LINK = "/tmp/board"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Settings of one board. `link` is where clients find the port; the control socket is beside it."""
+
+    link: str
+    record: str | None = None
+    imu_hz: float = IMU_HZ
+    battery_mv: int = BATTERY_MV
+    seed: int = 0
+    first_invalid_func: int = 12
+    mode: int | None = None
+    cooked: bool = False
+    board: str = BOARDS[0]
+    """Its kind, as the setting board.kind."""
+    usb: str = ""
+    """Where the plug goes in: `vhci`, or a usbredir host; empty: the port is a pty."""
+    verbose: bool = False
+    until_eof: bool = False
+    per_rps: float = 0.0
+    """One turn a second of its wheels in its own unit; 0: as such boards usually have it."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `failstop sim`."""
+    add = parser.add_argument
+    add(
+        "--device",
+        metavar="LINK",
+        default=LINK,
+        help="where to place the link to the simulated port (default: %(default)s)",
+    )
+    add_board(parser)
+    add(
+        "--per-rps",
+        type=_positive,
+        default=0.0,
+        metavar="N",
+        help="one turn a second of its wheels in its own unit, whatever board.per_rps says: of an Arduino the encoder "
+        "counts of a turn, divided by 30 (default: as such boards usually have it)",
+    )
+    add("--record", metavar="FILE", help="write every chunk, frame and fault to FILE, one JSON object per line")
+    add(
+        "--imu-hz",
+        type=_rate_hz,
+        default=IMU_HZ,
+        metavar="N",
+        help="IMU frames per second, 0 for none (default %(default)g)",
+    )
+    add("--battery-mv", type=_millivolts, default=BATTERY_MV, metavar="N", help="battery, mV (default %(default)s)")
+    add("--seed", type=int, default=0, metavar="N", help="seed of the noise and the faults (default %(default)s)")
+    add("--first-invalid-func", type=int, choices=(10, 11, 12), default=12, help="by firmware (default %(default)s)")
+    add("--mode", type=_octal, metavar="OCTAL", help="permissions of the port, 0660 for one (default: the system's)")
+    add("--cooked", action="store_true", help="begin in the kernel's terminal mode, echo and all, as a real port does")
+    add(
+        "--usb",
+        nargs="?",
+        const=VHCI,
+        default="",
+        metavar="PLACE",
+        help="a USB board with the kernel's own driver before it, instead of a pty: by this machine's vhci_hcd (root), "
+        "or on the virtual machine whose usb-redir listens at PLACE (HOST:PORT, or a socket's path)",
+    )
+    add("--verbose", action="store_true", help="tell what the wheels do, stop bursts, and how much else came in 10 s")
+    add("--until-eof", action="store_true", help="end when standard input is closed")
+
+
+def add_board(
+    parser: argparse.ArgumentParser, default: str | None = BOARDS[0], words: str = "{} (default: %(default)s)"
+) -> None:
+    """Add the option that says which board. `words`: its help, around the kinds there are."""
+    kinds = f"{', '.join(BOARDS)}, or the path of a folder of your own"
+    parser.add_argument("--board", type=_kind, metavar="KIND", default=default, help=words.format(kinds))
+
+
+def from_arguments(args: argparse.Namespace) -> Options:
+    """The options that a parser with add_arguments() has read."""
+    names = set(Options.__dataclass_fields__) - {"link"}
+    return Options(link=args.device, **{name: getattr(args, name) for name in names})
+
+
+def _kind(text: str) -> str:
+    try:
+        kind = str(BY_KEY["board.kind"].check(os.path.abspath(text) if os.sep in text else text))
+        if is_own(kind):
+            wire_of(kind)
+            model_of(kind)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return kind
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value <= 10_000:
+        raise argparse.ArgumentTypeError(f"{text}, must be above 0 and at most 10000")
+    return value
+
+
+def _rate_hz(text: str) -> float:
+    value = float(text)
+    if value != 0 and not 0.1 <= value <= 1000.0:
+        raise argparse.ArgumentTypeError(f"{text} Hz, must be 0 (no IMU) or 0.1 to 1000")
+    return value
+
+
+def _millivolts(text: str) -> int:
+    value = int(text)
+    if not 0 <= value <= 65_535:
+        raise argparse.ArgumentTypeError(f"{text} mV, must be 0 to 65535")
+    return value
+
+
+def _octal(text: str) -> int:
+    value = int(text, 8)
+    if not 0 <= value <= 0o777:
+        raise argparse.ArgumentTypeError(f"{text}, must be 000 to 777")
+    return value

@@ -1,0 +1,135 @@
+"""Control runs: whether what is taken out of the protocol is missed, and the page about it (docs/dev/controls.md)."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+
+from failstop_lab.simulate.campaign import Plan, explore, of_board
+from failstop_lab.simulate.controls import CONTROLS, NOT_EXPRESSED, Mutant
+from failstop_lab.simulate.seeds import ROUNDS, commit, seeds, stays_down, used_s
+from failstop_lab.simulate.weak_controls import WEAK_CONTROLS
+
+BOTH = (*CONTROLS, *WEAK_CONTROLS)
+SHORT = 1
+"""So many scenarios a run where memory alone is odd: each begins on the service as it was started."""
+ENOUGH = 6
+"""A run that needs more deviations is looked for again, while there is time."""
+COLUMNS = ("taken out", "scenario", "found by", "s", "deviations", "what is wrong then", "commit")
+NOT_YET = "not looked for" + " |" * (len(COLUMNS) - 2)
+TABLE_HEAD = "| " + " | ".join(COLUMNS) + " |\n|" + "---|" * len(COLUMNS)
+
+PAGE = """\
+# What is taken out, and missed
+
+`make controls` makes this page: it takes one part of the stop protocol out of the code at a time, and looks for what
+goes wrong on the [simulated machine](simulation.md). A campaign that finds nothing on the code as it is says something
+only if it finds each of these.
+
+Each part is looked for by seeds of one scenario, seed 0 first, for {seconds} s of one core at most; *s* is the time of
+a processor until the first run that was wrong, in which the service is started too. Of such a run draws are left out
+for as long as it stays wrong. What is left are its *deviations*; 0 says that the scenario itself shows it. The last
+column is the commit at which that row was looked for.
+
+`failstop simulate --controls 'no epoch*'` looks for one alone, and tells the story of what it finds; with `--page FILE`
+it renews the rows that it has looked for.
+
+## Failing rows of the model
+
+The rows of [model.md](model.md) that must fail, and parts that it does not have.
+
+{head}
+{model}
+
+## Barriers
+
+Each barrier of [memory-order.md](memory-order.md) is taken out, on the one side of its pair or the other; memory alone
+is odd in these runs. For *moving: supervisor* an entry of the black box is taken out as well, whose own barrier stands
+between. *ring: any writer* and *reply: gate* are two looks at one barrier.
+
+{head}
+{memory}
+
+## What no change of the source stands for
+
+| row | why |
+|---|---|
+{others}
+"""
+
+
+@dataclass(frozen=True)
+class Found:
+    """How a control was found: by which campaign, after how many of its runs and how much of a processor's time; with
+    how many faults or draws it happens again, and what was wrong. Not found: `wrong` is empty."""
+
+    control: Mutant
+    by: str
+    runs: int
+    took_s: float
+    draws: int = 0
+    wrong: str = ""
+    story: str = ""
+    commit: str = ""
+    """That it was looked for at."""
+
+    def text(self) -> str:
+        """One line of the table."""
+        where = f"`{self.control.scenario}{of_board(self.control.board)}`"
+        told = f"{self.runs} {self.by}" if self.wrong else f"NOT FOUND by {self.runs} {self.by}"
+        last = f"{self.draws if self.wrong else ''} | {self.wrong} | {self.commit}"
+        return f"| {self.control.row} | {where} | {told} | {self.took_s:.1f} | {last} |"
+
+
+def search(control: Mutant, seconds: float) -> Found:
+    """Look for a control by seeds of its scenario for so long, where seeds may play it, and else by its single
+    faults."""
+    rounds = SHORT if control.groups else ROUNDS
+    drawn_s = 0.0 if stays_down(control.scenario) else seconds
+    runs, took_s, best = 0, 0.0, None
+    while took_s < drawn_s and not (best and best.draws <= ENOUGH):
+        found = seeds(
+            runs, 1, drawn_s - took_s, control.patches, [control.scenario], control.board, control.groups, rounds
+        )
+        runs, took_s = runs + found.runs, took_s + (found.found_s or found.took_s)
+        if found.wrong and (best is None or len(found.wrong[0].draws) < best.draws):
+            seed, first = found.wrong[0], best or Found(control, "seeds", runs, took_s)
+            wrong, story = seed.violations[0], seed.text()
+            best = Found(control, "seeds", first.runs, first.took_s, len(seed.draws), wrong, story)
+    if best:
+        return replace(best, commit=commit())
+    if control.groups:
+        return Found(control, "seeds", runs, took_s, commit=commit())
+    begun_s = used_s()
+    plan = Plan(control.scenario, most=1, patches=control.patches, fault=control.fault, first=True, board=control.board)
+    single = explore(plan)
+    by = f"single faults, and not by {runs} seeds" if runs else "single faults"
+    if not single.wrong:
+        return Found(control, by, single.runs, used_s() - begun_s, commit=commit())
+    run = single.wrong[0]
+    took_s, faults = used_s() - begun_s, int(bool(run.fault))
+    return Found(control, by, single.runs, took_s, faults, run.violations[0], run.text(), commit())
+
+
+def searched(seconds: float, jobs: int, wanted: Callable[[Mutant], bool]) -> Iterator[Found]:
+    """All controls that are wanted, in the order of their tables, in so many processes."""
+    with multiprocessing.get_context("fork").Pool(jobs, maxtasksperchild=1) as pool:
+        yield from pool.imap(_searched, [(control, seconds) for control in BOTH if wanted(control)])
+
+
+def _searched(todo: tuple[Mutant, float]) -> Found:
+    return search(*todo)
+
+
+def page(found: Iterable[Found], seconds: float, before: str = "") -> str:
+    """The page about these, and about all others what it said `before`."""
+    lines = {line.split(" | ")[0].removeprefix("| "): line for line in before.splitlines() if line.startswith("| ")}
+    lines |= {each.control.row: each.text() for each in found}
+
+    def line(control: Mutant) -> str:
+        return lines.get(control.row) or f"| {control.row} | `{control.scenario}` | {NOT_YET}"
+
+    model, memory = ("\n".join(map(line, controls)) for controls in (CONTROLS, WEAK_CONTROLS))
+    others = "\n".join(f"| {row} | {why} |" for row, why in NOT_EXPRESSED.items())
+    return PAGE.format(seconds=f"{seconds:g}", head=TABLE_HEAD, model=model, memory=memory, others=others)

@@ -1,0 +1,211 @@
+"""Controls: one part of the stop protocol taken out, as in the failing rows of docs/dev/model.md, and the scenario that
+must notice, by seeds or else by its single faults. A campaign that finds none of them finds nothing. A patch names a
+piece of source that is there once, so a change of that code makes the control fail, not pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from failstop.policy.layouts import BOARDS
+from failstop_lab.machine.loading import Patches
+from failstop_lab.simulate.equal import IS_HELD
+
+ADMISSION_MODULE = "failstop.procs.port_owner.admission"
+PORT_OWNER_MODULE = "failstop.procs.port_owner.main"
+WIRE_MODULE = "failstop.procs.port_owner.port_writer"
+STOPPER_MODULE = "failstop.procs.stopper.main"
+SUPERVISOR_MODULE = "failstop.supervisor.main"
+STATUS_MODULE = "failstop.supervisor.status"
+HANDOVER_MODULE = "failstop.supervisor.port_handover"
+TABLE_MODULE = "failstop.supervisor.process_table"
+PORT_MODULE = "failstop.procs.port_owner.port"
+PEER_MODULE = "failstop.procs.peer"
+STOP_PORT_MODULE = "failstop.board.stop_port"
+
+CUT_AND_ASKED = "short write, while somebody asks for a stop"
+NOT_REPEATED = ("failstop.board.described", "tuple(row[1:] for row in wire.stop.repeats_ns)", "((), (), ())")
+
+OWN_SILENCE = (PORT_OWNER_MODULE, ">= HANG_NS:", ">= 1000 * HANG_NS:")
+
+NOT_EXPRESSED = {
+    "the stop tool kills nobody": "the stop tool of systemd is no part of the simulated machine",
+    "a new port hides the loss of the old": "each turn asks the old port what it holds before it takes a new one",
+    "a refused frame stays in the ring": "a stop drops it, and without one it is late by less than DRAIN_NS",
+    "bell": "the kernel's own locks",
+}
+"""Failing rows of docs/dev/model.md and controls of docs/dev/memory-order.md that no change of the source stands for.
+weak_controls.py has those that are expressed where a store may be late."""
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """`row`: of docs/dev/model.md, the pair of docs/dev/memory-order.md and whose barrier it is, or what is in neither;
+    `scenario`: what finds it; `fault`: the one that does, where trying every other first takes minutes."""
+
+    row: str
+    scenario: str
+    patches: Patches
+    fault: str = ""
+    board: str = BOARDS[0]
+    """The kind of board at which it is tried."""
+    groups: tuple[str, ...] = ()
+    """The kinds of events that seeds of it may draw; empty: all."""
+
+
+CONTROLS = (
+    Mutant(
+        "no epoch in frames",
+        "stops_in_one_breath",
+        ((ADMISSION_MODULE, "frame_epoch == epoch and epoch > self.stopped_in", "epoch > self.stopped_in"),),
+    ),
+    Mutant(
+        "own stop does not refuse motion",
+        "supervisor_dies",
+        ((ADMISSION_MODULE, "frame_epoch == epoch and epoch > self.stopped_in", "frame_epoch == epoch"),),
+    ),
+    Mutant(
+        "motion behind an early stop",
+        "gate_dies",
+        (
+            (
+                WIRE_MODULE,
+                "if self.lost or self.unsent or self._early or (self.holds()",
+                "if self.lost or self.unsent or (self.holds()",
+            ),
+        ),
+    ),
+    Mutant(
+        "one stop frame for a burst",
+        "drive_and_stop",
+        (
+            (STOP_PORT_MODULE, "self._stop = board.burst_with(servos)", "self._stop = board.stop"),
+            (STOP_PORT_MODULE, "taken = self._write(self.board.first_stop)", "taken = self._write(self.board.stop)"),
+        ),
+        CUT_AND_ASKED,
+    ),
+    Mutant(
+        "nobody fences",
+        "port_owner_hangs",
+        (
+            (SUPERVISOR_MODULE, "os.kill(child.pid, signal.SIGKILL)", "pass"),
+            (STOPPER_MODULE, "            life.kill()\n", ""),
+        ),
+    ),
+    Mutant(
+        "the stopper does not fence",
+        "stopper_alone_runs",
+        ((STOPPER_MODULE, "            life.kill()\n", ""), OWN_SILENCE),
+    ),
+    Mutant("the port owner does not notice its own silence", "stopper_alone_runs", (OWN_SILENCE,), IS_HELD),
+    Mutant(
+        "the stopper does not notice a silence",
+        "port_owner_and_supervisor_hang",
+        ((STOPPER_MODULE, "self._excused_ns) + HANG_NS", "self._excused_ns) + 1000 * HANG_NS"),),
+    ),
+    Mutant(
+        "fencing writes before it kills",
+        "port_owner_hangs_shortly",
+        (
+            (
+                SUPERVISOR_MODULE,
+                "        os.kill(child.pid, signal.SIGKILL)\n        kill_ns = monotonic_ns()\n"
+                "        stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0\n",
+                "        stop.written_ns = self._burst() if name == layout.PORT_OWNER else 0\n"
+                "        os.kill(child.pid, signal.SIGKILL)\n        kill_ns = monotonic_ns()\n",
+            ),
+        ),
+    ),
+    Mutant(
+        "ready before the port owner's answer",
+        "port_owner_held_in_its_write",
+        ((STATUS_MODULE, "carried_out = self._epochs.answered() and not stopping", "carried_out = not stopping"),),
+    ),
+    Mutant(
+        "an early stop beside the loop's write",
+        "gate_dies",
+        (
+            (
+                STOP_PORT_MODULE,
+                "        with self._writing:\n            if self.fd >= 0:\n                self._write_early()",
+                "        if self.fd >= 0:\n            self._write_early()",
+            ),
+        ),
+    ),
+    Mutant(
+        "stays down, and no second burst",
+        "port_owner_hangs_and_stays_down",
+        (
+            (SUPERVISOR_MODULE, "written_ns = self._burst() if port_owner in dead else 0", "written_ns = 0"),
+            (
+                TABLE_MODULE,
+                "stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None",
+                "stop = None",
+            ),
+            (STOPPER_MODULE, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
+            (PEER_MODULE, "        if self.named() == pid:\n            self._stop()\n", ""),
+        ),
+        "held in the write",
+    ),
+    Mutant(
+        "stays down, and no burst at the return",
+        "port_owner_stays_down",
+        (
+            (HANDOVER_MODULE, "written = StopPort(fd, self._board).burst()", "written = True"),
+            (STOPPER_MODULE, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
+            (STOPPER_MODULE, "            self._write()\n\n    def _hangs_ns", "\n    def _hangs_ns"),
+        ),
+    ),
+    Mutant(
+        "nobody answers the port owner's death",
+        "port_owner_dies",
+        (
+            (
+                SUPERVISOR_MODULE,
+                "written, now_ns = self._port.burst(), monotonic_ns()",
+                "written, now_ns = False, monotonic_ns()",
+            ),
+            (
+                TABLE_MODULE,
+                "stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None",
+                "stop = None",
+            ),
+        ),
+    ),
+    Mutant(
+        "no lease of the gate",
+        "gate_hangs",
+        (
+            (
+                ADMISSION_MODULE,
+                "in ((layout.GATE, gate_ns), (layout.SUPERVISOR, supervisor_ns)):",
+                "in ((layout.SUPERVISOR, supervisor_ns),):",
+            ),
+        ),
+    ),
+    Mutant(
+        "a sleep of the machine goes unnoticed",
+        "machine_sleeps",
+        ((PORT_OWNER_MODULE, "self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))", "pass"),),
+    ),
+    Mutant(
+        "the board's own watchdog is not armed",
+        "drive_and_stop",
+        ((PORT_MODULE, "self._opening = board.port.opening", "self._opening = ()"),),
+        board="ugv",
+    ),
+    Mutant(
+        "no CR before the stop",
+        "drive",
+        (("failstop.board.arduino.codec", r'STOP = b"\rm 0 0\r"', r'STOP = b"m 0 0\r"'), NOT_REPEATED),
+        CUT_AND_ASKED,
+        "arduino",
+    ),
+    Mutant(
+        "no line feed before the stop",
+        "drive",
+        (("failstop.board.ugv.codec", r"""STOP = b'\n{"T":1,""", """STOP = b'{"T":1,"""), NOT_REPEATED),
+        CUT_AND_ASKED,
+        "ugv",
+    ),
+    Mutant("a stop is not repeated", "drive", (NOT_REPEATED,), CUT_AND_ASKED, "hoverboard"),
+)

@@ -1,0 +1,170 @@
+"""Marks: what a campaign of simulated runs must have reached at least once: each cause, each answer of the admission
+table, each change of a process's state. A mark that no run has reached was not tried, and the campaign says so. A claim
+is tried by simulation as far as the marks that cite it are reached."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from failstop_lab.boards.traits import HAS_ARM, HAS_KEYS, HAS_REPORTS, SHOWS_DEAF, Traits
+from failstop_lab.machine.kernel import Machine
+from failstop_lab.machine.loading import Loader
+from failstop_lab.simulate.witness import Witness
+
+NOT_TRIED = {
+    "cause mute": "a gate that beats and sends nothing does not come of one fault",
+    "cause bad_frame": "nor does a gate that sends nonsense",
+    "admission bad frame": "nor does a gate that sends nonsense",
+    "admission burst": "a zero frame that is too old comes of a gate and a port owner that are both held up",
+    "cause unstill": "the simulated board's IMU does not feel its wheels shake on here",
+    "cause runaway": "the wheels of the simulated board do what they are told here",
+    "cause defect": "nothing happens to a process that cannot happen",
+    "cause battery": "its voltage takes seconds to show",
+    "cause button": "no gamepad is plugged in",
+    "cause fleet": "no broker is there",
+    "cause operator_gone": "no operator attends",
+    "cause driver_silent": "no setting asks for it",
+    "cause two_move_the_arm": "one program moves the arm",
+    "cause all_died": "told by readers of a run that is over, raised by nobody",
+    "cause silent": "told by readers of a run that is over, raised by nobody",
+    "cause unknown": "a cause of another version",
+    "state down started": "a gate that is down is tried again after a minute",
+    "state starting spared": "no start takes ten seconds",
+    "state starting beats": "no start takes ten seconds",
+    "state starting killed": "no start takes ten seconds",
+    "state running beats": "a process that was spared as it started beats again",
+    "state hanging died": "a process that is starved and spared dies: two faults",
+    "state waiting beats": "a process that was spared beats just before its end, which is noticed first",
+    "state down beats": "a process that was spared beats just before its end, which is noticed first",
+    "state fenced beats": "a beat between the kill and the end",
+    "state dead beats": "a beat between the end and its notice",
+}
+"""Marks that no scenario reaches, and why; the tests with real processes do."""
+CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("cause died", ("DEATH-1", "SEVERAL-1")),
+    ("cause (hangs|starved|held_up|supervisor_suspended)", ("HANG-1",)),
+    ("cause suspended", ("TIME-1",)),
+    ("cause removed", ("ASK-2",)),
+    ("cause device_lost", ("PORT-1",)),
+    ("cause (stuck|deaf|restarted)", ("BOARD-1",)),
+    ("cause board_silent", ("SILENCE-1",)),
+    ("cause (not_finite|two_publishers|driver_died|driver_silent)", ("CLIENT-1",)),
+    ("cause (key|requested|piped)", ("ASK-1",)),
+    ("cause stopping", ("END-1",)),
+    ("admission write", ("MOVE-1", "RETURN-1")),
+    ("admission drop", ("MOVE-1", "MOVE-2")),
+    ("admission request", ("ASK-1",)),
+    ("admission hangs", ("HANG-1",)),
+    ("state fenced died", ("HANG-1",)),
+    ("state [a-z]+ died", ("DEATH-1", "SEVERAL-1")),
+    ("state [a-z]+ (spared|killed|beats)", ("HANG-1",)),
+    ("state waiting given up", ("RETURN-1",)),
+    ("state [a-z]+ (started|runs|reaped|recalled)", ("RETURN-1",)),
+)
+"""The claims (lab/case/claims.py) that a mark carries, by the first pattern that fits its name."""
+OF_PARTS = {
+    "cause key": HAS_KEYS,
+    "cause deaf": SHOWS_DEAF,
+    "cause board_silent": HAS_REPORTS,
+    "cause restarted": HAS_REPORTS,
+    "admission hangs": HAS_ARM,
+}
+"""Marks that a campaign reaches at a board which has this part alone (lab/boards/traits.py). A lease runs out
+between the look at it and a frame where frames wait for the servos' bus."""
+ADMISSION = ("write", "drop", "burst", "request", "bad frame", "hangs")
+
+
+class Marks:
+    """How often each was reached."""
+
+    def __init__(self) -> None:
+        self.counts: dict[str, int] = {}
+
+    def reach(self, name: str) -> None:
+        self.counts[name] = self.counts.get(name, 0) + 1
+
+
+def watch(loader: Loader, marks: Marks, witness: Witness) -> None:
+    """Have the modules of one machine say what they reach. They decide as without it. An invariant of the core that did
+    not hold makes a run wrong, although the robot has stopped for it."""
+    _watch_causes(loader, marks, witness)
+    _watch_admission(loader, marks)
+    _watch_invariants(loader, witness)
+    _watch_states(loader, marks, witness)
+
+
+def _watch_causes(loader: Loader, marks: Marks, witness: Witness) -> None:
+    epochs = loader.load("failstop.supervisor.latch").Epochs
+    raise_for = epochs.raise_for
+
+    def told(self: Any, stops: list[Any], now_ns: int) -> None:
+        for stop in stops:
+            marks.reach(f"cause {stop.cause.kind.name}")
+            witness.causes.append(str(stop.cause))
+            witness.tell(f"the supervisor stops: {stop.cause}")
+        raise_for(self, stops, now_ns)
+
+    epochs.raise_for = told
+
+
+def _watch_admission(loader: Loader, marks: Marks) -> None:
+    module = loader.load("failstop.procs.port_owner.admission")
+    names = {module.ADMIT: "write", module.DROP: "drop", module.STAND_STILL: "burst", module.STOP_ASKED: "request"}
+    decide = module.Admission.decide
+
+    def told(self: Any, *arguments: Any, **words: Any) -> Any:
+        found = decide(self, *arguments, **words)
+        marks.reach(f"admission {names[found] if isinstance(found, int) else found.kind.name}")
+        return found
+
+    module.Admission.decide = told
+
+
+def _watch_invariants(loader: Loader, witness: Witness) -> None:
+    admission = loader.load("failstop.procs.port_owner.admission").Admission
+
+    def noted(real: Callable[..., Any]) -> Callable[..., Any]:
+        def told(*arguments: Any, **words: Any) -> Any:
+            if found := real(*arguments, **words):
+                witness.wrong(str(found))
+            return found
+
+        return told
+
+    admission.impossible, admission.follow = noted(admission.impossible), noted(admission.follow)
+
+
+def _watch_states(loader: Loader, marks: Marks, witness: Witness) -> None:
+    module = loader.load("failstop.supervisor.children")
+    on = module.Child.on
+
+    def told(self: Any, event: int) -> None:
+        marks.reach(f"state {self.state} {module.EVENTS[event]}")
+        on(self, event)
+        if self.defects:
+            witness.wrong(str(self.defects[-1]))
+
+    module.Child.on = told
+
+
+def names() -> Iterator[str]:
+    """Every mark, of what the modules of the service declare."""
+    loader = Loader(Machine())
+    module = loader.load("failstop.supervisor.children")
+    yield from (f"cause {name}" for name in loader.load("failstop.policy.causes").CAUSE_BY_NAME)
+    yield from (f"admission {name}" for name in ADMISSION)
+    for state, row in module.NEXT.items():
+        yield from (f"state {state} {event}" for event, after in zip(module.EVENTS, row, strict=True) if after)
+
+
+def claims_of(name: str) -> tuple[str, ...]:
+    """The claims that a mark carries; none: no pattern of CLAIMS fits."""
+    return next((claims for pattern, claims in CLAIMS if re.fullmatch(pattern, name)), ())
+
+
+def missing(counts: Mapping[str, int], traits: Traits) -> list[str]:
+    """The marks that were not reached, of those that a board can reach."""
+    beyond = NOT_TRIED.keys() | {name for name, part in OF_PARTS.items() if part not in traits.parts}
+    return [name for name in names() if not counts.get(name) and name not in beyond]

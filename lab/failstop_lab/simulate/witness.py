@@ -1,0 +1,367 @@
+"""Witness: judges a run by what the simulated board executes, against what was done to the machine and asked by
+programs. The bars are the first board's; at another one a stop may take Traits.late_ns more, by its own line and loop.
+
+It never asks the service. Something that must stop the wheels has a bar, and once its time is over no frame may turn
+them before a program asks for motion again. Nobody can stop wheels that no process reaches, so a bar begins again when
+one does.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import partial
+
+from failstop.board.framing import MOTOR
+from failstop.board.kinds import is_described
+from failstop_lab.boards.line import ADAPTER_BAR_NS, model_of
+from failstop_lab.machine.port import Port
+from failstop_lab.machine.process import Process
+from failstop_lab.machine.robot import MS, Robot
+from failstop_lab.sim.model import Frame
+
+CLAIMS = {
+    "a stop comes in its time": (
+        *("DEATH-1", "HANG-1", "SEVERAL-1", "ASK-1", "ASK-2"),
+        *("CLIENT-1", "PORT-1", "BOARD-1", "TIME-1", "END-1"),
+    ),
+    "no frame behind a stop but the one past its last look": ("MOVE-1",),
+    "no motion before a program asks for it": ("MOVE-2", "START-1", "END-1"),
+    "never faster than a program asks for": ("LIMIT-1",),
+    "motion comes back within 2 s once nothing fails": ("RETURN-1",),
+    "no frame writes outside of the motors": ("BOARD-2",),
+    "the board's own watchdog stops what is frozen for good": ("WATCHDOG-1",),
+    "no invariant of the core is broken": ("MOVE-1", "MOVE-2"),
+    "shared memory is seen in the order of the litmus tests": ("MOVE-1", "MOVE-2", "CAUSE-1", "PROOF-1"),
+    "no entry of a ring is passed over": ("ASK-1",),
+}
+"""The claims (lab/case/claims.py) that each rule carries by which a run is judged."""
+SERVICE_PROCESSES = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
+PORT_WRITERS = ("supervisor", "port_owner", "stopper")
+DEATH_NS = 8 * MS
+"""From a death to the stop at the board: a burst that is on the wire before it, its own bytes, and the steps of those
+who write it."""
+RESUMED_NS = 3 * MS
+"""A port owner that was held up past its last look has written its one frame within so long of going on."""
+REPEAT_NS = 20 * MS
+"""From a stop to its first repeat."""
+ASKED_NS = 4 * MS
+BACK_NS = 30 * MS
+HANG_BAR_NS = {
+    "gate": 85 * MS,
+    "supervisor": 85 * MS,
+    "port_owner": 130 * MS,
+    "stopper": 280 * MS,
+    "telemetry": 530 * MS,
+}
+"""From the last beat to the stop at the board: the lease or the deadline, a tick, and the steps."""
+STOPPER_NS = 290 * MS
+"""While supervisor and port owner are both silent, the stopper is the one that notices."""
+ZEROS_NS = 250 * MS
+"""While it is stopped a board is told zero again within so long."""
+SLACK_RPS = 1e-3
+
+
+class Witness:
+    """Of one run. `violations` says what was wrong, each once; `story` what happened, with its time."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot, self._machine, self._board = robot, robot.machine, robot.board
+        self._traits, language = robot.board.traits, robot.board.traits.language
+        self._first_stop, self._byte_ns = language.first_stop, language.port.byte_ns
+        self._fuses = is_described(self._traits.kind) and model_of(self._traits.kind).fuses
+        self._shortest_ns = len(language.stop) * self._byte_ns
+        """On the wire: no frame of motion is shorter than that of zeros."""
+        self.violations: list[str] = []
+        self.causes: list[str] = []
+        """Those that the supervisor raised the epoch for, in order."""
+        self.story: list[tuple[int, str]] = []
+        self.moved_ns = 0
+        """When the wheels were told to turn last."""
+        self.hears_ns = 0
+        """When a board that was deaf has heard one of the zeros that are repeated."""
+        self.orderly = False
+        """The service ends as it was told to: its processes die for that."""
+        self._forbidden = "no program has asked for motion yet"
+        """Why no frame may turn the wheels now; empty: one may."""
+        self.asked_for_motion = 0
+        """So often a program has asked for motion."""
+        self._asking = False
+        """A program has asked and has no answer yet."""
+        self._asked_ns = 0
+        """When a program asked for motion last."""
+        self._stopper_paused_ns = (0, 0)
+        """From when until when a thread of the stopper has paused last."""
+        self._fastest_rps = 0.0
+        """The speed that programs have asked for since they asked for motion last."""
+        self._wire_ns = 0
+        """When the board will have read all that was written to it."""
+        self._old_ns = 0
+        """When it will have read what was written before a program was granted motion last, or what a port had kept
+        that did not drain."""
+        self._stops: dict[bool, tuple[int, int]] = {}
+        """Of the port owner's own threads, and of others: from when on so many more frames may turn the wheels, before
+        a program asks for motion again."""
+        self._late_ns: dict[str, int] = {}
+        """Until then a thread of each process may pause."""
+        self._paused_ns = Counter[str]()
+        """For so long, all in all, threads of each process have paused: a bar is as much longer."""
+        self._cut_ns = 0
+        """When half of a write was on the wire last."""
+        self._fenced_ns = 0
+        """Until then the stop for one that was fenced may be on its way."""
+        self._late = False
+        """The one frame that may follow a stop which came while the port owner was held up has come."""
+        robot.machine.told = self._told
+        self._board.on_frame = self._frame
+        self._board.on_bytes = self._written
+
+    def tell(self, text: str) -> None:
+        """One more step of the story."""
+        self.story.append((self._machine.now_ns, text))
+
+    def wrong(self, text: str) -> None:
+        """A violation."""
+        if text not in self.violations:
+            self.violations.append(text)
+        self.tell(f"WRONG: {text}")
+
+    # Grants of motion, and reasons against it.
+
+    def asks_for_motion(self) -> None:
+        """A program calls enable()."""
+        self._board.catch_up()
+        self.asked_for_motion += 1
+        self._asking, self._asked_ns = True, self._machine.now_ns
+        self._forbidden, self._late = "", False
+        self._stops = {}
+        self.tell("a program asks for motion")
+
+    def _asks_still(self) -> None:
+        if self._asking:
+            self.asks_for_motion()
+
+    def is_granted(self) -> None:
+        """enable() has returned: what moves from now on was asked for from now on, but where another program drove."""
+        self._board.catch_up()
+        self._asking = False
+        self._old_ns = max(self._old_ns, self._wire_ns)
+        if not any(self._board.model.wheels):
+            self._fastest_rps = 0.0
+
+    def asks_for(self, rps: float) -> None:
+        """A program commands this speed of the wheels."""
+        self._fastest_rps = max(self._fastest_rps, rps)
+
+    def _written(self, data: bytes) -> None:
+        """Bytes for the board, of whoever runs. What is stopped early, beside a port owner that may be about to write,
+        lets one frame through (S2 of docs/dev/model.md); a thread of the port owner's own, none. What its loop stops
+        for may be over by itself."""
+        begun_ns = max(self._wire_ns, self._machine.now_ns)
+        self._wire_ns = begun_ns + len(data) * self._byte_ns
+        if self._board.port and self._board.port.drained_ns == self._machine.now_ns:
+            self._old_ns = self._wire_ns
+        thread = self._machine.current
+        if thread is None or self._asking or not data.startswith(self._first_stop):
+            return
+        own = thread.process.name == "port_owner"
+        if own and thread is thread.process.threads[0]:
+            return
+        if thread.process.name == "stopper" and self._repeats_late():
+            return
+        self._stops.setdefault(own, (begun_ns + len(self._first_stop) * self._byte_ns, 0 if own else 1))
+
+    def _repeats_late(self) -> bool:
+        """Whether the stopper, which writes now, had looked for the last time before a program asked for motion: what
+        it repeats is a stop from before that."""
+        begun_ns, ended_ns = self._stopper_paused_ns
+        return begun_ns <= self._asked_ns and self._machine.now_ns < ended_ns + RESUMED_NS
+
+    def must_stop(self, why: str, within_ns: int, by: str = "") -> None:
+        """From `within_ns` on the wheels stand, until a program asks for motion again. What is on the wire before it
+        goes first, and a thread that pauses goes on first, of who writes to the board or of `by`, who notices."""
+        self.tell(why)
+        after_ns = max(self._wire_ns, self._late_until_ns(by)) - self._machine.now_ns
+        self._judge_in(within_ns, why, self.asked_for_motion, reached=True, after_ns=after_ns, by=by)
+
+    def _late_until_ns(self, by: str = "") -> int:
+        return max(self._late_ns.get(name, 0) for name in (*PORT_WRITERS, by))
+
+    def _all_paused_ns(self, by: str) -> int:
+        return sum(self._paused_ns[name] for name in (*PORT_WRITERS, by))
+
+    def _judge_in(
+        self,
+        within_ns: int,
+        why: str,
+        asked: int,
+        *,
+        reached: bool,
+        after_ns: int = 0,
+        late: bool = False,
+        left_ns: int | None = None,
+        zeros: bool = False,
+        by: str = "",
+    ) -> None:
+        """`late`: the wheels turned when they were looked at last, and the board's own line and loop may be why.
+        `left_ns`: how much of the bar is left, if not all. `zeros`: the repeats of a stop, whose times are chosen
+        against the board's own loop, were moved by a pause, so it may have lost them: the zeros behind them count."""
+        begun_ns, paused_ns = self._machine.now_ns, self._all_paused_ns(by)
+        again = partial(self._judge_in, within_ns, why, asked, by=by)
+
+        def due() -> None:
+            if self.asked_for_motion != asked:
+                return
+            now_ns, port = self._machine.now_ns, self._board.port
+            if port and port.drained_ns > begun_ns:
+                # The board reads only now what the port had kept.
+                again(reached=True, after_ns=self._wire_ns - now_ns)
+                return
+            if port and port.took_again_ns + REPEAT_NS > begun_ns:
+                # A stop that it refused is written again with the first repeat.
+                again(reached=True, after_ns=port.took_again_ns + REPEAT_NS - now_ns)
+                return
+            if more_ns := self._all_paused_ns(by) - paused_ns:
+                again(reached=reached, late=late, left_ns=more_ns, zeros=zeros)
+                return
+            self._board.catch_up()
+            turn = any(self._board.model.wheels)
+            if not (reached and self.reached()):
+                again(reached=self.reached(), after_ns=self._wire_ns - now_ns)
+            elif turn and own_ns and not late:
+                again(reached=True, late=True)
+            elif turn and own_ns and not zeros and self._late_until_ns() + ADAPTER_BAR_NS > now_ns:
+                again(reached=True, late=True, left_ns=ZEROS_NS, zeros=True)
+            else:
+                self._forbidden = self._forbidden or why
+                if turn:
+                    self.wrong(f"the wheels turn {(within_ns + own_ns) / MS:g} ms after: {why}")
+
+        own_ns = self._own_ns()
+        bar_ns = left_ns if left_ns is not None else own_ns if late else within_ns
+        self._machine.at(self._machine.now_ns + max(0, after_ns) + bar_ns, due)
+
+    def _own_ns(self) -> int:
+        """How much later than the first board this one may obey, from now on."""
+        late_ns, port = self._traits.late_ns, self._board.port
+        if not late_ns or port is None or not port.drained_ns:
+            return late_ns
+        return max(late_ns, port.drained_ns + ADAPTER_BAR_NS - self._machine.now_ns)
+
+    def reached(self) -> bool:
+        """True while a process of the service runs that has the board's port, which takes bytes; and no process is held
+        up for less than others need to notice it."""
+        port = self._board.port
+        living = (each for each in self._living() if not each.held_until_ns)
+        if port is None or not port.drains or port.refuses or self._board.model.deaf or self._unnoticed():
+            return False
+        if self._machine.now_ns < max(self.hears_ns, self._late_until_ns(), self._fenced_ns):
+            return False
+        return any(_has(each, port) for each in living if each.name in PORT_WRITERS)
+
+    def _unnoticed(self) -> bool:
+        held = [each for each in self._living() if each.held_until_ns]
+        names = {each.name for each in held}
+        if names >= {"supervisor", "port_owner"}:
+            # The stopper has an eye on the port owner alone, and that is enough.
+            bars = {**HANG_BAR_NS, "port_owner": STOPPER_NS, "supervisor": 0}
+        else:
+            bars = HANG_BAR_NS
+        # A process that was held up judges nobody by the time before it went on.
+        watching_ns = max((each.resumed_ns for each in self._living() if each.name in PORT_WRITERS), default=0)
+        noticed_ns = [max(each.held_since_ns, watching_ns) + bars.get(each.name, 0) for each in held]
+        return any(self._machine.now_ns < at_ns for at_ns in noticed_ns)
+
+    def _living(self) -> list[Process]:
+        return [each for each in self._machine.processes.values() if not each.dead]
+
+    def _frame(self, frame: Frame) -> None:
+        if frame.func != MOTOR:
+            return
+        if any(frame.speeds):
+            self.moved_ns = frame.executed_ns
+            if self._forbidden and not self._was_on_its_way():
+                self.wrong(f"a frame turns the wheels after: {self._forbidden}")
+            for own, (stop_ns, more) in self._stops.items():
+                # One that was written behind the stop has all of its bytes behind it.
+                if frame.executed_ns >= stop_ns + self._shortest_ns:
+                    self._stops[own] = stop_ns, more - 1
+                    if more < 1:
+                        self.wrong("a frame turns the wheels behind a stop that was written early")
+            too_fast = max(map(abs, frame.speeds)) > self._fastest_rps + SLACK_RPS
+            if too_fast and not self._asking and frame.executed_ns > self._old_ns and not self._may_be_fused():
+                self.wrong(f"the wheels turn faster than a program asks for since it may: {frame.speeds}")
+        if frame.wild:
+            self.wrong(f"a frame writes outside of the motors: {frame.wild}")
+
+    def _may_be_fused(self) -> bool:
+        """Whether this frame may be of pieces of two: at some boards one such passes the check, with any speed."""
+        return self._fuses and self._machine.now_ns < self._cut_ns + self._traits.late_ns
+
+    def _was_on_its_way(self) -> bool:
+        """A port owner that was held up past its last look may still write that one frame (S2 of docs/dev/model.md),
+        and then stops: the one frame counts, a second one does not."""
+        why, self._forbidden = self._forbidden, ""
+        if self._late or not self._resumed():
+            self._forbidden = why
+            return False
+        self._late = True
+        self.must_stop(why, DEATH_NS)
+        return True
+
+    def _resumed(self) -> bool:
+        """Whether a port owner was let go on just now."""
+        owner = self._robot.named("port_owner")
+        return owner is not None and 0 < self._machine.now_ns - owner.resumed_ns < RESUMED_NS + self._traits.late_ns
+
+    # Events of the machine.
+
+    def _told(self, kind: str, process: Process, what: object) -> None:
+        if kind == "failed":
+            self.wrong(f"a thread of {process.name} ends with {type(what).__name__}: {what}")
+        elif kind == "died":
+            self.tell(f"{process.name} (pid {process.pid}) dies: {what}")
+            if process.held_until_ns:
+                self._fenced_ns = self._machine.now_ns + DEATH_NS
+            if process.name in SERVICE_PROCESSES and not self.orderly and not _is_left_over(process):
+                self.must_stop(f"{process.name} is dead", DEATH_NS)
+        elif process.name in SERVICE_PROCESSES:
+            self.tell(f"{process.name} (pid {process.pid}) starts")
+
+    def held(self, process: Process, ns: int) -> None:
+        """A process is not run for so long. Wheels that stand need no stop for it; nor do those of a program before the
+        one that asks for motion, whose answer may come behind that. A program that is held up in enable() may send its
+        request only then."""
+        self._board.catch_up()
+        if self._asking and process.name not in SERVICE_PROCESSES:
+            self._machine.at(self._machine.now_ns + ns, self._asks_still)
+        if ns > HANG_BAR_NS.get(process.name, ns) and any(self._board.model.wheels) and not self._asking:
+            self.must_stop(f"{process.name} is silent", HANG_BAR_NS[process.name])
+        else:
+            self.tell(f"{process.name} is held up for {ns / MS:g} ms")
+
+    def late(self, process: Process, ns: int) -> None:
+        """A thread of a process pauses for so long."""
+        name = process.name
+        self._paused_ns[name] += ns
+        self._late_ns[name] = max(self._late_ns.get(name, 0), self._machine.now_ns + ns)
+        if name == "stopper":
+            self._stopper_paused_ns = self._machine.now_ns, self._machine.now_ns + ns
+
+    def cut(self, told: str) -> None:
+        """Half of a write is on the wire."""
+        self.tell(told)
+        self._cut_ns = self._machine.now_ns
+
+    def asked(self) -> None:
+        """Somebody's bytes came to the stop pipe."""
+        self.must_stop("a stop was asked for", ASKED_NS)
+
+
+def _is_left_over(process: Process) -> bool:
+    """True for a process whose supervisor has died before it: that death was the one to stop for, and by now the next
+    run of the service may drive."""
+    return process.name != "supervisor" and (process.parent is None or process.parent.dead)
+
+
+def _has(process: Process, port: Port) -> bool:
+    return any(opened.node is port for opened in process.files.values())
