@@ -107,9 +107,9 @@ faults: $(VENV)/.dev
 seeds: $(VENV)/.dev
 	$(BIN)/failstop simulate --seeds 60 --day
 
-# Each part of the protocol taken out in turn, and missed: the page of them (docs/dev/controls.md).
+# Each part of the protocol taken out in turn, and missed: the page of them (docs/reference/controls.md).
 controls: $(VENV)/.dev
-	$(BIN)/failstop simulate --controls --page docs/dev/controls.md
+	$(BIN)/failstop simulate --controls --page docs/reference/controls.md
 
 model:
 	model/check

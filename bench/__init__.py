@@ -1,4 +1,4 @@
-"""The measurements behind docs/dev/measured.md: `make bench`, or `python -m bench --help`."""
+"""The measurements behind docs/reference/measured.md: `make bench`, or `python -m bench --help`."""
 
 
 class BenchError(Exception):

@@ -1,6 +1,6 @@
-"""`python -m bench.pages bench/out/bench.json`: put a run's rows into the tables of README.md and docs/dev/measured.md.
+"""`python -m bench.pages bench/out/bench.json`: put a run's rows into the tables of README.md and docs/reference/measured.md.
 
-docs/dev/measured.md has every row of the run, in its order; README.md keeps the rows that it shows, with the run's
+docs/reference/measured.md has every row of the run, in its order; README.md keeps the rows that it shows, with the run's
 numbers. A row of the README that the run does not have is an error: nothing on the page may be older than the rest.
 """
 
@@ -41,7 +41,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.pages", description=__doc__)
     parser.add_argument("run", help="JSON of a run")
     rows = json.loads(Path(parser.parse_args().run).read_text())["rows"]
-    pages = {ROOT / "README.md": False, ROOT / "docs" / "dev" / "measured.md": True}
+    pages = {ROOT / "README.md": False, ROOT / "docs" / "reference" / "measured.md": True}
     try:
         texts = {path: renewed(path.read_text(), rows, every=every) for path, every in pages.items()}
     except KeyError as error:

@@ -181,7 +181,7 @@ def test_a_row_that_was_not_measured_is_an_error() -> None:
         pages.renewed(SHOWN, RUN[:1], every=False)
 
 
-@pytest.mark.parametrize(("page", "every"), [("README.md", False), ("docs/dev/measured.md", True)])
+@pytest.mark.parametrize(("page", "every"), [("README.md", False), ("docs/reference/measured.md", True)])
 def test_the_pages_have_such_a_table(page: str, every: bool) -> None:
     text = (pages.ROOT / page).read_text()
     named = [row for row in text.splitlines() if row.startswith("| ")]

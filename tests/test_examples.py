@@ -22,7 +22,7 @@ COMPLETE = EXAMPLES / "failstop.toml"
 def test_the_example_and_the_page_on_settings_are_the_generated_ones(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["config", "--example"]) == 0
     assert COMPLETE.read_text() == capsys.readouterr().out, "renew it: make docs"
-    assert (ROOT / "docs" / "configuration.md").read_text() == page_of_settings.page(), "renew it: make docs"
+    assert (ROOT / "docs" / "reference" / "settings.md").read_text() == page_of_settings.page(), "renew it: make docs"
 
 
 def uncommented(text: str) -> str:

@@ -12,7 +12,7 @@ from failstop.policy.proofs import WATCHDOGS
 from failstop.policy.settings import BY_KEY, Settings
 
 DEATH_S = 0.02
-"""From the death of a process to the stop at the first board: no p99 of docs/dev/faults.md, measured on a shared
+"""From the death of a process to the stop at the first board: no p99 of docs/reference/faults.md, measured on a shared
 machine, is above it. On a quiet machine it is about 1 ms."""
 SLACK_S = 0.015
 """Between the end of a deadline and the stop, by the same rows."""

@@ -169,7 +169,7 @@ def _rows() -> Iterator[Family]:
     )  # fmt: skip
     yield row("stop_latched", GAUGE, "1 while a stop is latched", lambda state: _one(state.cause is not None))
     yield row(
-        "stop_latched_cause", GAUGE, "1 for the cause that is latched (docs/causes.md)",
+        "stop_latched_cause", GAUGE, "1 for the cause that is latched (docs/reference/causes.md)",
         lambda state: [((("cause", state.cause.kind.name),), 1.0)] if state.cause else [], "cause",
     )  # fmt: skip
     yield row("blocked", GAUGE, "1 for the reason why the wheels may not turn; all 0: they may", _blocked, "reason")

@@ -8,7 +8,7 @@ import failstop
 from failstop_lab.pages import reference
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs/python-reference.md"
+PAGE = ROOT / "docs/reference/python.md"
 
 
 def test_the_page_is_that_of_the_docstrings() -> None:

@@ -59,10 +59,10 @@ def test_a_mark_that_cites_nothing_is_a_gap(cited: list[Citation], monkeypatch: 
 
 
 def test_a_row_of_the_bench_that_cites_nothing_is_a_gap(cited: list[Citation], tmp_path: Path) -> None:
-    for name in ("bench/claims.py", "docs/dev/measured.md"):
+    for name in ("bench/claims.py", "docs/reference/measured.md"):
         (tmp_path / name).parent.mkdir(parents=True)
         (tmp_path / name).write_text((ROOT / name).read_text("utf-8"))
-    with (tmp_path / "docs/dev/measured.md").open("a") as page:
+    with (tmp_path / "docs/reference/measured.md").open("a") as page:
         page.write("\n| new -> stop frame | 1 ms | p99 < 2 ms | met |\n| new, for the record | 1 ms | - | |\n")
     assert list(gaps(CLAIMS, HAZARDS, ASSUMPTIONS, [*cited, *of_bench(tmp_path)])) == [
         "bench, new -> stop frame: cites no claim: name one, or say that it carries none"
@@ -73,7 +73,7 @@ def test_each_line_of_claims_fits_a_mark_or_a_row_of_the_bench() -> None:
     names = list(marks.names())
     assert marks.NOT_TRIED.keys() <= set(names)
     assert [line for line, _ in marks.CLAIMS if not any(re.fullmatch(line, name) for name in names)] == []
-    told, page = script(ROOT / "bench/claims.py"), (ROOT / "docs/dev/measured.md").read_text("utf-8")
+    told, page = script(ROOT / "bench/claims.py"), (ROOT / "docs/reference/measured.md").read_text("utf-8")
     lines = [line for line, _ in told.CLAIMS] + list(told.CARRY_NONE)
     assert [line for line in lines if not re.search(rf"(?m)^\| ({line})", page)] == []
 

@@ -77,7 +77,7 @@ def copy(tmp_path: Path) -> Path:
     environment = folder / ".venv"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(environment)], check=True)
     [packages] = environment.glob("lib/python*/site-packages")
-    (packages / "test.pth").write_text(f"{folder}\n{sysconfig.get_path('purelib')}\n")
+    (packages / "test.pth").write_text(f"{folder}\n{folder / 'lab'}\n{sysconfig.get_path('purelib')}\n")
     script = environment / "bin" / "failstop"
     script.write_text(f"#!{environment}/bin/python\nfrom failstop.cli.main import main\nraise SystemExit(main())\n")
     script.chmod(0o755)

@@ -111,7 +111,7 @@ def test_a_bar_that_was_missed_is_marked_on_the_page_and_named() -> None:
 
 def test_the_page_marks_every_bar_that_its_numbers_missed() -> None:
     """By the text of the page alone, with nothing of what made it."""
-    page = (Path(__file__).parents[2] / "docs" / "dev" / "faults.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "faults.md").read_text()
     rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| `")]
     timed = [row for row in rows if re.fullmatch(r"[0-9.]+", row[-4]) and row[-2][0].isdigit()]
     assert len(timed) > 100
@@ -124,7 +124,7 @@ def test_the_page_marks_every_bar_that_its_numbers_missed() -> None:
 
 
 def test_the_stopping_distance_reckons_with_what_was_measured() -> None:
-    found = report.result_of((Path(__file__).parents[2] / "docs" / "dev" / "faults.md").read_text())["rows"]
+    found = report.result_of((Path(__file__).parents[2] / "docs" / "reference" / "faults.md").read_text())["rows"]
     deaths = [row["p99_ms"] for row in found if re.match("(kill|crash)-[a-z_]+$", row["name"])]
     assert len(deaths) == 10
     assert max(deaths) <= 1000 * distance.DEATH_S

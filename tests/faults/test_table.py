@@ -163,9 +163,9 @@ def test_every_cause_of_a_running_service_is_in_the_table() -> None:
 
 
 def test_the_page_has_the_rows_of_the_table() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "dev" / "faults.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "faults.md").read_text()
     rows = [line for line in page.splitlines() if line.startswith("| `")]
     described = [report.described(fault) for fault in sorted(FIRST, key=lambda fault: FAULT_CLASSES.index(fault.event))]
     described += [fault.described() for fault in arm_table.ROWS]
     for expected, row in zip(described, rows, strict=True):
-        assert row.startswith(expected), "failstop chaos --each 5 --json F --markdown > docs/dev/faults.md"
+        assert row.startswith(expected), "failstop chaos --each 5 --json F --markdown > docs/reference/faults.md"

@@ -105,7 +105,7 @@ def test_a_barrier_that_is_taken_out_is_missed(row: str) -> None:
 
 
 def test_the_page_of_controls_has_each_of_them_and_no_other() -> None:
-    lines = (Path(__file__).parents[2] / "docs/dev/controls.md").read_text(encoding="utf-8").splitlines()
+    lines = (Path(__file__).parents[2] / "docs/reference/controls.md").read_text(encoding="utf-8").splitlines()
     rows = [line.split(" | ")[0].removeprefix("| ") for line in lines if line.startswith("| ")]
     wanted = {each.row for each in BOTH} | controls.NOT_EXPRESSED.keys()
     assert sorted(row for row in rows if row not in HEADS) == sorted(wanted)

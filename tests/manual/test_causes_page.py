@@ -7,7 +7,7 @@ from pathlib import Path
 from failstop.policy import causes
 from failstop_lab.pages import causes as manual
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "causes.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "causes.md"
 
 
 def test_the_page_is_the_generated_one() -> None:

@@ -8,7 +8,7 @@ from failstop.cli import main as cli
 from failstop_lab.pages import commands
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "commands.md"
+PAGE = ROOT / "docs" / "reference" / "commands.md"
 
 
 def test_the_page_is_that_of_the_parsers() -> None:

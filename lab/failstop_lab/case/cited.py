@@ -77,8 +77,8 @@ def _faults(root: Path) -> Iterator[Citation]:
 
 
 def fault_rows(root: Path) -> dict[str, tuple[int, float | None, float | None]]:
-    """(count, p99 and bar in ms) of each row of docs/dev/faults.md by its name; None where there is none."""
-    found = report.result_of((root / "docs/dev/faults.md").read_text("utf-8"))["rows"]
+    """(count, p99 and bar in ms) of each row of docs/reference/faults.md by its name; None where there is none."""
+    found = report.result_of((root / "docs/reference/faults.md").read_text("utf-8"))["rows"]
     return {row["name"]: (row["count"], row.get("p99_ms"), report.EVERY[row["name"]].bar_ms) for row in found}
 
 
@@ -148,9 +148,9 @@ def of_marks() -> Iterator[Citation]:
 
 
 def of_bench(root: Path) -> Iterator[Citation]:
-    """Each row of docs/dev/measured.md that has a bar, but for those of no claim, and what else carries one."""
+    """Each row of docs/reference/measured.md that has a bar, but for those of no claim, and what else carries one."""
     told = script(root / "bench/claims.py")
-    for line in (root / "docs/dev/measured.md").read_text("utf-8").splitlines():
+    for line in (root / "docs/reference/measured.md").read_text("utf-8").splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if len(cells) != 4 or cells[2] in ("bar", "---"):
             continue

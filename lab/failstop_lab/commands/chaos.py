@@ -57,7 +57,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--config", metavar="FILE", help="settings for the service, under those that a campaign needs")
     add("--list", action="store_true", help="list the rows")
     add("--json", metavar="FILE", help="write the result there")
-    add("--markdown", action="store_true", help="print the result as docs/dev/faults.md")
+    add("--markdown", action="store_true", help="print the result as docs/reference/faults.md")
     add("--from", dest="source", metavar="FILE", help="with --markdown: of this result (--json), without a run")
     add("--device", metavar="PATH", help="a real board on a stand, judged by its IMU; needs both consents")
     add("--on-the-stand", action="store_true", help="consent: the robot stands on a stand")

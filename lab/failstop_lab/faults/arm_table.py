@@ -75,7 +75,7 @@ class ArmFault:
         return dataclasses.replace(self, wheels_ms=self.wheels_ms + traits.own_ns / 1e6)
 
     def described(self) -> str:
-        """The part of its line in docs/dev/faults.md that nothing is measured for."""
+        """The part of its line in docs/reference/faults.md that nothing is measured for."""
         latched = f"`{told(self.latched)}`" if self.latched else "nothing"
         return f"| `{self.name}` | {self.cause} | {self.first} | {latched} | {self.cleared} |"
 

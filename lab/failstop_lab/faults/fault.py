@@ -71,7 +71,7 @@ CLAIMS_OF: dict[str, tuple[str, ...]] = {
 
 LATE_MS = 100.0
 """Added to the bar for the limit that a test asserts: machines that tests run on are shared and busy. Whether the bar
-itself holds, a campaign says (docs/dev/faults.md)."""
+itself holds, a campaign says (docs/reference/faults.md)."""
 
 Step = tuple[str, str]
 Wanted = tuple[Any, ...]

@@ -217,7 +217,7 @@ def _times(row: dict[str, Any]) -> tuple[str, str, str]:
 
 
 def markdown(result: dict[str, Any]) -> str:
-    """docs/dev/faults.md: the table, with what a campaign measured beside each row; of another board its rows."""
+    """docs/reference/faults.md: the table, with what a campaign measured beside each row; of another board its rows."""
     board = result.get("board", BOARDS[0])
     of, known = "" if board == BOARDS[0] else f", board {board}", rows_of(traits_of(board)).values()
     measured = {row["name"]: row for row in result["rows"]}
@@ -242,11 +242,11 @@ def markdown(result: dict[str, Any]) -> str:
         *CONDITIONS,
         "",
         "Times are in ms from the fault, or from what the row says, to the arrival of the last byte of that stop",
-        "frame. What is latched is a row of [causes.md](../causes.md) with its first",
+        "frame. What is latched is a row of [causes.md](causes.md) with its first",
         "arguments, and the journal tells of it; what is said besides is in that column. Where nothing is latched",
         "after a new start, motion is disabled. Clearing moves no wheel, but where it comes *by itself*.",
         "What is *not here* this machine could not bring about: `make vm` puts one to sleep and steps its clock",
-        "([usb.md](usb.md)).",
+        "([usb.md](../dev/usb.md)).",
         "",
         *LEASES,
     ]

@@ -15,16 +15,16 @@ HAZARDS_HEAD = """\
 
 Generated from `lab/failstop_lab/case/hazards.py` (`make docs`). Each hazard of a robot that failstop stops: how it
 comes about, what failstop does, what remains, and what helps beside it. *Stopping itself* adds hazards, and so does the
-tool. The claims of [safety.md](safety.md) that answer it stand below it, each with its longest time;
-[evidence.md](dev/evidence.md) has what carries each. A robot, its load and its place have hazards of their own: this
+tool. The claims of [safety.md](../safety.md) that answer it stand below it, each with its longest time;
+[evidence.md](evidence.md) has what carries each. A robot, its load and its place have hazards of their own: this
 list is where to begin, not where to end.
 """
 EVIDENCE_HEAD = """\
 # Evidence
 
 Generated from the declarations of what carries each claim (`make docs`): tests by the mark `claim`, classes of
-faults, properties of the [model](model.md), [litmus tests](memory-order.md), rules and marks of the
-[simulation](simulation.md) and rows of the [bench](measured.md). CI fails for a claim that nothing carries, for a
+faults, properties of the [model](../dev/model.md), [litmus tests](../dev/memory-order.md), rules and marks of the
+[simulation](../dev/simulation.md) and rows of the [bench](measured.md). CI fails for a claim that nothing carries, for a
 citation of no claim, for one of these rows that neither cites a claim nor is said to carry none, for an assumption
 that nothing makes, for a time without a number, and for a bound that is not the latest bar of its rows in
 [faults.md](faults.md).
@@ -43,7 +43,7 @@ boards and prover take for granted, what happens where it is wrong, and what che
 
 
 def hazards_page() -> str:
-    """docs/hazards.md."""
+    """docs/reference/hazards.md."""
     lines = [HAZARDS_HEAD]
     for kind in hazards.HAZARD_CLASSES:
         lines += [f"## {kind[0].upper()}{kind[1:]}", ""]
@@ -59,9 +59,9 @@ def _soon(claim: Claim) -> str:
     return _link(claim) if claim.bound_ms is None else f"{_link(claim)} ({claim.bound_ms:g} ms)"
 
 
-def _link(claim: Claim) -> str:
-    """For a page of docs/."""
-    return f"[{claim.name}](dev/evidence.md#{claim.name.lower()})"
+def _link(claim: Claim, folder: str = "") -> str:
+    """The claim on the page of evidence. `folder`: where that page is, from the page with the link."""
+    return f"[{claim.name}]({folder}evidence.md#{claim.name.lower()})"
 
 
 def claims_table(root: Path) -> str:
@@ -69,8 +69,8 @@ def claims_table(root: Path) -> str:
     lines = ["| | claim | p99, at most | counted |", "|---|---|---|---|"]
     for claim in claims.CLAIMS:
         bound = "" if claim.bound_ms is None else f"{claim.bound_ms:g} ms"
-        lines.append(f"| {_link(claim)} | {claim.says} | {bound} | {claim.counted} |")
-    found = report.result_of((root / "docs/dev/faults.md").read_text("utf-8"))
+        lines.append(f"| {_link(claim, 'reference/')} | {claim.says} | {bound} | {claim.counted} |")
+    found = report.result_of((root / "docs/reference/faults.md").read_text("utf-8"))
     kept = report.kept(report.EVERY, {row["name"]: row for row in found["rows"]})
     day, count, missed = found["machine"]["date"], found["count"], found["missed"]
     lines += ["", f"In the last campaign ({day}, {count} faults) {kept}; {missed} stops were missed."]
@@ -78,7 +78,7 @@ def claims_table(root: Path) -> str:
 
 
 def evidence_page(root: Path) -> str:
-    """docs/dev/evidence.md of a checkout."""
+    """docs/reference/evidence.md of a checkout."""
     by_claim: dict[str, list[Citation]] = defaultdict(list)
     for citation in cited.citations(root):
         for name in citation.claims:
@@ -109,7 +109,7 @@ def _code(row: Citation) -> str:
 
 
 def assumptions_page() -> str:
-    """docs/dev/assumptions.md."""
+    """docs/reference/assumptions.md."""
     lines = [ASSUMPTIONS_HEAD]
     for row in assumptions.ASSUMPTIONS:
         checked = f"`{row.checked}`" if row.checked.startswith("tests/") and " " not in row.checked else row.checked

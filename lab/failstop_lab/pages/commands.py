@@ -1,4 +1,4 @@
-"""The page docs/commands.md: all commands, from their parsers."""
+"""The page docs/reference/commands.md: all commands, from their parsers."""
 
 from __future__ import annotations
 

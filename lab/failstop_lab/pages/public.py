@@ -1,4 +1,4 @@
-"""Public names, as docs/dev/public.txt records them: one a line, with what comes instead where one is deprecated.
+"""Public names, as docs/reference/public.txt records them: one a line, with what comes instead where one is deprecated.
 
 SECURITY.md has the rule: a name that a release has may be gone in a later one only where that release says so.
 """
@@ -19,7 +19,7 @@ from failstop.supervisor.kinds import EVENT_KINDS
 from failstop.version import DEPRECATED, Renamed
 from failstop_lab.pages import completion, reference
 
-PLACE = "docs/dev/public.txt"
+PLACE = "docs/reference/public.txt"
 DEPRECATED_FOR = "; deprecated: "
 """Between a name and what to use instead."""
 MEMBER = re.compile(r"\| `(?:await )?(?P<name>\w+)(?:\((?P<given>.*)\))?[^`]*` \|")

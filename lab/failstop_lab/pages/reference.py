@@ -1,4 +1,4 @@
-"""The page docs/python-reference.md: the Python API, from its docstrings."""
+"""The page docs/reference/python.md: the Python API, from its docstrings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from failstop_lab.pages.rooms import PACKAGE
 API = PACKAGE / "api"
 PAGE_HEAD = """# Python: reference
 
-Generated from the docstrings of `failstop/api` (`make docs`). The guide is [python.md](python.md). What has no module
+Generated from the docstrings of `failstop/api` (`make docs`). The guide is [python.md](../python.md). What has no module
 beside it comes from `failstop` itself: `from failstop import Robot`.
 """
 SECTIONS = (

@@ -1,4 +1,4 @@
-"""The page docs/configuration.md: every setting, made from the declarations of failstop/policy/settings.py."""
+"""The page docs/reference/settings.md: every setting, made from the declarations of failstop/policy/settings.py."""
 
 from __future__ import annotations
 
