@@ -1,8 +1,9 @@
-"""`python -m bench.pages bench/out/bench.json`: put a run's rows into the tables of README.md and docs/reference/measured.md.
+"""`python -m bench.pages bench/out/bench.json`: put a run's rows into the tables of README.md and
+docs/reference/measured.md.
 
-docs/reference/measured.md has every row of the run, in its order; README.md keeps the rows that it shows, with the run's
-numbers. A row of the README that the run does not have is an error: nothing on the page may be older than the rest.
-"""
+docs/reference/measured.md has every row of the run, in its order; README.md keeps the rows that it shows, with the
+run's numbers. A row of the README that the run does not have is an error: nothing on the page may be older than the
+rest."""
 
 from __future__ import annotations
 

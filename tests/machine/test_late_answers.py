@@ -43,7 +43,8 @@ class Judge:
         self.sim.lab.board.on_frame = self._take
         self._loss = 0.0
         """The share of questions, and of what the board says, that is lost. Not of stops: that a question which was
-        written behind a stop comes no further than the stop is taken for granted (docs/reference/assumptions.md, PING)."""
+        written behind a stop comes no further than the stop is taken for granted (docs/reference/assumptions.md,
+        PING)."""
         self._lose()
 
     def _lose(self) -> None:

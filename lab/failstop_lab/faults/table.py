@@ -1,7 +1,7 @@
 """The fault table: what goes wrong, who stops first, what stays latched, what clears it, what is said of it.
 
-The tests, the campaign (`failstop chaos`) and docs/reference/faults.md all come from these rows. Whether the wheels stopped
-is the simulated board's word (judge.py), never the service's.
+The tests, the campaign (`failstop chaos`) and docs/reference/faults.md all come from these rows. Whether the wheels
+stopped is the simulated board's word (judge.py), never the service's.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Control runs: whether what is taken out of the protocol is missed, and the page about it (docs/reference/controls.md)."""
+"""Control runs: whether what is taken out of the protocol is missed, and the page about it
+(docs/reference/controls.md)."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ PAGE = """\
 # What is taken out, and missed
 
 `make controls` makes this page: it takes one part of the stop protocol out of the code at a time, and looks for what
-goes wrong on the [simulated machine](../dev/simulation.md). A campaign that finds nothing on the code as it is says something
-only if it finds each of these.
+goes wrong on the [simulated machine](../dev/simulation.md). A campaign that finds nothing on the code as it is says
+something only if it finds each of these.
 
 Each part is looked for by seeds of one scenario, seed 0 first, for {seconds} s of one core at most; *s* is the time of
 a processor until the first run that was wrong, in which the service is started too. Of such a run draws are left out
@@ -44,9 +45,9 @@ The rows of [model.md](../dev/model.md) that must fail, and parts that it does n
 
 ## Barriers
 
-Each barrier of [memory-order.md](../dev/memory-order.md) is taken out, on the one side of its pair or the other; memory alone
-is odd in these runs. For *moving: supervisor* an entry of the black box is taken out as well, whose own barrier stands
-between. *ring: any writer* and *reply: gate* are two looks at one barrier.
+Each barrier of [memory-order.md](../dev/memory-order.md) is taken out, on the one side of its pair or the other;
+memory alone is odd in these runs. For *moving: supervisor* an entry of the black box is taken out as well, whose own
+barrier stands between. *ring: any writer* and *reply: gate* are two looks at one barrier.
 
 {head}
 {memory}
