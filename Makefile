@@ -29,12 +29,12 @@ test: $(VENV)/.dev lint
 # Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults; a release built twice.
 campaigns: $(VENV)/.dev fuzz
 	FAILSTOP_CAMPAIGN=long $(BIN)/pytest --numprocesses 0 tests/shm/test_torn.py tests/shm/test_spoiled.py \
-	  tests/shm/test_ring_model.py tests/test_burst.py tests/boards \
+	  tests/shm/test_ring_model.py tests/board/test_burst.py tests/board \
 	  tests/procs/test_gate_core.py tests/procs/test_gate_arm_pose.py \
-	  tests/faults/test_table.py tests/faults/test_arm_rows.py tests/faults/test_chaos.py \
-	  tests/e2e/test_hostile_clients.py tests/e2e/test_stop_command_on_ptys.py tests/machine/test_both_worlds.py \
-	  tests/machine/test_every_board.py tests/faults/test_every_board.py tests/web/test_every_board.py \
-	  tests/setup tests/probe tests/ros2/test_probe.py tests/install/test_release.py tests/test_model.py
+	  tests/lab/faults/test_table.py tests/lab/faults/test_arm_rows.py tests/lab/faults/test_chaos.py \
+	  tests/e2e/test_hostile_clients.py tests/e2e/test_stop_command_on_ptys.py tests/lab/machine/test_both_worlds.py \
+	  tests/lab/machine/test_every_board.py tests/lab/faults/test_every_board.py tests/web/test_every_board.py \
+	  tests/setup tests/lab/probe tests/ros2/test_probe.py tests/packaging/test_release.py tests/model/test_model.py
 	$(BIN)/failstop simulate
 
 # Whatever reads bytes that others wrote, under a fuzzer that looks which lines they reach: a minute for each of TARGETS, or SECONDS.
@@ -118,8 +118,8 @@ model:
 BOARD ?=
 board: $(VENV)/.dev
 	@[ -n "$(BOARD)" ] || { echo "which folder? make board BOARD=/path/to/folder"; exit 1; }
-	FAILSTOP_BOARD=$(abspath $(BOARD)) $(BIN)/pytest --numprocesses 0 tests/boards tests/machine/test_every_board.py \
-	  tests/faults/test_every_board.py tests/web/test_every_board.py -k $(abspath $(BOARD))
+	FAILSTOP_BOARD=$(abspath $(BOARD)) $(BIN)/pytest --numprocesses 0 tests/board tests/lab/machine/test_every_board.py \
+	  tests/lab/faults/test_every_board.py tests/web/test_every_board.py -k $(abspath $(BOARD))
 	$(BIN)/failstop demo --board $(abspath $(BOARD))
 
 # All, or some: make mutants ROOMS="gate shm/cell" (tests/mutation/rooms.py). With AT=DIRECTORY what is ended may be gone on with.
@@ -177,7 +177,7 @@ fleet: $(VENV)/.dev
 # Two foreign hosts of Feetech servos on the simulated bus: FRAMES of each, and as many answers, are made and read alike.
 FRAMES ?= 100000
 feetech: $(VENV)/feetech/.installed
-	$(VENV)/feetech/bin/python -m tests.boards.feetech_hosts --frames $(FRAMES)
+	$(VENV)/feetech/bin/python -m tests.board.feetech_hosts --frames $(FRAMES)
 
 $(VENV)/feetech/.installed: pyproject.toml | $(VENV)/bin/python
 	@$(BIN)/python -m venv $(VENV)/feetech
@@ -202,7 +202,7 @@ $(VENV)/ros2/.installed: pyproject.toml
 # processors alone. LEROBOT: the Python of an environment that has it already, with failstop's own dependencies and pip.
 LEROBOT ?= $(VENV)/lerobot/bin/python
 lerobot: $(VENV)/.dev $(LEROBOT)
-	FAILSTOP_LEROBOT=$(abspath $(LEROBOT)) $(BIN)/pytest --numprocesses 0 tests/kiwi
+	FAILSTOP_LEROBOT=$(abspath $(LEROBOT)) $(BIN)/pytest --numprocesses 0 tests/integrations/lerobot
 
 $(VENV)/lerobot/bin/python:
 	@echo "installing LeRobot into $(VENV)/lerobot ..."

@@ -50,7 +50,7 @@ class KiwiTrial(ArmTrial):
     def __init__(self, python: str, home: str) -> None:
         """`python`: of an environment with the real LeRobot; empty: the stand-in."""
         super().__init__("bench-kiwi", SETTINGS, kind="feetech")
-        path = [ROOT, ROOT / "integrations/lerobot"] + ([] if python else [ROOT / "tests/kiwi/standin"])
+        path = [ROOT, ROOT / "integrations/lerobot"] + ([] if python else [ROOT / "tests/integrations/lerobot/standin"])
         self._python = python or sys.executable
         self._environment = {
             **os.environ,

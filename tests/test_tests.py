@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import accumulate
 from pathlib import Path
 
 import pytest
@@ -14,16 +15,23 @@ SHARED = "support"
 
 def wrong(path: Path, tests: Path = TESTS) -> list[str]:
     """Imports of a file that it should not make."""
-    room = path.relative_to(tests).parts[0] if path.parent != tests else ""
+    own = path.relative_to(tests).parts[:-1]
     found = []
     for name in sorted(set().union(*starting.read(path).imports.values())):
         top, *parts = name.split(".")
         if top != "tests" or not parts:
             continue
-        foreign = (tests / parts[0]).is_dir() and parts[0] not in (room, SHARED)
-        if foreign or any(part.startswith("test_") for part in parts[:2]):
+        folder = _folder(tests, parts)
+        foreign = folder[:1] != (SHARED,) and folder != own[: len(folder)]
+        if foreign or any(part.startswith("test_") for part in parts[: len(folder) + 1]):
             found.append(".".join(parts))
     return found
+
+
+def _folder(tests: Path, parts: list[str]) -> tuple[str, ...]:
+    """The folders among the parts of a module's name."""
+    above = accumulate(parts, Path.joinpath, initial=tests)
+    return tuple(part for part, path in zip(parts, list(above)[1:], strict=True) if path.is_dir())
 
 
 def test_what_tests_share_is_in_support() -> None:

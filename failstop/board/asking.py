@@ -2,7 +2,7 @@
 
 A board is known by the answer to one of its questions, a board without questions by its reports. Each question goes
 behind that board's own stop, which ends whatever was cut before it. Neither is motion to any other board of failstop's,
-at its speed or at another (tests/boards/test_asking.py). What a stranger makes of them nobody knows: where a board of
+at its speed or at another (tests/board/test_asking.py). What a stranger makes of them nobody knows: where a board of
 the user's own may be on the port, the others are listened to, and not asked.
 """
 

@@ -147,8 +147,8 @@ def needed(extras: Collection[str] = (), find: Find = importlib.metadata.distrib
 
 def _own() -> Iterator[Entry]:
     """failstop with the rooms that a checkout has next to it, the laboratory, and the metadata that tools look for."""
-    for package in (failstop, failstop_lab):
-        top = os.path.dirname(os.path.abspath(package.__file__))
+    for first in (failstop.__file__, failstop_lab.__file__):
+        top = os.path.dirname(os.path.abspath(first))
         for folder, folders, names in os.walk(top, followlinks=True):
             folders[:] = sorted(name for name in folders if name != "__pycache__")
             for name in sorted(names):

@@ -1,5 +1,5 @@
 """The death of a program that drives: nothing drives before an enable, and people are told whose death it was. Real
-programs die so in rows of tests/faults; more rules are in tests/procs."""
+programs die so in rows of tests/lab/faults; more rules are in tests/procs."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """The command that people are told to type for a restart starts the same service again: its file, its port and its
-name. What it is otherwise: tests/screen/test_follow.py."""
+name. What it is otherwise: tests/cli/test_follow.py."""
 
 from __future__ import annotations
 

@@ -24,11 +24,11 @@ ROOMS = {
             *(f"procs/gate/{name}.py" for name in ("conditions", "core", "requests", "sources")),
             "failstop/policy/kinematics.py",
         ),
-        ("tests/procs/test_gate_*.py", "tests/procs/test_kinematics.py"),
+        ("tests/procs/test_gate_*.py", "tests/policy/test_kinematics.py"),
     ),
     "arm": Room(
         ("procs/gate/arm/*.py", "failstop/policy/capsules.py", "failstop/policy/joints.py"),
-        ("tests/procs/test_gate_arm*.py", "tests/test_capsules.py"),
+        ("tests/procs/test_gate_arm*.py", "tests/policy/test_capsules.py"),
     ),
     "port_owner": Room(
         ("procs/peer.py", "procs/schedule.py", "procs/port_owner/*.py"),
@@ -41,11 +41,11 @@ ROOMS = {
     ),
     "telemetry": Room(
         tuple(f"procs/telemetry/{name}.py" for name in ("battery", "imu", "odometry", "pad", "still")),
-        tuple(f"tests/telemetry/test_{name}.py" for name in ("battery", "imu", "odometry", "pad", "still")),
+        tuple(f"tests/procs/telemetry/test_{name}.py" for name in ("battery", "imu", "odometry", "pad", "still")),
     ),
     "codec": Room(
         tuple(f"failstop/board/{name}.py" for name in ("codec", "decoder", "framing", "servos")),
-        tuple(f"tests/test_{name}.py" for name in ("codec", "cut_frames", "decoder", "receiver", "servos")),
+        tuple(f"tests/board/test_{name}.py" for name in ("codec", "cut_frames", "decoder", "receiver", "servos")),
     ),
     "stopper": Room(
         ("procs/stopper/*.py", "failstop/stopping.py"),
@@ -63,7 +63,7 @@ ROOMS = {
         # Not those that read the sources, measure memory, leave the work to programs that mutmut can't follow, or
         # scribble for minutes.
         (
-            "tests/aarch64/test_pairs.py",
+            "tests/model/test_pairs.py",
             "tests/incidents/test_box.py",
             "tests/incidents/test_memory.py",
             "tests/procs/test_gate_driver_death.py",
@@ -79,6 +79,6 @@ ROOMS = {
     "supervisor": Room(
         ("supervisor/*.py",),
         # But test_imports.py: what is mutated imports the tool.
-        ("tests/screen/test_fold.py", "tests/supervisor/test_[!i]*.py"),
+        ("tests/cli/test_fold.py", "tests/supervisor/test_[!i]*.py"),
     ),
 }

@@ -38,7 +38,7 @@ TABLE = (
     Row("read or take away the stop requests of others", OWNERS, "", "overhear"),
     Row(
         "have a stop shown as somebody else's", NOBODY, "a name in a request is shown as what the asker says",
-        "tests/test_causes.py::test_a_forged_sender_is_what_somebody_says",
+        "tests/policy/test_causes.py::test_a_forged_sender_is_what_somebody_says",
     ),
     Row("write into the memory of the service's processes", OWNERS, "", "write_memory"),
     Row("remove or replace a segment, a pipe, the lock", OWNERS, "the service sees it, stops and ends", "replace"),
@@ -61,7 +61,7 @@ TABLE = (
     ),
     Row(
         "fill the stop pipe so that nobody else's request gets in", EVERYONE, "what fills it is a stop",
-        "tests/faults/test_table.py::test_row",
+        "tests/lab/faults/test_table.py::test_row",
     ),
 )  # fmt: skip
 

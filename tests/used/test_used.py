@@ -16,13 +16,13 @@ NAMESPACES = ("unshare", "--mount", "--pid", "--fork", "--kill-child=KILL", "--m
 PART = (
     "tests/incidents/test_find.py",
     "tests/shm/test_root.py",
-    "tests/telemetry/test_state_files.py",
+    "tests/procs/telemetry/test_state_files.py",
     "tests/doctor/test_gathering.py::test_all_of_it_is_looked_at_without_a_port",
-    "tests/screen/test_follow.py::test_there_must_be_one_at_first",
-    "tests/screen/test_follow.py::test_an_end_and_a_start_anew",
-    "tests/screen/test_follow.py::test_a_unit_counts_where_systemd_runs_and_has_it",
-    "tests/prove/test_settings.py",
-    "tests/prove/test_prove.py::test_without_the_word_nothing_is_written",
+    "tests/cli/test_follow.py::test_there_must_be_one_at_first",
+    "tests/cli/test_follow.py::test_an_end_and_a_start_anew",
+    "tests/cli/test_follow.py::test_a_unit_counts_where_systemd_runs_and_has_it",
+    "tests/lab/prove/test_settings.py",
+    "tests/lab/prove/test_prove.py::test_without_the_word_nothing_is_written",
     # What takes its time there has nothing to do with the machine.
     "--deselect=tests/incidents/test_find.py::test_a_file_is_named_for_the_incident_or_as_asked",
 )

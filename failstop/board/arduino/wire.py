@@ -3,7 +3,7 @@
 A stop is answered by 21 bytes, three times its own, and the question for positions by 25. The firmware waits while its
 buffer of 63 bytes of answers is full; its receive buffer of 63 then drops the newest bytes: a stop, or the sign and
 space between digits. Two lines and 15 glued stops, all that three writers repeat, lose nothing
-(tests/boards/test_stop_of_every_board.py).
+(tests/board/test_stop_of_every_board.py).
 
 Its USB identities are those of Arduino's own Uno and Mega (boards.txt of the core for AVR); a clone has an adapter's.
 """

@@ -5,7 +5,7 @@ frames without a gap are dropped together. It also looks at the end of each of i
 and drops what is half arrived then: a lone stop is lost in 6.1 %. So each writer repeats, at times of its own:
 whichever of two begins, and however much later the other one, only one pair of their early writes touches beside the
 first, and one more is lost to the feedback. The stop of one or two writers is accepted within 12 ms, that of three
-within 40 ms (tests/boards/test_stop_of_every_board.py). The port owner mostly writes alone: its second write comes
+within 40 ms (tests/board/test_stop_of_every_board.py). The port owner mostly writes alone: its second write comes
 late enough that a host which holds the first back for some ms does not send both at once. Of a host that is held up
 again and again repeats reach the board in pairs, and are lost so: that is why there are some as late as 53 to 116 ms.
 

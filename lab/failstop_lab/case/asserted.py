@@ -19,7 +19,7 @@ class Assertion(NamedTuple):
 
 
 BEFORE_MOTION = "port owner, before it writes a motion frame"
-MADE_TO_FAIL = "tests/case/test_invariants.py"
+MADE_TO_FAIL = "tests/lab/case/test_invariants.py"
 ASSERTIONS = (
     Assertion("the epoch only grows", "port owner, when it changes", ("MOVE-1", "MOVE-2"), MADE_TO_FAIL),
     Assertion("one process writes the port owner's memory", BEFORE_MOTION, ("MOVE-1",), MADE_TO_FAIL),

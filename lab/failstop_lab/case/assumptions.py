@@ -31,23 +31,23 @@ ASSUMPTIONS = (
         " and bytes"
         " go out in the order of the writes.", "model, simulation",
         "A stop may be broken up by another writer's frame; each burst begins with what ends a cut frame, so the next"
-        " repeat stops.", "tests/test_cut_frames.py", EACH,
+        " repeat stops.", "tests/board/test_cut_frames.py", EACH,
     ),
     Assumption(
         "MODEL", "The steps of the model are the looks and changes of the code.", "model",
         "An interleaving that the model has not seen; the simulation runs the code itself.",
-        "tests/machine/test_campaign.py", EACH,
+        "tests/lab/machine/test_campaign.py", EACH,
     ),
     Assumption(
         "PAIRS", "The table of docs/dev/memory-order.md has every pair of accesses whose order matters.",
         "litmus tests",
         "On ARM an order that no test has; by its bell or its next look the process sees it, some ms later.",
-        "tests/aarch64/test_pairs.py", EACH,
+        "tests/model/test_pairs.py", EACH,
     ),
     Assumption(
         "BARRIER", "A lock of CPython is released by a store-release and taken by a load-acquire.", "litmus tests",
         "A `Barrier` orders nothing on ARM: a frame of the epoch before may go out behind a stop.",
-        "tests/aarch64/test_litmus.py", EACH,
+        "tests/model/test_litmus.py", EACH,
     ),
     Assumption(
         "LIFELINE", "The kernel marks the robust mutexes of a dead process, and wakes who waits for them, before"
@@ -83,7 +83,7 @@ ASSUMPTIONS = (
         "RECEIVER", "The simulated receiver executes what the board's firmware executes.",
         "tests, faults, simulation, bench",
         "A stop that the simulated board takes and the real one does not; `failstop prove` meets it.",
-        "tests/boards/test_recorded.py (recorded of firmware that ran in an emulator or was compiled), `failstop"
+        "tests/board/test_recorded.py (recorded of firmware that ran in an emulator or was compiled), `failstop"
         " prove`",
         EACH,
     ),
@@ -94,35 +94,35 @@ ASSUMPTIONS = (
     ),
     Assumption(
         "PING", "A board that answers a question which was written behind a stop has executed the stop.", "PROOF-1",
-        "*Acknowledged* is told of a stop that was lost in between.", "tests/boards/test_proofs.py", EACH,
+        "*Acknowledged* is told of a stop that was lost in between.", "tests/board/test_proofs.py", EACH,
     ),
     Assumption(
         "IMU", "Wheels that turn shake the robot more than the noise of its IMU.", "PROOF-1",
-        "*Observed* is told of wheels that turn very slowly.", "tests/telemetry/test_imu.py", EACH,
+        "*Observed* is told of wheels that turn very slowly.", "tests/procs/telemetry/test_imu.py", EACH,
     ),
     Assumption(
         "SERVO", "A servo ends a timed move by itself and holds it with its torque on.", "ARM-1",
-        "The arm moves on, for the time of its longest move.", "tests/test_servos.py", EACH,
+        "The arm moves on, for the time of its longest move.", "tests/board/test_servos.py", EACH,
     ),
     Assumption(
         "SIMULATED", "The calls of the simulated machine behave as those of Linux.", "simulation",
         "A fault that only the kernel's own behaviour brings about is not met there.",
-        "tests/machine/test_as_the_kernel.py", EACH,
+        "tests/lab/machine/test_as_the_kernel.py", EACH,
     ),
     Assumption(
         "WORLDS", "What the simulated machine does not have (durations, caches, drivers) changes no order of events"
         " that it"
         " has.", "simulation", "A scenario that ends in another way on a real machine.",
-        "tests/machine/test_both_worlds.py", CAMPAIGNS,
+        "tests/lab/machine/test_both_worlds.py", CAMPAIGNS,
     ),
     Assumption(
         "EQUAL", "A run that the simulation leaves out is the same as one that it plays, to the last call and its"
-        " time.", "simulation", "A fault at a call that no run has played.", "tests/machine/test_equal.py", EACH,
+        " time.", "simulation", "A fault at a call that no run has played.", "tests/lab/machine/test_equal.py", EACH,
     ),
     Assumption(
         "WEAK", "Where shared memory is drawn as weak, stores are late and loads early as AArch64 permits it.",
         "simulation", "An order that a processor shows and no run has; the litmus tests judge each pair by itself.",
-        "tests/machine/test_memory.py", EACH,
+        "tests/lab/machine/test_memory.py", EACH,
     ),
     Assumption(
         "USERS", "The kernel keeps users apart: permissions of files, pipes and memory, and the rights of root.",

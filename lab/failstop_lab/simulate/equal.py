@@ -1,5 +1,5 @@
 """Equal runs: a fault at one call that is the same at another, since nothing on the machine can tell the two apart.
-Such a run is counted and not played. Each rule is exact: tests/machine/test_equal.py plays both of a sample."""
+Such a run is counted and not played. Each rule is exact: tests/lab/machine/test_equal.py plays both of a sample."""
 
 from __future__ import annotations
 

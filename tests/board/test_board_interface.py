@@ -1,0 +1,176 @@
+"""The board behind its interface: the promises that types cannot make, and who may know more of the board than that."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import inspect
+import re
+from math import inf, nan
+from pathlib import Path
+
+import pytest
+
+from failstop.api.snapshot import Device
+from failstop.board.framing import FrameError
+from failstop.board.interface import Board
+from failstop.board.kinds import KINDS, board_of
+from failstop.board.rrc.board import BOARD
+from failstop.board.tap import Tap
+from failstop.doctor import stop_path
+from failstop.doctor.look import OK
+from failstop.messages import layout
+from failstop.messages.box import MOST_SPEEDS
+from failstop.policy.layouts import BOARDS
+from failstop.policy.settings import Settings
+from failstop.procs.loop import Timer
+from failstop.procs.peer import leave_after_ns
+from failstop.procs.schedule import Pings
+from tests.support.boards import wide
+from tests.support.rooms import imports, package
+from tests.support.starting import nodes
+from tests.support.states import latched, stop
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+# What the rooms may import of the board. The gate and telemetry never see the port. What can be asked of a
+# servo, and what its bus takes, is no more this board's than the servos are.
+KNOWN = {
+    "supervisor": {"finder", "port", "stop_port", "interface", "kinds"},
+    "procs": {"stop_port", "interface", "kinds"},
+    "procs/gate/arm": {"interface", "servos"},
+    "procs/port_owner": {"port", "stop_port", "interface", "servos", "handled"},
+    "procs/stopper": {"stop_port", "interface"},
+    "procs/telemetry": {"interface", "port", "handled"},
+}
+
+
+def board_modules(folder: str) -> set[str]:
+    """Modules of the board that a room's files import."""
+    found: set[str] = set()
+    for path in (ROOT / folder).glob("*.py"):
+        for node, _ in imports(path):
+            above = "" if isinstance(node, ast.Import) else f"{node.module}."
+            names = (f"{above}{alias.name}" for alias in node.names)
+            found |= {name.split(".")[2] for name in names if name.startswith("failstop.board.")}
+    return found
+
+
+@pytest.mark.parametrize("folder", KNOWN)
+def test_who_knows_what_of_the_board(folder: str) -> None:
+    found = board_modules(folder)
+    assert found, "the check sees imports"
+    assert found <= KNOWN[folder]
+
+
+USERS = {
+    "stop port": "failstop/board/stop_port.py",
+    "proof": "failstop/board/handled.py",
+    **{user: f"procs/{user.replace(' ', '_')}" for user in ("gate", "port owner", "stopper", "telemetry")},
+    "supervisor": "supervisor",
+    **{user: f"failstop/{user}" for user in ("doctor", "incidents", "setup")},
+    "stop tool": "failstop/stopping.py",
+    "command line": "failstop/cli",
+    "API": "failstop/api",
+}
+"""Modules that may use the interface, by the words of the page."""
+
+
+def used(member: str) -> set[str]:
+    """The users of one member of the interface."""
+    return {user for user, place in USERS.items() if any(member in names(path) for path in files(place))}
+
+
+def files(place: str) -> list[Path]:
+    found = ROOT / place
+    return [found] if found.suffix else sorted(found.rglob("*.py"))
+
+
+@functools.cache
+def names(path: Path) -> set[str]:
+    """Members of a board that one file uses."""
+    return {
+        node.attr
+        for node in nodes(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute)
+        and getattr(node.value, "attr", getattr(node.value, "id", "")) in ("board", "_board")
+    }
+
+
+def takes(member: str) -> list[str] | None:
+    """Names of what it takes; None: it is a constant."""
+    found = vars(Board).get(member)
+    return list(inspect.signature(found).parameters)[1:] if found else None
+
+
+def test_the_page_on_porting_has_all_of_the_interface_and_no_more() -> None:
+    page = (ROOT / "docs" / "dev" / "porting.md").read_text()
+    rows = re.findall(r"^\| `(\w+)(?:\(([\w, ]*)\))?` \| ([\w, ]+) \|", page.partition("| `Board` |")[2], re.MULTILINE)
+    told = {name: (given.split(", ") if given else None, set(users.split(", "))) for name, given, users in rows}
+    members = [*inspect.get_annotations(Board), *(name for name in vars(Board) if not name.startswith("_"))]
+    assert told == {name: (takes(name) or None, used(name)) for name in members}
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_every_kind_of_board_has_all_of_the_interface(kind: str) -> None:
+    board = board_of(*Settings({"board.kind": kind}).board())
+    for name in inspect.get_annotations(Board):
+        assert getattr(board, name) is not None
+    assert board.burst.startswith(board.first_stop)
+    assert board.burst_with(()) == board.burst
+    assert board.wheels == Settings({"board.kind": kind}).speeds <= MOST_SPEEDS
+    assert board.motor_speeds((-0.0,) * board.wheels, 1.0) == board.stop
+    assert board.check_motion(board.stop, 0.0) == ""
+    assert board.check_aux(board.motor_speeds((0.5,) * board.wheels, 1.0))
+    for wrong in (board.wheels - 1, board.wheels + 1):
+        with pytest.raises(FrameError):
+            board.motor_speeds((0.0,) * wrong, 1.0)
+    assert len(set(board.pings)) == len(board.pings) <= layout.PINGS
+    assert len(board.repeats_ns) == 3
+    assert all(list(row) == sorted(set(row)) and max((0, *row)) < leave_after_ns(board) for row in board.repeats_ns)
+    assert board.hearing().feed(b"") == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_described_board_is_told_no_more_than_its_limit(kind: str) -> None:
+    board = board_of(*Settings({"board.kind": kind}).board())
+    most = board.most_rps
+    fast = board.motor_speeds(wide(most, -most, board.wheels), most)
+    assert board.check_motion(fast, most) == ""
+    assert board.check_motion(fast, most * 0.9) != ""
+    one, other = (board.motor_speeds(wide(*pair, board.wheels), 1.0) for pair in ((0.5, 0.0), (0.0, 0.5)))
+    assert one != other
+    for bad in (nan, inf, 1.001):
+        with pytest.raises(FrameError):
+            board.motor_speeds(wide(0.0, bad, board.wheels), 1.0)
+
+
+THE_LIST = {"failstop/board/kinds.py", "failstop/policy/layouts.py"}
+"""The settings' list of kinds, and of those what is known before one is chosen."""
+OF_THE_BENCH = "lab/failstop_lab/"
+"""The room that tries boards out: it runs no robot."""
+
+
+def test_the_list_of_kinds_is_the_one_place_that_names_boards() -> None:
+    """Beside their own folders."""
+    found = {
+        str(path.relative_to(ROOT))
+        for path in package()
+        if not str(path.relative_to(ROOT)).startswith(OF_THE_BENCH)
+        and any(re.search(rf"\b{kind}\b", path.read_text()) for kind in BOARDS)
+    }
+    own = {name for name in found if re.match(rf"failstop/board/({'|'.join(BOARDS)})/", name)}
+    assert len(own) > 5
+    assert found - own == THE_LIST
+
+
+def test_a_board_without_pings_is_driven_and_only_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page allows it: nobody divides by their number, waits for an answer, or calls the board deaf."""
+    monkeypatch.setattr(type(BOARD), "pings", ())
+    pings = Pings(len(BOARD.pings), 1, Timer(), 0)
+    pings.stopped(0)
+    assert not pings.due(10**12)
+    (found,) = stop_path.judged("stopper's duplicate", BOARD, Tap(-1, BOARD).answered_ms(0.0), "failstop doctor")
+    assert (found.level, found.text) == (OK, "stopper's duplicate: written; this board acknowledges nothing")
+    unasked = Device("/dev/ttyACM0", "open", "unasked")
+    (found,) = stop_path.of_service("failstop", latched(device=unasked, last_stop=stop(acknowledged_s=None)))
+    assert (found.level, found.text) == (OK, "the service's last stop: written; this board acknowledges nothing")

@@ -1,0 +1,78 @@
+"""An arm beside the wheels on the stand: both have to stop, and the arm to hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from failstop.policy.settings import Settings
+from failstop.supervisor import status
+from failstop_lab.faults.arm import BESIDE
+from failstop_lab.prove.arm_run import ArmRun
+from failstop_lab.prove.character import characterize
+from failstop_lab.prove.session import until_valid
+from failstop_lab.prove.sight import Sight
+from failstop_lab.prove.stand import ProveStand
+from failstop_lab.prove.table import BESIDE_PATHS, TURNINGS, plan, within
+from failstop_lab.sim.client import SimBoard
+from tests.lab.prove.judged import firm
+
+
+@pytest.fixture(scope="module")
+def kiwi(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ProveStand, Sight]]:
+    """A stand whose arm may move beside its wheels, and how these show that they stand."""
+    place = tmp_path_factory.mktemp("kiwi")
+    settings = {"board.kind": "feetech", status.LEASE: status.LEASE_WITHOUT_S, **BESIDE}
+    with (
+        SimBoard(place / "board", board="feetech") as board,
+        ProveStand(board.link, settings, str(place), board) as made,
+    ):
+        yield made, characterize(made, within(made.settings)[:1], quick=True)
+
+
+def beside(kiwi: tuple[ProveStand, Sight], name: str) -> ArmRun:
+    stand, sight = kiwi
+    ((path, velocity),) = plan(quick=True, only=(name,), has_arm=True, beside=True, settings=stand.settings)
+    return ArmRun(stand, path, velocity, sight)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["arm-client-killed", "arm-kill-gate", "arm-stop-request"])
+def test_beside_the_wheels_both_are_judged(kiwi: tuple[ProveStand, Sight], name: str) -> None:
+    result = until_valid(lambda: beside(kiwi, name).take(), lambda _: None)
+    assert firm(result.wrong) == []
+    assert result.arm is not None
+    assert result.arm["wheels_rest_s"] >= 0.0
+    assert result.velocity == within(kiwi[0].settings)[0]
+
+
+@pytest.mark.slow
+def test_a_servo_that_lets_go_fails(kiwi: tuple[ProveStand, Sight], monkeypatch: pytest.MonkeyPatch) -> None:
+    run = beside(kiwi, "arm-stop-request")
+    board = run.stand.board
+    assert board
+    monkeypatch.setattr(board, "limp", lambda: [1])
+    assert firm(run.take().wrong) == ["joint base has let go: its torque is off"]
+
+
+@pytest.mark.slow
+def test_wheels_that_do_not_stop_beside_the_arm_fail(kiwi: tuple[ProveStand, Sight]) -> None:
+    stand, sight = kiwi
+    ((path, velocity),) = plan(
+        quick=True, only=("arm-stop-request",), has_arm=True, beside=True, settings=stand.settings
+    )
+    result = ArmRun(stand, path, velocity, sight, lambda *_: None).take()
+    assert result.verdict == "FAIL"
+    assert result.runaway
+    assert {"NO STOP written", "THE WHEELS DID NOT COME TO REST"} <= set(result.wrong)
+
+
+def test_an_arm_beside_the_wheels_is_proved_with_them() -> None:
+    whole = [
+        (path, velocity)
+        for path, velocity in plan(quick=False, has_arm=True, beside=True, settings=Settings())
+        if path.arm
+    ]
+    assert [path for path, _ in whole] == list(BESIDE_PATHS)
+    assert {velocity for _, velocity in whole} == {TURNINGS[0]}
