@@ -132,12 +132,12 @@ mutants: $(VENV)/.dev
 # A stock Debian in a virtual machine, the board on USB (docs/dev/usb.md). Needs root, and qemu, which it names. TRIALS: some of them.
 TRIALS ?=
 vm: $(VENV)/.dev
-	@$(BIN)/python -m bench.vm $(if $(TRIALS),--only $(TRIALS))
+	@$(BIN)/python -m tests.vm $(if $(TRIALS),--only $(TRIALS))
 
 # The same processes on an emulated ARM: TESTS, and a demo. Needs root, and qemu, which it names.
 TESTS ?=
 vm-arm64: $(VENV)/.dev
-	@$(BIN)/python -m bench.vm.arm64 $(TESTS)
+	@$(BIN)/python -m tests.vm.arm64 $(TESTS)
 
 # What is made from tables of the code: tests compare each with its table.
 docs: $(VENV)/.dev
@@ -170,9 +170,9 @@ fleet: $(VENV)/.dev
 	@PATH="$$PATH:/usr/sbin" command -v mosquitto >/dev/null || apt-get install -y --no-install-recommends mosquitto || \
 	  { echo "no mosquitto here: install it (Debian and Ubuntu: apt install mosquitto)"; exit 1; }
 	$(BIN)/pytest --numprocesses 0 tests/fleet
-	$(BIN)/python -m bench.fleet_trials
-	$(BIN)/python -m bench.fleet
-	$(BIN)/python -m bench.fleet_flood
+	$(BIN)/python -m tests.fleet.trials
+	$(BIN)/python -m tests.fleet.thousand
+	$(BIN)/python -m tests.fleet.flood
 
 # Two foreign hosts of Feetech servos on the simulated bus: FRAMES of each, and as many answers, are made and read alike.
 FRAMES ?= 100000
@@ -242,7 +242,7 @@ package-test: $(VENV)/.installed
 	@for judge in $(JUDGES); do \
 	  command -v $$judge >/dev/null || exec apt-get install --yes --no-install-recommends $(JUDGES); done
 	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]'
-	@$(BIN)/python -m bench.packages $(if $(VERSION),--debs dist/$(VERSION)) $(if $(LAST),--last $(LAST))
+	@$(BIN)/python -m tests.packaging.life $(if $(VERSION),--debs dist/$(VERSION)) $(if $(LAST),--last $(LAST))
 
 # Whether it installs on ARM without a compiler: asks the package index for a wheel of each dependency.
 wheels: $(VENV)/.dev

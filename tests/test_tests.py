@@ -22,7 +22,8 @@ def wrong(path: Path, tests: Path = TESTS) -> list[str]:
         if top != "tests" or not parts:
             continue
         folder = _folder(tests, parts)
-        foreign = folder[:1] != (SHARED,) and folder != own[: len(folder)]
+        related = own and folder[: len(own)] == own[: len(folder)]
+        foreign = folder and folder[0] != SHARED and not related
         if foreign or any(part.startswith("test_") for part in parts[: len(folder) + 1]):
             found.append(".".join(parts))
     return found

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from bench.fleet_flood import packet
 from failstop.fleet import levels, signed, topics
 from failstop.fleet.broker import HEAR_S
 from failstop.fleet.levels import Order, StopAnswer
@@ -18,6 +17,7 @@ from failstop.fleet.publisher import Publisher
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
 from failstop.fleet.tally import MUTE, Tally
+from tests.fleet.flood import packet
 from tests.support import states
 
 from . import scene

@@ -1,5 +1,5 @@
 """A full count while a robot is not stopped: every way that is known, at a stand-in of a broker, and at a real one
-where there is one. `python -m bench.fleet_trials` has more of them, drawn, with the command that people use."""
+where there is one. `python -m tests.fleet.trials` has more of them, drawn, with the command that people use."""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.fleet_flood import packet
 from failstop.fleet.wire import MOST_BYTES, Malformed, Message, MqttWire
+from tests.fleet.flood import packet
 
 OTHERS = (b"\x20\x02\x00\x00", b"\xd0\x00", b"\x90\x03\x00\x01\x80", packet("t", b"asks for an answer", 1))
 """CONNACK, PINGRESP, SUBACK, and a message with an acknowledgement: paho-mqtt's."""

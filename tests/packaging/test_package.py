@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from bench import BenchError, packages
+from bench import BenchError
 from failstop.cli.commands import config
 from failstop.doctor.port import LINK
 from failstop.policy.settings import BY_KEY
 from failstop_lab.pages import completion, man
+from tests.packaging import life
 from tests.support.deb import build, tree
 from tests.support.pages import ROOT
 
@@ -108,13 +109,13 @@ def test_without_the_systems_python_the_build_says_what_to_do(capsys: pytest.Cap
 
 
 def test_of_a_release_a_machine_installs_what_is_for_it_and_the_robots_comes_first(tmp_path: Path) -> None:
-    ours = packages.architecture()
+    ours = life.architecture()
     for name in ("failstop-lab_0.2.0_all", f"failstop_0.2.0_{ours}", "failstop_0.2.0_other"):
         (tmp_path / f"{name}.deb").touch()
-    found = packages.newest(tmp_path, tmp_path)
+    found = life.newest(tmp_path, tmp_path)
     names = [path.stem for path in found]
     assert names == [f"failstop_0.2.0_{ours}", "failstop-lab_0.2.0_all", "failstop_0.2.0_other"]
-    assert packages.fitting(found, ours) == found[:2]
+    assert life.fitting(found, ours) == found[:2]
     found[0].unlink()
     with pytest.raises(BenchError, match=f"no package for {ours}"):
-        packages.newest(tmp_path, tmp_path)
+        life.newest(tmp_path, tmp_path)

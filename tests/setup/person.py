@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from bench.vm.terminal import Terminal
 from failstop_lab.sim.client import Event, SimBoard
 from tests.support.commands import FAILSTOP
+from tests.support.terminal import Terminal
 
 PATIENCE_S = 90.0
 """On a machine that is busy; nothing here depends on how long it takes."""

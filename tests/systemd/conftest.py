@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from bench.container import ContainerMissing
-from bench.package_scene import OLDER, SETTINGS, Place, machine
 from bench.service_scene import CONFIG, HARDY, UNIT, Scene
 from failstop.supervisor import status
 from tests.support.deb import tree
+from tests.support.package_scene import OLDER, SETTINGS, Place, machine
 from tests.support.pages import ROOT
 
 LEASE = f"printf '[gate]\\nlease_s = {status.LEASE_WITHOUT_S}\\n' >> {CONFIG}\n"

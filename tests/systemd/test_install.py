@@ -9,11 +9,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from bench.package_scene import BOARD, LINK, OPERATES, SETTINGS, UNIT, Place, stopped
 from bench.service_scene import READY
 from failstop_lab.sim.client import SimBoard
 from failstop_lab.trial import wait_for
 from tests.support.deb import tree
+from tests.support.package_scene import BOARD, LINK, OPERATES, SETTINGS, UNIT, Place, stopped
 from tests.support.pages import ROOT
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.web.browser import Browser
-from bench.web.parts import Web
 from failstop_lab.trial import Trial
 from tests.support.leases import LEASES
 from tests.support.shared_trial import IMU_HZ
+from tests.web.browser import Browser
+from tests.web.parts import Web
 
 _numbers = itertools.count()
 

@@ -12,10 +12,10 @@ from contextlib import ExitStack, suppress
 
 import pytest
 
-from bench.web.parts import Web
-from bench.web.viewer import Viewer
 from failstop.web import connections, sockets
 from failstop_lab.trial import Trial, wait_for
+from tests.web.parts import Web
+from tests.web.viewer import Viewer
 
 pytestmark = pytest.mark.page
 

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from bench.web.parts import Web, driven
-from bench.web.viewer import Viewer
 from failstop.api.errors import Refused
 from failstop.api.robot import Robot
 from failstop_lab.trial import Trial, judge, wait_for
 from tests.web.driving_parts import enable_soon
+from tests.web.parts import Web, driven
+from tests.web.viewer import Viewer
 
 LEASE_S = 1.0
 SETTINGS = f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n[web]\npairing = "on"\n'

@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from bench.web.browser import CHROMIUM, Browser, Tab
-from bench.web.parts import Web
 from failstop.api import distance
 from failstop.policy.settings import Settings
 from failstop_lab.trial import Trial, judge, wait_for
+from tests.web.browser import CHROMIUM, Browser, Tab
 from tests.web.driving_parts import enable_soon
+from tests.web.parts import Web
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from bench.web.parts import Web
-from bench.web.viewer import Viewer
 from failstop.web import driving
 from failstop.web.lease import answer_to
 from failstop_lab.trial import Trial, judge, wait_for
 from tests.web.driving_parts import COMMAND_S, DRIVING, LATE_S, enable_soon
+from tests.web.parts import Web
+from tests.web.viewer import Viewer
 
 pytestmark = pytest.mark.page
 SETTINGS = DRIVING

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from bench.web.parts import Web, driven
 from failstop.api import verdict
 from failstop.board.interface import BY_WHEELS
 from failstop.board.kinds import KINDS
@@ -18,6 +17,7 @@ from failstop_lab.trial import Trial, judge, wait_for
 from tests.support.amounts import LONG
 from tests.support.boards import EVERY_KIND
 from tests.support.leases import LEASES
+from tests.web.parts import Web, driven
 
 IN_SHORT = ("hoverboard", *EVERY_KIND[len(KINDS) :])
 """In each commit the board that answers no question, and one of one's own."""

@@ -12,10 +12,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from bench.web.browser import CHROMIUM, Browser, Tab
-from bench.web.parts import Web
 from failstop.web.hold import GAP_S, HOLD_S, SURE_S
 from failstop_lab.trial import Trial, wait_for
+from tests.web.browser import CHROMIUM, Browser, Tab
+from tests.web.parts import Web
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 

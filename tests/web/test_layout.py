@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from bench.web.browser import CHROMIUM, Browser, Tab
-from bench.web.parts import Web
 from failstop_lab.trial import Trial
+from tests.web.browser import CHROMIUM, Browser, Tab
+from tests.web.parts import Web
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 

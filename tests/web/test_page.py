@@ -10,10 +10,10 @@ import time
 
 import pytest
 
-from bench.web.parts import HEADERS, Web
-from bench.web.viewer import Viewer
 from failstop.web import assets, guard
 from failstop_lab.trial import Trial, judge, wait_for
+from tests.web.parts import HEADERS, Web
+from tests.web.viewer import Viewer
 
 IMU_HZ = 110.0
 """The robot is seen still by the samples of a real board."""

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from bench.web.parts import Web
-from bench.web.viewer import Viewer
 from failstop.web import devices
 from failstop_lab.trial import Trial, wait_for
+from tests.web.parts import Web
+from tests.web.viewer import Viewer
 
 SETTINGS = '[web]\npairing = "on"\ntls = "on"\n'
 

@@ -13,8 +13,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from bench.web.parts import Web
 from failstop.web import addresses, plain
+from tests.web.parts import Web
 
 pytestmark = pytest.mark.page
 KNOWN = frozenset(("rover", "rover.local"))

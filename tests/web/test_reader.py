@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from bench.web.browser import CHROMIUM, Browser, Tab
-from bench.web.parts import Web, driven
 from failstop_lab.trial import Trial, TrialError, wait_for
+from tests.web.browser import CHROMIUM, Browser, Tab
+from tests.web.parts import Web, driven
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 

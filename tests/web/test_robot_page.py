@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from bench.web.browser import CHROMIUM, Browser, Tab
 from failstop_lab.browser.acts import ROWS
 from tests.support.robot_page import play
+from tests.web.browser import CHROMIUM, Browser, Tab
 
 FILE = Path(__file__).parents[2] / "build" / "browser" / "index.html"
 pytestmark = [

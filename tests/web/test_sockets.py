@@ -12,14 +12,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from bench.web.parts import Web
-from bench.web.viewer import Viewer
 from failstop.files import instance
 from failstop.web import connections, hold, page
 from failstop.web.handlers import Guarded
 from failstop.web.limits import Limit
 from failstop.web.stopping import WRITTEN_S
 from failstop_lab.trial import Trial, wait_for
+from tests.web.parts import Web
+from tests.web.viewer import Viewer
 
 IDLE = connections.MOST + 5
 STOPS = "/api/stop/live"

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from bench.web.browser import CHROMIUM, Browser, Tab
-from bench.web.parts import Web
 from failstop_lab.trial import Trial, TrialError, judge, wait_for
+from tests.web.browser import CHROMIUM, Browser, Tab
 from tests.web.driving_parts import COMMAND_S, DRIVING, LATE_S, enable_soon
+from tests.web.parts import Web
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 IMU_HZ = 110.0

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.web.browser import CHROMIUM, Browser, Tab
-from bench.web.front import Front
-from bench.web.parts import Web
 from failstop.web.storage import Storage
 from failstop_lab.trial import Trial, wait_for
+from tests.web.browser import CHROMIUM, Browser, Tab
+from tests.web.front import Front
+from tests.web.parts import Web
 
 pytestmark = [pytest.mark.page, pytest.mark.skipif(not CHROMIUM, reason="no chromium: make web installs it")]
 

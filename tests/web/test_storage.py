@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.web.parts import Web
 from failstop.api.errors import FailstopError
 from failstop.files import durable
 from failstop.web.devices import Device, Devices
 from failstop.web.storage import DEVICES, Storage
+from tests.web.parts import Web
 
 PAIRING = '[web]\npairing = "on"\n'
 

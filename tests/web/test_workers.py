@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from bench.web.parts import Web
-from bench.web.viewer import Viewer
 from failstop.web.hold import LATE
 from failstop_lab.trial import Trial, wait_for, write_settings
 from tests.support.arm_settings import ARM
+from tests.web.parts import Web
+from tests.web.viewer import Viewer
 
 pytestmark = pytest.mark.page
 

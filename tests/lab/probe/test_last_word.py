@@ -13,11 +13,11 @@ from pathlib import Path
 import psutil
 import pytest
 
-from bench.vm.terminal import Terminal
 from failstop.policy.halted import CONFIRMED, MAY_TURN
 from failstop_lab.probe.watcher import WATCHER_HANGS
 from failstop_lab.sim.client import SimBoard
 from tests.support.commands import FAILSTOP
+from tests.support.terminal import Terminal
 
 MOVES_S, STOPS_S, ENDS_S = 40.0, 40.0, 60.0
 CTRL_C = b"\x03"

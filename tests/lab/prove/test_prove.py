@@ -16,7 +16,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from bench.vm.terminal import Terminal
 from failstop.api.errors import Refused
 from failstop.cli.main import main
 from failstop.doctor.system import System
@@ -34,6 +33,7 @@ from failstop_lab.trial import Trial, wait_for
 from tests.lab.prove.judged import UNSEEN, firm
 from tests.lab.prove.noise import SIMULATED
 from tests.support.commands import FAILSTOP, failstop
+from tests.support.terminal import Terminal
 
 WORD = "spin\n"
 CTRL_C = b"\x03"

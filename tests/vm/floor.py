@@ -1,6 +1,6 @@
 """In the guest: what noticing a death and writing to the board's port takes in Python at least.
 
-python -m bench.vm.floor        prints, for each round, when the idle process was killed (CLOCK_MONOTONIC, ns)
+python -m tests.vm.floor        prints, for each round, when the idle process was killed (CLOCK_MONOTONIC, ns)
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.vm import arm64, image
+from tests.vm import arm64, image
 
 
 def test_everything_that_is_asked_for_says_how_it_ended(tmp_path: Path) -> None:

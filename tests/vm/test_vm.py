@@ -15,11 +15,11 @@ from pathlib import Path
 
 import pytest
 
-from bench.vm import guest, image, initrd, inside, outside, table
-from bench.vm.guest import GuestError
-from bench.vm.image import Image
-from bench.vm.patience import Patience, ran
-from bench.vm.table import INSIDE, OUTSIDE, Result
+from tests.vm import guest, image, initrd, inside, outside, table
+from tests.vm.guest import GuestError
+from tests.vm.image import Image
+from tests.vm.patience import Patience, ran
+from tests.vm.table import INSIDE, OUTSIDE, Result
 
 AGENT = Path(image.HERE, "agent.py")
 

@@ -1,6 +1,6 @@
 """A server that does nothing: a page with one button, and when what it sends arrives. What a browser takes by itself.
 
-`python -m bench.web.bare`: says its port, then the ns of CLOCK_MONOTONIC at each message of the websocket.
+`python -m tests.web.bare`: says its port, then the ns of CLOCK_MONOTONIC at each message of the websocket.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Bare:
     """A context manager: that server, in a process of its own."""
 
     def __enter__(self) -> Bare:
-        command = [sys.executable, "-m", "bench.web.bare"]
+        command = [sys.executable, "-m", "tests.web.bare"]
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
         self.url = f"http://127.0.0.1:{self._said()}/"
         return self

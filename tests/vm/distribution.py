@@ -8,9 +8,9 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from bench.vm.scene import FAILSTOP, UNIT, Scene, sh, wrong_unless
-from bench.vm.table import Result
 from failstop.board.rrc.board import BOARD
+from tests.vm.scene import FAILSTOP, UNIT, Scene, sh, wrong_unless
+from tests.vm.table import Result
 
 VENDOR = BOARD.usb[0].partition(":")[0]
 RULE = Path("/usr/lib/udev/rules.d/90-failstop.rules")

@@ -20,8 +20,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from bench.vm.image import Image, cache, key
-from bench.vm.patience import Patience, ran
+from tests.vm.image import Image, cache, key
+from tests.vm.patience import Patience, ran
 
 MEMORY_MB = 768
 WAITS = "shift=2"

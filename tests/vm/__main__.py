@@ -1,6 +1,6 @@
 """`make vm`: the image, the guests, the trials, the table. Exit code 1 when a row is missed.
 
-python -m bench.vm [--only NAME ...] [--keep] [--json FILE]
+python -m tests.vm [--only NAME ...] [--keep] [--json FILE]
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from bench.vm import guest, image, payload, table
-from bench.vm.guest import Guest, GuestError
-from bench.vm.image import ImageError
-from bench.vm.outside import DO, IMU_HZ, Scene, journal
-from bench.vm.table import INSIDE, OUTSIDE, Result
 from failstop_lab.sim.client import SimBoard, SimBoardError
 from failstop_lab.trial import TrialError
+from tests.vm import guest, image, payload, table
+from tests.vm.guest import Guest, GuestError
+from tests.vm.image import ImageError
+from tests.vm.outside import DO, IMU_HZ, Scene, journal
+from tests.vm.table import INSIDE, OUTSIDE, Result
 
 UNPACK_S = 200.0
 INSTALLED = "installed"
@@ -94,7 +94,7 @@ def install(machine: Guest, run: Run) -> None:
 
 def inside(machine: Guest, names: list[str], run: Run) -> None:
     """The trials in the guest."""
-    words = ("env", "-C", "/srv/trials", PYTHON, "-u", "-m", "bench.vm.inside", *names)
+    words = ("env", "-C", "/srv/trials", PYTHON, "-u", "-m", "tests.vm.inside", *names)
     for line in machine.lines(*words, timeout_s=2400.0, wait_s=2700.0) if names else ():
         if isinstance(line, str):
             run.take(line)

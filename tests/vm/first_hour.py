@@ -8,10 +8,10 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from bench.vm.scene import FAILSTOP, LINK, SETTINGS, UNIT, Scene, sh, wrong_unless
-from bench.vm.table import Result
-from bench.vm.terminal import Terminal
 from failstop_lab.trial import TrialError, wait_for
+from tests.support.terminal import Terminal
+from tests.vm.scene import FAILSTOP, LINK, SETTINGS, UNIT, Scene, sh, wrong_unless
+from tests.vm.table import Result
 
 SAYS_S = 400.0
 """The guest takes ten seconds to start a command of failstop's, and a stand test has some twenty rows."""

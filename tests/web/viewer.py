@@ -11,8 +11,8 @@ from typing import Any
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
-from bench.web.parts import Web
 from failstop.web import lease
+from tests.web.parts import Web
 
 WAIT_S = 10.0
 

@@ -9,12 +9,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-from bench.vm.image import PYTHON, ROOT, ImageError
+from tests.vm.image import PYTHON, ROOT, ImageError
 
 SIZE = 32 << 20
 """One size each time: a saved guest knows its disks by their sizes."""
 DISK = "/dev/vdb"
-TRIALS = ("bench/__init__.py", "bench/vm", "packaging/deb", "systemd", "LICENSE")
+TRIALS = ("tests/__init__.py", "tests/support/terminal.py", "tests/vm", "packaging/deb", "systemd", "LICENSE")
 """Folders that the package is built of, in there."""
 SITE = f"lib/python{PYTHON}/site-packages"
 UNPACK = f"""set -e
@@ -57,7 +57,7 @@ def make(path: Path) -> Path:
             compileall.compile_dir(f"{directory}/site", quiet=2)
         _output("tar", "-cf", str(path), "-C", directory, "site", "-C", str(source), *TRIALS)
     if path.stat().st_size > SIZE:
-        raise ImageError(f"{path} is larger than {SIZE} bytes: raise bench/vm/payload.py's SIZE")
+        raise ImageError(f"{path} is larger than {SIZE} bytes: raise tests/vm/payload.py's SIZE")
     with path.open("r+b") as file:
         file.truncate(SIZE)
     return path

@@ -1,6 +1,6 @@
 """In the guest: the trials with the board on vhci_hcd, one after the other. Prints a line of JSON for each round.
 
-    python -m bench.vm.inside NAME...
+    python -m tests.vm.inside NAME...
 
 As root, with the interpreter of /srv/venv. The client commands all the while, whatever is done to the service.
 """
@@ -20,8 +20,11 @@ import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from bench.vm import distribution, first_hour, floor
-from bench.vm.scene import (
+from failstop.api.errors import FailstopError
+from failstop.policy import causes
+from failstop_lab.trial import TrialError, wait_for
+from tests.vm import distribution, first_hour, floor
+from tests.vm.scene import (
     FAILSTOP,
     HAND_S,
     LINK,
@@ -34,10 +37,7 @@ from bench.vm.scene import (
     shown,
     wrong_unless,
 )
-from bench.vm.table import KILLED, TRIAL_BY_NAME, Result
-from failstop.api.errors import FailstopError
-from failstop.policy import causes
-from failstop_lab.trial import TrialError, wait_for
+from tests.vm.table import KILLED, TRIAL_BY_NAME, Result
 
 # Installing.
 

@@ -1,4 +1,4 @@
-"""`python -m bench.web`: the operator's page, measured with a real browser and a simulated board.
+"""`python -m tests.web`: the operator's page, measured with a real browser and a simulated board.
 
 Needs Debian's chromium (`make web` installs it). The board takes the times of the stops, the browser that of a touch;
 both read CLOCK_MONOTONIC, the browser's by an offset that is found at the start.
@@ -21,13 +21,13 @@ import psutil
 
 from bench import report, stats
 from bench.report import end, progress
-from bench.web.bare import Bare
-from bench.web.browser import Browser, Tab
-from bench.web.cut import Cut
-from bench.web.parts import Web, driven
-from bench.web.viewer import Viewer
 from failstop.api.errors import Refused
 from failstop_lab.trial import Trial, judge, wait_for
+from tests.web.bare import Bare
+from tests.web.browser import Browser, Tab
+from tests.web.cut import Cut
+from tests.web.parts import Web, driven
+from tests.web.viewer import Viewer
 
 LEASE_S = 0.3
 PAGE_LATE_NS = 20_000_000
@@ -290,7 +290,7 @@ def _painted(url: str, slower: int, shown: str = SHOWN) -> tuple[float, int]:
 
 def main(words: list[str]) -> int:
     """Run all, or some."""
-    parser = argparse.ArgumentParser(prog="python -m bench.web", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.web", description=__doc__)
     parser.add_argument("--taps", type=int, default=200, help="touches on STOP (default: 200)")
     parser.add_argument("--ends", type=int, default=140, help="cuts, and as many suspensions (default: 140)")
     parser.add_argument("--kills", type=int, default=20, help="killed browsers (default: 20)")

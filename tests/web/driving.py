@@ -1,4 +1,4 @@
-"""`python -m bench.web.driving`: how long a thumb on the page's stick drives the robot after its page is gone, as the
+"""`python -m tests.web.driving`: how long a thumb on the page's stick drives the robot after its page is gone, as the
 network is cut, or the browser is suspended or killed; and whether commands of a backlog move anything."""
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from pathlib import Path
 
 from bench import report, stats
 from bench.report import end, progress
-from bench.web.__main__ import attends, paired
-from bench.web.browser import Browser, Tab
-from bench.web.cut import Cut
-from bench.web.parts import Web
-from bench.web.viewer import Viewer
 from failstop.api.errors import Refused
 from failstop_lab.trial import Trial, TrialError, judge, wait_for
+from tests.web.__main__ import attends, paired
+from tests.web.browser import Browser, Tab
+from tests.web.cut import Cut
+from tests.web.parts import Web
+from tests.web.viewer import Viewer
 
 COMMAND_S, LATE_S, LEASE_S = 0.3, 0.02, 1.0
 SETTINGS = f'[attend]\nrequired = "on"\nlease_s = {LEASE_S}\n[web]\npairing = "on"\ndrive = "on"\n'
@@ -157,7 +157,7 @@ def backlog(trial: Trial, web: Web) -> stats.Row:
 
 def main(words: list[str]) -> int:
     """Run all, or some."""
-    parser = argparse.ArgumentParser(prog="python -m bench.web.driving", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.web.driving", description=__doc__)
     parser.add_argument("--ends", type=int, default=140, help="cuts, and as many suspensions (default: 140)")
     parser.add_argument("--kills", type=int, default=20, help="killed browsers (default: 20)")
     parser.add_argument("--out", metavar="FILE", help="the rows, as JSON")

@@ -1,6 +1,6 @@
 """`make vm-arm64`: the tests of what processes share, and a demo, on Debian's arm64 kernel. Exit code 1 when one fails.
 
-python -m bench.vm.arm64 [TEST ...]
+python -m tests.vm.arm64 [TEST ...]
 
 An emulated machine with one processor and a clock that counts instructions (guest.py), made without running anything
 of it here: Debian's packages are unpacked and no more, wheels too, and its init is a script that runs what is asked
@@ -20,9 +20,9 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from bench.vm import image, initrd
-from bench.vm.guest import LEAPS
-from bench.vm.image import PYTHON, ROOT, SUITE, ImageError
+from tests.vm import image, initrd
+from tests.vm.guest import LEAPS
+from tests.vm.image import PYTHON, ROOT, SUITE, ImageError
 
 TESTS = (
     *(f"tests/shm/test_{name}.py" for name in ("words", "ring", "latest", "barrier", "bell", "claim", "lifeline")),
@@ -139,7 +139,7 @@ def payload(path: Path, script: str) -> None:
         subprocess.run(tar, input=there, check=True)
         subprocess.run(["tar", "-C", directory, "-rf", str(path), "asked.sh"], check=True)
     if path.stat().st_size > PAYLOAD_SIZE:
-        raise ImageError(f"{path} is larger than {PAYLOAD_SIZE} bytes: raise bench/vm/arm64.py's PAYLOAD_SIZE")
+        raise ImageError(f"{path} is larger than {PAYLOAD_SIZE} bytes: raise tests/vm/arm64.py's PAYLOAD_SIZE")
     with path.open("r+b") as file:
         file.truncate(PAYLOAD_SIZE)
 

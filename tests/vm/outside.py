@@ -8,12 +8,12 @@ import threading
 import time
 from collections.abc import Callable
 
-from bench.vm.client import ENABLE
-from bench.vm.floor import is_of_floor
-from bench.vm.guest import Guest, GuestError
-from bench.vm.table import Result
 from failstop_lab.sim.client import Event, SimBoard
 from failstop_lab.trial import TrialError, judge
+from tests.vm.client import ENABLE
+from tests.vm.floor import is_of_floor
+from tests.vm.guest import Guest, GuestError
+from tests.vm.table import Result
 
 PYTHON = "/srv/venv/bin/python"
 UNIT = "failstop.service"
@@ -96,7 +96,7 @@ class Scene:
 
     def command(self) -> None:
         """Start the client, beside everything that systemd ends."""
-        words = f"cd /srv/trials; setsid {PYTHON} -m bench.vm.client >/run/vm-client.log 2>&1 &"
+        words = f"cd /srv/trials; setsid {PYTHON} -m tests.vm.client >/run/vm-client.log 2>&1 &"
         self.machine.must("sh", "-c", words)
         self.clock.passed(time.monotonic_ns())
 
@@ -139,7 +139,7 @@ class Scene:
 
 def floor_outside(scene: Scene) -> list[Result]:
     """The floor; the times are as exact as the clock is passed on, some milliseconds."""
-    lines = scene.machine.must("env", "-C", "/srv/trials", PYTHON, "-m", "bench.vm.floor", timeout_s=60.0)
+    lines = scene.machine.must("env", "-C", "/srv/trials", PYTHON, "-m", "tests.vm.floor", timeout_s=60.0)
     time.sleep(SETTLE_S)
     arrived = [event.arrival_ns for event in scene.board.events() if is_of_floor(event)]
     killed = [int(line) for line in lines if line.isdigit()]

@@ -10,11 +10,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from bench.vm.table import Result
 from failstop.api.errors import FailstopError
 from failstop_lab.faults.driving import Driver
 from failstop_lab.sim.client import Event, SimBoard
 from failstop_lab.trial import TrialError, judge, wait_for
+from tests.vm.table import Result
 
 FAILSTOP = "/usr/bin/failstop"
 UNIT = "failstop.service"

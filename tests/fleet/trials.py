@@ -1,4 +1,4 @@
-"""Fleets that are not as they should be: `python -m bench.fleet_trials`. Real brokers (mosquitto), robots with the
+"""Fleets that are not as they should be: `python -m tests.fleet.trials`. Real brokers (mosquitto), robots with the
 publisher of real ones, and `failstop fleet stop` as a person runs it. The judge is each pretended robot: was it stopped
 when the command ended? A full count with exit code 0 while a robot was not stopped is a false confirmation.
 """
@@ -23,12 +23,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from bench import report, stats
-from bench.fleet import MEMORY
-from bench.fleet_robots import Pretended
 from failstop.fleet import signed
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.settings import FleetSettings
 from failstop_lab.trial import TrialError, wait_for
+from tests.fleet.robots import Pretended
+from tests.fleet.thousand import MEMORY
 
 TRIALS = 20
 MAKER = "trials"
@@ -275,7 +275,7 @@ def row(name: str, count: int, first: int) -> stats.Row:
 
 def main() -> int:
     """Run them; 1 when a count was false, or a healthy fleet's was not full."""
-    parser = argparse.ArgumentParser(prog="python -m bench.fleet_trials", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.fleet.trials", description=__doc__)
     parser.add_argument("--trials", type=int, default=TRIALS, help="of each situation")
     parser.add_argument("--seed", type=int, default=1, help="the first one's")
     parser.add_argument("--only", metavar="TEXT", default="", help="situations with this in their names")

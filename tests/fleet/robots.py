@@ -1,6 +1,7 @@
-"""Many pretended robots in one process, each with a connection and the publisher of a real one: a part of bench.fleet.
+"""Many pretended robots in one process, each with a connection and the publisher of a real one: a part of
+tests.fleet.thousand.
 
-python -m bench.fleet_robots PORT KEY FOLDER FIRST COUNT: says `ready`, then works until its input ends.
+python -m tests.fleet.robots PORT KEY FOLDER FIRST COUNT: says `ready`, then works until its input ends.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Clients of the broker that answer each message at once and do nothing else: the floor of bench.fleet.
+"""Clients of the broker that answer each message at once and do nothing else: the floor of tests.fleet.thousand.
 
-python -m bench.fleet_bare PORT FIRST COUNT: says `ready`, then works until its input ends.
+python -m tests.fleet.bare PORT FIRST COUNT: says `ready`, then works until its input ends.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""A fleet on this machine: `python -m bench.fleet`. Robots with the publisher of real ones on one broker (mosquitto),
-a view of all of them, and stops of the whole fleet, timed by their sender.
+"""A fleet on this machine: `python -m tests.fleet.thousand`. Robots with the publisher of real ones on one broker
+(mosquitto), a view of all of them, and stops of the whole fleet, timed by their sender.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from collections.abc import Iterator
 
 import psutil
 
-from bench import fleet_bare, report, stats
-from bench.fleet_robots import MANUFACTURER
+from bench import report, stats
 from bench.report import progress
 from failstop.fleet import levels, signed
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
 from failstop_lab.trial import TrialError, wait_for
+from tests.fleet import bare
+from tests.fleet.robots import MANUFACTURER
 
 ROBOTS = 1000
 STOPS = 20
@@ -151,11 +152,11 @@ def idle(watched: dict[str, psutil.Process], count: int) -> list[stats.Row]:
 
 def bare_stops(port: int, count: int, number: int) -> list[int]:
     """The ns that so many bare clients take until each has answered: broker, MQTT client and these processors alone."""
-    with clients(count, "bench.fleet_bare", str(port)):
+    with clients(count, "tests.fleet.bare", str(port)):
         found = []
         for done in range(number):
             progress(f"bare stop {done + 1} of {number}")
-            found.append(fleet_bare.stop(port, count))
+            found.append(bare.stop(port, count))
         return found
 
 
@@ -181,7 +182,7 @@ def stops(settings: FleetSettings, count: int, number: int) -> list[stats.Row]:
 
 def main() -> int:
     """Run it; 1 when a bar is missed."""
-    parser = argparse.ArgumentParser(prog="python -m bench.fleet", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.fleet.thousand", description=__doc__)
     parser.add_argument("--robots", type=int, default=ROBOTS)
     parser.add_argument("--stops", type=int, default=STOPS)
     parser.add_argument("--json", metavar="FILE")
@@ -197,7 +198,7 @@ def main() -> int:
             file.write(f"broker.port = {port}\nrobot.manufacturer = '{MANUFACTURER}'\n")
         bare = bare_stops(port, arguments.robots, -(-arguments.stops // 2))
         progress(f"{arguments.robots} robots connect")
-        with clients(arguments.robots, "bench.fleet_robots", str(port), key, folder):
+        with clients(arguments.robots, "tests.fleet.robots", str(port), key, folder):
             view = View(config, arguments.robots)
             wait_for("the view to show them", lambda: view.shows(f"{arguments.robots} robots"), CONNECT_S)
             progress("watching")

@@ -1,6 +1,6 @@
 """In the guest: commands all the while, whatever becomes of the service, and passes the guest's time on.
 
-    python -m bench.vm.client
+    python -m tests.vm.client
 
 The time, CLOCK_MONOTONIC in ns as a line of text, goes out by a virtio port every 10 ms, so that the board outside,
 whose clock is another and runs at another rate, can say when something came by the guest's.

@@ -1,4 +1,4 @@
-"""`python -m bench.web.pictures`: takes the pictures of the page that README and docs/operator.md show."""
+"""`python -m tests.web.pictures`: takes the pictures of the page that README and docs/operator.md show."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 
 from PIL import Image
 
-from bench.web.__main__ import ATTENDED, SHOWN, paired
-from bench.web.browser import Browser, Tab
-from bench.web.parts import Web, driven
 from failstop_lab.trial import Trial, wait_for
+from tests.web.__main__ import ATTENDED, SHOWN, paired
+from tests.web.browser import Browser, Tab
+from tests.web.parts import Web, driven
 
 PICTURES = Path(__file__).parents[2] / "docs/pictures"
 NAME = "rover"

@@ -1,4 +1,4 @@
-"""A flood of forged stops: `python -m bench.fleet_flood`. One robot with the publisher of real ones, a stranger who
+"""A flood of forged stops: `python -m tests.fleet.flood`. One robot with the publisher of real ones, a stranger who
 sends so many forged stops a second, and genuine stops meanwhile, timed by their sender.
 """
 
@@ -20,8 +20,6 @@ from collections.abc import Iterator
 import psutil
 
 from bench import report, stats
-from bench.fleet import MEMORY, broker
-from bench.fleet_robots import MANUFACTURER, Pretended
 from bench.report import progress
 from failstop.fleet import signed, topics
 from failstop.fleet.levels import Order
@@ -29,6 +27,8 @@ from failstop.fleet.publisher import Publisher
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
 from failstop_lab.trial import TrialError
+from tests.fleet.robots import MANUFACTURER, Pretended
+from tests.fleet.thousand import MEMORY, broker
 
 RATES = (1_000, 5_000, 10_000, 20_000, 40_000)
 STOPS = 5
@@ -102,7 +102,7 @@ class Flooder:
 @contextlib.contextmanager
 def robot(port: int, key: str, folder: str) -> Iterator[psutil.Process]:
     """One robot in a process of its own, connected."""
-    words = [sys.executable, "-m", "bench.fleet_flood", "--robot", str(port), key, folder]
+    words = [sys.executable, "-m", "tests.fleet.flood", "--robot", str(port), key, folder]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as running:
         assert running.stdout is not None
         try:
@@ -150,7 +150,7 @@ def flooded(settings: FleetSettings, port: int, rate: int, qos: int, watched: ps
 
 def main() -> int:
     """Run it; 1 when a stop was not confirmed in time."""
-    parser = argparse.ArgumentParser(prog="python -m bench.fleet_flood", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.fleet.flood", description=__doc__)
     parser.add_argument("--rates", type=int, nargs="*", default=RATES)
     parser.add_argument("--robot", nargs=3, help=argparse.SUPPRESS)
     parser.add_argument("--json", metavar="FILE")

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.vm import initrd
+from tests.vm import initrd
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -44,7 +44,7 @@ PACKAGES = (
 KERNEL = ("linux-image-amd64", "klibc-utils")
 LEFT_OUT = (
     *(f"/usr/share/{name}/*" for name in ("doc", "locale", "man")),
-    # bench.vm.initrd makes one.
+    # tests.vm.initrd makes one.
     "/etc/kernel/postinst.d/initramfs-tools",
 )
 NEEDED = {

@@ -1,5 +1,6 @@
-"""The life of the Debian packages: `python -m bench.packages` (`make package-test`). lintian, piuparts and autopkgtest
-judge them; in a container with a systemd the last release is installed, upgraded as a program drives, removed, purged.
+"""The life of the Debian packages: `python -m tests.packaging.life` (`make package-test`). lintian, piuparts and
+autopkgtest judge them; in a container with a systemd the last release is installed, upgraded as a program drives,
+removed, purged.
 
 The simulated board judges the wheels, and systemd's own clock how long the service was away.
 """
@@ -20,14 +21,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from bench import BenchError, debian_tests, report, stats
+from bench import BenchError, report, stats
 from bench.container import ContainerMissing
-from bench.package_scene import BOARD, SETTINGS, UNIT, Place, machine
 from bench.report import progress
 from bench.service_scene import READY
 from failstop_lab.sim.client import Event
+from tests.packaging import debian_tests
+from tests.support.package_scene import BOARD, SETTINGS, UNIT, Place, machine
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 ROUNDS = 3
 WITHOUT_A_TAG = "42a3b47e202b"
 """The commit whose package stands for the last release, as long as no release has a tag."""

@@ -19,7 +19,7 @@ from bench import BenchError, stats
 from bench.container import Bind, Container
 from bench.report import progress
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 TESTS = ROOT / "packaging/deb/tests"
 TESTED_S = 600.0
 USER = "tester"

@@ -1,1 +1,0 @@
-"""The operator's page as it is used: a real browser, viewers, and the measures of the page (`python -m bench.web`)."""
