@@ -21,10 +21,15 @@ PYTEST := $(COMPILED) $(BIN)/pytest
 AGAIN := --numprocesses 0 --last-failed --last-failed-no-failures none
 # The files with such tests: to read all others would take longer than to run these.
 ALONE = $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
+# A test that passes on its second try is a finding: it is named at the very end, and in build/second-try.txt.
+FINDINGS := $(BIN)/python -m tests.support.findings
 test: $(VENV)/.dev lint
+	@$(FINDINGS) start
 	$(PYTEST) --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder -m 'not alone and not page' || \
-	  { [ $$? -eq 1 ] && $(PYTEST) $(AGAIN) -m 'not alone and not page'; }
-	$(PYTEST) --numprocesses 0 -m alone $(ALONE) || { [ $$? -eq 1 ] && $(PYTEST) $(AGAIN) -m alone; }
+	  { [ $$? -eq 1 ] && $(FINDINGS) note && { $(PYTEST) $(AGAIN) -m 'not alone and not page' || { $(FINDINGS) show; exit 1; }; }; }
+	$(PYTEST) --numprocesses 0 -m alone $(ALONE) || \
+	  { [ $$? -eq 1 ] && $(FINDINGS) note && { $(PYTEST) $(AGAIN) -m alone || { $(FINDINGS) show; exit 1; }; }; }
+	@$(FINDINGS) show
 
 # Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults; a release built twice.
 campaigns: $(VENV)/.dev fuzz
