@@ -147,3 +147,11 @@ def test_nobody_imports_a_linked_room_by_its_folder() -> None:
         if name.partition(".")[0] in rooms.LINKED and not (isinstance(node, ast.ImportFrom) and node.level)
     ]
     assert not wrong
+
+
+def test_every_folder_at_the_top_says_what_it_is() -> None:
+    """In a README of its own: a stranger opens one folder first."""
+    made = re.compile(r"\.|__pycache__|build$|dist$|mutants$|site$|.*\.egg-info$")
+    tops = {path.name for path in ROOT.iterdir() if path.is_dir() and not made.match(path.name)}
+    assert {"failstop", "lab", "tests"} <= tops
+    assert [top for top in sorted(tops) if not (ROOT / top / "README.md").exists()] == []
