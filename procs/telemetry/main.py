@@ -47,7 +47,8 @@ ODOMETRY_NS = 20_000_000
 SCALE_NS = 500_000_000
 """How often it is published how the measured speeds compare with the told ones."""
 BIAS_NS = 80_000_000
-"""The state is 10 Hz or faster; at 100 ms it would be 105 to 110, since it goes out with the wake-ups there are."""
+"""The state is 10 Hz or faster; at 100 ms it would be 105 to 110, since it goes out with the wake-ups there are. What
+is known of the wheels goes out as often, and with each reading."""
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
 BATTERY_LOG = "battery log"
@@ -149,7 +150,7 @@ class Telemetry:
         self._began_ns = monotonic_ns()
         self._proving = Proving(context)
         self._barrier = Barrier()
-        self._epoch_followed = self._odometry_ns = self._bias_ns = 0
+        self._epoch_followed = self._odometry_ns = self._bias_ns = self._wheels_ns = self._reading_ns = 0
         self._heard: list[tuple[int, interface.Value, int]] = []
         """News of the board that nobody has acted on: the kind, the value, when it came."""
         self._bias_flags = (False, False)
@@ -313,8 +314,10 @@ class Telemetry:
             twist = (found.vx_mps, found.vy_mps, found.wz_radps)
             known = (*pose, *twist, *found.twist_std, found.source, *found.covariance)
             self._latest["odometry"].write(records.ODOMETRY.pack(*known), found.t_ns)
-            self._publish_wheels(now_ns)
-            self._follow_scale(now_ns)
+            if self._measured.t_ns != self._reading_ns or now_ns - self._wheels_ns >= BIAS_NS:
+                self._reading_ns, self._wheels_ns = self._measured.t_ns, now_ns
+                self._publish_wheels(now_ns)
+                self._follow_scale(now_ns)
         self._proving.forget(now_ns)
         gyro = self._gyro
         flags = (gyro.tracking, gyro.calibrated)
