@@ -156,7 +156,7 @@ def lives(names: list[str]) -> list[list[str]]:
 
 
 def markdown(found: list[Row]) -> str:
-    """The table, as docs/dev/usb.md has it."""
+    """The table, for docs/reference/measured.md."""
     lines = ["| trial | stops missed | motion after | from | ms | floor, ms | |", "|---|---|---|---|---|---|---|"]
     for row in found:
         problems = row.problems
