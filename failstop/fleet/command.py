@@ -21,7 +21,7 @@ from failstop.cli import standard, style
 from failstop.cli.commands import add_name
 from failstop.cli.screen.terminal import Terminal
 from failstop.files import instance
-from failstop.fleet import FleetError, publisher, report, settings, signed, topics, vda5050, view
+from failstop.fleet import FleetError, message, publisher, report, settings, signed, topics, view
 from failstop.fleet.broker import CONNECT_S, Broker
 from failstop.fleet.roster import Robot, Roster
 from failstop.fleet.sender import BY_HAND, Sender
@@ -145,8 +145,8 @@ def _seen(found: FleetSettings) -> tuple[Roster, Broker]:
     def hear(topic: str, payload: bytes, retained: bool) -> None:
         roster.hear(topic, payload, time.monotonic(), retained=retained)
 
-    manufacturer = found.text("robot.manufacturer")
-    wanted = [topics.of_robot(manufacturer, topics.ANY, last) for last in (topics.CONNECTION, topics.STATE)]
+    fleet = found.text("robot.fleet")
+    wanted = [topics.of_robot(fleet, topics.ANY, last) for last in (topics.CONNECTION, topics.STATE)]
     return roster, Broker(found, f"failstop-view-{secrets.token_hex(6)}", wanted, hear)
 
 
@@ -257,7 +257,7 @@ def _check_gone(robot: Robot, broker: Broker) -> None:
     that was switched off while the broker was down stays connected there."""
 
     def over() -> bool:
-        gone = robot.connection in (vda5050.OFFLINE, vda5050.BROKEN)
+        gone = robot.connection in (message.OFFLINE, message.LOST)
         return gone or robot.sign_s is not None or bool(broker.problem)
 
     limit_s = 0.0
@@ -267,7 +267,7 @@ def _check_gone(robot: Robot, broker: Broker) -> None:
     _listen(broker, limit_s, over)
     if broker.problem:
         raise FleetError(broker.problem)
-    if robot.connection not in (vda5050.OFFLINE, vda5050.BROKEN) and robot.sign_s is not None:
+    if robot.connection not in (message.OFFLINE, message.LOST) and robot.sign_s is not None:
         raise FleetError(f"{robot.id} is connected: end its publisher first, or it is back at its next message")
 
 
@@ -285,7 +285,7 @@ def _forget(arguments: Namespace) -> int:
             raise FleetError(f"no robot {name!r} is known to the broker at {broker.where}")
         _check_gone(roster.robots[in_topic], broker)
         for last in (topics.CONNECTION, topics.STATE, topics.EVENT):
-            broker.say(topics.of_robot(found.text("robot.manufacturer"), in_topic, last), b"", retain=True)
+            broker.say(topics.of_robot(found.text("robot.fleet"), in_topic, last), b"", retain=True)
         _listen(broker, LIST_S, lambda: in_topic not in roster.robots)
     standard.tell(f"{name} is forgotten: a fleet stop does not miss it any more")
     return 0

@@ -18,7 +18,7 @@ from failstop.api.state import StateReader
 from failstop.cli import standard
 from failstop.files import durable
 from failstop.files.root import state_directory
-from failstop.fleet import FleetError, signed, topics, vda5050
+from failstop.fleet import FleetError, message, signed, topics
 from failstop.fleet.broker import ANYHOW, Broker
 from failstop.fleet.duties import Duties
 from failstop.fleet.replay import Seen
@@ -109,17 +109,17 @@ class Publisher:
 
     def __init__(self, settings: FleetSettings, name: str, robot: Robot, robot_id: str, store: str) -> None:
         """`store`: the folder in which obeyed stops are remembered. Raises FleetError."""
-        manufacturer = settings.text("robot.manufacturer")
+        fleet = settings.text("robot.fleet")
         self.robot_id = robot_id
         self._robot = robot
-        self._manufacturer = manufacturer
+        self._fleet = fleet
         self._publish_s = settings.number("robot.publish_s")
         self.number = draw()
         """This publisher's, in all that it publishes."""
         self.twins = Twins(self.number, time.time())
-        self._header = vda5050.Header(manufacturer, robot_id, self.number)
+        self._header = message.Header(fleet, robot_id, self.number)
         self._connection_topic = self._header.topic(topics.CONNECTION)
-        self._stop_topic = topics.stop(manufacturer)
+        self._stop_topic = topics.stop(fleet)
         self._key, self._off = _key(settings)
         self._store = os.path.join(store, SEEN)
         self._seen = _remembered(self._store, settings.number("stop.tolerance_s"))
@@ -132,7 +132,7 @@ class Publisher:
         self._forged_s = -FORGED_S
         self._look_at_s = self._published_s = self._built_s = 0.0
         self._shown: tuple[object, object] = (None, None)
-        self._word = vda5050.ONLINE
+        self._word = message.ONLINE
         """The robot's connection, as the broker is told at each new one."""
         # A client's own: two robots of one name would throw each other off the broker by the name alone.
         name = f"failstop-{robot_id}-{self.number}"
@@ -141,7 +141,7 @@ class Publisher:
         self._will()
 
     def _stop_topics(self) -> tuple[str, str]:
-        return self._stop_topic, topics.stop(self._manufacturer, self.robot_id)
+        return self._stop_topic, topics.stop(self._fleet, self.robot_id)
 
     def turn(self, longest_s: float = LOOK_S) -> None:
         """Wait for the broker, for as long as there is nothing else to do, then do that."""
@@ -207,9 +207,9 @@ class Publisher:
         return BUSY_LOOK_S if self.duties.waits(now_s) else LAST_LOOK_S
 
     def close(self) -> None:
-        """In order: the broker confirms that the robot is OFFLINE, which is not lost. One that does not within CLOSE_S
-        has the last will to say."""
-        self._word = vda5050.OFFLINE
+        """End cleanly: the broker confirms that the robot is offline, so it is not lost. If it does not confirm within
+        CLOSE_S, it publishes the last will."""
+        self._word = message.OFFLINE
         self._connection()
         if self.broker.confirmed(CLOSE_S):
             self.broker.close()
@@ -220,7 +220,7 @@ class Publisher:
             self._remember()
 
     def _will(self) -> None:
-        body = vda5050.connection(vda5050.BROKEN)
+        body = message.connection(message.LOST)
         self.broker.will(self._connection_topic, self._header.message(topics.CONNECTION, body, time.time()))
 
     def _up(self) -> None:
@@ -230,14 +230,14 @@ class Publisher:
         self._look_at_s = 0.0
 
     def _connection(self) -> None:
-        body = vda5050.connection(self._word, self._publish_s)
+        body = message.connection(self._word, self._publish_s)
         self.broker.say(self._connection_topic, self._header.message(topics.CONNECTION, body, time.time()), retain=True)
 
     def _publish(self, state: State | None, note: str, now_s: float) -> None:
         if self.broker.problem:
             return
-        body = vda5050.body(state, note, self.own_errors(now_s))
-        steady = vda5050.steady(body)
+        body = message.body(state, note, self.own_errors(now_s))
+        steady = message.steady(body)
         age_s = now_s - self._published_s
         new = steady != self._shown[0] or (body != self._shown[1] and age_s >= CHANGES_S)
         if new or age_s >= self._publish_s:
@@ -246,7 +246,7 @@ class Publisher:
             self.broker.say(self._header.topic(topics.STATE), payload, qos=ANYHOW, retain=True)
 
     def _tell(self, event: Event) -> None:
-        body = {"kind": event.kind, "level": event.level, "text": event.text, "t": vda5050.stamp(event.t)}
+        body = {"kind": event.kind, "level": event.level, "text": event.text, "event_t": event.t}
         payload = self._header.message(topics.EVENT, {**body, "fields": event.fields}, time.time())
         self.broker.say(self._header.topic(topics.EVENT), payload, qos=ANYHOW, retain=True)
 
@@ -254,13 +254,13 @@ class Publisher:
         """Errors of this publisher, beside the robot's: it is deaf, or somebody forges stops."""
         found = []
         if off := self._off or self._denied():
-            found.append(vda5050.warning(vda5050.FLEET_STOP_OFF, off, "`failstop doctor` on the robot says more"))
+            found.append(message.warning(message.FLEET_STOP_OFF, off, "`failstop doctor` on the robot says more"))
         if self.twins.others:
             text = f"another publisher also calls itself {self.robot_id}: set robot.id on one, restart both"
-            found.append(vda5050.warning(vda5050.DOUBLED, text, f"robot.id is in {PLACE}"))
+            found.append(message.warning(message.DOUBLED, text, f"robot.id is in {PLACE}"))
         if now_s - self._forged_s < FORGED_S:
             text = f"messages on {self._stop_topic} that nobody with the fleet's key has made"
-            found.append(vda5050.warning("forgedStop", text, "see who may write there, by the broker's access list"))
+            found.append(message.warning("forged_stop", text, "see who may write there, by the broker's access list"))
         return tuple(found)
 
     def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
@@ -293,7 +293,7 @@ class Publisher:
             self._said_forged, self._forged_s = self.duties.forged, now_s
 
     def _answer(self, answer: StopAnswer) -> None:
-        topic = topics.answer(self._manufacturer, answer.id, self.robot_id)
+        topic = topics.answer(self._fleet, answer.id, self.robot_id)
         whole = dataclasses.replace(
             answer,
             publisher=self.number,

@@ -6,7 +6,7 @@ import dataclasses
 import json
 
 from failstop.api import words
-from failstop.fleet import topics, vda5050
+from failstop.fleet import message, topics
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ MOST_VOLTS = 1000.0
 MOST_TEXT = 200
 """Characters of a text that a robot gives."""
 LONGEST_PERIOD_S = 30.0
-"""Between two states of a robot that does not say its own period: the interface wants one that often."""
+"""Between two states of a robot that does not say its own period; robot.publish_s may be no longer."""
 MISSED_PERIODS = 3
 LATE_S = 2.0
 """A robot is lost after so many periods without a state, and so much for the network."""
@@ -31,13 +31,14 @@ class Robot:
     id: str
     """Its name, printable."""
     connection: str = ""
-    """ONLINE, OFFLINE or CONNECTIONBROKEN; empty: never told."""
+    """message.ONLINE, OFFLINE or LOST; empty: the broker never showed it."""
     word: str = ""
     why: str = ""
     next: str = ""
     volts: float | None = None
     latched: bool = False
-    driving: bool = False
+    moves: bool = False
+    """It is commanded to move, or its wheels are seen to turn."""
     errors: tuple[str, ...] = ()
     """Types of those that need a person."""
     warnings: int = 0
@@ -82,7 +83,7 @@ class Robot:
         silent = self.silent_s(now_s, unix_s) > self.silent_after_s()
         if not self.connection and self.sign_s is not None:
             return silent  # the broker hides its connection, and passes on its states
-        return silent or self.connection != vda5050.ONLINE
+        return silent or self.connection != message.ONLINE
 
 
 class Roster:
@@ -106,16 +107,16 @@ class Roster:
             found = json.loads(payload)
             known = self.robots.get(robot) or Robot(_text(robot), first_s=now_s)
             if last == topics.CONNECTION:
-                known.connection = _text(found["connectionState"])
-                known.period_s = _number(found.get("statePeriod"), 0.0, LONGEST_PERIOD_S) or LONGEST_PERIOD_S
-                alive = known.connection == vda5050.ONLINE
+                known.connection = _text(found["connection"])
+                known.period_s = _number(found.get("state_period_s"), 0.0, LONGEST_PERIOD_S) or LONGEST_PERIOD_S
+                alive = known.connection == message.ONLINE
             elif last == topics.STATE:
                 _take_state(known, found, None if retained else now_s)
                 alive = True
             else:
                 return
             if alive:
-                known.dated_s = vda5050.seconds(found.get("timestamp"))
+                known.dated_s = message.date(found.get("t"))
                 known.sign_s = known.sign_s if retained else now_s
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             self.strange += 1
@@ -129,20 +130,16 @@ class Roster:
 
 def _take_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> None:
     """Raises ValueError, KeyError, TypeError, AttributeError, OverflowError for what is no state."""
-    told = {row["infoType"]: str(row.get("infoDescription", "")) for row in found.get("information", ())}
     errors = found["errors"]
-    stop = found["safetyState"]["eStop"]
-    robot.volts = _number(found["batteryState"].get("batteryVoltage"), -MOST_VOLTS, MOST_VOLTS)
-    robot.driving = found["driving"] is True
-    # A robot of another maker has the interface's own fields alone.
-    robot.word = _text(told.get("word", "") or ("DRIVING" if robot.driving else "STANDING"))
-    robot.why, robot.next = _text(told.get("why", "")), _text(told.get("next", ""))
-    robot.latched = stop != "NONE"
-    robot.errors = tuple(_text(row["errorType"]) for row in errors if row["errorLevel"] == vda5050.FATAL)
+    robot.volts = _number(found.get("battery", {}).get("volts"), -MOST_VOLTS, MOST_VOLTS)
+    robot.moves = found["moves"] is True
+    robot.word, robot.why, robot.next = (_text(found[key]) for key in ("word", "why", "next"))
+    robot.latched = found.get("latched") is True
+    robot.errors = tuple(_text(row["kind"]) for row in errors if row["level"] == message.FATAL)
     robot.warnings = len(errors) - len(robot.errors)
-    own = {row["errorType"]: _text(row["errorDescription"]) for row in reversed(errors)}
-    robot.deaf, robot.doubled = own.get(vda5050.FLEET_STOP_OFF, ""), own.get(vda5050.DOUBLED, "")
-    robot.stamped_s, robot.heard_s = vda5050.seconds(found["timestamp"]), now_s
+    own = {row["kind"]: _text(row["text"]) for row in reversed(errors)}
+    robot.deaf, robot.doubled = own.get(message.FLEET_STOP_OFF, ""), own.get(message.DOUBLED, "")
+    robot.stamped_s, robot.heard_s = message.date(found["t"]), now_s
 
 
 def _text(found: object) -> str:

@@ -44,16 +44,16 @@ class Sender:
         """After run(): why there may be robots that are not counted, in words. Empty: none is known of."""
         self._key = signed.read_key(found.text("stop.key_file"))
         self._order = Order(self.id, 0.0, reason, by)
-        self._manufacturer = found.text("robot.manufacturer")
+        self._fleet = found.text("robot.fleet")
         self._away_s = LONGEST_PAUSE_S + found.number("robot.publish_s")
         """How long a robot may take to be connected again after the broker was restarted: it notices at its next state,
         then makes attempts."""
-        self._probe = topics.answer(self._manufacturer, self.id, "probe/end")
+        self._probe = topics.answer(self._fleet, self.id, "probe/end")
         self.heard_all = False
         """The broker has said whom it remembers, on this connection."""
         self._repeats = Repeats()
-        self._connections = topics.of_robot(self._manufacturer, topics.ANY, topics.CONNECTION)
-        wanted = (topics.answer(self._manufacturer, self.id, topics.ANY), self._connections, self._probe)
+        self._connections = topics.of_robot(self._fleet, topics.ANY, topics.CONNECTION)
+        wanted = (topics.answer(self._fleet, self.id, topics.ANY), self._connections, self._probe)
         # All at once, from a thousand robots: what is lost all the same, the next sending is answered with.
         self.broker = Broker(found, f"failstop-stop-{self.id[:12]}", wanted, self._hear, self._up)
 
@@ -121,7 +121,7 @@ class Sender:
         elif not self.heard_all and not self.broker.problem:
             found.append(
                 "the broker has not said that it has named every robot it remembers: its access list must let you read "
-                f"and write failstop/v1/{self._manufacturer}/#"
+                f"and write failstop/v1/{self._fleet}/#"
             )
         if hidden := self.tally.hidden():
             found.append(
@@ -151,7 +151,7 @@ class Sender:
         self._repeats.sent(now_s, len(missing))
         self.sent_s = self.sent_s or now_s
         for robot in missing if some else ("",):
-            self.broker.say(topics.stop(self._manufacturer, robot), message)
+            self.broker.say(topics.stop(self._fleet, robot), message)
 
     def _hear(self, topic: str, payload: bytes, _retained: bool) -> None:
         if topic == self._probe:

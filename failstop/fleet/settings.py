@@ -23,7 +23,7 @@ UNIT = "failstop-fleet.service"
 KEY, PASSWORD, CERT_KEY = "fleet.key", "broker.password", "broker.cert_key"
 """The names of the credentials that the unit may hand over (LoadCredential)."""
 ID = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
-"""Characters that VDA 5050 allows in a serial number: no `/`, `+` and `#`, which mean something in a topic."""
+"""What a name of a robot or a fleet may be: no `/`, `+` and `#`, which mean something in a topic."""
 
 DECLARED = (
     Setting("broker.host", "127.0.0.1", "", None, None, "where the MQTT broker is"),
@@ -36,7 +36,7 @@ DECLARED = (
     Setting("broker.password_file", "", "", None, None, "a file that holds the password, and that nobody else reads"),
     Setting("broker.keepalive_s", 10, "s", 2, 600, "silent for one and a half of these, a robot is lost"),
     Setting("robot.id", "", "", None, None, "this robot's name in the fleet; empty: the host's name"),
-    Setting("robot.manufacturer", "failstop", "", None, None, "the same for all robots of the fleet"),
+    Setting("robot.fleet", "failstop", "", None, None, "the fleet's name, the same on all its robots"),
     Setting("robot.publish_s", 5.0, "s", 0.5, 30.0, "its state is published at changes, and this often at least"),
     Setting("stop.key_file", KEY_PLACE, "", None, None, "the fleet's key (`failstop fleet key`)"),
     Setting("stop.tolerance_s", 10.0, "s", 1.0, 300.0, "a fleet stop dated further from this robot's clock is refused"),
@@ -45,6 +45,11 @@ DECLARED = (
     ),
 )
 BY_KEY = {row.key: row for row in DECLARED}
+GONE = {
+    "robot.manufacturer": "failstop no longer publishes VDA 5050. Remove this line; if it named your fleet, write "
+    "robot.fleet instead, the same on every robot and on the computer that stops them",
+}
+"""Settings that failstop had, each with what to do about it."""
 
 
 class FleetSettings:
@@ -52,10 +57,12 @@ class FleetSettings:
 
     def __init__(self, given: dict[str, object]) -> None:
         """`given`: by whole key; the rest are defaults. Raises SettingError."""
+        for key in sorted(set(given) & set(GONE)):
+            raise SettingError(f"{key}: {GONE[key]}")
         if unknown := sorted(set(given) - set(BY_KEY)):
             raise SettingError(f"{unknown[0]}: no such setting of the fleet; there are {', '.join(BY_KEY)}")
         self._values = {row.key: row.check(given.get(row.key, row.default)) for row in DECLARED}
-        for key in ("robot.id", "robot.manufacturer"):
+        for key in ("robot.id", "robot.fleet"):
             if (value := self.text(key)) and not ID.fullmatch(value):
                 raise SettingError(f"{key} = {value!r}: letters, digits, `_`, `.`, `:` and `-` are allowed, 64 at most")
         self._check_together()

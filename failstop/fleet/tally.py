@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from failstop.fleet import levels, vda5050
+from failstop.fleet import levels, message
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -21,8 +21,8 @@ UNCONFIRMED = {
 TAKEN_OFF = "TAKEN OFF"
 """Somebody removed the robot's connection from the broker during this stop."""
 WORDS = {
-    vda5050.OFFLINE: "its publisher was ended",
-    vda5050.BROKEN: "its connection is broken",
+    message.OFFLINE: "its publisher was ended",
+    message.LOST: "its connection is broken",
     TAKEN_OFF: "its connection was removed from the broker during this stop",
 }
 MUTE = (
@@ -78,7 +78,7 @@ class Tally:
             self._connections[robot] = word, publisher
         elif robot in self._connections:
             self._connections[robot] = TAKEN_OFF, ""
-        if word == vda5050.ONLINE:
+        if word == message.ONLINE:
             self._publishers.setdefault(robot, set()).add(publisher)
         self._judge(robot)
 
@@ -105,7 +105,7 @@ class Tally:
         publishers = self._publishers.get(robot, set())
         word, number = self._connections.get(robot, ("", ""))
         # The last word on its connection is of a publisher that has gone, and another one answers.
-        others = word in (vda5050.OFFLINE, vda5050.BROKEN) and bool(publishers) and number not in publishers
+        others = word in (message.OFFLINE, message.LOST) and bool(publishers) and number not in publishers
         if len(publishers) > 1 or robot in self._doubled or others:
             self._barred[robot] = DOUBLED
         elif robot in self._answers and publishers == {""}:
@@ -178,7 +178,7 @@ class Tally:
                 why = self._whys[robot]
                 return f"{level}: {why}" if why else UNCONFIRMED[levels.WRITTEN]
         connection, _ = self._connections.get(robot, ("", ""))
-        if connection == vda5050.ONLINE:
+        if connection == message.ONLINE:
             return f"no answer, though the broker calls it connected: {MUTE}"
         if connection in WORDS:
             return f"no answer: {WORDS[connection]}"

@@ -1,19 +1,23 @@
-"""Topics: where what is said on the broker. Those of the state are VDA 5050's, those of the fleet stop are our own."""
+"""Topics: where a robot and the program that stops the fleet publish on the broker.
+
+failstop/v1/FLEET/stop                      to all robots: stop
+failstop/v1/FLEET/stop/ROBOT                to one robot: stop
+failstop/v1/FLEET/answer/STOP_ID/ROBOT      what became of it there
+failstop/v1/FLEET/robot/ROBOT/connection    retained, as are the robot's state and its last event
+"""
 
 from __future__ import annotations
 
-from failstop.fleet import vda5050
-
+ROOT = "failstop/v1"
 ANY = "+"
 CONNECTION = "connection"
 STATE = "state"
 EVENT = "event"
-"""Ours, beside the interface's: the last event, retained."""
 
 
-def of_robot(manufacturer: str, robot: str, last: str) -> str:
-    """Of one robot, or of ANY."""
-    return vda5050.topic(manufacturer, robot, last)
+def of_robot(fleet: str, robot: str, last: str) -> str:
+    """The topic of one robot, or of ANY, that ends in `last`."""
+    return f"{ROOT}/{fleet}/robot/{robot}/{last}"
 
 
 def robot_of(topic: str) -> tuple[str, str]:
@@ -22,11 +26,11 @@ def robot_of(topic: str) -> tuple[str, str]:
     return (parts[-2], parts[-1]) if len(parts) > 1 else ("", topic)
 
 
-def stop(manufacturer: str, robot: str = "") -> str:
+def stop(fleet: str, robot: str = "") -> str:
     """To all robots, or to one: stop."""
-    return f"failstop/v1/{manufacturer}/stop{'/' if robot else ''}{robot}"
+    return f"{ROOT}/{fleet}/stop{'/' if robot else ''}{robot}"
 
 
-def answer(manufacturer: str, stop_id: str, robot: str) -> str:
+def answer(fleet: str, stop_id: str, robot: str) -> str:
     """The topic of one robot's answer, or of ANY."""
-    return f"failstop/v1/{manufacturer}/answer/{stop_id}/{robot}"
+    return f"{ROOT}/{fleet}/answer/{stop_id}/{robot}"

@@ -10,7 +10,7 @@ import json
 import re
 import secrets
 
-from failstop.fleet import vda5050
+from failstop.fleet import message
 
 NUMBER_BYTES = 8
 NUMBER = re.compile(rf"[0-9a-f]{{{2 * NUMBER_BYTES}}}")
@@ -22,8 +22,7 @@ def draw() -> str:
 
 
 def number_of(found: object) -> str:
-    """Return a number that a message gives as `publisher`. Empty: it has none, as a message of an older failstop or
-    of another maker's robot."""
+    """Return a number that a message gives as `publisher`. Empty: it has none."""
     return found if isinstance(found, str) and NUMBER.fullmatch(found) else ""
 
 
@@ -32,8 +31,8 @@ def connection_of(payload: bytes) -> tuple[str, str, float | None]:
     a message that was taken away, or can't be read."""
     try:
         found = json.loads(payload) if payload else {}
-        if word := found.get("connectionState"):
-            return str(word), number_of(found.get("publisher")), vda5050.seconds(found.get("timestamp"))
+        if word := found.get("connection"):
+            return str(word), number_of(found.get("publisher")), message.date(found.get("t"))
     except (ValueError, AttributeError, OverflowError, RecursionError):
         pass
     return "", "", None
@@ -60,14 +59,14 @@ class Twins:
         word, number, dated_s = connection_of(payload)
         if number == self._own:
             self._settled = True
-            self.again = self.again or word != vda5050.ONLINE
+            self.again = self.again or word != message.ONLINE
             return
         if retained:
             # Two clients that throw each other off the broker learn of each other from nothing else.
             later = dated_s is not None and dated_s > self._started_s
             if word and self._settled and later:
                 self.others.add(number)
-        elif word == vda5050.ONLINE:
+        elif word == message.ONLINE:
             # Answered once, or both would go on for ever.
             self.again = self.again or number not in self.others
             self.others.add(number)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from failstop.api import verdict, words
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN
-from failstop.fleet import vda5050
+from failstop.fleet import message
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ ROBOT_COLUMNS, WORD_COLUMNS, WHY_COLUMNS = 64, 20, 240
 """Of a table's cells: whoever may write on the broker may write texts that push all others off the screen."""
 LEAST_ROBOT_COLUMNS = 16
 OLD_S = 40.0
-"""A state older than this, of a robot that is connected, is worth a look: the interface wants one every 30 s."""
+"""A state older than this, of a robot that is connected, is worth a look: one comes every 30 s or sooner."""
 ROLES = {
     verdict.DRIVING: OK,
     verdict.STANDING: OK,
@@ -50,14 +50,14 @@ ORDER = (
 
 def word(robot: Robot, now_s: float, unix_s: float) -> str:
     """A word on its wheels; of a robot that is lost, only that. `now_s`: monotonic."""
-    if robot.connection == vda5050.OFFLINE:
+    if robot.connection == message.OFFLINE:
         return ENDED
     return LOST if robot.lost(now_s, unix_s) else robot.word or "?"
 
 
 def why(robot: Robot, now_s: float, unix_s: float) -> str:
     """A line on why."""
-    if robot.connection == vda5050.OFFLINE:
+    if robot.connection == message.OFFLINE:
         return "its publisher was ended; what it does now is not known here"
     if robot.lost(now_s, unix_s):
         last = f"last seen {robot.word}" if robot.word else "never seen"
@@ -71,7 +71,7 @@ def why(robot: Robot, now_s: float, unix_s: float) -> str:
 
 
 def _lost(robot: Robot, now_s: float, unix_s: float) -> str:
-    if robot.connection == vda5050.ONLINE:
+    if robot.connection == message.ONLINE:
         return f"no state for {words.span(robot.silent_s(now_s, unix_s))}, though the broker calls it connected"
     return "connection broken" if robot.connection else "the broker says nothing of its connection"
 

@@ -17,7 +17,7 @@ from failstop.api.why import explain
 from failstop.cli import style
 from failstop.cli.commands.status import Live
 from failstop.cli.screen import summary
-from failstop.fleet import metrics, vda5050
+from failstop.fleet import message, metrics
 from failstop.policy import causes
 from failstop.ros2 import diagnostics, report
 from failstop.web import view
@@ -52,7 +52,7 @@ def screens(found: State) -> dict[str, str]:
         "watch": "\n".join(map(style.plain, live)),
         "why": str(explain(found, [], NOW_S)),
         "page": f"{shown['word']}. {shown['why']} {view.live(found, 0.001)[6]}",
-        "fleet": json.dumps(vda5050.body(found, "")),
+        "fleet": json.dumps(message.body(found, "")),
         "metrics": "\n".join(f"{row.name} {value:g}" for row, told in metrics.collect(found) for _, value in told),
         "diagnostics": json.dumps(diagnostics.statuses("node", found, "", [], [])),
         "ros state": json.dumps(report.as_json(found, [], [])),
@@ -66,7 +66,7 @@ TELLS = {
     "watch": "the wheels turn although they are told zero",
     "why": "THE WHEELS TURN (POWER SWITCH",
     "page": "WHEELS TURN. The wheels turn although they are told zero.",
-    "fleet": '"wheelsMayTurn"',
+    "fleet": '"wheels_may_turn"',
     "metrics": "failstop_wheels_unexpected 1",
     "diagnostics": "TURNING: the wheels turn although they are told zero",
     "ros state": '"word": "TURNING", "does": "turning", "by": "wheels", "unexpected": true',
@@ -167,7 +167,7 @@ def test_a_reading_is_told_with_its_age_to_programs() -> None:
 
 def test_numbers_and_ages_are_no_news_to_a_fleet_or_to_diagnostics() -> None:
     early, late = (state(turning=dataclasses.replace(states.TURNS_ON, age_s=age_s)) for age_s in (0.01, 0.3))
-    assert vda5050.steady(vda5050.body(early, "")) == vda5050.steady(vda5050.body(late, ""))
+    assert message.steady(message.body(early, "")) == message.steady(message.body(late, ""))
     rows = [diagnostics.statuses("node", found, "", [], []) for found in (early, late)]
     assert not diagnostics.changed(*rows)
 
@@ -175,4 +175,4 @@ def test_numbers_and_ages_are_no_news_to_a_fleet_or_to_diagnostics() -> None:
 def test_a_push_is_not_called_driving_by_programs_that_ask_whether_it_is_commanded() -> None:
     pushed = state(turning=states.TURNS_ON)
     assert not pushed.moving
-    assert vda5050.body(pushed, "")["driving"], "the interface asks whether the robot moves"
+    assert message.body(pushed, "")["moves"], "the fleet asks whether the robot moves"

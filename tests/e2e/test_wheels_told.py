@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from failstop.board.feetech import codec as feetech
-from failstop.fleet import vda5050
+from failstop.fleet import message
 from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import BY_KEY
 from failstop_lab.boards.feetech import SPEED_AT
@@ -59,7 +59,7 @@ class RunsAway:
 
 
 def fleet(body: dict[str, Any]) -> str:
-    return "".join(f"{row['infoType']}: {row['infoDescription']}\n" for row in body["information"])
+    return f"{body['word']}\n{body['why']}\n{body['next']}\n{body['wheels']['text']}\n"
 
 
 def screens(simulated: Simulated) -> dict[str, str]:
@@ -73,7 +73,7 @@ def screens(simulated: Simulated) -> dict[str, str]:
         "why": simulated.command("why")[1],
         "page": f"{shown['word']}. {shown['why']}",
         "metrics": " ".join(f"{row.name} {value:g}" for row, found in told for _, value in found),
-        "fleet": fleet(vda5050.body(state, "")),
+        "fleet": fleet(message.body(state, "")),
         "diagnostics": json.dumps(load("failstop.ros2.diagnostics").statuses("node", state, "", [], [])),
         "ros": json.dumps(load("failstop.ros2.report").as_json(state, [], [])),
     }
@@ -154,7 +154,7 @@ def test_no_screen_says_stopped_of_wheels_that_turn(kind: str, state: str) -> No
         "why": f"THE {large}",
         "page": f"{large}. ",
         "metrics": "failstop_wheels_unexpected 1",
-        "fleet": f"word: {word}\n",
+        "fleet": f"{word}\n",
         "diagnostics": f'"message": "{word}: ',
         "ros": f'"wheels": {{"word": "{word}"',
     }

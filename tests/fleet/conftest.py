@@ -32,11 +32,11 @@ Enrol = Callable[..., Robot]
 
 @pytest.fixture
 def enrol(broker: Mosquitto, key: str, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Enrol]:
-    """Publish a pretended robot; its manufacturer is the test's, so that no test sees another's robots."""
+    """Publish a pretended robot; its fleet is the test's, so that no test sees another's robots."""
     made: list[Robot] = []
 
     def publish(robot_id: str = "r1", robot: Pretended | None = None, **changed: object) -> Robot:
-        settings = broker.settings(**{"stop__key_file": key, "robot__manufacturer": maker(request), **changed})
+        settings = broker.settings(**{"stop__key_file": key, "robot__fleet": fleet_name(request), **changed})
         folder = tmp_path / robot_id
         folder.mkdir(exist_ok=True)
         publisher = Robot(settings, "failstop", robot or Pretended(), robot_id, str(folder))
@@ -50,8 +50,8 @@ def enrol(broker: Mosquitto, key: str, tmp_path: Path, request: pytest.FixtureRe
         publisher.broker.close()
 
 
-def maker(request: pytest.FixtureRequest) -> str:
-    """A name that no other test uses."""
+def fleet_name(request: pytest.FixtureRequest) -> str:
+    """The name of a fleet that no other test uses."""
     return (
         "t-"
         + "".join(c if c.isalnum() else "-" for c in request.node.name)[:50]
@@ -62,7 +62,7 @@ def maker(request: pytest.FixtureRequest) -> str:
 @pytest.fixture
 def listener(broker: Mosquitto, request: pytest.FixtureRequest) -> Iterator[Listener]:
     """A listener that hears all that this test's robots say."""
-    found = Listener(broker.settings(), f"uagv/v2/{maker(request)}/#", f"failstop/v1/{maker(request)}/#")
+    found = Listener(broker.settings(), f"failstop/v1/{fleet_name(request)}/#")
     pump("the listener to be connected", lambda: found.broker.listening, found)
     yield found
     found.broker.close()

@@ -27,7 +27,7 @@ from failstop.fleet.publisher import Publisher
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
 from failstop_lab.trial import TrialError
-from tests.fleet.robots import MANUFACTURER, Pretended
+from tests.fleet.robots import FLEET, Pretended
 from tests.fleet.thousand import MEMORY, broker
 
 RATES = (1_000, 5_000, 10_000, 20_000, 40_000)
@@ -59,7 +59,7 @@ class Flooder:
     def __init__(self, port: int, rate: int, qos: int) -> None:
         junk = Order("f" * 32, time.time(), "smoke", "ann").message(bytes(32))
         self._each = max(1, round(rate * BATCH_S))
-        self._batch = packet(topics.stop(MANUFACTURER), junk, qos) * self._each
+        self._batch = packet(topics.stop(FLEET), junk, qos) * self._each
         self._socket = socket.create_connection(("127.0.0.1", port))
         self._socket.sendall(CONNECT)
         self._ended = threading.Event()
@@ -115,7 +115,7 @@ def robot(port: int, key: str, folder: str) -> Iterator[psutil.Process]:
 
 def publish(port: int, key: str, folder: str) -> None:
     """Be that robot."""
-    settings = FleetSettings({"broker.port": port, "stop.key_file": key, "robot.manufacturer": MANUFACTURER})
+    settings = FleetSettings({"broker.port": port, "stop.key_file": key, "robot.fleet": FLEET})
     publisher = Publisher(settings, "failstop", Pretended(1), ROBOT, folder)
     while not publisher.broker.listening:
         publisher.turn()
@@ -163,7 +163,7 @@ def main() -> int:
         with tempfile.TemporaryDirectory(prefix="bench-fleet-", dir=MEMORY) as folder, broker(folder) as (port, _):
             key = os.path.join(folder, "key")
             signed.make_key(key)
-            settings = FleetSettings({"broker.port": port, "stop.key_file": key, "robot.manufacturer": MANUFACTURER})
+            settings = FleetSettings({"broker.port": port, "stop.key_file": key, "robot.fleet": FLEET})
             with robot(port, key, folder) as watched:
                 rows.append(flooded(settings, port, rate, qos, watched))
     return report.end(rows, arguments.json)

@@ -18,7 +18,7 @@ from failstop.fleet.publisher import Publisher
 from failstop.fleet.settings import FleetSettings
 from failstop.policy import causes
 
-MANUFACTURER = "bench"
+FLEET = "bench"
 ACKNOWLEDGED_S = 0.005
 OBSERVED_S = 0.9
 """When a real robot knows that."""
@@ -84,7 +84,7 @@ def main(port: int, key: str, folder: str, first: int, count: int) -> None:
         name = f"robot-{number}"
         store = os.path.join(folder, name)
         os.makedirs(store, exist_ok=True)
-        settings = FleetSettings({"broker.port": port, "stop.key_file": key, "robot.manufacturer": MANUFACTURER})
+        settings = FleetSettings({"broker.port": port, "stop.key_file": key, "robot.fleet": FLEET})
         publishers.append(Publisher(settings, name, Pretended(number), name, store))
     poll = select.epoll()
     by_fd: dict[int, Publisher] = {}

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from failstop.fleet import levels, topics, vda5050
+from failstop.fleet import levels, message, topics
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.sender import Sender
 from tests.support.commands import failstop
@@ -22,8 +22,8 @@ from .scene import LONG_AGO_S, MOSQUITTO, Listener, Mosquitto, Pretended, mosqui
 
 PASSWORDS = shutil.which("mosquitto_passwd")
 PLUGIN = next(iter(Path("/usr/lib").glob("*/mosquitto_dynamic_security.so")), None)
-MAKER = "failstop"
-"""The manufacturer of the page's access list."""
+FLEET = "failstop"
+"""The fleet's name in the page's access list."""
 USERS = ("r1", "r2", "operator")
 pytestmark = pytest.mark.skipif(MOSQUITTO is None or PASSWORDS is None, reason="needs mosquitto: `make fleet`")
 
@@ -51,7 +51,7 @@ def guarded(tmp_path: Path) -> Iterator[Mosquitto]:
 
 def known(broker: Mosquitto, user: str) -> dict[str, object]:
     """The settings of a user."""
-    return {"broker__user": user, "broker__password_file": str(broker.folder / user), "robot__manufacturer": MAKER}
+    return {"broker__user": user, "broker__password_file": str(broker.folder / user), "robot__fleet": FLEET}
 
 
 def robot(broker: Mosquitto, key: str, name: str, **changed: object) -> Publisher:
@@ -87,14 +87,14 @@ def test_with_the_page_s_access_list_a_robot_writes_what_is_its_own_alone(guarde
     for each in (operator, stranger):
         pump("a connection", lambda each=each: each.broker.listening, each)  # type: ignore[misc]
     forbidden = [
-        topics.stop(MAKER),
-        topics.stop(MAKER, "r2"),
-        topics.answer(MAKER, "f" * 32, "r2"),
-        topics.of_robot(MAKER, "r2", topics.CONNECTION),
+        topics.stop(FLEET),
+        topics.stop(FLEET, "r2"),
+        topics.answer(FLEET, "f" * 32, "r2"),
+        topics.of_robot(FLEET, "r2", topics.CONNECTION),
     ]
     for topic in forbidden:
         stranger.broker.say(topic, b"by r1")
-    own = topics.of_robot(MAKER, "r1", topics.EVENT)
+    own = topics.of_robot(FLEET, "r1", topics.EVENT)
     stranger.broker.say(own, b"by r1")
     pump("its own", lambda: own in operator.last, operator, stranger, other)
     assert not [topic for topic in forbidden if operator.last.get(topic) == b"by r1"]
@@ -130,14 +130,14 @@ def test_a_robot_that_may_not_hear_the_stops_says_so(
     lines = ("allow_anonymous true", f"plugin {PLUGIN}", f"plugin_opt_config_file {dynamic(tmp_path, subscribe=False)}")
     with mosquitto(tmp_path, *lines) as broker:
         publisher = robot(broker, key, "r1", broker__user="", broker__password_file="")
-        own = topics.of_robot(MAKER, "r1", topics.CONNECTION)
-        assert publisher.broker.denied == (topics.stop(MAKER), topics.stop(MAKER, "r1"), own)
+        own = topics.of_robot(FLEET, "r1", topics.CONNECTION)
+        assert publisher.broker.denied == (topics.stop(FLEET), topics.stop(FLEET, "r1"), own)
         assert publisher.deaf() == (
-            f"the broker does not let this robot read {topics.stop(MAKER)} and {topics.stop(MAKER, 'r1')}: "
+            f"the broker does not let this robot read {topics.stop(FLEET)} and {topics.stop(FLEET, 'r1')}: "
             "see its access list"
         )
-        [error] = [row for row in publisher.own_errors(0.0) if row["errorType"] == vda5050.FLEET_STOP_OFF]
-        assert error["errorDescription"] == publisher.deaf()
+        [error] = [row for row in publisher.own_errors(0.0) if row["kind"] == message.FLEET_STOP_OFF]
+        assert error["text"] == publisher.deaf()
         publisher.turn(0.0)
         assert "WARNING: no stop of the fleet is obeyed here" in " ".join(capsys.readouterr().err.split())
         complete, sender = stop_all(broker.settings(stop__key_file=key), wait_s=0.5)
@@ -146,5 +146,7 @@ def test_a_robot_that_may_not_hear_the_stops_says_so(
         assert doubt.startswith("the broker does not let you read failstop/v1/failstop/answer/")
         done = failstop("fleet", "list", "--broker", f"127.0.0.1:{broker.port}")
         assert done.returncode == 1
-        assert "the broker does not let you read uagv/v2/failstop/+/connection" in " ".join(done.stderr.split())
+        assert "the broker does not let you read failstop/v1/failstop/robot/+/connection" in " ".join(
+            done.stderr.split()
+        )
         publisher.broker.close()

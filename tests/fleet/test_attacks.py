@@ -21,7 +21,7 @@ from tests.fleet.flood import packet
 from tests.support import states
 
 from . import scene
-from .conftest import Enrol, maker
+from .conftest import Enrol, fleet_name
 from .scene import Listener, Mosquitto, Pretended, Robot, pump
 
 STOP_ID = "f" * 32
@@ -30,7 +30,7 @@ STOP_ID = "f" * 32
 @pytest.fixture
 def settings(broker: Mosquitto, key: str, request: pytest.FixtureRequest) -> FleetSettings:
     """Settings of the program that stops this test's fleet."""
-    return broker.settings(stop__key_file=key, robot__manufacturer=maker(request), robot__publish_s=0.5)
+    return broker.settings(stop__key_file=key, robot__fleet=fleet_name(request), robot__publish_s=0.5)
 
 
 def stop_all(settings: FleetSettings, *robots: Publisher | Listener, wait_s: float = 10.0) -> Tally:
@@ -97,7 +97,7 @@ def test_an_old_one_and_one_of_the_future(
 ) -> None:
     """One each: of two that come soon after each other a robot refuses the second without a word."""
     robot = Pretended()
-    topic = topics.stop(settings.text("robot.manufacturer"))
+    topic = topics.stop(settings.text("robot.fleet"))
     arrived(enrol(robot=robot), listener, topic, order(key, unix_s=time.time() + off_s))
     (answer,) = answers(listener, key)
     assert list(answer.reached) == [levels.REFUSED]
@@ -108,7 +108,7 @@ def test_an_old_one_and_one_of_the_future(
 def test_a_retained_stop_waits_for_nobody(
     enrol: Enrol, listener: Listener, key: str, settings: FleetSettings, broker: Mosquitto
 ) -> None:
-    topic = topics.stop(settings.text("robot.manufacturer"))
+    topic = topics.stop(settings.text("robot.fleet"))
     listener.broker.say(topic, order(key, unix_s=time.time() - 20), retain=True)
     pump("it to be kept", lambda: listener.all, listener)
     robot = Pretended()
@@ -123,13 +123,13 @@ def test_another_key(enrol: Enrol, listener: Listener, settings: FleetSettings, 
     robot = Pretended()
     publisher = enrol(robot=robot)
     signed.make_key(str(tmp_path / "other"))
-    arrived(publisher, listener, topics.stop(settings.text("robot.manufacturer")), order(str(tmp_path / "other")))
+    arrived(publisher, listener, topics.stop(settings.text("robot.fleet")), order(str(tmp_path / "other")))
     assert robot.asked == []
     assert not [topic for topic, _ in listener.all if "/answer/" in topic], "nobody is answered who can't sign"
 
     def warned() -> bool:
         shown = [json.loads(payload) for topic, payload in listener.all if topic.endswith("/state")]
-        return any(row["errorType"] == "forgedStop" for body in shown for row in body["errors"])
+        return any(row["kind"] == "forged_stop" for body in shown for row in body["errors"])
 
     pump("the warning", warned, publisher, listener)
 
@@ -138,7 +138,7 @@ def test_another_key(enrol: Enrol, listener: Listener, settings: FleetSettings, 
 def test_nonsense(enrol: Enrol, listener: Listener, settings: FleetSettings, payload: bytes) -> None:
     robot = Pretended()
     publisher = enrol(robot=robot)
-    arrived(publisher, listener, topics.stop(settings.text("robot.manufacturer")), payload)
+    arrived(publisher, listener, topics.stop(settings.text("robot.fleet")), payload)
     assert robot.asked == []
     assert stop_all(settings, publisher).all_reached(levels.OBSERVED), "and a genuine one is obeyed"
 
@@ -147,7 +147,7 @@ def test_a_flood(enrol: Enrol, broker: Mosquitto, key: str, settings: FleetSetti
     """Messages look like stops, come from a sender without a key, and go on coming."""
     robot = Pretended()
     publisher = enrol(robot=robot)
-    topic = topics.stop(settings.text("robot.manufacturer"))
+    topic = topics.stop(settings.text("robot.fleet"))
     junk = order(key)[:-4] + b'00"}'
     flooder = Listener(settings, "nothing")
     pump("the flooder", lambda: not flooder.broker.problem, flooder)
@@ -188,7 +188,7 @@ def test_a_message_of_twenty_megabytes(enrol: Enrol, listener: Listener, setting
     robot = Pretended()
     publisher = enrol(robot=robot)
     wire = publisher.broker.client.wire
-    listener.broker.say(topics.stop(settings.text("robot.manufacturer")), bytes(20_000_000), qos=0)
+    listener.broker.say(topics.stop(settings.text("robot.fleet")), bytes(20_000_000), qos=0)
     pump("it to be skipped", lambda: wire.skipped, publisher, listener)
     assert publisher.broker.client.wire is wire, "on the same connection"
     assert stop_all(settings, publisher).all_reached(levels.OBSERVED), "and a genuine one is obeyed"
@@ -198,12 +198,12 @@ def test_a_forged_confirmation(enrol: Enrol, listener: Listener, settings: Fleet
     """The sender sees the stop's id and has no key; another confirmation is of an earlier stop, recorded."""
     signed.make_key(str(tmp_path / "other"))
     other = signed.read_key(str(tmp_path / "other"))
-    maker_id = settings.text("robot.manufacturer")
+    fleet = settings.text("robot.fleet")
     key = signed.read_key(settings.text("stop.key_file"))
     enrol().broker.close()
     sender = Sender(settings, "smoke", "ann")
     done = dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0)
-    topic = topics.answer(maker_id, sender.id, "r1")
+    topic = topics.answer(fleet, sender.id, "r1")
     recorded = StopAnswer(STOP_ID, "r1", done).message(key)
     running = threading.Thread(daemon=True, target=sender.run, args=(1.0,))
     running.start()
@@ -219,16 +219,16 @@ def test_somebody_takes_a_robot_off_the_broker(
     enrol: Enrol, listener: Listener, settings: FleetSettings, broker: Mosquitto, key: str, tmp_path: Path
 ) -> None:
     """Nobody misses it without a list; with one it is missed."""
-    maker_id = settings.text("robot.manufacturer")
+    fleet = settings.text("robot.fleet")
     publisher = enrol("r1")
     enrol("r2").broker.close()
-    kept = topics.of_robot(maker_id, "r2", topics.CONNECTION)
+    kept = topics.of_robot(fleet, "r2", topics.CONNECTION)
     listener.broker.say(kept, b"", retain=True)
     pump("it to be taken off", lambda: listener.last.get(kept) == b"", listener)
     assert stop_all(settings, publisher).missing() == []
     names = tmp_path / "robots"
     names.write_text("r1\nr2  # the one in hall 2\n")
-    listed = broker.settings(stop__key_file=key, robot__manufacturer=maker_id, stop__robots_file=str(names))
+    listed = broker.settings(stop__key_file=key, robot__fleet=fleet, stop__robots_file=str(names))
     assert [row.robot for row in stop_all(listed, publisher, wait_s=1.0).missing()] == ["r2"]
 
 
@@ -273,7 +273,7 @@ def test_no_key_on_the_robot_is_said_and_missed(
 
     def said() -> bool:
         shown = [json.loads(payload) for topic, payload in listener.all if topic.endswith("/state")]
-        return any(row["errorType"] == "fleetStopOff" for body in shown for row in body["errors"])
+        return any(row["kind"] == "fleet_stop_off" for body in shown for row in body["errors"])
 
     pump("the warning", said, publisher, listener)
     tally = stop_all(settings, publisher, wait_s=1.0)

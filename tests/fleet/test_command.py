@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from failstop.cli.main import main
-from failstop.fleet import signed, topics, vda5050
+from failstop.fleet import message, signed, topics
 from failstop.fleet.broker import read_secret
 from failstop.fleet.settings import FleetSettings
 from failstop.policy.setting import SettingError
@@ -25,7 +25,7 @@ from tests.support.commands import FAILSTOP, failstop
 from .scene import LONG_AGO_S, Listener, Pretended, Robot, pump
 from .standin import Standin
 
-MAKER = "failstop"
+FLEET = "failstop"
 PERIOD_S = 0.5
 NOBODY = 65534
 
@@ -59,7 +59,7 @@ def publisher(broker: Standin, key: str, tmp_path: Path) -> Iterator[Robot]:
 
 @pytest.fixture
 def somebody(broker: Standin) -> Iterator[Listener]:
-    made = Listener(broker.settings(), "uagv/#")
+    made = Listener(broker.settings(), "failstop/v1/+/robot/#")
     pump("the listener", lambda: made.broker.listening, made)
     yield made
     made.broker.close()
@@ -67,11 +67,11 @@ def somebody(broker: Standin) -> Iterator[Listener]:
 
 def keep(somebody: Listener, robot: str, word: str) -> None:
     """The broker remembers this connection of a robot's."""
-    body = vda5050.connection(word, PERIOD_S)
-    topic = topics.of_robot(MAKER, robot, topics.CONNECTION)
-    message = vda5050.Header(MAKER, robot, "b" * 16).message(topics.CONNECTION, body, time.time())
-    somebody.broker.say(topic, message, retain=True)
-    pump("it to be kept", lambda: somebody.last.get(topic) == message, somebody)
+    body = message.connection(word, PERIOD_S)
+    topic = topics.of_robot(FLEET, robot, topics.CONNECTION)
+    payload = message.Header(FLEET, robot, "b" * 16).message(topics.CONNECTION, body, time.time())
+    somebody.broker.say(topic, payload, retain=True)
+    pump("it to be kept", lambda: somebody.last.get(topic) == payload, somebody)
 
 
 def test_an_empty_broker_is_no_error(config: str) -> None:
@@ -170,7 +170,7 @@ def test_a_file_that_the_units_user_may_not_read_comes_with_the_remedy(what: Any
 
 
 def test_ctrl_c_prints_the_report_so_far(config: str, publisher: Robot, somebody: Listener) -> None:
-    keep(somebody, "r2", vda5050.BROKEN)
+    keep(somebody, "r2", message.LOST)
     words = [*FAILSTOP, "fleet", "stop", "--wait", "60", "--config", config]
     terminal, theirs = pty.openpty()
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=theirs, text=True) as running:
@@ -210,7 +210,7 @@ def until(terminal: int, wanted: str, *turning: Robot) -> str:
 
 
 def test_progress_is_shown_while_it_waits(config: str, somebody: Listener) -> None:
-    keep(somebody, "r2", vda5050.BROKEN)
+    keep(somebody, "r2", message.LOST)
     terminal, theirs = pty.openpty()
     words = [*FAILSTOP, "fleet", "stop", "--wait", "60", "--config", config]
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=theirs) as running:
@@ -223,11 +223,11 @@ def test_progress_is_shown_while_it_waits(config: str, somebody: Listener) -> No
 
 def test_a_robot_that_was_switched_off_while_the_broker_was_down_is_forgotten(config: str, somebody: Listener) -> None:
     """The broker calls it connected for ever."""
-    keep(somebody, "r2", vda5050.ONLINE)
+    keep(somebody, "r2", message.ONLINE)
     done = failstop("fleet", "forget", "r2", "--config", config)
     assert (done.returncode, done.stdout) == (0, "r2 is forgotten: a fleet stop does not miss it any more\n")
     assert "the broker calls r2 connected: listening for a sign of life, 4 s at most" in " ".join(done.stderr.split())
-    topic = topics.of_robot(MAKER, "r2", topics.CONNECTION)
+    topic = topics.of_robot(FLEET, "r2", topics.CONNECTION)
     pump("it to be taken off", lambda: somebody.last[topic] == b"", somebody)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from failstop.fleet import FleetError, signed, topics, vda5050
+from failstop.fleet import FleetError, message, signed, topics
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
 from failstop.fleet.tally import DOUBLED
@@ -19,10 +19,11 @@ from failstop.fleet.tally import DOUBLED
 from .scene import LONG_AGO_S, MOSQUITTO, Listener, Mosquitto, Pretended, Robot, mosquitto, pump, stop_all
 from .standin import Standin
 
-MAKER = "failstop"
+FLEET = "failstop"
 OPERATOR = "operator"
-BLIND = f"user {OPERATOR}\ntopic readwrite failstop/v1/#\npattern readwrite uagv/v2/failstop/%u/#\n"
-BLIND += "pattern read failstop/v1/#\npattern write failstop/v1/#\n"
+BLIND = f"user {OPERATOR}\ntopic readwrite failstop/v1/+/stop/#\ntopic readwrite failstop/v1/+/answer/#\n"
+BLIND += "pattern readwrite failstop/v1/failstop/robot/%u/#\n"
+BLIND += "pattern read failstop/v1/+/stop/#\npattern write failstop/v1/+/answer/#\n"
 PUBLISH_S = 0.5
 Start = Callable[..., "Standin | Mosquitto"]
 
@@ -101,8 +102,8 @@ def test_two_robots_of_one_name_are_never_confirmed(
     pump("both to know", lambda: all(each.doubled() for each in publishers), *publishers)
     for each in publishers:
         each.turn(0.0)
-        [error] = [row for row in each.own_errors(0.0) if row["errorType"] == vda5050.DOUBLED]
-        assert error["errorDescription"].endswith("also calls itself r1: set robot.id on one, restart both")
+        [error] = [row for row in each.own_errors(0.0) if row["kind"] == message.DOUBLED]
+        assert error["text"].endswith("also calls itself r1: set robot.id on one, restart both")
     said = " ".join(capsys.readouterr().err.split())
     assert said.count("WARNING: another publisher also calls itself r1") == 2
     assert said.count("give each robot its own robot.id in /etc/failstop/fleet/fleet.toml") == 2
@@ -164,16 +165,16 @@ def test_a_last_will_that_comes_late_is_put_right(start: Start, enrol: Any, key:
     """The broker takes the connection of a robot that lost its power for alive until its keepalive is over."""
     broker = start()
     gone = enrol(broker, "r1", Pretended())
-    listener = Listener(broker.settings(), topics.of_robot(MAKER, "r1", topics.CONNECTION))
+    listener = Listener(broker.settings(), topics.of_robot(FLEET, "r1", topics.CONNECTION))
     pump("the listener", lambda: listener.last, listener)
     back = enrol(broker, "r1", Pretended())
     back.twins.others.clear()  # it had no word of the one that lost its power, which said nothing any more
     gone.broker.drop()
 
     def words() -> list[str]:
-        return [json.loads(payload)["connectionState"] for _, payload in listener.all]
+        return [json.loads(payload)["connection"] for _, payload in listener.all]
 
-    pump("the will, and the answer to it", lambda: words()[-2:] == ["CONNECTIONBROKEN", "ONLINE"], listener, back)
+    pump("the will, and the answer to it", lambda: words()[-2:] == ["lost", "online"], listener, back)
     assert back.doubled() == ""
     listener.broker.close()
 
@@ -181,13 +182,13 @@ def test_a_last_will_that_comes_late_is_put_right(start: Start, enrol: Any, key:
 def test_a_connection_that_somebody_removes_is_said_again(start: Start, enrol: Any) -> None:
     broker = start()
     robot = enrol(broker, "r1", Pretended())
-    topic = topics.of_robot(MAKER, "r1", topics.CONNECTION)
+    topic = topics.of_robot(FLEET, "r1", topics.CONNECTION)
     somebody = Listener(broker.settings(), topic)
     pump("its connection", lambda: somebody.last, somebody)
     somebody.broker.say(topic, b"", retain=True)
     pump("it to be taken away", lambda: somebody.last[topic] == b"", somebody)
     pump("it to be said again", lambda: somebody.last[topic], somebody, robot)
-    assert json.loads(somebody.last[topic])["connectionState"] == vda5050.ONLINE
+    assert json.loads(somebody.last[topic])["connection"] == message.ONLINE
     somebody.broker.close()
 
 
@@ -200,7 +201,7 @@ def test_an_access_list_that_hides_connections_is_said(start: Start, enrol: Any,
     assert not complete
     [doubt] = sender.doubts
     assert doubt.startswith("r1 answered, and the broker does not show you its connection")
-    assert "must let you read uagv/v2/failstop/+/connection" in doubt
+    assert "must let you read failstop/v1/failstop/robot/+/connection" in doubt
 
 
 def test_a_sender_that_can_not_know_who_is_still_to_come_says_so(start: Start, enrol: Any, key: str) -> None:

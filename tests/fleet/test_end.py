@@ -10,7 +10,7 @@ import pytest
 
 from failstop.fleet import topics
 
-from .conftest import Enrol, maker
+from .conftest import Enrol, fleet_name
 from .scene import Listener, Mosquitto, Robot, pump
 
 LONG_ENOUGH_S = 0.3
@@ -20,13 +20,13 @@ ENDS_S = 30.0
 
 def told(listener: Listener) -> list[str]:
     """The words on the robot's connection, the oldest first."""
-    return [json.loads(payload)["connectionState"] for topic, payload in listener.all if topic.endswith("/connection")]
+    return [json.loads(payload)["connection"] for topic, payload in listener.all if topic.endswith("/connection")]
 
 
 @pytest.fixture
 def ending(enrol: Enrol, listener: Listener) -> Robot:
     publisher = enrol()
-    pump("ONLINE", lambda: told(listener) == ["ONLINE"], publisher, listener)
+    pump("online", lambda: told(listener) == ["online"], publisher, listener)
     return publisher
 
 
@@ -47,14 +47,14 @@ def test_a_robot_that_ended_in_order_is_offline_and_stays_it(
     broker.signal(signal.SIGSTOP)
     if coming == "stops":
         for _ in range(2):
-            listener.broker.say(topics.stop(maker(request)), b"nobody's")
+            listener.broker.say(topics.stop(fleet_name(request)), b"nobody's")
     elif coming == "an answer":
         ending.broker.client.subscribe("more")
     ended_before_a_slow_broker(broker, threading.Thread(target=ending.close))
     after = Listener(broker.settings(), next(topic for topic in listener.last if topic.endswith("/connection")))
     pump("what the broker keeps", lambda: told(after), after, listener)
     after.broker.close()
-    assert (told(listener), told(after)) == (["ONLINE", "OFFLINE"], ["OFFLINE"])
+    assert (told(listener), told(after)) == (["online", "offline"], ["offline"])
 
 
 def test_a_connection_that_is_closed_is_not_lost(ending: Robot, listener: Listener, broker: Mosquitto) -> None:
@@ -62,9 +62,9 @@ def test_a_connection_that_is_closed_is_not_lost(ending: Robot, listener: Listen
     for _ in range(3):
         ending.broker.client.subscribe("more")
     ended_before_a_slow_broker(broker, threading.Thread(target=ending.broker.close))
-    listener.broker.say(next(iter(listener.last)), b'{"connectionState": "the end of the test"}')
+    listener.broker.say(next(iter(listener.last)), b'{"connection": "the end of the test"}')
     pump("the last word", lambda: told(listener)[-1] == "the end of the test", listener)
-    assert told(listener) == ["ONLINE", "the end of the test"]
+    assert told(listener) == ["online", "the end of the test"]
 
 
 def test_a_robot_whose_broker_confirms_nothing_is_lost(
@@ -74,7 +74,7 @@ def test_a_robot_whose_broker_confirms_nothing_is_lost(
     ending.close()
     assert "has not confirmed the end: it shows this robot as lost" in capsys.readouterr().err
     broker.signal(signal.SIGCONT)
-    pump("the last will", lambda: told(listener)[-1] == "CONNECTIONBROKEN", listener)
+    pump("the last will", lambda: told(listener)[-1] == "lost", listener)
 
 
 def test_a_robot_that_ends_without_a_connection_makes_one(ending: Robot, listener: Listener, broker: Mosquitto) -> None:
@@ -83,5 +83,5 @@ def test_a_robot_that_ends_without_a_connection_makes_one(ending: Robot, listene
     broker.start()
     listener.all.clear()
     ending.close()
-    pump("OFFLINE", lambda: told(listener), listener)
-    assert told(listener) == ["OFFLINE"]
+    pump("offline", lambda: told(listener), listener)
+    assert told(listener) == ["offline"]

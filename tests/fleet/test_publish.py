@@ -22,7 +22,7 @@ from failstop_lab.trial import Trial
 from tests.support import states
 from tests.support.commands import FAILSTOP, failstop
 
-from .conftest import Enrol, maker
+from .conftest import Enrol, fleet_name
 from .scene import Listener, Mosquitto, Pretended, pump
 
 
@@ -36,22 +36,21 @@ def said(listener: Listener, last: str) -> dict[str, Any]:
 
 
 def word(listener: Listener) -> str:
-    rows = said(listener, "state").get("information", ())
-    return next((row["infoDescription"] for row in rows if row["infoType"] == "word"), "")
+    return str(said(listener, "state").get("word", ""))
 
 
 def test_connection_state_and_end(enrol: Enrol, listener: Listener) -> None:
     robot = Pretended(states.state())
     publisher = enrol(robot=robot)
     both = (publisher, listener)
-    pump("ONLINE", lambda: said(listener, "connection").get("connectionState") == "ONLINE", *both)
+    pump("online", lambda: said(listener, "connection").get("connection") == "online", *both)
     pump("its state", lambda: word(listener) == "STOPPED", *both)
     robot.state = states.driving()
     pump("a change", lambda: word(listener) == "DRIVING", *both)
     robot.state = None
     pump("no service", lambda: word(listener) == "NO SERVICE", *both)
     publisher.close()
-    pump("its end", lambda: said(listener, "connection")["connectionState"] == "OFFLINE", listener)
+    pump("its end", lambda: said(listener, "connection")["connection"] == "offline", listener)
 
 
 def test_what_is_retained_is_told_to_who_comes_later(enrol: Enrol, listener: Listener, broker: Mosquitto) -> None:
@@ -75,7 +74,7 @@ def test_a_velocity_is_no_news_of_each_look(enrol: Enrol, listener: Listener) ->
     publisher.look(now_s + 60.0)
     pump("a change", lambda: word(listener) == "STOPPED", publisher, listener)
     bodies = [json.loads(payload) for topic, payload in listener.all if topic.endswith("/state")]
-    speeds = [body["velocity"]["vx"] for body in bodies if body["driving"]]
+    speeds = [body["velocity"]["vx_mps"] for body in bodies if body["moves"]]
     assert speeds == pytest.approx([0.2, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35], abs=0.011)
 
 
@@ -86,6 +85,8 @@ def test_events(enrol: Enrol, listener: Listener) -> None:
     pump("the event", lambda: said(listener, "event"), publisher, listener)
     found = said(listener, "event")
     assert (found["kind"], found["text"], found["fields"]) == ("stop", "gate died", {"cause": "died"})
+    assert found["event_t"] == 1.0
+    assert found["t"] > 1e9, "when it was published"
 
 
 def test_the_answers_to_a_stop_go_before_the_state(enrol: Enrol, listener: Listener, key: str) -> None:
@@ -104,10 +105,9 @@ def test_the_answers_to_a_stop_go_before_the_state(enrol: Enrol, listener: Liste
     robot.state = dataclasses.replace(robot.state, last_stop=proved)
     publisher.look(began_s + 0.9)
     publisher.look(began_s + 10.0)
-    pump("the latch", lambda: said(listener, "state")["safetyState"]["eStop"] == "MANUAL", *both)
+    pump("the latch", lambda: said(listener, "state")["latched"], *both)
     told = [json.loads(payload) for topic, payload in listener.all if topic.endswith("/state")]
-    [row] = [row for row in told[1]["information"] if row["infoType"] == "lastStop"]
-    assert "acknowledged_s" in [each["referenceKey"] for each in row["infoReferences"]], "the first since the stop"
+    assert told[1]["last_stop"]["acknowledged_s"] == 4e-3, "the first state since the stop"
     reached = [
         sorted(json.loads(json.loads(payload)["body"])["reached"])
         for topic, payload in listener.all
@@ -123,7 +123,9 @@ def test_a_broker_that_was_away_is_told_all_anew(enrol: Enrol, listener: Listene
     pump("the loss", lambda: publisher.broker.problem and listener.broker.problem, publisher, listener)
     listener.last.clear()
     broker.start()
-    pump("ONLINE again", lambda: said(listener, "connection").get("connectionState") == "ONLINE", publisher, listener)
+    pump(
+        "it to be online again", lambda: said(listener, "connection").get("connection") == "online", publisher, listener
+    )
     pump("its state again", lambda: word(listener) == "DRIVING", publisher, listener)
 
 
@@ -140,7 +142,7 @@ def published(
     """`failstop fleet publish` beside a real service; gives the process and its options."""
     config = tmp_path / "fleet.toml"
     config.write_text(
-        f"[broker]\nport = {broker.port}\nkeepalive_s = 2\n[robot]\nmanufacturer = '{maker(request)}'\nid = 'real'\n"
+        f"[broker]\nport = {broker.port}\nkeepalive_s = 2\n[robot]\nfleet = '{fleet_name(request)}'\nid = 'real'\n"
         f"publish_s = 0.5\n[stop]\nkey_file = '{key}'\n"
     )
     options = ("--config", str(config))
@@ -174,19 +176,19 @@ def test_a_real_robot_is_stopped_and_confirms_and_sigterm_ends_it_in_order(
     assert state.cause == causes.FLEET("smoke", "ann")
     assert state.estop == "stop request: smoke (says it is the fleet, for ann)"
     assert not trial.turning()
-    pump("the latch", lambda: said(listener, "state")["safetyState"]["eStop"] == "MANUAL", listener)
+    pump("the latch", lambda: said(listener, "state")["latched"], listener)
     again = failstop("fleet", "stop", "once more", *options)
     assert (again.returncode, again.stdout.splitlines()[0]) == (0, "1 of 1 robots have confirmed the stop")
     process.send_signal(signal.SIGTERM)
     assert process.wait(10) == 0
-    pump("OFFLINE", lambda: said(listener, "connection")["connectionState"] == "OFFLINE", listener)
+    pump("offline", lambda: said(listener, "connection")["connection"] == "offline", listener)
 
 
 def test_a_killed_publisher_is_lost_and_an_ended_one_is_not(published: Any, listener: Listener) -> None:
     process, options = published
     process.kill()
     process.wait()
-    pump("the last will", lambda: said(listener, "connection")["connectionState"] == "CONNECTIONBROKEN", listener)
+    pump("the last will", lambda: said(listener, "connection")["connection"] == "lost", listener)
     shown = failstop("fleet", "list", *options)
     assert "LOST" in shown.stdout
     done = failstop("fleet", "stop", "--wait", "1", *options)
@@ -211,14 +213,14 @@ def test_the_rest_of_a_large_fleet_is_told_one_by_one(
     names = [f"r{number}" for number in range(3 * repeats.MANY)]
     listed = tmp_path / "robots"
     listed.write_text("\n".join(names))
-    found = broker.settings(stop__key_file=key, robot__manufacturer=maker(request), stop__robots_file=str(listed))
+    found = broker.settings(stop__key_file=key, robot__fleet=fleet_name(request), stop__robots_file=str(listed))
     asking = sender.Sender(found, "smoke", "ann")
-    first = topics.stop(maker(request))
+    first = topics.stop(fleet_name(request))
     pump("the stop", lambda: first in listener.last, asking.broker, listener)
     some = len(names) * 3 // 5
     for name in names[:some]:
         answer = StopAnswer(asking.id, name, dict.fromkeys((levels.ASKED, *levels.PROOFS), 0.0), publisher="a" * 16)
-        listener.broker.say(topics.answer(maker(request), asking.id, name), answer.message(signed.read_key(key)))
+        listener.broker.say(topics.answer(fleet_name(request), asking.id, name), answer.message(signed.read_key(key)))
     confirmed = lambda: len(asking.tally.reached(levels.OBSERVED)) == some  # noqa: E731
     pump("the answers", lambda: asking.heard_all and confirmed(), asking.broker, listener)
     asking._send(time.monotonic())

@@ -10,7 +10,7 @@ import pytest
 
 from failstop.api import verdict
 from failstop.cli import style
-from failstop.fleet import topics, vda5050, view
+from failstop.fleet import message, topics, view
 from failstop.fleet.roster import LONGEST_PERIOD_S, MISSED_PERIODS, MOST_TEXT, Robot, Roster
 from tests.support import states
 
@@ -24,17 +24,17 @@ def hear(
     roster: Roster, last: str, body: dict[str, Any], at_s: float, *, retained: bool = False, off_s: float = 0.0
 ) -> None:
     """A message of r1, that it dates `at_s` after NOW_S, and that comes at `at_s`, monotonic; `off_s`: of its clock."""
-    message = vda5050.Header("m", "r1", "a" * 16).message(last, body, NOW_S + (0.0 if retained else at_s) + off_s)
-    roster.hear(topics.of_robot("m", "r1", last), message, at_s, retained=retained)
+    payload = message.Header("m", "r1", "a" * 16).message(last, body, NOW_S + (0.0 if retained else at_s) + off_s)
+    roster.hear(topics.of_robot("m", "r1", last), payload, at_s, retained=retained)
 
 
 def connect(roster: Roster, at_s: float, *, retained: bool = False, off_s: float = 0.0) -> None:
-    body = vda5050.connection(vda5050.ONLINE, PERIOD_S)
+    body = message.connection(message.ONLINE, PERIOD_S)
     hear(roster, topics.CONNECTION, body, at_s, retained=retained, off_s=off_s)
 
 
 def drive(roster: Roster, at_s: float, *, retained: bool = False, off_s: float = 0.0) -> None:
-    hear(roster, topics.STATE, vda5050.body(states.driving(), ""), at_s, retained=retained, off_s=off_s)
+    hear(roster, topics.STATE, message.body(states.driving(), ""), at_s, retained=retained, off_s=off_s)
 
 
 def word(roster: Roster, at_s: float) -> str:
@@ -79,7 +79,7 @@ def test_a_robot_that_never_had_a_state_is_lost_too() -> None:
 @pytest.mark.parametrize("given", [None, "5", math.nan, -1, 0, True, 1e9, 10**400, []])
 def test_a_period_that_is_none_is_the_longest(given: object) -> None:
     roster = Roster()
-    hear(roster, topics.CONNECTION, {"connectionState": "ONLINE", "statePeriod": given}, 0.0)
+    hear(roster, topics.CONNECTION, {"connection": "online", "state_period_s": given}, 0.0)
     assert roster.robots["r1"].silent_after_s() == MISSED_PERIODS * LONGEST_PERIOD_S + 2.0
 
 
@@ -94,12 +94,10 @@ def test_states_without_a_connection_show_that_the_list_is_blind() -> None:
 
 @pytest.mark.parametrize("volts", ["NaN", "Infinity", "-Infinity", "1e308", "1" + 400 * "0", "true", '"12"', "[]"])
 def test_a_voltage_that_is_none_is_not_shown(volts: str) -> None:
-    body = json.dumps(vda5050.body(states.driving(), "")).replace("12.0", volts)
+    body = json.dumps(message.body(states.driving(), "")).replace("12.0", volts)
     assert volts in body
     roster = Roster()
-    roster.hear(
-        topics.of_robot("m", "r1", topics.STATE), body[:-1].encode() + b', "timestamp": ""}', 0.0, retained=False
-    )
+    roster.hear(topics.of_robot("m", "r1", topics.STATE), body[:-1].encode() + b', "t": 0}', 0.0, retained=False)
     [robot] = roster.sorted()
     assert robot.volts is None
     json.dumps(vars(robot), allow_nan=False)
@@ -110,25 +108,22 @@ def test_a_voltage_that_is_none_is_not_shown(volts: str) -> None:
 def test_a_robot_publishes_no_number_that_is_none(value: float) -> None:
     """JSON has no such number: another program would refuse the whole state."""
     state = states.driving(battery_v=value, body_vel=(value, 0.0, 0.1))
-    body = vda5050.body(state, "")
+    body = message.body(state, "")
     json.dumps(body, allow_nan=False)
-    assert body["batteryState"]["batteryCharge"] == 0.0
-    assert body["velocity"] == {"vy": 0.0, "omega": 0.1}
-    assert any(row["infoType"] == "battery" for row in body["information"])
+    assert "volts" not in body["battery"]
+    assert body["velocity"] == {"vy_mps": 0.0, "wz_radps": 0.1}
 
 
 @pytest.mark.parametrize("letter", ["x", "\x1b", "\u202e", "中", "\u0301"])
 def test_no_cell_pushes_the_others_off_the_screen(letter: str) -> None:
     long = 50_000 * letter
     roster = Roster()
-    told = [{"infoType": kind, "infoDescription": long} for kind in ("word", "why", "next")]
-    errors = [{"errorType": kind, "errorLevel": "WARNING", "errorDescription": long}
-              for kind in (vda5050.FLEET_STOP_OFF, vda5050.DOUBLED)]  # fmt: skip
-    body = {**vda5050.body(states.driving(), ""), "information": told, "errors": errors, "timestamp": ""}
-    roster.hear(f"uagv/v2/m/{long}/state", json.dumps(body).encode()[:60_000], 0.0, retained=False)
-    short = {**body, "information": [{**row, "infoDescription": 500 * letter} for row in told], "errors": []}
-    for last, found in (("connection", vda5050.connection("ONLINE")), ("state", short)):
-        roster.hear(f"uagv/v2/m/{500 * letter}/{last}", json.dumps(found).encode(), 0.0, retained=False)
+    errors = [message.warning(kind, long, "") for kind in (message.FLEET_STOP_OFF, message.DOUBLED)]
+    body = {**message.body(states.driving(), ""), "word": long, "why": long, "next": long, "errors": errors, "t": 0}
+    roster.hear(f"failstop/v1/m/robot/{long}/state", json.dumps(body).encode()[:60_000], 0.0, retained=False)
+    short = {**body, **dict.fromkeys(("word", "why", "next"), 500 * letter), "errors": []}
+    for last, found in (("connection", message.connection("online")), ("state", short)):
+        roster.hear(f"failstop/v1/m/robot/{500 * letter}/{last}", json.dumps(found).encode(), 0.0, retained=False)
     [robot] = roster.sorted()
     assert max(len(robot.id), len(robot.word), len(robot.why)) <= MOST_TEXT
     for columns in (80, None):
@@ -142,15 +137,15 @@ def test_no_cell_pushes_the_others_off_the_screen(letter: str) -> None:
 
 
 def test_words_that_nobody_knows_are_counted_as_other() -> None:
-    robots = [Robot(f"r{number}", "ONLINE", f"word {number}", sign_s=0.0) for number in range(100)]
+    robots = [Robot(f"r{number}", "online", f"word {number}", sign_s=0.0) for number in range(100)]
     assert style.plain(view.counts(robots, 0.0, NOW_S)) == "100 robots   100 other"
 
 
 def test_a_robot_whose_name_two_use_is_seen_at_a_glance() -> None:
     roster = Roster()
     connect(roster, 0.0)
-    warning = vda5050.warning(vda5050.DOUBLED, "another publisher also calls itself r1", "")
-    hear(roster, topics.STATE, vda5050.body(states.driving(), "", (warning,)), 0.0)
+    warning = message.warning(message.DOUBLED, "another publisher also calls itself r1", "")
+    hear(roster, topics.STATE, message.body(states.driving(), "", (warning,)), 0.0)
     robots = roster.sorted()
     assert "1 NAME USED TWICE" in style.plain(view.counts(robots, 0.0, NOW_S))
     assert view.why(robots[0], 0.0, NOW_S).startswith("TWO ROBOTS OF THIS NAME: another publisher also calls itself r1")

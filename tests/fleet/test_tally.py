@@ -30,7 +30,7 @@ def say(tally: Tally, robot: str, *told: str, why: str = "", after_s: float = 0.
 def connected(*robots: str, expected: frozenset[str] | None = None) -> Tally:
     tally = Tally(expected)
     for robot in robots:
-        tally.connection(robot, "ONLINE", FIRST)
+        tally.connection(robot, "online", FIRST)
     return tally
 
 
@@ -57,8 +57,8 @@ def test_all_of_them() -> None:
 
 def test_everybody_who_is_missing_is_named_with_what_is_known() -> None:
     tally = connected("a", "b", "c", "d", "e")
-    tally.connection("f", "CONNECTIONBROKEN", FIRST)
-    tally.connection("g", "OFFLINE", FIRST)
+    tally.connection("f", "lost", FIRST)
+    tally.connection("g", "offline", FIRST)
     say(tally, "a", levels.ASKED, *levels.PROOFS)
     say(tally, "b", levels.ASKED, levels.WRITTEN)
     say(tally, "c", levels.REFUSED, why="dated old by 60 s")
@@ -117,7 +117,7 @@ def test_a_robot_whose_name_two_use_is_never_confirmed(first: str, second: str) 
         say(tally, robot, *levels.PROOFS)
     assert first == "answer" or tally.all_confirmed()
     if second == "connection":
-        tally.connection("a", "ONLINE", SECOND)
+        tally.connection("a", "online", SECOND)
     else:
         number = FIRST if second == "says so" else SECOND
         tally.answer(answer("a", levels.OBSERVED, publisher=number, doubled=second == "says so"), 0.3)
@@ -130,27 +130,27 @@ def test_a_robot_whose_name_two_use_is_never_confirmed(first: str, second: str) 
     assert not tally.all_confirmed(), "whatever it answers afterwards"
 
 
-@pytest.mark.parametrize("word", ["OFFLINE", "CONNECTIONBROKEN"])
+@pytest.mark.parametrize("word", ["offline", "lost"])
 def test_a_robot_that_was_lost_is_not_confirmed_by_another_one_of_its_name(word: str) -> None:
     tally = Tally(None)
     tally.connection("a", word, FIRST)
     tally.answer(answer("a", levels.ACKNOWLEDGED, publisher=SECOND), 0.1)
     assert [row.why for row in tally.missing()] == [DOUBLED]
-    tally.connection("a", "ONLINE", SECOND)
+    tally.connection("a", "online", SECOND)
     assert tally.all_confirmed(), "it was the same robot, which is back"
 
 
 def test_a_robot_that_was_lost_and_confirmed_before_stays_confirmed() -> None:
     tally = connected("a")
     say(tally, "a", *levels.PROOFS)
-    tally.connection("a", "CONNECTIONBROKEN", FIRST)
+    tally.connection("a", "lost", FIRST)
     assert tally.all_confirmed()
 
 
 def test_a_publisher_without_a_number_is_refused_by_name() -> None:
     """Two of that kind would be counted as one."""
     tally = Tally(None)
-    tally.connection("a", "ONLINE")
+    tally.connection("a", "online")
     tally.answer(answer("a", levels.ACKNOWLEDGED, publisher=""), 0.1)
     assert [(row.robot, row.why) for row in tally.missing()] == [("a", OLDER)]
     tally.answer(answer("a", levels.ACKNOWLEDGED, publisher=SECOND), 0.1)

@@ -30,7 +30,7 @@ from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
 from failstop_lab.trial import TrialError, wait_for
 from tests.fleet import bare
-from tests.fleet.robots import MANUFACTURER
+from tests.fleet.robots import FLEET
 
 ROBOTS = 1000
 STOPS = 20
@@ -192,10 +192,10 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="bench-fleet-", dir=MEMORY) as folder, broker(folder) as (port, mosquitto):
         key = os.path.join(folder, "key")
         signed.make_key(key)
-        settings = FleetSettings({"broker.port": port, "stop.key_file": key, "robot.manufacturer": MANUFACTURER})
+        settings = FleetSettings({"broker.port": port, "stop.key_file": key, "robot.fleet": FLEET})
         config = os.path.join(folder, "fleet.toml")
         with open(config, "w", encoding="utf-8") as file:
-            file.write(f"broker.port = {port}\nrobot.manufacturer = '{MANUFACTURER}'\n")
+            file.write(f"broker.port = {port}\nrobot.fleet = '{FLEET}'\n")
         bare = bare_stops(port, arguments.robots, -(-arguments.stops // 2))
         progress(f"{arguments.robots} robots connect")
         with clients(arguments.robots, "tests.fleet.robots", str(port), key, folder):

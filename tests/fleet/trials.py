@@ -31,7 +31,7 @@ from tests.fleet.robots import Pretended
 from tests.fleet.thousand import MEMORY
 
 TRIALS = 20
-MAKER = "trials"
+FLEET = "trials"
 PUBLISH_S = 0.5
 TURN_S = 0.05
 OPERATOR = "operator"
@@ -137,7 +137,7 @@ class Fleet:
         """A robot of this name, connected."""
         given = {
             "broker.port": self.broker.port, "broker.keepalive_s": 2, "broker.user": name,
-            "stop.key_file": str(self.folder / "key"), "robot.manufacturer": MAKER, "robot.publish_s": PUBLISH_S,
+            "stop.key_file": str(self.folder / "key"), "robot.fleet": FLEET, "robot.publish_s": PUBLISH_S,
         }  # fmt: skip
         settings = FleetSettings({**given, **changed})
         robot = Robot(settings, name, self.folder / f"robot-{len(self.robots)}")
@@ -150,7 +150,7 @@ class Fleet:
         config = self.folder / "fleet.toml"
         config.write_text(
             f"[broker]\nport = {self.broker.port}\nuser = '{OPERATOR}'\n"
-            f"[robot]\nmanufacturer = '{MAKER}'\npublish_s = {PUBLISH_S}\n"
+            f"[robot]\nfleet = '{FLEET}'\npublish_s = {PUBLISH_S}\n"
             f"[stop]\nkey_file = '{self.folder / 'key'}'\n" + "\n".join(more)
         )
         words = [sys.executable, "-m", "failstop", "fleet", "stop", "trial", "--json", "--config", str(config)]

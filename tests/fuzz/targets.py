@@ -49,7 +49,7 @@ SHOWN = ({"all": False, "json": False}, {"all": True, "json": False}, {"all": Tr
 """Options of `incident show`."""
 BOARDS = {kind: board_of(kind, 0.1, 0.0) for kind in layouts.BOARDS}
 KEY = bytes(32)
-ROBOT = "uagv/v2/failstop/robot7"
+ROBOT = "failstop/v1/failstop/robot/robot7"
 
 
 class Target(NamedTuple):
@@ -273,12 +273,14 @@ def bridge(data: bytes) -> None:
 
 
 STATE = {
-    "timestamp": "2025-01-01T00:00:00.000Z",
-    "driving": True,
-    "errors": [{"errorType": "stopLatched", "errorLevel": "FATAL", "errorDescription": "x"}],
-    "safetyState": {"eStop": "NONE"},
-    "batteryState": {"batteryVoltage": 7.4},
-    "information": [{"infoType": "word", "infoDescription": "DRIVING"}],
+    "t": 1735689600.0,
+    "word": "DRIVING",
+    "why": "0.20 m/s forward",
+    "next": "",
+    "moves": True,
+    "latched": False,
+    "errors": [{"kind": "stop_latched", "level": "fatal", "text": "x"}],
+    "battery": {"volts": 7.4},
 }
 ORDER = {"id": "0123456789abcdef", "t": 1.5, "reason": "smoke", "by": "anna", "robot": "r", "reached": {"asked": 0.1}}
 
@@ -335,7 +337,7 @@ TARGETS: dict[str, Target] = {
         (
             json.dumps(STATE).encode(),
             json.dumps(ORDER).encode(),
-            b'{"connectionState":"ONLINE"}',
+            b'{"connection":"online"}',
             b"0\x0e\0\x03a/bpayload\0",
             DEEP,
         ),

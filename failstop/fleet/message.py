@@ -1,0 +1,183 @@
+"""Message: what a robot publishes on the broker - its connection, its state, its last event - as JSON. Pure.
+
+A value that is not known has no field. Times are seconds: `t` since 1970, all others as their names say.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+
+from failstop.api import steps, verdict, wheels
+from failstop.fleet import topics
+from failstop.version import VERSION
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from typing import Any
+
+    from failstop.api.state import State, Stop
+
+    Message = dict[str, Any]
+
+ONLINE = "online"
+OFFLINE = "offline"
+"""Its publisher was ended, and said so."""
+LOST = "lost"
+"""The last will, which the broker publishes when the connection breaks."""
+FLEET_STOP_OFF = "fleet_stop_off"
+"""The kind of a robot's error: it obeys no stop of the fleet."""
+DOUBLED = "doubled_name"
+"""The kind of a robot's error: another publisher uses its name."""
+WARNING = "warning"
+FATAL = "fatal"
+NO_SERVICE_NEXT = "`failstop why` on the robot says more"
+LATEST_S = 1e11
+"""The latest date that is believed, in the year 5138: a larger number is no date."""
+
+
+class Header:
+    """The fields that every message of a robot begins with; its number counts by topic."""
+
+    def __init__(self, fleet: str, robot: str, publisher: str = "") -> None:
+        """`publisher`: the number that its publisher drew (twins.py)."""
+        self.fleet = fleet
+        self.robot = robot
+        self._own = {"publisher": publisher} if publisher else {}
+        self._sent: dict[str, int] = {}
+
+    def topic(self, last: str) -> str:
+        """The topic of this robot that ends in `last`."""
+        return topics.of_robot(self.fleet, self.robot, last)
+
+    def message(self, last: str, body: Message, unix_s: float) -> bytes:
+        """The next message for that topic."""
+        number = self._sent[last] = self._sent.get(last, -1) + 1
+        head = {
+            "number": number,
+            "t": round(unix_s, 3),
+            "fleet": self.fleet,
+            "robot": self.robot,
+            "failstop": VERSION,
+            **self._own,
+        }
+        return json.dumps({**head, **body}, separators=(",", ":")).encode()
+
+
+def date(found: object) -> float | None:
+    """The time that a message gives as `t`, seconds since 1970; None for anything that is no time."""
+    if isinstance(found, bool) or not isinstance(found, (int, float)) or not 0.0 <= found <= LATEST_S:
+        return None
+    return float(found)
+
+
+def connection(state: str, period_s: float | None = None) -> Message:
+    """ONLINE, OFFLINE or LOST. `period_s`: how often a state follows at least."""
+    return {"connection": state, **({} if period_s is None else {"state_period_s": period_s})}
+
+
+def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Message:
+    """The fields of a state. None: no service, and `note` says why; `extra`: errors that the publisher itself has."""
+    if state is None:
+        error = _error("no_service", FATAL, note, NO_SERVICE_NEXT)
+        words = {"word": verdict.NO_SERVICE, "why": note, "next": NO_SERVICE_NEXT}
+        return {**words, "moves": False, "errors": [error, *extra]}
+    found = {
+        "word": verdict.word(state),
+        "why": why(state),
+        "next": steps.line(state),
+        "moves": state.moving or state.turning.does == "turning",
+        "enabled": state.enabled,
+        "latched": state.cause is not None,
+        "velocity": _finite(zip(("vx_mps", "vy_mps", "wz_radps"), state.body_vel, strict=True)),
+        "battery": _battery(state),
+        "wheels": {"text": wheels.now(state), **_seen(state)},
+        "errors": [*_errors(state), *extra],
+    }
+    if state.last_stop:
+        found["last_stop"] = _proofs(state.last_stop)
+    return found
+
+
+def steady(found: Message) -> Message:
+    """The fields of a body that don't change all the time: not how fast, how full, or how old a reading is."""
+    changing = ("velocity", "battery", "wheels", *(("why",) if found["moves"] else ()))
+    return {key: value for key, value in found.items() if key not in changing}
+
+
+def why(state: State) -> str:
+    """One line on what the wheels do or why not."""
+    if doubt := verdict.doubt(state):
+        return doubt
+    blocked = str(state.cause) if state.cause else state.blocked
+    unproven, unseen = verdict.unproven(state), verdict.unseen(state)
+    said = (unproven and f"unproven: {unproven}", unseen, blocked or verdict.headline(state))
+    return "; ".join(filter(None, said))
+
+
+def warning(kind: str, text: str, then: str) -> Message:
+    """An error of the publisher's own; `then`: what to do about it."""
+    return _error(kind, WARNING, text, then)
+
+
+def _finite(named: Iterable[tuple[str, float]]) -> dict[str, float]:
+    """JSON has no number that is not finite."""
+    return {name: round(value, 4) for name, value in named if math.isfinite(value)}
+
+
+def _battery(state: State) -> Message:
+    found: Message = {"plugged": state.plugged} if state.plugged else {}
+    volts = state.battery_v
+    if volts is not None and math.isfinite(volts) and state.is_current(state.ages.battery_s):
+        found["volts"] = volts
+    return found
+
+
+def _errors(state: State) -> list[Message]:
+    found = []
+    if doubt := verdict.doubt(state):
+        found.append(_error("wheels_may_turn", FATAL, doubt, "use the POWER SWITCH"))
+    if state.cause:
+        fields = {"cause": state.cause.kind.name, **state.cause.named()}
+        found.append(_error("stop_latched", FATAL, str(state.cause), steps.line(state), fields))
+    for name, process in state.processes.items():
+        if process.state != "running":
+            text = f"{name} is {process.state}"
+            found.append(_error("process_not_running", WARNING, text, "", {"process": name}))
+    if state.device.state == "open" and state.device.link == "unproven":
+        text = f"{verdict.NEVER_ANSWERED}: no stop is known to reach the wheels"
+        found.append(_error("link_unproven", WARNING, text))
+    if state.starved:
+        found.append(_error("starved", WARNING, "the machine did not run the service in time", "`failstop doctor`"))
+    return found + [_error("arm", WARNING, text) for text in (state.arm.wrong if state.arm else ())]
+
+
+def _seen(state: State) -> Message:
+    """What is seen of the wheels."""
+    known = state.turning
+    found: Message = {"does": known.does, "by": known.by or None, "unexpected": known.unexpected}
+    if known.age_s is not None:
+        found["age_s"] = round(known.age_s, 2)
+    if known.speeds_radps:
+        names = (f"{name}_radps" for name in known.speeds_radps.names)
+        found |= _finite(zip(names, known.speeds_radps, strict=True))
+    return {key: value for key, value in found.items() if value is not None}
+
+
+def _proofs(stop: Stop) -> Message:
+    """The last stop, with those of its three proofs that are known."""
+    found = {
+        "cause": stop.cause.kind.name,
+        "reason": stop.reason,
+        "t": stop.t,
+        "written_s": stop.written_s,
+        "acknowledged_s": stop.acknowledged_s,
+        "observed_s": stop.observed_s,
+        "believed": None if stop.believed else False,
+    }
+    return {key: value for key, value in found.items() if value is not None}
+
+
+def _error(kind: str, level: str, text: str, then: str = "", fields: Message | None = None) -> Message:
+    return {"kind": kind, "level": level, "text": text, "next": then, "fields": fields or {}}
