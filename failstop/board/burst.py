@@ -20,23 +20,8 @@ up to 256 bytes of whatever follows for it (firmware source). Each part has its 
 from __future__ import annotations
 
 from failstop.board.codec import STOP
-from failstop.board.servos import bus_servo_stops
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 BURST: bytes = bytes(32) + STOP + bytes(257) + STOP + STOP + STOP
 
 # How many bytes of the burst are out when the first stop is complete.
 FIRST_STOP_END = 32 + len(STOP)
-
-
-def burst_with(servos: Sequence[int]) -> bytes:
-    """The burst, and behind it what stops these servos of an arm, for one write.
-
-    Never a write of its own: behind a burst that was cut, where the kernel took a part of it, a servo's stop would be
-    taken for the rest of a motor frame, as a wheel's id and speed. As the end of one write it comes behind a whole
-    burst or not at all, and the next burst heals a cut in it as in any frame.
-    """
-    return BURST + b"".join(bus_servo_stops(servos))

@@ -1,4 +1,4 @@
-"""Described: a board that a Wire describes, as failstop drives it: without an arm, a gamepad or keys."""
+"""Described: a board that a Wire describes, as failstop drives it: without a gamepad or keys."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from itertools import islice
 from math import pi
 
 from failstop.board import plausible
-from failstop.board.framing import FrameError, number
+from failstop.board.framing import number
 from failstop.board.interface import (
     BY_ANSWER,
     BY_ECHO,
@@ -30,7 +30,7 @@ from failstop.board.wire import ECHOED, OBSERVED, Battery, Firmware, Health, Imu
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Sequence
 
     from failstop.board.interface import Said
     from failstop.board.wire import Wire
@@ -42,7 +42,6 @@ MOST_LOAD = 1.27
 """A servo's load is kept in percent, in a byte; Feetech's says up to 1.023."""
 _ROUNDING = 1.0 + 2.0**-40
 _GRAVITY = 9.80665
-_NO_ARM = "this board has no servos"
 
 
 class Samples(Hearing):
@@ -129,13 +128,12 @@ class Described(Board):
     """As many speeds as the wire's motion has, in its unit."""
 
     __slots__ = (
-        "_motion", "_wire", "acknowledged_by", "after_ns", "arming", "burst", "commanders", "echo_ns", "fades_ns",
-        "first_stop", "idle_ns", "most_rps", "name", "observed_by", "per_rps", "ping_ns", "pings", "port", "refresh",
-        "repeats_ns", "reports", "scale_assumed", "silent_ns", "step_rps", "stop", "usb",
-        "wheels",
+        "_motion", "_wire", "acknowledged_by", "after_ns", "arm", "arming", "burst", "commanders", "echo_ns",
+        "fades_ns", "first_stop", "idle_ns", "most_rps", "name", "observed_by", "per_rps", "ping_ns", "pings", "port",
+        "refresh", "repeats_ns", "reports", "scale_assumed", "silent_ns", "step_rps", "stop", "usb", "wheels",
     )  # fmt: skip
 
-    usb_alone = arm_beside_wheels = holds_by_goal = False
+    usb_alone = False
 
     def __init__(self, wire: Wire, per_rps: float, diameter_m: float) -> None:
         """`per_rps`: a speed of one turn a second, in its unit; `diameter_m`: of a wheel."""
@@ -157,13 +155,10 @@ class Described(Board):
         self.observed_by = BY_WHEELS if OBSERVED in wire.proofs else BY_IMU
         self.reports = _reports(wire, per_rps, diameter_m)
         self.usb, self.commanders = wire.usb, wire.commanders
+        self.arm = wire.arm(wire.port) if wire.arm else None
         self.wheels = wire.motion.wheels
         self.most_rps = min(wire.motion.limit, wire.motion.apart / 2) / per_rps
         self.step_rps = wire.motion.step / per_rps
-
-    def burst_with(self, servos: Sequence[int]) -> bytes:
-        """The stop: it has no servos."""
-        return self.burst
 
     def hearing(self) -> Hearing:
         """Its reader's samples."""
@@ -204,31 +199,3 @@ class Described(Board):
     def check_aux(self, frame: bytes) -> str:
         """It is sent nothing but motion, stops and its questions."""
         return "this board takes nothing but motion"
-
-    def servo_move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """Raises FrameError."""
-        raise FrameError(_NO_ARM)
-
-    def servo_read(self, servo: int, what: int) -> bytes:
-        """Raises FrameError."""
-        raise FrameError(_NO_ARM)
-
-    def servo_look(self, servos: Sequence[int]) -> bytes:
-        """It has none."""
-        return b""
-
-    def servo_torque(self, servo: int, on: bool, at: int) -> bytes:
-        """Raises FrameError."""
-        raise FrameError(_NO_ARM)
-
-    def servo_what(self, frame: bytes) -> int:
-        """None passes."""
-        return 0
-
-    def check_servos(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """None may be written."""
-        return _NO_ARM
-
-    def servo_ns(self, frame: bytes) -> int:
-        """No frame holds it."""
-        return 0

@@ -1,7 +1,7 @@
 """Interface: the things that failstop needs of a motor board. One value is handed to each process at its start.
 
-A board whose wire is described (wire.py) becomes one by described.py; one with more than that, such as an arm's servos,
-is a class of its own in its folder.
+described.py makes a Board from a description (wire.py). A board with a gamepad or keys is a class of its own in its
+folder, and an arm is one optional part of a board (ServoBus).
 """
 
 from __future__ import annotations
@@ -79,6 +79,53 @@ class Hearing:
         raise NotImplementedError
 
 
+class ServoBus:
+    """The servos of an arm, as failstop speaks to them: their ids are 1 to 253, their positions pulses
+    (failstop/policy/layouts.py: RANGES). What can be asked of a servo is in servos.py."""
+
+    __slots__ = ()
+
+    beside_wheels: bool
+    """The arm may move while the wheels may turn: no stop waits for a servo."""
+    holds_by_goal: bool
+    """A servo goes on to its last goal, which a stop leaves as it is: a few degrees ahead in a stream of moves. If it
+    lags behind, it is sent where it was read."""
+
+    def stops(self, servos: Sequence[int]) -> bytes:
+        """What stops these servos, written behind the burst in the same write; empty if a stop leaves them alone."""
+        raise NotImplementedError
+
+    def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
+        """The frame that moves a few servos, (id, pulses) each, in that time. Raises FrameError."""
+        raise NotImplementedError
+
+    def read(self, servo: int, what: int) -> bytes:
+        """The frame that asks a servo for one of servos.READS. Raises FrameError."""
+        raise NotImplementedError
+
+    def look(self, servos: Sequence[int]) -> bytes:
+        """The frame that asks a few servos for their positions at once, also while they move; empty if the board has no
+        such frame. Raises FrameError."""
+        raise NotImplementedError
+
+    def torque(self, servo: int, on: bool, at: int) -> bytes:
+        """The frame that switches the torque of a servo that is `at` these pulses. Raises FrameError."""
+        raise NotImplementedError
+
+    def command(self, frame: bytes) -> int:
+        """The command of a frame that has passed check(), one of those in servos.py."""
+        raise NotImplementedError
+
+    def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
+        """Why these bytes must not be written as a frame for an arm with these servos; "" if they may. A frame that
+        passes holds the board's receiver for no longer than servos.HELD_NS, unless it asks a question."""
+        raise NotImplementedError
+
+    def held_ns(self, frame: bytes) -> int:
+        """How long a frame that has passed check() holds the receiver at most."""
+        raise NotImplementedError
+
+
 class Board:
     """The board's language, as far as failstop speaks it: constants and pure functions."""
 
@@ -141,15 +188,8 @@ class Board:
     """It is at a USB port of its own and nowhere else: not behind an adapter, not on serial pins."""
     commanders: tuple[Commander, ...]
     """Those beside failstop who can command its wheels."""
-    arm_beside_wheels: bool
-    """Its arm may move while the wheels may turn: no stop waits for a servo."""
-    holds_by_goal: bool
-    """A servo goes on to its last goal, which a stop leaves as it is: a few degrees ahead in a stream of moves. Where
-    it lags behind, it is sent where it is read."""
-
-    def burst_with(self, servos: Sequence[int]) -> bytes:
-        """The burst, and in the same write behind it what stops these servos of an arm; for none the burst."""
-        raise NotImplementedError
+    arm: ServoBus | None
+    """The servos of an arm, where the board has them."""
 
     def hearing(self) -> Hearing:
         """A reader of what it sends, with nothing read yet."""
@@ -183,35 +223,6 @@ class Board:
         raise NotImplementedError
 
     def check_aux(self, frame: bytes) -> str:
-        """Like check_motion, of another frame. No motion passes, and no servo's frame."""
-        raise NotImplementedError
-
-    def servo_move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """The frame that moves a few servos, (id, pulses) each, in that time. Raises FrameError."""
-        raise NotImplementedError
-
-    def servo_read(self, servo: int, what: int) -> bytes:
-        """The frame that asks a servo for one of servos.READS. Raises FrameError."""
-        raise NotImplementedError
-
-    def servo_look(self, servos: Sequence[int]) -> bytes:
-        """The frame that asks a few servos for their positions at once, also while they move; empty: it has none.
-        Raises FrameError."""
-        raise NotImplementedError
-
-    def servo_torque(self, servo: int, on: bool, at: int) -> bytes:
-        """The frame that switches a servo's torque, which stands `at` these pulses. Raises FrameError."""
-        raise NotImplementedError
-
-    def servo_what(self, frame: bytes) -> int:
-        """The command, of those in servos.py, that a frame that has passed is."""
-        raise NotImplementedError
-
-    def check_servos(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """Why these bytes must not be written as a frame for an arm of these servos; "" when they may. What passes
-        holds the board's receiver for no longer than servos.HELD_NS, unless it asks a question."""
-        raise NotImplementedError
-
-    def servo_ns(self, frame: bytes) -> int:
-        """How long a frame that has passed holds the receiver at most."""
+        """Why these bytes must not be written as any other frame; "" if they may. No motion passes, and no frame for a
+        servo."""
         raise NotImplementedError

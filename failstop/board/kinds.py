@@ -58,9 +58,8 @@ def board_of(
         from failstop.board.described import Described
 
         wire = wire_of(kind, tried=tried)
-        made = (wire.board or Described)(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m)
-        if isinstance(made, Described):
-            made.scale_assumed = not (per_rps or wire.motion.scale_known or made.reports.own_scale)
+        made = Described(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m)
+        made.scale_assumed = not (per_rps or wire.motion.scale_known or made.reports.own_scale)
         return made
     board: Board = __import__(f"failstop.board.{kind}.board", fromlist=["board"]).board(diameter_m, per_rps, steering)
     return board

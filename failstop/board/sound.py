@@ -12,7 +12,7 @@ from math import isfinite
 
 from failstop.board import wire as words
 from failstop.board.framing import FrameError
-from failstop.board.interface import Board
+from failstop.board.interface import ServoBus
 from failstop.board.wire import Answer, Battery, Imu, Obeyed, Sample, Wheels, Wire
 from failstop.data import Data
 
@@ -324,6 +324,6 @@ def _reader(wire: Wire) -> None:
     for at, question in enumerate(wire.questions):
         for sample in samples:
             _asked(f"WIRE.questions[{at}].answered_by", question.answered_by, sample)
-    if wire.board:
-        board = _asked("WIRE.board", wire.board, wire, wire.motion.per_rps(_DIAMETERS_M[1]), _DIAMETERS_M[1])
-        _hold(isinstance(board, Board), f"WIRE.board returns {_shown(board)}, must return a Board")
+    if wire.arm:
+        arm = _asked("WIRE.arm", wire.arm, wire.port)
+        _hold(isinstance(arm, ServoBus), f"WIRE.arm returns {_shown(arm)}, must return a ServoBus")

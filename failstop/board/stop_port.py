@@ -32,10 +32,10 @@ class StopPort:
     """-1: no port. `lost` turns true when a write finds that the device has gone, for the reason `errno`."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
-        """`servos`: of the robot's arm: what stops them is the end of the same write, so that it comes behind a whole
-        burst or not at all."""
+        """`servos`: those of the robot's arm. What stops them ends the same write, so it comes behind a whole burst or
+        not at all."""
         self.board = board
-        self._stop = board.burst_with(servos)
+        self._stop = board.burst + (board.arm.stops(servos) if board.arm else b"")
         self.free_ns = 0
         """When the line, as far as is known here, will have been silent for as long as the board needs; 0: it needs no
         silence."""

@@ -12,7 +12,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from failstop.board.interface import Board
+    from failstop.board.interface import ServoBus
 
 VOCABULARY = 1
 """The number of this vocabulary. It is raised when a description that held would be refused, or mean another thing."""
@@ -271,9 +271,8 @@ class Wire(Data):
     commanders: tuple[Commander, ...] = ()
     reports: Reports | None = None
     """None: reported speeds are in the unit of its motion, and positions tell no more than rest."""
-    board: Callable[[Wire, float, float], Board] | None = None
-    """(wire, one turn a second in its unit, wheel diameter in m): the board, where it has an arm. None: described.py
-    makes one from the wire."""
+    arm: Callable[[Port], ServoBus] | None = None
+    """Makes the part that speaks to an arm's servos on this port. None: the board has no arm."""
 
 
 def two_speeds(speeds: Sequence[float], limit: float, most: float, unit: str) -> tuple[float, float]:

@@ -54,7 +54,8 @@ class Gate:
         self._board = context.board
         self._max_rps = kinematics.max_wheel_rps(settings) * 1.0005
         self._lease_ns = settings.ns("gate.lease_s")
-        beside = context.board.arm_beside_wheels
+        bus = context.board.arm
+        beside = bool(bus and bus.beside_wheels)
         self.core = GateCore(settings, kinematics.from_settings(settings), now_ns, arm_beside_wheels=beside)
         if context.board.scale_assumed:
             self.core.capped = scale.cap_text(settings)
@@ -76,7 +77,7 @@ class Gate:
         self.requests = Requests(context, self.core.notes, now_ns)
         self.follow_latch()
         core, to = self.core, (self._frames, self.requests, self.core.notes)
-        self.arm = Arm(context, *to, now_ns) if settings.servos() else None
+        self.arm = Arm(context, bus, *to, now_ns) if bus and settings.servos() else None
         self._act_on: dict[str, Callable[..., None]] = {
             "sensed": lambda now_ns, _slot, t_ns, _names: core.scan.deliver(t_ns, now_ns),
             "interlocks": lambda now_ns, _slot, t_ns, names: core.interlocks.hear(names, t_ns, now_ns),

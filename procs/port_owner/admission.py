@@ -20,7 +20,7 @@ A frame for the servos is written only when these rows hold too:
 
     check                                                    else
     the robot has an arm, and the frame is a whole one for   stop
-      its servos within bounds (Board.check_servos)
+      its servos within bounds (ServoBus.check)
     no motion frame was written since the last stop,         drop: an arm moves while the wheels stand
       or the board's arm may move beside
     a question: nothing is before it, and no servo moves     drop: a silent servo holds the receiver for 5 ms
@@ -42,7 +42,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from failstop.board.interface import Board
+from failstop.board.interface import Board, ServoBus
 from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, LONGEST_MOVE_NS, READS, SERVO_MOVE
 from failstop.messages import layout
 from failstop.policy import causes
@@ -76,7 +76,7 @@ class Admission:
         now_ns: int,
         gate_ns: int | None,
         supervisor_ns: int,
-        rules: Admission | ServoBus,
+        rules: Admission | BusSchedule,
         *,
         requested: bool,
     ) -> int | Cause:
@@ -135,11 +135,12 @@ class Admission:
         return causes.DEFECT(layout.GATE, "motion", "a stop is newer") if frame_ns < self._stopped_ns else None
 
 
-class ServoBus:
-    """When the servos' bus is free, as far as this process has written to it, and what waits for that."""
+class BusSchedule:
+    """When the servos' bus is free, as far as this process has written to it, and which frames wait for that."""
 
-    def __init__(self, board: Board, servos: tuple[int, ...]) -> None:
-        self._board = board
+    def __init__(self, bus: ServoBus | None, servos: tuple[int, ...]) -> None:
+        """`bus`: the board's arm; `servos`: those that the robot has, none on a robot without an arm."""
+        self._bus = bus
         self.servos = servos
         self._free_ns = 0
         self._rest_ns = 0
@@ -147,25 +148,28 @@ class ServoBus:
         """The gate's frames for the servos that are not yet written, in order; every stop ends them."""
 
     def check(self, frame: bytes) -> Cause | None:
-        """The cause of a stop that this frame's content is; None: it may go out."""
+        """The cause of a stop if this frame must not go out; None: it may."""
         fault = "this robot has no arm"
-        if self.servos:
-            fault = self._board.check_servos(frame, self.servos, LONGEST_MOVE_MS)
+        if self._bus and self.servos:
+            fault = self._bus.check(frame, self.servos, LONGEST_MOVE_MS)
         return None if fault == "" else causes.BAD_FRAME(f"for the arm, {_said(fault)}")
 
     def due_ns(self, frame: bytes, now_ns: int, *, wheels_move: bool) -> int:
         """When a frame without a fault may be written, now or soon; NEVER: it is dropped."""
-        if wheels_move and not self._board.arm_beside_wheels:
+        bus = self._bus
+        if bus is None or (wheels_move and not bus.beside_wheels):
             return NEVER
-        if self._board.servo_what(frame) in READS:
-            rest_ns = 0 if self._board.arm_beside_wheels else self._rest_ns
+        if bus.command(frame) in READS:
+            rest_ns = 0 if bus.beside_wheels else self._rest_ns
             return now_ns if now_ns >= max(self._free_ns, rest_ns) else NEVER
-        return max(now_ns, self._free_ns + self._board.servo_ns(frame) - HELD_NS)
+        return max(now_ns, self._free_ns + bus.held_ns(frame) - HELD_NS)
 
     def wrote(self, frame: bytes, now_ns: int) -> bool:
-        """Account for a frame that was written; True when a servo moves by it."""
-        self._free_ns = max(self._free_ns, now_ns) + self._board.servo_ns(frame)
-        moves = self._board.servo_what(frame) == SERVO_MOVE
+        """Account for a frame that was written; True if a servo moves by it."""
+        if self._bus is None:
+            return False
+        self._free_ns = max(self._free_ns, now_ns) + self._bus.held_ns(frame)
+        moves = self._bus.command(frame) == SERVO_MOVE
         if moves:
             self._rest_ns = now_ns + LONGEST_MOVE_NS
         return moves

@@ -16,7 +16,7 @@ from failstop.procs.context import Context
 from failstop.procs.loop import MS, NEVER, Loop
 from failstop.procs.peer import Parent, Peer
 from failstop.procs.port_owner import admission, requests
-from failstop.procs.port_owner.admission import Admission, DatedFrame, ServoBus
+from failstop.procs.port_owner.admission import Admission, BusSchedule, DatedFrame
 from failstop.procs.port_owner.port import OpenPort
 from failstop.procs.port_owner.port_writer import PortWriter
 from failstop.procs.port_owner.requests import RequestPipe
@@ -41,7 +41,7 @@ class PortOwner:
         self.loop = Loop()
         self.board = board
         self.admission = Admission(board, settings.ns("gate.lease_s"), kinematics.max_wheel_rps(settings) * 1.001)
-        self.bus = ServoBus(board, settings.servos())
+        self.bus = BusSchedule(board.arm, settings.servos())
         self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER_ROW], monotonic_ns())
         self._held: DatedFrame | None = None
         """The newest motion, while the line has to be silent before it; `_line`: until when."""
@@ -301,7 +301,7 @@ class PortOwner:
         if not (before or self.wire.unsent or self.wire.lost):
             self._moving_word.set(0)
 
-    def _decide(self, motion: DatedFrame, now_ns: int, rules: Admission | ServoBus) -> int | Cause:
+    def _decide(self, motion: DatedFrame, now_ns: int, rules: Admission | BusSchedule) -> int | Cause:
         """Decide by the table of admission.py, at the time of the write: what was young at the wake-up may not be."""
         requested = self._requests.waits()
         gate_ns = self._gate.heart.ns.get() if self._gate.life else None

@@ -13,7 +13,7 @@ import pytest
 
 from failstop.api.snapshot import Device
 from failstop.board.framing import FrameError
-from failstop.board.interface import Board
+from failstop.board.interface import Board, ServoBus
 from failstop.board.kinds import KINDS, board_of
 from failstop.board.rrc.board import BOARD
 from failstop.board.tap import Tap
@@ -75,9 +75,14 @@ USERS = {
 """Modules that may use the interface, by the words of the page."""
 
 
-def used(member: str) -> set[str]:
-    """The users of one member of the interface."""
-    return {user for user, place in USERS.items() if any(member in names(path) for path in files(place))}
+BY_NAMES = {"Board": (".board", "._board"), "ServoBus": (".board.arm", "._board.arm", ".bus", "._bus")}
+"""What users call a value of each class."""
+
+
+def used(part: type, member: str) -> set[str]:
+    """The users of one member of a class of the interface."""
+    ends = BY_NAMES[part.__name__]
+    return {user for user, place in USERS.items() if any(member in names(path, ends) for path in files(place))}
 
 
 def files(place: str) -> list[Path]:
@@ -86,37 +91,45 @@ def files(place: str) -> list[Path]:
 
 
 @functools.cache
-def names(path: Path) -> set[str]:
-    """Members of a board that one file uses."""
+def names(path: Path, ends: tuple[str, ...]) -> set[str]:
+    """Members of the values that one file calls so."""
     return {
         node.attr
         for node in nodes(ast.parse(path.read_text()))
-        if isinstance(node, ast.Attribute)
-        and getattr(node.value, "attr", getattr(node.value, "id", "")) in ("board", "_board")
+        if isinstance(node, ast.Attribute) and called(node.value).endswith(ends)
     }
 
 
-def takes(member: str) -> list[str] | None:
+def called(node: ast.expr) -> str:
+    """An expression as it is written, with a dot before it, so that its end is a whole name."""
+    return f".{ast.unparse(node)}"
+
+
+def takes(part: type, member: str) -> list[str] | None:
     """Names of what it takes; None: it is a constant."""
-    found = vars(Board).get(member)
-    return list(inspect.signature(found).parameters)[1:] if found else None
+    found = vars(part).get(member)
+    return list(inspect.signature(found).parameters)[1:] if inspect.isfunction(found) else None
 
 
-def test_the_page_on_porting_has_all_of_the_interface_and_no_more() -> None:
+@pytest.mark.parametrize("part", [Board, ServoBus])
+def test_the_page_on_porting_has_all_of_the_interface_and_no_more(part: type) -> None:
     page = (ROOT / "docs" / "dev" / "porting.md").read_text()
-    rows = re.findall(r"^\| `(\w+)(?:\(([\w, ]*)\))?` \| ([\w, ]+) \|", page.partition("| `Board` |")[2], re.MULTILINE)
+    table = page.partition(f"| `{part.__name__}` |")[2].partition("\n\n")[0]
+    rows = re.findall(r"^\| `(\w+)(?:\(([\w, ]*)\))?` \| ([\w, ]+) \|", table, re.MULTILINE)
     told = {name: (given.split(", ") if given else None, set(users.split(", "))) for name, given, users in rows}
-    members = [*inspect.get_annotations(Board), *(name for name in vars(Board) if not name.startswith("_"))]
-    assert told == {name: (takes(name) or None, used(name)) for name in members}
+    members = [*inspect.get_annotations(part), *(name for name in vars(part) if not name.startswith("_"))]
+    wanted = {name: (takes(part, name) or None, used(part, name)) for name in members}
+    assert told == wanted
 
 
 @pytest.mark.parametrize("kind", BOARDS)
 def test_every_kind_of_board_has_all_of_the_interface(kind: str) -> None:
     board = board_of(*Settings({"board.kind": kind}).board())
     for name in inspect.get_annotations(Board):
-        assert getattr(board, name) is not None
+        assert getattr(board, name) is not None or name == "arm"
+    for name in inspect.get_annotations(ServoBus):
+        assert board.arm is None or getattr(board.arm, name) is not None
     assert board.burst.startswith(board.first_stop)
-    assert board.burst_with(()) == board.burst
     assert board.wheels == Settings({"board.kind": kind}).speeds <= MOST_SPEEDS
     assert board.motor_speeds((-0.0,) * board.wheels, 1.0) == board.stop
     assert board.check_motion(board.stop, 0.0) == ""

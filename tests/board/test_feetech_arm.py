@@ -68,28 +68,30 @@ def kiwi() -> Kiwi:
 
 def test_goals_are_a_whole_frame_for_the_arm_alone() -> None:
     board = board_of("feetech", 0.1, 0.0)
+    arm = board.arm
+    assert arm
     made = [
-        board.servo_move([(1, 0), (6, 4095)], 40),
-        board.servo_torque(2, True, 2048),
-        board.servo_torque(2, False, 0),
-        *(board.servo_read(3, what) for what in questions.READS),
-        board.servo_look([1, 2, 3]),
+        arm.move([(1, 0), (6, 4095)], 40),
+        arm.torque(2, True, 2048),
+        arm.torque(2, False, 0),
+        *(arm.read(3, what) for what in questions.READS),
+        arm.look([1, 2, 3]),
     ]
     for frame in made:
-        assert board.check_servos(frame, range(1, 7), 60) == ""
-        assert board.check_servos(frame, (5,), 60)
+        assert arm.check(frame, range(1, 7), 60) == ""
+        assert arm.check(frame, (5,), 60)
         assert board.check_motion(frame, codec.LIMIT)
         for at in range(8 * len(frame)):
             garbled = bytearray(frame)
             garbled[at // 8] ^= 1 << at % 8
-            assert board.check_servos(bytes(garbled), range(1, 254), 60)
+            assert arm.check(bytes(garbled), range(1, 254), 60)
         for end in range(len(frame)):
-            assert board.check_servos(frame[:end], range(1, 7), 60) or frame[:end] == board.servo_move([(2, 2048)], 40)
+            assert arm.check(frame[:end], range(1, 7), 60) or frame[:end] == arm.move([(2, 2048)], 40)
     for frame in (*board.pings, board.stop, codec.TORQUE_ON, codec.packet(254, codec.WRITE, b"\x2e\0\0")):
-        assert board.check_servos(frame, range(1, 254), 60)
+        assert arm.check(frame, range(1, 254), 60)
     for wrong in ((7, 2048), (0, 5), (3, 4096), (3, -1)):
         with pytest.raises(FrameError):
-            board.servo_move([wrong], 40)
+            arm.move([wrong], 40)
 
 
 @pytest.mark.parametrize(("key", "value", "told"), [("servo", 8, "a wheel's"), ("high", 5000, "1 to 4095")])

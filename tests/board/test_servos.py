@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from failstop.board import codec, servos
-from failstop.board.burst import BURST, FIRST_STOP_END, burst_with
+from failstop.board.burst import BURST, FIRST_STOP_END
 from failstop.board.codec import STOP, check_aux, check_motion
 from failstop.board.framing import BUS_SERVO, MOTOR, FrameError, seal
 from failstop.board.rrc.board import BOARD
@@ -25,7 +25,7 @@ from failstop_lab.sim.motors import Motors
 from failstop_lab.sim.receiver import Receiver
 
 ARM = (1, 2, 3, 4, 5, 10)
-WRITE = burst_with(ARM)
+WRITE = BURST + BOARD.arm.stops(ARM)
 SPINNING = (0.5, -0.25, 0.75, -1.0)
 READS = [servos.bus_servo_read(servo, what) for servo in ARM for what in servos.READS]
 TORQUES = [servos.bus_servo_torque(servo, on) for servo in ARM for on in (True, False)]
@@ -67,8 +67,7 @@ def cut_anywhere(frame: bytes) -> None:
 
 def test_the_arm_s_stop_is_the_end_of_one_write() -> None:
     assert BURST + bus_servo_stop((1, 2, 3)) + bus_servo_stop((4, 5, 10)) == WRITE
-    assert burst_with(()) == BURST == BOARD.burst
-    assert BOARD.burst_with(ARM) == WRITE
+    assert (BOARD.burst, BOARD.arm.stops(())) == (BURST, b"")
     assert BOARD.first_stop == BURST[:FIRST_STOP_END]
 
 

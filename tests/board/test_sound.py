@@ -152,8 +152,8 @@ WRONG: dict[str, tuple[str, object, str]] = {
     "a watchdog that none can set": ("watchdog.set_ns", 10**8, "and arm is None, which can't set it"),
     "a name of nothing": ("name", " ", "WIRE.name = ' ', must be a text"),
     "an identity of another form": ("usb", ("2341-0043",), r"usb\[0\] = '2341-0043', must be as"),
-    "a board of no function": ("board", 5, "WIRE.board = 5, must be a function"),
-    "a board that is none": ("board", lambda *_: None, "WIRE.board returns None, must return a Board"),
+    "an arm of no function": ("arm", 5, "WIRE.arm = 5, must be a function"),
+    "an arm that is none": ("arm", lambda *_: None, "WIRE.arm returns None, must return a ServoBus"),
 }  # fmt: skip
 """Of each the field, what is there instead, and what is said of it."""
 

@@ -7,7 +7,8 @@ import re
 import pytest
 
 from failstop import config
-from failstop.board.burst import BURST, burst_with
+from failstop.board.burst import BURST
+from failstop.board.rrc.arm import RrcArm
 from failstop.board.rrc.board import BOARD
 from failstop.cli.commands import stop
 from failstop.policy.halted import MAY_TURN
@@ -89,7 +90,7 @@ class Tool:
         code, out, err = self.run(*words)
         assert self.failed == []
         (device,) = (device for device, heard in self.boards.items() if heard.data)
-        assert self.boards[device].without_pings() == BURST + (burst_with(servos) if servos else b"")
+        assert self.boards[device].without_pings() == BURST + (BURST + RrcArm().stops(servos) if servos else b"")
         return code, device, out, err
 
 

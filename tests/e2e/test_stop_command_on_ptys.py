@@ -122,7 +122,7 @@ def test_the_arm_is_stopped_after_the_wheels_with_the_servos_that_can_be(
     file.write_text("\n".join(lines))
     assert cli.main(["stop", "--config", str(file), *(["--device", link] if named else [])]) == 1
     assert capsys.readouterr().err == unanswered(link)
-    gets(master, BURST + BOARD.burst_with((1, 3)))
+    gets(master, BURST + BOARD.burst + BOARD.arm.stops((1, 3)))
 
 
 BAD_FILES: dict[str, Callable[[Path], object]] = {

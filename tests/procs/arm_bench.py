@@ -31,7 +31,7 @@ class ArmBench:
     def __init__(self, **changed: object) -> None:
         values = {key.replace("__", "."): value for key, value in changed.items()}
         self.gate = Gate()
-        self.core = ArmCore(Settings({**ARM, **values}), BOARD, T0)
+        self.core = ArmCore(Settings({**ARM, **values}), BOARD.arm, T0)
         self.now = T0
         self.servos = Servos(T0, 0)
         self.frames: list[tuple[int, bytes]] = []

@@ -15,7 +15,8 @@ from failstop.board.rrc.board import BOARD
 from failstop.board.servos import POSITION
 from failstop.policy import causes
 from failstop.policy.causes import Cause
-from failstop.procs.port_owner.admission import ADMIT, DROP, STAND_STILL, STOP_ASKED, Admission, DatedFrame, ServoBus
+from failstop.procs.loop import NEVER
+from failstop.procs.port_owner.admission import ADMIT, DROP, STAND_STILL, STOP_ASKED, Admission, BusSchedule, DatedFrame
 from tests.support import frames
 
 MS = 1_000_000
@@ -113,12 +114,16 @@ def test_a_frame_passes_only_where_the_board_s_check_says_nothing(answer: object
         def check_motion(self, *_: object) -> object:
             return answer
 
-        check_servos = check_motion
+    class CarelessArm(type(BOARD.arm)):  # type: ignore[misc]
+        __slots__ = ()
+
+        def check(self, *_: object) -> object:
+            return answer
 
     board = Careless.__new__(Careless)
     said = answer if isinstance(answer, str) else f"its check returned {answer!r}, not a text"
     assert Admission(board, LEASE_NS, MAX_RPS).check(FRAME) == causes.BAD_FRAME(said)
-    assert ServoBus(board, (1,)).check(FRAME) == causes.BAD_FRAME(f"for the arm, {said}")
+    assert BusSchedule(CarelessArm(), (1,)).check(FRAME) == causes.BAD_FRAME(f"for the arm, {said}")
 
 
 @pytest.mark.claim("MOVE-1")
@@ -147,11 +152,19 @@ def test_a_zero_frame_of_a_dead_epoch_is_dropped_before_anything_was_written() -
 
 
 def test_an_arm_beside_the_wheels_is_asked_while_servos_and_wheels_move() -> None:
-    board = board_of("feetech", 0.1, 0.0)
-    bus, move = ServoBus(board, (1,)), board.servo_move([(1, 2048)], 20)
+    arm = board_of("feetech", 0.1, 0.0).arm
+    assert arm
+    bus, move = BusSchedule(arm, (1,)), arm.move([(1, 2048)], 20)
     assert bus.wrote(move, NOW)
-    free_ns = NOW + board.servo_ns(move)
-    assert bus.due_ns(board.servo_read(1, POSITION), free_ns, wheels_move=True) == free_ns
+    free_ns = NOW + arm.held_ns(move)
+    assert bus.due_ns(arm.read(1, POSITION), free_ns, wheels_move=True) == free_ns
+
+
+def test_a_board_without_an_arm_has_no_frame_for_one() -> None:
+    bus = BusSchedule(None, (1,))
+    assert bus.check(FRAME) == causes.BAD_FRAME("for the arm, this robot has no arm")
+    assert bus.due_ns(FRAME, NOW, wheels_move=False) == NEVER
+    assert not bus.wrote(FRAME, NOW)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from failstop.board import servos
-from failstop.board.interface import Board
+from failstop.board.interface import ServoBus
 from failstop.board.kinds import board_of
 from failstop.board.servos import LONGEST_MOVE_MS, POSITION
 from failstop.policy.settings import Settings
@@ -21,18 +21,19 @@ from .arm_bench import ME, SERVO_ANSWER_NS
 from .gate_bench import MS, T0
 
 
-def feetech(arm: dict[str, object]) -> tuple[ArmCore, Board]:
+def feetech(arm: dict[str, object]) -> tuple[ArmCore, ServoBus]:
     """An arm whose servos tell where they are while they move, and go on to their last goal."""
-    board = board_of("feetech", 0.1, 0.0)
-    core = ArmCore(Settings({**arm, "board.kind": "feetech"}), board, T0)
+    bus = board_of("feetech", 0.1, 0.0).arm
+    assert bus
+    core = ArmCore(Settings({**arm, "board.kind": "feetech"}), bus, T0)
     for joint in core.joints:
         joint.known = joint.loaded = True
         joint.position = 2048.0
-    return core, board
+    return core, bus
 
 
 def test_joints_on_their_way_are_looked_at_where_the_board_can_tell() -> None:
-    core, board = feetech(ARM)
+    core, bus = feetech(ARM)
     first = core.joints[0]
     core.take(Goal(goals.FOLLOW, ME, "client 11", T0, {first: first.rad(2100.0)}), "", T0)
     frames = []
@@ -43,8 +44,8 @@ def test_joints_on_their_way_are_looked_at_where_the_board_can_tell() -> None:
         frames.append((now, frame))
         core.answer(first.servo, POSITION, 2050, now)
         now = core.due_ns
-    looks = [(t_ns, frame) for t_ns, frame in frames if frame and board.servo_what(frame) == POSITION]
-    assert [frame for _, frame in looks[:3]] == [board.servo_look(each) for each in ([1, 2, 3], [4, 5, 10], [1, 2, 3])]
+    looks = [(t_ns, frame) for t_ns, frame in frames if frame and bus.command(frame) == POSITION]
+    assert [frame for _, frame in looks[:3]] == [bus.look(each) for each in ([1, 2, 3], [4, 5, 10], [1, 2, 3])]
     assert all(after - before >= LOOKS_APART_NS for (before, _), (after, _) in pairwise(looks))
     assert len(looks) >= 6
     assert sum(frame == b"" for _, frame in frames) <= 1, "it wakes for a move or a look"
@@ -54,22 +55,22 @@ def test_joints_on_their_way_are_looked_at_where_the_board_can_tell() -> None:
 
 
 def test_the_only_joint_of_an_arm_is_looked_at_on_its_way() -> None:
-    core, board = feetech({"joints.base.servo": 4})
+    core, bus = feetech({"joints.base.servo": 4})
     core.take(Goal(goals.JOG, ME, "client 11", T0, {core.joints[0]: 0.1}), "", T0)
     frames, now = [], T0
     while now < T0 + 60 * MS:
         frames.append(core.step(now)[0])
         now = core.due_ns
-    assert frames.count(board.servo_look([4])) == 4
+    assert frames.count(bus.look([4])) == 4
 
 
 TURNS = 400
 """Enough for an idle reader to ask each joint several times."""
 
 
-def moves_after(core: ArmCore, board: Board, position: int, now: int) -> list[bytes]:
+def moves_after(core: ArmCore, bus: ServoBus, position: int, now: int) -> list[bytes]:
     """The moves that are sent from now on, while each servo says that it is at one position."""
-    questions = {board.servo_read(servo, what): (servo, what) for servo in SERVOS for what in servos.READS}
+    questions = {bus.read(servo, what): (servo, what) for servo in SERVOS for what in servos.READS}
     found = []
     for _ in range(TURNS):
         frame, _ = core.step(now)
@@ -82,7 +83,7 @@ def moves_after(core: ArmCore, board: Board, position: int, now: int) -> list[by
 
 
 def test_joints_that_lag_behind_the_goals_of_streams_are_sent_once_where_they_are() -> None:
-    core, board = feetech({**ARM, "arm.collision": "off"})
+    core, bus = feetech({**ARM, "arm.collision": "off"})
     now = T0
     for joint in core.joints[:3]:
         core.take(Goal(goals.FOLLOW, ME, "client 11", now, {joint: joint.rad(2100.0)}), "", now)
@@ -91,19 +92,19 @@ def test_joints_that_lag_behind_the_goals_of_streams_are_sent_once_where_they_ar
             core.step(now)
             now = core.due_ns
         core.drop("dropped")
-    assert moves_after(core, board, 2000, now) == [
-        board.servo_move([(servo, 2000) for servo in group], LONGEST_MOVE_MS) for group in (SERVOS[:2], SERVOS[2:3])
+    assert moves_after(core, bus, 2000, now) == [
+        bus.move([(servo, 2000) for servo in group], LONGEST_MOVE_MS) for group in (SERVOS[:2], SERVOS[2:3])
     ]
 
 
 @pytest.mark.parametrize(("off", "lags"), [(0, False), (AGREE, False), (-AGREE, False), (AGREE + 1, True)])
 def test_joint_that_stands_at_its_last_goal_is_sent_nothing_more(off: int, lags: bool) -> None:
-    core, board = feetech({**ARM, "arm.collision": "off"})
+    core, bus = feetech({**ARM, "arm.collision": "off"})
     joint = core.joints[0]
     core.take(Goal(goals.JOG, ME, "client 11", T0, {joint: 0.0}), "", T0)
     core.step(T0)
     core.drop("dropped")
     there = round(joint.position) + off
-    assert moves_after(core, board, there, core.due_ns) == (
-        [board.servo_move([(joint.servo, there)], LONGEST_MOVE_MS)] if lags else []
+    assert moves_after(core, bus, there, core.due_ns) == (
+        [bus.move([(joint.servo, there)], LONGEST_MOVE_MS)] if lags else []
     )

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from failstop.board import servos
-from failstop.board.burst import BURST, burst_with
+from failstop.board.burst import BURST
+from failstop.board.rrc.arm import RrcArm
 from failstop.board.servos import bus_servo_move, bus_servo_read, bus_servo_stop, bus_servo_torque
 from failstop.messages import records
 from failstop.procs.port_owner.admission import MOST_WAITING
@@ -15,7 +16,7 @@ from tests.support.port_scene import MOTION, Scene
 from tests.support.stage import MS
 
 IDS = (1, 2, 3, 4, 5, 10)
-WITH_SERVOS = burst_with(IDS)
+WITH_SERVOS = BURST + RrcArm().stops(IDS)
 MOVE = bus_servo_move([(1, 500)], 40)
 TWO = bus_servo_move([(1, 500), (2, 600)], 40)
 READ = bus_servo_read(1, servos.POSITION)

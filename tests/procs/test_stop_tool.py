@@ -85,7 +85,7 @@ def test_the_tool_speaks_as_fast_as_the_board_and_stops_an_arm_behind_the_wheels
     machine: PortMachine, board: Any
 ) -> None:
     machine.load("failstop.stopping").write(machine.wire.link, board, SERVOS)
-    assert machine.wire.read().startswith(board.burst_with(SERVOS))
+    assert machine.wire.read().startswith(board.burst + (board.arm.stops(SERVOS) if board.arm else b""))
     assert machine.wire.port.settings[4:6] == [getattr(termios, f"B{board.port.baud}")] * 2
 
 

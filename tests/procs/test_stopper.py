@@ -62,7 +62,7 @@ def test_the_port_owner_s_death_is_answered_until_the_next_has_stopped_itself(sc
 def test_the_burst_stops_an_arm_too() -> None:
     scene = Scene(changed=ARM)
     scene.port_owner.kill()
-    assert scene.turn() == BOARD.burst_with(SERVOS)
+    assert scene.turn() == BOARD.burst + BOARD.arm.stops(SERVOS)
 
 
 def test_at_the_early_news_the_first_stop_goes_out_before_the_loop_has_woken(scene: Scene) -> None:

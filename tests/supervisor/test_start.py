@@ -147,7 +147,7 @@ def test_the_last_stop_of_a_robot_with_an_arm_is_the_arm_s_too() -> None:
     robot.board.on_bytes = writes.append
     robot.machine.kill(process, signal.SIGTERM)
     assert code_of(robot, process) == 0
-    assert writes[-1] == BOARD.burst_with(SERVOS) != BOARD.burst
+    assert writes[-1] == BOARD.burst + BOARD.arm.stops(SERVOS) != BOARD.burst
 
 
 @pytest.mark.parametrize("device", [1, 2])

@@ -18,7 +18,7 @@ from failstop.messages.packing import Note
 from failstop.policy import causes
 from failstop.policy.causes import Cause, unpack_reply
 from failstop.procs.loop import NEVER
-from failstop.procs.port_owner.admission import ServoBus
+from failstop.procs.port_owner.admission import BusSchedule
 from failstop.supervisor.latch import Latch
 from failstop.supervisor.stops import Stop
 from failstop_lab.sim.servos import Servos
@@ -109,7 +109,7 @@ class Scene(Stage):
         self._servo_answers, self._pad = telemetry.ring_writer("servos"), telemetry.latest_writer("pad_arm")
         self.epoch, self.latch = 1, Latch()
         self.servos = Servos(self.clock(), seed=0)
-        self.bus = ServoBus(self.board, SERVOS)
+        self.bus = BusSchedule(self.board.arm, SERVOS)
         self.wheels_move = False
         self.on_motion: Callable[[bytes], None] = lambda frame: None
         """Called with each frame for the wheels."""

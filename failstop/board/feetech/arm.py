@@ -7,13 +7,15 @@ stands at the last, its torque on. Nothing here names a wheel, and nothing but p
 from __future__ import annotations
 
 from failstop.board import servos as bus
-from failstop.board.described import Described
 from failstop.board.feetech import codec
 from failstop.board.framing import FrameError, counted, distinct, integer
+from failstop.board.interface import ServoBus
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
+
+    from failstop.board.wire import Port
 
 HIGHEST = codec.TURN - 1
 ANSWER_NS = 1_000_000
@@ -44,33 +46,40 @@ def _torque(servo: int, on: bool) -> bytes:
     return codec.sync_write(codec.TORQUE_SWITCH, 1, bytes((_id(servo), on)))
 
 
-class FeetechBoard(Described):
-    """The wheels that its wire describes, and an arm."""
+class FeetechArm(ServoBus):
+    """The joints' servos, on the wheels' bus."""
 
-    __slots__ = ()
+    __slots__ = ("_byte_ns",)
 
-    arm_beside_wheels = holds_by_goal = True
+    beside_wheels = holds_by_goal = True
 
-    def servo_move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
+    def __init__(self, port: Port) -> None:
+        self._byte_ns = port.byte_ns
+
+    def stops(self, servos: Sequence[int]) -> bytes:
+        """Nothing: without a next goal a servo stands at the last one, its torque on."""
+        return b""
+
+    def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
         """Goals for a few servos, in one frame. A servo takes its own time for the small step."""
         return _goals(positions)
 
-    def servo_read(self, servo: int, what: int) -> bytes:
+    def read(self, servo: int, what: int) -> bytes:
         """The question to one servo."""
         return codec.packet(_id(servo), codec.READ, bytes(codec.READS[what]))
 
-    def servo_look(self, servos: Sequence[int]) -> bytes:
+    def look(self, servos: Sequence[int]) -> bytes:
         """A sync read, of no more servos than a question to the wheels."""
         counted("servos", servos, 1, len(codec.WHEELS))
         distinct("servo id", servos)
         ids = bytes([_id(servo) for servo in servos])
         return codec.packet(codec.EVERY_SERVO, codec.SYNC_READ, bytes(codec.READS[bus.POSITION]) + ids)
 
-    def servo_torque(self, servo: int, on: bool, at: int) -> bytes:
+    def torque(self, servo: int, on: bool, at: int) -> bytes:
         """The torque; before it is switched on the goal becomes the place where the servo is."""
         return (_goals([(servo, max(0, min(at, HIGHEST)))]) if on else b"") + _torque(servo, on)
 
-    def servo_what(self, frame: bytes) -> int:
+    def command(self, frame: bytes) -> int:
         """By what it asks for or writes."""
         if frame[4] in (codec.READ, codec.SYNC_READ):
             return next(what for what, asked in codec.READS.items() if bytes(asked) == frame[5:7])
@@ -78,7 +87,7 @@ class FeetechBoard(Described):
             return bus.TORQUE_OFF
         return bus.SERVO_MOVE if len(frame) == frame[3] + 4 else bus.TORQUE_ON
 
-    def check_servos(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
+    def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
         """The very bytes that the functions above make of the fields in it pass, and nothing else."""
         try:
             ids, made = self._made_again(frame)
@@ -91,20 +100,20 @@ class FeetechBoard(Described):
     def _made_again(self, frame: bytes) -> tuple[list[int], bytes]:
         """Servos in a frame, and the frame for what it says."""
         if frame[4] == codec.READ:
-            return [frame[2]], self.servo_read(frame[2], self.servo_what(frame))
+            return [frame[2]], self.read(frame[2], self.command(frame))
         if frame[4] == codec.SYNC_READ:
             looked = list(frame[_ROWS_AT:-1])
-            return looked, self.servo_look(looked)
+            return looked, self.look(looked)
         if frame[5] == codec.TORQUE_SWITCH:
             return [frame[_ROWS_AT]], _torque(frame[_ROWS_AT], False)
         moves = goals(frame)
         ids = [servo for servo, _ in moves]
-        if self.servo_what(frame) == bus.TORQUE_ON:
+        if self.command(frame) == bus.TORQUE_ON:
             ((servo, at),) = moves[:1]
-            return ids, self.servo_torque(servo, True, at)
+            return ids, self.torque(servo, True, at)
         return ids, _goals(moves)
 
-    def servo_ns(self, frame: bytes) -> int:
+    def held_ns(self, frame: bytes) -> int:
         """Its own time on the line, or that of the answer."""
         asked = {codec.READ: 1, codec.SYNC_READ: len(frame) - _ROWS_AT - 1}.get(frame[4], 0)
-        return asked * ANSWER_NS or len(frame) * self.port.byte_ns
+        return asked * ANSWER_NS or len(frame) * self._byte_ns

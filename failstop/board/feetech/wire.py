@@ -31,7 +31,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from failstop.board.interface import Board
+    from failstop.board.interface import ServoBus
 
 _MS = 1_000_000
 ANSWERS_NS = 2_500_000
@@ -43,10 +43,11 @@ def _answers(size: int) -> Callable[[Sample], bool]:
     return lambda sample: isinstance(sample, Answer) and sample.text == str(size)
 
 
-def _with_arm(wire: Wire, per_rps: float, diameter_m: float) -> Board:
-    from failstop.board.feetech.arm import FeetechBoard
+def _arm(port: Port) -> ServoBus:
+    # An arm is rare, so a robot without one does not load its module.
+    from failstop.board.feetech.arm import FeetechArm
 
-    return FeetechBoard(wire, per_rps, diameter_m)
+    return FeetechArm(port)
 
 
 WIRE = Wire(
@@ -106,5 +107,5 @@ WIRE = Wire(
             program="lerobot.robots.lekiwi.lekiwi_host",
         ),
     ),
-    board=_with_arm,
+    arm=_arm,
 )

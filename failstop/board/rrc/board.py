@@ -6,8 +6,7 @@ from __future__ import annotations
 from struct import Struct
 
 from failstop.board import codec, decoder, framing, plausible
-from failstop.board import servos as bus
-from failstop.board.burst import BURST, FIRST_STOP_END, burst_with
+from failstop.board.burst import BURST, FIRST_STOP_END
 from failstop.board.interface import (
     BY_ANSWER,
     BY_IMU,
@@ -20,16 +19,16 @@ from failstop.board.interface import (
     Hearing,
 )
 from failstop.board.port import ROSORIN_PORT
+from failstop.board.rrc.arm import RrcArm
 from failstop.board.rrc.steering import Steering
 from failstop.board.wire import Commander
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Sequence
 
     from failstop.board.interface import Said
 
-_SUB_COMMAND_AT = 4
 _REPEATS_NS = (20_000_000, 100_000_000)
 _SPEEDS = Struct(f"<6x{'Bf' * framing.WHEELS}")
 
@@ -134,7 +133,7 @@ class Rrc(Board):
     step_rps = 0.0
     usb = ("1a86:55d4",)
     usb_alone = True
-    arm_beside_wheels = holds_by_goal = False
+    arm: RrcArm = RrcArm()
     commanders = (
         Commander(
             who="a gamepad at the board, or Bluetooth, drives it where the firmware does so without the host",
@@ -147,10 +146,6 @@ class Rrc(Board):
             fix="sudo systemctl disable --now start_app_node.service",
         ),
     )
-
-    def burst_with(self, servos: Sequence[int]) -> bytes:
-        """The burst and the servos' stops."""
-        return burst_with(servos)
 
     def hearing(self) -> Hearing:
         """Its frames."""
@@ -179,34 +174,6 @@ class Rrc(Board):
     def check_aux(self, frame: bytes) -> str:
         """The buzzer's frame, and nothing else."""
         return codec.check_aux(frame)
-
-    def servo_move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """Bus servos move."""
-        return bus.bus_servo_move(positions, duration_ms, longest_ms or bus.LONGEST_MOVE_MS)
-
-    def servo_read(self, servo: int, what: int) -> bytes:
-        """A bus servo is asked."""
-        return bus.bus_servo_read(servo, what)
-
-    def servo_look(self, servos: Sequence[int]) -> bytes:
-        """It asks one servo after the other, while none moves."""
-        return b""
-
-    def servo_torque(self, servo: int, on: bool, at: int) -> bytes:
-        """A bus servo's torque. It holds where it is."""
-        return bus.bus_servo_torque(servo, on)
-
-    def servo_what(self, frame: bytes) -> int:
-        """The sub-command of a bus servo's frame."""
-        return frame[_SUB_COMMAND_AT]
-
-    def check_servos(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """A bus servo's frame, as the encoders make it."""
-        return bus.check_bus(frame, servos, longest_ms)
-
-    def servo_ns(self, frame: bytes) -> int:
-        """The time of a bus servo's frame."""
-        return bus.frame_ns(frame)
 
 
 class SteeredRrc(Rrc):

@@ -67,8 +67,8 @@ def traits_of(kind: str) -> Traits:
     """The traits of one of the setting's BOARDS, or of a folder of the user's own. Raises ValueError."""
     language = board_of(kind, DIAMETER_M, 0.0)
     has = {
-        HAS_ARM: language.burst_with((1,)) != language.burst,
-        HAS_ARM_BESIDE: language.arm_beside_wheels,
+        HAS_ARM: language.arm is not None,
+        HAS_ARM_BESIDE: bool(language.arm and language.arm.beside_wheels),
         HAS_PINGS: bool(language.pings),
         HAS_REPORTS: language.silent_ns > 0 and not language.ping_ns,
         HAS_IMU: language.observed_by == BY_IMU,

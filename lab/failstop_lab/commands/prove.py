@@ -132,7 +132,7 @@ def _plan(
     settings = driven(settings_for(user))
     has_arm, board = bool(settings.servos()), board_of(*settings.board())
     means = means_of(settings.text("board.kind"), board, imu=settings.on("board.imu"))
-    beside = board.arm_beside_wheels
+    beside = bool(board.arm and board.arm.beside_wheels)
     plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm, beside=beside, settings=settings)
     fitted = [(means.fitted(path), velocity) for path, velocity in plan if not means.lacks(path)]
     if not fitted:

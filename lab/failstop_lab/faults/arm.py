@@ -17,7 +17,7 @@ from failstop.board.servos import LONGEST_MOVE_NS, SERVO_MOVE, SERVO_STOP
 from failstop.messages.layout import SUPERVISOR
 from failstop.policy.causes import Cause
 from failstop.policy.layouts import BOARDS
-from failstop_lab.boards.traits import traits_of
+from failstop_lab.boards.traits import HAS_ARM_BESIDE, traits_of
 from failstop_lab.faults import arm_table as table
 from failstop_lab.faults.arm_table import ArmFault
 from failstop_lab.faults.fault import fits
@@ -99,7 +99,7 @@ class ArmTrial(Trial):
     ) -> None:
         traits = traits_of(kind)
         super().__init__(name, kind="" if kind == BOARDS[0] else kind)
-        self.beside = traits.language.arm_beside_wheels
+        self.beside = HAS_ARM_BESIDE in traits.parts
         """The program that moves the arm drives the wheels too."""
         path = os.path.join(self._directory.name, "arm.toml")
         write_settings(path, {**traits.settings, **(BESIDE if self.beside else SETTINGS), **(changed or {})})

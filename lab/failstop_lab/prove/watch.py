@@ -15,7 +15,7 @@ from struct import Struct
 
 from failstop.api.client import attach
 from failstop.board import servos
-from failstop.board.feetech.arm import FeetechBoard, goals
+from failstop.board.feetech.arm import FeetechArm, goals
 from failstop.board.handled import Handled
 from failstop.board.interface import (
     BY_IMU,
@@ -26,6 +26,7 @@ from failstop.board.interface import (
     HEARD_SERVO,
     HEARD_WHEELS,
     Board,
+    ServoBus,
 )
 from failstop.board.port import PortError, open_port
 from failstop.board.tap import Tap
@@ -54,11 +55,11 @@ Reading = tuple[int, int, int]
 """(when its answer was read, servo, where it is)."""
 
 
-def moves(t_ns: int, frame: bytes, board: Board) -> list[Move]:
+def moves(t_ns: int, frame: bytes, bus: ServoBus) -> list[Move]:
     """The moves in a frame for the arm; none in one that asks, stops or switches a torque."""
-    if board.servo_what(frame) != servos.SERVO_MOVE:
+    if bus.command(frame) != servos.SERVO_MOVE:
         return []
-    if isinstance(board, FeetechBoard):
+    if isinstance(bus, FeetechArm):
         return [(t_ns, servo, position, GOES_AT_ONCE_NS) for servo, position in goals(frame)]
     data = frame[_COMMAND_AT:-1]
     took_ns = int.from_bytes(data[1:3], "little") * 1_000_000
@@ -163,8 +164,8 @@ class Watch:
             _, kind, body = records.FRAME.unpack(entry[2])
             if kind == records.WRITE_BURST or (kind == records.MOTION and body == self._board.stop):
                 self.zeros.append(entry[1])
-            elif kind == records.ARM:
-                self.moves += moves(entry[1], body, self._board)
+            elif kind == records.ARM and self._board.arm:
+                self.moves += moves(entry[1], body, self._board.arm)
         while self._wrote and (entry := self._wrote.next()):
             self._handled.wrote(*records.WROTE.unpack(entry[2]), entry[1])
         # The port owner reads while no telemetry runs: in the order of time they are what the board has sent.

@@ -78,7 +78,7 @@ CONTROLS = (
         "one stop frame for a burst",
         "drive_and_stop",
         (
-            (STOP_PORT_MODULE, "self._stop = board.burst_with(servos)", "self._stop = board.stop"),
+            (STOP_PORT_MODULE, "self._stop = board.burst + ", "self._stop = board.stop + "),
             (STOP_PORT_MODULE, "taken = self._write(self.board.first_stop)", "taken = self._write(self.board.stop)"),
         ),
         CUT_AND_ASKED,

@@ -7,7 +7,7 @@ dies stands when its last move ends. What was stopped on its way is read before 
 
 from __future__ import annotations
 
-from failstop.board.interface import Board
+from failstop.board.interface import ServoBus
 from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES, POSITION
 from failstop.policy.causes import Cause
 from failstop.policy.joints import Joint, from_settings, too_far
@@ -34,17 +34,17 @@ FIND_NS = 4_000_000_000
 class ArmCore:
     """The arm as the gate knows it: its joints, the goal that it follows, the next question to the servos."""
 
-    def __init__(self, settings: Settings, board: Board, now_ns: int) -> None:
-        self._board = board
+    def __init__(self, settings: Settings, bus: ServoBus, now_ns: int) -> None:
+        self._bus = bus
         self.joints = from_settings(settings)
         self._timeout_ns = settings.ns("arm.goal_timeout_s")
         self._pose_speed = settings["arm.pose_speed"]
         self.tolerance = int(settings["arm.drive_tolerance"])
         self.ignore_absent = settings.text("arm.absent") == "ignore"
         self._reader = ServoReader(self.joints, now_ns)
-        self._looks = bool(self.joints) and bool(board.servo_look([self.joints[0].servo]))
+        self._looks = bool(self.joints) and bool(bus.look([self.joints[0].servo]))
         self._space = Space(settings, self.joints)
-        self._stream = Stream(settings, board, self._space)
+        self._stream = Stream(settings, bus, self._space)
         self._trajectory: Trajectory | None = None
         self._goal: Goal | None = None
         self._ended: dict[int, int] = {}
@@ -54,7 +54,7 @@ class ArmCore:
         self.due_ns = now_ns
         """When to step again, without any news. Set by each step alone, and later than it."""
         self._left: dict[Joint, float] = {}
-        """The last goals of servos that go on to them (Board.holds_by_goal), and are not yet known to be there."""
+        """The last goals of servos that go on to them (ServoBus.holds_by_goal), and are not yet known to be there."""
         self.letting_go: list[Joint] = []
         """Joints whose torque is still to be switched off."""
         self.active_ns = 0
@@ -155,7 +155,7 @@ class ArmCore:
         self.drop(why, cause)
 
     def _end_stream(self) -> None:
-        if self._board.holds_by_goal:
+        if self._bus.holds_by_goal:
             self._left |= {joint: joint.position for joint in self._stream.joints}
         self._stream.end()
 
@@ -207,7 +207,7 @@ class ArmCore:
             return frame, hold
         wanted = wanted or [joint for joint in self.joints if not joint.known]
         question = self._reader.ask([joint for joint in wanted if not joint.silent], now_ns)
-        return self._board.servo_read(question[0].servo, question[1]) if question else b"", hold
+        return self._bus.read(question[0].servo, question[1]) if question else b"", hold
 
     def _hold_back(self, now_ns: int) -> bytes:
         """Send joints that lag behind the last goals of a stream that ended to where they are: all of them at once, in
@@ -220,7 +220,7 @@ class ArmCore:
         if not now:
             return b""
         self._reader.moved(now_ns)
-        return self._board.servo_move([(joint.servo, round(joint.position)) for joint in now], LONGEST_MOVE_MS)
+        return self._bus.move([(joint.servo, round(joint.position)) for joint in now], LONGEST_MOVE_MS)
 
     def _unknown(self, joints: list[Joint]) -> list[Joint]:
         return [joint for joint in self._space.wanted(joints) if not joint.known]
@@ -310,13 +310,13 @@ class ArmCore:
         joint = next(joint for joint in joints if not joint.loaded)
         joint.loaded = True
         self._torque_ns = now_ns + TORQUE_APART_NS
-        return self._board.servo_torque(joint.servo, True, round(joint.position))
+        return self._bus.torque(joint.servo, True, round(joint.position))
 
     def _let_go(self, now_ns: int) -> bytes:
         if now_ns < self._torque_ns:
             return b""
         self._torque_ns = now_ns + TORQUE_APART_NS
-        return self._board.servo_torque(self.letting_go.pop(0).servo, False, 0)
+        return self._bus.torque(self.letting_go.pop(0).servo, False, 0)
 
     def _begin(self, joints: list[Joint], now_ns: int) -> None:
         """Begin to stream: from here on each of these joints is sent a move every period."""
@@ -342,7 +342,7 @@ class ArmCore:
     def _look(self, now_ns: int) -> bytes:
         """Ask where joints on their way are; a board that can't tell has no frame for that."""
         joints = self._reader.look(now_ns)
-        return self._board.servo_look([joint.servo for joint in joints]) if joints else b""
+        return self._bus.look([joint.servo for joint in joints]) if joints else b""
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> None:
         if self._looks and self._stream.on and what == POSITION and value is not None:

@@ -5,6 +5,7 @@ A request that takes time has more than one reply: how far it is (records.UNDER_
 
 from __future__ import annotations
 
+from failstop.board.interface import ServoBus
 from failstop.data import Data
 from failstop.messages import box, records
 from failstop.messages.packing import Note
@@ -42,10 +43,18 @@ class Waiter(Data):
 
 
 class Arm:
-    def __init__(self, context: Context, frames: Frames, requests: Requests, notes: list[Note], now_ns: int) -> None:
+    def __init__(
+        self,
+        context: Context,
+        bus: ServoBus,
+        frames: Frames,
+        requests: Requests,
+        notes: list[Note],
+        now_ns: int,
+    ) -> None:
         settings = context.settings
-        self.core = ArmCore(settings, context.board, now_ns)
-        self._beside = context.board.arm_beside_wheels
+        self.core = ArmCore(settings, bus, now_ns)
+        self._beside = bus.beside_wheels
         self._frames, self._requests, self._notes = frames, requests, notes
         self._box = context.own.ring_writer("arm_box")
         self._boxed, self._boxed_ns = ("", ""), 0

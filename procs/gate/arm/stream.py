@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from math import inf
 
-from failstop.board.interface import Board
+from failstop.board.interface import ServoBus
 from failstop.board.servos import LONGEST_MOVE_NS, MOST_MOVES, MOVE_NS
 from failstop.policy.capsules import Model, would_hit
 from failstop.policy.joints import Joint
@@ -55,8 +55,8 @@ class Space:
 class Stream:
     """Joints on their way, and when each is to be sent its next move."""
 
-    def __init__(self, settings: Settings, board: Board, space: Space) -> None:
-        self._board = board
+    def __init__(self, settings: Settings, bus: ServoBus, space: Space) -> None:
+        self._bus = bus
         self._period_ns = settings.ns("arm.period_s")
         self._move_ms = round(settings["arm.period_s"] * 1000)
         self._space = space
@@ -117,7 +117,7 @@ class Stream:
         if isinstance(followed, Goal):
             self._blocked[group[0]] = hit
         moves = [(joint.servo, round(joint.position)) for joint in group]
-        return self._board.servo_move(moves, self._move_ms), hit
+        return self._bus.move(moves, self._move_ms), hit
 
     def _advance(self, group: list[Joint], followed: Goal | Trajectory, now_ns: int) -> None:
         """Each joint on to where it is to be at the end of its next move; one that no goal names slows down."""

@@ -164,19 +164,20 @@ def track(*positions: float) -> list[Move]:
 
 def test_a_frame_s_moves() -> None:
     frame = bus_servo_move([(1, 500), (2, 600)], 40)
-    found = moves(7, frame, BOARD)
+    found = moves(7, frame, BOARD.arm)
     assert [(servo, position) for _, servo, position, _ in found] == [(1, 500), (2, 600)]
     assert found[0][0] == 7
     assert 40 * MS <= found[0][3] <= 60 * MS
-    assert moves(7, bus_servo_stop([1, 2]), BOARD) == []
+    assert moves(7, bus_servo_stop([1, 2]), BOARD.arm) == []
 
 
 def test_the_goals_of_servos_that_go_at_once() -> None:
-    board = board_of("feetech", 0.1, 0.0)
-    found = moves(7, board.servo_move([(1, 500), (6, 4095)], 40), board)
+    arm = board_of("feetech", 0.1, 0.0).arm
+    assert arm
+    found = moves(7, arm.move([(1, 500), (6, 4095)], 40), arm)
     assert [(t_ns, servo, position) for t_ns, servo, position, _ in found] == [(7, 1, 500), (7, 6, 4095)]
     assert SWING.at([(0, 1, 400, 1), *found], 8) == (500, 1)
-    assert moves(7, board.servo_look([1, 2]), board) == []
+    assert moves(7, arm.look([1, 2]), arm) == []
 
 
 def test_where_it_was_told_to_be_is_on_the_way_of_the_move_in_force() -> None:

@@ -1,0 +1,54 @@
+"""The arm on the RRC: bus servos that the firmware speaks to, one frame after the other."""
+
+from __future__ import annotations
+
+from failstop.board import servos as bus
+from failstop.board.interface import ServoBus
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+_SUB_COMMAND_AT = 4
+
+
+class RrcArm(ServoBus):
+    """Its frames are in servos.py of the board room."""
+
+    __slots__ = ()
+
+    beside_wheels = holds_by_goal = False
+
+    def stops(self, servos: Sequence[int]) -> bytes:
+        """A stop for each servo. Never a write of its own: if the kernel took only a part of the burst before it, the
+        board would read it as the rest of a motor frame, as a wheel's id and speed. As the end of the burst's own write
+        it comes behind a whole burst or not at all, and the next burst heals a cut in it as in any frame."""
+        return b"".join(bus.bus_servo_stops(servos))
+
+    def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
+        """One or two servos in one frame."""
+        return bus.bus_servo_move(positions, duration_ms, longest_ms or bus.LONGEST_MOVE_MS)
+
+    def read(self, servo: int, what: int) -> bytes:
+        """The question to one servo."""
+        return bus.bus_servo_read(servo, what)
+
+    def look(self, servos: Sequence[int]) -> bytes:
+        """Empty: it asks one servo after the other, while none moves."""
+        return b""
+
+    def torque(self, servo: int, on: bool, at: int) -> bytes:
+        """A servo holds where it is, whatever its last goal."""
+        return bus.bus_servo_torque(servo, on)
+
+    def command(self, frame: bytes) -> int:
+        """The sub-command of the frame."""
+        return frame[_SUB_COMMAND_AT]
+
+    def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
+        """Only the encoders' own frames pass."""
+        return bus.check_bus(frame, servos, longest_ms)
+
+    def held_ns(self, frame: bytes) -> int:
+        """The time that the servos' own bus takes for it."""
+        return bus.frame_ns(frame)
