@@ -11,7 +11,7 @@ from bench import stats
 from bench.carriers import Carriers
 from bench.stats import Row
 from failstop.api.client import attach
-from failstop.board.framing import BUS_SERVO
+from failstop.board.rrc.framing import BUS_SERVO
 from failstop.board.servos import SERVO_MOVE
 from failstop.messages import box, layout, records
 from failstop.policy.joints import PULSES_PER_RAD

@@ -20,7 +20,7 @@ import time
 from types import TracebackType
 
 from bench import BenchError
-from failstop.board.burst import BURST, FIRST_STOP_END
+from failstop.board.rrc.burst import BURST, FIRST_STOP_END
 from failstop_lab.sim.client import SimBoard
 
 PRIORITY = 30

@@ -10,8 +10,9 @@ import os
 import sys
 import time
 
-from failstop.board.codec import motor_speeds
 from failstop.board.port import open_port
+from failstop.board.rrc.board import RRC_PORT
+from failstop.board.rrc.codec import motor_speeds
 
 EVERY_S = 0.02
 SPEED_RPS = 0.8
@@ -19,7 +20,7 @@ SPEED_RPS = 0.8
 
 def main(link: str) -> int:
     """Drive forward until killed, or until the port goes away."""
-    port = open_port(link, exclusive=False)
+    port = open_port(link, exclusive=False, line=RRC_PORT)
     frame = motor_speeds((SPEED_RPS, SPEED_RPS, -SPEED_RPS, -SPEED_RPS), 2 * SPEED_RPS)
     while True:
         try:

@@ -8,13 +8,14 @@ from __future__ import annotations
 import os
 import sys
 
-from failstop.board.burst import BURST
 from failstop.board.port import open_port
+from failstop.board.rrc.board import RRC_PORT
+from failstop.board.rrc.burst import BURST
 
 
 def main(link: str, ready: str) -> int:
     """Serve events until supervisord closes the pipe; the file `ready` is made when the port is open."""
-    port = open_port(link, exclusive=False)
+    port = open_port(link, exclusive=False, line=RRC_PORT)
     with open(ready, "w", encoding="ascii"):
         pass
     while True:

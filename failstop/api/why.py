@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from failstop.api import steps, verdict, wheels, words
 from failstop.api.events import Event
 from failstop.api.snapshot import Block, State, Stop
-from failstop.board.decoder import BUTTONS
+from failstop.board.interface import BUTTONS
 from failstop.policy.causes import Cause, filled
 from failstop.policy.processes import ROLES
 from failstop.policy.proofs import (

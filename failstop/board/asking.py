@@ -45,7 +45,6 @@ class Unknown(Board):
 
     __slots__ = ("why",)
 
-    port = port.ROSORIN_PORT
     pings = ()
     echo_ns = fades_ns = 0
     usb = ()

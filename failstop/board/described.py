@@ -6,7 +6,7 @@ from itertools import islice
 from math import pi
 
 from failstop.board import plausible
-from failstop.board.framing import number
+from failstop.board.checks import number
 from failstop.board.interface import (
     BY_ANSWER,
     BY_ECHO,

@@ -26,6 +26,21 @@ HEARD_IMU, HEARD_BATTERY, HEARD_PAD, HEARD_KEY, HEARD_SERVO, HEARD_PONG, HEARD_W
 )
 HEARD_ODD, HEARD_RESTARTED, HEARD_FIRMWARE = 9, 10, 11
 """The kinds of what a board says, as a Hearing tells them."""
+BUTTONS = {
+    "L2": 0x0001,
+    "R2": 0x0002,
+    "SELECT": 0x0004,
+    "START": 0x0008,
+    "L3": 0x0020,
+    "R3": 0x0040,
+    "X": 0x0100,
+    "O": 0x0200,
+    "SQUARE": 0x0800,
+    "TRIANGLE": 0x1000,
+    "L1": 0x4000,
+    "R1": 0x8000,
+}
+"""The buttons of a gamepad, a bit each."""
 BY_ANSWER, BY_ECHO = "answer", "echo"
 """Proofs that a stop was parsed: the answer to a ping behind it, or the report of the command that is obeyed."""
 BY_IMU, BY_WHEELS = "IMU", "wheels"
@@ -60,12 +75,13 @@ class Hearing:
     """Bytes from the board, in; what they say, out: pairs of a kind and its value.
 
     HEARD_IMU: acceleration x y z in g, turn rate x y z in degrees a second. HEARD_BATTERY: mV, 0 for no battery.
-    HEARD_PAD: the gamepad's buttons, hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY: id and event. HEARD_SERVO: id,
-    what was asked, its answer. HEARD_PONG: the indices of the pings that it may answer. HEARD_WHEELS: (speeds,
-    positions), what is not reported empty. HEARD_OBEYED: the speeds of the command that it follows now. HEARD_HEALTH:
-    of each servo its id, its load (-1 to 1) and its temperature in degrees Celsius. HEARD_ODD: what a report was about,
-    and its value as text, which can't be and counts as not reported. HEARD_RESTARTED: the text by which it shows that
-    it starts. HEARD_FIRMWARE: the name of a firmware that differs from the usual one, told once.
+    HEARD_PAD: the gamepad's buttons as in BUTTONS, hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY: id and event.
+    HEARD_SERVO: id, what was asked, its answer. HEARD_PONG: the indices of the pings that it may answer. HEARD_WHEELS:
+    (speeds, positions), each empty if the board does not report it. HEARD_OBEYED: the speeds of the command that it
+    follows now. HEARD_HEALTH: of each servo its id, its load (-1 to 1) and its temperature in degrees Celsius.
+    HEARD_ODD: what a report was about, and its value as text; the value is impossible, so it counts as not reported.
+    HEARD_RESTARTED: the text that the board sends when it starts. HEARD_FIRMWARE: the name of a firmware that differs
+    from the usual one, once.
     """
 
     __slots__ = ()
@@ -119,6 +135,11 @@ class ServoBus:
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
         """Why these bytes must not be written as a frame for an arm with these servos; "" if they may. A frame that
         passes holds the board's receiver for no longer than servos.HELD_NS, unless it asks a question."""
+        raise NotImplementedError
+
+    def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
+        """Where a frame sends servos: (id, pulses, ns that the move takes; 0: as fast as the servo can) each. Empty for
+        other bytes. Never raises."""
         raise NotImplementedError
 
     def held_ns(self, frame: bytes) -> int:

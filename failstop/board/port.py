@@ -18,11 +18,11 @@ import stat
 import struct
 import termios
 
-from failstop.board.wire import Port
-
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any, Literal
+
+    from failstop.board.wire import Port
 
     Kind = Literal["absent", "permission", "not-a-tty", "busy", "io"]
 
@@ -36,8 +36,6 @@ CLOSE_S = 0.02
 _OPEN_FLAGS = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
 _OTHER_SPEED = termios.B500000
 """No board's."""
-ROSORIN_PORT = Port(baud=1_000_000, dtr=True, rts=False, deaf_ns=0, opening=())
-"""For whoever names no board's."""
 _CFLAG = termios.CS8 | termios.CREAD | termios.CLOCAL
 _CFLAG_MASK = _CFLAG | termios.CSIZE | termios.CSTOPB | termios.PARENB | termios.HUPCL | termios.CRTSCTS
 
@@ -63,7 +61,7 @@ class PortError(Exception):
         self.errno = number
 
 
-def open_port(path: str, *, exclusive: bool, line: Port = ROSORIN_PORT) -> int:
+def open_port(path: str, *, exclusive: bool, line: Port) -> int:
     """Open the board's port and return its descriptor: non-blocking, close-on-exec, raw, 8N1, as `line` says.
 
     A read with nothing to read raises BlockingIOError; a read of no bytes is a hang-up. With `exclusive`, further
@@ -89,7 +87,7 @@ def open_port(path: str, *, exclusive: bool, line: Port = ROSORIN_PORT) -> int:
     return descriptor
 
 
-def open_if_there(path: str, line: Port = ROSORIN_PORT) -> int:
+def open_if_there(path: str, line: Port) -> int:
     """Open a port that may be gone, exclusively; returns -1 while it can't be. Never raises, never looks users up."""
     # A device is there before udev has given it to its group. Explaining a refused open looks users up, which may take
     # long; here nobody reads the explanation.

@@ -1,25 +1,13 @@
-"""Frames to the bus servos, an arm's, and their check before the wire.
+"""Servos: the commands to an arm's servos, and the times that every board keeps to.
 
-The firmware carries out a servo's frame inside its receive task: until the servos' own bus (115200 baud) has taken it,
-every later frame waits, a stop too. So no frame is made, and none is let pass, that holds the receiver for longer than
-HELD_NS, but for the questions, which nobody asks while a wheel may turn. And a servo carries out a timed move by
-itself, whatever has died since: so a move lasts LONGEST_MOVE_MS at most, and a long way is a stream of such moves.
-
-What writes a servo's flash or id (firmware source: 10, 20, 24, 30, 34, 38) has no encoder here and does not pass.
+A servo carries out a timed move by itself, whatever has died since: so a move lasts LONGEST_MOVE_MS at most, and a long
+way is a stream of such moves.
 """
 
 from __future__ import annotations
 
-from struct import Struct
-
-from failstop.board import framing
-from failstop.board.framing import BUS_SERVO, HEAD, FrameError, crc8, frame
 from failstop.board.wire import Sample
 from failstop.data import Data
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
 
 SERVO_MOVE = 0x01
 SERVO_STOP = 0x03
@@ -32,160 +20,23 @@ TORQUE = 0x0D
 READS = (POSITION, SUPPLY, TEMPERATURE, TORQUE)
 
 HIGHEST_ID = 253
-EVERY_SERVO = 254
-"""Addresses all of them; not used on a robot before a stand has proved it."""
-HIGHEST_POSITION = 1000
 LONGEST_MOVE_MS = 60
 LONGEST_MOVE_NS = LONGEST_MOVE_MS * 1_000_000
 
 HELD_NS = 2_000_000
 """The longest that a stop may have to wait for the servos' bus."""
 MOVE_NS = 870_000
-"""Ten bytes on that bus, for each servo."""
-STOP_NS = 520_000
-TORQUE_NS = 610_000
+"""The longest that one servo's move takes on the bus of any board: ten bytes at 115200 baud."""
 SILENT_NS = 5_000_000
-"""Until the firmware gives up a question that no servo answers; an answer takes 1.2 ms."""
+"""The longest until any board gives up a question that no servo answers; an answer takes 1.2 ms."""
 MOST_MOVES = HELD_NS // MOVE_NS
-MOST_STOPS = HELD_NS // STOP_NS
-
-_U16 = Struct("<H")
-_ID_U16 = Struct("<BH")
-_MOVES_AT = 4
 
 
 class ServoAnswer(Sample, Data):
-    """An arm's servo, what it was asked (one of READS) and its answer, as bus_servo_read() names its unit. A 0 is
-    no reading, but for the torque: some boards answer so when a servo did not."""
+    """An arm's servo, what it was asked (one of READS) and its answer: the position in pulses, the supply in mV, the
+    temperature in degrees Celsius, the torque 1 for on. A 0 is no reading, except for the torque: some boards answer so
+    if a servo did not."""
 
     servo: int
     what: int
     value: int
-
-
-def bus_ns(func: int, data: bytes) -> int:
-    """How long a frame holds the receiver at most, by what it says: the count is not checked by the firmware."""
-    if func != BUS_SERVO or not data:
-        return 0
-    if data[0] == SERVO_MOVE:
-        return MOVE_NS * (data[3] if len(data) > 3 else 255)
-    if data[0] == SERVO_STOP:
-        return STOP_NS * (data[1] if len(data) > 1 else 255)
-    return TORQUE_NS if data[0] in (TORQUE_OFF, TORQUE_ON) else SILENT_NS
-
-
-def frame_ns(frame: bytes) -> int:
-    """The time that a whole frame takes on the bus, in ns."""
-    return bus_ns(frame[2], frame[4:-1])
-
-
-def _id(servo: int, highest: int = HIGHEST_ID) -> int:
-    return framing.integer("servo id", servo, 1, highest)
-
-
-def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = LONGEST_MOVE_MS) -> bytes:
-    """Move one or two bus servos: (id 1 to 253, position 0 to 1000) each, in duration_ms (1 to longest_ms).
-
-    The move may last some milliseconds more, or less where more is too long: no frame is made that the zeros of the
-    stop burst could complete, were it cut short, since its last servo would be sent to another place, or one of id 0.
-    """
-    framing.integer("duration_ms", duration_ms, 1, longest_ms)
-    data = bytes((framing.counted("moves", positions, 1, MOST_MOVES),))
-    for move in positions:
-        framing.group("move", move, 2)
-        data += _ID_U16.pack(_id(move[0]), framing.integer("position", move[1], 0, HIGHEST_POSITION))
-    framing.distinct("servo id", [move[0] for move in positions])
-    for duration in (*range(duration_ms, longest_ms + 1), *range(duration_ms - 1, 0, -1)):
-        made = bytes((SERVO_MOVE,)) + _U16.pack(duration) + data
-        if not _zeros_complete(made):
-            return frame(BUS_SERVO, made)
-    raise FrameError(f"moves {positions!r} within {longest_ms} ms: zeros would complete every frame for it")
-
-
-def bus_servo_stop(servos: Sequence[int]) -> bytes:
-    """Stop up to three bus servos (ids 1 to 253, or EVERY_SERVO) where they are; their torque stays.
-
-    A stop has nothing to vary: zeros may complete one that was cut. It then stops fewer of these, and a servo 0.
-    """
-    count = framing.counted("servos", servos, 1, MOST_STOPS)
-    ids = bytes([_id(servo, EVERY_SERVO) for servo in servos])
-    framing.distinct("servo id", ids)
-    return frame(BUS_SERVO, bytes((SERVO_STOP, count)) + ids)
-
-
-def bus_servo_stops(servos: Sequence[int]) -> tuple[bytes, ...]:
-    """As many frames as it takes to stop all of these."""
-    return tuple(bus_servo_stop(servos[at : at + MOST_STOPS]) for at in range(0, len(servos), MOST_STOPS))
-
-
-def bus_servo_read(servo: int, what: int) -> bytes:
-    """Ask a bus servo for its POSITION (0 to 1000 in range), SUPPLY (mV), TEMPERATURE (degrees Celsius) or TORQUE (1:
-    on)."""
-    if what not in READS:
-        raise FrameError(f"what is {what!r}, must be one of {READS}")
-    return frame(BUS_SERVO, bytes((what, _id(servo))))
-
-
-def bus_servo_torque(servo: int, on: bool) -> bytes:
-    """Switch a bus servo's torque: 0C is on and 0B is off (the vendor's SDK has the two the wrong way round)."""
-    if not isinstance(on, bool):
-        raise FrameError(f"on is {on!r}, must be True or False")
-    return frame(BUS_SERVO, bytes((TORQUE_ON if on else TORQUE_OFF, _id(servo))))
-
-
-def check_bus(frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-    """Why these bytes must not be written as a frame for these bus servos, in a few words; "" when they may.
-
-    Accepted is what the encoders above make, and nothing else. Never raises on bytes.
-    """
-    size = len(frame)
-    if size < 5 or frame[:2] != HEAD or frame[2] != BUS_SERVO:
-        return "not a bus servo's frame"
-    if size != frame[3] + 5:
-        return f"{size} bytes, its length byte says {frame[3] + 5}"
-    if crc8(frame[2:]):
-        return "bad crc"
-    data = frame[4:-1]
-    if not data:
-        return "no sub-command"
-    command = data[0]
-    if command == SERVO_MOVE:
-        ids = data[_MOVES_AT::3]
-        fault = _move_fault(data, longest_ms)
-    elif command == SERVO_STOP:
-        ids = data[2:]
-        fault = "" if len(data) > 2 and data[1] == len(ids) else "a count that is not its data's"
-    elif command in READS or command in (TORQUE_OFF, TORQUE_ON):
-        ids = data[1:]
-        fault = "" if len(ids) == 1 else f"{len(ids)} servos, must be 1"
-    else:
-        return f"bus servo sub-command {command:02X}"
-    if fault:
-        return fault
-    if command not in READS and (held_ns := bus_ns(BUS_SERVO, data)) > HELD_NS:
-        return f"{len(ids)} servos hold the receiver for {held_ns / 1e6:.1f} ms, limit {HELD_NS / 1e6:g}"
-    if len(set(ids)) < len(ids):
-        return "a servo twice"
-    strange = next((f"servo {servo} is none of the arm's" for servo in ids if servo not in servos), "")
-    return strange or (_zeros_complete(data) if command == SERVO_MOVE else "")
-
-
-def _move_fault(data: bytes, longest_ms: int) -> str:
-    """The fault in the data of a move, its servos aside; "" when there is none."""
-    if len(data) <= _MOVES_AT or len(data) != _MOVES_AT + 3 * data[3]:
-        return "a count that is not its data's"
-    duration_ms: int = _U16.unpack_from(data, 1)[0]
-    if not 1 <= duration_ms <= longest_ms:
-        return f"a move of {duration_ms} ms, limit {longest_ms}"
-    for at in range(_MOVES_AT, len(data), 3):
-        position: int = _U16.unpack_from(data, at + 1)[0]
-        if position > HIGHEST_POSITION:
-            return f"position {position}, limit {HIGHEST_POSITION}"
-    return ""
-
-
-def _zeros_complete(data: bytes) -> str:
-    """Why zeros would make another move of this one where it was cut, of another position or of a servo 0; "" when they
-    would not. Cut before its first servo it is a move of none."""
-    end = framing.zeros_complete(BUS_SERVO, data, _MOVES_AT)
-    return f"another move if cut after {end} bytes of data" if end else ""

@@ -11,7 +11,7 @@ import termios
 from math import isfinite
 
 from failstop.board import wire as words
-from failstop.board.framing import FrameError
+from failstop.board.checks import FrameError
 from failstop.board.interface import ServoBus
 from failstop.board.wire import Answer, Battery, Imu, Obeyed, Sample, Wheels, Wire
 from failstop.data import Data

@@ -5,7 +5,7 @@ described.py makes of it what the service drives (docs/boards.md).
 
 from __future__ import annotations
 
-from failstop.board.framing import counted, number
+from failstop.board.checks import counted, number
 from failstop.data import Data
 
 TYPE_CHECKING = False

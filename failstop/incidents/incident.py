@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from failstop.api.events import Event, unpack
 from failstop.api.snapshot import Imu
-from failstop.board import framing, servos
 from failstop.board.kinds import board_of
+from failstop.board.servos import HIGHEST_ID, LONGEST_MOVE_MS
 from failstop.incidents import files
 from failstop.incidents.files import IncidentError
 from failstop.messages import box, layout, records
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from failstop.board.interface import Board
 
 Payload = TypeVar("Payload")
-MOVES_AT = 8
-"""Where the first servo of a move stands in its frame."""
 DRIVING = "driving"
 SILENT = "silent"
 SAYS = {
@@ -40,7 +38,8 @@ SAYS = {
 """The gate's word, or that it says nothing, for people."""
 SLOWEST_RPS = 1e-4
 """A wheel that is reported to turn slower than this is still."""
-_SERVO_HEAD = framing.HEAD + bytes((framing.BUS_SERVO,))
+EVERY_ID = range(1, HIGHEST_ID + 1)
+"""The ids that a servo of an arm may have."""
 
 
 class Tick(NamedTuple):
@@ -264,11 +263,11 @@ class Incident:
     def joints(self) -> dict[int, list[tuple[int, int]]]:
         """(when, pulses): where each servo of the arm was sent, by its number."""
         found: dict[int, list[tuple[int, int]]] = {}
-        for write in self.writes:
-            head = write.head
-            if write.taken and len(head) > MOVES_AT and head.startswith(_SERVO_HEAD) and head[4] == servos.SERVO_MOVE:
-                for at in range(MOVES_AT, min(MOVES_AT + 3 * head[7], len(head) - 3), 3):
-                    found.setdefault(head[at], []).append((write.ns, head[at + 1] | head[at + 2] << 8))
+        board = self._board()
+        bus = board.arm if board else None
+        for write in self.writes if bus else ():
+            for servo, position, _ in bus.moves(write.head) if bus and write.taken else ():
+                found.setdefault(servo, []).append((write.ns, position))
         return found
 
 
@@ -284,7 +283,7 @@ def _write(
     elif board and (found := board.speeds(board.stop if head == board.refresh else head)) is not None:
         speeds = tuple(found[wire_id] for wire_id in ids)
         sort = WriteSort.MOTION if any(speeds) else WriteSort.ZERO
-    elif head.startswith(_SERVO_HEAD):
+    elif board and board.arm and not board.arm.check(head, EVERY_ID, LONGEST_MOVE_MS):
         sort = WriteSort.ARM
     else:
         sort = WriteSort.PING if board and head in board.pings else WriteSort.OTHER

@@ -16,7 +16,7 @@ from bench import __main__ as bench_main
 from bench import arm_kills, hangs, kills, latency, pages, report, soak, stalls, stats
 from bench.arm_stream import PERIOD_NS, Hops
 from bench.stalls import Control, Stall
-from failstop.board.servos import bus_servo_move
+from failstop.board.rrc.servos import bus_servo_move
 from failstop.policy import causes
 from failstop.shm.heartbeat import MEMORY_LOCKED
 from failstop_lab.faults.arm import Rested

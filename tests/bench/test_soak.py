@@ -17,7 +17,7 @@ import pytest
 from bench import ticks
 from failstop import FailstopError, Robot
 from failstop.api.client import send_stop
-from failstop.board.framing import MOTOR
+from failstop.board.rrc.framing import MOTOR
 from failstop_lab.sim.client import Event
 from failstop_lab.sim.motors import Motors
 from failstop_lab.trial import wait_for

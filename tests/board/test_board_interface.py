@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from failstop.api.snapshot import Device
-from failstop.board.framing import FrameError
+from failstop.board.checks import FrameError
 from failstop.board.interface import Board, ServoBus
 from failstop.board.kinds import KINDS, board_of
 from failstop.board.rrc.board import BOARD

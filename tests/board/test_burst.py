@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board import codec, framing, servos
-from failstop.board.burst import BURST, FIRST_STOP_END
-from failstop.board.codec import STOP
-from failstop.board.framing import MOTOR
+from failstop.board.rrc import codec, framing, servos
+from failstop.board.rrc.burst import BURST, FIRST_STOP_END
+from failstop.board.rrc.codec import STOP
+from failstop.board.rrc.framing import MOTOR
 from failstop_lab.sim.motors import Motors
 from failstop_lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
 from tests.support import frames

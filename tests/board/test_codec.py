@@ -17,10 +17,12 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from failstop.board import codec, framing, servos
-from failstop.board.burst import BURST
-from failstop.board.codec import STOP, check_aux, check_motion
-from failstop.board.framing import MOTOR, FrameError, seal
+from failstop.board.checks import FrameError
+from failstop.board.rrc import codec, framing, servos
+from failstop.board.rrc.burst import BURST
+from failstop.board.rrc.codec import STOP, check_aux, check_motion
+from failstop.board.rrc.framing import MOTOR, seal
+from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE
 from failstop_lab.sim.motors import Motors
 from failstop_lab.sim.receiver import Receiver
 from tests.support import frames
@@ -44,7 +46,7 @@ ENCODED: dict[str, Callable[[], bytes]] = {
     "bus servos 1 to 833 and 2 to 1000 in 1000 ms": lambda: servos.bus_servo_move([(1, 833), (2, 1000)], 1000, 30_000),
     "bus servo 1 torque off": lambda: servos.bus_servo_torque(1, on=False),
     "bus servo 1 torque on": lambda: servos.bus_servo_torque(1, on=True),
-    "bus servo 1 read position": lambda: servos.bus_servo_read(1, servos.POSITION),
+    "bus servo 1 read position": lambda: servos.bus_servo_read(1, POSITION),
 }
 
 # Encoders without a published example, against bytes written out from the protocol description.
@@ -57,9 +59,9 @@ DESCRIBED: list[tuple[bytes, int, str]] = [
     (servos.bus_servo_stop([3, 253]), framing.BUS_SERVO, "03 02 03 FD"),
     (servos.bus_servo_stop([254]), framing.BUS_SERVO, "03 01 FE"),
     (servos.bus_servo_move([(1, 500)], 40), framing.BUS_SERVO, "01 2800 01 01 F401"),
-    (servos.bus_servo_read(2, servos.SUPPLY), framing.BUS_SERVO, "07 02"),
-    (servos.bus_servo_read(2, servos.TEMPERATURE), framing.BUS_SERVO, "09 02"),
-    (servos.bus_servo_read(2, servos.TORQUE), framing.BUS_SERVO, "0D 02"),
+    (servos.bus_servo_read(2, SUPPLY), framing.BUS_SERVO, "07 02"),
+    (servos.bus_servo_read(2, TEMPERATURE), framing.BUS_SERVO, "09 02"),
+    (servos.bus_servo_read(2, TORQUE), framing.BUS_SERVO, "0D 02"),
     (frames.oled(2, "10.0.0.7"), framing.OLED, "02 08 31302E302E302E37"),
     (frames.oled(1, ""), framing.OLED, "01 00"),
     (frames.rgb([(1, 255, 128, 0), (0, 1, 2, 3)]), framing.RGB, "01 02 01FF8000 00010203"),
@@ -84,7 +86,7 @@ BAD: list[tuple[Callable[..., bytes], tuple[Any, ...], str]] = [
     (servos.bus_servo_move, ([(9, 500), (9, 500)], 40), "servo id 9"),
     *[(servos.bus_servo_stop, (bad,), "servos") for bad in ([], [1, 2, 3, 4], 1)],
     *[(servos.bus_servo_stop, ([1, bad],), "servo id") for bad in (0, 255, True, 1)],
-    *[(servos.bus_servo_read, (bad, servos.POSITION), "servo id") for bad in (0, 254, True, None)],
+    *[(servos.bus_servo_read, (bad, POSITION), "servo id") for bad in (0, 254, True, None)],
     *[(servos.bus_servo_read, (1, bad), "what") for bad in (0x01, 0x12, 0x10, None)],
     *[(servos.bus_servo_torque, (bad, True), "servo id") for bad in (0, 254, True)],
     *[(servos.bus_servo_torque, (1, bad), "on") for bad in (1, 0, None, "off")],
@@ -208,7 +210,11 @@ HEAVIER = "collections collections.abc functools contextlib"
 
 @pytest.mark.parametrize(
     "module",
-    [*(f"failstop.board.{name}" for name in ("codec", "burst", "decoder", "port")), "failstop_lab.sim.motors"],
+    [
+        "failstop.board.port",
+        *(f"failstop.board.rrc.{name}" for name in ("codec", "burst", "decoder")),
+        "failstop_lab.sim.motors",
+    ],
 )
 def test_a_module_of_the_stop_path_imports_nothing_heavy(module: str) -> None:
     # Without site, so that what the environment brings along is not counted.

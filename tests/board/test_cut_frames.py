@@ -18,11 +18,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from failstop.board import codec, servos
-from failstop.board.burst import BURST
-from failstop.board.codec import STOP, buzzer, check_aux
-from failstop.board.framing import BUZZER, MOTOR, SYS, FrameError, crc8, seal
+from failstop.board.checks import FrameError
+from failstop.board.rrc import codec, servos
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.burst import BURST
+from failstop.board.rrc.codec import STOP, buzzer, check_aux
+from failstop.board.rrc.framing import BUZZER, MOTOR, SYS, crc8, seal
+from failstop.board.servos import HIGHEST_ID, READS, SERVO_STOP
 from failstop.procs.telemetry import pad
 from failstop_lab.sim.motors import Motors
 from failstop_lab.sim.receiver import Receiver
@@ -30,8 +32,8 @@ from tests.support.amounts import amount
 
 FRAMES = amount(20_000, 2_000_000)
 PINGS = list(BOARD.pings)
-READS = [servos.bus_servo_read(servo, what) for servo in range(1, servos.HIGHEST_ID + 1) for what in servos.READS]
-TORQUES = [servos.bus_servo_torque(servo, on) for servo in range(1, servos.HIGHEST_ID + 1) for on in (True, False)]
+QUESTIONS = [servos.bus_servo_read(servo, what) for servo in range(1, HIGHEST_ID + 1) for what in READS]
+TORQUES = [servos.bus_servo_torque(servo, on) for servo in range(1, HIGHEST_ID + 1) for on in (True, False)]
 SOUNDS = [BOARD.buzzer(*sound) for sound in (pad.LATCH_SOUND, pad.TUCK_SOUND, *pad.MODE_SOUNDS)]
 U16 = (1, 2, 255, 256, 0xAA55, 0x55AA, 65_534, 65_535)
 
@@ -84,7 +86,7 @@ def test_pings_and_the_sounds_that_are_made(frame: bytes) -> None:
 
 
 def test_questions_and_torques_of_every_servo() -> None:
-    assert not [frame.hex() for frame in (*READS, *TORQUES) if completed(frame)]
+    assert not [frame.hex() for frame in (*QUESTIONS, *TORQUES) if completed(frame)]
 
 
 @pytest.mark.slow
@@ -115,7 +117,7 @@ def test_a_cut_stop_stops_some_of_its_servos_and_a_servo_0() -> None:
     for ids in permutations(range(1, 11), 3):
         frame = servos.bus_servo_stop(ids)
         for data in completed(frame):
-            assert data[0] == servos.SERVO_STOP
+            assert data[0] == SERVO_STOP
             assert set(data[2:]) <= {*ids, 0}
             found += 1
     assert found

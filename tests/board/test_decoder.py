@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board import decoder
-from failstop.board.decoder import Decoder
-from failstop.board.framing import BUS_SERVO, GAMEPAD, IMU_FUNC, KEY_FUNC, PWM_SERVO, SBUS, SYS, crc8, seal
-from failstop.board.interface import HEARD_ODD
+from failstop.board.interface import BUTTONS, HEARD_ODD
+from failstop.board.rrc import decoder
 from failstop.board.rrc.board import BOARD as RRC
+from failstop.board.rrc.decoder import Decoder
+from failstop.board.rrc.framing import BUS_SERVO, GAMEPAD, IMU_FUNC, KEY_FUNC, PWM_SERVO, SBUS, SYS, crc8, seal
 from failstop_lab.sim import upward
 
 UP = {
@@ -28,7 +28,7 @@ UP = {
 ENCODED: dict[str, Callable[[], bytes]] = {
     "battery 7400 mV": lambda: upward.battery(7400),
     "key 1 pressed": lambda: upward.key_frame(1, 0x01),
-    "gamepad X": lambda: upward.gamepad_frame(decoder.BUTTONS["X"]),
+    "gamepad X": lambda: upward.gamepad_frame(BUTTONS["X"]),
     "pwm servo 1 at 1500 us (the ping's answer)": lambda: upward.pwm_servo_position(1, 1500),
 }
 DECODED: dict[str, tuple[int, Callable[[bytes], object], object]] = {
@@ -155,7 +155,7 @@ def test_buttons_and_key_events_are_those_described() -> None:
         "L2 0001, R2 0002, SELECT 0004, START 0008, L3 0020, R3 0040, X 0100, O 0200, SQUARE 0800, TRIANGLE 1000, "
         "L1 4000, R1 8000"
     )
-    assert ", ".join(f"{name} {bit:04X}" for name, bit in decoder.BUTTONS.items()) == described
+    assert ", ".join(f"{name} {bit:04X}" for name, bit in BUTTONS.items()) == described
     events = "1 pressed, 2 long, 4 long-repeat, 8 release after long, 16 release after short, 32 click, 64 double"
     assert ", ".join(f"{event} {name}" for event, name in decoder.KEY_EVENTS.items()) == f"{events}, 128 triple"
 

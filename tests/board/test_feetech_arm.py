@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from failstop.board import servos as questions
+from failstop.board.checks import FrameError
 from failstop.board.feetech import codec
-from failstop.board.framing import FrameError
 from failstop.board.kinds import board_of
 from failstop.policy import servos
 from failstop.policy.setting import SettingError
@@ -92,6 +92,16 @@ def test_goals_are_a_whole_frame_for_the_arm_alone() -> None:
     for wrong in ((7, 2048), (0, 5), (3, 4096), (3, -1)):
         with pytest.raises(FrameError):
             arm.move([wrong], 40)
+
+
+def test_where_a_frame_sends_its_servos() -> None:
+    board = board_of("feetech", 0.1, 0.0)
+    arm = board.arm
+    assert arm
+    move = arm.move([(1, 500), (6, 4095)], 40)
+    assert arm.moves(move) == [(1, 500, 0), (6, 4095, 0)]
+    others = [arm.look([1, 2]), arm.torque(2, True, 2048), arm.torque(2, False, 0), board.stop, b"", move[:-1]]
+    assert [arm.moves(other) for other in others] == [[]] * len(others)
 
 
 @pytest.mark.parametrize(("key", "value", "told"), [("servo", 8, "a wheel's"), ("high", 5000, "1 to 4095")])

@@ -12,6 +12,7 @@ import pytest
 from failstop.board import finder as finder_module
 from failstop.board import port
 from failstop.board.finder import SEARCH_EVERY_NS, Device, Finder, identity
+from failstop.board.rrc.board import RRC_PORT
 from failstop.board.wire import Port
 
 BOARD = ("1a86", "55d4", "5A2B001122")
@@ -42,7 +43,7 @@ class Usb:
         return str(self.nodes / path.removeprefix("/dev/")) if path.startswith("/dev/") else path
 
     def finder(self, name: str = "ttyACM0") -> Finder:
-        return Finder(str(self.nodes / name), port.ROSORIN_PORT, str(self.sysfs))
+        return Finder(str(self.nodes / name), RRC_PORT, str(self.sysfs))
 
     def plug(self, name: str, device: tuple[str, str, str], place: str = "", interface: str = "1.0") -> None:
         """Plug a device into the socket `place`; into one that was never used before, if none is named."""

@@ -7,9 +7,10 @@ from math import atan, radians
 
 import pytest
 
-from failstop.board.framing import BUS_SERVO, MOTOR, PWM_SERVO, FrameError
+from failstop.board.checks import FrameError
 from failstop.board.interface import Board
 from failstop.board.kinds import board_of
+from failstop.board.rrc.framing import BUS_SERVO, MOTOR, PWM_SERVO
 from failstop.board.rrc.steering import STEER
 from failstop.board.servos import SERVO_MOVE
 from failstop.messages.box import WIRE_HEAD

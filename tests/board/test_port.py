@@ -25,6 +25,7 @@ import pytest
 
 from failstop.board import port
 from failstop.board.port import PortError, open_port
+from failstop.board.rrc.board import RRC_PORT
 from tests.support.unprivileged import unprivileged
 
 TIOCGEXCL = 0x80045440
@@ -50,7 +51,7 @@ def read_exactly(descriptor: int, size: int) -> bytes:
 def refusal(path: str) -> str:
     """Kind and message of the error that opening gives."""
     try:
-        os.close(open_port(path, exclusive=True))
+        os.close(open_port(path, exclusive=True, line=RRC_PORT))
     except PortError as error:
         return f"{error.kind}|{error.errno}|{error}"
     return "opened"
@@ -58,7 +59,7 @@ def refusal(path: str) -> str:
 
 def test_every_byte_passes_unchanged_both_ways(pty: tuple[int, str]) -> None:
     master, path = pty
-    descriptor = open_port(path, exclusive=False)
+    descriptor = open_port(path, exclusive=False, line=RRC_PORT)
     everything = bytes(range(256)) * 4
     os.write(descriptor, everything)
     assert read_exactly(master, len(everything)) == everything
@@ -70,7 +71,7 @@ def test_every_byte_passes_unchanged_both_ways(pty: tuple[int, str]) -> None:
 
 
 def test_the_terminal_is_raw_and_the_descriptor_neither_blocks_nor_is_inherited(pty: tuple[int, str]) -> None:
-    descriptor = open_port(pty[1], exclusive=False)
+    descriptor = open_port(pty[1], exclusive=False, line=RRC_PORT)
     iflag, oflag, cflag, lflag, *speeds, cc = termios.tcgetattr(descriptor)
     assert (iflag, oflag, lflag, speeds) == (0, 0, 0, [termios.B1000000] * 2)
     assert cflag & (termios.CSIZE | termios.CSTOPB | termios.PARENB | termios.CRTSCTS) == termios.CS8
@@ -88,7 +89,7 @@ def test_hupcl_is_cleared_when_it_was_set(pty: tuple[int, str]) -> None:
     settings[2] |= termios.HUPCL | termios.CSTOPB | termios.PARENB
     termios.tcsetattr(slave, termios.TCSANOW, settings)
     assert termios.tcgetattr(slave)[2] & termios.HUPCL
-    os.close(open_port(pty[1], exclusive=False))
+    os.close(open_port(pty[1], exclusive=False, line=RRC_PORT))
     assert not termios.tcgetattr(slave)[2] & (termios.HUPCL | termios.CSTOPB | termios.PARENB)
     os.close(slave)
 
@@ -101,7 +102,7 @@ def test_output_that_somebody_has_stopped_goes_on(pty: tuple[int, str]) -> None:
         with pytest.raises(BlockingIOError):
             os.write(other := os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK), b"kept back")
         os.close(other)
-    descriptor = open_port(path, exclusive=True)
+    descriptor = open_port(path, exclusive=True, line=RRC_PORT)
     os.write(descriptor, b"stop")
     assert read_exactly(master, 4) == b"stop"
     os.close(descriptor)
@@ -110,7 +111,7 @@ def test_output_that_somebody_has_stopped_goes_on(pty: tuple[int, str]) -> None:
 def test_it_does_not_become_the_controlling_terminal(pty: tuple[int, str]) -> None:
     def work() -> str:
         os.setsid()
-        os.close(open_port(pty[1], exclusive=False))
+        os.close(open_port(pty[1], exclusive=False, line=RRC_PORT))
         try:
             os.close(os.open("/dev/tty", os.O_RDWR))
         except OSError as error:
@@ -136,7 +137,7 @@ def test_dtr_is_set_and_rts_cleared_and_a_failure_leaks_nothing(
         return 0
 
     monkeypatch.setattr(fcntl, "ioctl", ioctl)
-    os.close(open_port(pty[1], exclusive=True))
+    os.close(open_port(pty[1], exclusive=True, line=RRC_PORT))
     assert asked == [(termios.TIOCMBIS, termios.TIOCM_DTR), (termios.TIOCMBIC, termios.TIOCM_RTS)]
     kind, number, text = refusal(pty[1]).split("|")
     assert (kind, int(number)) == ("io", errno.EIO)
@@ -149,9 +150,9 @@ def claimed(descriptor: int) -> bool:
 
 
 def test_exclusive_is_the_terminals_own_and_can_be_released(pty: tuple[int, str]) -> None:
-    shared = open_port(pty[1], exclusive=False)
+    shared = open_port(pty[1], exclusive=False, line=RRC_PORT)
     assert not claimed(shared)
-    exclusive = open_port(pty[1], exclusive=True)
+    exclusive = open_port(pty[1], exclusive=True, line=RRC_PORT)
     assert claimed(shared)
     port.release_exclusive(exclusive)
     assert not claimed(shared)
@@ -165,39 +166,39 @@ def let_everybody_open(descriptor: int) -> None:
 
 
 def test_a_second_service_is_kept_out_by_the_lock_where_the_claim_does_not_hold(pty: tuple[int, str]) -> None:
-    first = open_port(pty[1], exclusive=True)
+    first = open_port(pty[1], exclusive=True, line=RRC_PORT)
     let_everybody_open(first)
     settings = termios.tcgetattr(first)
     settings[2] |= termios.HUPCL
     termios.tcsetattr(first, termios.TCSANOW, settings)
     with pytest.raises(PortError) as caught:
-        open_port(pty[1], exclusive=True)
+        open_port(pty[1], exclusive=True, line=RRC_PORT)
     assert (caught.value.kind, caught.value.errno) == ("busy", errno.EBUSY)
     assert str(caught.value) == f"{pty[1]} is held by another process (flock): stop it first"
     assert not claimed(first), "a refusal leaves no claim, which would outlive it"
     assert termios.tcgetattr(first) == settings, "nor anything else"
-    assert port.open_if_there(pty[1]) == -1
-    os.close(open_port(pty[1], exclusive=False))
+    assert port.open_if_there(pty[1], RRC_PORT) == -1
+    os.close(open_port(pty[1], exclusive=False, line=RRC_PORT))
     os.close(first)
-    os.close(open_port(pty[1], exclusive=True))
+    os.close(open_port(pty[1], exclusive=True, line=RRC_PORT))
 
 
 def test_the_lock_is_held_by_every_duplicate_and_let_go_with_the_claim(pty: tuple[int, str]) -> None:
-    first = open_port(pty[1], exclusive=True)
+    first = open_port(pty[1], exclusive=True, line=RRC_PORT)
     handed = os.dup(first)
     os.close(first)
     let_everybody_open(handed)
     with pytest.raises(PortError, match="flock"):
-        open_port(pty[1], exclusive=True)
+        open_port(pty[1], exclusive=True, line=RRC_PORT)
     port.release_exclusive(handed)
-    second = open_port(pty[1], exclusive=True)
+    second = open_port(pty[1], exclusive=True, line=RRC_PORT)
     os.close(second)
     os.close(handed)
 
 
 def test_busy_names_the_claim(pty: tuple[int, str]) -> None:
     os.chmod(pty[1], 0o666)
-    descriptor = open_port(pty[1], exclusive=True)
+    descriptor = open_port(pty[1], exclusive=True, line=RRC_PORT)
     kind, number, message = unprivileged(lambda: refusal(pty[1])).split("|")
     assert (kind, int(number)) == ("busy", errno.EBUSY)
     assert message == f"{pty[1]} is held exclusively by another process (TIOCEXCL): stop it first"
@@ -293,7 +294,7 @@ def speeds_told(monkeypatch: pytest.MonkeyPatch, path: str, *, exclusive: bool) 
 
     with monkeypatch.context() as patch:
         patch.setattr(termios, "tcsetattr", watched)
-        os.close(open_port(path, exclusive=exclusive))
+        os.close(open_port(path, exclusive=exclusive, line=RRC_PORT))
     return told
 
 
@@ -311,7 +312,7 @@ def test_the_speed_is_set_to_another_and_back_although_it_is_set_already(
 def test_beside_a_service_with_the_port_no_speed_is_changed(
     pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    service = open_port(pty[1], exclusive=True)
+    service = open_port(pty[1], exclusive=True, line=RRC_PORT)
     if os.geteuid():
         port.fcntl.ioctl(service, termios.TIOCNXCL)  # type: ignore[attr-defined]
     assert set(speeds_told(monkeypatch, pty[1], exclusive=False)) == {termios.B1000000}
@@ -359,7 +360,7 @@ def test_closing_what_is_closed_already_is_fine() -> None:
 
 def test_closing_in_another_thread_closes() -> None:
     master, slave = os.openpty()
-    descriptor = open_port(os.ttyname(slave), exclusive=True)
+    descriptor = open_port(os.ttyname(slave), exclusive=True, line=RRC_PORT)
     thread = threading.Thread(target=port.close_port, args=(descriptor,))
     thread.start()
     thread.join(10.0)

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board import codec, framing
-from failstop.board.framing import seal
+from failstop.board.rrc import codec, framing
+from failstop.board.rrc.framing import seal
 from failstop_lab.sim.motors import Motors
 from failstop_lab.sim.receiver import CRC, DATA, FUNC, LEN, START1, START2, Receiver
 from tests.support import frames

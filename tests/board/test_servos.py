@@ -14,12 +14,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from failstop.board import codec, servos
-from failstop.board.burst import BURST, FIRST_STOP_END
-from failstop.board.codec import STOP, check_aux, check_motion
-from failstop.board.framing import BUS_SERVO, MOTOR, FrameError, seal
+from failstop.board.checks import FrameError
+from failstop.board.rrc import codec, servos
 from failstop.board.rrc.board import BOARD
-from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, bus_ns, bus_servo_move, bus_servo_stop, check_bus
+from failstop.board.rrc.burst import BURST, FIRST_STOP_END
+from failstop.board.rrc.codec import STOP, check_aux, check_motion
+from failstop.board.rrc.framing import BUS_SERVO, MOTOR, seal
+from failstop.board.rrc.servos import bus_ns, bus_servo_move, bus_servo_stop, check_bus
+from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, READS, SERVO_STOP
 from failstop.policy.settings import declaration
 from failstop_lab.sim.motors import Motors
 from failstop_lab.sim.receiver import Receiver
@@ -27,7 +29,7 @@ from failstop_lab.sim.receiver import Receiver
 ARM = (1, 2, 3, 4, 5, 10)
 WRITE = BURST + BOARD.arm.stops(ARM)
 SPINNING = (0.5, -0.25, 0.75, -1.0)
-READS = [servos.bus_servo_read(servo, what) for servo in ARM for what in servos.READS]
+QUESTIONS = [servos.bus_servo_read(servo, what) for servo in ARM for what in READS]
 TORQUES = [servos.bus_servo_torque(servo, on) for servo in ARM for on in (True, False)]
 STOPS = [bus_servo_stop(ids) for ids in ((1,), (1, 2), (4, 5, 10))]
 
@@ -52,7 +54,7 @@ def judge(stream: bytes, meant: dict[int, int]) -> None:
             for servo, position in moved(data).items():
                 assert meant.get(servo) == position, stream.hex()
                 stopped.discard(servo)
-            stopped |= set(data[2 : 2 + data[1]]) if data[0] == servos.SERVO_STOP else set()
+            stopped |= set(data[2 : 2 + data[1]]) if data[0] == SERVO_STOP else set()
     assert last == STOP[4:-1]
     assert not motors.wild
     assert motors.stopped
@@ -71,7 +73,7 @@ def test_the_arm_s_stop_is_the_end_of_one_write() -> None:
     assert BOARD.first_stop == BURST[:FIRST_STOP_END]
 
 
-@pytest.mark.parametrize("frame", [*READS, *TORQUES, *STOPS], ids=bytes.hex)
+@pytest.mark.parametrize("frame", [*QUESTIONS, *TORQUES, *STOPS], ids=bytes.hex)
 def test_each_frame_but_moves_cut_anywhere(frame: bytes) -> None:
     assert check_bus(frame, ARM, LONGEST_MOVE_MS) == ""
     cut_anywhere(frame)
@@ -149,7 +151,7 @@ def test_whatever_passes_holds_the_receiver_for_no_longer_than_it_may(data: byte
         assert check_aux(frame)
         assert check_motion(frame, 1000.0)
         if check_bus(frame, ARM, LONGEST_MOVE_MS) == "":
-            assert bus_ns(BUS_SERVO, frame[4:-1]) <= HELD_NS or body[0] in servos.READS
+            assert bus_ns(BUS_SERVO, frame[4:-1]) <= HELD_NS or body[0] in READS
             cut_anywhere(frame)
 
 
@@ -204,3 +206,18 @@ def test_every_servo_of_the_settings_can_be_sent_everywhere() -> None:
     assert (id_of.low, id_of.high) == (1, 100)
     for servo, position in product(range(1, 101), range(853 % 8, servos.HIGHEST_POSITION + 1, 8)):
         bus_servo_move([(servo, position)], 40)
+
+
+def test_where_a_frame_sends_its_servos() -> None:
+    arm = BOARD.arm
+    found = arm.moves(arm.move([(1, 500), (2, 600)], 40))
+    assert [(servo, position) for servo, position, _ in found] == [(1, 500), (2, 600)]
+    assert all(40_000_000 <= takes_ns <= 60_000_000 for *_, takes_ns in found)
+    for other in (bus_servo_stop([1, 2]), *QUESTIONS, *TORQUES, BOARD.stop, b""):
+        assert arm.moves(other) == []
+
+
+@given(st.binary(max_size=64))
+def test_no_bytes_make_the_reader_of_moves_raise(data: bytes) -> None:
+    BOARD.arm.moves(data)
+    BOARD.arm.moves(bytes.fromhex("aa5505") + data)

@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from failstop.board import own, sound
-from failstop.board.framing import FrameError
+from failstop.board.checks import FrameError
 from failstop.board.kinds import KINDS, board_of, wire_of
 from failstop.board.own import OwnBoardError
 from failstop.board.wire import ANSWERED, ECHOED, Question, Wire, Write

@@ -8,11 +8,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.board import codec, stop_port
-from failstop.board.burst import BURST
+from failstop.board import stop_port
 from failstop.board.interface import SUPERVISOR_ROW
 from failstop.board.kinds import board_of
+from failstop.board.rrc import codec
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.burst import BURST
 from failstop.board.stop_port import DRAIN_S, TRIES, StopPort
 from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import Settings

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from failstop.board.arduino import codec as arduino
+from failstop.board.checks import FrameError
 from failstop.board.described import Described
-from failstop.board.framing import FrameError
 from failstop.board.hoverboard import codec as hoverboard
 from failstop.board.hoverboard import feedback
 from failstop.board.kinds import board_of, wire_of

@@ -14,6 +14,7 @@ import pytest
 
 from failstop.board.kinds import KINDS, board_of
 from failstop.board.port import open_port
+from failstop.board.rrc.board import RRC_PORT
 from failstop.cli import style
 from failstop.cli.commands.doctor import ARROW, screen
 from failstop.cli.main import main
@@ -117,7 +118,7 @@ def test_a_board_that_does_not_hear_is_a_failure(doctor: Doctor, tmp_path: Path,
 
 
 def test_a_port_that_somebody_has_open_is_left_alone(doctor: Doctor, board: SimBoard, name: str) -> None:
-    fd = open_port(board.link, exclusive=False)
+    fd = open_port(board.link, exclusive=False, line=RRC_PORT)
     with subprocess.Popen(["sleep", "60"], pass_fds=[fd]) as somebody:
         os.close(fd)
         code, found = doctor("--device", board.link, "--name", name)

@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from failstop.board.framing import BUS_SERVO
+from failstop.board.rrc.framing import BUS_SERVO
 from tests.support.arm_settings import ARM, DRIVE, SERVOS
 from tests.support.simulated import Simulated
 

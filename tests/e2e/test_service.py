@@ -11,7 +11,7 @@ import struct
 import psutil
 import pytest
 
-from failstop.board.burst import BURST
+from failstop.board.rrc.burst import BURST
 from failstop.messages import layout
 from failstop_lab.trial import Trial, wait_for
 from tests.support.commands import failstop

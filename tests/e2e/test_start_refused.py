@@ -19,8 +19,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from failstop.board.codec import motor_speeds
 from failstop.board.port import open_port
+from failstop.board.rrc.board import RRC_PORT
+from failstop.board.rrc.codec import motor_speeds
 from failstop.files import instance, root
 from failstop.messages import layout
 from failstop.procs.rights import DESCRIPTORS
@@ -62,7 +63,7 @@ def board(one_board: SimBoard) -> SimBoard:
 
 def turn(board: SimBoard) -> None:
     """Give the wheels a speed, and leave."""
-    port = open_port(board.link, exclusive=False)
+    port = open_port(board.link, exclusive=False, line=RRC_PORT)
     os.write(port, motor_speeds((1.0, 1.0, 1.0, 1.0), 2.0))
     board.wait_wheels(turning=True, timeout_s=5.0)
     os.close(port)

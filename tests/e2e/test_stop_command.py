@@ -7,9 +7,9 @@ import re
 import pytest
 
 from failstop import config
-from failstop.board.burst import BURST
 from failstop.board.rrc.arm import RrcArm
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.burst import BURST
 from failstop.cli.commands import stop
 from failstop.policy.halted import MAY_TURN
 from failstop.policy.layouts import BOARDS

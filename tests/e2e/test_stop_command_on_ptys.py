@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from failstop import instances, stopping
 from failstop.api import ask
 from failstop.board import asking
-from failstop.board.burst import BURST
 from failstop.board.interface import SUPERVISOR_ROW, Board
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.burst import BURST
 from failstop.cli import main as cli
 from failstop.cli.commands import stop
 from failstop.files import instance, root

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from failstop.api.client import send_stop
-from failstop.board.burst import BURST
+from failstop.board.rrc.burst import BURST
 from failstop_lab.trial import Trial, judge, wait_for
 from tests.support.children import NOBODY, call
 from tests.support.commands import FAILSTOP, failstop

@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from failstop import extras
-from failstop.board.servos import bus_servo_move
+from failstop.board.kinds import board_of
+from failstop.board.rrc.servos import bus_servo_move
 from failstop.incidents import export, plot, story
 from failstop.incidents.files import IncidentError
-from failstop.incidents.incident import SILENT, Incident
+from failstop.incidents.incident import SILENT, Incident, WriteSort
 from failstop.messages import box, layout
 from failstop.policy import causes
 from failstop.policy.settings import Settings
@@ -167,3 +168,19 @@ def test_a_picture_says_what_happened_and_where_the_arm_s_joints_were_sent(tmp_p
     assert len(shown) > 20_000
     for words in SHOWN:
         assert words in shown
+
+
+def test_the_joints_of_an_arm_on_another_bus_are_shown_too() -> None:
+    """Each board reads its own frames."""
+    parts = drive_and_die()
+    parts.settings = Settings({"board.kind": "feetech", "joints.base.servo": 1, "joints.wrist.servo": 4})
+    arm = board_of("feetech", 0.1, 0.0).arm
+    assert arm
+    for step in range(20):
+        parts.frame(-800.0 + 40 * step, arm.move([(1, 2000 + step), (4, 300 - step)], 40))
+    found = parts.incident()
+    assert [pulses for _, pulses in found.joints()[1]] == list(range(2000, 2020))
+    assert [pulses for _, pulses in found.joints()[4]] == list(range(300, 280, -1))
+    assert [write.sort for write in found.writes if write.head == arm.move([(1, 2000), (4, 300)], 40)] == [
+        WriteSort.ARM
+    ]

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from failstop.board.servos import bus_servo_move
+from failstop.board.rrc.servos import bus_servo_move
 from failstop.messages import layout, records
 from failstop.policy.processes import HANG_NS
 from failstop.procs.gate.requests import Request

@@ -44,7 +44,10 @@ ROOMS = {
         tuple(f"tests/procs/telemetry/test_{name}.py" for name in ("battery", "imu", "odometry", "pad", "still")),
     ),
     "codec": Room(
-        tuple(f"failstop/board/{name}.py" for name in ("codec", "decoder", "framing", "servos")),
+        (
+            "failstop/board/checks.py",
+            *(f"failstop/board/rrc/{name}.py" for name in ("arm", "codec", "decoder", "framing", "servos")),
+        ),
         tuple(f"tests/board/test_{name}.py" for name in ("codec", "cut_frames", "decoder", "receiver", "servos")),
     ),
     "stopper": Room(

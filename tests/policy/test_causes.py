@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import failstop
 from failstop.api import why
-from failstop.board.decoder import BUTTONS
+from failstop.board.interface import BUTTONS
 from failstop.board.rrc.board import BOARD
 from failstop.messages import records
 from failstop.messages.layout import PROCESS_NAMES

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from failstop.board import codec
 from failstop.board.kinds import board_of
+from failstop.board.rrc import codec
 from failstop.policy.kinematics import Chassis, Velocity, from_settings, of_wheels
 from failstop.policy.layouts import LAYOUTS, WHEEL_NAMES
 from failstop.policy.settings import Settings, mounted_wheels

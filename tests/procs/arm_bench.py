@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from failstop.board import decoder, servos
-from failstop.board.framing import BUS_SERVO
+from failstop.board import servos
+from failstop.board.rrc import decoder
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.framing import BUS_SERVO
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import ArmCore

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from failstop.board import codec
-from failstop.board.burst import BURST
 from failstop.board.kinds import board_of
+from failstop.board.rrc import codec
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.burst import BURST
 from failstop.board.servos import POSITION
 from failstop.policy import causes
 from failstop.policy.causes import Cause

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.board import codec
-from failstop.board.burst import BURST
+from failstop.board.rrc import codec
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.burst import BURST
 from failstop.messages import box, layout, records
 from failstop.policy import causes, kinematics
 from failstop.policy.processes import PROCESS_BY_NAME

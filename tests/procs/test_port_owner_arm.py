@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from failstop.board import servos
-from failstop.board.burst import BURST
 from failstop.board.rrc.arm import RrcArm
-from failstop.board.servos import bus_servo_move, bus_servo_read, bus_servo_stop, bus_servo_torque
+from failstop.board.rrc.burst import BURST
+from failstop.board.rrc.servos import bus_servo_move, bus_servo_read, bus_servo_stop, bus_servo_torque
 from failstop.messages import records
 from failstop.procs.port_owner.admission import MOST_WAITING
 from tests.support.port_scene import MOTION, Scene

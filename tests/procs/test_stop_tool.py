@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 from failstop import stopping
-from failstop.board import codec
-from failstop.board.burst import BURST
 from failstop.board.kinds import board_of
+from failstop.board.rrc import codec
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.burst import BURST
 from failstop_lab.machine.kernel import TAKEDOWN_NS
 from failstop_lab.machine.loading import File
 from failstop_lab.machine.process import Process

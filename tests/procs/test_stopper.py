@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.burst import BURST
 from failstop.messages import layout, records
 from failstop.policy.processes import HANG_NS, PROCESS_BY_NAME
 from failstop.procs import starved

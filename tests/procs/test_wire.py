@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from failstop.board import codec
-from failstop.board.burst import BURST
+from failstop.board.rrc import codec
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.burst import BURST
 from failstop.messages import box
 from failstop.procs.port_owner.port_writer import DRAIN_NS
 from failstop_lab.machine.port import Port

@@ -23,6 +23,7 @@ from failstop import FailstopError, Robot, instances
 from failstop.api.client import run, send_stop
 from failstop.api.events import EventLog
 from failstop.board.port import PortError, open_port
+from failstop.board.rrc.board import RRC_PORT
 from failstop.files import instance
 from failstop.messages import layout, segments
 from failstop.shm import claim
@@ -211,8 +212,8 @@ def open_port_too(attempt: Attempt) -> bool:
     """Open the port, whatever its mode."""
     os.chmod(attempt.trial.link, 0o666)
     os.chmod(os.path.dirname(attempt.trial.link), 0o755)
-    assert not attempt.does(lambda: open_port(attempt.trial.link, exclusive=True))
-    return bool(attempt.does(lambda: open_port(attempt.trial.link, exclusive=False)))
+    assert not attempt.does(lambda: open_port(attempt.trial.link, exclusive=True, line=RRC_PORT))
+    return bool(attempt.does(lambda: open_port(attempt.trial.link, exclusive=False, line=RRC_PORT)))
 
 
 _TAKEN: dict[str, bool] = {}

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from failstop.board.burst import BURST
+from failstop.board.rrc.burst import BURST
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.procs.schedule import ZERO_EVERY_NS

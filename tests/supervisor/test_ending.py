@@ -6,8 +6,8 @@ import signal
 
 import pytest
 
-from failstop.board.burst import BURST
 from failstop.board.interface import SUPERVISOR_ROW
+from failstop.board.rrc.burst import BURST
 from failstop.messages import layout, records
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.shm import heartbeat

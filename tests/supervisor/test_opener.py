@@ -10,9 +10,9 @@ from typing import Any, NoReturn
 
 import pytest
 
-from failstop.board.burst import BURST
 from failstop.board.finder import Finder
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.burst import BURST
 from failstop.shm.bell import EventBell
 from failstop.supervisor.port_handover import LOOK_NS, Opener
 from failstop_lab.machine.process import Thread

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.board import port
-from failstop.board.burst import BURST
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.burst import BURST
 from failstop.board.wire import Port
 from failstop.supervisor.port_handover import OwnPort
 from tests.support.ptys import Pty, new_pty

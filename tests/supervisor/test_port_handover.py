@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.board.burst import BURST
+from failstop.board.rrc.burst import BURST
 from failstop.messages import layout, records
 from failstop.procs.schedule import ZERO_EVERY_NS
 from failstop.shm.heartbeat import BEAT_STARTING

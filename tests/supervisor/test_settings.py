@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board.codec import RPS_CEILING
+from failstop.board.rrc.codec import RPS_CEILING
 from failstop.policy import kinematics
 from failstop.policy.layouts import LAYOUTS
 from failstop.policy.robots import UNDRIVEN

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from failstop.board.burst import BURST
+from failstop.board.rrc.burst import BURST
 from failstop.messages import layout
 from failstop.policy import causes
 from failstop.policy.processes import HANG_NS, PROCESS_BY_NAME

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from failstop.board.codec import STOP, motor_speeds
-from failstop.board.framing import MOTOR
+from failstop.board.rrc.codec import STOP, motor_speeds
+from failstop.board.rrc.framing import MOTOR
 from failstop_lab.sim.client import Event
 
 MS = 1_000_000

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from struct import pack
 
-from failstop.board.codec import pwm_servo_read
-from failstop.board.framing import LED, MOTOR, OLED, PWM_SERVO, RGB, SYS, frame, seal
+from failstop.board.rrc.codec import pwm_servo_read
+from failstop.board.rrc.framing import LED, MOTOR, OLED, PWM_SERVO, RGB, SYS, frame, seal
 
 PING = pwm_servo_read(1)
 

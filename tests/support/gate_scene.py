@@ -10,8 +10,9 @@ from typing import Any
 
 import msgpack
 
-from failstop.board import decoder, servos
-from failstop.board.framing import BUS_SERVO
+from failstop.board import servos
+from failstop.board.rrc import decoder
+from failstop.board.rrc.framing import BUS_SERVO
 from failstop.files import instance
 from failstop.messages import layout, records
 from failstop.messages.packing import Note

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from failstop.board import codec
+from failstop.board.rrc import codec
 from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.procs.port_owner import main

@@ -12,7 +12,7 @@ import termios
 import tty
 from collections.abc import Iterator
 
-from failstop.board.framing import MOTOR
+from failstop.board.rrc.framing import MOTOR
 from failstop_lab.sim.motors import Motors
 from failstop_lab.sim.receiver import Receiver
 

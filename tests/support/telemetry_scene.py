@@ -7,7 +7,7 @@ from typing import Any
 
 import msgpack
 
-from failstop.board import framing
+from failstop.board.rrc import framing
 from failstop.messages import layout, records
 from failstop.messages.packing import Note
 from failstop.procs.telemetry import main

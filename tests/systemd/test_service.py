@@ -261,7 +261,10 @@ def test_everybody_may_stop_and_only_the_group_may_drive(scene: Scene) -> None:
 
 
 def test_the_port_is_not_to_be_had_beside_the_service(scene: Scene) -> None:
-    opening = "from failstop.board import port; port.open_port('/board/port', exclusive=False)"
+    opening = (
+        "from failstop.board import port; from failstop.board.rrc.board import RRC_PORT; "
+        "port.open_port('/board/port', exclusive=False, line=RRC_PORT)"
+    )
     opening = f"import sys; sys.path.insert(0, '{installed.PREFIX}/src'); {opening}"
     user = ("setpriv", f"--reuid={DRIVER}", f"--regid={DRIVER}", "--init-groups", "--")
     refused = scene.box.run(*user, f"{installed.PREFIX}/bin/python3", "-c", opening, check=False)

@@ -12,8 +12,9 @@ import sys
 import time
 from collections.abc import Iterator
 
-from failstop.board.framing import PWM_SERVO, frame
 from failstop.board.port import close_port, open_port
+from failstop.board.rrc.board import RRC_PORT
+from failstop.board.rrc.framing import PWM_SERVO, frame
 from failstop_lab.sim.client import Event
 
 LINK = "/dev/failstop"
@@ -33,7 +34,7 @@ def is_of_floor(event: Event) -> bool:
 
 def rounds() -> Iterator[int]:
     """Kill, notice, write; yields when each was killed."""
-    fd = open_port(LINK, exclusive=False)
+    fd = open_port(LINK, exclusive=False, line=RRC_PORT)
     os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
     try:
         for _ in range(ROUNDS):

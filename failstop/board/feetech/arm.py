@@ -7,8 +7,8 @@ stands at the last, its torque on. Nothing here names a wheel, and nothing but p
 from __future__ import annotations
 
 from failstop.board import servos as bus
+from failstop.board.checks import FrameError, counted, distinct, integer
 from failstop.board.feetech import codec
-from failstop.board.framing import FrameError, counted, distinct, integer
 from failstop.board.interface import ServoBus
 
 TYPE_CHECKING = False
@@ -36,7 +36,7 @@ def _goals(positions: Sequence[tuple[int, int]]) -> bytes:
     return codec.sync_write(codec.GOAL_POSITION, 2, b"".join(rows))
 
 
-def goals(frame: bytes) -> list[tuple[int, int]]:
+def _rows(frame: bytes) -> list[tuple[int, int]]:
     """The goals in a frame of them, (id, position) each."""
     rows = frame[_ROWS_AT : frame[3] + 3]
     return [(rows[at], rows[at + 1] | rows[at + 2] << 8) for at in range(0, len(rows), 3)]
@@ -106,12 +106,20 @@ class FeetechArm(ServoBus):
             return looked, self.look(looked)
         if frame[5] == codec.TORQUE_SWITCH:
             return [frame[_ROWS_AT]], _torque(frame[_ROWS_AT], False)
-        moves = goals(frame)
+        moves = _rows(frame)
         ids = [servo for servo, _ in moves]
         if self.command(frame) == bus.TORQUE_ON:
             ((servo, at),) = moves[:1]
             return ids, self.torque(servo, True, at)
         return ids, _goals(moves)
+
+    def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
+        """The goals in one frame. A servo goes there as fast as it can."""
+        try:
+            goals = _rows(frame)
+            return [(servo, at, 0) for servo, at in goals] if frame == _goals(goals) else []
+        except (ValueError, IndexError):  # a FrameError is a ValueError
+            return []
 
     def held_ns(self, frame: bytes) -> int:
         """Its own time on the line, or that of the answer."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board.framing import counted, number
+from failstop.board.checks import counted, number
 from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE, ServoAnswer
 from failstop.board.wire import Answer, Battery, Health, Obeyed, Reader, Sample, Wheels, beyond
 

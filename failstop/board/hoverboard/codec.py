@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board.framing import FrameError
+from failstop.board.checks import FrameError
 from failstop.board.wire import beyond, two_speeds
 
 TYPE_CHECKING = False

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from failstop.board import servos as bus
 from failstop.board.interface import ServoBus
+from failstop.board.rrc import servos as bus
+from failstop.board.servos import LONGEST_MOVE_MS
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ class RrcArm(ServoBus):
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
         """One or two servos in one frame."""
-        return bus.bus_servo_move(positions, duration_ms, longest_ms or bus.LONGEST_MOVE_MS)
+        return bus.bus_servo_move(positions, duration_ms, longest_ms or LONGEST_MOVE_MS)
 
     def read(self, servo: int, what: int) -> bytes:
         """The question to one servo."""
@@ -48,6 +49,10 @@ class RrcArm(ServoBus):
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
         """Only the encoders' own frames pass."""
         return bus.check_bus(frame, servos, longest_ms)
+
+    def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
+        """The servos of one frame; they take its time."""
+        return bus.moves(frame)
 
     def held_ns(self, frame: bytes) -> int:
         """The time that the servos' own bus takes for it."""

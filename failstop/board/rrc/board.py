@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board import codec, decoder, framing, plausible
-from failstop.board.burst import BURST, FIRST_STOP_END
+from failstop.board import plausible
 from failstop.board.interface import (
     BY_ANSWER,
     BY_IMU,
@@ -18,10 +17,11 @@ from failstop.board.interface import (
     Board,
     Hearing,
 )
-from failstop.board.port import ROSORIN_PORT
+from failstop.board.rrc import codec, decoder, framing
 from failstop.board.rrc.arm import RrcArm
+from failstop.board.rrc.burst import BURST, FIRST_STOP_END
 from failstop.board.rrc.steering import Steering
-from failstop.board.wire import Commander
+from failstop.board.wire import Commander, Port
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from failstop.board.interface import Said
 
+RRC_PORT = Port(baud=1_000_000, dtr=True, rts=False, deaf_ns=0, opening=())
 _REPEATS_NS = (20_000_000, 100_000_000)
 _SPEEDS = Struct(f"<6x{'Bf' * framing.WHEELS}")
 
@@ -107,7 +108,7 @@ class Rrc(Board):
     __slots__ = ()
 
     name = "the STM32 controller of Hiwonder's robots"
-    port = ROSORIN_PORT
+    port = RRC_PORT
     idle_ns = after_ns = 0
     repeats_ns = (_REPEATS_NS, _REPEATS_NS, ())
     """Its receiver takes glued stops, so writers may have the same times. A supervisor's stop is not repeated: the

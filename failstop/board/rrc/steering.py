@@ -2,15 +2,17 @@
 
 It goes out in one write with the motor frame before it: steering is motion, admitted and refused as motion is. A stop
 has no such frame, and leaves the wheels turned as they are. The frame for a bus servo holds the board's receiver for
-servos.MOVE_NS: a stop right behind it comes so much later.
+MOVE_NS: a stop right behind it comes so much later.
 """
 
 from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board import framing, servos
-from failstop.board.framing import BUS_SERVO, HEAD, PWM_SERVO, crc8
+from failstop.board import checks
+from failstop.board.rrc import framing, servos
+from failstop.board.rrc.framing import BUS_SERVO, HEAD, PWM_SERVO, crc8
+from failstop.board.servos import SERVO_MOVE
 from failstop.data import Data
 
 PWM, BUS = "pwm", "bus"
@@ -21,7 +23,7 @@ TAKES_MS = 20
 LONGEST_WAY_MS = 28
 _PWM_DATA, _BUS_DATA = Struct("<BHBH"), Struct("<BHBBH")
 _PWM_HEAD = HEAD + bytes((PWM_SERVO, _PWM_DATA.size))
-_BUS_HEAD = HEAD + bytes((BUS_SERVO, _BUS_DATA.size, servos.SERVO_MOVE))
+_BUS_HEAD = HEAD + bytes((BUS_SERVO, _BUS_DATA.size, SERVO_MOVE))
 
 
 class Steering(Data):
@@ -40,7 +42,7 @@ class Steering(Data):
         The servo's time may be some milliseconds longer: no frame is made that the zeros of the stop burst could
         complete, were it cut short.
         """
-        framing.number("steering angle", angle_rad, -self._limit, self._limit, "rad")
+        checks.number("steering angle", angle_rad, -self._limit, self._limit, "rad")
         pulses = self.centre + round(angle_rad * self.per_rad)
         if self.kind == BUS:
             return servos.bus_servo_move(((self.servo, pulses),), TAKES_MS, LONGEST_WAY_MS)

@@ -15,7 +15,7 @@ import json
 import re
 from math import inf, pi
 
-from failstop.board.framing import integer
+from failstop.board.checks import integer
 from failstop.board.lines import LineReader, MotionLine
 from failstop.board.wire import Answer, Battery, Imu, Restarted, Sample, Wheels
 

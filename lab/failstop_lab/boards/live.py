@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections import deque
 from struct import Struct
 
-from failstop.board.framing import MOTOR, WHEELS
 from failstop.board.kinds import is_described, wire_of
+from failstop.board.rrc.framing import MOTOR, WHEELS
 from failstop_lab.boards.line import Rolling, model_of
 from failstop_lab.sim.model import NEVER_NS, BoardModel, Frame, Speeds
 

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from failstop.board.framing import MOTOR
+from failstop.board.rrc.framing import MOTOR
 from failstop.messages.layout import PROCESS_NAMES, SUPERVISOR
 from failstop.policy.settings import FIRST_SOURCE, PAD_SOURCE
 from failstop_lab.browser.acts import ACTS, GROUPS, HANG_PREFIX, KILL_PREFIX, SWITCHES

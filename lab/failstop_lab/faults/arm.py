@@ -12,7 +12,7 @@ import time
 
 from failstop import helpers
 from failstop.api.errors import FailstopError, Refused
-from failstop.board.framing import BUS_SERVO
+from failstop.board.rrc.framing import BUS_SERVO
 from failstop.board.servos import LONGEST_MOVE_NS, SERVO_MOVE, SERVO_STOP
 from failstop.messages.layout import SUPERVISOR
 from failstop.policy.causes import Cause

@@ -15,7 +15,6 @@ from struct import Struct
 
 from failstop.api.client import attach
 from failstop.board import servos
-from failstop.board.feetech.arm import FeetechArm, goals
 from failstop.board.handled import Handled
 from failstop.board.interface import (
     BY_IMU,
@@ -26,7 +25,6 @@ from failstop.board.interface import (
     HEARD_SERVO,
     HEARD_WHEELS,
     Board,
-    ServoBus,
 )
 from failstop.board.port import PortError, open_port
 from failstop.board.tap import Tap
@@ -53,17 +51,6 @@ Move = tuple[int, int, int, int]
 """(when it was made, servo, where to, ns that it takes)."""
 Reading = tuple[int, int, int]
 """(when its answer was read, servo, where it is)."""
-
-
-def moves(t_ns: int, frame: bytes, bus: ServoBus) -> list[Move]:
-    """The moves in a frame for the arm; none in one that asks, stops or switches a torque."""
-    if bus.command(frame) != servos.SERVO_MOVE:
-        return []
-    if isinstance(bus, FeetechArm):
-        return [(t_ns, servo, position, GOES_AT_ONCE_NS) for servo, position in goals(frame)]
-    data = frame[_COMMAND_AT:-1]
-    took_ns = int.from_bytes(data[1:3], "little") * 1_000_000
-    return [(t_ns, servo, position, took_ns) for servo, position in _ID_POSITION.iter_unpack(data[4:])]
 
 
 class Watch:
@@ -165,7 +152,8 @@ class Watch:
             if kind == records.WRITE_BURST or (kind == records.MOTION and body == self._board.stop):
                 self.zeros.append(entry[1])
             elif kind == records.ARM and self._board.arm:
-                self.moves += moves(entry[1], body, self._board.arm)
+                moves = self._board.arm.moves(body)
+                self.moves += [(entry[1], servo, at, takes_ns or GOES_AT_ONCE_NS) for servo, at, takes_ns in moves]
         while self._wrote and (entry := self._wrote.next()):
             self._handled.wrote(*records.WROTE.unpack(entry[2]), entry[1])
         # The port owner reads while no telemetry runs: in the order of time they are what the board has sent.

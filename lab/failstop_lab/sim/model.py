@@ -19,8 +19,8 @@ from collections import deque
 from dataclasses import dataclass
 from random import Random
 
-from failstop.board.codec import PWM_SERVOS
-from failstop.board.framing import BUS_SERVO, MOTOR, PWM_SERVO
+from failstop.board.rrc.codec import PWM_SERVOS
+from failstop.board.rrc.framing import BUS_SERVO, MOTOR, PWM_SERVO
 from failstop_lab.sim import upward
 from failstop_lab.sim.imu import Imu
 from failstop_lab.sim.motors import Motors

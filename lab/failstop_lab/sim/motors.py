@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board.framing import MOTOR, WHEELS, crc8
+from failstop.board.rrc.framing import MOTOR, WHEELS, crc8
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

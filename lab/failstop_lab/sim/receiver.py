@@ -8,7 +8,7 @@ timeout between bytes.
 
 from __future__ import annotations
 
-from failstop.board.framing import crc8
+from failstop.board.rrc.framing import crc8
 
 START1 = 0
 START2 = 1

@@ -10,8 +10,19 @@ from dataclasses import dataclass
 from random import Random
 from struct import unpack_from
 
-from failstop.board import servos as wire
-from failstop.board.framing import BUS_SERVO
+from failstop.board.rrc import servos as wire
+from failstop.board.rrc.framing import BUS_SERVO
+from failstop.board.servos import (
+    POSITION,
+    READS,
+    SERVO_MOVE,
+    SERVO_STOP,
+    SILENT_NS,
+    SUPPLY,
+    TORQUE,
+    TORQUE_OFF,
+    TORQUE_ON,
+)
 from failstop_lab.sim import upward
 
 ARM_SERVO_IDS = (1, 2, 3, 4, 5, 10)
@@ -79,10 +90,10 @@ class Servos:
 
     def holds_ns(self, data: bytes) -> int:
         """How long this frame keeps the receiver from all that follow."""
-        if data and data[0] in wire.READS:
+        if data and data[0] in READS:
             servo = self.by_id.get(data[1]) if len(data) > 1 else None
             quick = self._stale or (servo and not servo.silent and not servo.late)
-            return SERVO_REPLY_NS if quick else wire.SILENT_NS
+            return SERVO_REPLY_NS if quick else SILENT_NS
         return wire.bus_ns(BUS_SERVO, data)
 
     def execute(self, data: bytes, t_ns: int) -> bytes:
@@ -90,19 +101,19 @@ class Servos:
         if not data:
             return b""
         command, memory = data[0], data.ljust(4 + 3 * 255, b"\0")
-        if command == wire.SERVO_MOVE:
+        if command == SERVO_MOVE:
             duration_ns = 1_000_000 * int(unpack_from("<H", memory, 1)[0])
             for index in range(memory[3]):
                 servo, position = unpack_from("<BH", memory, 4 + 3 * index)
                 self._move(servo, min(position, wire.HIGHEST_POSITION), duration_ns, t_ns)
-        elif command == wire.SERVO_STOP:
+        elif command == SERVO_STOP:
             for servo in memory[2 : 2 + memory[1]]:
                 self._stop(servo, t_ns)
-        elif command in (wire.TORQUE_OFF, wire.TORQUE_ON):
+        elif command in (TORQUE_OFF, TORQUE_ON):
             for found in self._addressed(memory[1]):
-                found.torque = command == wire.TORQUE_ON
+                found.torque = command == TORQUE_ON
                 self._stop(found.id, t_ns)
-        elif command in wire.READS:
+        elif command in READS:
             return upward.bus_servo(memory[1], command, self._answer(memory[1], command, t_ns))
         return b""
 
@@ -138,11 +149,11 @@ class Servos:
             return 0
         if found is None or found.silent or found.late:
             return None
-        if what == wire.POSITION:
+        if what == POSITION:
             return round(found.leg.at(t_ns)) + self._noise(-NOISE, NOISE)
-        if what == wire.TORQUE:
+        if what == TORQUE:
             return int(not found.limp())
-        return found.supply_mv if what == wire.SUPPLY else found.temperature_c
+        return found.supply_mv if what == SUPPLY else found.temperature_c
 
     def change(self, servo: int, t_ns: int, **values: object) -> None:
         """Change a servo, as people, heat and age do: its faults, `temperature_c`, `supply_mv`, `position` (turned by

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from failstop.board.framing import AUX_FUNCS, MOTOR
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.framing import AUX_FUNCS, MOTOR
 from failstop_lab.sim.model import Frame, Speeds, commands_stop
 
 LINE_EVERY_S = 1.0

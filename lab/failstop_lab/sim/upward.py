@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from struct import Struct, pack
 
-from failstop.board.framing import BUS_SERVO, GAMEPAD, IMU_FUNC, KEY_FUNC, PWM_SERVO, SYS, seal
+from failstop.board.rrc.framing import BUS_SERVO, GAMEPAD, IMU_FUNC, KEY_FUNC, PWM_SERVO, SYS, seal
 
 _BATTERY = Struct("<BH")
 _IMU = Struct("<6f")
@@ -29,7 +29,7 @@ def imu_frame(ax: float, ay: float, az: float, gx: float, gy: float, gz: float) 
 
 
 def gamepad_frame(buttons: int, hat: int = 0, lx: int = 0, ly: int = 0, rx: int = 0, ry: int = 0) -> bytes:
-    """GAMEPAD: buttons as in decoder.BUTTONS, hat, axes -128 to 127."""
+    """GAMEPAD: buttons as in interface.BUTTONS, hat, axes -128 to 127."""
     return seal(GAMEPAD, _GAMEPAD.pack(buttons, hat, lx, ly, rx, ry))
 
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections import Counter
 from functools import partial
 
-from failstop.board.framing import MOTOR
 from failstop.board.kinds import is_described
+from failstop.board.rrc.framing import MOTOR
 from failstop_lab.boards.line import ADAPTER_BAR_NS, model_of
 from failstop_lab.machine.port import Port
 from failstop_lab.machine.process import Process

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from failstop.board.framing import BUS_SERVO
+from failstop.board.rrc.framing import BUS_SERVO
 from failstop.board.servos import SERVO_MOVE, SERVO_STOP
 from failstop_lab.faults.arm import ArmTrial
 from failstop_lab.trial import wait_for

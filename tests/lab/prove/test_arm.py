@@ -7,9 +7,6 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from failstop.board.kinds import board_of
-from failstop.board.rrc.board import BOARD
-from failstop.board.servos import bus_servo_move, bus_servo_stop
 from failstop.policy.joints import PULSES_PER_RAD, from_settings
 from failstop.policy.settings import Settings
 from failstop.supervisor import status
@@ -21,7 +18,7 @@ from failstop_lab.prove.run import Result
 from failstop_lab.prove.stand import ProveStand
 from failstop_lab.prove.swing import Swing
 from failstop_lab.prove.table import ARM_PATHS, BY_ARM_PATH, SWINGING, plan
-from failstop_lab.prove.watch import Move, moves
+from failstop_lab.prove.watch import Move
 from failstop_lab.sim.client import SimBoard
 from tests.lab.prove.judged import firm
 from tests.support.arm_settings import ARM
@@ -162,22 +159,8 @@ def track(*positions: float) -> list[Move]:
     ]
 
 
-def test_a_frame_s_moves() -> None:
-    frame = bus_servo_move([(1, 500), (2, 600)], 40)
-    found = moves(7, frame, BOARD.arm)
-    assert [(servo, position) for _, servo, position, _ in found] == [(1, 500), (2, 600)]
-    assert found[0][0] == 7
-    assert 40 * MS <= found[0][3] <= 60 * MS
-    assert moves(7, bus_servo_stop([1, 2]), BOARD.arm) == []
-
-
-def test_the_goals_of_servos_that_go_at_once() -> None:
-    arm = board_of("feetech", 0.1, 0.0).arm
-    assert arm
-    found = moves(7, arm.move([(1, 500), (6, 4095)], 40), arm)
-    assert [(t_ns, servo, position) for t_ns, servo, position, _ in found] == [(7, 1, 500), (7, 6, 4095)]
-    assert SWING.at([(0, 1, 400, 1), *found], 8) == (500, 1)
-    assert moves(7, arm.look([1, 2]), arm) == []
+def test_a_servo_that_goes_at_once_is_there_at_once() -> None:
+    assert SWING.at([(0, 1, 400, 1), (7, 1, 500, 1)], 8) == (500, 1)
 
 
 def test_where_it_was_told_to_be_is_on_the_way_of_the_move_in_force() -> None:

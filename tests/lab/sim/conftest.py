@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from failstop.board.port import open_port
+from failstop.board.rrc.board import RRC_PORT
 from failstop_lab.sim.client import SimBoard
 
 
@@ -21,6 +22,6 @@ def board(tmp_path: Path) -> Iterator[SimBoard]:
 @pytest.fixture
 def client(board: SimBoard) -> Iterator[int]:
     """The port, opened as the service does."""
-    descriptor = open_port(board.link, exclusive=True)
+    descriptor = open_port(board.link, exclusive=True, line=RRC_PORT)
     yield descriptor
     os.close(descriptor)

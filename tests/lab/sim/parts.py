@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.board import codec
+from failstop.board.rrc import codec
 
 FORWARD = (0.796, 0.796, -0.796, -0.796)
 DRIVE = codec.motor_speeds(FORWARD, 2.0)

@@ -12,9 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board import codec, decoder, framing, port
-from failstop.board.burst import BURST
+from failstop.board import port
 from failstop.board.port import open_port
+from failstop.board.rrc import codec, decoder, framing
+from failstop.board.rrc.board import RRC_PORT
+from failstop.board.rrc.burst import BURST
 from failstop_lab.sim.client import Event, SimBoard, SimBoardError
 from failstop_lab.trial import wait_for
 from tests.support import frames
@@ -221,13 +223,13 @@ def test_unplug_hangs_up_keeps_the_wheels_and_replug_works(board: SimBoard, clie
     assert caught.value.errno == errno.EIO
     assert Host(client).read(0.0), "a hung-up port reads at once"
     with pytest.raises(port.PortError) as absent:
-        open_port(board.link, exclusive=True)
+        open_port(board.link, exclusive=True, line=RRC_PORT)
     assert absent.value.kind == "absent"
     assert board.wheels() == pytest.approx(FORWARD), "the board lives on its battery"
     board.replug()
     # The old node is held open here, so the new one has another number.
     assert os.stat(board.link).st_rdev != before
-    again = open_port(board.link, exclusive=True)
+    again = open_port(board.link, exclusive=True, line=RRC_PORT)
     os.write(again, codec.STOP)
     board.wait_wheels(False, 5.0)
     Host(again).wait(framing.IMU_FUNC)
@@ -238,7 +240,7 @@ def test_unplug_hangs_up_keeps_the_wheels_and_replug_works(board: SimBoard, clie
     board.replug(other)
     assert board.link == str(other)
     assert not (tmp_path / "board").is_symlink()
-    third = open_port(str(other), exclusive=True)
+    third = open_port(str(other), exclusive=True, line=RRC_PORT)
     os.write(third, frames.PING)
     Host(third).wait(framing.PWM_SERVO)
     os.close(third)
@@ -276,7 +278,7 @@ def used_s(pid: int) -> float:
 
 @pytest.mark.parametrize("at_work", [True, False])
 def test_little_processor_time(board: SimBoard, at_work: bool) -> None:
-    client = open_port(board.link, exclusive=True)
+    client = open_port(board.link, exclusive=True, line=RRC_PORT)
     host = Host(client)
     host.wait(framing.IMU_FUNC)
     if not at_work:

@@ -7,8 +7,8 @@ import statistics
 
 import pytest
 
-from failstop.board import codec, decoder, framing
-from failstop.board.burst import BURST
+from failstop.board.rrc import codec, decoder, framing
+from failstop.board.rrc.burst import BURST
 from failstop_lab.sim import imu
 from failstop_lab.sim.client import Event
 from failstop_lab.sim.model import BoardModel, commands_stop

@@ -19,8 +19,9 @@ from pathlib import Path
 
 import pytest
 
-from failstop.board import codec
 from failstop.board.port import open_port
+from failstop.board.rrc import codec
+from failstop.board.rrc.board import RRC_PORT
 from failstop_lab.sim.client import SimBoard, SimBoardError
 from failstop_lab.sim.control import connect
 from failstop_lab.sim.options import Options
@@ -33,13 +34,13 @@ from .parts import DRIVE, FORWARD
 
 def test_clients_may_come_go_and_crash(board: SimBoard) -> None:
     for _ in range(3):
-        descriptor = open_port(board.link, exclusive=True)
+        descriptor = open_port(board.link, exclusive=True, line=RRC_PORT)
         os.write(descriptor, codec.STOP)
         os.close(descriptor)
     child = os.fork()
     if child == 0:
         try:
-            os.write(open_port(board.link, exclusive=True), DRIVE)
+            os.write(open_port(board.link, exclusive=True, line=RRC_PORT), DRIVE)
         finally:
             os.kill(os.getpid(), signal.SIGKILL)
     os.waitpid(child, 0)
@@ -50,7 +51,7 @@ def test_clients_may_come_go_and_crash(board: SimBoard) -> None:
 
 
 def test_two_clients_at_a_time(board: SimBoard, client: int) -> None:
-    other = open_port(board.link, exclusive=False)
+    other = open_port(board.link, exclusive=False, line=RRC_PORT)
     os.write(client, DRIVE)
     board.wait_wheels(True, 5.0)
     os.write(other, codec.STOP)
@@ -66,7 +67,7 @@ def exclusively_claimed(descriptor: int) -> bool:
 
 
 def test_the_last_close_frees_the_port_as_on_a_real_one(board: SimBoard) -> None:
-    descriptor = open_port(board.link, exclusive=True)
+    descriptor = open_port(board.link, exclusive=True, line=RRC_PORT)
     assert exclusively_claimed(descriptor)
     wait_for("unread telemetry", lambda: bool(select.select([descriptor], [], [], 1.0)[0]))
     os.close(descriptor)
@@ -78,7 +79,7 @@ def test_the_last_close_frees_the_port_as_on_a_real_one(board: SimBoard) -> None
 
 @pytest.mark.parametrize("reader", ["nobody", "somebody who did not read"])
 def test_no_telemetry_is_kept_for_a_client_that_comes_later(board: SimBoard, reader: str) -> None:
-    descriptor = open_port(board.link, exclusive=False)
+    descriptor = open_port(board.link, exclusive=False, line=RRC_PORT)
     if reader == "nobody":
         os.close(descriptor)
         wait_for("the port to be free", lambda: not board.info()["opened"])
@@ -88,7 +89,7 @@ def test_no_telemetry_is_kept_for_a_client_that_comes_later(board: SimBoard, rea
         wait_for("unread telemetry", lambda: unread_bytes(descriptor) > 20 * 29)
         os.close(descriptor)
         wait_for("the port to be free", lambda: not board.info()["opened"])
-    descriptor = open_port(board.link, exclusive=False)
+    descriptor = open_port(board.link, exclusive=False, line=RRC_PORT)
     assert unread_bytes(descriptor) <= 2 * 29
     os.close(descriptor)
 
@@ -121,7 +122,7 @@ def unprivileged_board() -> Iterator[str]:
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
 def test_an_unprivileged_board_frees_its_port_too(unprivileged_board: str) -> None:
-    descriptor = open_port(unprivileged_board, exclusive=True)
+    descriptor = open_port(unprivileged_board, exclusive=True, line=RRC_PORT)
     os.write(descriptor, DRIVE)
     os.close(descriptor)
     wait_for("a port that is not claimed", lambda: not _claimed_path(unprivileged_board))
@@ -144,7 +145,7 @@ def test_a_cooked_port_echoes_until_it_is_opened_right(tmp_path: Path) -> None:
         raw = os.open(board.link, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         assert termios.tcgetattr(raw)[3] & termios.ECHO
         assert os.fstat(raw).st_mode & 0o777 == 0o606
-        descriptor = open_port(board.link, exclusive=True)
+        descriptor = open_port(board.link, exclusive=True, line=RRC_PORT)
         assert not termios.tcgetattr(raw)[3] & termios.ECHO
         os.close(raw)
         os.close(descriptor)
@@ -198,7 +199,7 @@ def test_a_dead_boards_link_is_replaced(tmp_path: Path) -> None:
     assert (tmp_path / "board").is_symlink()
     assert (tmp_path / "board.ctl").exists()
     with SimBoard(tmp_path / "board") as board:
-        os.close(open_port(board.link, exclusive=True))
+        os.close(open_port(board.link, exclusive=True, line=RRC_PORT))
 
 
 def test_it_says_which_setting_a_service_for_another_board_needs(tmp_path: Path) -> None:
@@ -217,7 +218,7 @@ def test_ends_clean_by_signal(number: signal.Signals, tmp_path: Path) -> None:
         ready = process.stdout.readline()
         assert ready.startswith(f"simulated board at {tmp_path}/board (/dev/pts/")
         assert ready.endswith(f"): failstop run --device {tmp_path}/board\n")
-        descriptor = open_port(str(tmp_path / "board"), exclusive=True)
+        descriptor = open_port(str(tmp_path / "board"), exclusive=True, line=RRC_PORT)
         os.write(descriptor, DRIVE)
         assert "wheels turn   +0.796   +0.796   -0.796   -0.796 rps" in process.stdout.readline()
         os.write(descriptor, codec.STOP)
@@ -266,7 +267,7 @@ def test_a_long_path_works(tmp_path: Path) -> None:
     deep = tmp_path / ("d" * 100)
     deep.mkdir()
     with SimBoard(deep / "board") as board:
-        os.close(open_port(board.link, exclusive=True))
+        os.close(open_port(board.link, exclusive=True, line=RRC_PORT))
         assert board.wheels() == (0.0, 0.0, 0.0, 0.0)
     assert list(deep.iterdir()) == []
 
@@ -274,7 +275,7 @@ def test_a_long_path_works(tmp_path: Path) -> None:
 def test_record(tmp_path: Path) -> None:
     record = tmp_path / "record.jsonl"
     with SimBoard(tmp_path / "board", record=record) as board:
-        descriptor = open_port(board.link, exclusive=True)
+        descriptor = open_port(board.link, exclusive=True, line=RRC_PORT)
         os.write(descriptor, DRIVE)
         event = board.wait_for(lambda e: e.is_motion, 5.0)
         board.deaf(True)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from failstop.board import codec
-from failstop.board.framing import BUZZER, MOTOR
+from failstop.board.rrc import codec
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.framing import BUZZER, MOTOR
 from failstop_lab.sim.model import Frame, Speeds
 from failstop_lab.sim.teller import Teller
 

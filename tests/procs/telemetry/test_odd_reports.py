@@ -15,9 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board import framing, plausible
-from failstop.board.framing import seal as sealed
+from failstop.board import plausible
 from failstop.board.hoverboard.feedback import seal
+from failstop.board.rrc import framing
+from failstop.board.rrc.framing import seal as sealed
 from failstop.messages import records
 from failstop.messages.packing import Note
 from failstop.policy.causes import read

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from failstop.board.decoder import BUTTONS
-from failstop.board.framing import BUZZER
+from failstop.board.interface import BUTTONS
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.framing import BUZZER
 from failstop.messages import records
 from failstop.policy import causes
 from failstop.policy.settings import Settings

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from failstop.board import framing
-from failstop.board.decoder import Decoder, pong
+from failstop.board.rrc import framing
 from failstop.board.rrc.board import BOARD
+from failstop.board.rrc.decoder import Decoder, pong
 from failstop.messages import layout, records
 from failstop.procs.telemetry import port
 from failstop_lab.sim import upward

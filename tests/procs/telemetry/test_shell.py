@@ -7,8 +7,8 @@ import math
 import msgpack
 import pytest
 
-from failstop.board import framing
-from failstop.board.decoder import KEY_EVENTS
+from failstop.board.rrc import framing
+from failstop.board.rrc.decoder import KEY_EVENTS
 from failstop.messages import records
 from failstop.policy import causes
 from failstop.procs.telemetry import pad

@@ -19,7 +19,7 @@ up to 256 bytes of whatever follows for it (firmware source). Each part has its 
 
 from __future__ import annotations
 
-from failstop.board.codec import STOP
+from failstop.board.rrc.codec import STOP
 
 BURST: bytes = bytes(32) + STOP + bytes(257) + STOP + STOP + STOP
 

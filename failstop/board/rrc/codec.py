@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board import framing
-from failstop.board.framing import BUZZER, CRC_TABLE, HEAD, MOTOR_HEAD, PWM_SERVO, WHEELS, FrameError, crc8, frame
+from failstop.board import checks
+from failstop.board.checks import FrameError
+from failstop.board.rrc import framing
+from failstop.board.rrc.framing import BUZZER, CRC_TABLE, HEAD, MOTOR_HEAD, PWM_SERVO, WHEELS, crc8, frame
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -38,12 +40,12 @@ _BUZZER_HEAD = HEAD + bytes((BUZZER, _BUZZER.size))
 
 def speed_limit(max_rps: float) -> float:
     """A limit in rps. Raises FrameError for one that is none."""
-    return framing.number("max_rps", max_rps, 0.0, RPS_CEILING, "rps")
+    return checks.number("max_rps", max_rps, 0.0, RPS_CEILING, "rps")
 
 
 def wheel_speed(wheel: int, rps: float, limit: float) -> float:
     """A wheel's speed in rps. Raises FrameError for one beyond the limit."""
-    return framing.number(f"speed of wheel {wheel}", rps, -limit, limit, "rps")
+    return checks.number(f"speed of wheel {wheel}", rps, -limit, limit, "rps")
 
 
 def motor_speeds(rps: Sequence[float], max_rps: float) -> bytes:
@@ -123,7 +125,7 @@ STOP = motor_speeds((0.0, 0.0, 0.0, 0.0), 0.0)
 
 def pwm_servo_read(servo: int) -> bytes:
     """Ask for a PWM servo's pulse (id 1 to 4): the ping. The board answers from its memory, with no servo connected."""
-    return frame(PWM_SERVO, bytes((0x05, framing.integer("servo id", servo, 1, PWM_SERVOS))))
+    return frame(PWM_SERVO, bytes((0x05, checks.integer("servo id", servo, 1, PWM_SERVOS))))
 
 
 def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
@@ -132,10 +134,10 @@ def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
     The tone may be some hertz lower, or higher at the low end: no frame is made that the zeros of the stop burst could
     complete, were it cut short, since its off time would be 0.
     """
-    framing.integer("freq_hz", freq_hz, *_TONES)
-    framing.integer("on_ms", on_ms, 1, 65_535)
-    framing.integer("off_ms", off_ms, 1, 65_535)
-    framing.integer("repeat", repeat, 1, 65_535)
+    checks.integer("freq_hz", freq_hz, *_TONES)
+    checks.integer("on_ms", on_ms, 1, 65_535)
+    checks.integer("off_ms", off_ms, 1, 65_535)
+    checks.integer("repeat", repeat, 1, 65_535)
     lowest, highest = _TONES
     near = (*range(freq_hz, max(lowest, freq_hz - _DETUNED) - 1, -1), *range(freq_hz + 1, highest + 1)[:_DETUNED])
     # Each cut excludes one value of the tone's low byte at most, so that one of so many is left.

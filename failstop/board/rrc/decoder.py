@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board.framing import BUS_SERVO, HEAD, PWM_SERVO, RGB, crc8
+from failstop.board.rrc.framing import BUS_SERVO, HEAD, PWM_SERVO, RGB, crc8
 
 KEY_EVENTS = {
     0x01: "pressed",
@@ -19,21 +19,6 @@ KEY_EVENTS = {
     0x20: "click",
     0x40: "double",
     0x80: "triple",
-}
-
-BUTTONS = {
-    "L2": 0x0001,
-    "R2": 0x0002,
-    "SELECT": 0x0004,
-    "START": 0x0008,
-    "L3": 0x0020,
-    "R3": 0x0040,
-    "X": 0x0100,
-    "O": 0x0200,
-    "SQUARE": 0x0800,
-    "TRIANGLE": 0x1000,
-    "L1": 0x4000,
-    "R1": 0x8000,
 }
 
 # The longest data the board is known to send is 36 bytes (SBUS). A length beyond this is noise: to wait for 255 bytes
@@ -146,7 +131,7 @@ def imu(data: bytes) -> tuple[float, float, float, float, float, float] | None:
 
 
 def gamepad(data: bytes) -> tuple[int, int, int, int, int, int] | None:
-    """GAMEPAD: (buttons as in BUTTONS, hat, lx, ly, rx, ry), the axes -128 to 127."""
+    """GAMEPAD: (buttons as in interface.BUTTONS, hat, lx, ly, rx, ry), the axes -128 to 127."""
     if len(data) != _GAMEPAD.size:
         return None
     buttons, hat, lx, ly, rx, ry = _GAMEPAD.unpack(data)

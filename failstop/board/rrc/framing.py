@@ -1,5 +1,4 @@
-"""Framing: the parts that all frames to and from the controller board share: functions, head, CRC, and checks of
-values.
+"""Framing: the parts that all frames to and from the controller board share: functions, head and CRC.
 
 A frame is `AA 55 | func u8 | len u8 | data[len] | crc8`, little-endian; `len` counts the data alone and the CRC
 covers func, len and data (vendor protocol description).
@@ -7,10 +6,11 @@ covers func, len and data (vendor protocol description).
 
 from __future__ import annotations
 
+from failstop.board.checks import FrameError, integer
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
+    from collections.abc import Iterable
 
 SYS, LED, BUZZER, MOTOR, PWM_SERVO, BUS_SERVO, KEY_FUNC, IMU_FUNC, GAMEPAD, SBUS, OLED, RGB = range(12)
 
@@ -23,10 +23,6 @@ AUX_FUNCS = (SYS, LED, BUZZER, PWM_SERVO, BUS_SERVO, OLED, RGB)
 
 # A receiver that is out of step takes this for the start of a motor frame wherever it stands.
 MOTOR_HEAD = b"\xaa\x55\x03"
-
-
-class FrameError(ValueError):
-    """A value that must not reach the board; the message names the field, the value and the allowed range."""
 
 
 def _crc_table() -> bytes:
@@ -85,44 +81,3 @@ def frame(func: int, data: bytes | bytearray | memoryview) -> bytes:
     if func in AUX_FUNCS and MOTOR_HEAD in sealed:
         raise FrameError(f"data {raw.hex()} puts aa5503 on the wire, must not: it can be taken for a motor frame")
     return sealed
-
-
-def integer(field: str, value: int, low: int, high: int) -> int:
-    """The value, if it is an integer from low to high, else FrameError; a bool is no integer here."""
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise FrameError(f"{field} is {value!r}, must be an integer from {low} to {high}")
-    return value
-
-
-def number(field: str, value: float, low: float, high: float, unit: str) -> float:
-    """The value as a float, if from low to high, else FrameError; NaN and bool are no numbers. Minus zero becomes
-    zero."""
-    real = isinstance(value, (int, float)) and not isinstance(value, bool)
-    # The chained comparison is false for NaN.
-    if not real or not low <= value <= high:
-        raise FrameError(f"{field} is {value!r}, must be a finite number from {low:g} to {high:g} {unit}")
-    return value + 0.0
-
-
-def counted(field: str, values: Sequence[object], low: int, high: int) -> int:
-    """How many values there are, if from low to high, else FrameError."""
-    try:
-        count = len(values)
-    except TypeError:
-        raise FrameError(f"{field} is {values!r}, must be a sequence of {low} to {high}") from None
-    if not low <= count <= high:
-        raise FrameError(f"{field} has {count} entries, must have {low} to {high}")
-    return count
-
-
-def group(field: str, value: Sequence[object], size: int) -> None:
-    """FrameError unless the value is a tuple or list of `size` parts."""
-    if not isinstance(value, (tuple, list)) or len(value) != size:
-        raise FrameError(f"{field} is {value!r}, must be a tuple of {size} values")
-
-
-def distinct(field: str, ids: Sequence[int]) -> None:
-    """FrameError if an id appears twice: the later one would silently win."""
-    for at, value in enumerate(ids):
-        if value in ids[:at]:
-            raise FrameError(f"{field} {value} appears twice, must appear at most once")
