@@ -12,9 +12,9 @@ from bench.carriers import Carriers
 from bench.stats import Row
 from failstop.api.client import attach
 from failstop.board.rrc.framing import BUS_SERVO
+from failstop.board.rrc.servos import PULSES_PER_RAD
 from failstop.board.servos import SERVO_MOVE
 from failstop.messages import box, layout, records
-from failstop.policy.joints import PULSES_PER_RAD
 from failstop_lab.faults.arm import ArmTrial
 
 PERIOD_NS = 40_000_000

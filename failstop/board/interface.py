@@ -97,7 +97,7 @@ class Hearing:
 
 class ServoBus:
     """The servos of an arm, as failstop speaks to them: their ids are 1 to 253, their positions pulses
-    (failstop/policy/layouts.py: RANGES). What can be asked of a servo is in servos.py."""
+    (ArmFacts of facts.py). What can be asked of a servo is in servos.py."""
 
     __slots__ = ()
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.board.facts import Facts
     from failstop.board.interface import Board
     from failstop.board.wire import Wire
 
 KINDS = ("arduino", "feetech", "hoverboard", "ugv")
-"""Those of this room that a Wire describes."""
+"""The boards of this room that a Wire describes."""
+ALL_KINDS = ("rrc", *KINDS)
+"""All boards of this room, the usual one first."""
 
 
 def is_own(kind: str) -> bool:
@@ -19,6 +22,15 @@ def is_own(kind: str) -> bool:
 def is_described(kind: str) -> bool:
     """A Wire describes it."""
     return kind in KINDS or is_own(kind)
+
+
+def facts_of(kind: str) -> Facts | None:
+    """What the settings need to know of one of ALL_KINDS; None for a board in a folder of your own. Only the facts of that
+    board are imported."""
+    if kind not in ALL_KINDS:
+        return None
+    facts: Facts = __import__(f"failstop.board.{kind}.facts", fromlist=["FACTS"]).FACTS
+    return facts
 
 
 def wire_of(kind: str, *, tried: bool = False) -> Wire:

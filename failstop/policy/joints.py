@@ -5,12 +5,9 @@ from __future__ import annotations
 
 from math import copysign, isfinite, pi, sqrt
 
-from failstop.policy.layouts import BOARDS, RANGES
+from failstop.board.kinds import facts_of
 from failstop.policy.settings import Settings
 
-PULSES_PER_REVOLUTION = RANGES[BOARDS[0]][1]
-"""Of the first board's bus servos: a pulse is 0.24 degrees."""
-PULSES_PER_RAD = PULSES_PER_REVOLUTION / (2 * pi)
 MOST_MISSES = 4
 """Questions in a row without an answer: it counts as silent."""
 
@@ -22,17 +19,17 @@ class Joint:
         self,
         name: str,
         table: dict[str, float | str],
-        highest: int = RANGES[BOARDS[0]][0],
-        a_turn: int = PULSES_PER_REVOLUTION,
+        highest: int,
+        turn: int,
     ) -> None:
-        """`highest`: the last of its pulses; `a_turn`: so many make one."""
+        """`highest`: the last of its pulses; `turn`: so many make a whole turn."""
         number = {key: float(value) for key, value in table.items() if not isinstance(value, str)}
         self.name = name
         self.servo = int(number["servo"])
         self.zero = number["zero"]
         self.sign = number["sign"]
         self.low, self.high = number["low"], number["high"]
-        self.highest, self.per_rad = highest, a_turn / (2 * pi)
+        self.highest, self.per_rad = highest, turn / (2 * pi)
         self.speed_radps = number["speed_radps"]
         self.speed = self.speed_radps * self.per_rad
         self.acceleration = number["acceleration_radps2"] * self.per_rad
@@ -115,8 +112,11 @@ class Joint:
 
 def from_settings(settings: Settings) -> list[Joint]:
     """The arm's joints in the order of the settings; none without an arm."""
-    of_board = RANGES.get(settings.text("board.kind"), ())
-    joints = [Joint(name, table, *of_board) for name, table in settings.named["joints"].items()]
+    facts = facts_of(settings.text("board.kind"))
+    if not (facts and facts.arm):
+        return []
+    tables = settings.named["joints"].items()
+    joints = [Joint(name, table, facts.arm.highest, facts.arm.turn) for name, table in tables]
     for joint in joints:
         if joint.servo == int(settings["arm.base_servo"]):
             pan = int(settings["arm.drive_pan"])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from math import radians
 
+from failstop.board.kinds import ALL_KINDS, facts_of
 from failstop.policy import robots
 from failstop.policy.setting import Setting, SettingError, all_differ
 
@@ -16,26 +17,14 @@ if TYPE_CHECKING:
 
     Values = Mapping[str, float | str]
 
-BOARDS = ("rrc", "arduino", "feetech", "hoverboard", "ugv")
+BOARDS = ALL_KINDS
 """The kinds of boards, each a folder of the board room that describes it."""
-SPEEDS = {"rrc": 4, "arduino": 2, "feetech": 3, "hoverboard": 2, "ugv": 2}
-"""Speeds in a frame of each. A board of the user's own takes as many as its layout has wheels."""
-WITHOUT_IMU = ("arduino", "feetech", "hoverboard")
-"""Kinds of boards without an IMU."""
-RANGES = {"rrc": (1000, 1500), "feetech": (4095, 4096)}
-"""Boards with an arm's servos: the last of a servo's pulses, and how many make a turn."""
-WHEELS_SERVOS = {"feetech": (7, 8, 9)}
-"""Servos that are the wheels', on boards whose arm is on the same bus."""
-OF_JOINTS = {"feetech": {"zero": 2048, "high": 4095}}
-"""Other defaults of joints, by the kind of board."""
 ACKERMANN = "ackermann"
 LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (2,)}
 """Wheels that each may have. A known board drives the most that it has speeds for; an own board has the fewest."""
 SERVO_PULSES = {"pwm": (500, 2500, 4), "bus": (0, 1000, 253)}
 """Of the kinds of servos that can steer: their pulses, and the highest id."""
 SERVOS = tuple(SERVO_PULSES)
-STEERED = (BOARDS[0],)
-"""Boards with a servo that steers."""
 WHEEL_NAMES = {
     2: ("left", "right"),
     3: ("left", "rear", "right"),
@@ -90,10 +79,8 @@ OF_THE_BASE = (
 DEFAULTS: dict[str, dict[str, float | str]] = {
     "omni3": {"wheels.diameter_m": 0.1, "wheels.sign_3": 1},
     ACKERMANN: {"wheels.id_1": 1, "wheels.id_2": 3, "wheels.sign_2": -1},
-    "feetech": {"limits.vx_mps": 0.1, "limits.vy_mps": 0.1, "limits.wz_radps": 0.5},
 }
-"""Other defaults of a layout, or of a kind of board. Those of omni3 are LeKiwi's (lerobot's lekiwi.py), those of
-ackermann ROSOrin's; limits are what LeKiwi's servos can turn in every direction at once."""
+"""Other defaults of a layout. Those of omni3 are LeKiwi's (lerobot's lekiwi.py), those of ackermann ROSOrin's."""
 _FIRST_LAYOUT = {2: "differential", 3: "omni3"}
 """The layout of a board of so many speeds, where none is set."""
 _GEOMETRY: dict[str, tuple[str, ...]] = {
@@ -106,11 +93,24 @@ _GEOMETRY: dict[str, tuple[str, ...]] = {
 """Settings that only some layouts have."""
 
 
+def speeds_of(kind: str) -> int | None:
+    """How many speeds a frame for this kind of board sets; None: your own board, which takes as many as its layout has
+    wheels."""
+    facts = facts_of(kind)
+    return facts.speeds if facts else None
+
+
+def steers(kind: str) -> bool:
+    """True if this kind of board can turn the servo of a steered base."""
+    facts = facts_of(kind)
+    return bool(facts and facts.steers)
+
+
 def wheel_count(kind: str, layout: str) -> int:
     """How many wheels are driven. Raises SettingError where the board can't drive that layout."""
-    if layout == ACKERMANN and kind not in STEERED:
+    if layout == ACKERMANN and not steers(kind):
         raise SettingError(f'wheels.layout = "{layout}": board.kind {kind} has no servo that steers')
-    if (speeds := SPEEDS.get(kind)) is None:
+    if (speeds := speeds_of(kind)) is None:
         return LAYOUTS[layout][0]
     if fitting := [count for count in LAYOUTS[layout] if count <= speeds]:
         return fitting[-1]
@@ -130,15 +130,16 @@ def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
     """Put in the layout's own defaults, and take out what this robot does not have. Raises SettingError for one of the
     settings in `changed` that it does not have."""
     kind = str(values["board.kind"])
-    if kind in WITHOUT_IMU:
+    facts = facts_of(kind)
+    if facts and not facts.imu:
         values["board.imu"] = "off"
     if "wheels.layout" not in changed:
-        values["wheels.layout"] = _FIRST_LAYOUT.get(SPEEDS.get(kind, 2), values["wheels.layout"])
+        values["wheels.layout"] = _FIRST_LAYOUT.get(facts.speeds if facts else 2, values["wheels.layout"])
         if kind == BOARDS[0]:
             values["wheels.layout"] = robots.LAYOUT_OF.get(str(values["board.robot"]), values["wheels.layout"])
     layout = str(values["wheels.layout"])
-    for of in (layout, kind):
-        values |= {key: value for key, value in DEFAULTS.get(of, {}).items() if key not in changed}
+    for own in (DEFAULTS.get(layout, {}), facts.defaults if facts else {}):
+        values |= {key: value for key, value in own.items() if key not in changed}
     absent = _absent(layout, wheel_count(kind, layout))
     if kind != BOARDS[0]:
         absent["board.robot"] = f"it names a robot with the board {BOARDS[0]}, and board.kind is {kind}"
@@ -166,7 +167,7 @@ def check_base(values: Values) -> None:
     ids = {key: value for key, value in values.items() if key.startswith("wheels.id_")}
     all_differ(ids)
     kind = str(values["board.kind"])
-    most = SPEEDS.get(kind, len(ids)) - 1
+    most = (speeds_of(kind) or len(ids)) - 1
     for key, value in ids.items():
         if int(value) > most:
             raise SettingError(f"{key} = {value}: board.kind {kind} has the ids 0 to {most}")

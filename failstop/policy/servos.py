@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from failstop.policy.layouts import WHEEL_NAMES, WHEELS_SERVOS
+from failstop.board.kinds import facts_of
+from failstop.policy.layouts import WHEEL_NAMES
 from failstop.policy.settings import Settings
 
 TYPE_CHECKING = False
@@ -15,7 +16,8 @@ if TYPE_CHECKING:
 def by_part(rows: Iterable[tuple[int, float, int]], settings: Settings) -> dict[str, tuple[float, int]]:
     """Load and temperature of each servo that turns a wheel or a joint, as in `rear wheel (servo 8)`. `rows`: the ids
     with both (records.HEALTH)."""
-    wheels = WHEELS_SERVOS.get(settings.text("board.kind"), ())
+    facts = facts_of(settings.text("board.kind"))
+    wheels = facts.arm.wheels if facts and facts.arm else ()
     parts = {servo: f"{name} wheel" for servo, name in zip(wheels, WHEEL_NAMES.get(len(wheels), ()), strict=False)}
     parts |= {int(table["servo"]): f"joint {name}" for name, table in settings.named["joints"].items()}
     return {f"{parts[servo]} (servo {servo})": (load, at_c) for servo, load, at_c in rows if servo in parts}

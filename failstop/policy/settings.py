@@ -9,9 +9,14 @@ from __future__ import annotations
 
 from math import radians
 
+from failstop.board.kinds import facts_of
 from failstop.policy import layouts, robots
 from failstop.policy.layouts import BOARDS, NUMBERS
 from failstop.policy.setting import Setting, SettingError, all_differ, shown
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.facts import ArmFacts
 
 SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
 """The environment variable in which a process finds them."""
@@ -240,11 +245,12 @@ class Settings:
 
     def _fill_named(self) -> None:
         """Put in the defaults, in the order of the declarations."""
-        joints = layouts.OF_JOINTS.get(self.text("board.kind"), {})
+        facts = facts_of(self.text("board.kind"))
+        joints = facts.arm.joint if facts and facts.arm else {}
         for family, tables in self.named.items():
             of_board = joints if family == "joints" else {}
             for name, given in tables.items():
-                defaults = {setting.key: setting.default for setting in FAMILIES[family]} | of_board
+                defaults = {**{setting.key: setting.default for setting in FAMILIES[family]}, **of_board}
                 table = {key: given.get(key, default) for key, default in defaults.items()}
                 if family == "sources" and "timeout_s" not in given:
                     table["timeout_s"] = self["gate.command_timeout_s"]
@@ -269,17 +275,23 @@ class Settings:
         if every["gate.refresh_s"] < every["gate.period_s"]:
             raise SettingError(f"{said('gate.refresh_s')} must not be shorter than {said('gate.period_s')}")
         layouts.check_base(self.values)
+        all_differ({f"sources.{name}.priority": table["priority"] for name, table in self.named["sources"].items()})
+        self._check_servos()
+
+    def _check_servos(self) -> None:
+        """Each joint has a servo of its own that the board has, and so has a steered base."""
         kind = self.text("board.kind")
-        if kind not in layouts.RANGES and self.named["joints"]:
-            joint = next(iter(self.named["joints"]))
-            raise SettingError(f"joints.{joint}: board.kind {kind} has no servos")
-        for family, key in (("sources", "priority"), ("joints", "servo")):
-            all_differ({f"{family}.{name}.{key}": table[key] for name, table in self.named[family].items()})
+        facts = facts_of(kind)
+        joints = {f"joints.{name}": table for name, table in self.named["joints"].items()}
+        if joints and not (facts and facts.arm):
+            raise SettingError(f"{next(iter(joints))}: board.kind {kind} has no servos")
+        servos = {f"{key}.servo": table["servo"] for key, table in joints.items()}
+        all_differ(servos)
         if self.values.get("steering.kind") == "bus":
-            joints = {f"joints.{name}.servo": table["servo"] for name, table in self.named["joints"].items()}
-            all_differ({"steering.servo": self.values["steering.servo"], **joints})
-        for name, table in self.named["joints"].items():
-            _check_joint(f"joints.{name}", table, kind)
+            all_differ({"steering.servo": self.values["steering.servo"], **servos})
+        if facts and facts.arm:
+            for key, table in joints.items():
+                _check_joint(key, table, kind, facts.arm)
 
     def __getitem__(self, key: str) -> float:
         """A number, in the unit its name ends in."""
@@ -329,7 +341,7 @@ class Settings:
     @property
     def speeds(self) -> int:
         """How many speeds a frame for the board has: one for each id on the wire."""
-        return layouts.SPEEDS.get(self.text("board.kind"), len(mounted_wheels(self.values)))
+        return layouts.speeds_of(self.text("board.kind")) or len(mounted_wheels(self.values))
 
     def servos(self) -> tuple[int, ...]:
         """The ids of the arm's servos, in the order of its joints; empty on a robot without an arm."""
@@ -357,16 +369,15 @@ class Settings:
         return cls(changed)
 
 
-def _check_joint(key: str, table: dict[str, float | str], kind: str) -> None:
+def _check_joint(key: str, table: dict[str, float | str], kind: str, arm: ArmFacts) -> None:
     servo, low, high = (int(table[name]) for name in ("servo", "low", "high"))
     if not servo:
         raise SettingError(f"{key}.servo is missing: every joint has the id of its servo, 1 to 100")
-    if servo in layouts.WHEELS_SERVOS.get(kind, ()):
+    if servo in arm.wheels:
         raise SettingError(f"{key}.servo = {servo}: that is a wheel's on board.kind {kind}")
-    highest, _ = layouts.RANGES[kind]
     for name in ("zero", "low", "high", "tuck", "drive"):
-        if int(table[name]) > highest:
-            raise SettingError(f"{key}.{name} = {table[name]:g}: board.kind {kind} has the pulses 0 to {highest}")
+        if int(table[name]) > arm.highest:
+            raise SettingError(f"{key}.{name} = {table[name]:g}: board.kind {kind} has the pulses 0 to {arm.highest}")
     if low >= high:
         raise SettingError(f"{key}.low = {low} must be less than {key}.high = {high}")
     for name in ("tuck", "drive"):

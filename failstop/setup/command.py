@@ -12,7 +12,7 @@ from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.doctor.system import System
 from failstop.files.instance import check_name
-from failstop.policy.layouts import ACKERMANN, BOARDS, LAYOUTS, NUMBERS, SPEEDS, STEERED
+from failstop.policy.layouts import ACKERMANN, BOARDS, LAYOUTS, NUMBERS, speeds_of, steers
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 from failstop.setup import boards, finish, ports, robots, sizes
@@ -143,11 +143,11 @@ def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object], bool]:
         if known[chosen].remark:
             talk.say(known[chosen].remark, style.WARN)
         return known[chosen].name, known[chosen].settings, True
-    speeds = SPEEDS.get(kind)
+    speeds = speeds_of(kind)
     layouts = [
         layout
         for layout, counts in LAYOUTS.items()
-        if (speeds is None or counts[0] <= speeds) and (layout != ACKERMANN or kind in STEERED)
+        if (speeds is None or counts[0] <= speeds) and (layout != ACKERMANN or steers(kind))
     ]
     if speeds == 2 and not is_own(kind):
         return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": "differential"}, False

@@ -8,7 +8,7 @@ from statistics import median
 from failstop.board.kinds import board_of
 from failstop.cli import style
 from failstop.policy import scale
-from failstop.policy.layouts import SPEEDS, WHEEL_NAMES, wheel_count
+from failstop.policy.layouts import WHEEL_NAMES, speeds_of, wheel_count
 from failstop.policy.settings import Settings
 from failstop.setup import turn
 from failstop.setup.halt import Halt
@@ -69,7 +69,7 @@ class Trial:
         self._kind = settings.text("board.kind")
         self._diameter_m = settings["wheels.diameter_m"]
         self._count = wheel_count(self._kind, settings.text("wheels.layout"))
-        self._speeds = SPEEDS.get(self._kind, board_of(self._kind, 1.0, 0.0).wheels)
+        self._speeds = speeds_of(self._kind) or board_of(self._kind, 1.0, 0.0).wheels
         self._words = names(self._count)
         self._way = "the way that turns the robot to the left" if self._count == 3 else "forward"
         self._ratios: list[float] = []

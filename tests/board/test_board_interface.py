@@ -13,8 +13,8 @@ import pytest
 
 from failstop.api.snapshot import Device
 from failstop.board.checks import FrameError
-from failstop.board.interface import Board, ServoBus
-from failstop.board.kinds import KINDS, board_of
+from failstop.board.interface import BY_IMU, Board, ServoBus
+from failstop.board.kinds import KINDS, board_of, facts_of
 from failstop.board.rrc.board import BOARD
 from failstop.board.tap import Tap
 from failstop.doctor import stop_path
@@ -157,8 +157,7 @@ def test_a_described_board_is_told_no_more_than_its_limit(kind: str) -> None:
             board.motor_speeds(wide(0.0, bad, board.wheels), 1.0)
 
 
-THE_LIST = {"failstop/board/kinds.py", "failstop/policy/layouts.py"}
-"""The settings' list of kinds, and of those what is known before one is chosen."""
+THE_LIST = {"failstop/board/kinds.py"}
 OF_THE_BENCH = "lab/failstop_lab/"
 """The room that tries boards out: it runs no robot."""
 
@@ -187,3 +186,26 @@ def test_a_board_without_pings_is_driven_and_only_not_asked(monkeypatch: pytest.
     unasked = Device("/dev/ttyACM0", "open", "unasked")
     (found,) = stop_path.of_service("failstop", latched(device=unasked, last_stop=stop(acknowledged_s=None)))
     assert (found.level, found.text) == (OK, "the service's last stop: written; this board acknowledges nothing")
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_the_facts_that_settings_need_are_the_board_s(kind: str) -> None:
+    """They are known before a board is made, so they could differ from it."""
+    facts = facts_of(kind)
+    assert facts
+    board = board_of(kind, 0.1, 0.0)
+    assert facts.speeds == board.wheels
+    assert (facts.arm is None) is (board.arm is None)
+    assert facts.imu or board.observed_by != BY_IMU
+    if facts.arm and board.arm:
+        last = facts.arm.highest
+        assert board.arm.check(board.arm.move([(1, last)], 40), (1,), 60) == ""
+        with pytest.raises(FrameError):
+            board.arm.move([(1, last + 1)], 40)
+        for wheel in facts.arm.wheels:
+            with pytest.raises(FrameError):
+                board.arm.move([(wheel, 0)], 40)
+
+
+def test_a_board_of_your_own_has_no_facts_before_it_is_made() -> None:
+    assert facts_of("/etc/failstop/boards/tank") is None

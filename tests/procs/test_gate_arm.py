@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
+from failstop.board.rrc.servos import PULSES_PER_RAD
 from failstop.messages import box, records
 from failstop.messages.packing import Note
 from failstop.policy import causes
-from failstop.policy.joints import PULSES_PER_RAD
 from tests.support.arm_settings import DRIVE, JOINTS, SERVOS, TUCK
 from tests.support.gate_scene import Scene
 from tests.support.stage import MS

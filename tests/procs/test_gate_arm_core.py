@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from failstop.board import servos
+from failstop.board.rrc.servos import PULSES_PER_RAD
 from failstop.board.servos import LONGEST_MOVE_MS, MOST_MOVES
-from failstop.policy.joints import MOST_MISSES, PULSES_PER_RAD
+from failstop.policy.joints import MOST_MISSES
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.core import ENDED, FIND_NS, LOST_NS, SERVICE, TORQUE_APART_NS
 from failstop.procs.gate.arm.goals import Goal

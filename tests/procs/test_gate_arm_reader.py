@@ -11,8 +11,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from failstop.board.rrc.servos import PULSES_PER_RAD
 from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE
-from failstop.policy.joints import MOST_MISSES, PULSES_PER_RAD, Joint, from_settings, too_far
+from failstop.policy.joints import MOST_MISSES, Joint, from_settings, too_far
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm.goals import MOVE, Trajectory, too_fast, too_fast_between
 from failstop.procs.gate.arm.reader import AGREE, APART_NS, IDLE_NS, LOOKS_APART_NS, QUIET_NS, WAIT_NS, ServoReader

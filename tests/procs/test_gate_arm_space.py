@@ -7,9 +7,9 @@ from collections.abc import Callable
 import pytest
 
 from failstop.board import servos
+from failstop.board.rrc.servos import PULSES_PER_RAD
 from failstop.messages import records
 from failstop.policy.capsules import FLOOR, Model
-from failstop.policy.joints import PULSES_PER_RAD
 from failstop.policy.settings import Settings
 from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal

@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import pytest
 
+from failstop.board.rrc.servos import PULSES_PER_RAD
 from failstop.messages import records
-from failstop.policy.joints import PULSES_PER_RAD
 from failstop.procs.gate.arm.shell import LONGEST_S
 from tests.support.arm_settings import DRIVE, JOINTS, SERVOS
 from tests.support.gate_scene import SESSION, Scene

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.policy.layouts import BOARDS, LAYOUTS, SPEEDS, WHEEL_NAMES
+from failstop.policy.layouts import BOARDS, LAYOUTS, WHEEL_NAMES, speeds_of
 from failstop.policy.robots import LAYOUT_OF, ROBOTS, UNDRIVEN, USUAL_ROBOT
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings, mounted_wheels
@@ -94,7 +94,7 @@ def test_what_a_robot_does_not_have_is_refused_by_name(case: str) -> None:
 def test_a_robot_is_told_of_no_wheel_that_it_has_not(kind: str) -> None:
     settings = Settings({"board.kind": kind})
     count = len(mounted_wheels(settings.values))
-    assert count == SPEEDS.get(kind, 2)
+    assert count == (speeds_of(kind) or 2)
     numbered = {int(key[-1]) for key in settings.flat() if key.startswith(("wheels.sign_", "wheels.id_"))}
     assert numbered == set(range(1, count + 1))
     assert len(WHEEL_NAMES[count]) == count

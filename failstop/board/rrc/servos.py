@@ -10,6 +10,7 @@ What writes a servo's flash or id (firmware source: 10, 20, 24, 30, 34, 38) has 
 
 from __future__ import annotations
 
+from math import tau
 from struct import Struct
 
 from failstop.board import checks
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 EVERY_SERVO = 254
 """Addresses all of them; not used on a robot before a stand has proved it."""
 HIGHEST_POSITION = 1000
+PULSES_PER_RAD = 1500 / tau
+"""A pulse is 0.24 degrees."""
 STOP_NS = 520_000
 TORQUE_NS = 610_000
 MOST_STOPS = HELD_NS // STOP_NS

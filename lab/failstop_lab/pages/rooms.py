@@ -55,7 +55,7 @@ ROOMS = {
         "board files messages notify policy procs shm",
     ),
     "procs": Room("the four other processes", "board files messages policy shm"),
-    "policy": Room("settings, causes, the process table, kinematics: pure", "messages"),
+    "policy": Room("settings, causes, the process table, kinematics: pure", "board messages"),
     "messages": Room("the records that processes exchange", "files shm"),
     "board": Room("the wire and the port", ""),
     "shm": Room("shared memory, futexes and lifelines", "files"),

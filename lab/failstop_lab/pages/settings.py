@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from failstop.board.kinds import ALL_KINDS, facts_of
 from failstop.cli.commands.config import GROUPS, literal
-from failstop.policy.layouts import RANGES
 from failstop.policy.settings import DECLARED, FAMILIES, LONGEST_NAME, MOST_OF_A_FAMILY
 
 TOGETHER = (
@@ -12,7 +12,7 @@ TOGETHER = (
     "`restart.backoff_s` < `restart.window_s`",
     "no two wheels have the same id; a robot of two or three wheels has no settings of the others",
     'a `board.kind` of two speeds has `wheels.layout = "differential"`; only '
-    + " and ".join(f"`{kind}`" for kind in RANGES)
+    + " and ".join(f"`{kind}`" for kind in ALL_KINDS if (facts := facts_of(kind)) and facts.arm)
     + " have joints",
     "no two sources have the same priority",
     "no two joints have the same servo; `low` < `high`, and both poses between them",

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from failstop.policy.joints import PULSES_PER_RAD, from_settings
+from failstop.board.rrc.servos import PULSES_PER_RAD
+from failstop.policy.joints import from_settings
 from failstop.policy.settings import Settings
 from failstop.supervisor import status
 from failstop_lab.faults.arm_table import ROWS

@@ -1,0 +1,13 @@
+"""Feetech's servos before a Board is made: LeKiwi's three wheels, and its arm on the same bus."""
+
+from __future__ import annotations
+
+from failstop.board.facts import ArmFacts, Facts
+
+FACTS = Facts(
+    speeds=3,
+    imu=False,
+    arm=ArmFacts(highest=4095, turn=4096, wheels=(7, 8, 9), joint={"zero": 2048, "high": 4095}),
+    # What LeKiwi's servos can turn in every direction at once.
+    defaults={"limits.vx_mps": 0.1, "limits.vy_mps": 0.1, "limits.wz_radps": 0.5},
+)
