@@ -29,29 +29,30 @@ HUNG = "hanging"  # silent past its deadline, which the machine explains: not ki
 FENCED = "fenced"  # killed for hanging, and not gone yet
 DEAD = "dead"  # that is known, and answered; still to be reaped
 
-STARTED, RUNS, SPARED, BEATS, KILLED, TERMINATED, REAPED, GIVEN_UP, RECALLED = range(9)
-NO = None
-TRANSITIONS: tuple[tuple[tuple[str, str, str], tuple[str | None, ...]], ...] = (
-    #                                                WAITING   DOWN      STARTING  RUNNING  HUNG     FENCED  DEAD
-    (("started", "restart_due", "start"),           (STARTING, STARTING, NO,       NO,      NO,      NO,     NO)),
-    (("runs", "watch_early", "watch_early"),        (NO,       NO,       RUNNING,  NO,      NO,      NO,     NO)),
-    (("spared", "_fence_hangs", "_answer_silence"), (NO,       NO,       STARTING, HUNG,    HUNG,    NO,     NO)),
-    (("beats", "follow_spared", "tell_starved"),    (WAITING,  DOWN,     STARTING, RUNNING, RUNNING, FENCED, DEAD)),
-    (("killed", "_fence_hangs", "_answer_silence"), (NO,       NO,       FENCED,   FENCED,  FENCED,  NO,     NO)),
-    (("died", "_stop_for_news", "_collect"),        (NO,       NO,       DEAD,     DEAD,    DEAD,    DEAD,   NO)),
-    (("reaped", "reap", "_plan_restart"),           (NO,       NO,       NO,       NO,      NO,      NO,     WAITING)),
-    (("given up", "_plan_restart", "_plan_restart"), (DOWN,     NO,       NO,       NO,      NO,      NO,     NO)),
-    (("recalled", "turn", "recall"),                (NO,       WAITING,  NO,       NO,      NO,      NO,     NO)),
-)  # fmt: skip
-"""The events of a process, each with its word for people, the method of the supervisor that looks for it, the one that
-acts on it, and the next state from each. Spared: it is silent, which the machine explains. NO: it cannot happen, and is
-a defect, which leaves the state as it is and stops the robot. A gate that is down is started after a while all the
-same. A process that was spared may beat before it says that it runs, and just before its end, of which the news may
-come sooner than the beat."""
-EVENTS = tuple(word for (word, _, _), _ in TRANSITIONS)
-_OF_STATES = zip(*(after for _, after in TRANSITIONS), strict=True)
-NEXT = dict(zip((WAITING, DOWN, STARTING, RUNNING, HUNG, FENCED, DEAD), _OF_STATES, strict=True))
-ALIVE = tuple(state for state, row in NEXT.items() if row[TERMINATED])
+# The events of a process, in the words that people read.
+STARTED = "started"
+RUNS = "runs"  # it says so itself
+SPARED = "spared"  # it is silent, which the machine explains
+BEATS = "beats"  # after it was spared: also before it says that it runs, and just before its death is known
+KILLED = "killed"  # for hanging
+DIED = "died"
+REAPED = "reaped"
+GIVEN_UP = "given up"  # it died too often
+RECALLED = "recalled"  # by a reset
+
+NEXT = {
+    WAITING: {STARTED: STARTING, BEATS: WAITING, GIVEN_UP: DOWN},
+    DOWN: {STARTED: STARTING, BEATS: DOWN, RECALLED: WAITING},
+    STARTING: {RUNS: RUNNING, SPARED: STARTING, BEATS: STARTING, KILLED: FENCED, DIED: DEAD},
+    RUNNING: {SPARED: HUNG, BEATS: RUNNING, KILLED: FENCED, DIED: DEAD},
+    HUNG: {SPARED: HUNG, BEATS: RUNNING, KILLED: FENCED, DIED: DEAD},
+    FENCED: {BEATS: FENCED, DIED: DEAD},
+    DEAD: {BEATS: DEAD, REAPED: WAITING},
+}
+"""The next state of a process, by its state and the event. An event that a state does not name can't happen then: it is
+a defect, which leaves the state as it is and stops the robot. A gate that is down is started again after a while, so
+DOWN has STARTED too."""
+ALIVE = tuple(state for state, after in NEXT.items() if DIED in after)
 
 
 class Fence(Data):
@@ -117,12 +118,13 @@ class Child:
         self.killed = False
         """Its predecessor was killed by a signal."""
 
-    def on(self, event: int) -> None:
-        """Follow an event to the state that its row gives; one that cannot happen is kept as a defect."""
-        after = NEXT[self.state][event]
+    def on(self, event: str) -> None:
+        """Follow an event to the next state; one that can't happen in this state is kept as a defect."""
+        after = NEXT[self.state].get(event)
         if after is None:
-            self.defects.append(causes.DEFECT(self.row.name, EVENTS[event], self.state))
-        self.state = after or self.state
+            self.defects.append(causes.DEFECT(self.row.name, event, self.state))
+            return
+        self.state = after
 
     def started(self, life: Lifeline, block: int, now_ns: int) -> None:
         """It was just started; `life`: the news of its death."""
@@ -176,7 +178,7 @@ class Child:
 
     def overdue_ns(self) -> int:
         """When it counts as hanging unless it beats before; NEVER: there is nothing to wait for."""
-        if NEXT[self.state][KILLED] is None:
+        if KILLED not in NEXT[self.state]:
             return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns
         return max(sign_ns, self.excused_ns) + self.allowed_ns()
@@ -187,7 +189,7 @@ class Child:
             self.life.kill()
             self.life.wait(wait_s)
             if self.state in ALIVE:
-                self.on(TERMINATED)
+                self.on(DIED)
             self.reap()
 
     def reap(self) -> str:

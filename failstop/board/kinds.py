@@ -25,8 +25,8 @@ def is_described(kind: str) -> bool:
 
 
 def facts_of(kind: str) -> Facts | None:
-    """What the settings need to know of one of ALL_KINDS; None for a board in a folder of your own. Only the facts of that
-    board are imported."""
+    """What the settings need to know of one of ALL_KINDS; None for a board in a folder of your own. It imports the
+    facts of that board alone."""
     if kind not in ALL_KINDS:
         return None
     facts: Facts = __import__(f"failstop.board.{kind}.facts", fromlist=["FACTS"]).FACTS

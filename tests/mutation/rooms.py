@@ -13,11 +13,6 @@ class Room(NamedTuple):
     tests: tuple[str, ...]
 
 
-READ_SOURCES = (
-    "tests/supervisor/test_children.py::test_the_methods_that_a_row_names_are_those_that_bring_its_event_about",
-)
-"""Tests that read sources, which have their mutants in them in the copy."""
-
 ROOMS = {
     "gate": Room(
         (

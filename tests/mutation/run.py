@@ -21,7 +21,7 @@ from pathlib import Path
 if __package__ is None:
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tests.mutation.rooms import READ_SOURCES, ROOMS
+from tests.mutation.rooms import ROOMS
 from tests.mutation.survivors import NOT_CALLED, NOT_TRIED, SURVIVED, Outcome, reason, report
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,7 +31,7 @@ SETTINGS = """
 source_paths = ["failstop"]
 only_mutate = {files}
 also_copy = {copied}
-pytest_add_cli_args = ["-p", "no:cacheprovider", "-p", "no:xdist", "-p", "tests.mutation.loaded", {left_out}]
+pytest_add_cli_args = ["-p", "no:cacheprovider", "-p", "no:xdist", "-p", "tests.mutation.loaded"]
 pytest_add_cli_args_test_selection = {tests}
 # Every mutant of a method declares its attributes once more, which is no fault of the mutant.
 type_check_command = [
@@ -88,7 +88,6 @@ def settle(where: Path, rooms: list[str]) -> None:
     wanted = {
         "files": json.dumps(files),
         "tests": json.dumps(tests),
-        "left_out": ", ".join(json.dumps(f"--deselect={test}") for test in READ_SOURCES),
         "copied": json.dumps(
             sorted(path.name for path in where.iterdir() if path.name not in ("failstop", "tests", "mutants"))
         ),

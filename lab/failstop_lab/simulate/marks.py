@@ -140,8 +140,8 @@ def _watch_states(loader: Loader, marks: Marks, witness: Witness) -> None:
     module = loader.load("failstop.supervisor.children")
     on = module.Child.on
 
-    def told(self: Any, event: int) -> None:
-        marks.reach(f"state {self.state} {module.EVENTS[event]}")
+    def told(self: Any, event: str) -> None:
+        marks.reach(f"state {self.state} {event}")
         on(self, event)
         if self.defects:
             witness.wrong(str(self.defects[-1]))
@@ -156,7 +156,7 @@ def names() -> Iterator[str]:
     yield from (f"cause {name}" for name in loader.load("failstop.policy.causes").CAUSE_BY_NAME)
     yield from (f"admission {name}" for name in ADMISSION)
     for state, row in module.NEXT.items():
-        yield from (f"state {state} {event}" for event, after in zip(module.EVENTS, row, strict=True) if after)
+        yield from (f"state {state} {event}" for event in row)
 
 
 def claims_of(name: str) -> tuple[str, ...]:
