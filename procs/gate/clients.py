@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 News = tuple["Slot", str, tuple[object, ...]]
 """A session's slot; the name of a record there, with its time (ns) and its values, or OVER."""
 OVER = "gone"
-"""News of a session that has left its slot, with True when it said goodbye."""
+"""The name of the news that a session has left its slot, or has died; with True if it said goodbye."""
 ONCE = ("command", "request", "arm_goal")
 """Those that are acted on when they are new."""
 

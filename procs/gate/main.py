@@ -14,8 +14,9 @@ from failstop.policy.causes import Cause, Reply, refused
 from failstop.policy.proofs import WAITS_FOR
 from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
+from failstop.procs.gate import clients
 from failstop.procs.gate.arm.shell import TELL_NS, Arm
-from failstop.procs.gate.clients import OVER, ClientTable, News, Slot, bounded, newest_number
+from failstop.procs.gate.clients import ClientTable, News, Slot, bounded, newest_number
 from failstop.procs.gate.core import IS_LATCHED, GateCore
 from failstop.procs.gate.remarks import SelfReports
 from failstop.procs.gate.requests import Request, Requests
@@ -28,11 +29,17 @@ from failstop.shm import bell
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.words import Barrier
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
 PUBLISH_NS = 75_000_000
 """State goes out when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms a tick that
 comes a little early leaves it to the next one: 120 ms at every other time (measured)."""
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
+HEARD = ("sensed", "interlocks", "attended", "arm_goal", "request", "command")
+"""The records of a client, in the order in which they are looked at: what may forbid a command comes before it."""
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
 LOOK_AT_ALL_EVERY = 10
@@ -76,17 +83,8 @@ class Gate:
         self.core.limit_to(self._limit_word.get() or 100)
         self.requests = Requests(context, self.core.notes, now_ns)
         self.follow_latch()
-        core, to = self.core, (self._frames, self.requests, self.core.notes)
+        to = (self._frames, self.requests, self.core.notes)
         self.arm = Arm(context, bus, *to, now_ns) if bus and settings.servos() else None
-        self._act_on: dict[str, Callable[..., None]] = {
-            "sensed": lambda now_ns, _slot, t_ns, _names: core.scan.deliver(t_ns, now_ns),
-            "interlocks": lambda now_ns, _slot, t_ns, names: core.interlocks.hear(names, t_ns, now_ns),
-            "attended": self._attend,
-            **({"arm_goal": self._aim_arm} if self.arm else {}),
-            "request": self.take_request,
-            "command": lambda now_ns, slot, *values: self._command(slot.command(*values), now_ns),
-        }
-        """Actions on the records of a client, in the order in which these are looked at."""
         self._do: dict[int, Callable[[Request, int], Reply | None]] = {
             records.ENABLE: self._enable,
             records.DISABLE: self._disable,
@@ -96,8 +94,8 @@ class Gate:
         }
         """Actions on requests, by verb; one that returns None is answered later."""
         claims_fd = place.opened(instance.claims_path(context.runtime_dir), os.O_RDONLY)
-        self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, tuple(self._act_on))
-        self._act_on[OVER] = self._client_gone
+        heard = HEARD if self.arm else tuple(record for record in HEARD if record != "arm_goal")
+        self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, heard)
 
     def _attach(self, context: Context) -> None:
         """Make the writers of its records, and the bells that it rings."""
@@ -187,7 +185,26 @@ class Gate:
 
     def _follow_clients(self, news: Iterator[News], now_ns: int) -> None:
         for slot, record, values in news:
-            self._act_on[record](now_ns, slot, *values)
+            self._hear(slot, record, values, now_ns)
+
+    def _hear(self, slot: Slot, record: str, values: tuple[Any, ...], now_ns: int) -> None:
+        """Act on one record of a client, `values`: its time and what it holds; or on the client's end."""
+        match record:
+            case "command":
+                self._command(slot.command(*values), now_ns)
+            case "sensed":
+                self.core.scan.deliver(values[0], now_ns)
+            case "interlocks":
+                t_ns, names = values
+                self.core.interlocks.hear(names, t_ns, now_ns)
+            case "attended":
+                self._attend(now_ns, slot, *values)
+            case "request":
+                self.take_request(now_ns, slot, *values)
+            case "arm_goal":
+                self._aim_arm(now_ns, slot, *values)
+            case clients.OVER:
+                self._client_gone(now_ns, slot, *values)
 
     def _client_rang(self, now_ns: int) -> None:
         """Hear clients at once; a flood of rings at the ticks alone: it would take a core from lower priorities."""
