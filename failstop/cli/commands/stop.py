@@ -17,6 +17,7 @@ from failstop.board.port import PortError
 from failstop.board.servos import HIGHEST_ID
 from failstop.cli import standard
 from failstop.cli.commands import add_name
+from failstop.data import Data
 from failstop.files import instance
 from failstop.policy.halted import MAY_TURN
 from failstop.policy.setting import SettingError
@@ -80,37 +81,129 @@ def main(arguments: Namespace) -> int:
     if arguments.services:
         return _every_service(reason, who)
     start_s = time.monotonic()
-    port = Target(arguments)
+    order = Order(arguments.name, reason, who, Target(arguments))
     if arguments.end_service:
-        misused = not _end_service()
-        after_s = port.stop(END_SERVICE_S - (time.monotonic() - start_s))
-        standard.tell(f"stop frame sent (after {after_s:.1f} s)")
-        port.unheard(patient=False)  # said alone: the unit has not failed, and its next start asks for itself
-        return int(port.doubtful() or misused)
+        return _end(order.target, start_s)
+    why_not = ""
+    for attempt in ATTEMPTS:
+        if why_not:
+            standard.say(f"{why_not}{NEXT}")
+        outcome = attempt(order)
+        if isinstance(outcome, int):
+            return outcome
+        why_not = outcome
+    raise FailstopError(why_not)
+
+
+class Order(Data):
+    """One stop, however it gets to the board."""
+
+    name: str
+    """The service's."""
+    reason: str
+    who: str
+    target: Target
+
+
+Outcome = int | str
+"""The exit code, once a stop is out; or why none is, for people (empty: nothing to tell)."""
+NEXT = ": writing to the port itself"
+
+
+def _ask_services(order: Order) -> Outcome:
+    """Ask the services that have the port that the user names, whatever they are called; if the user names none, the
+    service of this name."""
     try:
-        if _by_service(arguments.name, reason, who, port):
-            return int(port.unproved)
+        target = order.target
+        device = target.wanted()
+        running = instances.listening() if device else [order.name] if instances.listens(order.name) else []
+        return _ask(order, running, device) if running else ""
     except Exception as error:  # the port is still to be written to
-        standard.say(f"no service can be asked ({error}): writing to the port itself")
-    after_s = port.stop(late=lambda: _late(arguments.name, reason, who, port))
-    if port.by_service:
-        return int(port.unproved)
-    why = "" if port.asked or port.wanted() else f" (no service {arguments.name!r} runs)"
-    standard.tell(f"stop frame sent (after {after_s:.1f} s), directly to {port.told()}{why}")
-    unheard = port.unheard(patient=True)
-    return int(port.doubtful() or unheard)
+        return f"no service can be asked ({error})"
 
 
-def _late(wanted: str, reason: str, who: str, port: Target) -> bool:
-    """True when a service that listens only now, since it was just starting, has stopped."""
-    if wanted in port.asked or not instances.listens(wanted):
-        return False
+def _ask(order: Order, names: list[str], device: str) -> Outcome:
+    """Ask these services until one has stopped. `device`: the port that a service must have; empty: any."""
+    # Where no service runs, the stop does not wait for all that this imports.
+    from failstop.api import ask
+    from failstop.api.client import send_stop
+
+    target, why_not = order.target, []
+    for name in names:
+        its = ask.port_of(name) if device else ""
+        if device and not its and name == order.name:
+            with contextlib.suppress(FailstopError):
+                # It may be the one that holds the port, and a stop too many is no harm.
+                send_stop(name, order.reason, order.who)
+        elif device and not (its and ask.same(its, device)):
+            continue
+        else:
+            done, problem, target.unproved = ask.stop(name, order.reason, order.who)
+            if done:
+                standard.tell(done)
+                if problem:
+                    standard.say(problem)
+                target.complain()
+                return int(target.unproved)
+            why_not.append(problem)
+            target.known = target.known or ask.port_of(name)
+        target.asked.append(name)
+    return "; ".join(filter(None, why_not))
+
+
+def _write_to_port(order: Order) -> Outcome:
+    """Write to the port itself, again and again until it takes the stop or the time is over. While another process has
+    the port, a service that was just starting may listen by now; while there is no such port, the board may have
+    another."""
+    target = order.target
+    by_service: list[int] = []
+
+    def otherwise(error: PortError) -> bool:
+        if error.kind == "busy":
+            by_service.extend(_ask_late_service(order))
+            return bool(by_service)
+        return error.kind == "absent" and target.wrote_instead()
+
     try:
-        return _by_service(wanted, reason, who, port)
-    except Exception as error:  # as above
-        standard.say(f"no service can be asked ({error})")
-        port.asked.append(wanted)
-        return False
+        after_s = target.stop(otherwise=otherwise)
+    except PortError as error:
+        return target.explained(error)
+    if by_service:
+        return by_service[0]
+    why = "" if target.asked or target.wanted() else f" (no service {order.name!r} runs)"
+    standard.tell(f"stop frame sent (after {after_s:.1f} s), directly to {target.told()}{why}")
+    unheard = target.unheard(patient=True)
+    return int(target.doubtful() or unheard)
+
+
+ATTEMPTS: tuple[Callable[[Order], Outcome], ...] = (_ask_services, _write_to_port)
+"""The ways to stop, in the order in which they are tried until one has an exit code."""
+
+
+def _ask_late_service(order: Order) -> list[int]:
+    """The exit code of a service of this name that listens only now, if it has stopped; it is asked once."""
+    if order.name in order.target.asked or not instances.listens(order.name):
+        return []
+    outcome = _ask_services(order)
+    if isinstance(outcome, int):
+        return [outcome]
+    if outcome:
+        standard.say(f"{outcome}{NEXT}")
+    if order.name not in order.target.asked:
+        order.target.asked.append(order.name)
+    return []
+
+
+def _end(target: Target, start_s: float) -> int:
+    """At the service's end: kill what is left of it, and write to its port."""
+    misused = not _end_service()
+    try:
+        after_s = target.stop(END_SERVICE_S - (time.monotonic() - start_s))
+    except PortError as error:
+        raise FailstopError(target.explained(error)) from None
+    standard.tell(f"stop frame sent (after {after_s:.1f} s)")
+    target.unheard(patient=False)  # said alone: the unit has not failed, and its next start asks for itself
+    return int(target.doubtful() or misused)
 
 
 def _every_service(reason: str, who: str) -> int:
@@ -125,38 +218,6 @@ def _every_service(reason: str, who: str) -> int:
         if problem:
             standard.say(problem)
     return int(not all(done for done, _, _ in answers))
-
-
-def _by_service(wanted: str, reason: str, who: str, port: Target) -> bool:
-    """Ask the services that have the port that is named, whatever they are called; where none is named, the one of this
-    name. True when a stop is out."""
-    device = port.wanted()
-    names = instances.listening() if device else [wanted] if instances.listens(wanted) else []
-    if not names:
-        return False
-    # For a service alone: the stop tool, where nothing runs, need not wait for all that this imports.
-    from failstop.api import ask
-    from failstop.api.client import send_stop
-
-    for name in names:
-        its = ask.port_of(name) if device else ""
-        if device and not its and name == wanted:
-            with contextlib.suppress(FailstopError):
-                send_stop(name, reason, who)  # it may be the one that holds the port, and a stop too many is no harm
-        elif device and not (its and ask.same(its, device)):
-            continue
-        else:
-            done, problem, port.unproved = ask.stop(name, reason, who)
-            if done:
-                standard.tell(done)
-            if problem:
-                standard.say(problem if done else f"{problem}: writing to the port itself")
-            if done:
-                port.complain()
-                return True
-            port.known = port.known or ask.port_of(name)
-        port.asked.append(name)
-    return False
 
 
 class Target:
@@ -182,8 +243,6 @@ class Target:
         """Services that were asked, and are not known to have stopped."""
         self.unproved = False
         """A service has stopped, and something speaks against it that the wheels have."""
-        self.by_service = False
-        """A service has stopped in the end, and the port was not written to."""
         self._instead = ""
         """The port that was written to in the place of the last run's, which is not there."""
 
@@ -246,41 +305,38 @@ class Target:
                 del table[key]
         return table
 
-    def stop(self, most_s: float = inf, late: Callable[[], bool] = lambda: False) -> float:
-        """Write the stop, trying for `most_s` seconds at most; returns after how many. `late`: asked while another
-        process has the port; True: a service has stopped. Raises FailstopError."""
+    def stop(self, most_s: float = inf, otherwise: Callable[[PortError], bool] = lambda _: False) -> float:
+        """Write the stop, trying for `most_s` seconds at most; returns after how many. `otherwise`: called after each
+        try that has failed; True: a stop is out by another way. Raises PortError."""
+        elsewhere = False
 
         def wait_s(error: PortError) -> float:
             if error.kind == "busy":
-                standard.say(self._explained(error))
+                standard.say(self.explained(error))
             found = {**DEFAULTS, **self._file, **self._given}[WAIT]
             self.complain()
             least_s = STALLED_S if error.kind == "io" and most_s < inf else inf
             return min(float(found), most_s, least_s)
 
-        def otherwise(error: PortError) -> bool:
-            if error.kind == "busy":
-                self.by_service = late()
-                return self.by_service
-            return error.kind == "absent" and self._wrote_instead()
+        def another(error: PortError) -> bool:
+            nonlocal elsewhere
+            elsewhere = otherwise(error)
+            return elsewhere
 
         try:
-            after_s = stopping.stop(self.device(), self.board(), wait_s, standard.say, otherwise)
-            if self.by_service:
+            after_s = stopping.stop(self.device(), self.board(), wait_s, standard.say, another)
+            if elsewhere and not self._instead:
                 return after_s
-            self.complain()
             if servos := self._servos():  # the wheels come first
                 stopping.write(self.device(), self.board(), servos)
-        except PortError as error:
-            self.complain()
-            may_turn = "" if error.kind == "busy" else f"; {MAY_TURN}"
-            raise FailstopError(f"{self._explained(error)}{may_turn}") from None
         except KeyboardInterrupt:
             standard.say(f"ended before a stop was known to be written to {self.device()}: {MAY_TURN}")
             raise
+        finally:
+            self.complain()
         return after_s
 
-    def _wrote_instead(self) -> bool:
+    def wrote_instead(self) -> bool:
         """True when a stop went to the port where a board is looked for without a last run: that run's is not there,
         and a replug may have given the board another."""
         other = self._guess()
@@ -332,12 +388,12 @@ class Target:
         standard.say(f"it went to {self.device()}, the default: is this the board? Name it with --device")
         return True
 
-    def _explained(self, error: PortError) -> str:
-        """With the name of who holds the port, where it can be found."""
+    def explained(self, error: PortError) -> str:
+        """Why no stop was written, and what to do: with the name of the process that holds the port, if it is found."""
         if error.kind == "absent" and self._is_last() and self._guess() != self._last.device:
-            return f"{error} (it was the last run's; {self._guess()} is not there either)"
+            return f"{error} (it was the last run's; {self._guess()} is not there either); {MAY_TURN}"
         if error.kind != "busy":
-            return str(error)
+            return f"{error}; {MAY_TURN}"
         # Only here: it looks at every process.
         from failstop.doctor.system import System
 
