@@ -231,9 +231,11 @@ class RingReader(_Cells):
                 self._old = raw
                 return None
             if entry[0] > self._next:
-                # In a ring at rest this takes fewer steps than there are cells. A writer at full speed overwrites the
-                # oldest entry again and again: then go on closer to the newest.
-                self._resume(entry[0] - (self._cells - 1 >> max(0, laps - self._cells)))
+                # Go on at the oldest entry, `cells - 1` before this one. In a ring at rest that takes fewer steps than
+                # there are cells; but a writer at full speed overwrites the oldest entry again and again, so each
+                # further lap goes back half as far, in the end to this very entry.
+                halvings = max(0, laps - self._cells)
+                self._resume(entry[0] - (self._cells - 1 >> halvings))
                 laps += 1
             if entry[0] == self._next:
                 self._await(entry[0] + 1)

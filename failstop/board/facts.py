@@ -22,6 +22,20 @@ class ArmFacts(Data):
     """Defaults of a joint's settings, where the board has other ones than most."""
 
 
+class SteeringServo(Data):
+    """The servo of a steered base, as the settings have it."""
+
+    kind: str
+    """"pwm" or "bus"."""
+    id: int
+    centre: int
+    """Its pulses for straight ahead."""
+    per_rad: float
+    """Pulses more for a radian to the left; negative: fewer."""
+    most_rad: float
+    """The largest angle to each side."""
+
+
 class Facts(Data):
     """One kind of board."""
 

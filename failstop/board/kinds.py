@@ -4,7 +4,7 @@ from __future__ import annotations
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.board.facts import Facts
+    from failstop.board.facts import Facts, SteeringServo
     from failstop.board.interface import Board
     from failstop.board.wire import Wire
 
@@ -59,12 +59,12 @@ def board_of(
     kind: str,
     diameter_m: float,
     per_rps: float,
-    steering: tuple[str, int, int, float, float] | None = None,
+    steering: SteeringServo | None = None,
     *,
     tried: bool = False,
 ) -> Board:
     """The board of the setting board.kind. `per_rps`: a wheel's speed of one turn a second in its own unit; 0: as such
-    boards usually have it; `steering`: the servo of a base that is steered, as rrc/steering.py has it; `tried`: as for
+    boards usually have it; `steering`: the servo of a steered base, None: there is none; `tried`: as for
     wire_of(). Nothing of another board is imported. Raises OwnBoardError, a ValueError."""
     if is_described(kind):
         from failstop.board.described import Described

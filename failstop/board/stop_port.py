@@ -47,6 +47,8 @@ class StopPort:
         self.errno = 0
         self.unsent = b""
         """Bytes of one burst or frame that the kernel has not accepted yet."""
+        self._stop_begun = False
+        """`unsent` is the rest of a stop, and not of another frame."""
         self._writing = _thread.allocate_lock()
         """Held by the loop while it looks whether it may write, and writes; and by a thread in early_stop()."""
 
@@ -67,10 +69,11 @@ class StopPort:
         return taken
 
     def burst(self) -> bool:
-        """Write the stop burst, now; True when the kernel has all of it. The rest of a cut frame is dropped for it,
-        since the burst heals any cut; the rest of an earlier burst goes first. Where a whole stop is on the line still,
-        that was it: a second one without a gap behind it garbles both on some boards."""
-        begun = self.unsent if self._stop.endswith(self.unsent) else b""
+        """Write the stop burst, now; True when the kernel has all of it. The rest of an earlier stop goes first; the
+        rest of any other frame is dropped, because the burst heals any cut, and so is more than one burst, or stops
+        would pile up at a port that takes nothing. If a whole stop is still on the line, that was it: a second one
+        without a gap behind it garbles both on some boards."""
+        begun = self.unsent if self._stop_begun and len(self.unsent) <= len(self._stop) else b""
         with self._writing:
             if self._on_line():
                 return True
@@ -95,6 +98,8 @@ class StopPort:
         """Write what can be; `rest`: of what was begun before."""
         taken = self._write(data)
         self.unsent = b"" if self.lost else data[taken:]
+        if not rest:
+            self._stop_begun = bool(self.unsent)
         return taken == len(data)
 
     def _write(self, data: bytes) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from math import radians
 
+from failstop.board.facts import SteeringServo
 from failstop.board.kinds import facts_of
 from failstop.policy import layouts, robots
 from failstop.policy.layouts import BOARDS, NUMBERS
@@ -327,15 +328,18 @@ class Settings:
             for name, own in self.named["interlocks"].items()
         }
 
-    def board(self) -> tuple[str, float, float, tuple[str, int, int, float, float] | None]:
-        """The board, as failstop/board/kinds.py takes it: its kind, the wheels' diameter in m, a turn a second in its
-        unit (0: as usual), and the servo that steers (None: none does): its kind, its id, its pulses for straight
-        ahead and for a radian to the left, the largest angle in rad."""
+    def board(self) -> tuple[str, float, float, SteeringServo | None]:
+        """What board_of() of failstop/board/kinds.py takes: the kind of the board, the wheels' diameter in m, a wheel's
+        turn a second in the board's own unit (0: as usual), and the servo of a steered base."""
         steering = None
         if self.text("wheels.layout") == layouts.ACKERMANN:
-            servo, centre = int(self["steering.servo"]), int(self["steering.centre"])
-            per_rad = self["steering.sign"] * self["steering.per_rad"]
-            steering = self.text("steering.kind"), servo, centre, per_rad, radians(self["steering.most_deg"])
+            steering = SteeringServo(
+                kind=self.text("steering.kind"),
+                id=int(self["steering.servo"]),
+                centre=int(self["steering.centre"]),
+                per_rad=self["steering.sign"] * self["steering.per_rad"],
+                most_rad=radians(self["steering.most_deg"]),
+            )
         return self.text("board.kind"), self["wheels.diameter_m"], self["board.per_rps"], steering
 
     @property

@@ -85,6 +85,7 @@ class PortWriter(StopPort):
             else:
                 taken = self._write(data)
                 self.unsent = b"" if self.lost else data[taken:] if taken else b""
+                self._stop_begun = bool(self.unsent) and data in (self.board.stop, self.board.refresh)
         self._note(box.WIRE_FRAME, data, taken)
         return taken > 0 and not self.lost
 

@@ -27,6 +27,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from failstop.board.facts import SteeringServo
     from failstop.board.interface import Said
 
 RRC_PORT = Port(baud=1_000_000, dtr=True, rts=False, deaf_ns=0, opening=())
@@ -202,6 +203,6 @@ class SteeredRrc(Rrc):
 BOARD = Rrc()
 
 
-def board(_diameter_m: float, _per_rps: float, steering: tuple[str, int, int, float, float] | None) -> Board:
+def board(_diameter_m: float, _per_rps: float, steering: SteeringServo | None) -> Board:
     """Its speeds are turns a second already."""
-    return SteeredRrc(Steering(*steering)) if steering else BOARD
+    return SteeredRrc(Steering(steering)) if steering else BOARD

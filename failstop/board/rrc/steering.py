@@ -13,7 +13,10 @@ from failstop.board import checks
 from failstop.board.rrc import framing, servos
 from failstop.board.rrc.framing import BUS_SERVO, HEAD, PWM_SERVO, crc8
 from failstop.board.servos import SERVO_MOVE
-from failstop.data import Data
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.board.facts import SteeringServo
 
 PWM, BUS = "pwm", "bus"
 STEER = 3
@@ -26,15 +29,15 @@ _PWM_HEAD = HEAD + bytes((PWM_SERVO, _PWM_DATA.size))
 _BUS_HEAD = HEAD + bytes((BUS_SERVO, _BUS_DATA.size, SERVO_MOVE))
 
 
-class Steering(Data):
-    """The servo: its kind, PWM or BUS, its id, its pulses for straight ahead, more of them for a radian to the left,
-    and the largest angle."""
+class Steering:
+    """The frames of one steering servo."""
 
-    kind: str
-    servo: int
-    centre: int
-    per_rad: float
-    most_rad: float
+    __slots__ = ("_limit", "servo")
+
+    def __init__(self, servo: SteeringServo) -> None:
+        self.servo = servo
+        self._limit = servo.most_rad * (1 + 2.0**-40)
+        """The largest angle, and what arithmetic may add to it."""
 
     def frame(self, angle_rad: float) -> bytes:
         """The frame for this angle to the left. Raises FrameError for one beyond the largest.
@@ -43,19 +46,19 @@ class Steering(Data):
         complete, were it cut short.
         """
         checks.number("steering angle", angle_rad, -self._limit, self._limit, "rad")
-        pulses = self.centre + round(angle_rad * self.per_rad)
-        if self.kind == BUS:
-            return servos.bus_servo_move(((self.servo, pulses),), TAKES_MS, LONGEST_WAY_MS)
+        pulses = self.servo.centre + round(angle_rad * self.servo.per_rad)
+        if self.servo.kind == BUS:
+            return servos.bus_servo_move(((self.servo.id, pulses),), TAKES_MS, LONGEST_WAY_MS)
         # Each cut excludes one of these times at most, so that one of so many is left.
-        every = (_PWM_DATA.pack(STEER, ms, self.servo, pulses) for ms in range(TAKES_MS, LONGEST_WAY_MS + 1))
+        every = (_PWM_DATA.pack(STEER, ms, self.servo.id, pulses) for ms in range(TAKES_MS, LONGEST_WAY_MS + 1))
         return framing.seal(PWM_SERVO, next(data for data in every if not framing.zeros_complete(PWM_SERVO, data)))
 
     def check(self, frame: bytes) -> str:
         """Why these bytes must not be written to steer; "" when they may. Never raises on bytes."""
-        if self.kind == BUS:
+        if self.servo.kind == BUS:
             if not frame.startswith(_BUS_HEAD):
                 return "not a steering frame"
-            if why := servos.check_bus(frame, (self.servo,), LONGEST_WAY_MS):
+            if why := servos.check_bus(frame, (self.servo.id,), LONGEST_WAY_MS):
                 return why
             *_, pulses = _BUS_DATA.unpack_from(frame, 4)
             return self._beyond(pulses)
@@ -64,17 +67,12 @@ class Steering(Data):
         if crc8(frame[2:]):
             return "bad crc"
         command, ms, servo, pulses = _PWM_DATA.unpack_from(frame, len(_PWM_HEAD))
-        if (command, servo) != (STEER, self.servo) or not TAKES_MS <= ms <= LONGEST_WAY_MS:
+        if (command, servo) != (STEER, self.servo.id) or not TAKES_MS <= ms <= LONGEST_WAY_MS:
             return f"another servo's frame ({command} {servo} {ms})"
         if end := framing.zeros_complete(PWM_SERVO, frame[4:-1]):
             return f"another angle if cut after {end} bytes of data"
         return self._beyond(pulses)
 
     def _beyond(self, pulses: int) -> str:
-        beyond = abs(pulses - self.centre) > abs(self._limit * self.per_rad) + 1
-        return f"steering at {pulses}, straight ahead is {self.centre}" if beyond else ""
-
-    @property
-    def _limit(self) -> float:
-        """The largest angle, and what arithmetic may add to it."""
-        return self.most_rad * (1 + 2.0**-40)
+        beyond = abs(pulses - self.servo.centre) > abs(self._limit * self.servo.per_rad) + 1
+        return f"steering at {pulses}, straight ahead is {self.servo.centre}" if beyond else ""
