@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from failstop.board.kinds import board_of
 from failstop.board.rrc import codec
 from failstop.board.rrc.board import BOARD
 from failstop.board.rrc.burst import BURST
@@ -113,6 +114,19 @@ def test_a_burst_after_a_cut_frame_is_whole(machine: PortMachine, frame: bytes) 
         board.port.takes()
         wire.burst()
         assert board.read() == (frame if frame == codec.STOP else frame[:cut]) + BURST
+
+
+def test_the_rest_of_a_question_is_dropped_even_if_it_looks_like_a_stop_s(machine: PortMachine) -> None:
+    """An Arduino's lines all end alike."""
+    arduino = board_of("arduino", 0.1, 0.0)
+    ping = arduino.pings[0]
+    assert arduino.burst.endswith(ping[1:])
+    wire, board = machine.load(MODULE).PortWriter(machine.open(machine.wire), arduino), machine.wire
+    board.port.takes(1)
+    assert wire.frame(ping)
+    board.port.takes()
+    wire.burst()
+    assert board.read() == ping[:1] + arduino.burst
 
 
 def test_nothing_is_added_to_a_cut_frame_and_the_rest_follows(board: Wire, wire: Any) -> None:
