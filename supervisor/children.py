@@ -35,7 +35,7 @@ RUNS = "runs"  # it says so itself
 SPARED = "spared"  # it is silent, which the machine explains
 BEATS = "beats"  # after it was spared: also before it says that it runs, and just before its death is known
 KILLED = "killed"  # for hanging
-DIED = "died"
+TERMINATED = "died"
 REAPED = "reaped"
 GIVEN_UP = "given up"  # it died too often
 RECALLED = "recalled"  # by a reset
@@ -43,16 +43,16 @@ RECALLED = "recalled"  # by a reset
 NEXT = {
     WAITING: {STARTED: STARTING, BEATS: WAITING, GIVEN_UP: DOWN},
     DOWN: {STARTED: STARTING, BEATS: DOWN, RECALLED: WAITING},
-    STARTING: {RUNS: RUNNING, SPARED: STARTING, BEATS: STARTING, KILLED: FENCED, DIED: DEAD},
-    RUNNING: {SPARED: HUNG, BEATS: RUNNING, KILLED: FENCED, DIED: DEAD},
-    HUNG: {SPARED: HUNG, BEATS: RUNNING, KILLED: FENCED, DIED: DEAD},
-    FENCED: {BEATS: FENCED, DIED: DEAD},
+    STARTING: {RUNS: RUNNING, SPARED: STARTING, BEATS: STARTING, KILLED: FENCED, TERMINATED: DEAD},
+    RUNNING: {SPARED: HUNG, BEATS: RUNNING, KILLED: FENCED, TERMINATED: DEAD},
+    HUNG: {SPARED: HUNG, BEATS: RUNNING, KILLED: FENCED, TERMINATED: DEAD},
+    FENCED: {BEATS: FENCED, TERMINATED: DEAD},
     DEAD: {BEATS: DEAD, REAPED: WAITING},
 }
 """The next state of a process, by its state and the event. An event that a state does not name can't happen then: it is
 a defect, which leaves the state as it is and stops the robot. A gate that is down is started again after a while, so
 DOWN has STARTED too."""
-ALIVE = tuple(state for state, after in NEXT.items() if DIED in after)
+ALIVE = tuple(state for state, after in NEXT.items() if TERMINATED in after)
 
 
 class Fence(Data):
@@ -189,7 +189,7 @@ class Child:
             self.life.kill()
             self.life.wait(wait_s)
             if self.state in ALIVE:
-                self.on(DIED)
+                self.on(TERMINATED)
             self.reap()
 
     def reap(self) -> str:

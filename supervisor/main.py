@@ -25,7 +25,7 @@ from failstop.shm import heartbeat
 from failstop.shm.heartbeat import Heartbeat
 from failstop.shm.words import Barrier
 from failstop.supervisor.blackbox import BlackBox
-from failstop.supervisor.children import ALIVE, DIED, KILLED, RUNNING, Child, Fence
+from failstop.supervisor.children import ALIVE, KILLED, RUNNING, TERMINATED, Child, Fence
 from failstop.supervisor.latch import Epochs
 from failstop.supervisor.monitor import Monitor
 from failstop.supervisor.port_handover import OwnPort, PortHandover
@@ -227,7 +227,7 @@ class Supervisor:
                 _, cause_ns, written_ns, cause = records.STOPPED.unpack(entry[2])
                 stops.append(Stop(cause_ns, process, explained(causes.read(cause), suspended_ns), written_ns))
         for child in dead:
-            child.on(DIED)
+            child.on(TERMINATED)
             death = causes.DIED(child.row.name)
             if death not in (stop.cause for stop in stops):
                 stops.append(Stop(now_ns, layout.SUPERVISOR, death, burst_ns))

@@ -18,7 +18,6 @@ from failstop.supervisor import children
 from failstop.supervisor.children import (
     BEATS,
     DEAD,
-    DIED,
     DOWN,
     FENCED,
     GIVEN_UP,
@@ -34,6 +33,7 @@ from failstop.supervisor.children import (
     STARTED,
     STARTING,
     STARTING_NS,
+    TERMINATED,
     WAITING,
     Child,
     Fence,
@@ -41,7 +41,7 @@ from failstop.supervisor.children import (
 
 STATES = (WAITING, DOWN, STARTING, RUNNING, HUNG, FENCED, DEAD)
 SHORT = {"WA": WAITING, "DO": DOWN, "ST": STARTING, "RU": RUNNING, "HU": HUNG, "FE": FENCED, "DE": DEAD}
-EVENTS = (STARTED, RUNS, SPARED, BEATS, KILLED, DIED, REAPED, GIVEN_UP, RECALLED)
+EVENTS = (STARTED, RUNS, SPARED, BEATS, KILLED, TERMINATED, REAPED, GIVEN_UP, RECALLED)
 CELLS = """
     ST  -   -   WA  -   -   -   DO  -
     ST  -   -   DO  -   -   -   -   WA

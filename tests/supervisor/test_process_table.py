@@ -15,7 +15,7 @@ from failstop.messages import layout, records, segments
 from failstop.policy.settings import Settings
 from failstop.procs.loop import NEVER, READ
 from failstop.shm.futex import BLOCKS, PER_BLOCK
-from failstop.supervisor.children import DIED
+from failstop.supervisor.children import TERMINATED
 from failstop.supervisor.port_handover import OwnPort
 from failstop.supervisor.process_table import TRY_AGAIN_NS, ProcessTable
 from failstop.supervisor.run import Run
@@ -59,7 +59,7 @@ def test_a_process_that_can_not_be_watched_is_not_left_running(
 def test_a_death_that_can_not_be_collected_yet_holds_nobody_up(scene: Scene, processes: Any, gate: Any) -> None:
     """As while a debugger holds the dead process; here it has not even died, and its pidfd is said to be ready."""
     process = scene.employ(layout.GATE)
-    gate.on(DIED)
+    gate.on(TERMINATED)
     processes.reap({gate.life.fd: READ}, scene.now_ns)
     assert (gate.pid, gate.restart.ns) == (process.pid, NEVER)
     scene.dies(process)
@@ -155,7 +155,7 @@ def test_people_are_told_of_deaths_and_restarts_until_one_is_down(scene: Scene, 
     for _ in range(5):
         process = scene.employ(layout.TELEMETRY)
         scene.dies(process, 1)
-        telemetry.on(DIED)
+        telemetry.on(TERMINATED)
         processes.reap({}, scene.now_ns)
         died, then = scene.said()
         how = {"process": "telemetry", "pid": process.pid, "how": "exited with code 1"}
