@@ -23,6 +23,7 @@ COMMAND_S = 60.0
 READY_S = 15.0
 SERVICE = "failstop"
 BOARD = "/tmp/board"
+ANYTHING = re.compile(r"(?<![.])[.]{3}(?![.])")
 NUMBER = re.compile(r"(?:less than )?[-+]?\d[\d.:]*(?: (?:us|ms|s)\b)?")
 
 
@@ -155,8 +156,9 @@ class Session:
 
 def differs(shown: list[str], printed: str) -> str:
     """The text of the page and the text that was printed, if they differ; else an empty text. Where lines are broken
-    does not count, nor which number stands somewhere, nor whether it is in us, ms or s; three dots are anything."""
-    pattern = ".*".join(re.escape(part.strip()) for part in _plain("\n".join(shown)).split("..."))
+    does not count, nor which number stands somewhere, nor whether it is in us, ms or s. Three dots are anything; more
+    than three are just dots."""
+    pattern = ".*".join(re.escape(part.strip()) for part in ANYTHING.split(_plain("\n".join(shown))))
     found = _plain(printed)
     return "" if re.fullmatch(pattern, found) else f"the page shows\n  {_plain(chr(10).join(shown))}\nit was\n  {found}"
 

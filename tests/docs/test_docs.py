@@ -182,6 +182,8 @@ def _fences(text: str) -> list[re.Match[str]]:
         (["a", "...", "b"], "a\nx\ny\nb", True),
         (["a", "..."], "a\nx", True),
         (["a"], "a\nx", False),
+        (["kill .... 0.2 ms"], "kill .... 7 ms", True),
+        (["kill .... 0.2 ms"], "kill it now 7 ms", False),
         (["a", "b"], "a", False),
         (["pid 7 ... died"], "pid 812 (gate) died", True),
         ([], "anything", False),

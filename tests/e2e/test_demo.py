@@ -39,7 +39,7 @@ class Busy:
 
 @pytest.mark.parametrize("times", [0, 1, 2, 3])
 def test_a_kill_that_came_after_a_stop_is_done_again(times: int, capsys: pytest.CaptureFixture[str]) -> None:
-    row = demo._kill(Busy(times), "gate")  # type: ignore[arg-type]
+    row = demo._kill(Busy(times), "gate", 0.2)  # type: ignore[arg-type]
     said = capsys.readouterr().out
     assert said.count("kill -9 gate") == min(times + 1, 3)
     why = "the wheels were not turning then (latched: gate hangs: 61 ms silent): is the machine busy?"

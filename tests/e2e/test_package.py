@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop_lab.commands import demo as demo_command
 from failstop.messages import layout
 from tests.support.deb import tree
 from tests.support.pages import ROOT
@@ -90,6 +91,6 @@ def test_installed_command_works_outside_the_checkout(built: Path, tmp_path: Pat
     shown = demo()
     assert shown.returncode == 0, shown.stdout + shown.stderr
     assert time.monotonic() - start_s < 40, "a promise of the README: it is quick, and says what it saw"
-    for process in layout.PROCESS_NAMES:
+    for process in (demo_command.PROGRAM, *layout.PROCESS_NAMES):
         assert f"kill -9 {process} " in shown.stdout
     assert "nothing moved again" in shown.stdout

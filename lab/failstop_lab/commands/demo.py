@@ -1,12 +1,16 @@
-"""`failstop demo`: simulated board, service, a drive, then every process killed while driving, judged by the board."""
+"""`failstop demo`: simulated board, service, a drive, then a program and every process killed while driving, judged by
+the board."""
 
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
 import sys
 import time
 from argparse import ArgumentParser, Namespace
 
+from failstop import helpers
 from failstop.cli import style
 from failstop.cli.style import FAIL, OK, PLAIN, STRONG, paint
 from failstop.messages import layout
@@ -14,7 +18,7 @@ from failstop.policy.settings import Settings
 from failstop.ros2.command import find_rclpy
 from failstop_lab.boards.traits import traits_of
 from failstop_lab.sim.options import add_board
-from failstop_lab.trial import LOG_CHARACTERS, Stopped, Trial
+from failstop_lab.trial import AFTERMATH_S, LOG_CHARACTERS, Stopped, Trial, judge, wait_for
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -27,10 +31,13 @@ STRIKES = 3
 """Of a kill that found the wheels at rest."""
 STEP_COLUMNS = 28
 MEANING = (
-    "Milliseconds from the kill while driving, on the board's side of the wire: arrival of the first stop frame that "
-    "the board executes, and execution of the frame that stops the last wheel (the wire's own time included). The "
-    "driver that failstop replaces took 130 ms. A dead supervisor is restarted by the demo, as systemd would."
+    "All times are in milliseconds from the kill, measured on the board's side of the wire: when the first stop frame "
+    "arrived, and when the board had set the last wheel to zero. The ROS driver that failstop replaces took 130 ms. "
+    "The demo restarts a dead supervisor, as systemd does on a robot."
 )
+PROGRAM = "your program"
+PROGRAM_S = 60
+"""How long it would drive if nobody killed it."""
 
 ORDER = (layout.GATE, layout.PORT_OWNER, layout.TELEMETRY, layout.STOPPER, layout.SUPERVISOR)
 
@@ -47,7 +54,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop demo`."""
     parser.add_argument("--ros2", action="store_true", help="ROS 2 nodes drive too, and their bridge is killed")
     add_board(parser)
-    parser.add_argument("--rounds", type=int, default=1, help="how often each process is killed (default: 1)")
+    parser.add_argument("--rounds", type=int, default=1, help="how often each is killed (default: 1)")
 
 
 class Row:
@@ -86,7 +93,8 @@ def main(arguments: Namespace) -> int:
         _done(trial.robot.enable())
         limits = Settings(traits_of(arguments.board).settings)
         _show_drive(trial, *(limits[f"limits.{axis}"] for axis in ("vx_mps", "vy_mps", "wz_radps")))
-        rows = [_kill(trial, process) for _ in range(arguments.rounds) for process in ORDER]
+        fast = limits["limits.vx_mps"]
+        rows = [_kill(trial, process, fast) for _ in range(arguments.rounds) for process in (PROGRAM, *ORDER)]
         rows += _ros2(trial) if arguments.ros2 else []
         _step("disable, end the service")
         trial.enable()
@@ -153,11 +161,11 @@ def _show_drive(trial: Trial, vx_mps: float, vy_mps: float, wz_radps: float) -> 
         trial.drive(0.1, (0, 0, 0))
 
 
-def _kill(trial: Trial, process: str) -> Row:
+def _kill(trial: Trial, process: str, vx_mps: float) -> Row:
     """Kill it while the wheels turn. A stop may come before the kill on a busy machine: then it is done again."""
     for _ in range(STRIKES):
         _step(f"kill -9 {process}")
-        row = _killed(trial, process)
+        row = _killed_program(trial, vx_mps) if process == PROGRAM else _killed(trial, process)
         if row.stopped.was_turning:
             break
         _done(f"the wheels were not turning then ({_why(trial)}): is the machine busy?")
@@ -174,6 +182,25 @@ def _killed(trial: Trial, process: str) -> Row:
     # A fault at a random moment of the 20 ms tick, and fast enough that every wheel turns.
     stopped = trial.kill(process, 0.3 + time.monotonic_ns() % 20_000_000 / 1e9)
     return Row(process, stopped, trial.recover(process, pid))
+
+
+def _killed_program(trial: Trial, vx_mps: float) -> Row:
+    """The program that drives is a process of its own; once it is dead, the trial's client commands in its place."""
+    trial.enable()
+    trial.leave()
+    drive = helpers.python("failstop", "drive", "--name", trial.name, f"{vx_mps}", "0", "0", "--for", f"{PROGRAM_S}")
+    program = subprocess.Popen(drive, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        wait_for("the program to drive", trial.turning)
+        time.sleep(0.3 + time.monotonic_ns() % 20_000_000 / 1e9)
+        trial.board.events()
+        was_turning, fault_ns = trial.turning(), time.monotonic_ns()
+        program.send_signal(signal.SIGKILL)
+        trial.drive(AFTERMATH_S)
+    finally:
+        program.kill()
+        program.wait()
+    return Row(PROGRAM, judge(trial.board.events(), fault_ns, was_turning))
 
 
 def _why(trial: Trial) -> str:

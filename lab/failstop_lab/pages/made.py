@@ -20,6 +20,7 @@ from failstop_lab.pages import (
     ros2,
     ros_changes,
     settings,
+    speed,
 )
 from failstop_lab.pages.marked import renewed
 
@@ -54,6 +55,7 @@ FILES: dict[str, Callable[[str], str]] = {
     "failstop/ros2/packages/failstop_ros2/CHANGELOG.rst": lambda _: _ros_changes("failstop_ros2"),
     "docs/fleet.md": _fleet,
     "docs/does-your-robot-stop.md": lambda text: renewed(text, "bases", bases.table()),
+    "README.md": lambda text: renewed(text, "speed", speed.text(ROOT)),
     public.PLACE: lambda _: public.text(),
     "docs/dev/architecture.md": lambda text: renewed(text, "rooms", rooms.picture()),
 }

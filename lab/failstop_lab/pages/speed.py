@@ -1,0 +1,86 @@
+"""The small table of README.md: how fast a stop is, by fault. Its numbers are those of the pages on faults and
+measurements, so they change with the next campaign and the next run of the bench."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from failstop_lab.faults import report
+
+FAULTS = "docs/reference/faults.md"
+MEASURED = "docs/reference/measured.md"
+PROCESSES = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
+
+
+class Line(NamedTuple):
+    """A line of the table: its words, and the rows of the page on faults that it sums up."""
+
+    fails: str
+    rows: tuple[str, ...]
+
+
+CLIENTS = ("client-killed", "client-killed-large", "client-hung-up", "client-fails")
+DEATHS = tuple(f"{how}-{name}" for how in ("kill", "crash") for name in PROCESSES)
+LINES = (
+    Line("your program crashes or is killed", CLIENTS),
+    Line("your program hangs (from its last command)", ("client-hung",)),
+    Line(
+        "one of failstop's own processes crashes", tuple(f"{how}-{of}" for how in ("kill", "crash") for of in PROCESSES)
+    ),
+    Line("one of failstop's own processes hangs", tuple(f"hang-{of}" for of in PROCESSES)),
+    Line("you ask for a stop, or press the board's stop button", ("stop-request", "pad-button", "board-key")),
+    Line("the obstacle sensor goes silent (from its last reading)", ("scan-silent",)),
+    Line("the USB cable is pulled (from when it is plugged in again)", ("usb-drop",)),
+)
+KILLED = re.compile(r"^\| kill \w+ -> stop frame \| p50 (\S+)  p99 (\S+)  max \S+ ms  \((\S+) and ", re.MULTILINE)
+"""A row of the page on measurements; the last group is the p50 as a multiple of the C program's."""
+
+
+def text(root: Path) -> str:
+    """The table, with what was measured where. Raises ValueError for a page without these numbers."""
+    found = report.result_of((root / FAULTS).read_text("utf-8"))
+    rows = {row["name"]: row for row in found["rows"]}
+    table = ["| What happens | p50 | p99 | times tried |", "|---|---|---|---|"]
+    table += [_line(line, [rows[name] for name in line.rows]) for line in LINES]
+    return "\n".join((*table, "", _campaign(found), "", _bench((root / MEASURED).read_text("utf-8"))))
+
+
+def _line(line: Line, rows: list[dict[str, Any]]) -> str:
+    p50, p99 = (_ms(max(row[name] for row in rows)) for name in ("p50_ms", "p99_ms"))
+    return f"| {line.fails} | {p50} | {p99} | {sum(row['count'] for row in rows)} |"
+
+
+def _ms(value: float) -> str:
+    return f"{value:.0f} ms" if value >= 10 else f"{value:.1f} ms"
+
+
+def _campaign(found: dict[str, Any]) -> str:
+    machine = found["machine"]
+    where = machine.get("conditions", "how busy it was is not recorded")
+    missed, after = found["missed"], found["motion_after"]
+    return "\n".join(
+        (
+            "Each time runs from the fault until the stop has arrived at the board. p50 is the median; 99 of 100 stops",
+            "are faster than p99. Where a line sums up several faults, it shows the slowest of them. It was measured",
+            f"on {machine['date']} with a simulated board, on a shared virtual machine with {machine['cores']} cores",
+            f"({where}). In {found['count']:,} faults at random, while a program kept commanding, **{missed}",
+            f"stops were missed, and {after} motion commands came after a stop** ([every fault]({FAULTS})).",
+        )
+    )
+
+
+def _bench(page: str) -> str:
+    killed = [[float(number) for number in row] for row in KILLED.findall(page)]
+    if not killed:
+        raise ValueError(f"{MEASURED} has no row of a killed process")
+    p50s, p99s, ratios = zip(*killed, strict=True)
+    return "\n".join(
+        (
+            "With real-time priority, `make bench` answers the death of one of failstop's processes within",
+            f"{max(p50s):.1f} ms (p50) and {max(p99s):.1f} ms (p99). That is {min(ratios):.1f} to {max(ratios):.1f}",
+            f"times as long as a minimal C program takes ([every measurement]({MEASURED}), including those that missed",
+            "their goal).",
+        )
+    )

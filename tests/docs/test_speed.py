@@ -1,0 +1,53 @@
+"""The README's table of times has the numbers of the pages that it is made from."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from failstop_lab.faults import report, table
+from failstop_lab.pages import speed
+from tests.support.pages import ROOT
+
+
+@pytest.fixture
+def pages(tmp_path: Path) -> Path:
+    """A checkout with these two pages, to change."""
+    for name in (speed.FAULTS, speed.MEASURED):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    return tmp_path
+
+
+def test_each_line_sums_up_rows_of_the_fault_table() -> None:
+    for line in speed.LINES:
+        assert set(line.rows) <= table.FAULT_BY_NAME.keys()
+
+
+def test_a_line_shows_its_slowest_row_and_counts_all(pages: Path) -> None:
+    rows = {row["name"]: row for row in report.result_of((ROOT / speed.FAULTS).read_text())["rows"]}
+    hangs = [rows[name] for name in speed.LINES[3].rows]
+    slowest_ms = max(row["p99_ms"] for row in hangs)
+    tried = sum(row["count"] for row in hangs)
+    assert re.search(rf"processes hangs \| \d+ ms \| {slowest_ms:.0f} ms \| {tried} \|", speed.text(pages))
+
+
+def test_a_slower_campaign_and_a_missed_stop_show(pages: Path) -> None:
+    page = pages / speed.FAULTS
+    text = page.read_text()
+    (row,) = re.findall(r"^\| `hang-telemetry` .*$", text, re.MULTILINE)
+    cells = row.split(" | ")
+    cells[7:10] = ["600.00", "777.00", "900.00"]
+    page.write_text(text.replace(row, " | ".join(cells)).replace("**0 stops missed", "**3 stops missed"))
+    made = speed.text(pages)
+    assert "| 600 ms | 777 ms |" in made
+    assert "**3\nstops were missed" in made
+
+
+def test_a_page_without_measurements_is_refused(pages: Path) -> None:
+    (pages / speed.MEASURED).write_text("nothing\n")
+    with pytest.raises(ValueError, match="no row of a killed process"):
+        speed.text(pages)
