@@ -65,8 +65,8 @@ def _campaign(found: dict[str, Any]) -> str:
             "Each time runs from the fault until the stop has arrived at the board. p50 is the median; 99 of 100 stops",
             "are faster than p99. Where a line sums up several faults, it shows the slowest of them. It was measured",
             f"on {machine['date']} with a simulated board, on a shared virtual machine with {machine['cores']} cores",
-            f"({where}). In {found['count']:,} faults at random, while a program kept commanding, **{missed}",
-            f"stops were missed, and {after} motion commands came after a stop** ([every fault]({FAULTS})).",
+            f"({where}). {found['count']:,} faults were injected at random while a program kept commanding:",
+            f"**{missed} stops were missed, and {after} motion commands came after a stop** ([every fault]({FAULTS})).",
         )
     )
 
