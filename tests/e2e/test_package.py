@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from failstop_lab.commands import demo as demo_command
 from failstop.messages import layout
+from failstop_lab.commands import demo as demo_command
 from tests.support.deb import tree
 from tests.support.pages import ROOT
 
