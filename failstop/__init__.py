@@ -1,19 +1,18 @@
-"""failstop: the layer that makes a robot stop. This drives one for two seconds:
+"""failstop stops a robot when its software fails. This program drives until somebody stops it:
 
     import time
     from failstop import Robot
 
-    with Robot() as robot:                          # the service that runs on this machine
-        robot.reset()                               # clears a latched stop, if there is one
-        robot.enable()                              # raises Refused, which says why not and what to do
-        for _ in range(40):
-            robot.sensed()                          # the obstacle sensor delivered just now
-            if not robot.drive(0.2, 0.0, 0.0):      # m/s forward, m/s left, rad/s counter-clockwise
-                print(robot.why())                  # what holds the wheels, what proves it, what to do
-            time.sleep(0.05)                        # a command counts for 0.3 s
-                                                    # leaving `with` stops the wheels and disables motion
+    with Robot() as robot:                  # the service that runs on this machine
+        robot.wait_for("enabled")           # until a person types: failstop enable
+        while robot.state.enabled:
+            robot.sensed()                  # the obstacle sensor delivered just now
+            robot.drive(0.2, 0.0, 0.0)      # m/s forward, m/s left, rad/s counter-clockwise
+            time.sleep(0.05)                # a command counts for 0.3 s
+        print(robot.why())                  # what holds the wheels, what proves it, what to do
+                                            # leaving `with` stops the wheels
 
-Robot.connect() is the same for asyncio. Times are s, lengths m, angles rad, voltages V. More: docs/python.md.
+If it crashes, motion is disabled, so it waits for a person when it is started again. Robot.connect() is the same for asyncio. Times are s, lengths m, angles rad, voltages V. More: docs/python.md.
 """
 
 from __future__ import annotations

@@ -57,7 +57,8 @@ CLAIMS = (
     ),
     Claim(
         "ASK-1",
-        "Every local user may stop the robot, with any bytes in the stop pipe, and by a button or key of the board.",
+        "Every local user may stop the robot, with any bytes in the stop pipe, and by a button or key of the board. A"
+        " service that a user starts by hand obeys that user alone.",
         10.0, "from the request", ("RIGHTS",),
         "a request that stops nothing, or a user whose request is refused",
     ),
