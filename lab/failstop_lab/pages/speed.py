@@ -25,14 +25,14 @@ CLIENTS = ("client-killed", "client-killed-large", "client-hung-up", "client-fai
 DEATHS = tuple(f"{how}-{name}" for how in ("kill", "crash") for name in PROCESSES)
 LINES = (
     Line("your program crashes or is killed", CLIENTS),
-    Line("your program hangs (from its last command)", ("client-hung",)),
+    Line("your program hangs (counted from its last command)", ("client-hung",)),
     Line(
         "one of failstop's own processes crashes", tuple(f"{how}-{of}" for how in ("kill", "crash") for of in PROCESSES)
     ),
     Line("one of failstop's own processes hangs", tuple(f"hang-{of}" for of in PROCESSES)),
     Line("you ask for a stop, or press the board's stop button", ("stop-request", "pad-button", "board-key")),
-    Line("the obstacle sensor goes silent (from its last reading)", ("scan-silent",)),
-    Line("the USB cable is pulled (from when it is plugged in again)", ("usb-drop",)),
+    Line("the obstacle sensor goes silent (counted from its last reading)", ("scan-silent",)),
+    Line("the USB cable is pulled (counted from when it is plugged in again)", ("usb-drop",)),
 )
 KILLED = re.compile(r"^\| kill \w+ -> stop frame \| p50 (\S+)  p99 (\S+)  max \S+ ms  \((\S+) and ", re.MULTILINE)
 """A row of the page on measurements; the last group is the p50 as a multiple of the C program's."""
