@@ -16,7 +16,16 @@ from tests.support.pages import PAGES, ROOT, SHELL, Block, blocks, commands_in, 
 
 from .session import Session, differs
 
-MARKED = ("README.md", "quickstart.md", "robot.md", "architecture.md", "safety.md", "sources.md")
+MARKED = (
+    "README.md",
+    "your-robot.md",
+    "questions.md",
+    "quickstart.md",
+    "robot.md",
+    "architecture.md",
+    "safety.md",
+    "sources.md",
+)
 """Pages on which every block of commands is marked."""
 ALONE = "run: in a terminal of its own"
 SAVED = "run: save as "
