@@ -12,7 +12,8 @@
         print(robot.why())                  # what holds the wheels, what proves it, what to do
                                             # leaving `with` stops the wheels
 
-If it crashes, motion is disabled, so it waits for a person when it is started again. Robot.connect() is the same for asyncio. Times are s, lengths m, angles rad, voltages V. More: docs/python.md.
+If it crashes, motion is disabled, so it waits for a person when it is started again. Robot.connect() is the same for
+asyncio. Times are s, lengths m, angles rad, voltages V. More: docs/python.md.
 """
 
 from __future__ import annotations

@@ -343,9 +343,10 @@ class Robot(Calls):
 
     def enable(self, told: Told = None) -> str:
         """Enable motion. Better let a person do it (`failstop enable`) and wait_for("enabled"): a program that enables
-        and is restarted after a crash drives off with nobody looking. Raises Refused with the reason: latched, not ready, an interlock that does not hold, or asked
-        before the last stop. With an arm it goes to its drive pose first, which takes seconds; `told` is called with
-        how far it is. It can be given up by arm.hold(), disable(), or a stop."""
+        and is restarted after a crash drives off with nobody looking. Raises Refused with the reason: latched, not
+        ready, an interlock that does not hold, or asked before the last stop. With an arm it goes to its drive pose
+        first, which takes seconds; `told` is called with how far it is. It can be given up by arm.hold(), disable(), or
+        a stop."""
         return sleep_through(self._asking(records.ENABLE, told))
 
     def disable(self) -> str:

@@ -62,9 +62,9 @@ def _campaign(found: dict[str, Any]) -> str:
     missed, after = found["missed"], found["motion_after"]
     return "\n".join(
         (
-            "Each time runs from the fault until the stop has arrived at the board. p50 is the median; 99 of 100 stops",
-            "are faster than p99. Where a line sums up several faults, it shows the slowest of them. It was measured",
-            f"on {machine['date']} with a simulated board, on a shared virtual machine with {machine['cores']} cores",
+            "Times are counted from the fault until the stop has arrived at the board. p50 is the median; 99 of 100",
+            "stops are faster than p99. Where a line sums up several faults, it shows the slowest. It was all",
+            f"measured on {machine['date']} with a simulated board, on a shared virtual machine with {machine['cores']} cores",
             f"({where}). {found['count']:,} faults were injected at random while a program kept commanding:",
             f"**{missed} stops were missed, and {after} motion commands came after a stop** ([every fault]({FAULTS})).",
         )
@@ -78,7 +78,7 @@ def _bench(page: str) -> str:
     p50s, p99s, ratios = zip(*killed, strict=True)
     return "\n".join(
         (
-            "With real-time priority, `make bench` answers the death of one of failstop's processes within",
+            "In `make bench`, which uses real-time priority, failstop answers the death of one of its processes within",
             f"{max(p50s):.1f} ms (p50) and {max(p99s):.1f} ms (p99). That is {min(ratios):.1f} to {max(ratios):.1f}",
             f"times as long as a minimal C program takes ([every measurement]({MEASURED}), including those that missed",
             "their goal).",
