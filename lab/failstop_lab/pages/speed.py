@@ -63,8 +63,8 @@ def _campaign(found: dict[str, Any]) -> str:
     return "\n".join(
         (
             "Times are counted from the fault until the stop has arrived at the board. p50 is the median; 99 of 100",
-            "stops are faster than p99. Where a line sums up several faults, it shows the slowest. It was all",
-            f"measured on {machine['date']} with a simulated board, on a shared virtual machine with {machine['cores']} cores",
+            "stops are faster than p99. Where a line sums up several faults, it shows the slowest. It was all measured",
+            f"on {machine['date']} with a simulated board, on a shared virtual machine with {machine['cores']} cores",
             f"({where}). {found['count']:,} faults were injected at random while a program kept commanding:",
             f"**{missed} stops were missed, and {after} motion commands came after a stop** ([every fault]({FAULTS})).",
         )
