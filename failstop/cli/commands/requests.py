@@ -26,8 +26,8 @@ failstop disable             # zero at once, no ramp; nothing is latched
 failstop disable --name left
 """,
     "reset": """\
-failstop reset               # moves nothing
-failstop reset && failstop enable
+failstop reset   # moves nothing
+failstop enable  # a second decision: look at the robot first
 """,
     "limit": """\
 failstop limit 30   # of every driver, until another is set
