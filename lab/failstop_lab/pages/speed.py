@@ -7,11 +7,11 @@ import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from failstop.messages import layout
 from failstop_lab.faults import report
 
 FAULTS = "docs/reference/faults.md"
 MEASURED = "docs/reference/measured.md"
-PROCESSES = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
 
 
 class Line(NamedTuple):
@@ -22,14 +22,15 @@ class Line(NamedTuple):
 
 
 CLIENTS = ("client-killed", "client-killed-large", "client-hung-up", "client-fails")
-DEATHS = tuple(f"{how}-{name}" for how in ("kill", "crash") for name in PROCESSES)
+DEATHS = tuple(f"{how}-{name}" for how in ("kill", "crash") for name in layout.PROCESS_NAMES)
 LINES = (
     Line("your program crashes or is killed", CLIENTS),
     Line("your program hangs (counted from its last command)", ("client-hung",)),
     Line(
-        "one of failstop's own processes crashes", tuple(f"{how}-{of}" for how in ("kill", "crash") for of in PROCESSES)
+        "one of failstop's own processes crashes",
+        tuple(f"{how}-{of}" for how in ("kill", "crash") for of in layout.PROCESS_NAMES),
     ),
-    Line("one of failstop's own processes hangs", tuple(f"hang-{of}" for of in PROCESSES)),
+    Line("one of failstop's own processes hangs", tuple(f"hang-{of}" for of in layout.PROCESS_NAMES)),
     Line("you ask for a stop, or press the board's stop button", ("stop-request", "pad-button", "board-key")),
     Line("the obstacle sensor goes silent (counted from its last reading)", ("scan-silent",)),
     Line("the USB cable is pulled (counted from when it is plugged in again)", ("usb-drop",)),
