@@ -21,21 +21,19 @@ class Line(NamedTuple):
     rows: tuple[str, ...]
 
 
-CLIENTS = ("client-killed", "client-killed-large", "client-hung-up", "client-fails")
-DEATHS = tuple(f"{how}-{name}" for how in ("kill", "crash") for name in layout.PROCESS_NAMES)
+DRIVER_ROWS = ("client-killed", "client-killed-large", "client-hung-up", "client-fails")
+DEATH_ROWS = tuple(f"{how}-{name}" for how in ("kill", "crash") for name in layout.PROCESS_NAMES)
+HANG_ROWS = tuple(f"hang-{name}" for name in layout.PROCESS_NAMES)
 LINES = (
-    Line("your program crashes or is killed", CLIENTS),
+    Line("your program crashes or is killed", DRIVER_ROWS),
     Line("your program hangs (counted from its last command)", ("client-hung",)),
-    Line(
-        "one of failstop's own processes crashes",
-        tuple(f"{how}-{of}" for how in ("kill", "crash") for of in layout.PROCESS_NAMES),
-    ),
-    Line("one of failstop's own processes hangs", tuple(f"hang-{of}" for of in layout.PROCESS_NAMES)),
+    Line("one of failstop's own processes crashes", DEATH_ROWS),
+    Line("one of failstop's own processes hangs", HANG_ROWS),
     Line("you ask for a stop, or press the board's stop button", ("stop-request", "pad-button", "board-key")),
     Line("the obstacle sensor goes silent (counted from its last reading)", ("scan-silent",)),
     Line("the USB cable is pulled (counted from when it is plugged in again)", ("usb-drop",)),
 )
-KILLED = re.compile(r"^\| kill \w+ -> stop frame \| p50 (\S+)  p99 (\S+)  max \S+ ms  \((\S+) and ", re.MULTILINE)
+KILL_ROW = re.compile(r"^\| kill \w+ -> stop frame \| p50 (\S+)  p99 (\S+)  max \S+ ms  \((\S+) and ", re.MULTILINE)
 """A row of the page on measurements; the last group is the p50 as a multiple of the C program's."""
 
 
@@ -73,7 +71,7 @@ def _campaign(found: dict[str, Any]) -> str:
 
 
 def _bench(page: str) -> str:
-    killed = [[float(number) for number in row] for row in KILLED.findall(page)]
+    killed = [[float(number) for number in row] for row in KILL_ROW.findall(page)]
     if not killed:
         raise ValueError(f"{MEASURED} has no row of a killed process")
     p50s, p99s, ratios = zip(*killed, strict=True)
