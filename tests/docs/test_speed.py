@@ -32,7 +32,9 @@ def test_a_line_shows_its_slowest_row_and_counts_all(pages: Path) -> None:
     hangs = [rows[name] for name in speed.LINES[3].rows]
     slowest_ms = max(row["p99_ms"] for row in hangs)
     tried = sum(row["count"] for row in hangs)
-    assert re.search(rf"processes hangs \| \d+ ms \| {slowest_ms:.0f} ms \| {tried} \|", speed.text(pages))
+    assert re.search(
+        rf"supervisor hangs: the ones that drive \| \d+ ms \| {slowest_ms:.0f} ms \| {tried} \|", speed.text(pages)
+    )
 
 
 def test_a_slower_campaign_and_a_missed_stop_show(pages: Path) -> None:
