@@ -65,8 +65,8 @@ def _campaign(found: dict[str, Any], rows: dict[str, dict[str, Any]]) -> str:
     return "\n".join(
         (
             "Times are counted from the fault until the stop has arrived at the board. Where a line sums up several",
-            "kinds of fault, it shows the slowest kind. While the USB cable is out, the robot drives on; it stops within",
-            f"{_ms(rows['usb-drop']['p99_ms'])} of being plugged in again.",
+            "kinds of fault, it shows the slowest kind. While the USB cable is out, the robot drives on; it stops",
+            f"within {_ms(rows['usb-drop']['p99_ms'])} of being plugged in again.",
             "",
             f"It was all measured on {machine['date']} with a simulated board, on a shared virtual machine with",
             f"{machine['cores']} cores ({where}). {found['count']:,} faults of {len(rows)} kinds were injected",
@@ -85,7 +85,7 @@ def _bench(page: str) -> str:
         (
             "In `make bench`, which uses real-time priority, failstop answers the death of one of its processes within",
             f"{max(p50s):.1f} ms (p50) and {max(p99s):.1f} ms (p99). That is {min(ratios):.1f} to {max(ratios):.1f}",
-            f"times as long as a minimal C program needs for the same ([every measurement]({MEASURED}), including those",
-            "that are slower than we want).",
+            f"times as long as a minimal C program needs for the same ([every measurement]({MEASURED}), with",
+            "those that are slower than we want).",
         )
     )
