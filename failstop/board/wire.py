@@ -10,8 +10,9 @@ from failstop.data import Data
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
+    from failstop.board.driver import DriverLanguage
     from failstop.board.interface import ServoBus
 
 VOCABULARY = 1
@@ -273,6 +274,9 @@ class Wire(Data):
     """None: reported speeds are in the unit of its motion, and positions tell no more than rest."""
     arm: Callable[[Port], ServoBus] | None = None
     """Makes the part that speaks to an arm's servos on this port. None: the board has no arm."""
+    driver: Callable[[Mapping[str, float | str]], DriverLanguage] | None = None
+    """(every setting by its whole key): what a driver program may write to the board, for the guard port (driver.py).
+    Import that module inside the function, because no process of the service needs it. None: nobody has said."""
 
 
 def two_speeds(speeds: Sequence[float], limit: float, most: float, unit: str) -> tuple[float, float]:

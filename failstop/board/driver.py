@@ -1,0 +1,84 @@
+"""Driver languages: what a driver program may write to a board, and what it gets back, for the guard port.
+
+A driver is somebody else's program that was written for the bare board. The guard port (failstop/guard) offers it a
+pseudo-terminal and plays the board, and the board's own folder says how, by a DriverLanguage: bytes of the driver in,
+what they ask for out. A language is pure: it does no I/O, it gets every time as an argument, and it never raises on
+bytes.
+
+Each of its rows is one of three things:
+
+- Motion: the speeds of all wheels. The service decides whether they turn; no other row can move anything.
+- Answer: bytes for the driver, which the language makes from what the board said last.
+- Refusal: what the driver asked for and does not get. People read it once for each driver.
+
+So a refused question has two rows (a Refusal, and an Answer that keeps the driver going), and raw PWM has three (a
+Refusal, a Motion of zeros, an Answer).
+"""
+
+from __future__ import annotations
+
+from failstop.data import Data
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from typing import Protocol
+
+    Settings = Mapping[str, float | str]
+
+    class DriverLanguage(Protocol):
+        """One driver's conversation with the board. The guard makes a new one for each program that opens the port."""
+
+        patience_ns: int
+        """How long a driver waits for an answer. After a longer pause of its own the guard answers the newest question
+        alone, because a driver that has given up takes a late answer for the one to its next question."""
+
+        def wrote(self, chunk: bytes, now_ns: int) -> list[Motion | Answer | Refusal]:
+            """The driver wrote these bytes, split and glued in any way. Returns what they ask for, in order. It has to
+            take each spelling that the board's own receiver takes, and must never find a motion where that receiver
+            would find none, or a faster one. Bytes of a frame that is not complete are kept, within a bound."""
+
+        def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
+            """The board said these bytes, at that time. Returns what the driver is to get of them, in whole frames or
+            lines: a board that talks unasked is passed on, without the answers to failstop's own questions. A board
+            that only answers returns nothing here, and answers the next question with what it has learned."""
+
+
+class Motion(Data):
+    """The speeds of all wheels by wire id, in the unit of the board's motion (wire.Motion). Zeros are a stop: the
+    driver lets go. A frame that names some wheels leaves the others at the speed that they were told before. A language
+    refuses what its board would refuse, and leaves the limits to the service."""
+
+    speeds: Sequence[float]
+
+
+class Answer(Data):
+    """Bytes for the driver: one whole answer, which is written at once or not at all."""
+
+    data: bytes
+
+
+class Refusal(Data):
+    """Something that the driver asks for and does not get."""
+
+    what: str
+    """For people, and the same each time: what the driver asked for, as "raw PWM (o)". A driver that asks again is not
+    reported again."""
+    why: str
+    """For people: what failstop did instead, and what helps, as "its wheels were stopped: use m"."""
+
+
+def language_of(kind: str, settings: Settings, *, tried: bool = False) -> DriverLanguage | None:
+    """A new conversation with the board of the setting board.kind; None: nobody has said what a driver may write to
+    this board. `settings`: every setting by its whole key; `tried`: as for kinds.wire_of(). Raises ValueError."""
+    from failstop.board import kinds
+
+    if kinds.is_described(kind):
+        make = kinds.wire_of(kind, tried=tried).driver
+        return make(settings) if make else None
+    try:
+        module = __import__(f"failstop.board.{kind}.driver", fromlist=["language"])
+    except ModuleNotFoundError:
+        return None
+    found: DriverLanguage = module.language(settings)
+    return found
