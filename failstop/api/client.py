@@ -166,8 +166,9 @@ class SeenRun:
 class Client:
     """A claimed client slot. The claim ends with close(), when nobody refers to this any more, or with the process."""
 
-    def __init__(self, name: str, who: str) -> None:
-        """Raises NoService, FailstopError (no permission, another version, all slots taken)."""
+    def __init__(self, name: str, who: str, *, pid: int | None = None) -> None:
+        """`pid`: of the program that this process speaks for, which people are shown; None: for itself. Raises
+        NoService, FailstopError (no permission, another version, all slots taken)."""
         self.name = name
         self.who = who
         directory = runtime_dir(name)
@@ -204,7 +205,9 @@ class Client:
             self._drop = weakref.finalize(self, taken.pop_all().close)
         self._records = {record: self._segment.latest_writer(record) for record in records.OF_SESSION}
         self._reply = gate.latest_reader(f"reply.{self.slot}")
-        hello = records.HELLO.pack(self._session, os.getpid(), pid_namespace(), self.who)
+        # The gate must not watch a program that this process speaks for: it may end in order, which this one knows.
+        shown = (os.getpid(), pid_namespace()) if pid is None else (pid, 0)
+        hello = records.HELLO.pack(self._session, *shown, self.who)
         self._segment.latest_writer("hello").write(hello)
         self._ring()
 

@@ -68,13 +68,13 @@ class Refusal(Data):
     """For people: what failstop did instead, and what helps, as "its wheels were stopped: use m"."""
 
 
-def language_of(kind: str, settings: Settings, *, tried: bool = False) -> DriverLanguage | None:
+def language_of(kind: str, settings: Settings) -> DriverLanguage | None:
     """A new conversation with the board of the setting board.kind; None: nobody has said what a driver may write to
-    this board. `settings`: every setting by its whole key; `tried`: as for kinds.wire_of(). Raises ValueError."""
+    this board. `settings`: every setting by its whole key. Raises ValueError."""
     from failstop.board import kinds
 
     if kinds.is_described(kind):
-        make = kinds.wire_of(kind, tried=tried).driver
+        make = kinds.wire_of(kind).driver
         return make(settings) if make else None
     try:
         module = __import__(f"failstop.board.{kind}.driver", fromlist=["language"])

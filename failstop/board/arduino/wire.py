@@ -29,7 +29,20 @@ from failstop.board.wire import (
     Write,
 )
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from failstop.board.driver import DriverLanguage
+
 _MS = 1_000_000
+
+
+def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
+    from failstop.board.arduino import driver  # for the guard port alone
+
+    return driver.language(settings)
+
 
 WIRE = Wire(
     name="an Arduino with ros_arduino_bridge",
@@ -94,4 +107,5 @@ WIRE = Wire(
             program="ros_arduino_python/nodes/arduino_node.py",
         ),
     ),
+    driver=_driver,
 )

@@ -1,0 +1,165 @@
+"""The lines that a driver may write to ros_arduino_bridge, and the answers that it waits for.
+
+They are read as the firmware reads them (ROSArduinoBridge.ino, joshnewans 210a122): the last letter before the first
+space is the command; two arguments follow, each after one space, and a further space changes nothing; a CR runs the
+line, whatever it holds by then; numbers are atoi's, of 16 bits. An argument of more than 15 bytes would overwrite its
+neighbours in the board's memory, so such a line is refused.
+
+Every line has one answer, in order. diffdrive_arduino takes a missing answer to `e`, or another one in its place, for
+the counts 0 0; hbrobotics' node asks again forever when `u r w x c s m` are answered by anything but `OK`. So a line
+that is refused is still answered as the board would answer it, without its effect.
+"""
+
+from __future__ import annotations
+
+import re
+
+from failstop.board.arduino import codec
+from failstop.board.driver import Answer, Motion, Refusal
+from failstop.board.wire import Wheels
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    Row = Motion | Answer | Refusal
+
+_CR, _SPACE = 13, 32
+_ARGUMENT = 15
+"""Bytes of an argument that the firmware has room for."""
+_MOST = 32767
+"""Of its 16-bit integers; a larger number would wrap around to another speed."""
+_NUMBER = re.compile(rb"[ \t\n\v\f\r]*([+-]?\d+)")
+_FASTEST = codec.LIMIT * codec.PERIODS
+"""Counts a second, more than which no wheel makes."""
+_NEAR_ZERO = _FASTEST / 4
+"""A board that restarts counts from 0 again, and is asked for its counts soon after."""
+_WRAPS = 2**32
+_OK = b"OK\r\n"
+_INVALID = b"Invalid Command\r\n"
+_REST = (0.0, 0.0)
+
+PATIENCE_NS = 1_000_000_000
+"""diffdrive_arduino's default timeout; hbrobotics' node waits longer."""
+
+_GAINS = "the board keeps its gains"
+_PINS = "failstop does not read or set the board's pins"
+_WITHOUT_EFFECT = {
+    ord("r"): (_OK, "", ""),
+    ord("u"): (_OK, "PID gains (u)", f"{_GAINS}: build those that you need into its firmware"),
+    ord("w"): (_OK, "writing a pin (w)", f"{_PINS}: 5, 6, 9, 10, 12 and 13 drive the motors"),
+    ord("x"): (_OK, "PWM on a pin (x)", f"{_PINS}: 5, 6, 9 and 10 drive the motors"),
+    ord("c"): (_OK, "setting up a pin (c)", _PINS),
+    ord("a"): (b"0\r\n", "reading an analog pin (a)", f"{_PINS}: it was answered 0"),
+    ord("d"): (b"0\r\n", "reading a pin (d)", f"{_PINS}: it was answered 0"),
+    ord("p"): (b"0\r\n", "the sonar (p)", "it would hold the board up for as long as a second: it was answered 0"),
+    ord("s"): (_OK, "moving a servo (s)", "failstop knows no servos on this board"),
+    ord("t"): (b"0\r\n", "a servo's angle (t)", "failstop knows no servos on this board: it was answered 0"),
+}
+"""Of each command that changes nothing: its answer, what it is, and why it has no effect. `r` sets the counts that the
+driver sees to zero, and is no refusal."""
+
+
+class ArduinoDriver:
+    """One driver's lines, and the counts that it sees: they begin at 0, as after the reset of a real opening."""
+
+    def __init__(self) -> None:
+        self.patience_ns = PATIENCE_NS
+        self._command = 0
+        self._at = 0
+        """Which argument its bytes go to; 0: none yet."""
+        self._arguments = (bytearray(), bytearray())
+        self._too_long = False
+        self._reader = codec.answers()
+        self._counted: tuple[int, int] | None = None
+        """The board's own counters, as it said last."""
+        self._counted_ns = 0
+        self._counts = [0, 0]
+
+    def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
+        """The driver's lines."""
+        rows: list[Row] = []
+        for byte in chunk:
+            if byte == _CR:
+                rows += self._run()
+                self._command, self._at, self._too_long = 0, 0, False
+                self._arguments = (bytearray(), bytearray())
+            elif byte == _SPACE:
+                self._at = min(self._at + 1, 2)
+            elif not self._at:
+                self._command = byte
+            elif len(self._arguments[self._at - 1]) < _ARGUMENT:
+                self._arguments[self._at - 1].append(byte)
+            else:
+                self._too_long = True
+        return rows
+
+    def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
+        """The board only answers, so nothing is passed on; its counts are."""
+        for sample in self._reader.feed(chunk):
+            if isinstance(sample, Wheels):
+                left, right = sample.positions
+                self._count((int(left), int(right)), now_ns)
+        return []
+
+    def _count(self, counters: tuple[int, int], now_ns: int) -> None:
+        before, self._counted = self._counted, counters
+        passed_ns, self._counted_ns = now_ns - self._counted_ns, now_ns
+        if before is None:
+            return
+        steps = [_wrapped(now - then) for now, then in zip(counters, before, strict=True)]
+        largest = max(map(abs, steps))
+        restarted = largest > _NEAR_ZERO and max(map(abs, counters)) <= _NEAR_ZERO
+        # The robot has not jumped when the board's counters do.
+        if not restarted and largest <= _FASTEST * passed_ns / 1e9 + _NEAR_ZERO:
+            self._counts = [_wrapped(count + step) for count, step in zip(self._counts, steps, strict=True)]
+
+    def _run(self) -> list[Row]:
+        if self._command == ord("m"):
+            return [*self._motion(), Answer(_OK)]
+        if self._command == ord("e"):
+            return [Answer(b"%d %d\r\n" % tuple(self._counts))]
+        if self._command == ord("b"):
+            return [Answer(b"57600\r\n")]
+        if self._command == ord("o"):
+            return [
+                Refusal("raw PWM (o)", "it has no speed that could be limited, so the wheels were stopped: use m"),
+                Motion(_REST),
+                Answer(_OK),
+            ]
+        if found := _WITHOUT_EFFECT.get(self._command):
+            answer, what, why = found
+            if self._command == ord("r"):
+                self._counts = [0, 0]
+            return [*([Refusal(what, why)] if what else []), Answer(answer)]
+        if not self._command:
+            return [Answer(_INVALID)]
+        what = f"the command {chr(self._command)!r}" if 32 < self._command < 127 else f"the byte {self._command:#04x}"
+        why = "ros_arduino_bridge has no such command, so the wheels were stopped: is it made for this board?"
+        return [Refusal(what, why), Motion(_REST), Answer(_INVALID)]
+
+    def _motion(self) -> list[Row]:
+        speeds = [_atoi(bytes(argument)) for argument in self._arguments]
+        if self._too_long or max(map(abs, speeds)) > _MOST:
+            why = (
+                f"the board takes -{_MOST} to {_MOST}, and would turn more into another speed: the wheels were stopped"
+            )
+            return [Refusal("a speed that is too large (m)", why), Motion(_REST)]
+        left, right = speeds
+        return [Motion((float(left), float(right)))]
+
+
+def _atoi(text: bytes) -> int:
+    """The number at the beginning of a text; 0: there is none. Digits after a NUL do not count."""
+    found = _NUMBER.match(text.partition(b"\0")[0])
+    return int(found[1]) if found else 0
+
+
+def _wrapped(count: int) -> int:
+    """As the board's counters of 32 bits hold it."""
+    return (count + _WRAPS // 2) % _WRAPS - _WRAPS // 2
+
+
+def language(_settings: Mapping[str, float | str]) -> ArduinoDriver:
+    """A driver's conversation, which needs no setting."""
+    return ArduinoDriver()

@@ -1,0 +1,125 @@
+"""`failstop guard`: a serial port for a driver program, which then drives through the service."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import tempfile
+import time
+from argparse import ArgumentParser, Namespace
+
+from failstop import config
+from failstop.api.client import runtime_dir
+from failstop.api.errors import FailstopError, NoService
+from failstop.board.driver import language_of
+from failstop.cli.commands import add_name
+from failstop.files import instance
+from failstop.guard.dry import Nothing
+from failstop.guard.guard import Guard
+from failstop.guard.pty import Pty
+from failstop.guard.service import Service
+from failstop.policy.settings import Settings
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.guard.guard import Board
+
+EXAMPLES = """\
+failstop guard                          # then have your driver open the port that it prints
+failstop guard --path /dev/ttyDRIVER    # at a path of your own
+failstop guard --dry-run                # no robot: what your driver writes, and what it would get
+"""
+PORT = "port"
+"""The link's name in the runtime directory."""
+LOOK_S = 0.5
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Options of `failstop guard`."""
+    add = parser.add_argument
+    add("--path", metavar="PATH", help="where your driver opens it (default: the setting guard.path)")
+    add("--dry-run", action="store_true", help="without a robot: print what a driver writes and what it would get")
+    add("--config", metavar="FILE", help="with --dry-run: TOML file with settings (default: the installed service's)")
+    add_name(parser)
+
+
+def main(arguments: Namespace) -> int:
+    """Until it is ended. Raises FailstopError, SettingError."""
+    instance.check_name(arguments.name)
+    ends = _Ends()
+    if arguments.dry_run:
+        with tempfile.TemporaryDirectory(prefix="failstop-guard-") as folder:
+            return _dry_run(arguments, folder, ends)
+    if arguments.config:
+        raise FailstopError("--config goes with --dry-run: a guard has the settings of the service that runs")
+    service = Service(arguments.name)
+    settings = _wait(service, ends)
+    return _serve(service, settings, arguments.path or _usual(settings, arguments.name), ends) if settings else 0
+
+
+class _Ends:
+    """SIGTERM and Ctrl-C."""
+
+    def __init__(self) -> None:
+        self.now = False
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._end)
+
+    def _end(self, _number: int, _frame: object) -> None:
+        self.now = True
+
+
+def _dry_run(arguments: Namespace, folder: str, ends: _Ends) -> int:
+    installed = config.installed(arguments.name)
+    settings = config.load(arguments.config or (installed if os.path.exists(installed) else None), {})
+    path = arguments.path or settings.text("guard.path") or os.path.join(folder, PORT)
+    return _serve(Nothing(settings, _tell), settings, path, ends)
+
+
+def _wait(service: Service, ends: _Ends) -> Settings | None:
+    """The settings of the service, once it runs; None: the guard was ended first."""
+    said = ""
+    while not ends.now:
+        if service.look(time.monotonic_ns()):
+            return service.settings
+        if service.note != said:
+            said = service.note
+            _tell(f"{said}; waiting for it")
+        time.sleep(LOOK_S)
+    return None
+
+
+def _usual(settings: Settings, name: str) -> str:
+    try:
+        return settings.text("guard.path") or os.path.join(runtime_dir(name), PORT)
+    except NoService as error:
+        raise FailstopError(f"{error}; or choose a place with --path") from None
+
+
+def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
+    kind = settings.text("board.kind")
+    if language_of(kind, settings.flat()) is None:
+        raise FailstopError(
+            f"board.kind {kind}: nobody has said yet what a driver may write to this board; "
+            'for your own board see "The guard port" in docs/dev/porting.md'
+        )
+    if not os.path.isabs(path):
+        raise FailstopError(f"{path}: give the whole path, because your driver may run in another folder")
+    pty = Pty(path)
+    try:
+        guard = Guard(board, pty, _tell)
+        try:
+            _tell(f"your driver opens {path} in the place of the board's port; Ctrl-C ends")
+            gc.freeze()
+            while not ends.now:
+                guard.turn()
+        finally:
+            guard.close()
+    finally:
+        pty.close()
+    return 0
+
+
+def _tell(line: str) -> None:
+    print(line, flush=True)

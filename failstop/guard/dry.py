@@ -1,0 +1,67 @@
+"""Dry: a guard without a service and without a robot, which prints what it would do with a driver's bytes."""
+
+from __future__ import annotations
+
+from failstop.api.words import velocity
+from failstop.board import kinds
+from failstop.guard.scale import Scale
+from failstop.policy.settings import FIRST_SOURCE
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from failstop.guard.talk import Command
+    from failstop.policy.settings import Settings
+
+MOST_SHOWN = 200
+"""Different motions that are printed of one driver."""
+
+
+class Nothing:
+    """In the place of the service: no board answers, and no wheel turns."""
+
+    def __init__(self, settings: Settings, tell: Callable[[str], None]) -> None:
+        """Raises ValueError."""
+        self.settings: Settings | None = settings
+        self.source = FIRST_SOURCE
+        self.runs = 1
+        self.note = ""
+        board = kinds.board_of(*settings.board())
+        self.scale = Scale(settings, board.per_rps, board.step_rps)
+        self._tell = tell
+        self._shown: set[tuple[float, ...]] = set()
+
+    def look(self, now_ns: int) -> bool:
+        """Nothing is looked for."""
+        return True
+
+    def join(self, who: str, pid: int | None) -> None:
+        """A driver begins."""
+        self._shown.clear()
+
+    def leave(self, *, in_order: bool) -> None:
+        """A driver ends."""
+        if not in_order:
+            self._tell("  with failstop: the wheels stop, and motion is disabled (gate.driver_death)")
+
+    def command(self, command: Command) -> str:
+        """Print a motion, the first time."""
+        asked = self.scale.velocity(command.speeds)
+        if command.speeds not in self._shown and len(self._shown) < MOST_SHOWN:
+            self._shown.add(command.speeds)
+            speeds = " ".join(f"{speed:g}" for speed in command.speeds)
+            self._tell(f"  motion: wheels {speeds}: {velocity(*asked)}")
+        return self.scale.beyond(asked)
+
+    def say(self, sees: str, wrong: str) -> None:
+        """Print what is wrong."""
+        if wrong:
+            self._tell(f"  {wrong}")
+
+    def block(self) -> None:
+        """Nothing keeps wheels from turning that are not there."""
+
+    def heard(self) -> list[tuple[int, bytes]]:
+        """No board says anything."""
+        return []

@@ -1,0 +1,221 @@
+"""Guard: one turn of the process after another - who has the port open, what they wrote, what they get."""
+
+from __future__ import annotations
+
+import select
+from time import monotonic_ns
+
+from failstop.api import words
+from failstop.api.snapshot import Block
+from failstop.board.driver import language_of
+from failstop.guard.door import Door
+from failstop.guard.talk import Talk
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Protocol
+
+    from failstop.guard.pty import Pty
+    from failstop.guard.scale import Scale
+    from failstop.guard.talk import Command
+    from failstop.policy.settings import Settings
+
+    class Board(Protocol):
+        """What a driver drives through: the service (service.py), or nothing at all (dry.py)."""
+
+        settings: Settings | None
+        scale: Scale
+        source: str
+        runs: int
+        note: str
+
+        def look(self, now_ns: int) -> bool: ...
+        def join(self, who: str, pid: int | None) -> None: ...
+        def leave(self, *, in_order: bool) -> None: ...
+        def command(self, command: Command) -> str: ...
+        def say(self, sees: str, wrong: str) -> None: ...
+        def block(self) -> Block | None: ...
+        def heard(self) -> list[tuple[int, bytes]]: ...
+
+
+LISTEN_NS = 5_000_000
+"""How often the board's words are looked for while a driver has the port open."""
+LOOK_NS = 500_000_000
+"""How often it is looked whether the service and the link are there."""
+SAY_NS = 2_000_000_000
+"""How often people are told again what there is to say of the driver, so that the words are not old."""
+USUAL_OPENERS = {"ugv": 2}
+"""Waveshare's ROS 2 driver writes with one node and reads with the other. Of other boards one program may open."""
+A_DRIVER = "a driver"
+GUARD = "failstop guard"
+
+
+class Guard:
+    """The port, and the conversation with the program that has it open."""
+
+    def __init__(self, board: Board, pty: Pty, tell: Callable[[str], None]) -> None:
+        """`tell`: prints a line for people. Raises OSError."""
+        self._board, self._pty, self._tell = board, pty, tell
+        self._poll = select.epoll()
+        self._door = Door(pty, self._poll)
+        self._talk: Talk | None = None
+        self._who = A_DRIVER
+        """The driver, for people."""
+        self._empty_ns = monotonic_ns()
+        """When nothing of the driver's waited to be read."""
+        self._told: set[str] = set()
+        """Lines that are printed once for each driver."""
+        self._said = ("", "")
+        self._said_ns = self._looked_ns = 0
+        self._runs, self._note = board.runs, board.note
+        self._begin()
+
+    def turn(self) -> None:
+        """Sleep until there is something to do, and do it. Raises FailstopError, OSError."""
+        ready = dict(self._poll.poll(self._wait_s(monotonic_ns())))
+        now_ns = monotonic_ns()
+        # Whoever has gone comes before what was written, because the bytes of a dead driver move nothing.
+        events, dead = self._door.look(ready)
+        if dead or False in events:
+            self._end()
+        if dead or events:
+            self._recount(events, dead)
+        if now_ns - self._looked_ns >= LOOK_NS:
+            self._looked_ns = now_ns
+            self._look(now_ns)
+        self._listen()
+        self._read(now_ns)
+        self._drive(now_ns)
+        self._say(now_ns)
+
+    def _wait_s(self, now_ns: int) -> float:
+        due_ns = now_ns + (LISTEN_NS if self._door.count else LOOK_NS)
+        motion_ns = self._talk.due_ns() if self._talk else None
+        return max(0, min(due_ns, due_ns if motion_ns is None else motion_ns) - now_ns) / 1e9
+
+    def _once(self, line: str) -> None:
+        if line not in self._told:
+            self._told.add(line)
+            self._tell(line)
+
+    def _look(self, now_ns: int) -> None:
+        """Are the service and the link there?"""
+        self._board.look(now_ns)
+        if self._board.runs != self._runs:
+            self._runs = self._board.runs
+            self._begin()
+        if self._board.note != self._note:
+            self._note = self._board.note
+            self._tell(self._note or "the service is there")
+        if not self._pty.linked():
+            self._pty.link_again()
+
+    # Who has it open.
+
+    def _recount(self, events: list[bool], dead: list[int]) -> None:
+        crowded = self._door.crowded
+        if heir := self._door.recount(events, dead):
+            self._tell(f"a child of {heir}, which has died, had the port open: hung up")
+            self._door.hang_up()
+        if self._talk is None or not self._door.count:
+            self._begin()
+        if self._door.crowded and not crowded:
+            names = " and ".join(map(str, self._door.seen.values())) or f"{self._door.count} programs"
+            self._tell(
+                f"{names} have the port open, and guard.openers lets {self._door.most} of them: nothing that they "
+                "write moves the robot until one of them closes it"
+            )
+
+    def _begin(self) -> None:
+        """Begin a conversation with the program that has it open; where none has, wait for one."""
+        settings, opener = self._board.settings, next(iter(self._door.seen.values()), None)
+        self._talk = None
+        if settings is not None:
+            kind = settings.text("board.kind")
+            self._door.most = int(settings["guard.openers"]) or USUAL_OPENERS.get(kind, 1)
+            if self._door.count and (language := language_of(kind, settings.flat())):
+                _, source_ns = settings.sources()[self._board.source]
+                self._talk = Talk(language, self._board.scale.wheels, settings.ns("guard.timeout_s"), source_ns)
+        self._told.clear()
+        if not self._door.count:
+            self._who = A_DRIVER
+            self._board.join(GUARD, None)
+        else:
+            self._who = str(opener or A_DRIVER)
+            self._tell(f"{self._who} has the port open")
+            self._board.join(*((opener.name, opener.pid) if opener else (A_DRIVER, None)))
+        self._said_ns = 0
+
+    def _end(self) -> None:
+        """A program has closed the port or died. Nothing says which of them wrote, so the driver has ended."""
+        unread, now_ns = self._pty.clean(), monotonic_ns()
+        talk, self._talk = self._talk, None
+        if talk:
+            drove = talk.ended(unread, now_ns)
+            self._board.leave(in_order=not drove)
+            self._tell(f"{self._who} has ended{' or died while it drove' if drove else ''}")
+
+    # What they write, and what they get.
+
+    def _listen(self) -> None:
+        for t_ns, chunk in self._board.heard():
+            for data in self._talk.heard(chunk, t_ns) if self._talk else ():
+                self._pty.write(data)
+
+    def _read(self, now_ns: int) -> None:
+        since_ns = self._empty_ns
+        chunk, empty = self._pty.read()
+        if empty:
+            self._empty_ns = now_ns
+        if not chunk or self._talk is None:
+            return
+        for answer in self._talk.wrote(chunk, now_ns, since_ns):
+            self._pty.write(answer)
+        if not empty and now_ns - since_ns > LOOK_NS:
+            self._talk.refuse("more than can be read in time", "what it writes may be old, so it moves nothing")
+        for refusal in self._talk.refusals:
+            self._tell(f"{self._who}: {refusal.what}: {refusal.why}")
+        self._talk.refusals.clear()
+
+    def _drive(self, now_ns: int) -> None:
+        if self._talk is None or self._door.crowded or (command := self._talk.command(now_ns)) is None:
+            return
+        if beyond := self._board.command(command):
+            self._once(f"{self._who} asks for {beyond}, so it gets that")
+        settings = self._board.settings
+        if command.moves and settings and settings.on("guard.hang_up"):
+            block = self._board.block()
+            if block in (Block.LATCHED, Block.DISABLED):
+                why = "a stop is latched" if block is Block.LATCHED else "motion is disabled"
+                self._tell(f"{self._who} wants to move while {why}: hung up (guard.hang_up)")
+                self._board.leave(in_order=True)
+                self._door.hang_up()
+                self._begin()
+
+    # What people are told.
+
+    def _say(self, now_ns: int) -> None:
+        said = self._words(now_ns)
+        if said != self._said or now_ns - self._said_ns >= SAY_NS:
+            self._said, self._said_ns = said, now_ns
+            self._board.say(*said)
+
+    def _words(self, now_ns: int) -> tuple[str, str]:
+        """What it sees, and what is wrong."""
+        if self._talk is None:
+            return f"no driver has {self._pty.path} open", ""
+        wrong = ""
+        if self._door.crowded:
+            wrong = f"{self._door.count} programs have the port open, so none of them drives"
+        elif silent_ns := self._talk.silent_ns(now_ns):
+            counts_s = self._talk.timeout_ns / 1e9
+            for_s = words.span(silent_ns / 1e9 + counts_s)
+            wrong = f"it has written no motion for {for_s}; its last one counted for {counts_s:g} s (guard.timeout_s)"
+        return f"drives through {self._pty.path}", wrong
+
+    def close(self) -> None:
+        """End. A driver that drives loses its port, so the service treats it as one that has died."""
+        self._board.leave(in_order=not (self._talk and self._talk.drives))
+        self._door.close()
+        self._poll.close()

@@ -1,0 +1,112 @@
+"""Openers: the programs that have the pseudo-terminal open, by inotify and, where it shows them, by /proc.
+
+The kernel merges events that are alike and follow each other, so events say that somebody opened or closed it, and only
+/proc says how many have it open. A child that inherited the descriptor keeps it open when its parent dies, so each
+program that was seen is watched by a pidfd too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import struct
+
+from failstop.data import Data
+
+IN_CLOSE_WRITE, IN_CLOSE_NOWRITE, IN_OPEN = 0x8, 0x10, 0x20
+_EVENT = struct.Struct("iIII")
+_libc = ctypes.CDLL(None, use_errno=True)
+INTERPRETERS = ("python", "perl", "ruby", "node", "bash", "sh", "dash")
+
+
+class Watch:
+    """Opens and closes of one path."""
+
+    def __init__(self, path: str) -> None:
+        """Raises OSError."""
+        self.fd = _libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
+        if self.fd < 0:
+            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), "inotify")
+        wanted = IN_OPEN | IN_CLOSE_WRITE | IN_CLOSE_NOWRITE
+        if _libc.inotify_add_watch(self.fd, os.fsencode(path), wanted) < 0:
+            error = ctypes.get_errno()
+            os.close(self.fd)
+            raise OSError(error, os.strerror(error), path)
+
+    def events(self) -> list[bool]:
+        """Since the last call, in order: True, somebody opened it; False, somebody closed it."""
+        found: list[bool] = []
+        with contextlib.suppress(BlockingIOError):
+            while data := os.read(self.fd, 65536):
+                at = 0
+                while at < len(data):
+                    _, mask, _, length = _EVENT.unpack_from(data, at)
+                    at += _EVENT.size + length
+                    if mask & (IN_OPEN | IN_CLOSE_WRITE | IN_CLOSE_NOWRITE):
+                        found.append(bool(mask & IN_OPEN))
+        return found
+
+    def close(self) -> None:
+        os.close(self.fd)
+
+
+class Opener(Data):
+    """A program that has it open."""
+
+    pid: int
+    name: str
+    times: int
+    """How many of its descriptors are open on it."""
+
+    def __str__(self) -> str:
+        return f"{self.name} (pid {self.pid})"
+
+
+def openers(path: str) -> tuple[dict[int, Opener], bool]:
+    """The programs that have this terminal open, but for this process; and whether some process hid its files."""
+    wanted = _identity(path)
+    found: dict[int, Opener] = {}
+    hidden = False
+    for pid in (int(name) for name in os.listdir("/proc") if name.isdigit()):
+        if pid == os.getpid():
+            continue
+        folder = f"/proc/{pid}/fd"
+        try:
+            names = os.listdir(folder)
+        except PermissionError:
+            hidden = True
+            continue
+        except OSError:
+            continue
+        times = 0
+        for name in names:
+            with contextlib.suppress(OSError):
+                # Only what is a device by its path is looked at: another file's server may be away.
+                if os.readlink(f"{folder}/{name}").startswith("/dev/"):
+                    times += _identity(f"{folder}/{name}") == wanted
+        if times:
+            found[pid] = Opener(pid, program(pid), times)
+    return found, hidden
+
+
+def _identity(path: str) -> tuple[int, int, int]:
+    found = os.stat(path)
+    return found.st_dev, found.st_ino, found.st_rdev
+
+
+def program(pid: int) -> str:
+    """The name of a process for people: of a script its file's."""
+    try:
+        with open(f"/proc/{pid}/cmdline", "rb") as file:
+            words = os.fsdecode(file.read(4096)).split("\0")
+        with open(f"/proc/{pid}/comm", encoding="utf-8", errors="replace") as file:
+            comm = file.read().strip()
+    except OSError:
+        return "a program"
+    first = os.path.basename(words[0])
+    if first.startswith(INTERPRETERS):
+        script = next((word for word in words[1:] if word and not word.startswith("-")), "")
+        if "-c" not in words[1:2] and script:
+            return os.path.basename(script)
+    return first or comm or "a program"

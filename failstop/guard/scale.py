@@ -1,0 +1,48 @@
+"""Scale: the driver's wheel speeds as a velocity of the base, which is what the service takes. Pure."""
+
+from __future__ import annotations
+
+from math import copysign
+
+from failstop.policy.kinematics import from_settings
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from failstop.policy.kinematics import Velocity
+    from failstop.policy.settings import Settings
+
+_NUDGE = 1e-3
+"""Of a step. The service rounds a speed towards zero to a multiple of the board's step. A driver's speed is such a
+multiple already, and must not lose a step because it comes back from the velocity a hair too small."""
+_ROUNDING = 1.001
+AXES = (
+    ("limits.vx_mps", "forward or backward", "m/s"),
+    ("limits.vy_mps", "sideways", "m/s"),
+    ("limits.wz_radps", "turning", "rad/s"),
+)
+
+
+class Scale:
+    """By the settings' wheels, as the service itself turns a velocity into speeds."""
+
+    def __init__(self, settings: Settings, per_rps: float, step_rps: float) -> None:
+        """`per_rps`: a wheel's turn a second in the unit of the board's motion; `step_rps`: the smallest difference
+        between two speeds of the board, in turns a second."""
+        self._chassis = from_settings(settings)
+        self.wheels = len(self._chassis.rest) - self._chassis.steers
+        self._limits = [settings[key] for key, *_ in AXES]
+        self._per_rps, self._nudge_rps = per_rps, step_rps * _NUDGE
+
+    def velocity(self, speeds: Sequence[float]) -> Velocity:
+        """The velocity of the base whose wheels turn so, by wire id in the unit of the board's motion."""
+        rps = [speed / self._per_rps + copysign(self._nudge_rps, speed) if speed else 0.0 for speed in speeds]
+        return self._chassis.velocity(rps)
+
+    def beyond(self, velocity: Velocity) -> str:
+        """What a velocity asks for beyond the settings' limits, in words; empty: nothing."""
+        for asked, most, (key, way, unit) in zip(velocity, self._limits, AXES, strict=True):
+            if abs(asked) > most * _ROUNDING:
+                return f"{abs(asked):.2f} {unit} {way}; the setting {key} allows {most:g}"
+        return ""

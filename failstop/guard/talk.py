@@ -1,0 +1,142 @@
+"""Talk: one driver's conversation, from its first byte to its end. Pure: every time is an argument.
+
+The board's language says what the driver's bytes ask for (failstop/board/driver.py). This says what becomes of that:
+which motion counts and until when, which answers still help, and whether a driver that has gone had let go of the
+wheels.
+
+A motion is as old as the last moment at which nothing of the driver's waited to be read. So after a stall of the guard,
+or behind a driver that writes faster than anyone reads, an old motion is not taken for a new one.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from failstop.board.driver import Answer, Motion, Refusal
+from failstop.data import Data
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from failstop.board.driver import DriverLanguage
+
+RENEW_NS = 100_000_000
+"""A motion that counts for longer than the service lets a command count is commanded again this often, or more."""
+MOST_REFUSALS = 32
+"""Different refusals that are reported of one driver."""
+NOT_WHEELS = "a motion that is no motion"
+
+
+class Command(Data):
+    """A command for the service: speeds by wire id in the board's unit, and the moment that it counts from."""
+
+    speeds: tuple[float, ...]
+    t_ns: int
+
+    @property
+    def moves(self) -> bool:
+        """It asks for a speed other than zero."""
+        return any(self.speeds)
+
+
+class Talk:
+    """What one driver has said, and what is to be commanded for it."""
+
+    def __init__(self, language: DriverLanguage, wheels: int, timeout_ns: int, source_ns: int) -> None:
+        """`wheels`: how many speeds a motion has; `timeout_ns`: for how long the driver's last motion counts (the
+        setting guard.timeout_s); `source_ns`: for how long the service lets a command count."""
+        self._language = language
+        self._wheels = wheels
+        self.timeout_ns, self._source_ns = timeout_ns, source_ns
+        self._renew_ns = min(RENEW_NS, source_ns // 3)
+        self._speeds: tuple[float, ...] | None = None
+        self._written_ns = 0
+        """When the newest motion was written, at the earliest."""
+        self._sent_ns: int | None = None
+        """The moment that the command counts from that was handed over last; None: this motion was not yet."""
+        self._known: set[str] = set()
+        self.refusals: list[Refusal] = []
+        """New refusals, for people; the shell, which reports them, empties the list."""
+
+    @property
+    def motion(self) -> tuple[float, ...] | None:
+        """The newest motion; None: it has written none."""
+        return self._speeds
+
+    @property
+    def drives(self) -> bool:
+        """Its newest motion, however old, asks for a speed other than zero."""
+        return self._speeds is not None and any(self._speeds)
+
+    def silent_ns(self, now_ns: int) -> int:
+        """For how long its last motion has not counted any more, though it asks for a speed; 0: it counts."""
+        return max(0, now_ns - self._written_ns - self.timeout_ns) if self.drives else 0
+
+    def wrote(self, chunk: bytes, now_ns: int, since_ns: int) -> list[bytes]:
+        """The driver wrote these bytes, after `since_ns` and by `now_ns`. Returns the answers to them."""
+        rows = self._language.wrote(chunk, now_ns)
+        answers = [row.data for row in rows if isinstance(row, Answer)]
+        motions = [row.speeds for row in rows if isinstance(row, Motion)]
+        for row in rows:
+            if isinstance(row, Refusal):
+                self.refuse(row.what, row.why)
+        if motions:
+            self._move(motions[-1], since_ns)
+        late = now_ns - since_ns > self._language.patience_ns
+        return answers[-1:] if late else answers
+
+    def _move(self, speeds: Sequence[float], since_ns: int) -> None:
+        found = tuple(map(float, speeds))
+        if len(found) != self._wheels or not all(map(isfinite, found)):
+            self.refuse(NOT_WHEELS, f"{self._wheels} finite speeds were expected, so the wheels were stopped")
+            found = (0.0,) * self._wheels
+        self._speeds, self._written_ns, self._sent_ns = found, since_ns, None
+
+    def refuse(self, what: str, why: str) -> None:
+        """The driver does not get something, which is reported once."""
+        if what not in self._known and len(self._known) < MOST_REFUSALS:
+            self._known.add(what)
+            self.refusals.append(Refusal(what, why))
+
+    def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
+        """The board said these bytes. Returns what the driver gets of them, each to be written whole."""
+        return self._language.heard(chunk, now_ns)
+
+    def command(self, now_ns: int) -> Command | None:
+        """The command to hand to the service now; None: what was handed over still says it.
+
+        The service lets a command count for its own timeout, so a motion that may count for longer is commanded again
+        and again. The last of these counts from a moment that makes it end with the driver's timeout. So the wheels
+        stop in time even if the guard hangs meanwhile.
+        """
+        if self._speeds is None:
+            return None
+        last_ns, sent_ns = self._last_ns, self._sent_ns
+        t_ns = min(now_ns, last_ns)
+        if sent_ns is not None:
+            early = t_ns < last_ns and t_ns - sent_ns < self._renew_ns
+            # After a stall of its own the guard renews nothing: to the service it would look like a new command.
+            if t_ns <= sent_ns or early or now_ns - sent_ns > self._source_ns:
+                return None
+        self._sent_ns = t_ns
+        return Command(self._speeds, t_ns)
+
+    @property
+    def _last_ns(self) -> int:
+        """The moment that the last command of this motion counts from."""
+        return self._written_ns + self.timeout_ns - self._source_ns
+
+    def due_ns(self) -> int | None:
+        """When command() has something to say if the driver writes nothing more; None: never."""
+        if self._speeds is None:
+            return None
+        if self._sent_ns is None:
+            return self._written_ns
+        return min(self._sent_ns + self._renew_ns, self._last_ns) if self._sent_ns < self._last_ns else None
+
+    def ended(self, unread: bytes, now_ns: int) -> bool:
+        """The driver has gone, and these bytes of it were not read yet. True when it ended or died while driving: a
+        motion among them is not carried out any more, but a zero says that it had let go."""
+        motions = [row.speeds for row in self._language.wrote(unread, now_ns) if isinstance(row, Motion)]
+        return any(motions[-1]) if motions else self.drives
