@@ -18,10 +18,11 @@ from failstop_lab.pages.rooms import EVERYBODYS, ROOMS, arrows
 from tests.support import rooms
 from tests.support.rooms import CORE, ROOT, imported, imports, modules, name_of, package
 
-FEATURES = {"fleet", "web", "ros2", "setup", "lab"}
+FEATURES = {"fleet", "guard", "web", "ros2", "setup", "lab"}
 """Rooms that a robot may do without, each with its commands."""
 OF_A_TERMINAL = {
     "fleet": {"command", "metrics_command", "publisher", "report", "view"},
+    "guard": {"command"},
     "ros2": {"command", "bridge"},
     "web": {"command"},
 }

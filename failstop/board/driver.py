@@ -7,12 +7,12 @@ bytes.
 
 Each of its rows is one of three things:
 
-- Motion: the speeds of all wheels. The service decides whether they turn; no other row can move anything.
-- Answer: bytes for the driver, which the language makes from what the board said last.
-- Refusal: what the driver asked for and does not get. People read it once for each driver.
+- DriverMotion: the speeds of all wheels. The service decides whether they turn; no other row can move anything.
+- DriverAnswer: bytes for the driver, which the language makes from what the board said last.
+- DriverRefusal: what the driver asked for and does not get. People read it once for each driver.
 
-So a refused question has two rows (a Refusal, and an Answer that keeps the driver going), and raw PWM has three (a
-Refusal, a Motion of zeros, an Answer).
+So a refused question has two rows (a refusal, and an answer that keeps the driver going), and raw PWM has three (a
+refusal, a motion of zeros, an answer).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
         """How long a driver waits for an answer. After a longer pause of its own the guard answers the newest question
         alone, because a driver that has given up takes a late answer for the one to its next question."""
 
-        def wrote(self, chunk: bytes, now_ns: int) -> list[Motion | Answer | Refusal]:
+        def wrote(self, chunk: bytes, now_ns: int) -> list[DriverMotion | DriverAnswer | DriverRefusal]:
             """The driver wrote these bytes, split and glued in any way. Returns what they ask for, in order. It has to
             take each spelling that the board's own receiver takes, and must never find a motion where that receiver
             would find none, or a faster one. Bytes of a frame that is not complete are kept, within a bound."""
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
             that only answers returns nothing here, and answers the next question with what it has learned."""
 
 
-class Motion(Data):
+class DriverMotion(Data):
     """The speeds of all wheels by wire id, in the unit of the board's motion (wire.Motion). Zeros are a stop: the
     driver lets go. A frame that names some wheels leaves the others at the speed that they were told before. A language
     refuses what its board would refuse, and leaves the limits to the service."""
@@ -52,13 +52,13 @@ class Motion(Data):
     speeds: Sequence[float]
 
 
-class Answer(Data):
+class DriverAnswer(Data):
     """Bytes for the driver: one whole answer, which is written at once or not at all."""
 
     data: bytes
 
 
-class Refusal(Data):
+class DriverRefusal(Data):
     """Something that the driver asks for and does not get."""
 
     what: str

@@ -10,7 +10,32 @@ from failstop.guard.openers import Opener, Watch, openers
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from failstop.guard.pty import Pty
+
+
+class News:
+    """What has happened at the door: who opened and closed it, and who died."""
+
+    def __init__(self, events: Sequence[bool], dead: Sequence[int], count: int) -> None:
+        """`events`: opens (True) and closes (False) in order; `dead`: the pids of programs that have died; `count`: how
+        often it was open before."""
+        self.dead = dead
+        self.closed = False
+        """Somebody who was known to have it open has closed it. A close for which nobody is known was counted already:
+        it came while it was looked who has it open."""
+        self.count = count
+        """How often it is open now, by this alone."""
+        self.any = bool(events or dead)
+        for opened in events:
+            self.closed |= not opened and self.count > 0
+            self.count = self.count + 1 if opened else max(0, self.count - 1)
+
+    @property
+    def ended(self) -> bool:
+        """A program that had it open has closed it or died."""
+        return self.closed or bool(self.dead)
 
 
 class Door:
@@ -39,20 +64,19 @@ class Door:
         """More programs have it open than may."""
         return self.count > self.most
 
-    def look(self, ready: dict[int, int]) -> tuple[list[bool], list[int]]:
-        """What has happened since the last look: opens (True) and closes (False) in order, and the pids of programs
-        that have died. Cheap, because a stop waits for it."""
-        dead = [pid for pid, fd in self._lives.items() if fd in ready]
-        return self._watch.events(), dead
+    def look(self, ready: dict[int, int]) -> News:
+        """What has happened since the last look. Cheap, because a stop waits for it."""
+        return News(self._watch.events(), [pid for pid, fd in self._lives.items() if fd in ready], self.count)
 
-    def recount(self, events: list[bool], dead: list[int]) -> str:
+    def recount(self, news: News) -> str:
         """See who has it open after that, and keep further programs out where it is open as often as may be. Returns
         the program whose child goes on holding it, after which hang_up() helps alone; empty: there is none."""
         seen, hidden = openers(self._pty.name)
         shown = sum(opener.times for opener in seen.values())
-        known = max(0, self.count + events.count(True) - events.count(False))
-        self.count = max(known, shown) if hidden else shown
-        heirs = [self.seen[pid] for pid in dead if pid in self.seen] if seen.keys() - self.seen.keys() else []
+        self.count = max(news.count, shown) if hidden else shown
+        # A program that closes it itself has done so before its pidfd tells of its death.
+        inherited = not news.closed and seen.keys() - self.seen.keys()
+        heirs = [self.seen[pid] for pid in news.dead if pid in self.seen and inherited]
         self._follow(seen)
         self._pty.exclusive(on=self.count >= self.most)
         return str(heirs[0]) if heirs else ""

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Protocol
 
+    from failstop.guard.door import News
     from failstop.guard.pty import Pty
     from failstop.guard.scale import Scale
     from failstop.guard.talk import Command
@@ -76,11 +77,11 @@ class Guard:
         ready = dict(self._poll.poll(self._wait_s(monotonic_ns())))
         now_ns = monotonic_ns()
         # Whoever has gone comes before what was written, because the bytes of a dead driver move nothing.
-        events, dead = self._door.look(ready)
-        if dead or False in events:
+        news = self._door.look(ready)
+        if news.ended:
             self._end()
-        if dead or events:
-            self._recount(events, dead)
+        if news.any:
+            self._recount(news)
         if now_ns - self._looked_ns >= LOOK_NS:
             self._looked_ns = now_ns
             self._look(now_ns)
@@ -113,11 +114,11 @@ class Guard:
 
     # Who has it open.
 
-    def _recount(self, events: list[bool], dead: list[int]) -> None:
+    def _recount(self, news: News) -> None:
         crowded = self._door.crowded
-        if heir := self._door.recount(events, dead):
-            self._tell(f"a child of {heir}, which has died, had the port open: hung up")
+        if heir := self._door.recount(news):
             self._door.hang_up()
+            self._tell(f"a child of {heir}, which has died, had the port open: hung up")
         if self._talk is None or not self._door.count:
             self._begin()
         if self._door.crowded and not crowded:
@@ -152,7 +153,8 @@ class Guard:
         unread, now_ns = self._pty.clean(), monotonic_ns()
         talk, self._talk = self._talk, None
         if talk:
-            drove = talk.ended(unread, now_ns)
+            # Of several at once nobody can say which of them drove.
+            drove = talk.ended(unread, now_ns) or self._door.crowded
             self._board.leave(in_order=not drove)
             self._tell(f"{self._who} has ended{' or died while it drove' if drove else ''}")
 
@@ -164,6 +166,8 @@ class Guard:
                 self._pty.write(data)
 
     def _read(self, now_ns: int) -> None:
+        if not self._door.count:
+            return  # what waits is of a program that has just opened it, which the next turn sees
         since_ns = self._empty_ns
         chunk, empty = self._pty.read()
         if empty:
@@ -188,9 +192,9 @@ class Guard:
             block = self._board.block()
             if block in (Block.LATCHED, Block.DISABLED):
                 why = "a stop is latched" if block is Block.LATCHED else "motion is disabled"
-                self._tell(f"{self._who} wants to move while {why}: hung up (guard.hang_up)")
                 self._board.leave(in_order=True)
                 self._door.hang_up()
+                self._tell(f"{self._who} wants to move while {why}: hung up (guard.hang_up)")
                 self._begin()
 
     # What people are told.

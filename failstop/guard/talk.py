@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from math import isfinite
 
-from failstop.board.driver import Answer, Motion, Refusal
+from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
 from failstop.data import Data
 
 TYPE_CHECKING = False
@@ -56,7 +56,7 @@ class Talk:
         self._sent_ns: int | None = None
         """The moment that the command counts from that was handed over last; None: this motion was not yet."""
         self._known: set[str] = set()
-        self.refusals: list[Refusal] = []
+        self.refusals: list[DriverRefusal] = []
         """New refusals, for people; the shell, which reports them, empties the list."""
 
     @property
@@ -76,10 +76,10 @@ class Talk:
     def wrote(self, chunk: bytes, now_ns: int, since_ns: int) -> list[bytes]:
         """The driver wrote these bytes, after `since_ns` and by `now_ns`. Returns the answers to them."""
         rows = self._language.wrote(chunk, now_ns)
-        answers = [row.data for row in rows if isinstance(row, Answer)]
-        motions = [row.speeds for row in rows if isinstance(row, Motion)]
+        answers = [row.data for row in rows if isinstance(row, DriverAnswer)]
+        motions = [row.speeds for row in rows if isinstance(row, DriverMotion)]
         for row in rows:
-            if isinstance(row, Refusal):
+            if isinstance(row, DriverRefusal):
                 self.refuse(row.what, row.why)
         if motions:
             self._move(motions[-1], since_ns)
@@ -97,7 +97,7 @@ class Talk:
         """The driver does not get something, which is reported once."""
         if what not in self._known and len(self._known) < MOST_REFUSALS:
             self._known.add(what)
-            self.refusals.append(Refusal(what, why))
+            self.refusals.append(DriverRefusal(what, why))
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
         """The board said these bytes. Returns what the driver gets of them, each to be written whole."""
@@ -138,5 +138,5 @@ class Talk:
     def ended(self, unread: bytes, now_ns: int) -> bool:
         """The driver has gone, and these bytes of it were not read yet. True when it ended or died while driving: a
         motion among them is not carried out any more, but a zero says that it had let go."""
-        motions = [row.speeds for row in self._language.wrote(unread, now_ns) if isinstance(row, Motion)]
+        motions = [row.speeds for row in self._language.wrote(unread, now_ns) if isinstance(row, DriverMotion)]
         return any(motions[-1]) if motions else self.drives

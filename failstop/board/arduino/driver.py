@@ -15,14 +15,14 @@ from __future__ import annotations
 import re
 
 from failstop.board.arduino import codec
-from failstop.board.driver import Answer, Motion, Refusal
+from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
 from failstop.board.wire import Wheels
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    Row = Motion | Answer | Refusal
+    Row = DriverMotion | DriverAnswer | DriverRefusal
 
 _CR, _SPACE = 13, 32
 _ARGUMENT = 15
@@ -116,27 +116,29 @@ class ArduinoDriver:
 
     def _run(self) -> list[Row]:
         if self._command == ord("m"):
-            return [*self._motion(), Answer(_OK)]
+            return [*self._motion(), DriverAnswer(_OK)]
         if self._command == ord("e"):
-            return [Answer(b"%d %d\r\n" % tuple(self._counts))]
+            return [DriverAnswer(b"%d %d\r\n" % tuple(self._counts))]
         if self._command == ord("b"):
-            return [Answer(b"57600\r\n")]
+            return [DriverAnswer(b"57600\r\n")]
         if self._command == ord("o"):
             return [
-                Refusal("raw PWM (o)", "it has no speed that could be limited, so the wheels were stopped: use m"),
-                Motion(_REST),
-                Answer(_OK),
+                DriverRefusal(
+                    "raw PWM (o)", "it has no speed that could be limited, so the wheels were stopped: use m"
+                ),
+                DriverMotion(_REST),
+                DriverAnswer(_OK),
             ]
         if found := _WITHOUT_EFFECT.get(self._command):
             answer, what, why = found
             if self._command == ord("r"):
                 self._counts = [0, 0]
-            return [*([Refusal(what, why)] if what else []), Answer(answer)]
+            return [*([DriverRefusal(what, why)] if what else []), DriverAnswer(answer)]
         if not self._command:
-            return [Answer(_INVALID)]
+            return [DriverAnswer(_INVALID)]
         what = f"the command {chr(self._command)!r}" if 32 < self._command < 127 else f"the byte {self._command:#04x}"
         why = "ros_arduino_bridge has no such command, so the wheels were stopped: is it made for this board?"
-        return [Refusal(what, why), Motion(_REST), Answer(_INVALID)]
+        return [DriverRefusal(what, why), DriverMotion(_REST), DriverAnswer(_INVALID)]
 
     def _motion(self) -> list[Row]:
         speeds = [_atoi(bytes(argument)) for argument in self._arguments]
@@ -144,9 +146,9 @@ class ArduinoDriver:
             why = (
                 f"the board takes -{_MOST} to {_MOST}, and would turn more into another speed: the wheels were stopped"
             )
-            return [Refusal("a speed that is too large (m)", why), Motion(_REST)]
+            return [DriverRefusal("a speed that is too large (m)", why), DriverMotion(_REST)]
         left, right = speeds
-        return [Motion((float(left), float(right)))]
+        return [DriverMotion((float(left), float(right)))]
 
 
 def _atoi(text: bytes) -> int:

@@ -1,0 +1,153 @@
+"""What a driver of ros_arduino_bridge may write, held against the board's own receiver."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal, language_of
+from failstop_lab.boards.arduino import Arduino
+from tests.support.amounts import amount
+
+OK = b"OK\r\n"
+
+
+def answers(*lines: bytes) -> list[bytes]:
+    """What a new driver gets for these lines."""
+    language = language_of("arduino", {})
+    assert language
+    return [row.data for line in lines for row in language.wrote(line, 0) if isinstance(row, DriverAnswer)]
+
+
+def motions(chunk: bytes) -> list[tuple[float, ...]]:
+    language = language_of("arduino", {})
+    assert language
+    return [tuple(row.speeds) for row in language.wrote(chunk, 0) if isinstance(row, DriverMotion)]
+
+
+def commanded(chunk: bytes) -> list[tuple[float, ...]]:
+    """The commands that the board itself finds in these bytes, given time for each."""
+    board = Arduino()
+    for value in chunk:
+        board.take(value)
+    return [speeds for _, speeds in board.commands]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *(b"m 10 -20\r", b"m +10, +20\r", b"m 10 20 30\r", b"m  10 20\r", b"m 10\r", b"m\r", b"m 10,20\r"),
+        *(b"xm 10 20\r", b"\nm 10 20\r", b"\n\nm 7 8\r", b"m \t10 \n20\r", b"m 10x 2y\r", b"m 1e2 0x10\r"),
+        *(b"m 32767 -32767\r", b"m 000000000000010 1\r", b"m - +\r", b"m 10\x009 20\r", b"m 5 6 \r"),
+    ],
+)
+def test_each_spelling_that_the_board_takes_is_taken(line: bytes) -> None:
+    assert motions(line) == commanded(line)
+    assert answers(line) == [OK]
+
+
+def test_lines_may_come_split_and_glued() -> None:
+    text = b"\rm 10 20\re\rm 3 -4\ru 30:20:0:100\r"
+    for cut in range(len(text)):
+        language = language_of("arduino", {})
+        assert language
+        rows = language.wrote(text[:cut], 0) + language.wrote(text[cut:], 0)
+        assert [tuple(row.speeds) for row in rows if isinstance(row, DriverMotion)] == [(10, 20), (3, -4)]
+        assert [row.data for row in rows if isinstance(row, DriverAnswer)] == [
+            b"Invalid Command\r\n", OK, b"0 0\r\n", OK, OK,
+        ]  # fmt: skip
+
+
+def test_a_session_of_diffdrive_arduino() -> None:
+    """Its first lines, and then what it writes 30 times a second."""
+    start = b"\r", b"u 30:20:0:100\r"
+    loop = b"e\r", b"m 10 20\r", b"e\r", b"m 0 0\r"
+    assert answers(*start, *loop) == [b"Invalid Command\r\n", OK, b"0 0\r\n", OK, b"0 0\r\n", OK]
+
+
+def test_a_session_of_hbrobotics_node() -> None:
+    """It exits unless the board says its rate within two tries, and asks forever for an OK that is missing."""
+    lines = b"b\r", b"u 20:12:0:50\r", b"r\r", b"c 13 1\r", b"w 13 0\r", b"x 5 100\r", b"s 0 90\r", b"a 3\r", b"d 4\r"
+    assert answers(*lines) == [b"57600\r\n", OK, OK, OK, OK, OK, OK, b"0\r\n", b"0\r\n"]
+    assert motions(b"".join(lines)) == []
+
+
+@pytest.mark.parametrize("line", [b"m 32768 0\r", b"m 0 -99999\r", b"m 65546 0\r", b"m 0000000000000010 1\r"])
+def test_a_speed_that_would_wrap_around_on_the_board_stops_the_wheels(line: bytes) -> None:
+    assert motions(line) == [(0.0, 0.0)]
+    assert answers(line) == [OK]
+
+
+@pytest.mark.parametrize("line", [b"o 100 100\r", b"q 1 2\r", b"\x80 1 2\r"])
+def test_raw_pwm_and_unknown_commands_stop_the_wheels_and_are_named(line: bytes) -> None:
+    language = language_of("arduino", {})
+    assert language
+    rows = language.wrote(line, 0)
+    assert [type(row) for row in rows] == [DriverRefusal, DriverMotion, DriverAnswer]
+    assert motions(line) == [(0.0, 0.0)]
+
+
+def test_counts_begin_at_zero_for_each_driver_and_go_on_as_the_board_counts() -> None:
+    language = language_of("arduino", {})
+    assert language
+    assert language.heard(b"5000 -300\r\n", 0) == []
+    said = []
+    for at, report in enumerate((b"5010 -310\r\nOK\r\n", b"5030 -330\r\n", b"57600\r\n"), 1):
+        language.heard(report, at * 100_000_000)
+        said += [row.data for row in language.wrote(b"e\r", at) if isinstance(row, DriverAnswer)]
+    assert said == [b"10 -10\r\n", b"30 -30\r\n", b"30 -30\r\n"]
+    language.wrote(b"r\r", 4)
+    language.heard(b"5037 -330\r\n", 400_000_000)
+    assert [row.data for row in language.wrote(b"e\r", 5) if isinstance(row, DriverAnswer)] == [b"7 0\r\n"]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "moved"),
+    [
+        pytest.param(b"2147483640 0\r\n", b"-2147483646 0\r\n", b"10 0\r\n", id="the counters wrap"),
+        pytest.param(b"90000 90000\r\n", b"3 2\r\n", b"0 0\r\n", id="the board has restarted"),
+        pytest.param(b"100 0\r\n", b"800000000 0\r\n", b"0 0\r\n", id="nonsense"),
+    ],
+)
+def test_a_robot_does_not_jump_when_the_counters_do(before: bytes, after: bytes, moved: bytes) -> None:
+    language = language_of("arduino", {})
+    assert language
+    language.heard(before, 0)
+    language.heard(after, 100_000_000)
+    assert [row.data for row in language.wrote(b"e\r", 0) if isinstance(row, DriverAnswer)] == [moved]
+
+
+def mutated(random_: random.Random) -> bytes:
+    """Lines of drivers with bytes lost, doubled, changed, and put in."""
+    lines = (b"m 10 -20\r", b"m +7, +8\r", b"e\r", b"\r", b"u 30:20:0:100\r", b"o 90 90\r", b"m 999 999\r", b"m 0 0\r")
+    text = bytearray(b"".join(random_.choice(lines) for _ in range(random_.randrange(1, 6))))
+    for _ in range(random_.randrange(6)):
+        at = random_.randrange(len(text) + 1)
+        kind = random_.randrange(4)
+        if kind == 0:
+            text[at:at] = bytes((random_.choice(b"m eou 0123456789-+,\r\n\0\x80"),))
+        elif kind == 1:
+            del text[at : at + 1]
+        elif kind == 2 and at < len(text):
+            text[at] = random_.randrange(256)
+        else:
+            text[at:at] = bytes(random_.choice(b"m eo 0123456789-+,\r\n") for _ in range(random_.randrange(20)))
+    return bytes(text)
+
+
+@pytest.mark.claim("GUARD-1")
+def test_nothing_moves_that_the_board_itself_would_not_move() -> None:
+    """Each motion is one that the board's receiver finds in the same bytes; what the board takes and the guard refuses
+    is a stop."""
+    random_ = random.Random(59)
+    moved = 0
+    for _ in range(amount(20_000, 1_000_000)):
+        chunk = mutated(random_)
+        found, own = motions(chunk), commanded(chunk)
+        left = iter(own)
+        for speeds in found:
+            if any(speeds):
+                moved += 1
+                assert speeds in left, chunk
+    assert moved > 10_000

@@ -1,0 +1,153 @@
+"""One driver's conversation: which motion counts until when, which answers help, and how it ended."""
+
+from __future__ import annotations
+
+import pytest
+
+from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
+from failstop.guard.talk import Command, Talk
+
+MS = 1_000_000
+S = 1_000 * MS
+
+
+class Words:
+    """A language of words between blanks: a number is the speed of both wheels, `?` a question, `!` is refused."""
+
+    patience_ns = 1 * S
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def wrote(self, chunk: bytes, now_ns: int) -> list[DriverMotion | DriverAnswer | DriverRefusal]:
+        return [self._row(word) for word in chunk.split()]
+
+    def _row(self, word: bytes) -> DriverMotion | DriverAnswer | DriverRefusal:
+        if word == b"?":
+            self.asked += 1
+            return DriverAnswer(b"%d\n" % self.asked)
+        if word == b"!":
+            return DriverRefusal("shouting", "nothing was done")
+        return DriverMotion([float(part) for part in word.split(b",")])
+
+    def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
+        return [chunk.upper()]
+
+
+def talk(timeout_ms: int = 300, source_ms: int = 300) -> Talk:
+    return Talk(Words(), 2, timeout_ms * MS, source_ms * MS)
+
+
+def commands(made: Talk, until_ms: int, every_ms: int = 10) -> list[tuple[int, Command]]:
+    """All that is handed to the service, with when."""
+    times = range(0, until_ms, every_ms)
+    return [(at_ms, command) for at_ms in times if (command := made.command(at_ms * MS))]
+
+
+def counts_until_ms(found: list[tuple[int, Command]], source_ms: int = 300) -> float:
+    """When the service stops the wheels for want of another command."""
+    until = 0.0
+    for at_ms, command in found:
+        assert at_ms <= until or not until, "the service let the wheels stop, and a renewal started them again"
+        until = command.t_ns / MS + source_ms
+    return until
+
+
+@pytest.mark.parametrize("timeout_ms", [50, 299, 300, 301, 350, 1000, 2500])
+@pytest.mark.parametrize("source_ms", [50, 300, 2000])
+def test_a_motion_counts_for_as_long_as_the_setting_says(timeout_ms: int, source_ms: int) -> None:
+    made = talk(timeout_ms, source_ms)
+    made.wrote(b"5,5", 0, 0)
+    found = commands(made, 4000)
+    assert counts_until_ms(found, source_ms) == timeout_ms
+    assert all(command.speeds == (5.0, 5.0) for _, command in found)
+    assert made.due_ns() is None
+
+
+def test_the_newest_motion_counts_alone() -> None:
+    made = talk()
+    made.wrote(b"5,5 7,7 9,9", 10 * MS, 10 * MS)
+    command = made.command(10 * MS)
+    assert command
+    assert command.speeds == (9.0, 9.0)
+    assert command.moves
+    made.wrote(b"0,0", 20 * MS, 20 * MS)
+    command = made.command(20 * MS)
+    assert command
+    assert not command.moves
+
+
+@pytest.mark.claim("GUARD-1")
+def test_a_motion_is_as_old_as_the_moment_when_nothing_waited_to_be_read() -> None:
+    """The guard was stopped for two seconds: what waited is two seconds old, for all that it knows."""
+    made = talk()
+    made.wrote(b"5,5 5,5 5,5", 2 * S, 0)
+    command = made.command(2 * S)
+    assert command
+    assert command.t_ns + 300 * MS < 2 * S, "the service takes it for too old"
+
+
+def test_after_a_stall_of_its_own_the_guard_renews_nothing() -> None:
+    """To the service a command after a pause is a new one, and this driver wrote none."""
+    made = talk(2500)
+    made.wrote(b"5,5", 0, 0)
+    assert made.command(0)
+    assert made.command(100 * MS)
+    assert made.command(1000 * MS) is None
+    made.wrote(b"5,5", 1010 * MS, 1000 * MS)
+    assert made.command(1010 * MS)
+
+
+def test_each_question_has_one_answer_in_order_and_after_a_stall_the_newest_alone() -> None:
+    made = talk()
+    assert made.wrote(b"? 3,3 ? ?", 10 * MS, 0) == [b"1\n", b"2\n", b"3\n"]
+    assert made.wrote(b"? ? ?", 1300 * MS, 20 * MS) == [b"6\n"]
+    assert made.wrote(b"?", 1310 * MS, 1300 * MS) == [b"7\n"]
+
+
+@pytest.mark.parametrize(
+    ("written", "unread", "drove"),
+    [
+        (b"5,5", b"", True),
+        (b"5,5 0,0", b"", False),
+        (b"", b"", False),
+        (b"?", b"?", False),
+        pytest.param(b"5,5", b"0,0", False, id="it stopped the wheels with its last words"),
+        pytest.param(b"0,0", b"5,5", True, id="it would have driven"),
+        pytest.param(b"5,5", b"0,0 5,5", True, id="it would have driven again"),
+    ],
+)
+def test_a_driver_died_unless_its_last_motion_was_zero(written: bytes, unread: bytes, drove: bool) -> None:
+    made = talk()
+    made.wrote(written, 0, 0)
+    before = made.motion
+    assert made.ended(unread, 1) is drove
+    assert made.motion == before, "what nobody had read moves nothing any more"
+
+
+def test_silence_is_counted_from_when_its_motion_stopped_counting() -> None:
+    made = talk()
+    assert made.silent_ns(9 * S) == 0
+    made.wrote(b"5,5", 0, 0)
+    assert made.silent_ns(300 * MS) == 0
+    assert made.silent_ns(700 * MS) == 400 * MS
+    made.wrote(b"0,0", 800 * MS, 800 * MS)
+    assert made.silent_ns(9 * S) == 0
+
+
+def test_a_refusal_is_reported_once() -> None:
+    made = talk()
+    made.wrote(b"! ! ?", 0, 0)
+    made.wrote(b"!", 1, 1)
+    assert [row.what for row in made.refusals] == ["shouting"]
+
+
+@pytest.mark.parametrize("written", [b"nan,1", b"inf,0", b"1", b"1,2,3"])
+def test_a_language_that_says_nonsense_stops_the_wheels(written: bytes) -> None:
+    made = talk()
+    made.wrote(b"5,5", 0, 0)
+    made.wrote(written, 1, 1)
+    command = made.command(1)
+    assert command
+    assert not command.moves
+    assert len(made.refusals) == 1
