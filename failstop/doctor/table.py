@@ -28,6 +28,7 @@ CHECKS: dict[str, Check] = {
     "scale": service.wheels_scale,
     "clients": service.clients,
     "ROS 2": _of("ros2.check"),
+    "guard": _of("guard.check"),
     "unit": service.unit,
     "fleet": _of("fleet.check"),
     "rights": machine.rights,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import signal
@@ -91,10 +92,19 @@ def _wait(service: Service, ends: _Ends) -> Settings | None:
 
 
 def _usual(settings: Settings, name: str) -> str:
-    try:
-        return settings.text("guard.path") or os.path.join(runtime_dir(name), PORT)
-    except NoService as error:
-        raise FailstopError(f"{error}; or choose a place with --path") from None
+    """The place that the settings name; else one in systemd's folder for this unit, in the service's, or in this
+    user's, whichever this user may write first."""
+    if path := settings.text("guard.path"):
+        return path
+    if folder := os.environ.get("RUNTIME_DIRECTORY"):
+        return os.path.join(folder, PORT)
+    with contextlib.suppress(NoService):
+        if os.access(folder := runtime_dir(name), os.W_OK):
+            return os.path.join(folder, PORT)
+    session = os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{os.getuid()}"
+    if os.access(session, os.W_OK):
+        return os.path.join(session, f"{name}-{PORT}")
+    raise FailstopError("this user has no folder for the port: choose a place with --path")
 
 
 def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:

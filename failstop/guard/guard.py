@@ -9,6 +9,7 @@ from failstop.api import words
 from failstop.api.snapshot import Block
 from failstop.board.driver import language_of
 from failstop.guard.door import Door
+from failstop.guard.said import DRIVES, GUARD, WAITS
 from failstop.guard.talk import Talk
 
 TYPE_CHECKING = False
@@ -49,7 +50,6 @@ SAY_NS = 2_000_000_000
 USUAL_OPENERS = {"ugv": 2}
 """Waveshare's ROS 2 driver writes with one node and reads with the other. Of other boards one program may open."""
 A_DRIVER = "a driver"
-GUARD = "failstop guard"
 
 
 class Guard:
@@ -208,7 +208,7 @@ class Guard:
     def _words(self, now_ns: int) -> tuple[str, str]:
         """What it sees, and what is wrong."""
         if self._talk is None:
-            return f"no driver has {self._pty.path} open", ""
+            return WAITS + self._pty.path, ""
         wrong = ""
         if self._door.crowded:
             wrong = f"{self._door.count} programs have the port open, so none of them drives"
@@ -216,7 +216,7 @@ class Guard:
             counts_s = self._talk.timeout_ns / 1e9
             for_s = words.span(silent_ns / 1e9 + counts_s)
             wrong = f"it has written no motion for {for_s}; its last one counted for {counts_s:g} s (guard.timeout_s)"
-        return f"drives through {self._pty.path}", wrong
+        return DRIVES + self._pty.path, wrong
 
     def close(self) -> None:
         """End. A driver that drives loses its port, so the service treats it as one that has died."""

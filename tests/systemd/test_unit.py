@@ -28,6 +28,7 @@ FLEET = "failstop-fleet.service"
 SLEEP = "failstop-sleep.service"
 LATE = "failstop-late@.service"
 WEB = "failstop-web.service"
+GUARD = "failstop-guard@.service"
 EXPOSURES = {
     ONE: 0.9,
     "failstop@a.service": 0.9,
@@ -36,6 +37,7 @@ EXPOSURES = {
     "failstop-late@a.service": 3.8,
     SLEEP: 3.9,
     "failstop-ros2@a.service": 5.4,
+    "failstop-guard@a.service": 1.5,
 }
 """The exposure of each unit as systemd-analyze has it, 0 to 10: what a change may not exceed."""
 JUDGED_BY = 252
@@ -48,7 +50,7 @@ UNIT = dict(settings(ONE))
 @pytest.fixture
 def runnable(tmp_path: Path) -> Path:
     """The units with a command that is there: an absent one is all that would be found."""
-    for name in (ONE, MANY, SLEEP, LATE, BRIDGE, FLEET, WEB):
+    for name in (ONE, MANY, SLEEP, LATE, BRIDGE, FLEET, WEB, GUARD):
         text = (SYSTEMD / name).read_text()
         (tmp_path / name).write_text(text.replace("/opt/failstop/bin/failstop", "/bin/true"))
     return tmp_path
@@ -56,7 +58,16 @@ def runnable(tmp_path: Path) -> Path:
 
 @needs_analyze
 @pytest.mark.parametrize(
-    "name", [ONE, "failstop@a.service", SLEEP, "failstop-late@a.service", "failstop-ros2@root.service", FLEET]
+    "name",
+    [
+        ONE,
+        "failstop@a.service",
+        SLEEP,
+        "failstop-late@a.service",
+        "failstop-ros2@root.service",
+        "failstop-guard@root.service",
+        FLEET,
+    ],
 )
 def test_verify_finds_nothing(runnable: Path, name: str) -> None:
     """The tool's exit code is 0 for unknown keys and bad values too."""
@@ -123,7 +134,7 @@ def test_the_template_differs_in_the_name_alone() -> None:
     assert many.endswith("[Install]\nWantedBy=multi-user.target\n")
 
 
-@pytest.mark.parametrize("name", [ONE, BRIDGE, FLEET])
+@pytest.mark.parametrize("name", [ONE, BRIDGE, FLEET, GUARD])
 def test_nothing_that_systemd_249_does_not_know(name: str) -> None:
     assert [key for key, _ in settings(name) if SINCE.get(key, OLDEST + 1) > OLDEST] == []
 

@@ -157,6 +157,13 @@ CLAIMS = (
         "a motion frame without an enable that a client asked for after the stop",
     ),
     Claim(
+        "GUARD-1",
+        "A driver at the guard port moves nothing that the board itself would not move for it, nothing beyond the limits,"
+        " and nothing once it has died.",
+        None, "motion frames while disabled or latched, of a dead driver, or beyond a limit: 0", ("PTY", "USERS"),
+        "a wheel that turns by bytes which the board would refuse, or by those of a driver that has gone",
+    ),
+    Claim(
         "LIMIT-1",
         "Nothing drives faster, or changes speed faster, than the settings allow, whoever commands.",
         None, "frames past a limit or a ramp: 0", ("ENCODER",),

@@ -74,6 +74,15 @@ HAZARDS = (
         "`failstop doctor`; a machine with nothing else to do", ("ASK-2", "TIME-1", "HANG-1"),
     ),
     Hazard(
+        "H-DRIVER", SOFTWARE, "A driver for the bare board drives on by what it wrote, or was refused and does not know it",
+        "a program that knows nothing of failstop dies, hangs or starts again at the guard port",
+        "plays the board for it: takes what the board would take, answers in step, drops what a dead driver wrote, and"
+        " lets it drive only after an enable",
+        "a driver that adds up its error while it is refused starts with a jump (`guard.hang_up`); a child that keeps"
+        " the port hides the death where /proc does not show the driver",
+        "run the guard as the user who runs the driver", ("GUARD-1", "CLIENT-1"),
+    ),
+    Hazard(
         "H-HOSTILE", SOFTWARE, "Somebody else on the machine drives, or keeps the stop away",
         "another user, a broken client, memory that is written over",
         "lets everybody stop and the group alone drive; trusts no memory of others",
