@@ -48,7 +48,7 @@ GROUPS = {
         "run": ("cli.commands.run", "run the service in the foreground"),
         "simulate": ("failstop_lab.commands.simulate", "every fault on a simulated machine, judged by its board"),
         "sim": ("failstop_lab.commands.sim", "a simulated board on a pty"),
-        "guard": ("guard.command", "keep your driver: a serial port that plays the board, with the stop behind it"),
+        "guard": ("guard.command", "keep your driver: a serial port that plays the board for it"),
         "web": ("web.command", "the operator's page: STOP, why, and what happened, on a phone"),
         "ros2": ("ros2.command", "the bridge to ROS 2: its nodes drive through the service"),
     },

@@ -26,9 +26,22 @@ from failstop.board.wire import (
     Write,
 )
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from failstop.board.driver import DriverLanguage
+
 _MS = 1_000_000
 WATCHDOG_NS = 500 * _MS
 """More than twice the time between two refreshes of a stop."""
+
+
+def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
+    from failstop.board.ugv import driver  # for the guard port alone
+
+    return driver.language(settings)
+
 
 WIRE = Wire(
     name="the driver board of a Waveshare UGV",
@@ -111,4 +124,5 @@ WIRE = Wire(
             program="lib/ugv_bringup/",
         ),
     ),
+    driver=_driver,
 )

@@ -43,6 +43,7 @@ GROUPS = {
     "key": "The keys on the board.",
     "buzzer": "The board's buzzer.",
     "incidents": "The black box: what is kept of each latched stop.",
+    "guard": "The guard port, `failstop guard`, by which a driver that was written for the bare board drives.",
     "web": "The operator's page, `failstop web`: a process of its own, which the robot runs without.",
     "restart": "What happens to a process that died.",
     "sources": "Who may command, and who goes before whom: [sources.NAME]. "

@@ -1,0 +1,181 @@
+"""The lines of JSON that a driver may write to Waveshare's ugv_base_ros (commit c967326), and what it hears.
+
+T:1 sets the wheels' speeds and T:13 those of the base, both as numbers or, for T:13, as texts of numbers: the vendor's
+ROS 2 node sends its T as a text. A line without T counts as T:0, the board's emergency stop, which is a stop here
+without taking the torque from an arm. The board acknowledges nothing, so a refused line needs no answer. What it
+reports is passed on: T:1001 twenty times a second, thinned out as the driver asked for. Answers to failstop's own
+questions are kept, and given to a driver that asks the same.
+"""
+
+from __future__ import annotations
+
+import json
+from math import isfinite
+
+from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
+from failstop.board.ugv import codec, lenient
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    Row = DriverMotion | DriverAnswer | DriverRefusal
+
+PATIENCE_NS = 1_000_000_000
+"""A question that has waited longer is answered only if it is the newest."""
+_TRACK_M = 0.172
+"""Of the widest base of this firmware, by which it turns T:13's Z into speeds. The setting may say that it is less."""
+_LONGEST = 4096
+"""Bytes of a line that are kept. The board keeps any number, and no driver writes as many."""
+_REST = (0.0, 0.0)
+_MS = 1_000_000
+_SOON_NS = 5 * _MS
+"""Reports don't come to the millisecond."""
+
+_STOP, _SPEEDS, _PWM, _BODY = 0, 1, 11, 13
+_ANSWERED_BY = {126: 1002, 130: codec.REPORT, 139: 139}
+"""Questions, and the T of the board's answer to each."""
+_OWN = (1002, 139)
+"""The answers to failstop's questions, which no driver hears unasked."""
+_FLOW, _INTERVAL, _ECHO, _RADIO = 131, 142, 143, 300
+_EASY = {3: "the display (T:3)", -3: "the display (T:-3)", 132: "lights (T:132)", 133: "the gimbal (T:133)",
+         134: "the gimbal (T:134)", 135: "the gimbal (T:135)", 137: "the gimbal (T:137)",
+         141: "the gimbal (T:141)"}  # fmt: skip
+_ARM = (*range(100, 124), 144, 210, 1041)
+_NOT_PASSED = "failstop passes nothing but motion on to this board yet"
+
+
+class UgvDriver:
+    """One driver's lines, and what it hears of the board."""
+
+    def __init__(self, track_m: float) -> None:
+        """`track_m`: the distance of left and right wheels, by which T:13's turn becomes speeds."""
+        self.patience_ns = PATIENCE_NS
+        self._half_m = min(track_m, _TRACK_M) / 2.0
+        self._line = b""
+        self._too_long = False
+        self._heard = b""
+        self._kept: dict[int, bytes] = {}
+        """The board's newest line of each T that a question asks for."""
+        self._flows = True
+        self._every_ns = 0
+        self._passed_ns = -60_000 * _MS
+
+    def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
+        """The driver's lines."""
+        *lines, self._line = (self._line + chunk).split(b"\n")
+        rows: list[Row] = []
+        for line in lines:
+            long, self._too_long = self._too_long or len(line) > _LONGEST, False
+            rows += self._not_json() if long else self._run(line)
+        if len(self._line) > _LONGEST:
+            self._line, self._too_long = b"", True
+        return rows
+
+    def _run(self, line: bytes) -> list[Row]:
+        if not line.strip(b" \t\r"):
+            return []
+        try:
+            said = lenient.loads(line)
+        except lenient.NotTaken:
+            return self._not_json()
+        fields = said if isinstance(said, dict) else {}
+        kind = _whole(fields.get(b"T"))
+        if kind == _STOP:
+            return [DriverMotion(_REST)]
+        if kind in (_SPEEDS, _BODY):
+            return self._motion(kind, fields)
+        if kind == _PWM:
+            why = "it has no speed that could be limited, so the wheels were stopped: use T:1"
+            return [DriverRefusal("raw PWM (T:11)", why), DriverMotion(_REST)]
+        if kind in _ANSWERED_BY:
+            kept = self._kept.get(_ANSWERED_BY[kind])
+            return [DriverAnswer(kept + b"\r\n")] if kept else []
+        return self._setting(kind, _whole(fields.get(b"cmd")))
+
+    def _not_json(self) -> list[Row]:
+        why = "the board ignores it, so the wheels were stopped: is the driver made for this board?"
+        return [DriverRefusal("a line that is no JSON", why), DriverMotion(_REST)]
+
+    def _motion(self, kind: int, fields: dict[bytes, object]) -> list[Row]:
+        if kind == _SPEEDS:
+            left, right = fields.get(b"L"), fields.get(b"R")
+            if not (_is_number(left) and _is_number(right)):
+                return [DriverRefusal("T:1 without two numbers", "the board ignores it too")]
+            speeds = _float(left), _float(right)
+        else:
+            forward, turn = _float(fields.get(b"X")), _float(fields.get(b"Z")) * self._half_m
+            speeds = forward - turn, forward + turn
+        if not all(isfinite(speed) and abs(speed) <= codec.LIMIT for speed in speeds):
+            why = f"the board ignores it too, as it takes {codec.LIMIT:g} m/s at most"
+            return [DriverRefusal(f"a speed of more than {codec.LIMIT:g} m/s (T:{kind})", why)]
+        return [DriverMotion(speeds)]
+
+    def _setting(self, kind: int, value: int) -> list[Row]:
+        if kind == _FLOW:
+            self._flows = value != 0
+            return []
+        if kind == _INTERVAL:
+            self._every_ns = min(max(0, value), 60_000) * _MS
+            return []
+        if kind == _ECHO and not value:
+            return []
+        if kind in _EASY:
+            return [DriverRefusal(_EASY[kind], _NOT_PASSED)]
+        if kind in _ARM:
+            return [DriverRefusal(f"an arm (T:{kind})", _NOT_PASSED)]
+        if kind == _RADIO and value:
+            return [DriverRefusal("obeying ESP-NOW radio (T:300)", "anybody near it could drive the robot")]
+        return [DriverRefusal(f"T:{kind}", "it changes the board, or is not known: use it without the guard port")]
+
+    def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
+        """The board's reports, whole lines, without the answers to failstop's own questions."""
+        *lines, rest = (self._heard + chunk).split(b"\n")
+        self._heard = rest[-codec.LONGEST_LINE :]
+        return [line.rstrip(b"\r") + b"\r\n" for line in lines if self._passes(line, now_ns)]
+
+    def _passes(self, line: bytes, now_ns: int) -> bool:
+        try:
+            said = json.loads(line)
+        except (ValueError, RecursionError):
+            return False  # what it prints while it starts, or half a line
+        kind = said.get("T") if isinstance(said, dict) else None
+        if not isinstance(kind, int):
+            return False  # the vendor's node ends by an object without T
+        if kind in _ANSWERED_BY.values():
+            self._kept[kind] = line.rstrip(b"\r")
+        if kind in _OWN or not self._flows:
+            return False
+        if kind == codec.REPORT:
+            if now_ns - self._passed_ns < self._every_ns - _SOON_NS:
+                return False
+            self._passed_ns = now_ns
+        return True
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _float(value: object) -> float:
+    """As the board converts it: a text by the number in it, and anything else is 0."""
+    if isinstance(value, bytes):
+        try:
+            value = lenient.number(value)
+        except lenient.NotTaken:
+            return 0.0
+    try:
+        return float(value) if isinstance(value, (int, float)) else 0.0
+    except OverflowError:
+        return float("inf")
+
+
+def _whole(value: object) -> int:
+    """Towards zero, and 0 for what does not fit into 32 bits."""
+    found = _float(value)
+    return int(found) if -(2**31) <= found < 2**31 else 0
+
+
+def language(settings: Mapping[str, float | str]) -> UgvDriver:
+    """A driver's conversation with a base of these sizes."""
+    return UgvDriver(float(settings.get("wheels.track_m", _TRACK_M)))
