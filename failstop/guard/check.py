@@ -13,17 +13,12 @@ def check(look: Look) -> list[Finding]:
     if not found:
         return ok("no guard port is open: a driver that was written for the bare board can keep its code with one")
     path, client = found[0]
-    rows: list[Finding] = []
-    if client.wrong:
-        rows += warn(f"{client.name} (pid {client.pid}) at the guard port {path}: {client.wrong}")
     if look.told.on("scan.gate") and look.state and look.state.scan_age_s is None:
-        rows += warn(
+        return warn(
             f"no program reports an obstacle sensor, and scan.gate is on: a driver at {path} moves no wheel",
             "",
             'set scan.gate = "off" and restart the service, or have a program call Robot.sensed()',
         )
-    if rows:
-        return rows
     if client.name == GUARD:
         return ok(f"the guard port is {path}; no driver has it open")
     return ok(f"{client.name} (pid {client.pid}) drives through the guard port {path}")

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from failstop.guard.guard import Board
 
 EXAMPLES = """\
-failstop guard                       # your driver opens the port that this prints
-failstop guard --path /run/port      # at a path of your own
-failstop guard --dry-run             # no robot: what your driver would get
+failstop guard                    # your driver opens the port that it prints
+failstop guard --path /run/port   # at a path of your own
+failstop guard --dry-run          # no robot: what your driver would get
 """
 PORT = "port"
 """The link's name in the runtime directory."""

@@ -26,6 +26,9 @@ STARVED = Starved(0.07, "gate")
 PORT = STATE.device
 VENDORS = "/home/ws/ugv_rpi/ugv-env/bin/python /home/ws/ugv_rpi/app.py"
 BRIDGE = Client(0, "ros2", 7, False, "no scan", "/a and /b drive", 0.1)
+DRIVER = Client(0, "nav", 42, True, sees="drives through the guard port /p")
+WAITS = Client(0, "failstop guard", 41, False, sees="no driver has opened the guard port /p")
+NO_SENSOR = Settings({"scan.gate": "off"})
 BRIDGED = serving(clients=(but(BRIDGE, said_s=None),))
 RESTARTING = but(UNIT, ActiveState="activating", SubState="auto-restart", NRestarts="3")
 LIDAR = {"/dev/ttyACM1": Device("1a86", "55d4", "B", "1.0", "1-1.3")}
@@ -98,6 +101,7 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ),
     ("clients", look(service=serving(clients=(BRIDGE,))), WARN, "/a and /b drive"),
     ("ROS 2", look(**nodes("anna", "bob"), service=BRIDGED), WARN, "Fast DDS of anna is here"),
+    ("guard", look(service=serving(clients=(DRIVER,))), WARN, "scan.gate is on"),
     ("unit", look(unit={}), WARN, "no unit"),
     ("unit", look(unit=but(UNIT, ActiveState="failed", Result="watchdog")), FAIL, "watchdog"),
     ("unit", look(unit=but(UNIT, ActiveState="inactive", Result="watchdog")), FAIL, "result: watchdog"),
@@ -193,6 +197,21 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
         ("scale", look(told=of("feetech")), ALONE),
         ("commanders", look(told=of("arduino")), "nobody is known who could command it beside failstop"),
         ("ROS 2", look(**nodes("anna")), "no bridge to ROS 2 is connected"),
+        (
+            "guard",
+            look(),
+            "no guard port is open: a driver that was written for the bare board can keep its code with one",
+        ),
+        (
+            "guard",
+            look(service=serving(clients=(DRIVER,)), told=NO_SENSOR),
+            "nav (pid 42) drives through the guard port /p",
+        ),
+        (
+            "guard",
+            look(service=serving(clients=(WAITS,)), told=NO_SENSOR),
+            "the guard port is /p; no driver has it open",
+        ),
         ("unit", look(), "failstop.service is active, started at boot"),
         ("RemoveIPC", look(), "RemoveIPC does not concern the service's user"),
         ("RemoveIPC", look(**BY_HAND, says={"busctl": "b false\n"}), "RemoveIPC is off"),
