@@ -39,10 +39,16 @@ class Pty:
         self._left = b""
         """The rest of an answer that the driver has begun to get."""
         self._lock = self._locked()
-        self._open()
+        try:
+            self._open()
+        except BaseException:
+            self._close()
+            os.close(self._lock)
+            raise
 
     def _locked(self) -> int:
-        """A lock beside the link: two guards at one path would take it from each other. Raises FailstopError."""
+        """A lock next to the link, because two guards at one path would take it from each other. Its file stays: one
+        that was taken away could be locked by two guards. Raises FailstopError."""
         path = f"{self.path}.lock"
         try:
             found = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -152,7 +158,8 @@ class Pty:
 
     def _close(self) -> None:
         for fd in (self.master, self.slave):
-            os.close(fd)
+            if fd >= 0:
+                os.close(fd)
         self.master = self.slave = -1
         self._left = b""
 
@@ -162,6 +169,4 @@ class Pty:
             with contextlib.suppress(OSError):
                 os.unlink(self.path)
         self._close()
-        with contextlib.suppress(OSError):
-            os.unlink(f"{self.path}.lock")
         os.close(self._lock)

@@ -1,0 +1,199 @@
+"""The guard as a process: settings, links, users, a service that ends and comes back, and a run without a robot."""
+
+from __future__ import annotations
+
+import os
+import termios
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop import helpers
+from failstop.api.errors import FailstopError
+from failstop.guard.pty import Pty
+from failstop_lab.trial import wait_for, write_settings
+from tests.guard.scene import GuardScene, Process
+from tests.support.commands import failstop
+
+RATE = "30"
+
+
+def lines(driver: Process, count: int) -> list[str]:
+    return [driver.line() for _ in range(count)]
+
+
+@pytest.fixture
+def scene(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[GuardScene]:
+    """A service of the test's own, with the settings that it asks for."""
+    with GuardScene(tmp_path, "arduino", **getattr(request, "param", {})) as made:
+        yield made
+
+
+@pytest.mark.slow
+def test_a_service_that_is_started_again_takes_its_driver_again(scene: GuardScene, diffdrive: str) -> None:
+    """The driver gets the last counts meanwhile, and drives after an enable only once it has let go."""
+    scene.enable()
+    driver = scene.driver(diffdrive, scene.path, "serial", "10", "10", RATE)
+    driver.line()
+    scene.moves()
+    wait_for("counts", lambda: not driver.line().startswith("0 0"))
+    scene.trial.leave()
+    scene.trial.service.end()
+    wait_for("the wheels to stand", lambda: not scene.trial.turning())
+    counts = driver.newest().split("|")[0]
+    assert {line.split("|")[0] for line in lines(driver, 10)} == {counts}
+    scene.trial.service.start()
+    wait_for("the driver to be known", lambda: "diffdrive" in scene.clients())
+    wait_for("its command", lambda: driver.line() and bool(scene.trial.robot.state.clients))
+    scene.trial.robot.enable()
+    scene.trial.board.events()
+    lines(driver, 10)
+    assert scene.motion() == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", [{"guard.hang_up": "on"}], indirect=True)
+def test_a_driver_that_wants_to_move_while_motion_is_disabled_is_hung_up_on(scene: GuardScene, diffdrive: str) -> None:
+    still = scene.driver(diffdrive, scene.path, "serial", "0", "0", RATE)
+    lines(still, 10)
+    still.kill()
+    scene.rest()
+    driver = scene.driver(diffdrive, scene.path, "serial", "10", "10", RATE)
+    assert driver.until("error").startswith("error")
+    assert scene.guard
+    scene.guard.until("wants to move while motion is disabled: hung up (guard.hang_up)")
+    scene.enable()
+    again = scene.driver(diffdrive, scene.path, "serial", "10", "10", RATE)
+    assert again.line() == "start Invalid Command|OK"
+    scene.moves()
+    scene.trial.robot.estop("a test")
+    assert again.until("error").startswith("error")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", [{"guard.timeout_s": 1.5, "sources.guard.priority": 10}], indirect=True)
+def test_a_longer_timeout_keeps_a_slow_driver_going_and_a_hung_guard_does_not(
+    scene: GuardScene, diffdrive: str
+) -> None:
+    scene.enable()
+    driver = scene.driver(diffdrive, scene.path, "serial", "10", "10", "1")
+    driver.line()
+    scene.moves()
+    scene.trial.board.events()
+    lines(driver, 3)
+    assert all(any(event.speeds) for event in scene.trial.board.events()), "it wrote once a second"
+    assert [source.source for source in scene.trial.robot.state.sources] == ["guard"]
+    assert scene.guard
+    os.kill(scene.guard.pid, 19)
+    try:
+        scene.stands()
+    finally:
+        os.kill(scene.guard.pid, 18)
+
+
+def test_without_a_robot_it_prints_what_a_driver_would_get(tmp_path: Path, diffdrive: str) -> None:
+    settings = tmp_path / "settings.toml"
+    write_settings(str(settings), {"board.kind": "arduino", "board.per_rps": 114.5})
+    port = str(tmp_path / "port")
+    guard = Process(*helpers.python("failstop", "guard", "--dry-run", "--config", str(settings), "--path", port))
+    driver = None
+    try:
+        guard.until("your driver opens")
+        driver = Process(diffdrive, port, "serial", "900", "900", RATE)
+        assert driver.line() == "start Invalid Command|OK"
+        assert f"diffdrive (pid {driver.pid}) has the port open" in guard.line()
+        assert "PID gains (u)" in guard.line()
+        assert "motion: wheels 900 900" in guard.line()
+        assert "limits.vx_mps allows 0.2" in guard.line()
+        driver.kill()
+        guard.until("has ended or died while it drove")
+    finally:
+        guard.close()
+        if driver:
+            driver.close()
+
+
+@pytest.mark.parametrize("kind", ["rrc", "feetech"])
+def test_a_board_that_nobody_has_described_drivers_of_says_so(tmp_path: Path, kind: str) -> None:
+    settings = tmp_path / "settings.toml"
+    write_settings(str(settings), {"board.kind": kind})
+    done = failstop("guard", "--dry-run", "--config", str(settings), "--path", str(tmp_path / "port"))
+    assert done.returncode == 1
+    assert f"board.kind {kind}: nobody has said yet what a driver may write to this board" in done.stderr
+
+
+# The pseudo-terminal.
+
+
+def test_a_link_that_is_there_is_replaced_only_where_it_is_a_link(tmp_path: Path) -> None:
+    path = tmp_path / "port"
+    path.write_text("mine")
+    with pytest.raises(FailstopError, match="is there already and is no link"):
+        Pty(str(path))
+    assert path.read_text() == "mine"
+    path.unlink()
+    path.symlink_to("/dev/pts/nowhere")
+    pty = Pty(str(path))
+    assert os.readlink(path) == pty.name
+    with pytest.raises(FailstopError, match="another guard is running"):
+        Pty(str(path))
+    path.unlink()
+    assert not pty.linked()
+    pty.link_again()
+    assert pty.linked()
+    pty.close()
+    assert os.listdir(tmp_path) == ["port.lock"]
+
+
+def test_the_owner_and_the_group_may_open_it_and_nobody_else(tmp_path: Path) -> None:
+    pty = Pty(str(tmp_path / "port"))
+    try:
+        assert os.stat(pty.name).st_mode & 0o7 == 0
+        assert os.stat(pty.name).st_uid == os.geteuid()
+    finally:
+        pty.close()
+
+
+def test_it_never_echoes_and_begins_anew_for_the_next_driver(tmp_path: Path) -> None:
+    pty = Pty(str(tmp_path / "port"))
+    try:
+        pty.write(b"OK\r\n")
+        assert pty.read() == (b"", True), "an echo would come back as the driver's command"
+        slave = os.open(pty.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        changed = termios.tcgetattr(slave)
+        changed[3] |= termios.ECHO | termios.ICANON
+        termios.tcsetattr(slave, termios.TCSANOW, changed)
+        os.write(slave, b"m 10 10\r\n")
+        os.close(slave)
+        assert b"m 10 10" in pty.clean()
+        slave = os.open(pty.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        assert not termios.tcgetattr(slave)[3] & (termios.ECHO | termios.ICANON)
+        with pytest.raises(BlockingIOError):
+            os.read(slave, 100)
+        os.close(slave)
+    finally:
+        pty.close()
+
+
+def test_an_answer_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    """The driver does not read for a while: it then finds whole answers, and the newest are missing."""
+    pty = Pty(str(tmp_path / "port"))
+    slave = os.open(pty.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        count = 0
+        while pty.write(b"%06d abcdefghijklmnopqrstuvwxyz\r\n" % count):
+            count += 1
+        assert not pty.write(b"lost\r\n")
+        found = b""
+        while len(found.splitlines()) < count or not found.endswith(b"\n"):
+            try:
+                found += os.read(slave, 4096)
+            except BlockingIOError:
+                pty.write(b"")
+        assert all(len(line) == 33 for line in found.splitlines())
+        assert b"lost" not in found
+        assert pty.write(b"again\r\n")
+    finally:
+        os.close(slave)
+        pty.close()
