@@ -34,6 +34,8 @@ failstop guard --dry-run          # no robot: what your driver would get
 PORT = "port"
 """The link's name in the runtime directory."""
 LOOK_S = 0.5
+NICE = -10
+"""It goes before ordinary programs, and behind the service's real-time processes: a driver can keep it busy."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -122,6 +124,8 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
         try:
             _tell(f"your driver opens {path} in the place of the board's port; Ctrl-C ends")
             gc.freeze()
+            with contextlib.suppress(OSError):  # without the right to it a busy machine answers late
+                os.setpriority(os.PRIO_PROCESS, 0, NICE)
             while not ends.now:
                 guard.turn()
         finally:

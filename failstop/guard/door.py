@@ -1,4 +1,9 @@
-"""Door: who has the pseudo-terminal open, as far as anybody can see, and how many may."""
+"""Door: who has the pseudo-terminal open, as far as anybody can see, and how many may.
+
+A program that is killed is seen first by its flags in /proc, which are looked at a few hundred times a second. Then the
+kernel takes its memory down, closes its files, which inotify reports, and at last its pidfd says that it is gone. A
+program whose pidfd has said so, and of which no close was reported, has left the port open with a child of its.
+"""
 
 from __future__ import annotations
 
@@ -6,36 +11,23 @@ import contextlib
 import os
 import select
 
-from failstop.guard.openers import Opener, Watch, openers
+from failstop.guard.openers import Opener, Watch, dying, openers
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from failstop.guard.pty import Pty
 
 
 class News:
-    """What has happened at the door: who opened and closed it, and who died."""
+    """What has happened at the door since the last look."""
 
-    def __init__(self, events: Sequence[bool], dead: Sequence[int], count: int) -> None:
-        """`events`: opens (True) and closes (False) in order; `dead`: the pids of programs that have died; `count`: how
-        often it was open before."""
-        self.dead = dead
-        self.closed = False
-        """Somebody who was known to have it open has closed it. A close for which nobody is known was counted already:
-        it came while it was looked who has it open."""
-        self.count = count
-        """How often it is open now, by this alone."""
-        self.any = bool(events or dead)
-        for opened in events:
-            self.closed |= not opened and self.count > 0
-            self.count = self.count + 1 if opened else max(0, self.count - 1)
-
-    @property
-    def ended(self) -> bool:
-        """A program that had it open has closed it or died."""
-        return self.closed or bool(self.dead)
+    def __init__(self) -> None:
+        self.any = False
+        """Something has: it is worth looking who has it open now."""
+        self.ended = False
+        """A program that had it open has closed it, or is dying or dead."""
+        self.orphans: list[Opener] = []
+        """Programs that are gone and have left it open with a child."""
 
 
 class Door:
@@ -51,7 +43,9 @@ class Door:
         self.most = 1
         """How often it may be."""
         self._lives: dict[int, int] = {}
-        """Of each of those the descriptor that says when it dies."""
+        """Of each of those, and of each that is dying, the descriptor that says when it is gone."""
+        self._dying: dict[int, tuple[Opener, int]] = {}
+        """Those whose end was noticed, with the closes that inotify has not reported of them yet."""
         self._begin()
 
     def _begin(self) -> None:
@@ -66,23 +60,45 @@ class Door:
 
     def look(self, ready: dict[int, int]) -> News:
         """What has happened since the last look. Cheap, because a stop waits for it."""
-        return News(self._watch.events(), [pid for pid, fd in self._lives.items() if fd in ready], self.count)
+        news = News()
+        for pid, opener in self.seen.items():
+            if pid not in self._dying and (self._lives.get(pid) in ready or dying(pid)):
+                self._dying[pid] = opener, opener.times
+                self.count = max(0, self.count - opener.times)
+                news.ended = news.any = True
+        for opened in self._watch.events():
+            news.any = True
+            if opened:
+                self.count += 1
+            elif not self._expected() and self.count:
+                self.count -= 1
+                news.ended = True
+        for pid in [pid for pid in self._dying if self._lives.get(pid) in ready or pid not in self._lives]:
+            opener, left = self._dying.pop(pid)
+            news.any = True
+            if left and pid in self._lives:
+                news.orphans.append(opener)
+        return news
 
-    def recount(self, news: News) -> str:
-        """See who has it open after that, and keep further programs out where it is open as often as may be. Returns
-        the program whose child goes on holding it, after which hang_up() helps alone; empty: there is none."""
-        seen, hidden = openers(self._pty.name)
+    def _expected(self) -> bool:
+        """Whether this close is one of a program whose end was noticed before."""
+        for pid, (opener, left) in self._dying.items():
+            if left:
+                self._dying[pid] = opener, left - 1
+                return True
+        return False
+
+    def recount(self) -> None:
+        """See who has it open, and keep further programs out where it is open as often as may be."""
+        found, hidden = openers(self._pty.name)
+        seen = {pid: opener for pid, opener in found.items() if pid not in self._dying and not dying(pid)}
         shown = sum(opener.times for opener in seen.values())
-        self.count = max(news.count, shown) if hidden else shown
-        # A program that closes it itself has done so before its pidfd tells of its death.
-        inherited = not news.closed and seen.keys() - self.seen.keys()
-        heirs = [self.seen[pid] for pid in news.dead if pid in self.seen and inherited]
+        self.count = max(self.count, shown) if hidden else shown
         self._follow(seen)
         self._pty.exclusive(on=self.count >= self.most)
-        return str(heirs[0]) if heirs else ""
 
     def _follow(self, seen: dict[int, Opener]) -> None:
-        for pid in self._lives.keys() - seen.keys():
+        for pid in self._lives.keys() - seen.keys() - self._dying.keys():
             fd = self._lives.pop(pid)
             self._poll.unregister(fd)
             os.close(fd)
@@ -97,6 +113,7 @@ class Door:
         self._poll.unregister(self._pty.master)
         self._close_watch()
         self._pty.hang_up()
+        self._dying.clear()
         self._follow({})
         self.count = 0
         self._begin()
@@ -106,5 +123,6 @@ class Door:
         self._watch.close()
 
     def close(self) -> None:
+        self._dying.clear()
         self._follow({})
         self._close_watch()

@@ -14,10 +14,10 @@ from failstop.guard.talk import Talk
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from typing import Protocol
 
-    from failstop.guard.door import News
+    from failstop.guard.openers import Opener
     from failstop.guard.pty import Pty
     from failstop.guard.scale import Scale
     from failstop.guard.talk import Command
@@ -63,6 +63,7 @@ class Guard:
         self._talk: Talk | None = None
         self._who = A_DRIVER
         """The driver, for people."""
+        self._crowded = False
         self._empty_ns = monotonic_ns()
         """When nothing of the driver's waited to be read."""
         self._told: set[str] = set()
@@ -81,7 +82,7 @@ class Guard:
         if news.ended:
             self._end()
         if news.any:
-            self._recount(news)
+            self._recount(news.orphans)
         if now_ns - self._looked_ns >= LOOK_NS:
             self._looked_ns = now_ns
             self._look(now_ns)
@@ -114,14 +115,15 @@ class Guard:
 
     # Who has it open.
 
-    def _recount(self, news: News) -> None:
-        crowded = self._door.crowded
-        if heir := self._door.recount(news):
+    def _recount(self, orphans: Sequence[Opener]) -> None:
+        self._door.recount()
+        if orphans and self._door.count:
             self._door.hang_up()
-            self._tell(f"a child of {heir}, which has died, had the port open: hung up")
+            self._tell(f"a child of {orphans[0]}, which has died, had the port open: hung up")
         if self._talk is None or not self._door.count:
             self._begin()
-        if self._door.crowded and not crowded:
+        crowded, self._crowded = self._crowded, self._door.crowded
+        if self._crowded and not crowded:
             names = " and ".join(map(str, self._door.seen.values())) or f"{self._door.count} programs"
             self._tell(
                 f"{names} have the port open, and guard.openers lets {self._door.most} of them: nothing that they "

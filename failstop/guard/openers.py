@@ -15,6 +15,8 @@ import struct
 from failstop.data import Data
 
 IN_CLOSE_WRITE, IN_CLOSE_NOWRITE, IN_OPEN = 0x8, 0x10, 0x20
+_EXITING = 0x4
+"""PF_EXITING, of the flags in /proc/PID/stat."""
 _EVENT = struct.Struct("iIII")
 _libc = ctypes.CDLL(None, use_errno=True)
 INTERPRETERS = ("python", "perl", "ruby", "node", "bash", "sh", "dash")
@@ -93,6 +95,18 @@ def openers(path: str) -> tuple[dict[int, Opener], bool]:
 def _identity(path: str) -> tuple[int, int, int]:
     found = os.stat(path)
     return found.st_dev, found.st_ino, found.st_rdev
+
+
+def dying(pid: int) -> bool:
+    """Whether a process is on its way out. The kernel takes its memory down first, which lasts long for a large one,
+    and closes its files afterwards."""
+    try:
+        with open(f"/proc/{pid}/stat", "rb") as file:
+            state, *numbers = file.read().rpartition(b") ")[2].split()
+    except OSError:
+        return True
+    # A main thread may end before the others do; it is then a zombie while they go on.
+    return state != b"Z" and bool(int(numbers[5]) & _EXITING)
 
 
 def program(pid: int) -> str:

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-from tests.guard.scene import HERE, GuardScene
+from bench import guard_scene
+from bench.guard_scene import GuardScene
+from failstop_lab.trial import TrialError
 
 
 @pytest.fixture(scope="session")
 def diffdrive(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The program that makes diffdrive_arduino's calls."""
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    if not compiler:
-        pytest.skip("needs a C compiler")
-    made = tmp_path_factory.mktemp("drivers") / "diffdrive"
-    subprocess.run([compiler, "-O1", "-Wall", "-o", str(made), str(HERE / "diffdrive.c")], check=True)
-    return str(made)
+    try:
+        return guard_scene.diffdrive(tmp_path_factory.mktemp("drivers"))
+    except TrialError as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")
@@ -37,12 +34,3 @@ def arduino(_arduino: GuardScene) -> Iterator[GuardScene]:
     _arduino.trial.board.events()
     yield _arduino
     _arduino.end_drivers()
-
-
-@pytest.fixture
-def own_scene(tmp_path: Path) -> Iterator[list[GuardScene]]:
-    """Scenes that a test makes for itself, which end with it."""
-    made: list[GuardScene] = []
-    yield made
-    for scene in made:
-        scene.__exit__(None, None, None)

@@ -8,8 +8,8 @@ import time
 
 import pytest
 
+from bench.guard_scene import GuardScene, Process
 from failstop_lab.trial import wait_for
-from tests.guard.scene import GuardScene, Process
 from tests.support.amounts import amount
 
 WAYS = ("serial", "exclusive")
@@ -226,3 +226,13 @@ def test_a_flood_holds_up_neither_the_guard_nor_the_stop(arduino: GuardScene) ->
     arduino.trial.board.events()
     time.sleep(0.3)
     assert arduino.motion() == []
+
+
+def test_the_death_of_a_large_driver_is_seen_before_its_memory_is_gone(arduino: GuardScene, diffdrive: str) -> None:
+    """Its files are closed afterwards, 50 ms and more later."""
+    driver = drives(arduino, diffdrive, "serial", "big")
+    os.kill(driver.pid, signal.SIGKILL)
+    arduino.stands()
+    wait_for("motion to be disabled", lambda: not arduino.trial.robot.state.enabled)
+    assert arduino.guard
+    arduino.guard.until(f"(pid {driver.pid}) has ended or died while it drove")

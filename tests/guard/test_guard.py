@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import termios
 from collections.abc import Iterator
@@ -9,12 +10,13 @@ from pathlib import Path
 
 import pytest
 
+from bench.guard_scene import GuardScene, Process
 from failstop import helpers
 from failstop.api.errors import FailstopError
 from failstop.guard.pty import Pty
 from failstop_lab.trial import wait_for, write_settings
-from tests.guard.scene import GuardScene, Process
 from tests.support.commands import failstop
+from tests.support.waiting import until
 
 RATE = "30"
 
@@ -177,23 +179,24 @@ def test_it_never_echoes_and_begins_anew_for_the_next_driver(tmp_path: Path) -> 
 
 
 def test_an_answer_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
-    """The driver does not read for a while: it then finds whole answers, and the newest are missing."""
+    """The driver does not read for a while: it then finds whole answers, in order, and the newest are missing."""
     pty = Pty(str(tmp_path / "port"))
     slave = os.open(pty.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
-        count = 0
-        while pty.write(b"%06d abcdefghijklmnopqrstuvwxyz\r\n" % count):
-            count += 1
-        assert not pty.write(b"lost\r\n")
-        found = b""
-        while len(found.splitlines()) < count or not found.endswith(b"\n"):
-            try:
-                found += os.read(slave, 4096)
-            except BlockingIOError:
-                pty.write(b"")
-        assert all(len(line) == 33 for line in found.splitlines())
-        assert b"lost" not in found
-        assert pty.write(b"again\r\n")
+        given = [number for number in range(20_000) if pty.write(b"%06d abcdefghijklmnopqrstuvwxyz\r\n" % number)]
+        assert 0 < len(given) < 20_000
+        found = bytearray()
+
+        def read_all() -> bool:
+            with contextlib.suppress(BlockingIOError):
+                while part := os.read(slave, 65536):
+                    found.extend(part)
+            pty.write(b"")  # the rest of the answer that the driver has begun to get
+            return found.count(b"\n") >= len(given)
+
+        until(read_all, "the driver has read all of it")
+        assert [int(line[:6]) for line in found.splitlines()] == given
+        assert {len(line) for line in found.splitlines()} == {33}
     finally:
         os.close(slave)
         pty.close()

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from bench.guard_scene import GuardScene, Process
 from failstop_lab.trial import wait_for
-from tests.guard.scene import GuardScene, Process
 from tests.support.amounts import amount
 
 WRITER = """
@@ -116,7 +116,7 @@ def test_a_script_that_writes_once_is_told_why_it_stops(ugv: GuardScene) -> None
     ugv.enable()
     driver = ugv.python(ONCE)
     assert driver.line() == "open"
-    ugv.moves()
+    wait_for("the wheels to have turned", ugv.motion)
     ugv.stands()
     why = str(ugv.trial.robot.why())
     assert f"(pid {driver.pid})" in why

@@ -15,7 +15,7 @@ OLDEST = 249
 """The systemd of Ubuntu 22.04."""
 BY_VERSION = (
     (239, "Description Type NotifyAccess ExecStart ExecStopPost TimeoutStartSec TimeoutStopSec Restart RestartSec"),
-    (239, "KillMode WatchdogSec User Group UMask WantedBy OOMScoreAdjust LimitRTPRIO LimitMEMLOCK LimitCORE"),
+    (239, "KillMode WatchdogSec User Group UMask WantedBy OOMScoreAdjust LimitRTPRIO LimitMEMLOCK LimitCORE LimitNICE"),
     (239, "CapabilityBoundingSet AmbientCapabilities PrivateTmp PrivateNetwork PrivateMounts DevicePolicy DeviceAllow"),
     (239, "NoNewPrivileges SystemCallFilter SystemCallErrorNumber SystemCallArchitectures RestrictAddressFamilies"),
     (239, "RuntimeDirectory RuntimeDirectoryMode RuntimeDirectoryPreserve StateDirectory StateDirectoryMode"),

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import os
 import select
+import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
 from types import TracebackType
 
-import pytest
-
 from failstop import helpers
 from failstop_lab.boards.traits import traits_of
-from failstop_lab.trial import Trial, wait_for, write_settings
+from failstop_lab.trial import Trial, TrialError, wait_for, write_settings
 
-HERE = Path(__file__).parent
 LINE_S = 10.0
+
+
+def diffdrive(folder: Path) -> str:
+    """Compile the driver that makes diffdrive_arduino's calls (diffdrive.c). Raises TrialError without a compiler."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if not compiler:
+        raise TrialError("a driver in C needs a C compiler")
+    made = folder / "diffdrive"
+    source = Path(__file__).with_name("diffdrive.c")
+    subprocess.run([compiler, "-O1", "-Wall", "-o", str(made), str(source)], check=True)
+    return str(made)
 
 
 class Process:
@@ -45,10 +54,10 @@ class Process:
         while b"\n" not in self._text:
             left_s = until_s - time.monotonic()
             if left_s <= 0 or not select.select([self.child.stdout], [], [], left_s)[0]:
-                pytest.fail(f"no line within {timeout_s} s; before: {self.lines[-10:]}")
+                raise TrialError(f"no line within {timeout_s} s; before: {self.lines[-10:]}")
             part = os.read(self.child.stdout.fileno(), 65536)
             if not part:
-                pytest.fail(f"it ended with {self.child.wait()}; before: {self.lines[-10:]}")
+                raise TrialError(f"it ended with {self.child.wait()}; before: {self.lines[-10:]}")
             self._text += part
         line, _, self._text = self._text.partition(b"\n")
         self.lines.append(line.decode())
