@@ -158,8 +158,8 @@ CLAIMS = (
     ),
     Claim(
         "GUARD-1",
-        "A driver at the guard port moves nothing that the board itself would not move for it, nothing beyond the limits,"
-        " and nothing once it has died.",
+        "A driver at the guard port moves nothing that the board itself would not move for it, nothing beyond the"
+        " limits, and nothing once it has died.",
         None, "motion frames while disabled or latched, of a dead driver, or beyond a limit: 0", ("PTY", "USERS"),
         "a wheel that turns by bytes which the board would refuse, or by those of a driver that has gone",
     ),

@@ -74,7 +74,7 @@ HAZARDS = (
         "`failstop doctor`; a machine with nothing else to do", ("ASK-2", "TIME-1", "HANG-1"),
     ),
     Hazard(
-        "H-DRIVER", SOFTWARE, "A driver for the bare board drives on by what it wrote, or was refused and does not know it",
+        "H-DRIVER", SOFTWARE, "A driver of the bare board drives on by what it wrote before it died",
         "a program that knows nothing of failstop dies, hangs or starts again at the guard port",
         "plays the board for it: takes what the board would take, answers in step, drops what a dead driver wrote, and"
         " lets it drive only after an enable",

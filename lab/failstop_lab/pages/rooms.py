@@ -30,7 +30,7 @@ ROOMS = {
         "supervisor",
     ),
     "web": Room("the operator's page", "api cli config extras files helpers incidents messages policy shm"),
-    "guard": Room("a port that plays the board for a driver program", "api board cli config doctor files messages policy"),
+    "guard": Room("a port that plays the board for a driver", "api board cli config doctor files messages policy"),
     "fleet": Room("the robots of a broker, and metrics", "api cli config doctor extras files messages notify policy"),
     "setup": Room(
         "from a cable to a proved robot",
