@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     class DriverLanguage(Protocol):
         """One driver's conversation with the board. The guard makes a new one for each program that opens the port."""
 
+        openers: int
+        """How many programs have the port open where the usual driver of this board runs: two where one of its programs
+        writes and another reads."""
         patience_ns: int
         """How long a driver waits for an answer. After a longer pause of its own the guard answers the newest question
         alone, because a driver that has given up takes a late answer for the one to its next question."""

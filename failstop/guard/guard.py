@@ -47,8 +47,6 @@ LOOK_NS = 500_000_000
 """How often it is looked whether the service and the link are there."""
 SAY_NS = 2_000_000_000
 """How often people are told again what there is to say of the driver, so that the words are not old."""
-USUAL_OPENERS = {"ugv": 2}
-"""Waveshare's ROS 2 driver writes with one node and reads with the other. Of other boards one program may open."""
 A_DRIVER = "a driver"
 
 
@@ -135,9 +133,9 @@ class Guard:
         settings, opener = self._board.settings, next(iter(self._door.seen.values()), None)
         self._talk = None
         if settings is not None:
-            kind = settings.text("board.kind")
-            self._door.most = int(settings["guard.openers"]) or USUAL_OPENERS.get(kind, 1)
-            if self._door.count and (language := language_of(kind, settings.flat())):
+            language = language_of(settings.text("board.kind"), settings.flat())
+            self._door.most = int(settings["guard.openers"]) or (language.openers if language else 1)
+            if self._door.count and language:
                 _, source_ns = settings.sources()[self._board.source]
                 self._talk = Talk(language, self._board.scale.wheels, settings.ns("guard.timeout_s"), source_ns)
         self._told.clear()

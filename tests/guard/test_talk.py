@@ -14,6 +14,7 @@ S = 1_000 * MS
 class Words:
     """A language of words between blanks: a number is the speed of both wheels, `?` a question, `!` is refused."""
 
+    openers = 1
     patience_ns = 1 * S
 
     def __init__(self) -> None:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     Row = DriverMotion | DriverAnswer | DriverRefusal
 
+OPENERS = 2
+"""Of the vendor's ROS 2 nodes ugv_driver writes and ugv_bringup reads."""
 PATIENCE_NS = 1_000_000_000
 """A question that has waited longer is answered only if it is the newest."""
 _TRACK_M = 0.172
@@ -50,7 +52,7 @@ class UgvDriver:
 
     def __init__(self, track_m: float) -> None:
         """`track_m`: the distance of left and right wheels, by which T:13's turn becomes speeds."""
-        self.patience_ns = PATIENCE_NS
+        self.openers, self.patience_ns = OPENERS, PATIENCE_NS
         self._half_m = min(track_m, _TRACK_M) / 2.0
         self._line = b""
         self._too_long = False
