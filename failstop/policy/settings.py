@@ -147,7 +147,7 @@ DECLARED = (
         2.5,
         "how long the last motion of a driver at the guard port counts; raise it for one that writes a speed and waits",
     ),
-    Setting("guard.openers", 0, "", 0, 4, "programs that may have the guard port open; 0: one, and two for ugv"),
+    Setting("guard.openers", 0, "", 0, 4, "programs that may have the guard port open; 0: as the usual driver has it"),
     _word("guard.hang_up", "off", "on: hang up on a driver that wants to move while motion is not enabled", SWITCH),
     Setting("restart.deaths", 5, "", 1, 100000, "deaths of a process in the window: then down until a reset"),
     Setting("restart.window_s", 60.0, "s", 1.0, 3600.0, "window in which deaths of a process are counted"),
