@@ -105,7 +105,7 @@ def test_no_release_is_made_that_lost_a_name_of_the_last(tmp_path: Path) -> None
 
     git("init")
     release.lasting("0.2.0", "a\n", "notes", tmp_path)
-    (tmp_path / "docs/dev").mkdir(parents=True)
+    (tmp_path / public.PLACE).parent.mkdir(parents=True)
     (tmp_path / public.PLACE).write_text("a\nb; deprecated: c\n")
     git("add", "-A")
     git("commit", "-m", "first")
