@@ -96,7 +96,9 @@ class Supervisor:
     def turn(self, ready: dict[int, int]) -> None:
         now_ns = monotonic_ns()
         self._stop_for_news(ready, now_ns)
-        self._raise_epoch(self.monitor.follow(now_ns, listening=self._listening(now_ns)))
+        held_up = self._is_held_up(now_ns)
+        listening = self._listening() and (not held_up or self._motion())
+        self._raise_epoch(self.monitor.follow(now_ns, listening=listening, held_up=held_up))
         self.processes.reap(ready, now_ns)
         self.processes.watch_early()
         self._follow_port(ready, now_ns)
@@ -210,14 +212,16 @@ class Supervisor:
             self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, cause)])
         self.ending |= self.broken and self._unanswered is None
 
-    def _listening(self, now_ns: int) -> bool:
+    def _listening(self) -> bool:
         """True while pings are written and their answers decoded: what nobody could hear makes no board deaf."""
         asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
-        if self._port.fd < 0 or asks.state != RUNNING or hears.state != RUNNING:
-            return False
-        # A process that was held up comes late to an answer. While motion is enabled that is no excuse.
+        return self._port.fd >= 0 and asks.state == hears.state == RUNNING
+
+    def _is_held_up(self, now_ns: int) -> bool:
+        """True when the port owner, telemetry or this process comes late to what the board answers."""
+        asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
-        return now_ns - heard_ns < CLIENT_SILENT_NS or self._motion()
+        return now_ns - heard_ns >= CLIENT_SILENT_NS
 
     def _collect(self, dead: list[Child], now_ns: int, burst_ns: int, suspended_ns: int) -> list[Stop]:
         """Every stop that this wake-up brings. `burst_ns`: when the port owner's death was answered."""
@@ -363,7 +367,7 @@ class Supervisor:
         it, in ns; 0: not within HEAR_NS, or the time of an echo. The processes that ask and listen must live for it."""
         echo_ns = 2 * self._port.board.echo_ns
         until_ns = monotonic_ns() + (echo_ns if self.monitor.link.state == LINK_UNASKED else HEAR_NS)
-        while stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening(now_ns):
+        while stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening() and not self._is_held_up(now_ns):
             self.monitor.follow(now_ns, listening=True)
             sent_ns, arrival_ns = self.monitor.heard
             if sent_ns >= stop_ns:

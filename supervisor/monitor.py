@@ -29,6 +29,7 @@ from failstop.policy.proofs import (
     UNMOVED,
     observer,
 )
+from failstop.procs.loop import MS
 from failstop.shm.words import Barrier
 from failstop.supervisor import starter
 from failstop.supervisor.latch import Latch
@@ -101,7 +102,7 @@ class Monitor:
         """A cause that came together with others, or before their stop was answered."""
         if self._news_of(stop.cause):
             fields = {**stop.fields(), "noticed_by": stop.noticed_by}
-            self._run.events.tell("stop_also", f"also: {stop.cause}", fields)
+            self._run.events.tell("stop_also", f"also: {stop.cause.alarm()}", fields)
 
     def answered(self, stop: Stop, *, ending: bool) -> None:
         """A stop was answered, written or not. `ending`: it is that of the service's end."""
@@ -127,10 +128,10 @@ class Monitor:
             self._run.events.tell("stopping", f"{stop.cause}; {wrote}", fields, level=level)
         elif stop.behind is None:
             todo = f"{self._run.events.command('reset')}, then {self._run.events.command('enable')}"
-            text = f"STOP latched: {stop.cause}; {wrote}"
+            text = f"STOP latched: {stop.cause.alarm()}; {wrote}"
             self._run.events.tell("stop", text, fields, level=level, step=todo)
         elif self._news_of(stop.cause):
-            text = f"stopped again: {stop.cause}; {wrote}; latched is still: {stop.behind.cause}"
+            text = f"stopped again: {stop.cause.alarm()}; {wrote}; latched is still: {stop.behind.cause}"
             if stop.behind.cause == stop.cause:
                 text = f"the cause of what is latched is known better: {stop.cause}"
                 if self._last:
@@ -148,14 +149,17 @@ class Monitor:
         self._last.believed = self.link.believed
         self._publish(self._last)
 
-    def follow(self, now_ns: int, *, listening: bool) -> list[Stop]:
+    def follow(self, now_ns: int, *, listening: bool, held_up: bool = False) -> list[Stop]:
         """Look at everything once; returns the stops that this brings. `listening`: telemetry runs, which decodes the
-        answers, and so does the port owner, which asks."""
+        answers, and so does the port owner, which asks; `held_up`: the machine does not run one of them, or did not run
+        the supervisor."""
         stops = []
         self._take_answer()
         if self._last and self.link.believed and not self._last.believed:
             self._last.believed = True
             self._publish(self._last)
+        if held_up:
+            self.link.held_up(now_ns)
         self._follow_link(now_ns, listening=listening)
         stops += self._stops_for_link(now_ns)
         self._reap_command()
@@ -189,8 +193,11 @@ class Monitor:
 
     def _stops_for_link(self, now_ns: int) -> list[Stop]:
         """The stop for a board that is deaf or silent, while motion is enabled: once, and again if motion is enabled
-        again, as it may have been enabled while nobody knew of it yet."""
-        kind = STOPS_FOR.get(self.link.state)
+        again, as it may have been enabled while nobody knew of it yet. A silence that the machine may explain stops the
+        robot too, because nobody knows what the board heard."""
+        kind, unheard_ns = STOPS_FOR.get(self.link.state), self.link.take_unheard()
+        if unheard_ns and self._moves():
+            return [Stop(now_ns, layout.SUPERVISOR, causes.NOT_HEARD(unheard_ns // MS))]
         if kind is None or not self._moves():
             self._stopped_for = ""
             return []
@@ -246,7 +253,7 @@ class Monitor:
             self._command_ran = False
             self._publish(last)
         if unstill:
-            text = f"CRITICAL: {causes.UNSTILL()} ({stop.cause}; {(now_ns - stop.t_ns) / 1e9:.1f} s ago)"
+            text = f"CRITICAL: {causes.UNSTILL().alarm()} ({stop.cause}; {(now_ns - stop.t_ns) / 1e9:.1f} s ago)"
             self._run.events.tell("unstill", text, {"reason": str(stop.cause), "epoch": stop.epoch})
             if self._command and not self._command_ran:
                 self._run_command()

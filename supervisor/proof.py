@@ -24,6 +24,7 @@ from failstop.policy.proofs import (
     UNMOVED,
     wheels_seen,
 )
+from failstop.procs.starved import LONGEST_NS
 from failstop.supervisor.stops import Stop
 
 # The wheels after a stop, as the IMU sees them.
@@ -199,6 +200,10 @@ class Link:
         self._heard = False
         """It has answered in this run, or has reported if nothing is asked."""
         self._opened_ns = self._listened_ns = 0
+        self._held_up_ns = self._unheard_ns = 0
+        """When the machine last held up a process that asks, listens or judges."""
+        self._true_ns = 0
+        """When the newest ping was sent that was truly answered, or the port was opened."""
         self._said_ns = self._patience_ns = 0
         """When it said something last, 0: not since the port was opened; and how long it may pause."""
         self._answered_ns = 0
@@ -228,7 +233,7 @@ class Link:
     def opened(self, now_ns: int, *, sure: bool = True) -> None:
         """Another port: nothing is known of what is there now. `sure`: it is known to be the board."""
         self._answers = self._first if sure and not self._heard else LINK_UNHEARD
-        self._opened_ns = self._answered_ns = self._listened_ns = now_ns
+        self._opened_ns = self._answered_ns = self._listened_ns = self._true_ns = now_ns
         self._asked_ns = self._said_ns = 0
         self._missed = self._silent = self._by_echo = False
 
@@ -237,6 +242,26 @@ class Link:
         self._asked_ns = 0
         self._answered_ns = max(self._answered_ns, newest_ping_ns)
         self._listened_ns = max(self._listened_ns, now_ns)
+
+    def held_up(self, now_ns: int) -> None:
+        """The machine does not run a process that asks, listens or judges: who was silent until now is not known."""
+        self._held_up_ns = now_ns
+
+    def _excused(self, since_ns: int, now_ns: int) -> bool:
+        """True when the machine may explain a silence that began then, so that it must be counted again. Motion is
+        stopped for it. It excuses no board for longer than a healthy service may be held up."""
+        true_ns = max(self._true_ns, self._said_ns)
+        if self._held_up_ns < since_ns or now_ns - true_ns >= LONGEST_NS:
+            return False
+        self._unheard_ns = now_ns - true_ns
+        self.listen(now_ns, now_ns)
+        return True
+
+    def take_unheard(self) -> int:
+        """How long nothing was heard from it while the machine held the service up (ns), once; 0: there is no such
+        silence."""
+        found, self._unheard_ns = self._unheard_ns, 0
+        return found
 
     def said(self, said_ns: int, newest_ping_ns: int) -> None:
         """It said something at `said_ns`, of whatever kind."""
@@ -254,7 +279,8 @@ class Link:
     def follow_silence(self, patience_ns: int, now_ns: int) -> None:
         """Look whether it has gone silent; `patience_ns`: how long it may pause, 0: it speaks only when it is asked."""
         self._patience_ns = patience_ns
-        if self._said_ns and patience_ns and now_ns - max(self._said_ns, self._listened_ns) >= patience_ns:
+        since_ns = max(self._said_ns, self._listened_ns)
+        if self._said_ns and patience_ns and now_ns - since_ns >= patience_ns and not self._excused(since_ns, now_ns):
             self._silent = True
 
     def follow_echo(self, unheeded_ns: int) -> None:
@@ -277,6 +303,7 @@ class Link:
             self._answers = LINK_ALIVE
         self._heard = True
         self._answered_ns = max(self._answered_ns, sent_ns)
+        self._true_ns = max(self._true_ns, sent_ns)
         self._asked_ns = 0
 
     def missed(self, now_ns: int) -> bool:
@@ -284,7 +311,7 @@ class Link:
         since_ns = self._asked_ns if self._asked else self._opened_ns
         if self.state != LINK_UNHEARD or self._missed or not since_ns:
             return False
-        self._missed = now_ns - since_ns >= self._deaf_ns
+        self._missed = now_ns - since_ns >= self._deaf_ns and not self._excused(since_ns, now_ns)
         return self._missed
 
     def gone_deaf(self, newest_ping_ns: int, now_ns: int) -> bool:
@@ -297,6 +324,8 @@ class Link:
         if now_ns - self._answered_ns < self._deaf_ns or now_ns - self._asked_ns < self._deaf_ns // 2:
             return False
         if now_ns - newest_ping_ns < PONG_NS or self._may_be_silent(now_ns):
+            return False
+        if self._excused(self._asked_ns, now_ns):
             return False
         self._answers = LINK_DEAF
         return True

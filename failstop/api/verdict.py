@@ -23,7 +23,7 @@ from failstop.api.wheels import WHEELS_MAY_TURN as WHEELS_MAY_TURN
 from failstop.api.wheels import WHEELS_TURN as WHEELS_TURN
 from failstop.api.wheels import WRITTEN as WRITTEN
 from failstop.messages.layout import GATE
-from failstop.policy import proofs
+from failstop.policy import causes, proofs
 
 COMMANDED = "COMMANDED TO DRIVE"
 """In the place of DRIVING, while the board reports that it obeys zero speed."""
@@ -61,6 +61,18 @@ def unreached(state: State) -> str:
     if state.device.link == "unheard":
         return f"{state.device.path} has not answered since it came back, so it may be another device than the board"
     return ""
+
+
+def reached(state: State) -> str:
+    """How the latched stop is known to have reached the wheels, as a clause; empty: it is not known, or there is reason
+    to think that it has not."""
+    stop = state.last_stop
+    if state.cause is None or doubt(state):
+        return ""
+    if state.cause.kind is causes.UNSTILL:
+        return "they have been seen still since" if wheels.seen(state) is wheels.Seen.STILL else ""
+    heard = stop and stop.cause == state.cause and stop.acknowledged_s is not None
+    return "the board has acknowledged the stop since" if heard else ""
 
 
 def row(state: State) -> wheels.Row:

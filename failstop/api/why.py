@@ -104,12 +104,16 @@ def _holds(state: State) -> str:
     return HOLDS[state.block][0] if state.block else ""
 
 
-def meaning(cause: Cause) -> tuple[str, str]:
-    """The event, and the thing to see to before a reset, in plain words: two texts that continue a sentence."""
+def meaning(cause: Cause, reached: str = "") -> tuple[str, str]:
+    """The event, and the thing to see to before a reset, in plain words: two texts that continue a sentence.
+    `reached`: how the stop is known to have reached the wheels (`verdict.reached`)."""
     given = cause.named()
     given["role"] = ROLES.get(str(given.get("process")), "")
     given["names"] = _buttons(int(given.get("buttons", 0)))
-    return filled(cause.kind.what, given), cause.kind.remedy
+    what, doubt = filled(cause.kind.what, given), cause.kind.doubt
+    if doubt:
+        what += f"; {reached}" if reached else f", {doubt}"
+    return what, cause.kind.first(reached)
 
 
 def _buttons(pressed: int) -> str:
@@ -135,7 +139,8 @@ def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | 
     """Since when this block holds, as far as is known, and what began it."""
     stop = state.last_stop
     if state.cause:
-        return (stop.t if stop and stop.cause == state.cause else None), meaning(state.cause)[0]
+        begun = stop.t if stop and stop.cause == state.cause else None
+        return begun, meaning(state.cause, verdict.reached(state))[0]
     if state.block is Block.NO_SCAN:
         age_s = state.scan_age_s
         never = "it has not delivered once in this run"

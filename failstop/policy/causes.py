@@ -5,7 +5,7 @@ its text is made at the end (`str`). In a template, what stands in brackets is l
 Every cause latches.
 
 `what` continues "stopped since ...", with the same arguments, and `role` of the process and `names` of the buttons;
-`remedy` continues "first ..." and takes no arguments.
+`remedy` continues "first ..." and takes no arguments (`Kind.first`).
 """
 
 from __future__ import annotations
@@ -36,12 +36,15 @@ _TYPES = {"": str, "d": int, "X": int, "f": float}
 _TELL = "report it with its incident (`failstop incident list`), as it is a defect, or memory that somebody damaged"
 _AGAIN = "look at what came before it (`failstop events`) if it is not the first time"
 _BUSY = "look at the machine's load and at real-time rights (`failstop doctor`), since something held it up"
-_POWER = "turn the robot's POWER SWITCH off and on, since a stop may not have reached the wheels"
+POWER = "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels"
+"""The first remedy for a cause with a doubt."""
+USE_THE_SWITCH = "use the POWER SWITCH"
 
 
 class Kind(Data):
     """One row. `number`: never given to another row; `template`: what stands in braces are the parameters, none of
-    which is "name"; `noticed_by`: processes."""
+    which is "name"; `noticed_by`: processes; `doubt`: a clause that ends `what`, and sends people to the power switch,
+    until the stop is known to have reached the wheels."""
 
     number: int
     name: str
@@ -50,6 +53,11 @@ class Kind(Data):
     what: str
     remedy: str
     cleared_by: str = A_RESET
+    doubt: str = ""
+
+    def first(self, reached: str = "") -> str:
+        """The thing to do first; `reached`: how the stop is known to have reached the wheels, empty: it is not."""
+        return f"{POWER}; then {self.remedy}" if self.doubt and not reached else self.remedy
 
     @cached_property
     def parameters(self) -> tuple[tuple[str, type[Value]], ...]:
@@ -76,6 +84,10 @@ class Cause:
     def named(self) -> dict[str, Value]:
         """The arguments by name."""
         return {name: value for (name, _), value in zip(self.kind.parameters, self.arguments, strict=True)}
+
+    def alarm(self) -> str:
+        """The text for the moment in which it happens: with the power switch, where the stop may not reach the wheels."""
+        return f"{self}: {USE_THE_SWITCH}" if self.kind.doubt else str(self)
 
     def as_map(self) -> dict[str, Value]:
         """For programs: the name of its row, and its arguments."""
@@ -220,24 +232,35 @@ DEVICE_LOST = Kind(
     "look at the cable, the plug and the board's power",
 )  # fmt: skip
 STUCK = Kind(
-    10, "stuck", "port does not drain: use the POWER SWITCH", "port_owner",
-    "the port took bytes, but they did not leave for the board within 0.1 s", _POWER,
+    10, "stuck", "port does not drain", "port_owner",
+    "the port took bytes, but they did not leave for the board within 0.1 s",
+    "look at the board and at the cable to it",
+    doubt="so the board may not have the stop",
 )  # fmt: skip
 DEAF = Kind(
-    11, "deaf", "the board is deaf: use the POWER SWITCH", "supervisor",
-    "the board stopped answering, or it reported zero speed while motion was written to it, so it may hear nothing",
-    f"{_POWER}; then look at the wire to the board",
+    11, "deaf", "the board is deaf", "supervisor",
+    "the board stopped answering, or it reported zero speed while motion was written to it",
+    "look at the wire to the board",
+    doubt="so it may hear nothing",
 )  # fmt: skip
 BOARD_SILENT = Kind(
-    44, "board_silent", "the board is silent: use the POWER SWITCH", "supervisor",
-    "the board had reported all the time and then said nothing any more. It has lost power, or hangs, or the wire from "
-    "it is broken: from here these look the same, so nobody knows whether it has stopped",
-    f"{_POWER}; then look at the board's supply and at the wire from it",
+    44, "board_silent", "the board is silent", "supervisor",
+    "the board had reported all the time and then said nothing any more. It had lost power, or it hung, or the wire from "
+    "it was broken, which look the same from here",
+    "look at the board's supply and at the wire from it",
+    doubt="so nobody knows whether it has stopped",
+)  # fmt: skip
+NOT_HEARD = Kind(
+    48, "not_heard", "no answer from the board for {ms:d} ms (the machine is starved)", "supervisor",
+    "the machine was too busy to tell whether the board answers: nothing was heard from it for {ms} ms",
+    "give the service real-time rights (`failstop doctor` has the command), or the machine less to do",
+    doubt="so a stop may not have reached it",
 )  # fmt: skip
 UNSTILL = Kind(
-    12, "unstill", "the wheels do not come to rest: use the POWER SWITCH", "supervisor telemetry",
+    12, "unstill", "the wheels do not come to rest", "supervisor telemetry",
     "the wheels turned on after a stop, as the board reported, or the IMU felt the robot shake on as it does then",
-    f"{_POWER}; a robot that somebody carries or pushes looks the same",
+    "see whether somebody carried or pushed the robot, because that looks the same",
+    doubt="so they may still turn",
 )  # fmt: skip
 RUNAWAY = Kind(
     43, "runaway", "the {wheel} wheel ran away: told {told:.2f} turns a second, and it turned {seen:.2f}", "telemetry",

@@ -143,7 +143,7 @@ def _why(state: State) -> str:
 def _held(state: State) -> str:
     """The reason why the wheels stand, or how they move."""
     if state.cause:
-        return words.sentence(meaning(state.cause)[0])
+        return words.sentence(meaning(state.cause, verdict.reached(state))[0])
     if state.block:
         return HOLDS[state.block][1]
     return words.sentence(verdict.headline(state) if any(state.body_vel) else "The command is zero")

@@ -12,7 +12,8 @@ from failstop.api.events import Event
 from failstop.api.snapshot import Block, Device, Starved, State
 from failstop.api.why import HOLDS, Why, explain
 from failstop.policy import causes
-from tests.support.states import NOW_S, SEEN, STILL, TURNS_ON, driving, latched, process, state, stop
+from failstop.web import view
+from tests.support.states import NOW_S, SEEN, STILL, TURNS_ON, UNREAD, driving, latched, process, state, stop
 
 STANDING = {"body_vel": (0.0, 0.0, 0.0), "wheels_radps": (0.0, 0.0, 0.0, 0.0), "turning": STILL}
 DEAF = Device("/dev/ttyACM0", "open", "deaf")
@@ -113,6 +114,29 @@ def test_wheels_that_may_turn_are_not_said_to_stand(found: State) -> None:
     answer = why(found)
     assert answer.what.startswith("THE WHEELS MAY TURN (then: POWER SWITCH): ")
     assert "wheels stand" not in str(answer)
+
+
+DOUBTED = [kind for kind in causes.BY_NUMBER.values() if kind.doubt]
+
+
+@pytest.mark.parametrize("kind", DOUBTED, ids=lambda kind: kind.name)
+def test_the_power_switch_is_advised_until_the_stop_has_reached_the_wheels(kind: causes.Kind) -> None:
+    """What a cause made people fear, and that the fear was settled since, are not said both at once."""
+    cause = kind(*(1 for _ in kind.parameters))
+    unheard = stop(cause, acknowledged_s=None, observed_s=None)
+    feared = latched(cause, last_stop=unheard, turning=UNREAD)
+    settled = latched(cause, last_stop=stop(cause, acknowledged_s=1.2, observed_s=1.4))
+    for found, is_feared in ((feared, True), (settled, False)):
+        answer = why(found)
+        assert (kind.doubt in answer.what) == is_feared
+        assert ("since" in answer.what.partition(": ")[2]) != is_feared
+        assert ("POWER SWITCH" in " ".join(answer.do)) == is_feared
+        assert "POWER SWITCH" not in str(cause)
+        page = view.view(found, (), NOW_S)
+        assert (kind.doubt in page["why"]) == is_feared
+        assert ("POWER SWITCH" in page["next"]) == is_feared
+        assert page["stop"]["reason"] == str(cause)
+    assert "POWER SWITCH" in cause.alarm(), "in the moment itself it is said at once"
 
 
 def test_wheels_that_turn_come_first_whatever_is_latched() -> None:

@@ -13,7 +13,7 @@ from failstop.shm import heartbeat
 from tests.support.port_scene import MOTION, TICK, Scene
 from tests.support.stage import MS
 
-POWER_SWITCH = "port does not drain: use the POWER SWITCH"
+POWER_SWITCH = "port does not drain"
 
 
 def test_the_gate_s_death_is_a_stop_and_without_a_gate_no_frame_counts() -> None:

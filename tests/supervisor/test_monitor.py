@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from failstop.messages import layout
@@ -184,6 +186,29 @@ def test_a_board_is_not_deaf_while_nobody_listens(scene: Scene) -> None:
     assert follow(scene, 600 * MS) == [], "nor for the ping whose answer nobody could hear"
 
 
+def test_a_silence_that_the_machine_explains_stops_the_robot_and_names_the_machine() -> None:
+    both = (layout.PORT_OWNER, layout.TELEMETRY)
+    scene = Scene(*both)
+    scene.pings()
+    scene.tick(20 * MS, beating=both)
+    scene.port_owner.word("moving").set(1)
+    scene.enabled()
+    scene.pings(answered=False)
+    scene.tick(160 * MS, beating=(layout.PORT_OWNER,))
+    for _ in range(3):
+        scene.tick(300 * MS, beating=both)
+        scene.pings(answered=False)
+    since, reason = scene.cause()
+    assert since > 0
+    assert re.fullmatch(r"no answer from the board for 1\d\d\d ms \(the machine is starved\)", reason)
+    assert scene.read("link") == b"alive", "nobody knows that it is deaf"
+    assert not [text for kind, _, text, _ in scene.said() if kind == "link" and "POWER SWITCH" in text]
+    for _ in range(4):
+        scene.tick(300 * MS, beating=both)
+        scene.pings(answered=False)
+    assert scene.read("link") == b"deaf", "and nothing held anybody up since"
+
+
 def test_people_are_told_of_wheels_that_do_not_rest(scene: Scene) -> None:
     noticed_ns = scene.now_ns
     scene.stops("the first")
@@ -201,7 +226,7 @@ def test_people_are_told_of_wheels_that_do_not_rest(scene: Scene) -> None:
         "wheels": "unstill",
     }
     assert scene.said() == [
-        ("unstill", "critical", f"CRITICAL: {UNSTILL} ({FIRST}; 1.6 s ago)", told),
+        ("unstill", "critical", f"CRITICAL: {UNSTILL}: use the POWER SWITCH ({FIRST}; 1.6 s ago)", told),
         ("stop_outcome", "error", f"{FIRST}: not acknowledged (link unproven), wheels NOT seen still", outcome),
     ]
     scene.telemetry.word("still_ns").set(scene.now_ns)

@@ -17,6 +17,7 @@ from failstop.policy.proofs import (
     observer,
     still_after,
 )
+from failstop.procs.starved import LONGEST_NS
 from failstop.supervisor.proof import ACKNOWLEDGE_NS, JUDGED_AFTER_NS, JUDGED_WITHIN_NS, Link, Proof
 from failstop.supervisor.stops import Stop
 from tests.support.why import why
@@ -271,6 +272,46 @@ def test_silence_while_nobody_listened_does_not_count() -> None:
     assert not link.gone_deaf(T0 + 1_500 * MS, T0 + 2_400 * MS), "nobody heard the answer to that one"
     assert not link.gone_deaf(T0 + 2_500 * MS, T0 + 2_510 * MS)
     assert link.gone_deaf(T0 + 2_500 * MS, T0 + 3_010 * MS)
+
+
+@pytest.mark.parametrize(("held_up_ms", "deaf_ms"), [(None, 1_020), (300, 2_020), (980, 2_020), (-100, 1_020)])
+def test_a_silence_in_which_the_machine_held_the_service_up_is_counted_again(
+    held_up_ms: int | None, deaf_ms: int
+) -> None:
+    link = heard(T0 - 10 * MS)
+    unheard_ms = []
+    for ms in range(0, 5_000, 20):
+        if held_up_ms is not None and ms == max(0, held_up_ms):
+            link.held_up(T0 + held_up_ms * MS)
+        if link.gone_deaf(T0 + ms // 250 * 250 * MS, T0 + ms * MS):
+            assert ms == deaf_ms
+            break
+        if found_ns := link.take_unheard():
+            unheard_ms.append((ms, found_ns // MS))
+    assert link.state == LINK_DEAF
+    assert unheard_ms == ([(1_020, 1_030)] if deaf_ms > 2_000 else [])
+
+
+def test_a_busy_machine_excuses_no_board_for_long() -> None:
+    link = heard(T0)
+    for ms in range(20, 10_000, 20):
+        link.held_up(T0 + ms * MS)
+        if link.gone_deaf(T0 + ms // 500 * 500 * MS, T0 + ms * MS):
+            break
+    assert LONGEST_NS // MS <= ms <= LONGEST_NS // MS + 1_100
+
+
+def test_a_machine_that_was_held_up_makes_no_board_silent() -> None:
+    link = heard(T0)
+    link.said(T0, T0)
+    link.held_up(T0 + 600 * MS)
+    link.follow_silence(700 * MS, T0 + 700 * MS)
+    assert (link.state, link.take_unheard()) == (LINK_ALIVE, 700 * MS)
+    assert link.take_unheard() == 0, "once"
+    link.follow_silence(700 * MS, T0 + 1_380 * MS)
+    assert link.state == LINK_ALIVE
+    link.follow_silence(700 * MS, T0 + 1_400 * MS)
+    assert link.state == LINK_SILENT
 
 
 @pytest.mark.parametrize("sure", [True, False])

@@ -13,7 +13,8 @@ Generated from the table in failstop/policy/causes.py (`make docs`).
 and [faults.md](faults.md) says how soon the wheels are stopped for the faults behind it.
 
 Every cause latches: the wheels stay stopped until somebody resets and enables. A cause that only a new start clears
-ends the service, or is told after its end. Words in capitals stand for what differs from case to case: ROLE is what
+ends the service, or is told after its end. What a row says of the POWER SWITCH holds until the board acknowledges
+the stop; then `failstop why` says that it has, and leaves the switch out. Words in capitals stand for what differs from case to case: ROLE is what
 the process does, N is a number; what is in brackets may be absent. The name is `FAILSTOP_CAUSE` in the journal.
 """
 ANY_READER = "whoever reads the shared memory"
@@ -45,4 +46,5 @@ def _row(kind: Kind) -> str:
     words |= {name: _Word(name.upper()) for name in ("role", "names")}
     noticed_by = ", ".join(name.replace("_", " ") for name in kind.noticed_by.split()) or ANY_READER
     text, what = (template.format_map(words) for template in (kind.template, kind.what))
-    return f"| `{text}` | `{kind.name}` | {what} | {kind.remedy} | {noticed_by} | {kind.cleared_by} |"
+    what += f", {kind.doubt}" if kind.doubt else ""
+    return f"| `{text}` | `{kind.name}` | {what} | {kind.first()} | {noticed_by} | {kind.cleared_by} |"

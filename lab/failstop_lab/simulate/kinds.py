@@ -55,8 +55,8 @@ TORN = EARLIER[REST_OF_PLACE]
 LOWERED = "a thread runs behind all others"
 REFUSES, KEEPS, BOARD_DEAF, PULLED = (
     "the port refuses",
-    "the port does not drain",
-    "the board is deaf",
+    "the board takes no bytes",
+    "the board hears nothing",
     "the plug is pulled",
 )
 BESIDE = [f"{name} dies beside{hears}" for name in SERVICE_PROCESSES for hears in ("", ", and a thread hears")]

@@ -185,7 +185,7 @@ class Stage:
     def block_port(self) -> None:
         """The port keeps from now on what is written to it."""
         if self.robot.board.port:
-            self.witness.tell("the port does not drain")
+            self.witness.tell("the board takes no bytes")
             self.robot.board.port.drains = False
 
     def free_port(self) -> None:
@@ -272,7 +272,7 @@ class Stage:
 
     def deafen(self) -> None:
         """The board hears nothing any more: it keeps its last speed, and nobody can stop it."""
-        self.witness.tell("the board is deaf")
+        self.witness.tell("the board hears nothing")
         self.robot.board.model.deaf = True
 
     def silence_board(self) -> None:

@@ -67,6 +67,7 @@ NO_FAULT = {
     causes.DRIVER_SILENT,  # only where a setting asks for it (tests/procs/test_gate_sources.py)
     causes.OPERATOR_GONE,  # only where a setting asks for one (tests/procs/test_gate_attendance.py, tests/web)
     causes.UNSTILL,  # comes after the stop of another row
+    causes.NOT_HEARD,  # only on a machine that starves the service (tests/supervisor/test_monitor.py)
     causes.FLEET,  # as PIPED, by a publisher (tests/fleet/test_publish.py)
     *(causes.REMOVED, causes.STOPPING, causes.ALL_DIED, causes.SILENT),  # with them the run ends, or nobody is to latch
 }
