@@ -14,9 +14,11 @@ from bench import arm, beside, kills, oneway, peers, report, service, visit
 from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
+from failstop.setup.ending import interruptible
 from failstop_lab.trial import Trial
 
 
+@interruptible()
 def main() -> int:
     """Measure; exit code 1 when a bar is missed."""
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)

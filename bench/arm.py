@@ -12,6 +12,7 @@ from bench.carriers import Carriers
 from bench.report import progress
 from bench.stats import Row
 from failstop.api.errors import Refused
+from failstop.setup.ending import interruptible
 from failstop_lab.faults import arm
 from failstop_lab.faults.arm import JOINTS, ArmTrial
 from failstop_lab.faults.arm_table import CLIENT_KILL, KILL, ROWS, SERVO_FAULT, STOP_REQUEST
@@ -67,6 +68,7 @@ def measure(count: int, seconds: float, seed: int, carriers: Carriers, say: Call
     return [*rows, absent("bench-arm-absent", say)]
 
 
+@interruptible()
 def main() -> int:
     """Measure; exit code 1 when a bar is missed."""
     parser = argparse.ArgumentParser(prog="python -m bench.arm", description=__doc__)

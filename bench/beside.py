@@ -204,7 +204,8 @@ def _visit(side: Side, much: visit.Amounts) -> Said:
     try:
         said, _ = process.communicate()
     finally:
-        process.wait()  # on Ctrl-C it ends its service first
+        process.terminate()  # unless it has ended; it ends its service first
+        process.wait()
     if process.returncode:
         print(f"a visit to {side.name} failed", file=sys.stderr)
         return None

@@ -26,6 +26,7 @@ from bench.report import progress
 from bench.stats import Row
 from failstop.api.errors import Refused
 from failstop.messages.layout import PROCESS_NAMES
+from failstop.setup.ending import interruptible
 from failstop_lab.faults import arm, arm_table
 from failstop_lab.faults.arm import ArmTrial, Rested
 from failstop_lab.faults.arm_table import BESIDE_BY_NAME, BY_ITSELF_MS, GOAL_MS, ArmFault
@@ -224,6 +225,7 @@ def streamed(
     yield missed
 
 
+@interruptible()
 def main() -> int:
     """Measure; exit code 1 when a bar is missed."""
     parser = argparse.ArgumentParser(prog="python -m bench.kiwi", description=__doc__)

@@ -26,6 +26,7 @@ from bench import report, stats
 from bench.oneway_pair import COUNT_BYTES, MISSING, READY
 from bench.oneway_peer import CHANNELS, FLOOR, OURS
 from bench.peer import ROOT
+from failstop.setup.ending import interruptible
 
 LOT = 50
 """Messages that a channel sends in its turn."""
@@ -192,6 +193,7 @@ def row_of(name: str, samples: list[int], condition: str = "") -> stats.Row:
     return stats.Row(_measure(name, condition), f"p50 {p50:.1f}  p99 {p99:.1f} us", "-", None, numbers)
 
 
+@interruptible()
 def main() -> int:
     """Measure alone and print the rows; exit code 1 when the bar is missed."""
     parser = argparse.ArgumentParser(prog="python -m bench.oneway", description=__doc__)

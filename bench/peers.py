@@ -22,6 +22,7 @@ from bench.peer import ExitHandler, Peer, PeerMissing
 from bench.peer_supervisord import BusySupervisord, Supervisord
 from bench.peer_systemd import Systemd
 from failstop.messages import layout
+from failstop.setup.ending import interruptible
 from failstop_lab.sim.client import SimBoard
 from failstop_lab.trial import Stopped, Trial, judge
 
@@ -134,6 +135,7 @@ def _verdict(ours: list[stats.Row], peers: list[stats.Row]) -> list[stats.Row]:
     return [stats.Row("failstop against the fastest peer", result, bar, times >= TIMES_SOONER, numbers)]
 
 
+@interruptible()
 def main() -> int:
     """Measure alone and print the rows; exit code 1 when the bar is missed."""
     parser = argparse.ArgumentParser(prog="python -m bench.peers", description=__doc__)

@@ -26,6 +26,7 @@ from failstop.api.errors import FailstopError
 from failstop.ros2.command import find_rclpy
 from failstop.ros2.contract import IMU, ODOMETRY, STATE
 from failstop.ros2.stage import StageProcess, bridge, environment, publisher
+from failstop.setup.ending import interruptible
 from failstop_lab.trial import Trial, TrialError, wait_for
 
 TIMEOUT_MS = 300.0
@@ -289,6 +290,7 @@ def measure(arguments: argparse.Namespace) -> Iterator[stats.Row]:
         yield from seconds(scene, arguments.count, arguments.seed)
 
 
+@interruptible()
 def main() -> int:
     """Run it; exit code 1 when a bar is missed."""
     parser = argparse.ArgumentParser(prog="python -m bench.ros2", description=__doc__)

@@ -18,6 +18,7 @@ from rich.text import Text
 
 from failstop.api.snapshot import Stop
 from failstop.messages import layout
+from failstop.setup.ending import interruptible
 from failstop_lab.trial import Trial, wait_for
 
 PICTURES = Path(__file__).parents[1] / "docs/pictures"
@@ -87,6 +88,7 @@ def proven(stop: Stop | None) -> bool:
     return stop is not None and stop.observed_s is not None
 
 
+@interruptible()
 def main() -> int:
     """Take them."""
     save("demo", ("demo",))

@@ -16,6 +16,7 @@ from typing import NamedTuple
 from bench import report, stats
 from bench.container import ContainerMissing
 from bench.service_scene import HARDY, UNIT, Scene
+from failstop.setup.ending import interruptible
 from failstop_lab.trial import Stopped
 
 WATCHDOG_MS = 1000.0
@@ -119,6 +120,7 @@ def rows_of(found: dict[Fault, Samples], boots: list[int]) -> list[stats.Row]:
     return rows
 
 
+@interruptible()
 def main(words: Sequence[str] | None = None) -> int:
     """Measure alone and print the rows; exit code 1 when a bar is missed. `words`: others than the command line's."""
     parser = argparse.ArgumentParser(prog="python -m bench.service", description=__doc__)

@@ -24,6 +24,7 @@ from failstop.messages import layout, records
 from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.settings import Settings
+from failstop.setup.ending import interruptible
 from failstop.shm.cell import LatestReader
 from failstop_lab.sim.client import Event
 from failstop_lab.trial import Trial, wait_for
@@ -314,6 +315,7 @@ def rows(soak: Soak, *, loaded: bool, realtime: bool, control: stalls.Control | 
     ]
 
 
+@interruptible()
 def main() -> int:
     """Drive and print the table; exit code 1 when a bar is missed."""
     parser = argparse.ArgumentParser(prog="python -m bench.soak", description=__doc__)

@@ -16,6 +16,7 @@ from typing import Any
 
 from bench import cost, hangs, kills, latency, report, stats
 from bench.carriers import Carriers
+from failstop.setup.ending import interruptible
 from failstop_lab.trial import Trial
 
 OPTIONS_TOML = "[restart]\ndeaths = 100000\nbackoff_s = 0.001\n"
@@ -72,6 +73,7 @@ def told(found: list[stats.Row], times: dict[str, list[float]]) -> dict[str, Any
     return {"values": {**values, **{measure: (ms, "ms") for measure, ms in times.items()}}, "counts": counts}
 
 
+@interruptible()
 def main() -> int:
     """Measure once, in a service of its own."""
     much = Amounts(**json.loads(sys.argv[1]))

@@ -86,7 +86,7 @@ class Cause:
         return {name: value for (name, _), value in zip(self.kind.parameters, self.arguments, strict=True)}
 
     def alarm(self) -> str:
-        """The text for the moment in which it happens: with the power switch, where the stop may not reach the wheels."""
+        """The text for the moment in which it happens: with the power switch, if the stop may not reach the wheels."""
         return f"{self}: {USE_THE_SWITCH}" if self.kind.doubt else str(self)
 
     def as_map(self) -> dict[str, Value]:
@@ -245,8 +245,8 @@ DEAF = Kind(
 )  # fmt: skip
 BOARD_SILENT = Kind(
     44, "board_silent", "the board is silent", "supervisor",
-    "the board had reported all the time and then said nothing any more. It had lost power, or it hung, or the wire from "
-    "it was broken, which look the same from here",
+    "the board had reported all the time and then said nothing any more. It had lost power, or it hung, or the wire "
+    "from it was broken, which look the same from here",
     "look at the board's supply and at the wire from it",
     doubt="so nobody knows whether it has stopped",
 )  # fmt: skip

@@ -23,6 +23,7 @@ from failstop.api.robot import Robot
 from failstop.board.kinds import is_described, wire_of
 from failstop.files import instance
 from failstop.messages import layout, segments
+from failstop.setup.ending import end_with_parent
 from failstop_lab.boards.traits import traits_of
 from failstop_lab.sim.client import SimBoard
 from failstop_lab.stopped import Stopped as Stopped
@@ -111,10 +112,15 @@ class Service:
             raise TrialError(f"{error}; it said: {self.said()[-LOG_CHARACTERS:].strip()}") from None
 
     def exec(self) -> None:
-        """Exec the service; `started_ns` is just before."""
+        """Exec the service; `started_ns` is just before. When this process is killed, the service stops the wheels and
+        ends."""
         self.started_ns = time.monotonic_ns()
         self.process = subprocess.Popen(
-            self._command, stdin=subprocess.DEVNULL, stderr=self._log, env=self._environment
+            self._command,
+            stdin=subprocess.DEVNULL,
+            stderr=self._log,
+            env=self._environment,
+            preexec_fn=end_with_parent,
         )
 
     def ready(self) -> bool:

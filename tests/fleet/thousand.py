@@ -28,6 +28,7 @@ from bench.report import progress
 from failstop.fleet import levels, signed
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
+from failstop.setup.ending import interruptible
 from failstop_lab.trial import TrialError, wait_for
 from tests.fleet import bare
 from tests.fleet.robots import FLEET
@@ -180,6 +181,7 @@ def stops(settings: FleetSettings, count: int, number: int) -> list[stats.Row]:
     return [confirmed, *rows, stats.count("robots that did not confirm", missing, count * number)]
 
 
+@interruptible()
 def main() -> int:
     """Run it; 1 when a bar is missed."""
     parser = argparse.ArgumentParser(prog="python -m tests.fleet.thousand", description=__doc__)

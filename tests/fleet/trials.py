@@ -26,6 +26,7 @@ from bench import report, stats
 from failstop.fleet import signed
 from failstop.fleet.publisher import Publisher
 from failstop.fleet.settings import FleetSettings
+from failstop.setup.ending import interruptible
 from failstop_lab.trial import TrialError, wait_for
 from tests.fleet.robots import Pretended
 from tests.fleet.thousand import MEMORY
@@ -273,6 +274,7 @@ def row(name: str, count: int, first: int) -> stats.Row:
     return stats.Row(f"fleet stop: {name}", result, bar, not (wrong or missed), {"false": wrong, "full": full})
 
 
+@interruptible()
 def main() -> int:
     """Run them; 1 when a count was false, or a healthy fleet's was not full."""
     parser = argparse.ArgumentParser(prog="python -m tests.fleet.trials", description=__doc__)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
+import functools
 import json
 import resource
 import shutil
@@ -16,7 +17,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+import traceback
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +102,18 @@ def inside(machine: Guest, names: list[str], run: Run) -> None:
             run.take(line)
 
 
+def judged(name: str, do: Callable[[], Result | list[Result]]) -> list[Result]:
+    """The results of one trial. One that breaks is reported by itself, whatever broke: the others are still run."""
+    try:
+        found = do()
+    except (TrialError, SimBoardError, GuestError) as error:
+        found = Result(name, wrong=[str(error)])
+    except Exception as error:
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        found = Result(name, wrong=[f"it could not be judged: {type(error).__name__} in {at.name}: {error}"])
+    return found if isinstance(found, list) else [found]
+
+
 def outside(machine: Guest, names: list[str], run: Run) -> None:
     """The trials from out here."""
     machine.start(INSTALLED)
@@ -108,11 +122,7 @@ def outside(machine: Guest, names: list[str], run: Run) -> None:
         scene.found()
         scene.command()
         for name in names:
-            try:
-                found = DO[name](scene)
-            except (TrialError, SimBoardError, GuestError) as error:
-                found = Result(name, wrong=[str(error)])
-            for one in found if isinstance(found, list) else [found]:
+            for one in judged(name, functools.partial(DO[name], scene)):
                 run.add(one)
                 for line in journal(scene) if one.wrong and not machine.ended(0.0) else ():
                     run.say(f"  | {line}")

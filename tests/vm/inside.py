@@ -12,7 +12,6 @@ import dataclasses
 import json
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -20,9 +19,8 @@ import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from failstop.api.errors import FailstopError
 from failstop.policy import causes
-from failstop_lab.trial import TrialError, wait_for
+from failstop_lab.trial import wait_for
 from tests.vm import distribution, first_hour, floor
 from tests.vm.scene import (
     FAILSTOP,
@@ -363,7 +361,7 @@ def run(scene: Scene, name: str) -> None:
         try:
             for found in DO[name](scene):
                 print(json.dumps(dataclasses.asdict(found)), flush=True)
-        except (TrialError, FailstopError, OSError, subprocess.TimeoutExpired, TimeoutError) as error:
+        except Exception as error:
             at = traceback.extract_tb(error.__traceback__)[-1]
             text = f"{type(error).__name__} in {at.name}: {error}"
             print(json.dumps(dataclasses.asdict(Result(name, wrong=[text]))), flush=True)

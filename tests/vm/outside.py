@@ -24,11 +24,15 @@ IMU_HZ = 10.0
 CLOCK_S = 60.0
 ASLEEP_S = 3.0
 LOOK_S = 0.1
+JOURNAL_S = 60.0
+"""For a line of the journal."""
 BOOT_STOP_S = 10.0
 """From the node to the first word of a stop, the service's when it is ready: amid a boot that takes it 7 s there."""
 NODE_S = "dmesg | sed -n 's/^\\[ *\\([0-9.]*\\)\\] cdc_acm .*ttyACM.*/\\1/p' | head -n 1"
+STOP_TOLD = ("the stop is written", "stop frame sent")
+"""The words of the service when it is ready, and of its stop tool."""
 STOP_S = (
-    "journalctl -b -u failstop -o short-monotonic --no-pager | grep -E 'stop frame sent|wheels stopped' | "
+    f"journalctl -b -u failstop -o short-monotonic --no-pager | grep -E '{'|'.join(STOP_TOLD)}' | "
     "sed -n 's/^\\[ *\\([0-9.]*\\)\\].*/\\1/p' | head -n 1"
 )
 """When the kernel had the port, and when the service, or its stop tool, said first that a stop was written."""
@@ -131,6 +135,18 @@ class Scene:
         """When the kernel said this last, by the guest's clock."""
         last = self.machine.must("sh", "-c", f"dmesg | grep '{words}' | tail -n 1")[0]
         return float(last[1 : last.index("]")])
+
+    def first_s(self, what: str, command: str) -> float:
+        """The time that a command in the guest prints, once it prints one: the journal writes a line some time after it
+        was said. Raises TrialError."""
+        found: list[str] = []
+
+        def printed() -> bool:
+            found[:] = self.machine.must("sh", "-c", command)
+            return bool(found)
+
+        self.until(what, printed, JOURNAL_S)
+        return float(found[0])
 
     def status(self) -> str:
         """Whether the guest runs, in qemu's word."""
@@ -276,8 +292,12 @@ def _readiness(scene: Scene, result: Result) -> str:
     if (state := scene.shown("ActiveState")) != "active":
         result.wrong.append(f"after the boot the unit is {state}")
     # The number of tries depends on what comes first, the board or the service.
-    node = float(scene.machine.must("sh", "-c", NODE_S)[0])
-    stop = float(scene.machine.must("sh", "-c", STOP_S)[0])
+    try:
+        node = scene.first_s("the port in the kernel's log", NODE_S)
+        stop = scene.first_s("the word of a stop in the journal", STOP_S)
+    except TrialError as error:
+        result.wrong.append(str(error))
+        return ""
     ready = int(scene.shown("ActiveEnterTimestampMonotonic")) / 1e6
     if stop - node > BOOT_STOP_S:
         result.wrong.append(f"a stop was told of {stop - node:.1f} s after the node")

@@ -22,6 +22,7 @@ import psutil
 from bench import report, stats
 from bench.report import end, progress
 from failstop.api.errors import Refused
+from failstop.setup.ending import interruptible
 from failstop_lab.trial import Trial, judge, wait_for
 from tests.web.bare import Bare
 from tests.web.browser import Browser, Tab
@@ -288,6 +289,7 @@ def _painted(url: str, slower: int, shown: str = SHOWN) -> tuple[float, int]:
         return ms, int(size)
 
 
+@interruptible()
 def main(words: list[str]) -> int:
     """Run all, or some."""
     parser = argparse.ArgumentParser(prog="python -m tests.web", description=__doc__)

@@ -16,6 +16,7 @@ from pathlib import Path
 from bench import report, stats
 from bench.report import end, progress
 from failstop.api.errors import Refused
+from failstop.setup.ending import interruptible
 from failstop_lab.trial import Trial, TrialError, judge, wait_for
 from tests.web.__main__ import attends, paired
 from tests.web.browser import Browser, Tab
@@ -155,6 +156,7 @@ def backlog(trial: Trial, web: Web) -> stats.Row:
     return stats.count("commands of a backlog of 5 s that move the wheels", moved, len(held_back) - 2)
 
 
+@interruptible()
 def main(words: list[str]) -> int:
     """Run all, or some."""
     parser = argparse.ArgumentParser(prog="python -m tests.web.driving", description=__doc__)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from PIL import Image
 
+from failstop.setup.ending import interruptible
 from failstop_lab.trial import Trial, wait_for
 from tests.web.__main__ import ATTENDED, SHOWN, paired
 from tests.web.browser import Browser, Tab
@@ -80,6 +81,7 @@ def desk(web: Web, browser: Browser, path: Path) -> None:
         found.convert("RGB").quantize(256).save(path, optimize=True)
 
 
+@interruptible()
 def main() -> int:
     """Take both."""
     with tempfile.TemporaryDirectory(prefix="failstop-pictures-") as folder:

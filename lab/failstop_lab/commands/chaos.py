@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 import time
 from argparse import ArgumentParser, Namespace
@@ -14,6 +13,7 @@ from collections.abc import Iterator
 from failstop.api.errors import FailstopError
 from failstop.cli import style
 from failstop.policy.layouts import BOARDS
+from failstop.setup.ending import noted
 from failstop_lab.boards.traits import traits_of
 from failstop_lab.commands import check_json, matching
 from failstop_lab.faults import campaign, report
@@ -133,9 +133,18 @@ def _run(arguments: Namespace, rows: tuple[Row, ...]) -> report.Tally:
     seed = _seed(arguments)
     tally = report.Tally(rows, seed, arguments.board)
     live = style.lives(os.environ, terminal=sys.stderr.isatty())
-    interrupted: list[bool] = []
-    signal.signal(signal.SIGINT, lambda *_: interrupted.append(True))
     print(f"seed {seed}, {len(rows)} rows", file=sys.stderr, flush=True)
+    with noted() as interrupted:
+        _inject(arguments, rows, tally, interrupted, live=live)
+    if live:
+        sys.stderr.write("\r\x1b[K")
+    return tally
+
+
+def _inject(
+    arguments: Namespace, rows: tuple[Row, ...], tally: report.Tally, interrupted: list[int], *, live: bool
+) -> None:
+    """Inject one fault after the other, until a signal of `interrupted` has come."""
     try:
         with Scene(f"chaos-{os.getpid()}", arguments.config, arguments.board) as scene:
             for outcome in _outcomes(arguments, scene, rows, tally):
@@ -152,9 +161,6 @@ def _run(arguments: Namespace, rows: tuple[Row, ...]) -> report.Tally:
             tally.interrupted = True
         else:
             tally.stories.append(f"the campaign could not go on: {error}")
-    if live:
-        sys.stderr.write("\r\x1b[K")
-    return tally
 
 
 def _outcomes(

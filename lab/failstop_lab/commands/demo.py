@@ -16,6 +16,7 @@ from failstop.cli.style import FAIL, OK, PLAIN, STRONG, paint
 from failstop.messages import layout
 from failstop.policy.settings import Settings
 from failstop.ros2.command import find_rclpy
+from failstop.setup.ending import interruptible
 from failstop_lab.boards.traits import traits_of
 from failstop_lab.sim.options import add_board
 from failstop_lab.trial import AFTERMATH_S, LOG_CHARACTERS, Stopped, Trial, judge, wait_for
@@ -86,7 +87,7 @@ def main(arguments: Namespace) -> int:
         find_rclpy()
     print(paint("failstop demo", STRONG) + ": a simulated motor board that keeps its last wheel speed forever\n")
     _step("board and service start")
-    with Trial(f"demo-{os.getpid()}", kind=arguments.board) as trial:
+    with interruptible(), Trial(f"demo-{os.getpid()}", kind=arguments.board) as trial:
         first = next(event for event in trial.board.events() if event.is_stop)
         _done(f"first stop frame {(first.arrival_ns - trial.service.started_ns) / 1e6:.0f} ms after exec")
         _step("enable")

@@ -17,6 +17,7 @@ from failstop.board.servos import LONGEST_MOVE_NS, SERVO_MOVE, SERVO_STOP
 from failstop.messages.layout import SUPERVISOR
 from failstop.policy.causes import Cause
 from failstop.policy.layouts import BOARDS
+from failstop.setup.ending import end_with_parent
 from failstop_lab.boards.traits import HAS_ARM_BESIDE, traits_of
 from failstop_lab.faults import arm_table as table
 from failstop_lab.faults.arm_table import ArmFault
@@ -122,7 +123,7 @@ class ArmTrial(Trial):
     def _begin(self, program: str, mode: str, seconds: float, *words: str) -> int:
         if self._follower is None:
             command = helpers.python("-c", program, self.name, *words)
-            self._follower = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+            self._follower = subprocess.Popen(command, stderr=subprocess.DEVNULL, preexec_fn=end_with_parent)
         wait_for("the arm to move", lambda: self._turns(mode))
         if self.beside:
             self.board.wait_wheels(turning=True, timeout_s=READY_S)

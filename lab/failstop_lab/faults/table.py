@@ -315,6 +315,9 @@ BEYOND = (
     ),
     ("the kernel is dead or stuck", "a hardware watchdog that resets the machine; a watchdog on the board's side"),
     ("no power to USB, the cable is cut and stays cut", "a relay in the motors' supply that needs a living signal"),
-    ("a board that hears nothing, does not drain, or does not obey", "the POWER SWITCH, or a relay run by `still.command`"),
+    (
+        "a board that hears nothing, does not drain, or does not obey",
+        "the POWER SWITCH, or a relay run by `still.command`",
+    ),
 )
 """Faults that no program on this side of the wire can answer, and the hardware that helps."""

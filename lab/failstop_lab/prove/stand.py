@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -17,7 +16,7 @@ from failstop.cli import style
 from failstop.policy import scale
 from failstop.policy.halted import Halted
 from failstop.policy.settings import Settings
-from failstop.setup.ending import end_with_parent, uninterrupted
+from failstop.setup.ending import uninterrupted
 from failstop.setup.halt import WAITS_S, Halt
 from failstop_lab.faults.driving import Driver
 from failstop_lab.prove.held import Held
@@ -45,21 +44,6 @@ OVERRIDES: dict[str, object] = {
 }
 """Over the user's settings: so many deaths are no crash loop here, no restart waits for the deaths of earlier runs, and
 the scan gate is one of the stop paths."""
-
-
-class StandService(Service):
-    """When the stand test is killed, it ends in order."""
-
-    def exec(self) -> None:
-        """As Service.exec, bound to this process."""
-        self.started_ns = time.monotonic_ns()
-        self.process = subprocess.Popen(
-            self._command,
-            stdin=subprocess.DEVNULL,
-            stderr=self._log,
-            env=self._environment,
-            preexec_fn=end_with_parent,
-        )
 
 
 def settings_for(user: dict[str, object]) -> dict[str, object]:
@@ -92,7 +76,7 @@ class ProveStand(Stand):
         self.means: Means = means_of(self.settings.text("board.kind"), self.language, imu=self.settings.on("board.imu"))
         path = os.path.join(folder, "prove.toml")
         write_settings(path, values)
-        service = StandService(f"prove-{os.getpid()}", device, folder, ("--config", path))
+        service = Service(f"prove-{os.getpid()}", device, folder, ("--config", path))
         driver = Driver(service.name, "prove", tuple(self.settings.interlocks()))
         super().__init__(service, driver, board)
         self.service.ready_s += self.language.port.deaf_ns / 1e9
