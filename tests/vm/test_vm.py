@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.vm import __main__ as vm
 from tests.vm import guest, image, initrd, inside, outside, table
 from tests.vm.guest import GuestError
 from tests.vm.image import Image
@@ -291,3 +292,72 @@ def test_the_initrd_is_an_archive_that_loads_mounts_and_hands_over(tmp_path: Pat
     script = found["init"][1].decode().splitlines()
     assert script[:2] == ["#!/bin/sh", "insmod /modules/virtio_pci.ko"]
     assert script[-1].startswith("exec run-init /root /sbin/init ")
+
+
+# The outside of a guest.
+
+
+STOP_WORDS = (
+    "'failstop' is ready: the stop is written, motion disabled",
+    "stop frame sent (after 0.0 s), directly to it",
+)
+
+
+class Booting:
+    """A guest whose journal gets its line late: each command is run here, with a journal of this folder."""
+
+    def __init__(self, folder: Path, words: str, looks: int) -> None:
+        self.folder, self.words, self.looks = folder, words, looks
+        for name, lines in (("dmesg", "[    3.500000] cdc_acm 1-1:1.0: ttyACM0: USB ACM device"), ("journalctl", "")):
+            self.program(name, lines)
+
+    def program(self, name: str, lines: str) -> None:
+        path = self.folder / name
+        path.write_text(f"#!/bin/sh\ncat <<'END'\n{lines}\nEND\n")
+        path.chmod(0o755)
+
+    def must(self, *words: str) -> list[str]:
+        self.looks -= 1
+        if self.looks == 0:
+            self.program("journalctl", f"[    4.250000] guest failstop[77]: {self.words}")
+        environment = {**os.environ, "PATH": f"{self.folder}:{os.environ['PATH']}"}
+        done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+        return done.stdout.splitlines()
+
+    def patience(self, _wait_s: float) -> Patience:
+        times = iter((0.0, 0.0, *(1.0 for _ in range(8)), *(1000.0 for _ in range(9))))
+        return Patience(60.0, lambda: (1.0, 0.0), lambda: next(times))
+
+
+def rebooted(machine: Booting, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Result]:
+    monkeypatch.setattr(outside, "LOOK_S", 0.0)
+    scene, found = outside.Scene.__new__(outside.Scene), Result("reboot")
+    scene.machine = machine  # type: ignore[assignment]
+    known = {"ActiveState": "active", "ActiveEnterTimestampMonotonic": "5000000", "NRestarts": "0"}
+    monkeypatch.setattr(outside.Scene, "shown", lambda _, name: known[name])
+    return outside._readiness(scene, found), found
+
+
+@pytest.mark.parametrize("words", STOP_WORDS)
+def test_a_line_of_the_journal_that_comes_late_is_waited_for(
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    note, found = rebooted(Booting(tmp_path, words, looks=4), monkeypatch)
+    assert (note, found.wrong) == ("next boot: told of a stop 0.8 s after the node, ready 1.5 s, try 1", [])
+
+
+def test_a_line_that_never_comes_is_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    note, found = rebooted(Booting(tmp_path, "nothing of interest", looks=1), monkeypatch)
+    assert note == ""
+    assert found.wrong[0].startswith("waited 60 s for the word of a stop in the journal: ")
+
+
+@pytest.mark.parametrize("error", [IndexError("list index out of range"), GuestError("it is dead"), ValueError("odd")])
+def test_a_trial_that_breaks_is_reported_by_itself(error: Exception) -> None:
+    def breaks() -> Result:
+        raise error
+
+    [found] = vm.judged("reboot", breaks)
+    assert found.trial == "reboot"
+    assert str(error) in found.wrong[0]
+    assert vm.judged("boot", lambda: Result("boot", ms=3.0)) == [Result("boot", ms=3.0)]
