@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
+import itertools
 import json
 import os
 import shlex
@@ -60,16 +62,15 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
     """The sixth step: the short stand test on these settings; its evidence, or nothing if it was not made. `halt` stops
     the wheels if the test is ended by a person or a signal."""
     talk.step(6, "The proof")
-    command = f"failstop prove --quick{option(name)}"
     if not here("prove"):
         talk.warn(
             "The stand test is not installed here, so that nothing is proved.", fix="sudo apt install failstop-lab"
         )
-        talk.say(f"Then: {command}")
+        talk.say("Then make it by the command that is named at the end.")
         return {}
     agreed = talk.given.pop("prove", "")
     if agreed and agreed != YES:
-        talk.warn("Not proved: it was left out.", fix=command)
+        talk.warn("Not proved: it was left out.", "the command for it is named at the end")
         return {}
     if talk.silent and not agreed:
         raise Left("nobody is here to agree to the proof: give --prove yes, or --prove no")
@@ -156,21 +157,39 @@ def write(talk: Talk, made: str, name: str) -> str:
 
     path = talk.ask("file", f"Write them to which file? ({NO}: leave it)", default, check, keep=False)
     if path == NO:
-        raise Left("nothing was written")
+        raise Left("you left the settings out")
     if os.path.exists(path):
         _differ(talk, path, made)
-        if talk.ask("replace", f"There is one. Type {REPLACE} to replace it:", "", str.strip, keep=False) != REPLACE:
+        question = f"{path} exists. Replace it by these settings? ({REPLACE}, {NO})"
+        if talk.ask("replace", question, "", _replace, keep=False) != REPLACE:
             raise Left(f"{path} stays as it is")
     try:
         durable.write_draft(f"{path}.new", made.encode())
         if os.path.exists(path):
-            os.replace(path, f"{path}.old")
-            talk.say(f"The settings of before are in {path}.old.")
+            talk.say(f"The previous settings are in {_keep(path)}.")
         durable.publish(f"{path}.new", path)
     except OSError as error:
         raise Left(f"{path} could not be written: {error.strerror}") from None
     talk.say(f"Written to {path}.", style.OK)
     return path
+
+
+def _replace(answer: str) -> str:
+    """The whole word, because a yes is typed too easily. Raises NotAnAnswer."""
+    if answer.strip() not in (REPLACE, NO):
+        raise NotAnAnswer(f"type the whole word {REPLACE}, or {NO}")
+    return answer.strip()
+
+
+def _keep(path: str) -> str:
+    """Give a file a second name, FILE.old or the first FILE.old.N that is free, so that it outlives its replacement;
+    returns that name. Raises OSError."""
+    for number in itertools.count(1):
+        kept = f"{path}.old" if number == 1 else f"{path}.old.{number}"
+        with contextlib.suppress(FileExistsError):
+            os.link(path, kept)
+            return kept
+    raise AssertionError
 
 
 def _differ(talk: Talk, path: str, made: str) -> None:
@@ -194,7 +213,7 @@ def closing(talk: Talk, path: str, name: str, evidence: Mapping[str, Any]) -> No
     style.show([[], [("What is proved", style.STRONG)]])
     rows = evidence.get("rows", [])
     if not rows:
-        talk.warn("Nothing yet.", fix=f"failstop prove --quick{option(name)}")
+        talk.warn("Nothing yet.", fix=_prove(path, name))
     else:
         passed = sum(row["verdict"] == "PASS" for row in rows)
         talk.say(f"{passed} of {len(rows)} stop paths on this robot, its wheels in the air.", style.OK)
@@ -208,6 +227,13 @@ def closing(talk: Talk, path: str, name: str, evidence: Mapping[str, Any]) -> No
     style.show([[], [("Next", style.STRONG)]])
     # Whole lines, whatever their length: they are copied.
     style.show([[(f"   {command}", style.STRONG)] for command in commands(path, name)])
+
+
+def _prove(path: str, name: str) -> str:
+    """The command that proves the robot by the settings at `path`: without them it would take those that are installed,
+    or none."""
+    config_ = "" if path == config.installed(name) else f" --config {shlex.quote(path)}"
+    return f"failstop prove --quick{config_}{option(name)}"
 
 
 def commands(path: str, name: str) -> list[str]:

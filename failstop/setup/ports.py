@@ -68,8 +68,8 @@ def went(talk: Talk, look: Callable[[], Collection[str]] = nodes, comes_s: float
     talk.ask("unplugged", "Pull the board's USB cable now, then press Enter.", "done", keep=False)
     gone = before - set(look())
     if len(gone) != 1:
-        what = f"{', '.join(sorted(gone))} went" if gone else "no port went"
-        raise Left(f"{what} when the cable was pulled: is it this computer's, and a cable with data lines?")
+        what = f"{', '.join(sorted(gone))} disappeared" if gone else "no port disappeared"
+        raise Left(f"{what} when the cable was pulled: is the board connected to this computer by a data cable?")
     talk.say(f"{min(gone)} has gone.")
     without = set(look())
     talk.ask("plugged", "Plug it in again, then press Enter.", "done", keep=False)
@@ -115,11 +115,19 @@ def choose(talk: Talk, system: System) -> str:
 
     numbers = f"its number, {OTHER_PATH}" if found else "type its path"
     default = next(iter(found)) if len(found) == 1 else ""
-    path = talk.ask("port", f"Which port is the board at? ({numbers}; {UNPLUG}: find it)", default, check)
-    if path == UNPLUG:
-        path = went(talk)
+    question = f"Which port is the board at? ({numbers}; {UNPLUG}: find it)"
+    while (path := talk.ask("port", question, default, check)) == UNPLUG:
+        talk.draft.forget("port")  # that was no port yet
+        try:
+            path = went(talk)
+        except Left as error:
+            if talk.silent:
+                raise
+            talk.warn(f"{str(error)[0].upper()}{str(error)[1:]}.", f"type another answer, or {UNPLUG} once more")
+            continue
         talk.draft.keep("port", path)
         talk.say(f"The board is at {path}.")
+        break
     return path
 
 

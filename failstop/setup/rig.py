@@ -33,6 +33,8 @@ from failstop.setup.talk import Left
 RIG = "setup-"
 """The beginning of its service's name."""
 READY_S = 15.0
+GONE_S = 1.0
+"""A port that is gone for as long is unplugged; one that is being opened anew is gone for a moment."""
 END_S = 5.0
 STANDS_S = 5.0
 REPEAT_S = 0.05
@@ -135,8 +137,13 @@ class Rig:
                 # Ctrl-C is setup's own, which ends this in order.
                 start_new_session=True,
             )
-        until_s = time.monotonic() + READY_S + self._board.port.deaf_ns / 1e9
+        there_s = time.monotonic()
+        until_s = there_s + READY_S + self._board.port.deaf_ns / 1e9
         while True:
+            if os.path.exists(self._device):
+                there_s = time.monotonic()
+            elif time.monotonic() - there_s >= GONE_S:
+                raise Left(f"{self._device} was unplugged before the wheels were turned: plug the board in again")
             if self._process.poll() is not None:
                 raise Left(f"the service did not start: {self._said()}")
             with contextlib.suppress(FailstopError):

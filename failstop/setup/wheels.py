@@ -25,6 +25,7 @@ STAND = (
     "WHEELS TURN NEXT. The robot is on a stand: every wheel is off the ground and free, nobody and nothing is near, "
     "and the power switch is at hand. Ctrl-C stops the wheels at any time."
 )
+STEERED_BY, STEERING = "steering.servo", "steering.sign"
 SUPPLY = "are the motors' supply and that motor's plug in?"
 
 
@@ -93,13 +94,29 @@ class Trial:
         found = turn.asked(talk, self._device, self._values, self._halt, self._speeds)
         self._values |= found
         self._set_speeds()
-        if self._speeds == self._count == 4 and self._kind.startswith("/"):
+        by_hand = self._speeds == self._count == 4 and self._kind.startswith("/")
+        if by_hand:
             talk.warn("Of a board of your own with four wheels no single wheel can be turned.", "set [wheels] by hand")
-        else:
-            found |= self._ids()
-            found |= self._scale()
-        self._together({**self._values, **found})
-        return found
+        while True:
+            if not by_hand:
+                found |= self._ids()
+                found |= self._scale()
+            values = {**self._values, **found}
+            wrong = self._together(values)
+            if not wrong:
+                return found
+            talk.draft.forget("forward", "turn")
+            if wrong == "turn" and STEERED_BY in Settings(values).flat():
+                found[STEERING] = sign = -int(Settings(values)[STEERING])
+                talk.warn("Then the steering servo turns the other way.", f"{STEERING} is {sign} now: look once more")
+                continue
+            if by_hand:
+                raise Left("the settings [wheels] of your board's wheels must be wrong: correct them by hand")
+            talk.draft.forget(*(f"wheel_{id_}" for id_ in range(self._speeds)))
+            text = "one of the answers about the wheels must be wrong"
+            if talk.silent:
+                raise Left(f"{text}: give them again")
+            talk.warn(f"{text[0].upper()}{text[1:]}.", "let's go through the wheels again")
 
     def _ids(self) -> dict[str, object]:
         answers: dict[int, str] = {}
@@ -181,8 +198,9 @@ class Trial:
         if self._board.reports.own_scale and (per_rps := self._board.reports.speed_per_rps):
             self._ratios += [abs(speed) / per_rps / self._rps for speed in moved.values()]
 
-    def _together(self, values: Mapping[str, object]) -> None:
-        """All of them, as a robot: forward, then to the left. Raises Left."""
+    def _together(self, values: Mapping[str, object]) -> str:
+        """All of them, as a robot: forward, then to the left. Returns the question that was answered with no, empty
+        where none was. Raises Left."""
         talk = self._talk
         rim = rim_mps(self._rps, self._diameter_m)
         settings = Settings(dict(values))
@@ -196,7 +214,7 @@ class Trial:
                 ("forward", "Did the left wheel turn -, the right one +, and the rear one stand?", (rim, 0.0, 0.0)),
                 ("turn", "Did all three turn the way that turns the robot to the left?", (0.0, 0.0, rim / reach_m)),
             ]
-        elif "steering.servo" in settings.flat():
+        elif STEERED_BY in settings.flat():
             tries[1] = ("turn", "Do the steered wheels point to the left?", (rim, 0.0, rim / reach_m))
         wanted = [key for key, _, _ in tries if key not in talk.given and talk.draft.answers.get(key) != YES]
         limits = {"limits.vx_mps": rim, "limits.vy_mps": 0.01, "limits.wz_radps": max(0.01, rim / reach_m)}
@@ -206,6 +224,5 @@ class Trial:
                 with Rig(self._device, {**values, **limits}, self._halt) as rig:
                     rig.drive(velocity, SECONDS)
             if talk.ask(key, question + " (yes, no)", "", yes_or_no) != YES:
-                talk.draft.forget(key, *(f"wheel_{id_}" for id_ in range(self._speeds)))
-                what = "steering.sign or the wheels" if "steering.servo" in settings.flat() else "the wheels"
-                raise Left(f"one of the answers about {what} must be wrong: the wheels will be asked once more")
+                return key
+        return ""

@@ -36,8 +36,31 @@ class Computer(System):
 def test_the_board_is_found_by_what_goes_and_comes(tmp_path: Path) -> None:
     looks = iter([{"/dev/ttyS0", "/dev/ttyUSB0"}, {"/dev/ttyS0"}, {"/dev/ttyS0"}, {"/dev/ttyS0", "/dev/ttyUSB1"}])
     assert ports.went(talk(tmp_path, unplugged="done", plugged="done"), lambda: next(looks)) == "/dev/ttyUSB1"
-    with pytest.raises(Left, match="no port went when the cable was pulled"):
+    with pytest.raises(Left, match="no port disappeared when the cable was pulled"):
         ports.went(talk(tmp_path, unplugged="done"), lambda: {"/dev/ttyS0"})
+
+
+def test_an_unplug_in_vain_is_no_answer_and_the_question_comes_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    master, slave = os.openpty()
+    path = os.ttyname(slave)
+    draft = Draft("failstop", {"STATE_DIRECTORY": str(tmp_path)})
+    kept, answers = [], iter(["unplug", "", "unplug", "", path])
+
+    def typed(_prompt: str) -> str:
+        kept.append(dict(Draft("failstop", {"STATE_DIRECTORY": str(tmp_path)}).answers))
+        return next(answers)
+
+    monkeypatch.setattr("builtins.input", typed)
+    monkeypatch.setattr(ports, "nodes", lambda: {"/dev/ttyS0"})
+    monkeypatch.setattr(ports.went, "__defaults__", (lambda: {"/dev/ttyS0"}, 0.0))
+    assert ports.choose(Talk({}, draft, silent=False), Computer(tmp_path, {})) == path
+    os.close(master)
+    os.close(slave)
+    assert capsys.readouterr().out.count("No port disappeared") == 2
+    assert kept == [{}] * 5, "what is in vain is kept as no answer"
+    assert draft.answers == {"port": path}
 
 
 @pytest.mark.parametrize(

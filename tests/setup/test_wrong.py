@@ -18,10 +18,14 @@ from typing import Any
 import psutil
 import pytest
 
+from failstop import config
+from failstop.api.errors import FailstopError
+from failstop.board.kinds import board_of
 from failstop.policy.halted import CONFIRMED, MAY_TURN
 from failstop.policy.layouts import BOARDS
-from failstop.setup import command, finish, robots
+from failstop.setup import command, finish, rig, robots
 from failstop.setup.draft import Draft
+from failstop.setup.halt import Halt
 from failstop.setup.rig import LEVER_M, alone, toml
 from failstop.setup.talk import Left, NotAnAnswer, Talk, word_of
 from failstop.setup.wheels import names, parsed
@@ -50,7 +54,7 @@ def talk(place: Path, **given: str) -> Talk:
 UNKEPT = ("stand", "prove", "file")
 """These are asked each time."""
 WHEELS_TOO = ("wheel_0", "wheel_1")
-WRONG_WHEELS = "answers about the wheels must be wrong: the wheels will be asked once more"
+WRONG_WHEELS = "answers about the wheels must be wrong: give them again"
 LEAVES = "nothing is written; `failstop setup` goes on from here"
 WRONG: dict[str, tuple[dict[str, str], tuple[str, ...], str]] = {
     "no port": ({"port": "/nowhere"}, (), "there is no /nowhere: plug the board in, or type another"),
@@ -77,12 +81,13 @@ WRONG: dict[str, tuple[dict[str, str], tuple[str, ...], str]] = {
         "every id of this robot has a wheel: are the motors' supply and",
     ),
     "backward": ({"forward": "no"}, WHEELS_TOO, WRONG_WHEELS),
-    "to the right": ({"turn": "no"}, WHEELS_TOO, WRONG_WHEELS),
+    "to the right": ({"turn": "no"}, (*WHEELS_TOO, "forward"), WRONG_WHEELS),
     "in millimetres": ({"diameter_m": "80"}, (), "type a number from 0.02 to 1, in m"),
     "no number": ({"wz_radps": "fast"}, (), "in rad/s"),
     "no folder": ({"file": "/nowhere/made.toml"}, (), "this user may not write to /nowhere: type another path, or no"),
     "no file": ({"file": "/tmp"}, (), "/tmp is no file: type another path, or no"),
-    "unwritten": ({"file": "no"}, (), "nothing was written"),
+    "unwritten": ({"file": "no"}, (), "you left the settings out"),
+    "no word": ({"replace": "yes"}, (), "type the whole word replace, or no"),
 }
 """Each wrong answer at each step: what is said, which answers before it are asked anew, and the sentence."""
 
@@ -128,12 +133,19 @@ def test_a_wrong_answer_ends_with_what_helps_and_is_taken_up_again(
     wrong: str, connected: SimBoard, place: Path
 ) -> None:
     said, lost, sentence = WRONG[wrong]
+    if "replace" in said:
+        (place / "made.toml").write_text("there")
     done = run(place, {**GIVEN, **said})
     assert done.returncode == 1
     assert sentence in flat(done)
     assert LEAVES in flat(done)
+    assert "nothing was written; nothing is written" not in flat(done)
+    if "replace" in said:
+        assert (place / "made.toml").read_text() == "there"
+        (place / "made.toml").unlink()
     assert not written(place)
-    before = list(GIVEN)[: list(GIVEN).index(min(said, key=list(GIVEN).index))]
+    asked = [*GIVEN, "replace"]
+    before = asked[: asked.index(min(said, key=asked.index))]
     assert kept(place) == [key for key in before if key not in (*lost, *UNKEPT)]
     answers = {key: value for key, value in GIVEN.items() if key not in kept(place)}
     again = run(place, answers)
@@ -304,6 +316,74 @@ def test_a_stand_test_that_hangs_is_given_up_at_the_third_ctrl_c(place: Path) ->
         assert not any(board.wheels())
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", ["forward", "turn"])
+def test_a_no_to_all_wheels_together_has_the_wheels_asked_again(wrong: str, place: Path) -> None:
+    port = str(place / "b")
+    given = {key: GIVEN[key] for key in GIVEN if key not in ("forward", "turn", "wheel_0", "wheel_1")}
+    with SimBoard(port, board=KIND) as board:
+        with Person(place, *words(place, {**given, "port": port, "file": str(place / "made.toml")})) as person:
+            for wheels, fits in ((("left-", "right-"), False), (("left+", "right-"), True)):
+                for id_, wheel in enumerate(wheels):
+                    person.says(f"Id {id_}: which wheel, which way?", wheel)
+                for key, question in (
+                    ("forward", "Did every wheel turn forward?"),
+                    ("turn", "Did the left wheels turn"),
+                ):
+                    person.says(question, "yes" if fits or key != wrong else "no")
+                    if key == wrong and not fits:
+                        person.reads("One of the answers about the wheels must be wrong.")
+                        break
+            person.reads("Next")
+            assert person.ends() == 0
+        assert not any(board.wheels())
+    assert "sign_1 = 1" in (place / "made.toml").read_text()
+
+
+@pytest.mark.slow
+def test_a_board_that_is_unplugged_before_the_service_is_ready_is_named(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port, kind = str(place / "b"), {"board.kind": KIND, "wheels.layout": "differential"}
+    halt = Halt(port, board_of(KIND, 1.0, 0.0), print)
+    with SimBoard(port, board=KIND) as board:
+
+        def not_yet(*_: object, **__: object) -> None:
+            if board.info()["opened"] and os.path.lexists(port):
+                board.unplug()
+            raise FailstopError("it is not ready yet")
+
+        monkeypatch.setattr(rig, "Robot", not_yet)
+        with pytest.raises(Left, match="was unplugged before the wheels were turned"), rig.Rig(port, kind, halt):
+            pass
+
+
+def test_every_file_that_is_replaced_is_kept(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = place / "made.toml"
+    for number in range(4):
+        finish.write(talk(place, file=str(path), replace="replace"), f"made = {number}\n", "failstop")
+    kept = {found.name: found.read_text() for found in place.glob("made.toml*")}
+    assert kept == {
+        "made.toml": "made = 3\n",
+        "made.toml.old": "made = 0\n",
+        "made.toml.old.2": "made = 1\n",
+        "made.toml.old.3": "made = 2\n",
+    }
+    assert f"The previous settings are in {path}.old.3." in capsys.readouterr().out
+
+
+def test_a_yes_is_not_the_word_replace_and_is_asked_again(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = place / "made.toml"
+    path.write_text("old")
+    answers = iter(["yes", "", "replace"])
+    monkeypatch.setattr("builtins.input", lambda _: next(answers))
+    finish.write(Talk({"file": str(path)}, talk(place).draft, silent=False), "new", "failstop")
+    assert path.read_text() == "new"
+    assert capsys.readouterr().out.count("type the whole word replace, or no") == 2
+
+
 def test_what_was_not_proved_is_named(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = [{"path": path, "verdict": verdict} for path, verdict in (("scan", "PASS"), ("kill-gate", "INVALID"))]
     finish.closing(talk(place), "/x/s.toml", "left", {"rows": rows, "unproved": ["pad: this board has no gamepad"]})
@@ -311,6 +391,10 @@ def test_what_was_not_proved_is_named(place: Path, capsys: pytest.CaptureFixture
     assert "1 of 2 stop paths on this robot" in said
     assert "not proved: kill-gate: the stand test said INVALID not proved: pad: this board has no gamepad" in said
     assert "failstop run --config /x/s.toml --name left & failstop enable --name left" in said
+    finish.closing(talk(place), "/x/s.toml", "left", {})
+    assert "-> failstop prove --quick --config /x/s.toml --name left" in capsys.readouterr().out
+    finish.closing(talk(place), config.installed("left"), "left", {})
+    assert "-> failstop prove --quick --name left\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
