@@ -200,6 +200,10 @@ def mounted_wheels(values: dict[str, float | str]) -> list[tuple[int, int]]:
     return [(int(values[f"wheels.id_{number}"]), int(values[f"wheels.sign_{number}"])) for number in numbers]
 
 
+UNATTENDED_DRIVE = 'web.drive = "on" needs attend.required = "on"'
+"""Why nobody can drive from the page by settings that say otherwise."""
+
+
 class Settings:
     """A complete, checked set of values."""
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from argparse import ArgumentParser, Namespace
 
 from failstop import config, extras
 from failstop.api.errors import FailstopError
+from failstop.api.state import StateReader
 from failstop.cli.commands import add_name
 from failstop.files import instance
 from failstop.policy.settings import Settings
+from failstop.web.source import Source
 
 EXAMPLES = """\
 failstop web                          # http://127.0.0.1:8477/
@@ -27,7 +30,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("device", nargs="?", metavar="ID", help="the device to revoke, as `failstop web devices` says")
     add("--listen", metavar="ADDRESS", help="where to listen (default: the setting web.address)")
     add("--port", type=int, metavar="N", help="on which port, 0: any (default: the setting web.port)")
-    add("--config", metavar="FILE", help="TOML file with settings (default: the installed service's)")
+    add("--config", metavar="FILE", help="TOML file with settings (default: those of the service that runs)")
     add_name(parser)
 
 
@@ -47,20 +50,26 @@ def _serve(arguments: Namespace) -> int:
 
     from failstop.web import server
 
-    settings = _settings(arguments)
+    settings, source = _settings(arguments)
     try:
-        asyncio.run(server.serve(arguments.name, settings))
+        asyncio.run(server.serve(arguments.name, settings, source))
     except OSError as error:
         where = f"{settings.text('web.address')}, port {int(settings['web.port'])}"
         raise FailstopError(f"the page can't listen at {where}: {error.strerror}") from None
     return 0
 
 
-def _settings(arguments: Namespace) -> Settings:
-    installed = config.installed(arguments.name)
-    path = arguments.config or (installed if os.path.exists(installed) else None)
+def _settings(arguments: Namespace) -> tuple[Settings, Source]:
+    """The settings, and where they are from: the file that a person named, else the service that runs, whatever file it
+    was started with, else the installed file."""
     given = {"web.address": arguments.listen, "web.port": arguments.port}
-    return config.load(path, {key: value for key, value in given.items() if value is not None})
+    changed = {key: value for key, value in given.items() if value is not None}
+    if not arguments.config:
+        with contextlib.suppress(FailstopError):
+            return config.checked({**StateReader(arguments.name).settings(), **changed}), Source(running=True)
+    installed = config.installed(arguments.name)
+    path = arguments.config or (installed if os.path.exists(installed) else "")
+    return config.load(path, changed), Source(path)
 
 
 def _pair(arguments: Namespace) -> int:

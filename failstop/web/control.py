@@ -47,7 +47,9 @@ class _Pair(_Asked):
     def post(self) -> None:
         if not self.page.pairing_on:
             self.set_status(REFUSED)
-            self.finish({"error": 'pairing is off: set web.pairing = "on", and restart the page'})
+            source = self.page.source
+            remedy = source.remedy('web.pairing = "on"')
+            self.finish({"error": f"pairing is off (by {source.told()}): {remedy}"})
             return
         code = devices.code_of(secrets.token_bytes(5))
         self.page.pairing.offer(code, time.monotonic())

@@ -9,12 +9,13 @@ from math import isfinite
 
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
-from failstop.policy.settings import FIRST_SOURCE
+from failstop.policy.settings import FIRST_SOURCE, UNATTENDED_DRIVE
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.api.state import State
     from failstop.policy.settings import Settings
+    from failstop.web.devices import Device
     from failstop.web.viewer import Viewer
 
 SOURCE = "page"
@@ -39,7 +40,10 @@ class Driving:
     """The stick of one viewer at a time."""
 
     def __init__(self, name: str, settings: Settings) -> None:
-        self.on = settings.on("web.drive") and settings.on("attend.required")
+        wanted, attended = settings.on("web.drive"), settings.on("attend.required")
+        self.on = wanted and attended
+        self.lacks = UNATTENDED_DRIVE if wanted and not attended else ""
+        """Why nobody can drive from the page although web.drive is on; empty: somebody can, or it is off."""
         self._name = name
         self._full = settings["limits.vx_mps"], settings["limits.wz_radps"]
         self._source = SOURCE if SOURCE in settings.sources() else FIRST_SOURCE
@@ -53,6 +57,10 @@ class Driving:
         been enabled again since."""
         self._taken: dict[Viewer, tuple[int, int]] = {}
         """Of each stick that is held, the epoch when it was taken, and when motion had been enabled."""
+
+    def has_chosen(self, device: Device | None) -> bool:
+        """Whether the stick of this device waits for no choice of the speed limit."""
+        return not self.on or device is None or device.id in self._chosen
 
     def chose(self, device: str) -> None:
         """A device has chosen the speed limit."""

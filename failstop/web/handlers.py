@@ -159,7 +159,14 @@ class Me(Guarded):
         """Its name, if it is paired."""
         device = self.device()
         drives = device is not None and self.page.driving.on
-        self.finish({"pairing": self.page.pairing_on, "device": device.name if device else None, "drive": drives})
+        self.finish(
+            {
+                "pairing": self.page.pairing_on,
+                "device": device.name if device else None,
+                "drive": drives,
+                "lacks": self.page.driving.lacks if device else "",
+            }
+        )
 
 
 class Pair(Guarded):

@@ -28,9 +28,12 @@ if TYPE_CHECKING:
     from tornado.iostream import IOStream
 
     from failstop.policy.settings import Settings
+    from failstop.web.source import Source
     from failstop.web.viewer import Closing, Viewer
 
 ID_BYTES = 4
+REVOKED = 1008
+"""The end of a websocket for a reason of policy (RFC 6455)."""
 MOST_STOPS = 64
 """Connections for STOP alone. A page that has none stops by a request."""
 
@@ -38,9 +41,9 @@ MOST_STOPS = 64
 class Page:
     """The state that the handlers share."""
 
-    def __init__(self, name: str, settings: Settings) -> None:
-        """Raises FailstopError."""
-        self.name = name
+    def __init__(self, name: str, settings: Settings, source: Source) -> None:
+        """`source`: where the settings are from. Raises FailstopError."""
+        self.name, self.source = name, source
         self.address = settings.text("web.address")
         self.port = int(settings["web.port"])
         self.assets = assets.load()
@@ -122,12 +125,13 @@ class Page:
     def revoke(self, identity: str) -> str:
         """The name of the device that may nothing any more; empty when there is none of that id. Raises FailstopError
         when it may until the page ends only."""
+        its = [viewer for viewer in self.viewers if (device := viewer.device()) and device.id == identity]
         found = self.devices.revoke(identity)
         if found is None:
             return ""
-        for viewer in tuple(self.viewers):
-            if viewer.device() is None:
-                self.attending.end(viewer)
+        for viewer in its:
+            self.attending.end(viewer)
+            viewer.close(REVOKED, "this device is not paired any more")  # it connects again, and asks what it may
         try:
             self._storage.keep_fewer(self.devices)
         except FailstopError as error:

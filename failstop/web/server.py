@@ -19,6 +19,7 @@ from failstop.web.workers import TOUCHED
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.policy.settings import Settings
+    from failstop.web.source import Source
 
 PING_S = 5.0
 
@@ -48,12 +49,12 @@ def application(page: Page) -> Application:
     )
 
 
-async def serve(name: str, settings: Settings) -> None:
+async def serve(name: str, settings: Settings, source: Source) -> None:
     """Serve until SIGTERM or SIGINT. Raises FailstopError, and OSError where the address can't be had."""
     logging.getLogger("tornado.general").setLevel(logging.ERROR)  # garbage from outside must not fill the journal
     # tornado's timers go by the wall clock: set back by an hour, it would be an hour until the next look at the state.
     IOLoop.current().time = time.monotonic  # type: ignore[method-assign]
-    page = Page(name, settings)
+    page = Page(name, settings, source)
     listening = bind_sockets(page.port, page.address)
     page.port = listening[0].getsockname()[1]
     bounded = BoundedServer(application(page), ssl_options=page.tls, names=page.names)
@@ -63,7 +64,7 @@ async def serve(name: str, settings: Settings) -> None:
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, ended.set)
-    print("\n".join(addresses.listening(page.addresses())), flush=True)
+    print("\n".join([*addresses.listening(page.addresses()), f"settings: {source.told()}"]), flush=True)
     await ended.wait()
     bounded.stop()
     commands.stop()

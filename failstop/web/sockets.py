@@ -207,6 +207,7 @@ class Live(Socket):
         message: dict[str, Any] = {"t": unix_s, "live": watcher.values}
         if held := self.page.attending.of(self):
             message["nonce"] = held.ask(secrets.token_bytes(lease.NONCE_BYTES), time.monotonic_ns())
+            message["chosen"] = self.page.driving.has_chosen(self.device())
         if self._number != watcher.number:
             self._number = watcher.number
             message["view"] = watcher.shown

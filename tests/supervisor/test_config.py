@@ -278,6 +278,17 @@ def test_check_of_a_file_that_is_right(file: Path, capsys: pytest.CaptureFixture
     assert run(capsys, "config", "--check", str(file)) == (0, f"{file} is right; it sets 0 values\n", "")
 
 
+def test_a_stick_that_nobody_would_see_is_no_right_file(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A service with these settings starts all the same: it is the page that lacks something."""
+    file.write_text('web.drive = "on"\n')
+    code, out, err = run(capsys, "config", "--check", str(file))
+    assert (code, out) == (1, "")
+    assert 'web.drive = "on" needs attend.required = "on": the page shows no stick without' in err
+    assert config.load(str(file)).on("web.drive")
+    file.write_text('web.drive = "on"\nattend.required = "on"\n')
+    assert run(capsys, "config", "--check", str(file))[0] == 0
+
+
 def test_the_smallest_speed_of_a_board_is_told_and_smaller_limits_are_refused(
     file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,12 +4,14 @@ wheels stood; times are the robot's."""
 from __future__ import annotations
 
 import contextlib
+import json
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from failstop.policy.settings import UNATTENDED_DRIVE
 from failstop.web import driving
 from failstop.web.lease import answer_to
 from failstop_lab.trial import Trial, judge, wait_for
@@ -272,7 +274,8 @@ def test_it_is_off_unless_a_setting_says_otherwise(trial: Trial, tmp_path: Path)
         path.write_text(f'{text}pairing = "on"\n')
         with Web(trial.name, "--config", str(path), state=str(tmp_path)) as other:
             headers = other.pair()
-            assert other.ask("GET", "/api/me", headers=headers)[2].endswith(b'"drive": false}')
+            me = json.loads(other.ask("GET", "/api/me", headers=headers)[2])
+            assert (me["drive"], me["lacks"]) == (False, UNATTENDED_DRIVE if number else "")
             with Viewer(other, headers) as viewer:
                 viewer.attend()
                 assert other.post("/api/limit", {"percent": 100}, headers)[0] == 200

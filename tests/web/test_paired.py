@@ -55,6 +55,28 @@ def test_a_paired_device_limits_the_speed(trial: Trial, web: Web, anna: dict[str
     trial.robot.limit_speed(1.0)
 
 
+def test_a_page_without_a_file_goes_by_the_settings_of_the_running_service(trial: Trial, tmp_path: Path) -> None:
+    """Whatever file that was started with: the installed one may say otherwise, or not exist."""
+    with Web(trial.name, state=str(tmp_path)) as web:
+        assert web.url.startswith("https://")
+        assert web.command("pair").returncode == 0
+        web.process.terminate()
+        assert web.process.stdout is not None
+        assert "settings: the settings of the running service" in web.process.stdout.read()
+
+
+def test_where_pairing_is_off_the_settings_that_say_so_are_named(tmp_path: Path) -> None:
+    """No service runs: the defaults count, and then a file."""
+    with Web("pairs-nobody", state=str(tmp_path)) as web:
+        said = web.command("pair").stderr
+    assert "pairing is off (by the defaults, because no settings file was found): start the page with --config" in said
+    path = tmp_path / "settings.toml"
+    path.write_text('[web]\npairing = "off"\n')
+    with Web("pairs-nobody", "--config", str(path), state=str(tmp_path)) as web:
+        said = web.command("pair").stderr
+    assert f'pairing is off (by {path}): set web.pairing = "on" in {path}, and restart the page' in said
+
+
 @pytest.mark.parametrize("cookie", ["", "__Host-failstop=", "__Host-failstop=guess", "failstop=guess"])
 def test_nobody_else_may(trial: Trial, web: Web, anna: dict[str, str], cookie: str) -> None:
     assert anna
@@ -89,7 +111,7 @@ def test_the_cookie_is_out_of_reach_of_scripts_and_other_sites(web: Web) -> None
 def test_a_stolen_cookie_ends_with_its_device(web: Web) -> None:
     bert = web.pair("Bert's tablet")
     assert web.ask("GET", "/api/me", headers=bert)[2] == (
-        b'{"pairing": true, "device": "Bert\'s tablet", "drive": false}'
+        b'{"pairing": true, "device": "Bert\'s tablet", "drive": false, "lacks": ""}'
     )
     listed = web.command("devices").stdout
     identity = next(line.split()[0] for line in listed.splitlines() if "Bert's tablet" in line)

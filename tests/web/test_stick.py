@@ -44,7 +44,7 @@ def takes_stick(trial: Trial, tab: Tab) -> None:
     if tab.run("document.getElementById('attend').getAttribute('aria-pressed')") != "true":
         tab.tap("#attend")
     wait_for("the operator", lambda: trial.robot.state.attended_by == ("Dora",))
-    tab.until("document.querySelector('#limit [aria-pressed=true]').dataset.percent === '100'")
+    tab.until("document.getElementById('limit').dataset.percent === '100'")
     tab.tap("#limit [data-percent='50']")
     wait_for("the limit", lambda: trial.robot.state.speed_limit == 0.5)
     enable_soon(trial)
@@ -82,6 +82,35 @@ def thumb(tab: Tab) -> Callable[[], None]:
         tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
     return lift
+
+
+ABOVE_STOP = (
+    "(() => {{ const text = document.getElementById('{id}'), {{top, bottom}} = text.getBoundingClientRect(); "
+    "const covered = document.getElementById('bar').getBoundingClientRect().top; "
+    "return text.textContent !== '' && top >= 0 && bottom <= covered; }})()"
+)
+"""Whether a text is on the screen and STOP does not cover it."""
+PRESSED = "[...document.querySelectorAll('#limit [aria-pressed=true]')].map((each) => each.dataset.percent).join()"
+
+
+def test_no_limit_is_marked_as_chosen_before_it_was_and_the_reason_is_to_be_seen(trial: Trial, tab: Tab) -> None:
+    tab.size(390, 844)
+    trial.robot.disable()
+    trial.robot.limit_speed(1.0)
+    tab.until(f"{PRESSED} === '100'")
+    if tab.run("document.getElementById('attend').getAttribute('aria-pressed')") != "true":
+        tab.tap("#attend")
+    wait_for("the operator", lambda: trial.robot.state.attended_by == ("Dora",))
+    tab.until(f"{PRESSED} === ''")
+    assert "choose one to drive" in tab.text("#limit-how")
+    tab.run("document.getElementById('stick').scrollIntoView({block: 'end'})")
+    lift = thumb(tab)
+    tab.until("document.getElementById('drive-why').textContent.includes('choose the speed limit first')")
+    lift()
+    assert tab.run(ABOVE_STOP.format(id="drive-why"))
+    tab.tap("#limit [data-percent='50']")
+    tab.until(f"{PRESSED} === '50'")
+    tab.size(412, 915)
 
 
 def test_a_thumb_drives_and_letting_go_stops(trial: Trial, tab: Tab) -> None:
@@ -166,3 +195,28 @@ def test_a_hidden_page_drives_nothing(trial: Trial, web: Web, tab: Tab) -> None:
     assert judge(trial.board.events(), since_ns, was_turning=True).motion_after == 0
     assert not tab.run(HELD)
     lift()
+
+
+def test_a_wrong_code_is_said_where_stop_does_not_cover_it(web: Web, browser: Browser) -> None:
+    phone = browser.tab(web.url, wide=390, high=844)
+    phone.until("!document.getElementById('pair').hidden")
+    phone.run("document.getElementById('pair').open = true")
+    web.code()
+    phone.run("document.getElementById('code').value = '0000-0000'")
+    phone.run("document.querySelector('#pair button').scrollIntoView({block: 'end'})")
+    phone.tap("#pair button")
+    phone.until("document.getElementById('pair-why').textContent.includes('that is not the code')")
+    assert phone.run(ABOVE_STOP.format(id="pair-why"))
+
+
+def test_a_device_that_is_revoked_is_told_at_once(web: Web, browser: Browser) -> None:
+    phone = browser.tab(f"{web.url}#{web.code()}")  # another origin than the phone that drives
+    phone.until("document.getElementById('code').value !== '' && !document.getElementById('pair').hidden")
+    phone.run("document.getElementById('device-name').value = 'Rita'")
+    phone.tap("#pair button")
+    phone.until("document.getElementById('role').textContent.startsWith('Rita')")
+    rows = [line.split() for line in web.command("devices").stdout.splitlines()]
+    [identity] = [row[0] for row in rows if row[-1] == "Rita"]
+    assert web.command("revoke", identity).returncode == 0
+    phone.until("document.getElementById('role').textContent === 'It sees, and it stops.'")
+    phone.until("document.getElementById('buttons').hidden")

@@ -12,7 +12,7 @@ from failstop import config
 from failstop.api import distance
 from failstop.cli import style
 from failstop.policy.setting import Setting, SettingError
-from failstop.policy.settings import BY_KEY, FIRST_SOURCE, Settings, declaration
+from failstop.policy.settings import BY_KEY, FIRST_SOURCE, UNATTENDED_DRIVE, Settings, declaration
 from failstop.supervisor.fit import checked_board, slowest_mps
 
 EXAMPLES = """\
@@ -90,6 +90,10 @@ def main(arguments: Namespace) -> int:
     elif arguments.check is not None:
         read = config.read(arguments.check)
         checked_board(settings := config.checked(read, arguments.check), arguments.check)
+        if settings.on("web.drive") and not settings.on("attend.required"):
+            raise SettingError(
+                f"{arguments.check}: {UNATTENDED_DRIVE}: the page shows no stick without. Set it, or take web.drive out"
+            )
         count, slowest = sum(value != {} for value in read.values()), slowest_mps(settings)
         rest = f"; a wheel that is to be slower than {slowest:.2g} m/s stands" if slowest else ""
         print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}{rest}")

@@ -6,8 +6,9 @@ import {TOO_OLD, answer} from "/alive.js";
 
 const $ = (id) => document.getElementById(id);
 const TICK_MS = 100, LATE_MS = 400, SETTLES_MS = 30;
+const ASKED_MS = 1000; // no question to this device for this long: it does not attend
 const CLICK_MS = 3000; // a click that comes so soon after a finger is the finger's
-let touched = -CLICK_MS, can = {}, limit = 100, epoch = 0, holding = null, asking = "";
+let touched = -CLICK_MS, can = {}, limit = 100, epoch = 0, holding = null, asking = "", chosen = true, askedAt = -Infinity;
 
 function said(text, refused) {
   $("answer").textContent = text;
@@ -114,13 +115,26 @@ addEventListener("hold", ({detail: {hold, enough: long, done, said: text}}) => {
   asking = "";
   said(text, !done);
 });
+// While a device attends, its stick waits for a choice of the limit: until then none is marked as chosen.
+function showLimit() {
+  if (performance.now() - askedAt > ASKED_MS) chosen = true;
+  $("limit").dataset.percent = limit;
+  $("limit-how").textContent = `${chosen ? "" : "choose one to drive; "}lower: tap, higher: hold 2 s`;
+  for (const button of document.querySelectorAll("#limit button")) {
+    button.setAttribute("aria-pressed", chosen && Number(button.dataset.percent) === limit);
+  }
+}
+
+addEventListener("lease", ({detail}) => {
+  if (!("chosen" in detail)) return;
+  askedAt = performance.now();
+  if (chosen !== detail.chosen) { ({chosen} = detail); showLimit(); }
+});
 addEventListener("view", (event) => {
   ({can, limit} = event.detail);
   if (holding && event.detail.epoch !== epoch) cancel("Cancelled: a stop has come. Look at it first, then hold again.");
   ({epoch} = event.detail);
-  for (const button of document.querySelectorAll("#limit button")) {
-    button.setAttribute("aria-pressed", Number(button.dataset.percent) === limit);
-  }
+  showLimit();
   for (const [verb, why] of Object.entries(can)) {
     $(verb).setAttribute("aria-disabled", why ? "true" : "false");
     $(`${verb}-why`).textContent = why;

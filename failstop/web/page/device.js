@@ -7,13 +7,21 @@ const $ = (id) => document.getElementById(id);
 const AGAIN_MS = 2000;
 let asked = 0, shown = 0; // an answer that comes after a later one is old
 
-function show({pairing, device, drive}, number = ++asked) {
+function show({pairing, device, drive, lacks}, number = ++asked) {
   if (number < shown) return;
   shown = number;
-  $("role").textContent = device ? `${device}: it sees, stops, resets and enables.` : "It sees, and it stops.";
+  const rights = device ? `${device}: it sees, stops, resets and enables.` : "It sees, and it stops.";
+  $("role").textContent = lacks ? `${rights} It can't drive, because ${lacks}.` : rights;
   $("pair").hidden = !pairing || !!device;
   $("forget").hidden = !device;
   dispatchEvent(new CustomEvent("device", {detail: {device, drive}}));
+  if (device) toldWhy("");
+}
+
+// STOP covers the lower end of the screen: what is said is brought above it.
+function toldWhy(text) {
+  $("pair-why").textContent = text;
+  if (text) $("pair-why").scrollIntoView({block: "nearest"});
 }
 
 async function look() {
@@ -26,16 +34,16 @@ async function look() {
 
 document.querySelector("#pair form").addEventListener("submit", async (event) => {
   event.preventDefault();
-  $("pair-why").textContent = "";
+  toldWhy("");
   try {
     const found = await post("/api/pair", {code: $("code").value, name: $("device-name").value});
-    if (!found.ok) { $("pair-why").textContent = found.error; return; }
+    if (!found.ok) { toldWhy(found.error); return; }
     if (globalThis.crypto && crypto.subtle) await keep(found.key);
     $("code").value = "";
     dispatchEvent(new Event("paired"));
     show({pairing: true, device: found.device});
   } catch {
-    $("pair-why").textContent = "The robot was not reached.";
+    toldWhy("The robot was not reached.");
   }
 });
 
