@@ -205,8 +205,8 @@ def test_a_wrong_code_is_said_where_stop_does_not_cover_it(web: Web, browser: Br
     phone.run("document.getElementById('code').value = '0000-0000'")
     # The button just above STOP, as a person scrolls to it: what follows it is covered.
     phone.run(
-        "scrollBy(0, document.querySelector('#pair button').getBoundingClientRect().bottom"
-        " - document.getElementById('bar').getBoundingClientRect().top)"
+        "document.getElementById('head').style.marginBottom = `${document.getElementById('bar').getBoundingClientRect().top"
+        " - document.querySelector('#pair button').getBoundingClientRect().bottom}px`"
     )
     phone.run("document.querySelector('#pair form').requestSubmit()")
     phone.until("document.getElementById('pair-why').textContent.includes('that is not the code')")
