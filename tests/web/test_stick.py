@@ -205,8 +205,9 @@ def test_a_wrong_code_is_said_where_stop_does_not_cover_it(web: Web, browser: Br
     phone.run("document.getElementById('code').value = '0000-0000'")
     # The button just above STOP, as a person scrolls to it: what follows it is covered.
     phone.run(
-        "document.getElementById('head').style.marginBottom = `${document.getElementById('bar').getBoundingClientRect().top"
-        " - document.querySelector('#pair button').getBoundingClientRect().bottom}px`"
+        "(() => { const {top} = document.getElementById('bar').getBoundingClientRect(); "
+        "const {bottom} = document.querySelector('#pair button').getBoundingClientRect(); "
+        "document.getElementById('head').style.marginBottom = `${top - bottom}px`; })()"
     )
     phone.run("document.querySelector('#pair form').requestSubmit()")
     phone.until("document.getElementById('pair-why').textContent.includes('that is not the code')")

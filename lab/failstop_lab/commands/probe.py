@@ -16,7 +16,7 @@ from failstop.cli import style
 from failstop.policy.halted import OF_CTRL_C, Halted
 from failstop.policy.layouts import BOARDS
 from failstop.setup.ending import interruptible
-from failstop_lab.probe import ros2, serial
+from failstop_lab.probe import judge, ros2, serial
 from failstop_lab.probe.card import Card, Row
 from failstop_lab.prove.session import check_free
 from failstop_lab.sim.options import add_board
@@ -74,7 +74,9 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Probe, and print the card; exit code 1 when a row never stopped, 2 without consent."""
+    """Probe, and print the card; exit code 1 when a row never stopped or was not measured, 2 without consent."""
+    if arguments.key and not judge.somebody():
+        raise FailstopError("--key needs a terminal, because your key is read there: start the probe in one")
     card, code = _serial(arguments) if arguments.way == "serial" else _ros2(arguments)
     print(json.dumps(card.as_dict(), indent=1) if arguments.json else f"\n{card.text()}", end="\n" * arguments.json)
     base = arguments.out or f"card-{time.strftime('%Y%m%d-%H%M%S')}"
@@ -83,7 +85,7 @@ def main(arguments: Namespace) -> int:
             print(f"card: {os.path.relpath(path)}", file=sys.stderr)
     except OSError as error:
         print(f"failstop: the card could not be kept: {error}", file=sys.stderr)
-    return code or int(bool(card.ended) or any(_never(row) for row in card.rows))
+    return code or int(bool(card.ended) or any(row.never or row.unjudged for row in card.rows))
 
 
 def _ended(card: Card, known: Halted | None, error: BaseException | None) -> int:
@@ -96,10 +98,6 @@ def _ended(card: Card, known: Halted | None, error: BaseException | None) -> int
         card.ended = "; ".join([*([str(error)] if error else []), *([known.sentence()] if known else [])])
         return 1
     return 0
-
-
-def _never(row: Row) -> bool:
-    return not row.skipped and row.stands_s is None
 
 
 def _say(text: str) -> None:

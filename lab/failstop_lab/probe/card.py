@@ -37,34 +37,51 @@ class Row:
     name: str
     words: str
     stands_s: float | None = None
-    """From the failure to wheels at rest; None: they turned until the probe stopped them, or nobody saw."""
+    """From the failure to wheels at rest; None: they turned until the probe stopped them (`never`), or it was not
+    measured."""
     by: str = ""
     """How it was judged."""
     skipped: str = ""
     """Why it was not done; empty: it was."""
-    note: str = ""
     within_s: float = 0.0
     """Give or take so much: half of the time between the two reports that the rest is between."""
     cause_ns: int = 0
     """When it failed (CLOCK_MONOTONIC)."""
+    unjudged: str = ""
+    """Why nobody can say whether the wheels came to rest; empty: somebody has said it."""
+
+    @property
+    def measured(self) -> bool:
+        """It was done, and somebody judged it."""
+        return not (self.skipped or self.unjudged)
+
+    @property
+    def never(self) -> bool:
+        """The judge saw the wheels turn until the probe stopped them."""
+        return self.measured and self.stands_s is None
 
     @property
     def found(self) -> str:
-        """For people: the time, never, or that it was not done."""
-        if self.skipped:
-            return "not tried"
+        """For people: the time, never, or that it was not done, or not measured."""
+        if not self.measured:
+            return "not tried" if self.skipped else "not measured"
         return "never" if self.stands_s is None else f"{self.stands_s:.2f} s"
+
+    @property
+    def judge(self) -> str:
+        """For people: who judged it, or why it was not tried."""
+        return "nobody" if self.unjudged else self.by or self.skipped
 
     @property
     def remark(self) -> str:
         """For people: what else is to be said; empty: nothing."""
         late = f"give or take {self.within_s:.2f} s: its reports came late" if self.within_s > SHARP_S else ""
-        return self.note or late
+        return self.unjudged or late
 
     @property
     def colour(self) -> str:
         """In the picture."""
-        if self.skipped:
+        if not self.measured:
             return GREY
         if self.stands_s is None or self.stands_s >= BAD_S:
             return RED
@@ -95,16 +112,25 @@ class Card:
         return [row for row in self.rows if not row.skipped]
 
     @property
+    def measured(self) -> list[Row]:
+        """The rows that somebody judged."""
+        return [row for row in self.rows if row.measured]
+
+    @property
     def verdict(self) -> str:
         """A sentence of all of it."""
-        never = [row for row in self.tried if row.stands_s is None]
         if not self.tried:
             return "Nothing was tried."
+        measured, never = self.measured, [row for row in self.rows if row.never]
+        if not measured:
+            return "Not measured: nobody judged whether the wheels stopped."
+        left = len(self.tried) - len(measured)
+        rest = f" {left} not measured." if left else ""
         if never:
-            return f"It does NOT stop in {len(never)} of {len(self.tried)} failures: it drove on for {NEVER_S:g} s."
+            return f"It does NOT stop in {len(never)} of {len(measured)} failures: it drove on for {NEVER_S:g} s.{rest}"
         late = "It stops LATE" if self.slowest_s >= BAD_S else "It stops"
-        failures = f"each of {len(self.tried)} failures" if len(self.tried) > 1 else "the one failure tried"
-        return f"{late}: within {self.slowest_s:.2f} s of {failures}."
+        failures = f"each of {len(measured)} failures" if len(measured) > 1 else "the one failure measured"
+        return f"{late}: within {self.slowest_s:.2f} s of {failures}.{rest}"
 
     @property
     def slowest_s(self) -> float:
@@ -127,12 +153,12 @@ class Card:
                 "row": row.name,
                 "failure": row.words,
                 "stands_s": None if row.stands_s is None else round(row.stands_s, 3),
-                "never": not row.skipped and row.stands_s is None,
+                "never": row.never,
+                "not_measured": row.unjudged,
                 "judged_by": row.by,
                 "skipped": row.skipped,
                 "failed_at_monotonic_s": round(row.cause_ns / 1e9, 6),
                 "give_or_take_s": round(row.within_s, 3),
-                "note": row.note,
             }
             for row in self.rows
         ]
@@ -144,7 +170,7 @@ class Card:
         lines = [edge, _boxed(TITLE), *(_boxed(f"{name:<9} {what}") for name, what in self.heads()), edge]
         lines.append(_boxed(f"{'what failed':<40} {'wheels stand':>13}  judged by"))
         for row in self.rows:
-            lines.append(_boxed(f"{row.words:<40} {row.found:>13}  {row.by or row.skipped}"))
+            lines.append(_boxed(f"{row.words:<40} {row.found:>13}  {row.judge}"))
             lines += [_boxed(f"  {row.remark}")] if row.remark else []
         lines += [edge, _boxed(self.verdict), _boxed(RECKON)]
         ended = style.wrap([(f"{EARLY}{self.ended}", style.PLAIN)], COLUMNS - 2, 2) if self.ended else []
@@ -169,15 +195,15 @@ class Card:
             parts += [
                 _said(MARGIN, y, row.words, size=18),
                 _said(TIMES_AT, y, row.found, colour=row.colour, size=18, weight="bold"),
-                _said(BY_AT, y, row.by or row.skipped, colour=GREY, size=13),
+                _said(BY_AT, y, row.judge, colour=GREY, size=13),
             ]
             if row.remark:
                 y += 20
                 parts.append(_said(MARGIN, y, row.remark, colour=GREY, size=13))
         y += 26
         parts.append(f'<line x1="{MARGIN}" y1="{y}" x2="{WIDTH - MARGIN}" y2="{y}" stroke="#d0d7de"/>')
-        never = not self.tried or any(row.stands_s is None for row in self.tried)
-        colour = RED if never else AMBER if self.slowest_s >= BAD_S else GREEN
+        never = any(row.never for row in self.rows)
+        colour = RED if never else GREY if not self.measured else AMBER if self.slowest_s >= BAD_S else GREEN
         parts.append(_said(MARGIN, y + 36, self.verdict, colour=colour, size=20, weight="bold"))
         parts.append(_said(MARGIN, y + 62, RECKON, colour=GREY, size=14))
         if self.ended:

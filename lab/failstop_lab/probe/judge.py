@@ -10,7 +10,7 @@ import math
 import os
 import select
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from failstop.procs.telemetry.readback import AT_REST
 from failstop_lab.prove import shake
@@ -73,6 +73,41 @@ def dated(samples: Sequence[SeenSample], cause_ns: int, rest: int) -> tuple[floa
 def believed(samples: Sequence[SeenSample], rest: int | None) -> bool:
     """Whether the rest has lasted."""
     return rest is not None and samples[-1][0] - rest >= RESTS_S * NS
+
+
+SILENT_S = 2.0
+"""Reports that ended so long before the end of a row say nothing of its end."""
+ANSWERS_S = 60.0
+NO_REPORTS = "{} said nothing any more: watch the wheels, and use --key"
+NO_WORD = "nobody said whether the wheels still turned"
+NOBODY = "the board does not tell turning wheels from resting ones, and without a terminal nobody can press a key"
+
+
+def silent(samples: Sequence[SeenSample], now_ns: int) -> bool:
+    """Whether the reports have ended: then nobody saw whether the wheels turned to the end."""
+    return not samples or now_ns - samples[-1][0] > SILENT_S * NS
+
+
+def somebody() -> bool:
+    """Whether a person can press a key, or answer."""
+    return sys.stdin.isatty()
+
+
+def turned_on(say: Callable[[str], None], wait: Callable[[float, Callable[[], bool]], bool]) -> str:
+    """Ask the person who pressed no key whether the wheels turned to the end; returns why it is not known, empty: they
+    did. `wait`: waits for so many seconds, or until it is so."""
+    if not somebody():
+        return NO_WORD
+    say(f"No key within {NEVER_S:g} s. Did the wheels turn until they were stopped just now? Type yes or no.")
+    said: list[bytes] = []
+
+    def answered() -> bool:
+        if select.select([sys.stdin], [], [], 0)[0]:
+            said.append(os.read(sys.stdin.fileno(), 4096))
+        return bool(said)
+
+    wait(ANSWERS_S, answered)
+    return "" if b"".join(said).strip().lower() in (b"y", b"yes") else NO_WORD
 
 
 def key_pressed() -> bool:

@@ -303,15 +303,17 @@ def _row(name: str, arguments: Namespace, listener: Listener, guard: Publisher, 
         if name == "two":
             publishers[1].told("silent")
         rest = _stands(listener, by_key=arguments.key)
-        last = list(listener.samples)
+        last, now_ns = list(listener.samples), time.monotonic_ns()
+    unjudged = ""
+    if rest is None and arguments.key:
+        unjudged = judge.turned_on(say, listener.until)
+    elif rest is None and judge.silent(last, now_ns):
+        unjudged = judge.NO_REPORTS.format(listener.topic)
     seconds, within_s = None if rest is None else (rest - cause_ns) / 1e9, 0.0
     if rest is not None and not arguments.key:
         seconds, within_s = judge.dated(last, cause_ns, rest)
-    note = ""
-    if name == "driver" and not arguments.key and not last:
-        seconds, note = None, f"{listener.topic} ended with it: look at the wheels, and use --key"
     by = judge.PERSON if arguments.key else judge.ROS_IMU if arguments.imu else judge.ODOMETER
-    return Row(name, ROWS[name], seconds, by, note=note, within_s=within_s, cause_ns=cause_ns)
+    return Row(name, ROWS[name], seconds, by, within_s=within_s, cause_ns=cause_ns, unjudged=unjudged)
 
 
 def _stands(listener: Listener, *, by_key: bool) -> int | None:

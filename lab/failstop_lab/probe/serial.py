@@ -67,6 +67,8 @@ class SerialProbe:
         self._path, self._kind, self._board, self._frame = path, kind, board, frame
         self._say = say
         self._by_key = by_key
+        self._unjudged = ""
+        """Why nobody can judge this board's wheels here; empty: somebody can."""
         self._tap: Tap | None = None
         self._samples: list[SeenSample] = []
         self._ask_ns = 0
@@ -209,7 +211,9 @@ class SerialProbe:
             tells = self._shaking is not None and self._shaking.tells
         else:
             tells = _ends_at_rest(still) and bool(turning) and not _ends_at_rest(turning)
-        if not tells:
+        if not tells and not judge.somebody():
+            self._unjudged = judge.NOBODY
+        elif not tells:
             self._say("What the board reports does not tell turning wheels from resting ones: your key judges.")
             self._say("Ctrl-C if no wheel has turned: its supply is off, or it does not know these frames.")
             self._by_key = True
@@ -221,6 +225,8 @@ class SerialProbe:
 
     def take(self, name: str) -> Row:
         """Make one row, and stop the wheels at its end. Raises FailstopError, OSError."""
+        if self._unjudged:
+            return Row(name, ROWS[name], unjudged=self._unjudged)
         if name == "plug":
             return self._plug()
         self._gone_ns = 0
@@ -236,15 +242,21 @@ class SerialProbe:
         if name in CLOSES:
             self._lower_lines()
         stands_ns = self._stands(cause_ns)
+        unseen = not self._by_key and judge.silent(self._samples, time.monotonic_ns())
         self._finish()
         if self._gone_ns:
             raise FailstopError(f"{self._path} went away meanwhile, so nobody saw the wheels")
         if stands_ns is None:
-            return Row(name, ROWS[name], None, self.by, cause_ns=cause_ns)
+            why = judge.NO_REPORTS.format("the board") if unseen else self._asked() if self._by_key else ""
+            return Row(name, ROWS[name], None, self.by, cause_ns=cause_ns, unjudged=why)
         seconds, within_s = (stands_ns - cause_ns) / 1e9, 0.0
         if not self._by_key:
             seconds, within_s = judge.dated(self._samples, cause_ns, stands_ns)
         return Row(name, ROWS[name], seconds, self.by, within_s=within_s, cause_ns=cause_ns)
+
+    def _asked(self) -> str:
+        """Why nobody knows whether the wheels turned to the end, by the person; empty: they did."""
+        return judge.turned_on(self._say, self._until)
 
     def _stands(self, cause_ns: int) -> int | None:
         """When the wheels came to rest; None: they did not within NEVER_S."""
@@ -283,14 +295,15 @@ class SerialProbe:
         self._by_key = by_key
         self._end_driver()
         if stands_ns is None:
-            self._say(f"Never, within {judge.NEVER_S:g} s. Plug it in again, and the stop is written at once.")
+            self._say(f"No key within {judge.NEVER_S:g} s. Plug it in again, and the stop is written at once.")
         else:
             self._say("Plug it in again.")
         self._until(PLUG_S, lambda: os.path.exists(self._path))
         self._tell(STOP_WORD)
         self._open()
-        seconds = None if stands_ns is None else (stands_ns - cause_ns) / 1e9
-        return Row("plug", ROWS["plug"], seconds, judge.PERSON)
+        if stands_ns is None:
+            return Row("plug", ROWS["plug"], None, judge.PERSON, unjudged=self._asked())
+        return Row("plug", ROWS["plug"], (stands_ns - cause_ns) / 1e9, judge.PERSON)
 
     def _start(self) -> None:
         """The throw-away driver drives."""

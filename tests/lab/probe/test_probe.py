@@ -206,6 +206,51 @@ def test_a_watcher_that_is_killed_is_missed(tmp_path: Path) -> None:
         assert probe.outcome.sentence() == CONFIRMED
 
 
+@pytest.mark.slow
+def test_what_nobody_could_judge_is_not_measured(tmp_path: Path) -> None:
+    """Neither the board says anything of its wheels, nor is there a terminal for a person's key."""
+    words = ("probe", "serial", "--board", "ugv", "--port", str(tmp_path / "b"), "--yes", "--json")
+    with SimBoard(tmp_path / "b", board="ugv") as board:
+        board.silent(True)
+        done = failstop(*words, "--rows", "silence,sigkill", "--out", str(tmp_path / "card"))
+        board.wait_wheels(False, STOPS_S)
+    card = json.loads(done.stdout)
+    assert card["verdict"] == "Not measured: nobody judged whether the wheels stopped."
+    assert [(row["stands_s"], row["never"], row["judged_by"]) for row in card["rows"]] == [(None, False, "")] * 2
+    assert {row["not_measured"] for row in card["rows"]} == {judge.NOBODY}
+    assert done.returncode == 1
+    assert "NOT stop" not in (tmp_path / "card.txt").read_text()
+
+
+def test_a_key_is_read_at_a_terminal_alone() -> None:
+    done = failstop("probe", "serial", "--port", "/nowhere", "--board", "ugv", "--key", "--yes")
+    assert done.returncode == 1
+    assert "--key needs a terminal" in done.stderr
+
+
+def test_reports_that_ended_say_nothing_of_the_end() -> None:
+    turning = [(at * 10**9, (0.1,), (float(at),)) for at in range(5)]
+    assert not judge.silent(turning, 5 * 10**9)
+    assert judge.silent(turning, 11 * 10**9)
+    assert judge.silent([], 0)
+
+
+@pytest.mark.parametrize(
+    ("said", "why"), [("yes\n", ""), ("Y\n", ""), ("no\n", judge.NO_WORD), ("", judge.NO_WORD), (None, judge.NO_WORD)]
+)
+def test_never_is_a_person_s_word_and_not_the_lack_of_a_key(
+    said: str | None, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None: nobody is at a terminal."""
+    master, slave = os.openpty()
+    if said:
+        os.write(master, said.encode())
+    with open(slave if said is not None else os.devnull) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        assert judge.turned_on(lambda _: None, lambda _, found: found()) == why
+    os.close(master)
+
+
 def test_the_judge_dates_a_rest_by_its_first_report() -> None:
     turning = [(at, (0.1, 0.1), (float(at), float(at))) for at in range(5)]
     rests = [(at, (0.0, 0.0), (4.0, 4.0)) for at in range(5, 9)]
@@ -229,6 +274,12 @@ def test_a_card_is_a_text_of_80_columns_a_picture_and_json(tmp_path: Path) -> No
     assert "never" in picture.read_text()
     ElementTree.fromstring(picture.read_text())
     assert [row["never"] for row in json.loads(data.read_text())["rows"]] == [True, False, False]
+    unjudged = Row("close", ROWS["close"], unjudged=judge.NO_WORD)
+    card = dataclasses.replace(card, rows=[*rows[1:], unjudged])
+    assert card.verdict == "It stops: within 0.80 s of the one failure measured. 1 not measured."
+    assert f"not measured  nobody{' ' * 12}" in card.text()
+    assert judge.NO_WORD in card.text()
+    assert judge.NO_WORD in card.svg()
 
 
 def test_a_card_that_ended_early_says_why_in_each_form(tmp_path: Path) -> None:
