@@ -155,7 +155,7 @@ browser: $(VENV)/.dev $(PYODIDE)
 
 $(PYODIDE): Makefile
 	@command -v npm >/dev/null || { echo "no npm, which fetches Pyodide: install it (Debian and Ubuntu: apt install npm)"; exit 1; }
-	@npm install --silent --no-save --prefix build/pyodide pyodide@0.29.5
+	@npm install --loglevel=error --no-save --prefix build/pyodide pyodide@0.29.5 || { echo "npm could not fetch Pyodide: does it reach its registry ($$(npm config get registry))?"; exit 1; }
 	@touch $@
 
 # The pages as a site, in build/site; a link that leads nowhere is an error.

@@ -15,7 +15,7 @@ from collections.abc import Callable, Generator
 from math import inf
 from typing import Any, Literal, TypeVar, get_args
 
-from failstop.api import steps, verdict
+from failstop.api import steps, verdict, words
 from failstop.api.client import Client, SeenRun, gone, runtime_dir
 from failstop.api.errors import FailstopError, NoAnswer, Refused, TimedOut
 from failstop.api.events import LOOK_S
@@ -68,6 +68,16 @@ _CHECKS: dict[str, Callable[[State], bool]] = {
 assert _CHECKS.keys() == set(get_args(Word))
 
 
+DISABLE_FIRST = "`failstop disable`, or robot.disable(): the arm moves while the wheels may not"
+"""The way out of a refusal for wheels that may turn."""
+
+
+def own_name() -> str:
+    """This program's name: its file's. A script that Python reads from its standard input, or from `-c`, has none."""
+    name = os.path.basename("".join(sys.argv[:1]))
+    return name if name not in ("", "-", "-c") else "python"
+
+
 class Session:
     """The part below the calls that Robot and AsyncRobot share. Thread-safe."""
 
@@ -87,7 +97,7 @@ class Session:
         from driving or from reading the state, such as a service of another version, is raised by those calls: it keeps
         nobody from estop()."""
         self.name = name
-        self.client_name = client or os.path.basename("".join(sys.argv[:1])) or "python"
+        self.client_name = client or own_name()
         self._answer_s = answer_s
         self._disable_on_exit = disable_on_exit
         self._lock = threading.RLock()  # a signal's handler may call what it has interrupted
@@ -227,7 +237,7 @@ class Session:
 
     def _refused(self, verb: int, answer: Reply) -> Refused:
         """The error of a request that was refused, with what to do first: behind a stop, what an enable needs."""
-        step = ""
+        step = words.named(DISABLE_FIRST, self.name) if answer.refused_for == records.FOR_THE_WHEELS else ""
         if verb in (records.ENABLE, records.RESET) or answer.cause:
             goal = Purpose.RESET if verb == records.RESET else Purpose.ENABLE
             with contextlib.suppress(FailstopError):  # the service ends: the reason is all there is

@@ -77,6 +77,8 @@ def _asked(name: str, function: Callable[..., Any], *values: object) -> Any:
 
 
 def _types(wire: Wire) -> None:
+    none = "must be a Watchdog; for a board without one write NO_WATCHDOG (from failstop.board.wire import NO_WATCHDOG)"
+    _hold(getattr(wire, "watchdog", wire) is not None, f"WIRE.watchdog = None, {none}")
     _fields(wire, "WIRE")
 
 

@@ -103,6 +103,12 @@ class Watchdog(Data):
         return self.set_ns or self.after_ns
 
 
+NO_WATCHDOG = Watchdog(
+    after_ns=0, does=ZERO, arm=None, set_ns=0, fed_by="it has none: it keeps its last speed for ever"
+)
+"""Of a board without one."""
+
+
 class Motion(Data):
     """Motion from the speeds of the wheels, in the board's own unit."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import sys
 
 from failstop import helpers
@@ -71,13 +72,24 @@ Python lacks a package, 128 and the signal's number when a signal ended it
 (130: Ctrl-C; run and sim: 0)."""
 
 
+SYSTEM = "/usr"
+"""Where the distribution installs."""
+MAN_PAGES = ("share/man/man1/failstop.1", "share/man/man1/failstop.1.gz")
+
+
+def _has_man_page() -> bool:
+    """Whether this installation came with a manual page: the Debian package does, pip does not."""
+    return any(os.path.exists(os.path.join(place, page)) for place in (SYSTEM, sys.prefix) for page in MAN_PAGES)
+
+
 def _usage() -> str:
     width = max(map(len, COMMANDS))
     parts = ["usage: failstop COMMAND [OPTION ...]", DESCRIPTION]
     for title, rows in GROUPS.items():
         shown = (f"  {name:<{width}}  {what}" for name, (_, what) in rows.items() if name not in HIDDEN)
         parts.append("\n".join([f"{title}:", *shown]))
-    parts.append("`failstop COMMAND --help` says more, with examples; so does `man failstop`.")
+    man = "; so does `man failstop`" if _has_man_page() else ""
+    parts.append(f"`failstop COMMAND --help` says more, with examples{man}.")
     return "\n\n".join(parts) + "\n"
 
 

@@ -66,6 +66,10 @@ class Tick(NamedTuple):
     who: str
 
 
+HEARERS = (layout.TELEMETRY, layout.PORT_OWNER)
+"""Processes that keep the board's bytes."""
+
+
 class WriteSort:
     """The sort of a write: a motor frame that moves a wheel, one of zeros, a frame for the arm's servos, ..., the rest
     of what the kernel had not taken."""
@@ -134,9 +138,12 @@ class Incident:
         """(when, the speed of each wheel in turns a second, as PortWrite.speeds_rps): the board's reports of them."""
         self.arm_goals = self._entries(layout.GATE, "arm_box", box.unpack_arm)
         """(when, (mode, who, aims)): what the arm was to do, ten times a second while somebody moved it."""
-        heard = [self._entries(process, "received", bytes) for process in (layout.TELEMETRY, layout.PORT_OWNER)]
+        heard = [self._entries(process, "received", bytes) for process in HEARERS]
         self.received = sorted(heard[0] + heard[1], key=lambda entry: entry[0])
         """Bytes from the board, of the last seconds; the port owner's are of while no telemetry ran."""
+        self.received_from_ns = [at_ns for process in HEARERS if (at_ns := self._first_kept_ns(process, "received"))]
+        """When the oldest bytes came that a ring still has, of each ring that has lost older ones. The file does not
+        have what was heard before."""
         noticed = [
             (cause_ns, segment, causes.read(cause))
             for segment in (layout.PORT_OWNER, layout.GATE)
@@ -174,6 +181,11 @@ class Incident:
             else:
                 found.append((ns, entry))
         return found
+
+    def _first_kept_ns(self, segment: str, name: str) -> int:
+        """When the oldest entry of a ring was made, if older ones were overwritten; 0: none were."""
+        kept = self._segments.get(segment, {}).get("rings", {}).get(name, [])
+        return int(kept[0][1]) if kept and kept[0][0] > 1 else 0
 
     @property
     def why(self) -> str:

@@ -139,7 +139,8 @@ def _board(incident: Incident) -> Iterator[Line]:
     """Its silences."""
     times = [ns for ns, _ in incident.received] or [sample.t_ns for sample in incident.imu]
     for earlier, later in pairwise([*times, incident.span_ns[1]] if times else ()):
-        if later - earlier > QUIET_NS:
+        lost = any(earlier < since_ns <= later for since_ns in incident.received_from_ns)
+        if later - earlier > QUIET_NS and not lost:
             yield Line(earlier, "board", f"silent for {(later - earlier) / 1e6:.0f} ms from here", later)
 
 

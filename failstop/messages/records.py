@@ -51,8 +51,9 @@ ENABLE, DISABLE, RESET, ARM_MOVE, ARM_DRIVE, ARM_TUCK, ARM_HOLD, ARM_RELEASE, AR
 
 REFUSED, DONE, UNDER_WAY = range(3)
 """Replies; behind UNDER_WAY another one follows."""
-FOR_THE_LATCH, FOR_AN_INTERLOCK = 1, 2
-"""Reasons of a refusal: what is latched, whose cause is told; an interlock, whose text is told."""
+FOR_THE_LATCH, FOR_AN_INTERLOCK, FOR_THE_WHEELS = 1, 2, 3
+"""Reasons of a refusal: what is latched, whose cause is told; an interlock, whose text is told; that the wheels may
+turn."""
 ARM_FOLLOW, ARM_JOG = 1, 2
 MOST_JOINTS = 8
 MOST_SERVOS = 16
@@ -312,8 +313,9 @@ SEEN: Payload[int, int] = Payload("<QQ")
 REPLY: Payload[int, int, int, int, str, bytes] = Payload(
     "<QQBB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
 )
-"""The reply to a session's request: its number; DONE, REFUSED or UNDER_WAY; FOR_THE_LATCH, FOR_AN_INTERLOCK or 0
-(refused for something else, or not at all); the text; the cause, packed, that is meant where it says CAUSE."""
+"""The reply to a session's request: its number; DONE, REFUSED or UNDER_WAY; FOR_THE_LATCH, FOR_AN_INTERLOCK or
+FOR_THE_WHEELS, 0 (refused for something else, or not at all); the text; the cause, packed, that is meant where it says
+CAUSE."""
 ARM_GOAL: Payload[int, int, dict[int, float]] = Payload(
     "<QB", Tail(_pack_goal, _unpack_goal, 1 + MOST_JOINTS * _VALUE.size)
 )

@@ -326,7 +326,7 @@ UNKNOWN = Kind(
 )  # fmt: skip
 DRIVER_DIED = Kind(
     41, "driver_died", "driver died: {who}", CLIENTS,
-    "the program {who}, which had driven, ended without a word: it crashed or was killed",
+    "the program {who}, which had commanded motion, ended without a word: it crashed or was killed",
     "look at that program's own log",
 )  # fmt: skip
 DRIVER_SILENT = Kind(

@@ -79,6 +79,8 @@ class GateCore:
         self._drivers: dict[int, Command] = {}
         """The last command of each session that has given one: its death is that of a driver, whether it drives now,
         waits, or has fallen silent, since whatever starts it again would drive on."""
+        self._movers: set[int] = set()
+        """Sessions whose commands have turned the wheels."""
         self._stepped_ns = now_ns
         self._sent_ns = 0
         self._ramps_on = False
@@ -147,6 +149,8 @@ class GateCore:
         """A client has gone, having `parted` in order or not: its commands are dropped, and if it drove, that is told.
         The death of a driver disables motion, or returns the cause to stop for, as the settings say."""
         driving, driver = self.sources.driving(now_ns), self._drivers.pop(session, None)
+        moved = session in self._movers
+        self._movers.discard(session)
         self.sources.drop(session)
         if driver is None:
             return None
@@ -157,7 +161,7 @@ class GateCore:
         if self._driver_death == _LATCH:
             return causes.DRIVER_DIED(driver.who)
         self.stand_still()
-        self.notes.append(disabled_by_death(driver))
+        self.notes.append(disabled_by_death(driver, moved=moved))
         return None
 
     def driver_silence(self, now_ns: int) -> Cause | None:
@@ -266,6 +270,8 @@ class GateCore:
             if self._kinematics.steers:
                 self.velocity = self._kinematics.reach(self.velocity)
         self._ramps_on = self.velocity != before
+        if driving and driving.moves and any(self.velocity):
+            self._movers.add(driving.session)
         speeds = self._kinematics.wheels_rps(*self.velocity)
         if speeds == self.speeds and now_ns - self._sent_ns < self._refresh_ns:
             return None

@@ -350,7 +350,9 @@ class Gate:
         if request.verb == records.ARM_HOLD:
             return self.arm.hold(request, now_ns)
         if closed := self.core.arm_closed():
-            return refused(closed, self.core.latch)
+            if self.core.latch is not None:
+                return refused(closed, self.core.latch)
+            return Reply(records.REFUSED, closed, refused_for=records.FOR_THE_WHEELS)
         done = self.arm.move(request, now_ns)
         if isinstance(done, Reply):
             return done

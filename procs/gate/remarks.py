@@ -72,9 +72,11 @@ class Budget:
         return True
 
 
-def disabled_by_death(driver: Command) -> Note:
-    """A driver has died, and motion is disabled for it: always told, as only an enable allows motion again."""
-    text = f"motion disabled: {driver.who}, which had driven, has died"
+def disabled_by_death(driver: Command, *, moved: bool) -> Note:
+    """A driver has died, and motion is disabled for it: always told, as only an enable allows motion again. `moved`:
+    its commands have turned the wheels."""
+    did = "had driven" if moved else "had commanded but not moved the robot"
+    text = f"motion disabled: {driver.who}, which {did}, has died"
     return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
 
 

@@ -148,6 +148,7 @@ WRONG: dict[str, tuple[str, object, str]] = {
     "reports that wrap at NaN": ("reports.wraps", NAN, "reports.wraps = nan, must be a finite number"),
     "reports of a NaN scale": ("reports.position_per_turn", lambda *_: NAN, "position_per_turn = nan"),
     "a negative ping": ("ping_ns", -1, "ping_ns = -1"),
+    "no watchdog, said by None": ("watchdog", None, "watchdog = None, .*; for a board without one write NO_W"),
     "a watchdog that does anything": ("watchdog.does", "explode", "watchdog.does = 'explode', must be zero, coast"),
     "a watchdog that none can set": ("watchdog.set_ns", 10**8, "and arm is None, which can't set it"),
     "a name of nothing": ("name", " ", "WIRE.name = ' ', must be a text"),

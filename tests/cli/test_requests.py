@@ -33,6 +33,16 @@ def test_a_limit_that_is_none_is_refused(trial: Trial, percent: str, capsys: pyt
     assert capsys.readouterr().err == f"failstop: refused: a speed limit of {percent} %: must be 5 to 100\n"
 
 
+def test_a_limit_of_no_number_prints_the_one_in_force(trial: Trial, capsys: pytest.CaptureFixture[str]) -> None:
+    said = []
+    for words in ([], ["30"], [], ["100"], []):
+        assert cli.main(["limit", *words, "--name", trial.name]) == 0
+        said.append(capsys.readouterr().out.strip())
+    limited = "speed limited to 30 % of the settings'"
+    unlimited = "no speed limit is set (100 %)"
+    assert said == [unlimited, limited, limited, "speed limit lifted", unlimited]
+
+
 def test_the_limits_of_the_limit_are_the_gate_s() -> None:
     assert f"{LEAST_LIMIT} to 100" == ALLOWED_PERCENT
 

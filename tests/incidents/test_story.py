@@ -109,6 +109,22 @@ def test_a_board_that_falls_silent() -> None:
     assert re.fullmatch(r"silent for 2\d\d\d ms from here", line)
 
 
+@pytest.mark.parametrize("lost", [True, False])
+def test_what_a_full_ring_has_lost_is_no_silence_of_the_board(lost: bool) -> None:
+    """The port owner kept bytes while no telemetry ran; telemetry's ring has the newest of a long run."""
+    made = Recorder(causes.DIED("gate"))
+    made.ring(layout.PORT_OWNER, "received").put(b"early", at(-26_000))
+    heard = made.ring(layout.TELEMETRY, "received")
+    for ms in range(-2000, 500, 9):
+        heard.put(b"x", at(ms))
+    if lost:
+        for entry in heard.entries:
+            entry[0] += 600
+    made.beats(500)
+    said = told(made.incident(), "board")
+    assert said == ([] if lost else ["silent for 24000 ms from here"])
+
+
 def test_causes_that_nobody_was_there_to_tell_of() -> None:
     made = Recorder(causes.DIED("supervisor"), kind="left")
     made.event(-900, "stop", "STOP latched: key1", "warning", reason="key1", cause="key")

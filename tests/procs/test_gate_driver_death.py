@@ -73,6 +73,16 @@ def test_a_driver_is_who_has_commanded_as_a_source_before_motion_was_enabled_too
     assert dying.told() == [TOLD] * 50, "each death is told of"
 
 
+def test_who_never_moved_the_robot_had_not_driven() -> None:
+    dying = Gate(gate__driver_death="disable", scan__gate="on")
+    dying.enable()
+    dying.take((100.0, 0.0, 0.0))
+    dying.step(TICK)
+    assert (dying.blocked, dying.core.velocity) == ("no scan", REST)
+    dying.gone(1)
+    assert dying.told()[-1] == "motion disabled: client 1, which had commanded but not moved the robot, has died"
+
+
 def test_a_death_latches_or_leaves_motion_enabled_where_the_settings_say_so() -> None:
     dying = gate("latch")
     assert dying.gone(1) == causes.DRIVER_DIED("client 1")

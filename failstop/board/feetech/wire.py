@@ -11,8 +11,8 @@ from __future__ import annotations
 from failstop.board.feetech import codec
 from failstop.board.wire import (
     ECHOED,
+    NO_WATCHDOG,
     OBSERVED,
-    ZERO,
     Answer,
     Commander,
     Motion,
@@ -22,7 +22,6 @@ from failstop.board.wire import (
     Reports,
     Sample,
     TimedStop,
-    Watchdog,
     Wire,
     Write,
 )
@@ -59,13 +58,7 @@ WIRE = Wire(
         repeats_ns=tuple(tuple(at * _MS for at in row) for row in ((0, 8, 103), (0, 11, 113), (0, 17, 127))),
     ),
     pace=Pace(idle_ns=ANSWERS_NS, unanswered=1),
-    watchdog=Watchdog(
-        after_ns=0,
-        does=ZERO,
-        arm=None,
-        set_ns=0,
-        fed_by="it has none: a servo keeps its goal speed for ever",
-    ),
+    watchdog=NO_WATCHDOG,
     motion=Motion(
         wheels=len(codec.WHEELS),
         unit=codec.UNIT,

@@ -30,6 +30,7 @@ failstop reset   # moves nothing
 failstop enable  # a second decision: look at the robot first
 """,
     "limit": """\
+failstop limit      # print the limit
 failstop limit 30   # of every driver, until another is set
 failstop limit 100  # lift it
 """,
@@ -51,7 +52,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of one of them, whose name ends the parser's."""
     add, command = parser.add_argument, parser.prog.rpartition(" ")[2]
     if command == "limit":
-        add("percent", type=float, metavar="PERCENT", help=ALLOWED_PERCENT)
+        add("percent", nargs="?", type=float, metavar="PERCENT", help=f"{ALLOWED_PERCENT} (default: print the limit)")
     if command == "drive":
         add("vx", type=float, help="m/s forward")
         add("vy", type=float, help="m/s left")
@@ -85,8 +86,12 @@ def main(arguments: Namespace) -> int:
     return 0
 
 
-def _limit(robot: Robot, percent: float) -> str:
-    """The gate knows which limits are too low. Raises Refused for what is no limit at all."""
+def _limit(robot: Robot, percent: float | None) -> str:
+    """Set the limit, or tell it (None). The gate knows which limits are too low. Raises Refused for what is no limit at
+    all."""
+    if percent is None:
+        now = robot.state.speed_limit
+        return f"speed limited to {100 * now:.0f} % of the settings'" if now < 1 else "no speed limit is set (100 %)"
     if not 0 < percent <= 100:
         raise Refused(f"a speed limit of {percent:g} %: must be {ALLOWED_PERCENT}")
     return robot.limit_speed(percent / 100)

@@ -6,6 +6,7 @@ import argparse
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -26,6 +27,21 @@ def test_the_help_shows_every_command_by_purpose(capsys: pytest.CaptureFixture[s
         for name in names:
             assert (f"\n  {name} " in text) == (name not in cli.HIDDEN)
     assert max(map(len, text.splitlines())) <= COLUMNS
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_manual_page_is_named_where_there_is_one(
+    there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.prefix", str(tmp_path))
+    page = tmp_path / "share/man/man1/failstop.1.gz"
+    monkeypatch.setattr("failstop.cli.main.MAN_PAGES", ("share/man/man1/failstop.1.gz",))
+    monkeypatch.setattr("failstop.cli.main.SYSTEM", str(tmp_path / "usr"))
+    if there:
+        page.parent.mkdir(parents=True)
+        page.touch()
+    assert cli.main(["--help"]) == 0
+    assert ("man failstop" in capsys.readouterr().out) is there
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
