@@ -43,10 +43,11 @@ def test_a_board_is_not_deaf_while_the_port_owner_is_starved() -> None:
 
 
 @pytest.mark.parametrize(
-    ("silent_ns", "motion", "deaf"), [(CLIENT_SILENT_NS, 0, 0), (CLIENT_SILENT_NS - 1, 0, 1), (CLIENT_SILENT_NS, 1, 1)]
+    ("silent_ns", "motion", "deaf"),
+    [(CLIENT_SILENT_NS, 0, 0), (CLIENT_SILENT_NS - 1, 0, 1), (CLIENT_SILENT_NS, 1, 0), (CLIENT_SILENT_NS - 1, 1, 1)],
 )
 @pytest.mark.parametrize("held_up", [*HEARS, layout.SUPERVISOR])
-def test_a_process_that_was_held_up_did_not_listen_unless_something_may_move(
+def test_a_process_that_was_held_up_did_not_listen_and_the_robot_is_stopped_all_the_same(
     held_up: str, silent_ns: int, motion: int, deaf: int
 ) -> None:
     scene = nearly_deaf(silent_ns)
@@ -60,3 +61,5 @@ def test_a_process_that_was_held_up_did_not_listen_unless_something_may_move(
         scene.pass_time(EXCUSE_NS)  # all were, and one of them goes on
         scene.tick(silent_ns - EXCUSE_NS, beating=others(held_up))
     assert (scene.read("link") == b"deaf") is bool(deaf)
+    if motion:
+        assert scene.cause()[0] > 0

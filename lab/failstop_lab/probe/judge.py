@@ -80,7 +80,7 @@ SILENT_S = 2.0
 ANSWERS_S = 60.0
 NO_REPORTS = "{} said nothing any more: watch the wheels, and use --key"
 NO_WORD = "nobody said whether the wheels still turned"
-NOBODY = "no report tells turning from rest, and there is no terminal for a key"
+NO_JUDGE = "no report tells turning from rest, and there is no terminal for a key"
 
 
 def silent(samples: Sequence[SeenSample], now_ns: int) -> bool:

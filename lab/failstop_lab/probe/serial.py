@@ -212,7 +212,7 @@ class SerialProbe:
         else:
             tells = _ends_at_rest(still) and bool(turning) and not _ends_at_rest(turning)
         if not tells and not judge.somebody():
-            self._unjudged = judge.NOBODY
+            self._unjudged = judge.NO_JUDGE
         elif not tells:
             self._say("What the board reports does not tell turning wheels from resting ones: your key judges.")
             self._say("Ctrl-C if no wheel has turned: its supply is off, or it does not know these frames.")

@@ -10,7 +10,7 @@ from failstop.board.wire import COAST
 from failstop.policy.proofs import ACKNOWLEDGED_BY, SEEN_BY, WATCHDOGS, observer
 from failstop_lab.prove.table import FROZEN, PAD_STOP, Path
 
-NO_WATCHDOG = "this board has no watchdog of its own, and keeps its last speed"
+NEVER_ACTS = "this board has no watchdog of its own, and keeps its last speed"
 NO_PAD = "this board has no gamepad"
 NO_REPORTS = (
     "at rest: neither the wheels nor an IMU are reported here. Watch the wheels, and use the POWER SWITCH when they "
@@ -46,7 +46,7 @@ class Means:
         """Why this board can't have a path; empty: it can."""
         if path.kind == PAD_STOP and not self.pad:
             return NO_PAD
-        return NO_WATCHDOG if path.kind == FROZEN and not self.watchdog_s else ""
+        return NEVER_ACTS if path.kind == FROZEN and not self.watchdog_s else ""
 
     def fitted(self, path: Path) -> Path:
         """The path with this board's times."""
@@ -71,7 +71,7 @@ class Means:
         if not self.pad:
             found.append(f"{PAD_STOP}: {NO_PAD}")
         if not self.watchdog_s:
-            found.append(f"{FREEZES}: {NO_WATCHDOG}")
+            found.append(f"{FREEZES}: {NEVER_ACTS}")
         elif self.does == COAST:
             found.append(
                 "a frozen computer on a slope: its watchdog takes the current away, and the wheels may roll on"

@@ -217,7 +217,7 @@ def test_what_nobody_could_judge_is_not_measured(tmp_path: Path) -> None:
     card = json.loads(done.stdout)
     assert card["verdict"] == "Not measured: nobody judged whether the wheels stopped."
     assert [(row["stands_s"], row["never"], row["judged_by"]) for row in card["rows"]] == [(None, False, "")] * 2
-    assert {row["not_measured"] for row in card["rows"]} == {judge.NOBODY}
+    assert {row["not_measured"] for row in card["rows"]} == {judge.NO_JUDGE}
     assert done.returncode == 1
     assert "NOT stop" not in (tmp_path / "card.txt").read_text()
 

@@ -12,7 +12,7 @@ from failstop.board.interface import BY_ECHO
 from failstop.board.kinds import KINDS, board_of, wire_of
 from failstop.cli.main import main
 from failstop.supervisor import status
-from failstop_lab.prove.means import NO_ANSWER, NO_PAD, NO_REPORTS, NO_WATCHDOG, UNCONFIRMED
+from failstop_lab.prove.means import NEVER_ACTS, NO_ANSWER, NO_PAD, NO_REPORTS, UNCONFIRMED
 from failstop_lab.sim.client import SimBoard
 from failstop_lab.trial import wait_for
 from tests.lab.prove.judged import firm
@@ -106,7 +106,7 @@ def test_a_person_says_when_the_wheels_of_a_board_that_reports_nothing_stand(tmp
     ("words", "reason"),
     [
         (("--sim", "--board", "ugv", "--only", "pad"), f"nothing to do of pad: {NO_PAD}"),
-        (("--sim", "--only", "frozen"), f"nothing to do of frozen: {NO_WATCHDOG}"),
+        (("--sim", "--only", "frozen"), f"nothing to do of frozen: {NEVER_ACTS}"),
         (("--board", "ugv"), "--board is for --sim"),
     ],
 )

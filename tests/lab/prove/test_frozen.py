@@ -15,7 +15,7 @@ from failstop.board.kinds import KINDS, board_of
 from failstop.board.wire import COAST, ZERO
 from failstop_lab.prove import table
 from failstop_lab.prove.frozen import EARLY_S, NOT_STOPPED, FrozenRun
-from failstop_lab.prove.means import NO_ANSWER, NO_PAD, NO_REPORTS, NO_WATCHDOG, UNMEASURED, Means, means_of
+from failstop_lab.prove.means import NEVER_ACTS, NO_ANSWER, NO_PAD, NO_REPORTS, UNMEASURED, Means, means_of
 from failstop_lab.prove.run import Result
 from failstop_lab.prove.sight import ByWheels, SeenSample, Unseen, longest_gap_s, rest_ns, rests
 from failstop_lab.prove.table import BY_PATH, BY_TURNING, PATHS
@@ -101,7 +101,7 @@ def test_every_board_says_what_it_can_not_prove_and_has_the_rows_that_it_can() -
     first = means_of("rrc", board_of("rrc", 0.08, 0.0))
     assert first == MEANS
     assert [path.name for path in PATHS if first.lacks(path)] == [table.FROZEN]
-    assert [line for line in first.unproved() if NO_WATCHDOG in line] == [
+    assert [line for line in first.unproved() if NEVER_ACTS in line] == [
         line for line in first.unproved() if line != UNMEASURED
     ]
     blind = means_of("rrc", board_of("rrc", 0.08, 0.0), imu=False)
