@@ -21,7 +21,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from failstop import instances
+from failstop.api.words import printable
 from failstop.files import durable
+from failstop.files import instance as files_instance
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs import rights
 from failstop.shm import futex
@@ -64,13 +66,20 @@ class Holder:
     """The service that it belongs to, if it is one of failstop's processes."""
     command: str = dataclasses.field(default="", compare=False)
     """Its command line."""
+    by_user: bool = dataclasses.field(default=False, compare=False)
+    """The unit is one of the user's own service manager."""
+    supervisor: int = dataclasses.field(default=0, compare=False)
+    """Pid of the supervisor, for a process of failstop. Any other of its processes is started again when it ends."""
 
     def __str__(self) -> str:
-        return f"{self.name} (pid {self.pid}{f', {self.unit}' if self.unit else ''})"
+        name = f"the service {self.instance!r}" if self.instance else self.name
+        return f"{name} (pid {self.supervisor or self.pid}{f', {self.unit}' if self.unit else ''})"
 
     def end(self) -> str:
-        """The command that ends it."""
-        return f"sudo systemctl stop {self.unit}" if self.unit else f"sudo kill {self.pid}"
+        """The command that ends it, and for a process of failstop the whole service."""
+        if self.unit:
+            return f"systemctl --user stop {self.unit}" if self.by_user else f"sudo systemctl stop {self.unit}"
+        return f"sudo kill {self.supervisor or self.pid}"
 
 
 def _tried(look: Callable[[], T]) -> T | None:
@@ -203,12 +212,24 @@ class System:
     def holder(self, pid: int) -> Holder:
         """A process, as one that has a device open."""
         groups = re.split(r"[/\n]", self.read(f"/proc/{pid}/cgroup") or "")
-        unit = next((part for part in reversed(groups) if part.endswith(".service")), "")
+        units = [part for part in groups if part.endswith(".service")]
+        # user@1000.service is everything that this user has started: to stop it would end their whole session.
+        managers = [unit for unit in units if unit.startswith("user@")]
+        unit = units[-1] if units and units[-1] not in managers else ""
         words = (self.read(f"/proc/{pid}/cmdline") or "").split("\0")
         ours = any(word.endswith("/supervisor/child.py") for word in words)
-        names = [word.removeprefix("name=") for word in words if ours and word.startswith("name=")]
-        comm = self.read(f"/proc/{pid}/comm") or "?"
-        return Holder(pid, comm, unit, "".join(names[:1]), " ".join(words))
+        named = dict(word.split("=", 1) for word in reversed(words) if "=" in word) if ours else {}
+        parent = named.get("parent", "")
+        supervisor = (int(parent) if parent.isdecimal() else pid) if ours else 0
+        comm = printable(self.read(f"/proc/{pid}/comm") or "?")
+        return Holder(
+            pid, comm, unit, named.get("name", ""), " ".join(words), by_user=bool(managers), supervisor=supervisor
+        )
+
+    def service(self, name: str) -> Holder | None:
+        """The supervisor of a service of this name; None where none is running, or it is another user's."""
+        pids = (instances.holder(path) for path in files_instance.places(name))
+        return next((self.holder(int(pid)) for pid in pids if pid.isdecimal()), None)
 
     def holders(self, path: str) -> tuple[tuple[Holder, ...], int]:
         """The processes that have a device open, and how many could not be looked into."""

@@ -13,7 +13,6 @@ from failstop.board.kinds import board_of
 from failstop.doctor.look import FAIL, OK, SKIP, Finding, Look, fail
 from failstop.doctor.port import LINK, NO_DESCRIPTION, grabbers, held, permission
 from failstop.doctor.system import System
-from failstop.instances import unit_of
 from failstop.policy.layouts import BOARDS
 from failstop.setup.rig import RIG
 from failstop.setup.talk import Left, NotAnAnswer, Talk
@@ -159,8 +158,8 @@ def hindrances(path: str, system: System) -> list[Finding]:
     """Reasons why failstop can't have this port, or not for itself."""
     look = Look(device_path=path, system=system)
     found = [row for check in (permission, held, grabbers) for row in check(look)]
-    if name := next((holder.instance for holder in look.holders[0] if holder.instance), ""):
-        return fail(f"the service {name!r} has {path} open", f"sudo systemctl stop {unit_of(name)}")
+    if service := next((holder for holder in look.holders[0] if holder.instance), None):
+        return fail(f"{service} has {path} open", service.end())
     return [*console(system, path), *(row for row in found if row.level not in (OK, SKIP))]
 
 

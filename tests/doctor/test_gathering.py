@@ -39,6 +39,39 @@ def test_processes_and_their_units(tmp_path: Path) -> None:
     ]
 
 
+SUPERVISOR = "python\0/x/supervisor/child.py\0supervisor\0name=left\0lock=4\0"
+GATE = "python\0/x/supervisor/child.py\0gate\0name=left\0parent=13\0"
+
+
+@pytest.mark.parametrize(
+    ("command", "cgroup", "who", "end"),
+    [
+        ("vim\0", "/user.slice/session-3.scope", "x (pid 14)", "sudo kill 14"),
+        # A terminal of the desktop, and a unit of the user's own.
+        ("vim\0", "/user.slice/user@1000.service/app.slice/term.scope", "x (pid 14)", "sudo kill 14"),
+        ("vim\0", "/user@1000.service/a.service", "x (pid 14, a.service)", "systemctl --user stop a.service"),
+        ("vim\0", "/system.slice/a.service", "x (pid 14, a.service)", "sudo systemctl stop a.service"),
+        # The supervisor starts its gate again when that is killed.
+        (GATE, "/", "the service 'left' (pid 13)", "sudo kill 13"),
+        (SUPERVISOR, "/", "the service 'left' (pid 14)", "sudo kill 14"),
+        (GATE, "/b.service", "the service 'left' (pid 13, b.service)", "sudo systemctl stop b.service"),
+    ],
+)
+def test_who_has_a_port_and_the_command_that_ends_it(
+    command: str, cgroup: str, who: str, end: str, tmp_path: Path
+) -> None:
+    write(tmp_path, "/proc/14/comm", "x\n")
+    write(tmp_path, "/proc/14/cmdline", command)
+    write(tmp_path, "/proc/14/cgroup", f"0::{cgroup}\n")
+    holder = System(str(tmp_path)).holder(14)
+    assert (str(holder), holder.end()) == (who, end)
+
+
+def test_the_name_of_a_process_moves_no_cursor(tmp_path: Path) -> None:
+    write(tmp_path, "/proc/14/comm", "a\x1b[2Jb\n")
+    assert str(System(str(tmp_path)).holder(14)) == r"a\x1b[2Jb (pid 14)"
+
+
 def test_who_may_write_a_folder_and_what_a_process_was_started_with(tmp_path: Path) -> None:
     system = System(str(tmp_path))
     folder, other = tmp_path / "state", 4711 if os.geteuid() != 4711 else 4712

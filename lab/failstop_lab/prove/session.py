@@ -146,7 +146,8 @@ def check_free(device: str, *names: str, system: System | None = None) -> None:
             served = Robot(name).state.device.path
             # A simulated board is nobody else's. On a robot the service may be between two openings of this very port.
             if not (node and node.pseudo and served and os.path.realpath(served) != node.resolved):
-                end = f"sudo systemctl stop {unit_of(name)}"
+                running = system.service(name)
+                end = running.end() if running else f"sudo systemctl stop {unit_of(name)}"
                 raise Refused(f"the service {name!r} runs, and this test kills what it runs: {end}")
     if node is None:
         return  # the run says it, with the devices that are there

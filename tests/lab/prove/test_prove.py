@@ -175,19 +175,24 @@ def test_a_service_that_runs_is_left_alone_and_hinders_no_simulated_board(board:
     with Trial(name) as trial:
         done = prove("--name", name, "--device", trial.link, said=WORD)
         assert done.returncode == 2
-        assert f"sudo systemctl stop failstop@{name}.service" in done.stderr
+        supervisor = trial.service.pids()["supervisor"]
+        assert f"kills what it runs: sudo kill {supervisor}\n" in done.stderr  # it is in no unit
         done = prove("--device", trial.link, said=WORD)
         assert done.returncode == 2
-        assert f"has {trial.link} open" in done.stderr
+        found = f"the service '{name}' (pid {supervisor}) has {trial.link} open: sudo kill {supervisor}\n"
+        assert found in done.stderr
         done = prove("--name", name, "--device", board.link, said="no\n")
         assert (done.returncode, "no consent" in done.stderr) == (2, True), done.stderr
         # Of a robot's port it is not known whether the service is about to open it under another name.
         real = dataclasses.replace(System().node(board.link), pseudo=False)  # type: ignore[type-var]
-        system = SimpleNamespace(node=lambda _: real)
+        system = SimpleNamespace(node=lambda _: real, service=System().service)
         with pytest.raises(Refused, match=f"the service '{name}' runs"):
             check_free(board.link, name, system=system)  # type: ignore[arg-type]
         assert trial.service.ready()
         assert not any(event.is_motion for event in trial.board.events())
+        os.kill(supervisor, signal.SIGTERM)
+        wait_for("the service to end", trial.service.gone)
+        check_free(trial.link, name)
 
 
 def test_words_that_are_in_no_table(capsys: pytest.CaptureFixture[str]) -> None:
