@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 from xml.sax.saxutils import escape
 
+from failstop.api.words import printable
 from failstop.cli import style
 from failstop.cli.style import cells, cut
 from failstop.version import VERSION
@@ -141,7 +142,7 @@ class Card:
         """The things that were probed."""
         pairs = [("robot", self.robot), ("board", self.board), ("firmware", self.firmware), ("driver", self.driver)]
         return [
-            *((name, what or "not said") for name, what in pairs),
+            *((name, printable(what) or "not said") for name, what in pairs),
             ("made", f"{self.day}, failstop probe {VERSION}"),
         ]
 
@@ -173,7 +174,8 @@ class Card:
             lines.append(_boxed(f"{row.words:<40} {row.found:>13}  {row.judge}"))
             lines += [_boxed(f"  {row.remark}")] if row.remark else []
         lines += [edge, _boxed(self.verdict), _boxed(RECKON)]
-        ended = style.wrap([(f"{EARLY}{self.ended}", style.PLAIN)], COLUMNS - 2, 2) if self.ended else []
+        why = [(f"{EARLY}{printable(self.ended)}", style.PLAIN)]
+        ended = style.wrap(why, COLUMNS - 2, 2) if self.ended else []
         lines += [_boxed(style.plain(line)) for line in ended]
         return "\n".join([*lines, edge]) + "\n"
 
@@ -225,13 +227,13 @@ class Card:
 
 
 def _boxed(line: str) -> str:
-    shown = cut(line, COLUMNS - 2)
+    shown = cut(printable(line), COLUMNS - 2)
     return f"| {shown}{' ' * (COLUMNS - 2 - cells(shown))} |"
 
 
 def _said(x: int, y: int, text: str, *, colour: str = "#1f2328", size: int, weight: str = "normal") -> str:
     look = f'font-size="{size}" font-weight="{weight}" fill="{colour}"'
-    return f'<text x="{x}" y="{y}" {look}>{escape(text)}</text>'
+    return f'<text x="{x}" y="{y}" {look}>{escape(printable(text))}</text>'
 
 
 def rows_in_order(rows: Sequence[Row], names: Sequence[str]) -> list[Row]:

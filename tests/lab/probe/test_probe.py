@@ -294,6 +294,19 @@ def test_a_card_that_ended_early_says_why_in_each_form(tmp_path: Path) -> None:
     assert "Ended early" not in dataclasses.replace(card, ended="").svg()
 
 
+@pytest.mark.parametrize("word", ["\x1b[2J", "a\nb", "\x00", "\u202e", "\ufffe", "\udcff"])
+def test_no_word_of_a_card_controls_a_terminal_or_spoils_the_picture(word: str, tmp_path: Path) -> None:
+    row = Row("sigkill", ROWS["sigkill"], 0.2, by=f"by {word}", skipped="")
+    other = Row("close", ROWS["close"], unjudged=f"because {word}")
+    card = Card(word, f"behind {word}", word, word, [row, other], ended=f"it said {word}")
+    texts, data, picture = (Path(path).read_text("utf-8") for path in card.save(str(tmp_path / "card")))
+    for text in (texts, data, picture):
+        assert text.replace("\n", "").isprintable()
+    assert {style.cells(line) for line in texts.splitlines()} == {80}
+    drawn = "".join(ElementTree.fromstring(picture).itertext())
+    assert drawn.count(word.encode("unicode_escape").decode()) == 7
+
+
 @pytest.mark.slow
 def test_a_board_of_another_kind_is_told_before_a_wheel_turns(tmp_path: Path) -> None:
     words = ("probe", "serial", "--port", str(tmp_path / "b"), "--yes", "--out", str(tmp_path / "card"))
