@@ -17,10 +17,13 @@ from typing import Any
 
 from failstop.api.errors import FailstopError
 from failstop.api.words import printable
+from failstop.files import durable
 from failstop_lab.case.assumptions import ASSUMPTIONS
 
 NAMESPACE = "failstop"
 """The purpose that a signature is bound to."""
+MOST_BYTES = 64_000_000
+"""Longer than the page of any stand test."""
 RECORD = re.compile(r'<script type="application/json" id="record">(.*?)</script>', re.DOTALL)
 COLUMNS = (
     ("path", "stop path"),
@@ -136,14 +139,16 @@ def save(record: dict[str, Any], path: str, key: str | None = None) -> list[str]
 
 
 def verified(path: str) -> str:
-    """Tell whether a pack is whole, and of its signature. Raises FailstopError for one that was changed, OSError."""
-    text = Path(path).read_bytes().decode("utf-8", "replace")
-    found = RECORD.search(text)
+    """Say whether a pack is whole, and whose signature it has. Raises FailstopError for a pack that was changed, or a
+    path that is none."""
+    data = _read(path)
+    found = RECORD.search(data.decode("utf-8", "replace"))
     if not found:
         raise FailstopError(f"{path} is no evidence pack: it has no record")
     try:
         record = json.loads(found[1])
-        same = page(record) == text
+        # As bytes, because decoding replaces whatever is no UTF-8.
+        same = page(record).encode() == data
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise FailstopError(f"{path}: its record can't be read ({printable(str(error))})") from None
     if not same:
@@ -156,17 +161,33 @@ def verified(path: str) -> str:
     if not os.path.exists(f"{path}.sig"):
         return f"{words}\nno signature: whoever has the file may have made it"
     arguments = ["-Y", "check-novalidate", "-n", NAMESPACE, "-s", f"{path}.sig"]
-    return f"{words}\n{_openssh(arguments, f'{path}.sig is not of this file', text)}"
+    return f"{words}\n{_openssh(arguments, f'{path}.sig is not of this file', data)}"
 
 
-def _openssh(arguments: list[str], failed: str, text: str | None = None) -> str:
+def _read(path: str) -> bytes:
+    """A pack's bytes. Raises FailstopError for a path that can't be read, is no regular file, or is too long."""
+    try:
+        with open(durable.open_regular(path), "rb") as file:
+            data = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise FailstopError(f"{path} is no evidence pack: {error.strerror}") from None
+    if len(data) > MOST_BYTES:
+        raise FailstopError(f"{path} is no evidence pack: it has more than {MOST_BYTES} bytes")
+    return data
+
+
+def _openssh(arguments: list[str], failed: str, data: bytes | None = None) -> str:
     try:
         done = subprocess.run(
-            ["ssh-keygen", *arguments], input=text, stdin=None if text else subprocess.DEVNULL, capture_output=True,
-            text=True, check=False, timeout=60,
+            ["ssh-keygen", *arguments], input=data, stdin=None if data else subprocess.DEVNULL, capture_output=True,
+            check=False, timeout=60,
         )  # fmt: skip
     except FileNotFoundError:
         raise FailstopError(f"{failed}: there is no ssh-keygen here (openssh-client)") from None
     if done.returncode:
-        raise FailstopError(f"{failed}: {(done.stderr or done.stdout).strip()}")
-    return done.stdout.strip()
+        raise FailstopError(f"{failed}: {_printable(done.stderr or done.stdout)}")
+    return _printable(done.stdout)
+
+
+def _printable(said: bytes) -> str:
+    return "\n".join(printable(line) for line in said.decode("utf-8", "replace").strip().splitlines())

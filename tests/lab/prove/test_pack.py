@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -78,6 +79,27 @@ def test_a_change_is_noticed(made: Path, tmp_path: Path, before: str, after: str
     changed.write_text(text.replace(before, after))
     with pytest.raises(FailstopError, match=told):
         pack.verified(str(changed))
+
+
+@pytest.mark.parametrize("value", ["a \ufffd of mine", "\ufffd"])
+def test_a_byte_that_is_no_letter_is_a_change(value: str, record: dict[str, Any], tmp_path: Path) -> None:
+    path = Path(pack.save({**record, "device": value}, str(tmp_path / "e.html"))[0])
+    assert "whole" in pack.verified(str(path))
+    path.write_bytes(path.read_bytes().replace("\ufffd".encode(), b"\xff", 1))
+    with pytest.raises(FailstopError, match="was changed"):
+        pack.verified(str(path))
+
+
+def test_a_pipe_a_device_and_an_endless_file_are_no_packs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pipe, long = tmp_path / "pipe", tmp_path / "long"
+    os.mkfifo(pipe)
+    for path, told in ((pipe, "a FIFO, not a regular file"), (Path("/dev/zero"), "a device, not a regular file")):
+        assert main(["prove", "--check", str(path)]) == 1
+        assert told in capsys.readouterr().err
+    long.touch()
+    os.truncate(long, pack.MOST_BYTES + 1)
+    with pytest.raises(FailstopError, match="is no evidence pack: it has more than"):
+        pack.verified(str(long))
 
 
 @pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="no ssh-keygen here (openssh-client)")
