@@ -202,6 +202,7 @@ class Failstop(Robot):  # type: ignore[misc]
             if (key := f"arm_{name}.pos") in action
         }
         given = {name: float(action.get(name, 0.0)) for name in VELOCITIES}
+        velocity = base_velocity(*given.values())  # before anything moves, since it may raise
         sent = {f"arm_{name}.pos": self._scales[name].number(angle) for name, angle in angles.items()}
         try:
             if angles:
@@ -209,9 +210,7 @@ class Failstop(Robot):  # type: ignore[misc]
             if not set(VELOCITIES) & set(action):
                 self._look(service, service.state.cause is not None)
                 return sent
-            answer = service.drive(
-                *base_velocity(*given.values()), manual=self.config.manual, source=self.config.source, wait_s=0.0
-            )
+            answer = service.drive(*velocity, manual=self.config.manual, source=self.config.source, wait_s=0.0)
             self._look(service, isinstance(answer, Blocked) and answer.block is Block.LATCHED)
             self._tell("wheels", _why_not(answer) if any(given.values()) else "")
         except FailstopError as error:

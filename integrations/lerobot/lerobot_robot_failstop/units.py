@@ -100,5 +100,8 @@ def base_numbers(vx_mps: float, vy_mps: float, wz_radps: float) -> dict[str, flo
 
 
 def base_velocity(x: float, y: float, theta: float) -> tuple[float, float, float]:
-    """Velocity in m/s, m/s, rad/s of LeKiwi's numbers."""
+    """Velocity in m/s, m/s, rad/s of LeKiwi's numbers. Raises ValueError for one that is not finite."""
+    for name, value in zip(("x.vel", "y.vel", "theta.vel"), (x, y, theta), strict=True):
+        if not isfinite(value):
+            raise ValueError(f"{name} is {value}: every value must be finite")
     return x, y, radians(theta)

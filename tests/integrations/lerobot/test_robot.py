@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Iterator
-from math import nan
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -166,6 +166,21 @@ def test_bad_input_is_refused_by_its_name(make: Any, given: Any, action: dict[st
 
     with pytest.raises((ValueError, ConnectionError), match=told):
         act()
+
+
+@pytest.mark.parametrize("axis", ["x.vel", "y.vel", "theta.vel"])
+@pytest.mark.parametrize("value", [nan, inf, -inf])
+def test_a_wheel_s_number_that_is_not_finite_moves_no_joint(
+    axis: str, value: float, trial: ArmTrial, make: Any
+) -> None:
+    robot = make()
+    robot.connect()
+    with pytest.raises(ValueError, match=rf"{axis} is .*: every value must be finite"):
+        robot.send_action({**{name: number + 20.0 for name, number in AIMS.items()}, **STILL, axis: value})
+    assert trial.robot.assert_interlocks() is None  # the gate has read this program's slot since
+    arm = trial.robot.state.arm
+    assert arm
+    assert (arm.mode, arm.by, arm.moving) == ("", "", False)
 
 
 def test_a_calibration_is_made_by_lerobot_alone(make: Any) -> None:
