@@ -222,14 +222,21 @@ class GateCore:
         if refusal := self.refusal(missing, now_ns):
             return refusal
         if self.enabled:
-            return Reply(True, f"{MAY_MOVE}; {self.capped}" if self.capped else MAY_MOVE)
+            return self._may_move(self.sources.held(now_ns), now_ns)
         self.stand_still()
         self.enabled = True
         self.enabled_ns = now_ns
         self.epoch = epoch
-        held = " and ".join(self.sources.hold(now_ns))
-        waits = f"{held} must send zero or pause before it can drive" if held else ""
-        return Reply(True, "; ".join(filter(None, (MAY_MOVE, waits, self.capped))))
+        return self._may_move(self.sources.hold(now_ns), now_ns)
+
+    def _may_move(self, held: list[str], now_ns: int) -> Reply:
+        """Motion is enabled: name the programs that command it already, because they may move the robot next."""
+        waits = f"{' and '.join(held)} must send zero or pause before it can drive" if held else ""
+        paused = [
+            f"{who} commanded motion {ago_ns / 1e9:.1f} s ago, so the robot moves when it commands again"
+            for who, ago_ns in self.sources.paused(now_ns)
+        ]
+        return Reply(True, "; ".join(filter(None, (MAY_MOVE, waits, *paused, self.capped))))
 
     def disable(self) -> Reply:
         self.stand_still()

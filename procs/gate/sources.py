@@ -16,6 +16,8 @@ from failstop.messages import records
 from failstop.policy.settings import FIRST_SOURCE, PAD_SOURCE
 
 PAD_PRIORITY = 101
+RECENT_NS = 5_000_000_000
+"""A program that commanded motion within this time before an enable is likely to command it again."""
 PAD_SESSION = records.NOBODY
 """Of the pad's commands, which come from telemetry."""
 
@@ -93,9 +95,23 @@ class Sources:
         self._asked_ns = -1
         return list(self._held.values())
 
+    def held(self, now_ns: int) -> list[str]:
+        """The programs that must let go first, and still command."""
+        return [who for source, who in self._held.items() if self.fresh(source, now_ns)]
+
     def holds(self, now_ns: int) -> bool:
         """True while somebody commands who must let go first."""
-        return any(self.fresh(source, now_ns) for source in self._held)
+        return bool(self.held(now_ns))
+
+    def paused(self, now_ns: int) -> list[tuple[str, int]]:
+        """The programs whose last command is a motion that counts no more but is recent, each with its age in ns. A
+        program that commands more seldom than its timeout is one: it is not held, because each time it has paused."""
+        last = ((command, now_ns - command.t_ns) for command in self._commands.values() if not command.by_hand)
+        return [
+            (command.who, age_ns)
+            for command, age_ns in last
+            if command.moves and age_ns <= RECENT_NS and not self.fresh(command.source, now_ns)
+        ]
 
     def drop(self, session: int) -> None:
         """Forget every command of a session."""

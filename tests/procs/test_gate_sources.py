@@ -232,6 +232,44 @@ def test_or_after_a_pause_of_its_timeout(paused_ns: int, drives: bool) -> None:
     assert (gate.tick() > 0.0) is drives
 
 
+def test_every_enable_names_the_program_that_it_holds() -> None:
+    gate = holding()
+    held = "motion enabled; client 1 must send zero or pause before it can drive"
+    assert told(gate.core.enable(2, "", gate.now)) == (True, held)
+    gate.command(0.0)
+    assert told(gate.core.enable(2, "", gate.now)) == (True, "motion enabled")
+
+
+@pytest.mark.parametrize(
+    ("velocity", "ago_ns", "said"),
+    [
+        (0.1, 300 * MS, "; client 1 must send zero or pause before it can drive"),
+        (0.1, 500 * MS, "; client 1 commanded motion 0.5 s ago, so the robot moves when it commands again"),
+        (0.1, 5000 * MS, "; client 1 commanded motion 5.0 s ago, so the robot moves when it commands again"),
+        (0.1, 5001 * MS, ""),
+        (0.0, 500 * MS, ""),
+    ],
+)
+def test_an_enable_names_a_program_that_commands_more_seldom_than_its_timeout(
+    velocity: float, ago_ns: int, said: str
+) -> None:
+    gate = Gate()
+    gate.command(velocity)
+    gate.now += ago_ns
+    assert told(gate.core.enable(1, "", gate.now)) == (True, f"motion enabled{said}")
+    gate.command(velocity)
+    assert bool(gate.tick() > 0.0) is bool(velocity and ago_ns > 300 * MS)
+
+
+def test_a_program_that_has_gone_and_a_person_who_let_go_are_not_named() -> None:
+    gate = Gate()
+    gate.command(0.1)
+    gate.gone(1, parted=False)
+    gate.take((0.1, 0.0, 0.0), session=2, manual=True)
+    gate.now += 500 * MS
+    assert told(gate.core.enable(1, "", gate.now)) == (True, "motion enabled")
+
+
 @pytest.mark.parametrize("again", ["disable", "stop"])
 def test_a_stick_that_is_held_over_a_disable_or_a_stop_moves_nothing_at_the_next_enable(again: str) -> None:
     gate = Gate()
