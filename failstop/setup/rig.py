@@ -11,7 +11,6 @@ import json
 import os
 import shutil
 import subprocess
-import tempfile
 import time
 from collections.abc import Mapping
 from math import pi
@@ -24,8 +23,8 @@ from failstop.api.robot import Blocked, Robot
 from failstop.api.snapshot import Block, State
 from failstop.board.interface import BY_WHEELS, HEARD_WHEELS
 from failstop.board.kinds import board_of
-from failstop.files import instance
-from failstop.messages import layout, segments
+from failstop.messages import layout
+from failstop.setup import leftovers
 from failstop.setup.ending import end_with_parent, uninterrupted
 from failstop.setup.halt import Halt
 from failstop.setup.talk import Left
@@ -121,7 +120,8 @@ class Rig:
             raise Left(f"{error}; {known.sentence()}" if isinstance(error, Left) else known.sentence()) from error
 
     def _start(self) -> None:
-        self._folder = tempfile.mkdtemp(prefix="failstop-setup-")
+        leftovers.remove_ended(RIG)
+        self._folder = leftovers.folder(self.name)
         path = os.path.join(self._folder, "settings.toml")
         with open(path, "w", encoding="utf-8") as file:
             file.write(toml(self._values))
@@ -258,10 +258,7 @@ class Rig:
             self._process = None
             if self._drove:
                 self._halt.now()
-            for run in segments.dead_runs(self.name):
-                segments.unlink_all(run)
-            for path in instance.places(self.name):
-                shutil.rmtree(path, ignore_errors=True)
+            leftovers.remove(self.name)
         if self._folder:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = ""

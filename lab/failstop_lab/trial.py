@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 import signal
 import subprocess
 import tempfile
@@ -21,8 +20,8 @@ from failstop import helpers
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 from failstop.board.kinds import is_described, wire_of
-from failstop.files import instance
-from failstop.messages import layout, segments
+from failstop.messages import layout
+from failstop.setup import leftovers
 from failstop.setup.ending import end_with_parent
 from failstop_lab.boards.traits import traits_of
 from failstop_lab.sim.client import SimBoard
@@ -114,6 +113,8 @@ class Service:
     def exec(self) -> None:
         """Exec the service; `started_ns` is just before. When this process is killed, the service stops the wheels and
         ends."""
+        if (prefix := self.name.removesuffix(str(os.getpid()))) != self.name:
+            leftovers.remove_ended(prefix)  # of programs like this one that were killed with their services
         self.started_ns = time.monotonic_ns()
         self.process = subprocess.Popen(
             self._command,
@@ -197,10 +198,7 @@ class Service:
                 self.end()
         finally:
             self._log.close()
-            for run in segments.dead_runs(self.name):
-                segments.unlink_all(run)
-            for path in instance.places(self.name):
-                shutil.rmtree(path, ignore_errors=True)
+            leftovers.remove(self.name)
 
 
 class Trial:

@@ -1,0 +1,71 @@
+"""Leftovers: what a service with a name of its own, made for one use, leaves when it is killed.
+
+A service that is started again finds what its last run left. Nobody starts `setup-4711` again, so the next program that
+makes such a service removes what those before it left: shared memory, the runtime folder, and a folder for its files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import tempfile
+
+from failstop import instances
+from failstop.files import instance
+from failstop.messages import segments
+
+
+def folder(name: str) -> str:
+    """Make a folder for the files of the service `name`, which is found again by that name. Raises OSError."""
+    return tempfile.mkdtemp(prefix=f"{_folders_of(name)}")
+
+
+def remove(name: str) -> None:
+    """Remove the memory and the runtime folder of a service that has ended."""
+    for run in segments.dead_runs(name):
+        segments.unlink_all(run)
+    for path in instance.places(name):
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def remove_ended(prefix: str) -> None:
+    """Remove what is left of every service `prefix` + PID of this user whose process PID has ended, and which has ended
+    too."""
+    names = {name.removeprefix("failstop.").partition(".")[0] for name in _listed(segments.SHM, "failstop.")}
+    for base in instance.bases():
+        names.update(_listed(base, prefix))
+    whole = _folders_of(prefix)
+    folders = _listed(tempfile.gettempdir(), whole)
+    names.update(prefix + found.removeprefix(whole).partition(".")[0] for found in folders)
+    for name in names:
+        pid = name.removeprefix(prefix)
+        if not (name.startswith(prefix) and pid.isdecimal()) or os.path.exists(f"/proc/{pid}"):
+            continue
+        paths = [path for path in instance.places(name) if os.path.exists(path)]
+        # A container's process has another number here, so the service itself is asked too.
+        if any(_is_another_s(path) or instances.running(path) or instances.holder(path) for path in paths):
+            continue
+        remove(name)
+        for found in folders:
+            path = os.path.join(tempfile.gettempdir(), found)
+            if found.startswith(_folders_of(name)) and not _is_another_s(path):
+                shutil.rmtree(path, ignore_errors=True)
+
+
+def _folders_of(name: str) -> str:
+    # The dot ends a whole name: without it setup-12 would have the folders of setup-123.
+    return f"failstop-{name}." if name[-1:].isdecimal() else f"failstop-{name}"
+
+
+def _listed(folder: str, prefix: str) -> list[str]:
+    with contextlib.suppress(OSError):
+        return [name for name in os.listdir(folder) if name.startswith(prefix)]
+    return []
+
+
+def _is_another_s(path: str) -> bool:
+    try:
+        return os.lstat(path).st_uid != os.geteuid()
+    except OSError:
+        return True
