@@ -483,6 +483,8 @@ class Telemetry:
         if news.arm:
             self._latest["pad_arm"].write(records.PAD_ARM.pack(*news.arm), t_ns)
             self._gate_bell.ring()
+        if news.frozen:
+            self._note("pad", f"gamepad locked: a stick is pushed and {self._pad.frozen}, so it may be out of reach")
         if news.reset:
             self._request(records.PAD_RESET)
             self._note("pad", "gamepad: MODE was held, reset requested")

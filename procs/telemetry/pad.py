@@ -3,6 +3,7 @@ Pure.
 
 locked --MODE--> drive --MODE--> locked ...     with a lockout between two changes
 any --any latch, any other button--> locked     and locked it stays while latched
+any --a pushed stick, frames all the same--> locked     a receiver may repeat the last frame of a pad that is away
 """
 
 from __future__ import annotations
@@ -51,6 +52,8 @@ class PadNews(Data):
     reset: bool
     arm: tuple[int, float] | None
     """A joint to turn, and the share of its speed."""
+    frozen: bool
+    """This frame has locked the pad: a stick is pushed, and all frames of the last pad.frozen_s are the same."""
 
 
 class Pad:
@@ -61,6 +64,12 @@ class Pad:
         self._dead_zone = settings["pad.dead_zone"]
         self._lockout_ns = settings.ns("pad.mode_lockout_s")
         self._reset_hold_ns = settings.ns("pad.reset_hold_s")
+        self._frozen_ns = settings.ns("pad.frozen_s")
+        self.frozen = f"no byte has changed for {settings['pad.frozen_s']:g} s"
+        """Why a frozen pad is locked, in words."""
+        self._sample: tuple[int, ...] = ()
+        self._sample_ns = 0
+        """The newest frame that differs from the one before it, and when it came."""
         self._limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
         """The command of a stick at its end."""
         self._joints = len(settings.servos())
@@ -100,13 +109,25 @@ class Pad:
         if cause:
             self.mode = LOCKED
         self._follow_hold(buttons, t_ns)
+        same_ns = self._same_ns(sample, t_ns)
+        # Longer than any hold that somebody means as a reset.
+        self._hold_spent |= same_ns >= self._frozen_ns + self._reset_hold_ns
+        locks = same_ns >= self._frozen_ns and self.mode != LOCKED and any(map(self._axis, (lx, ly, rx)))
+        if locks:
+            self.mode = LOCKED
         if self.mode == DRIVING:
             command: Velocity | None = self._sticks(lx, ly, rx)
         else:
             # Locked by MODE: stand still now, not when the command times out. A cause has stopped by itself.
             command = STANDSTILL if was == DRIVING and not cause else None
         arm = self._turns_joint(lx, rx) if self.mode == JOINT else (self.joint, 0.0) if was == JOINT else None
-        return PadNews(cause, command, self._reset_is_due(buttons, t_ns), arm)
+        return PadNews(cause, command, self._reset_is_due(buttons, t_ns), arm, locks)
+
+    def _same_ns(self, sample: tuple[int, ...], t_ns: int) -> int:
+        """How long every frame has been the same."""
+        if sample != self._sample:
+            self._sample, self._sample_ns = sample, t_ns
+        return t_ns - self._sample_ns
 
     def _stops(self, buttons: int) -> Cause | None:
         """A button stops on its first frame: real taps last one frame only, so nothing may wait for a second."""

@@ -64,7 +64,7 @@ imu: calibration_s 3.0, calibration_std_dps 0.3, tracking_rest_s 1.0, tracking_b
 imu: tracking on, offset_x_g 0.0, offset_y_g 0.0, offset_z_g 0.0, scale_x 1.0, scale_y 1.0, scale_z 1.0
 odometry: forward_scale 1.0, sideways_scale 0.765
 battery: step_mv 190, log_s 10.0, log on, directory
-pad: dead_zone 0.1, mode_lockout_s 0.6, reset_hold_s 2.0
+pad: dead_zone 0.1, frozen_s 15.0, mode_lockout_s 0.6, reset_hold_s 2.0
 buzzer: tones off
 """
 

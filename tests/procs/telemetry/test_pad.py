@@ -205,6 +205,45 @@ def test_more_than_0_5_s_of_silence_end_what_is_held(held: Held, ns: int, again:
     assert held.frame(X | 0x0001).cause == (causes.BUTTON(X | 0x0001) if again else None)
 
 
+STILL_FRAMES = 15_000 // FRAME_MS
+
+
+@pytest.mark.parametrize("stick", [{"ly": 127}, {"lx": -60}, {"rx": 20}])
+def test_a_pad_that_repeats_a_pushed_stick_is_locked_and_stops_the_wheels(driving: Held, stick: dict[str, int]) -> None:
+    news = [driving.frame(**stick) for _ in range(STILL_FRAMES)]
+    assert all(each.command and any(each.command) and not each.frozen for each in news)
+    last = driving.frame(**stick)
+    assert (last.frozen, last.command, driving.pad.mode) == (True, (0.0, 0.0, 0.0), LOCKED)
+    after = [driving.frame(**stick) for _ in range(1000)]
+    assert not any(each.command or each.frozen or each.cause for each in after)
+    driving.tap()
+    assert driving.pad.mode == DRIVING, "MODE is a new byte: somebody is there"
+    assert driving.frame(**stick).command not in (None, (0.0, 0.0, 0.0))
+
+
+def test_a_stick_that_changes_or_rests_is_not_frozen(driving: Held) -> None:
+    for at in range(3 * STILL_FRAMES):
+        assert driving.frame(ly=100 + (at // (STILL_FRAMES - 1)) % 2).command
+    for _ in range(3 * STILL_FRAMES):
+        assert driving.frame(ly=5).command == (0.0, 0.0, 0.0)
+    assert driving.pad.mode == DRIVING
+
+
+def test_a_pad_that_repeats_mode_resets_nothing(held: Held) -> None:
+    held.frames(STILL_FRAMES + 2000 // FRAME_MS + 1, MODE)
+    held.latch()
+    assert held.resets(200) == []
+    held.frames(4)
+    assert held.resets(200) != [], "let go and held again"
+
+
+def test_frames_that_come_with_gaps_are_frozen_too(driving: Held) -> None:
+    for _ in range(40):
+        driving.silence(600)
+        news = driving.frame(ly=127)
+    assert (news.command, driving.pad.mode) == (None, LOCKED)
+
+
 AXIS = st.integers(-128, 127)
 FRAME = st.tuples(
     st.sampled_from([0, 0, 0, MODE, MODE, X, MODE | X]), AXIS, AXIS, AXIS, st.integers(1, 900), st.booleans()
@@ -263,6 +302,13 @@ def armed() -> Held:
     made.tap()
     assert made.pad.mode == JOINT
     return made
+
+
+def test_a_joint_is_held_when_the_pad_is_frozen(armed: Held) -> None:
+    news = [armed.frame(rx=-127) for _ in range(STILL_FRAMES + 1)]
+    assert news[-2].arm == (0, 1.0)
+    assert (news[-1].frozen, news[-1].arm) == (True, (0, 0.0))
+    assert armed.frame(rx=-127).arm is None
 
 
 def chosen(held: Held, *sticks: int) -> list[int]:

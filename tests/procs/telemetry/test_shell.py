@@ -141,6 +141,19 @@ def test_in_drive_mode_each_frame_is_a_command_and_rings_the_gate(scene: Scene) 
     assert scene.latest("pad_command") == pytest.approx((0.2, 0.0, 1.0))
 
 
+def test_a_pad_that_repeats_a_pushed_stick_is_reported_and_commands_zero_once(scene: Scene) -> None:
+    scene.pad(MODE)
+    scene.pad(ly=127, times=301)
+    assert scene.latest("pad_command") == (0.0, 0.0, 0.0)
+    assert scene.latest("pad")[6] == 0
+    assert [note for note in scene.notes() if "frozen" in note or "out of reach" in note] == [
+        "gamepad locked: a stick is pushed and no byte has changed for 15 s, so it may be out of reach"
+    ]
+    written = scene.commands()
+    scene.pad(ly=127, times=20)
+    assert scene.commands() == written
+
+
 @pytest.mark.parametrize("seen", [True, False])
 def test_a_latch_ends_drive_mode_also_one_that_came_and_went_unseen(scene: Scene, seen: bool) -> None:
     scene.pad(MODE)
