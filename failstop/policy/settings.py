@@ -92,7 +92,9 @@ DECLARED = (
     Setting("pad.dead_zone", 0.1, "", 0.01, 0.9, "a stick this close to its middle (of 1) commands nothing"),
     Setting("pad.mode_lockout_s", 0.6, "s", 0.1, 5.0, "MODE does not change the mode again for this long"),
     Setting("pad.reset_hold_s", 2.0, "s", 0.5, 30.0, "MODE held for this long while latched is a reset"),
-    Setting("pad.frozen_s", 15.0, "s", 3.0, 600.0, "a pushed stick that has not changed for this long locks the gamepad"),
+    Setting(
+        "pad.frozen_s", 15.0, "s", 3.0, 600.0, "a pushed stick that has not changed for this long locks the gamepad"
+    ),
     Setting("link.ping_s", 0.5, "s", 0.1, 0.5, "time between two pings, which the board answers"),
     Setting("link.deaf_s", 1.0, "s", 1.0, 60.0, "a board that has answered before and is silent for this long is deaf"),
     Setting("still.std_radps", 0.0035, "rad/s", 0.0001, 1.0, "gyro x and y vary less than this: the wheels are still"),
