@@ -9,7 +9,7 @@ from failstop.board.asking import ADAPTERS
 from failstop.board.kinds import board_of
 from failstop.board.wire import Commander
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
-from failstop.doctor.system import Holder
+from failstop.doctor.system import Holder, System
 from failstop.policy.layouts import BOARDS
 
 RULE = ("", "the Debian package brings a rule for udev that sees to it (docs/install.md; without dpkg docs/service.md)")
@@ -100,7 +100,8 @@ def held(look: Look) -> list[Finding]:
         return found
     holders, unseen = look.holders
     ours = {row.pid for row in look.state.processes.values()} if look.state else set()
-    others = [holder for holder in holders if holder.pid not in ours]
+    # A login has a row of its own (console), with a command that ends it for good.
+    others = [holder for holder in holders if holder.pid not in ours and not holder.is_login]
     for name in dict.fromkeys(holder.instance for holder in others if holder.instance):
         text = f"the service {name!r} has the port open, and two services can't share a board"
         found += fail(text, f"failstop doctor --name {name}", "this one may be meant; or end it")
@@ -112,13 +113,40 @@ def held(look: Look) -> list[Finding]:
     if unseen and not found:
         text = f"nobody else is seen with it, but {unseen} processes hide their files from this user"
         return warn(text, f'sudo "$(command -v failstop)" {look.again()}', "root sees them")
+    holders = tuple(holder for holder in holders if not holder.is_login)
     return found or ok(f"only the service has it open ({len(holders)} processes)" if holders else "nobody has it open")
+
+
+def talkers(system: System, path: str) -> list[Finding]:
+    """A login or the kernel's own messages on this port. Both write to the board, and a login takes its answers."""
+    name, real = os.path.basename(path), os.path.basename(os.path.realpath(path))
+    words = (system.read("/proc/cmdline") or "").split()
+    found: list[Finding] = []
+    # The baud rate may follow, behind a comma.
+    if any(word.partition(",")[0] in (f"console={name}", f"console={real}") for word in words):
+        advice = "or take that console= out of cmdline.txt; then restart"
+        found += fail(f"the kernel writes its messages to {path}", "sudo raspi-config nonint do_serial_cons 1", advice)
+    unit = f"serial-getty@{real}.service"
+    if (system.said("systemctl", "is-active", unit) or "").strip() == "active":
+        return [*found, *fail(f"a login waits on {path}", f"sudo systemctl disable --now {unit}")]
+    logins = (holder for holder in system.every() if holder.is_login and {name, real} & holder.files)
+    if login := next(logins, None):
+        text = f"a login waits on {path}: {login}"
+        found += fail(text, f"sudo systemctl disable --now {login.unit}" if login.unit else login.end())
+    return found
+
+
+def console(look: Look) -> list[Finding]:
+    """Neither a login nor the kernel uses the port."""
+    if look.node is None or look.node.pseudo:
+        return []
+    return talkers(look.system, look.node.path) or ok("no login waits on it, and the kernel writes no messages to it")
 
 
 def commanders(look: Look) -> list[Finding]:
     """Nobody but failstop commands the board's wheels."""
     found = [row for one in look.board.commanders if not one.program for row in warn(one.who, "", one.remedy)]
-    for holder in (look.system.holder(int(pid)) for pid in look.system.names("/proc") if pid.isdigit()):
+    for holder in look.system.every():
         if known := _known(look, holder):
             found += warn(f"{holder} runs: {known.who}", known.fix or holder.end(), known.remedy)
     return found or ok("nobody is known who could command it beside failstop")

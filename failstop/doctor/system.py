@@ -32,6 +32,7 @@ from failstop.supervisor import status
 SHM = "/dev/shm"
 PSEUDO_MAJORS = range(136, 144)
 """Of the pseudo-terminals (the kernel's list of devices)."""
+LOGINS = ("agetty", "getty", "mgetty", "login")
 T = TypeVar("T")
 TICKS_S = 5.0
 PERIOD_S = 0.005
@@ -74,6 +75,16 @@ class Holder:
     def __str__(self) -> str:
         name = f"the service {self.instance!r}" if self.instance else self.name
         return f"{name} (pid {self.supervisor or self.pid}{f', {self.unit}' if self.unit else ''})"
+
+    @property
+    def is_login(self) -> bool:
+        """It asks for a name and a password, or has asked."""
+        return self.name in LOGINS
+
+    @property
+    def files(self) -> set[str]:
+        """The names of the files and devices in its command line, without their folders."""
+        return {os.path.basename(word) for word in self.command.split()}
 
     def end(self) -> str:
         """The command that ends it, and for a process of failstop the whole service."""
@@ -225,6 +236,10 @@ class System:
         return Holder(
             pid, comm, unit, named.get("name", ""), " ".join(words), by_user=bool(managers), supervisor=supervisor
         )
+
+    def every(self) -> Iterator[Holder]:
+        """Every process."""
+        return (self.holder(int(pid)) for pid in self.names("/proc") if pid.isdigit())
 
     def service(self, name: str) -> Holder | None:
         """The supervisor of a service of this name; None where none is running, or it is another user's."""

@@ -22,6 +22,7 @@ CHECKS: dict[str, Check] = {
     "permission": port.permission,
     "holders": port.held,
     "grabbers": port.grabbers,
+    "console": port.console,
     "commanders": port.commanders,
     "settings": service.settings,
     "service": service.running,

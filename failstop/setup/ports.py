@@ -11,7 +11,7 @@ from failstop.board import asking, port
 from failstop.board.finder import look_alikes, of_number
 from failstop.board.kinds import board_of
 from failstop.doctor.look import FAIL, OK, SKIP, Finding, Look, fail
-from failstop.doctor.port import LINK, NO_DESCRIPTION, grabbers, held, permission
+from failstop.doctor.port import LINK, NO_DESCRIPTION, grabbers, held, permission, talkers
 from failstop.doctor.system import System
 from failstop.policy.layouts import BOARDS
 from failstop.setup.rig import RIG
@@ -139,28 +139,13 @@ def pins(system: System) -> list[Finding]:
     return []
 
 
-def console(system: System, path: str) -> list[Finding]:
-    """A login or the kernel's own messages on this port."""
-    name, real = os.path.basename(path), os.path.basename(os.path.realpath(path))
-    words = (system.read("/proc/cmdline") or "").split()
-    found: list[Finding] = []
-    # The baud rate may follow, behind a comma.
-    if any(word.partition(",")[0] in (f"console={name}", f"console={real}") for word in words):
-        advice = "or take that console= out of cmdline.txt; then restart"
-        found += fail(f"the kernel writes its messages to {path}", "sudo raspi-config nonint do_serial_cons 1", advice)
-    unit = f"serial-getty@{real}.service"
-    if system.said("systemctl", "is-active", unit) is not None:
-        found += fail(f"a login waits on {path}", f"sudo systemctl disable --now {unit}")
-    return found
-
-
 def hindrances(path: str, system: System) -> list[Finding]:
     """Reasons why failstop can't have this port, or not for itself."""
     look = Look(device_path=path, system=system)
     found = [row for check in (permission, held, grabbers) for row in check(look)]
     if service := next((holder for holder in look.holders[0] if holder.instance), None):
         return fail(f"{service} has {path} open", service.end())
-    return [*console(system, path), *(row for row in found if row.level not in (OK, SKIP))]
+    return [*talkers(system, path), *(row for row in found if row.level not in (OK, SKIP))]
 
 
 def _say(talk: Talk, row: Finding) -> None:

@@ -173,7 +173,9 @@ def test_a_board_that_never_answered_proves_nothing() -> None:
     found = why(state(device=Device("/dev/ttyACM0", "open", "unproven")))
     assert found.what == "STOPPED, unproven: the board has never answered; motion is disabled"
     assert found.proof == f"the board is told zero; the board has never answered{SEEN}"
-    assert found.also == ("the board has never answered, so no stop is known to reach the wheels: see to its power",)
+    [also] = found.also
+    assert also.startswith("the board has never answered, so no stop is known to reach the wheels: see to its power")
+    assert "`failstop doctor` finds a login or another program on the port" in also
 
 
 def test_a_board_that_answers_nothing_by_its_nature_is_not_warned_of() -> None:

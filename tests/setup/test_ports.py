@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.doctor.port import talkers
 from failstop.doctor.system import System
 from failstop.setup import ports
 from failstop.setup.draft import Draft
@@ -109,7 +110,7 @@ def test_a_name_that_stays_and_is_no_other_device_s_is_preferred(
 def test_what_else_talks_on_serial_pins_is_told(
     files: dict[str, str], units: tuple[str, ...], said: list[str], tmp_path: Path
 ) -> None:
-    found = ports.console(Computer(tmp_path, files, units), "/dev/ttyAMA0")
+    found = talkers(Computer(tmp_path, files, units), "/dev/ttyAMA0")
     assert [row.fix for row in found] == said
 
 

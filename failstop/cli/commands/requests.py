@@ -78,7 +78,8 @@ def main(arguments: Namespace) -> int:
             standard.tell(said)
             if command == "enable" and (state := robot.state):
                 if why := verdict.unproven(state):
-                    standard.say(f"unproven: {why}, so no stop is known to reach the wheels; next: see to its power")
+                    see_to = "next: see to its power and its cable, then `failstop doctor`"
+                    standard.say(f"unproven: {why}, so no stop is known to reach the wheels; {see_to}")
                 if doubt := verdict.doubt(state):
                     standard.say(f"{doubt}; next: {steps.line(state)}")
         except ValueError as error:  # out of bounds, or not finite
