@@ -112,6 +112,29 @@ def test_a_held_key_drives_again_with_the_first_repeat_and_stops_with_the_last(d
     assert bench.pass_time(2.0) <= COMMAND_S, "released"
 
 
+@pytest.mark.parametrize(("delay_s", "jerks"), [(0.25, False), (0.33, True), (0.5, True), (0.66, True)])
+def test_a_keyboard_that_repeats_later_than_a_command_counts_is_noticed(delay_s: float, jerks: bool) -> None:
+    bench = Bench()
+    bench.key("w")
+    bench.pass_time(delay_s)
+    bench.key("w")
+    assert not bench.hold.jerks, "it may be a second tap"
+    bench.pass_time(0.03)
+    bench.key("w")
+    assert bench.hold.jerks is jerks
+
+
+@pytest.mark.parametrize(
+    "typed", [[("w", 0.5)] * 9, [("w", 0.5), ("a", 0.03), ("a", 0.03)], [("w", 0.9), ("w", 0.03)] * 3]
+)
+def test_taps_are_no_late_repeats(typed: list[tuple[str, float]]) -> None:
+    bench = Bench()
+    for key, pause_s in typed:
+        bench.key(key)
+        bench.pass_time(pause_s)
+    assert not bench.hold.jerks
+
+
 def test_of_several_keys_the_last_one_counts() -> None:
     bench = Bench()
     bench.key("w")

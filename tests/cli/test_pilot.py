@@ -78,6 +78,15 @@ def test_the_screen_shows_keys_command_and_state(pilot: Pilot) -> None:
     assert [part for part in (*parts, "a note", "a tap drives") if part not in said] == []
 
 
+def test_the_screen_says_what_helps_against_a_jerk(pilot: Pilot) -> None:
+    for now_s in (1.0, 1.5, 1.53):
+        assert "kbdrate" not in shown(pilot.lines(ENABLED, now_s, 80))
+        press(pilot, "w", now_s=now_s)
+    said = " ".join(shown(pilot.lines(ENABLED, 1.54, 80)).split())
+    assert "`xset r rate 200 30`" in said
+    assert "`sudo kbdrate -d 250 -r 30`" in said
+
+
 def test_the_screen_shows_an_arm_only_where_there_is_one(pilot: Pilot) -> None:
     found = arm("base", "wrist", mode="jog", by="failstop teleop")
     for name, told in (("base", {"commanded_rad": 0.5}), ("wrist", {"angle_rad": None, "commanded_rad": None})):

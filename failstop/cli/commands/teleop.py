@@ -49,6 +49,10 @@ j l         slide left, right     r      reset a latched stop
 + -         faster, slower        q      leave: stop; disable what e enabled
 """
 JOINTS = "[ ]         turn the chosen joint {digits:<7}choose a joint of the arm"
+JERKS = (
+    "the wheels stop after the first press because this keyboard repeats late; on the computer of the keyboard: "
+    "`xset r rate 200 30` (X11), `sudo kbdrate -d 250 -r 30` (text console), else its keyboard settings"
+)
 HOW = "hold a key to drive: a tap drives 0.3 s, going on when the terminal repeats it"
 
 
@@ -291,7 +295,7 @@ class Pilot:
             summary.device(state),
             [],
             [self.note if self.note[0] else self.holds(state) or ("", PLAIN)],
-            [(HOW, DIM)],
+            [(JERKS if self.hold.jerks else HOW, DIM)],
         ]
         return summary.wrapped(rows, columns)
 

@@ -64,6 +64,10 @@ COMMAND_S = 0.3
 """The time that one command is good for by default (gate.command_timeout_s)."""
 ENDS_S = 0.35
 """After the last repeat: by then the service's timeout has stopped the wheels; where it is longer, a zero is sent."""
+LONGEST_DELAY_S = 0.8
+"""A terminal's first repeat of a key comes before that."""
+REPEAT_S = 0.15
+"""From a repeat to the next."""
 NO_VELOCITY = (0.0, 0.0, 0.0)
 MOST_AT_ONCE = 5
 """More motion keys in one read than a terminal sends between two looks: they were held up on the way, and are old."""
@@ -75,8 +79,15 @@ class Hold:
     def __init__(self) -> None:
         self.active = False
         """True while one is held."""
+        self.jerks = False
+        """A key's first repeat came later than its command counts, so the wheels stopped between. It is known only once
+        a second repeat has followed: a person who taps twice looks the same until then."""
         self._until_s = 0.0
         """When it ends unless it is repeated."""
+        self._last = ("", 0.0)
+        """The last key that moves, and when it came."""
+        self._late = False
+        """It came as a first repeat does that is late."""
 
     def pressed(self, keys: list[str], now_s: float) -> Velocity | None:
         """The command for these keys, or for the time without any: each axis within -1 to 1; None: there is none."""
@@ -85,8 +96,13 @@ class Hold:
             return self.let_go()
         if not moving:
             return None
+        key, (last, last_s) = moving[-1], self._last
+        again_s = now_s - last_s if key == last else LONGEST_DELAY_S
+        self.jerks |= self._late and again_s <= REPEAT_S
+        self._late = COMMAND_S < again_s < LONGEST_DELAY_S
+        self._last = (key, now_s)
         self.active, self._until_s = True, now_s + ENDS_S
-        return AXES[moving[-1]]
+        return AXES[key]
 
     def let_go(self) -> Velocity | None:
         """Forget the held key; what to send for it."""
