@@ -165,7 +165,7 @@ class Process:
     state: str
     """starting, running, hanging, suspended (by a signal), fenced (for hanging), dead, waiting, down, or stopping."""
     age_s: float
-    """Since its last heartbeat, s."""
+    """Since its last heartbeat, s; before its first one since the begin of the run."""
     restarts: int
     """How often it was restarted in this run."""
     last_exit: str | None

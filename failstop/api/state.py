@@ -304,7 +304,8 @@ class StateReader(SeenRun):
         found = {}
         for name, row in {layout.SUPERVISOR: {"pid": pid, "restarts": 0, "last_exit": None}, **table}.items():
             beat = self._beats[name]
-            age_s = beat.age_ns(now_ns) / 1e9
+            # A process that has not started yet has no beat, and 0 would be as long ago as the machine's start.
+            age_s = (beat.age_ns(now_ns) if beat.ns.get() else max(0, now_ns - self.began_ns)) / 1e9
             state = row.get("state") or heartbeat.STATES[beat.state.get()]
             if dead:
                 state = "stopping" if name in table and PROCESS_BY_NAME[name].outlives_supervisor else "dead"

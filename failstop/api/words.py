@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from math import degrees
+from math import degrees, isfinite
 
 from failstop.files.instance import DEFAULT_NAME, option
 
@@ -22,6 +22,8 @@ NOWHERE_MPS = 0.0005
 
 def span(seconds: float) -> str:
     """How long: 0.4 s, 12 s, 3 min, 2 h 5 min, 3 days."""
+    if not isfinite(seconds):
+        return f"{seconds:g} s"
     if seconds < 9.95:
         return f"{max(0.0, seconds):.1f} s"
     if seconds < 120:

@@ -10,6 +10,8 @@ from __future__ import annotations
 import json
 import re
 
+from failstop.api.words import span
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -39,7 +41,7 @@ class Seen:
         # Not `abs(off_s) > tolerance`: a date that is no number is refused too.
         if not -self._tolerance_s <= off_s <= self._tolerance_s:
             side = "old by" if off_s < 0 else "ahead by"
-            return f"dated {side} {abs(off_s):.0f} s on this robot's clock, and {self._tolerance_s:g} s are allowed"
+            return f"dated {side} {span(abs(off_s))} on this robot's clock, and {self._tolerance_s:g} s are allowed"
         if dated_s <= self._floor_s:
             return "older than a stop that was obeyed already: this robot's clock was set back"
         return NEW

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from failstop.api.words import DAY_S, span
+
 TOLD_NS = 2_000_000_000
 """A disagreement is told for this long after the last message that showed it."""
 NO_CLOCK = "use_sim_time is true, and nobody publishes /clock, so ROS has no time here"
 AGREE = "do the clocks agree?"
+OTHER_CLOCK = "is use_sim_time the same in both nodes?"
+"""Days apart are two kinds of time: a simulator counts from 0, a computer from 1970."""
 
 
 class Trouble(NamedTuple):
@@ -40,6 +44,8 @@ class Stamps:
         if abs(age_s) <= most_s:
             return ""
         self._note(topic, who, age_s, now_ns)
+        if age_s >= DAY_S:
+            return f"its stamp is {span(age_s)} old (most: {most_s:g} s); {OTHER_CLOCK}"
         return f"its stamp is {age_s:.3f} s old (most: {most_s:g} s); {AGREE}" if age_s > 0 else ""
 
     def _note(self, topic: str, who: str, age_s: float, now_ns: int) -> None:
@@ -49,8 +55,10 @@ class Stamps:
         if before and fresh and abs(age_s - before.age_s) < 0.1 + abs(before.age_s) / 4:
             self._troubles[topic] = before._replace(seen_ns=now_ns)
             return
-        how = f"{age_s:.1f} s old, and refused" if age_s > 0 else f"{-age_s:.1f} s in the future"
-        text = f"{who} publishes {topic} with stamps that are {how}: {AGREE}"
+        apart = span(abs(age_s)) if abs(age_s) >= DAY_S else f"{abs(age_s):.1f} s"
+        how = f"{apart} old, and refused" if age_s > 0 else f"{apart} in the future"
+        why = OTHER_CLOCK if abs(age_s) >= DAY_S else AGREE
+        text = f"{who} publishes {topic} with stamps that are {how}: {why}"
         self._troubles[topic] = Trouble(who, text, age_s, now_ns)
 
     def wrong(self, now_ns: int) -> list[str]:

@@ -42,6 +42,21 @@ def test_an_old_stamp_is_refused_and_told_with_its_publisher_and_age(stamps: Sta
     assert stamps.wrong(S + TOLD_NS + 1) == []
 
 
+@pytest.mark.parametrize(
+    ("age_s", "refusal", "told"),
+    [
+        (NOW_S - 12.0, "its stamp is 19676 days old (most: 0.3 s)", "that are 19676 days old, and refused"),
+        (-NOW_S + 12.0, "", "that are 19676 days in the future"),
+    ],
+)
+def test_a_stamp_of_another_kind_of_clock_is_told_as_that(
+    stamps: Stamps, age_s: float, refusal: str, told: str
+) -> None:
+    asks = "is use_sim_time the same in both nodes?"
+    assert stamps.late("cmd_vel", "/nav", stamp(age_s), 0.3, S) == (f"{refusal}; {asks}" if refusal else "")
+    assert stamps.wrong(S) == [f"/nav publishes cmd_vel with stamps {told}: {asks}"]
+
+
 def test_a_stamp_from_the_future_is_told_and_not_refused(stamps: Stamps) -> None:
     assert stamps.late("cmd_vel", "/nav", stamp(-7.0), 0.3, S) == ""
     told = "/nav publishes cmd_vel with stamps that are 7.0 s in the future: do the clocks agree?"

@@ -103,6 +103,8 @@ def test_all_that_a_client_reads_is_there_when_the_name_is(service: Service) -> 
     assert state.processes[layout.SUPERVISOR].pid == service.process.pid
     assert set(state.processes) == set(layout.PROCESS_NAMES)
     assert state.waiting_for == "port_owner, stopper, gate, telemetry"
+    assert service.machine.now_ns > 60_000 * MS
+    assert max(process.age_s for process in state.processes.values()) < 1.0, "not since the machine's start"
     assert (state.enabled, state.blocked, state.cause) == (False, "disabled", None)
     assert (state.device.path, state.device.state, state.device.link) == (DEVICE, "open", "unproven")
 
