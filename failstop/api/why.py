@@ -9,7 +9,7 @@ from failstop.api import steps, verdict, wheels, words
 from failstop.api.events import Event
 from failstop.api.snapshot import Block, State, Stop
 from failstop.board.interface import BUTTONS
-from failstop.policy.causes import OTHERS, Cause, filled
+from failstop.policy.causes import PORT_SHARED, Cause, filled
 from failstop.policy.processes import ROLES
 from failstop.policy.proofs import (
     ACKNOWLEDGED_BY,
@@ -204,7 +204,7 @@ def troubles(state: State, events: Sequence[Event]) -> list[str]:
             found.append(f"{name} {verdict.absence(process, ends[name] if process.last_exit else '')}")
     if state.device.state == "open" and state.device.link == "unproven":
         unknown = f"{verdict.NEVER_ANSWERED}, so no stop is known to reach the wheels"
-        found.append(f"{unknown}: see to its power and its cable; {OTHERS}")
+        found.append(f"{unknown}: see to its power and its cable; {PORT_SHARED}")
     found += [text for text in (state.scale.capped, *state.scale.wrong) if text]
     if state.starved:
         found.append(f"{state.starved} (`failstop doctor` says what helps)")

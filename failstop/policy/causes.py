@@ -38,7 +38,7 @@ _AGAIN = "look at what came before it (`failstop events`) if it is not the first
 _BUSY = "look at the machine's load and at real-time rights (`failstop doctor`), since something held it up"
 POWER = "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels"
 """The first remedy for a cause with a doubt."""
-OTHERS = "`failstop doctor` finds a login or another program on the port, which would take the board's answers"
+PORT_SHARED = "`failstop doctor` finds a login or another program on the port, which would take the board's answers"
 USE_THE_SWITCH = "use the POWER SWITCH"
 
 
@@ -241,14 +241,14 @@ STUCK = Kind(
 DEAF = Kind(
     11, "deaf", "the board is deaf", "supervisor",
     "the board stopped answering, or it reported zero speed while motion was written to it",
-    f"look at the wire to the board; {OTHERS}",
+    f"look at the wire to the board; {PORT_SHARED}",
     doubt="so it may hear nothing",
 )  # fmt: skip
 BOARD_SILENT = Kind(
     44, "board_silent", "the board is silent", "supervisor",
     "the board had reported all the time and then said nothing any more. It had lost power, or it hung, or the wire "
     "from it was broken, which look the same from here",
-    f"look at the board's supply and at the wire from it; {OTHERS}",
+    f"look at the board's supply and at the wire from it; {PORT_SHARED}",
     doubt="so nobody knows whether it has stopped",
 )  # fmt: skip
 NOT_HEARD = Kind(

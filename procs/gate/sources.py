@@ -16,7 +16,7 @@ from failstop.messages import records
 from failstop.policy.settings import FIRST_SOURCE, PAD_SOURCE
 
 PAD_PRIORITY = 101
-RECENT_NS = 5_000_000_000
+JUST_COMMANDED_NS = 5_000_000_000
 """A program that commanded motion within this time before an enable is likely to command it again."""
 PAD_SESSION = records.NOBODY
 """Of the pad's commands, which come from telemetry."""
@@ -110,7 +110,7 @@ class Sources:
         return [
             (command.who, age_ns)
             for command, age_ns in last
-            if command.moves and age_ns <= RECENT_NS and not self.fresh(command.source, now_ns)
+            if command.moves and age_ns <= JUST_COMMANDED_NS and not self.fresh(command.source, now_ns)
         ]
 
     def drop(self, session: int) -> None:

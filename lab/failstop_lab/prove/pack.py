@@ -22,8 +22,8 @@ from failstop_lab.case.assumptions import ASSUMPTIONS
 
 NAMESPACE = "failstop"
 """The purpose that a signature is bound to."""
-MOST_BYTES = 64_000_000
-"""Longer than the page of any stand test."""
+LONGEST_PACK = 64_000_000
+"""Bytes. The page of no stand test is as long."""
 RECORD = re.compile(r'<script type="application/json" id="record">(.*?)</script>', re.DOTALL)
 COLUMNS = (
     ("path", "stop path"),
@@ -168,11 +168,11 @@ def _read(path: str) -> bytes:
     """A pack's bytes. Raises FailstopError for a path that can't be read, is no regular file, or is too long."""
     try:
         with open(durable.open_regular(path), "rb") as file:
-            data = file.read(MOST_BYTES + 1)
+            data = file.read(LONGEST_PACK + 1)
     except OSError as error:
         raise FailstopError(f"{path} is no evidence pack: {error.strerror}") from None
-    if len(data) > MOST_BYTES:
-        raise FailstopError(f"{path} is no evidence pack: it has more than {MOST_BYTES} bytes")
+    if len(data) > LONGEST_PACK:
+        raise FailstopError(f"{path} is no evidence pack: it has more than {LONGEST_PACK} bytes")
     return data
 
 

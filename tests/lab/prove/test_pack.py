@@ -97,7 +97,7 @@ def test_a_pipe_a_device_and_an_endless_file_are_no_packs(tmp_path: Path, capsys
         assert main(["prove", "--check", str(path)]) == 1
         assert told in capsys.readouterr().err
     long.touch()
-    os.truncate(long, pack.MOST_BYTES + 1)
+    os.truncate(long, pack.LONGEST_PACK + 1)
     with pytest.raises(FailstopError, match="is no evidence pack: it has more than"):
         pack.verified(str(long))
 
