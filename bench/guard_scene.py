@@ -98,9 +98,7 @@ class GuardScene:
         write_settings(str(path), {**traits_of(kind).settings, "scan.gate": "off", **settings})
         self.folder = folder
         self.path = str(folder / "port")
-        self.trial = Trial(
-            f"guard-{kind}-{os.getpid()}-{folder.name[-12:]}".lower(), ("--config", str(path)), kind=kind
-        )
+        self.trial = Trial(f"guard-{os.getpid()}-{folder.name[-12:]}".lower(), ("--config", str(path)), kind=kind)
         self._drivers: list[Process] = []
         self.guard: Process | None = None
 

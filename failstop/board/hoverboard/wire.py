@@ -33,9 +33,22 @@ from failstop.board.wire import (
     Write,
 )
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from failstop.board.driver import DriverLanguage
+
 IDLE_NS = 200_000
 """Twice a byte's time and a little more: the receiver sees an idle line after one."""
 _MS = 1_000_000
+
+
+def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
+    from failstop.board.hoverboard import driver  # for the guard port alone
+
+    return driver.language(settings)
+
 
 WIRE = Wire(
     name="a hoverboard with hoverboard-firmware-hack-FOC",
@@ -96,4 +109,5 @@ WIRE = Wire(
             remedy="pull that cable, or build the firmware without DUAL_INPUTS (Inc/config.h)",
         ),
     ),
+    driver=_driver,
 )

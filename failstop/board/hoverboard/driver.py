@@ -1,0 +1,147 @@
+"""The frames that a driver may write to hoverboard-firmware-hack-FOC, and the feedback that it hears.
+
+A driver writes eight bytes, ten to a hundred times a second, and expects the board's feedback unasked. The board takes
+a frame that stands alone between two gaps. A pseudo-terminal keeps no gaps, so a frame is found wherever it begins. The
+wheels are computed as the board mixes them, whatever the driver meant.
+
+A frame that was cut, with the next one behind it, can pass the check as one with any speed: cdab0000 and a stop are full
+speed backward. No driver writes a word that looks like a start, so eight bytes with a start among them are no frame.
+
+Firmware source, commit a0751d5. Its feedback has 18 bytes, that of the fork for hoverboard-robotics' ROS driver 22
+(24955d6), and a branch that sends two currents as well 26 (c7152c1). The driver was built for its board, so it gets
+the frames as they came.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+
+from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
+from failstop.board.hoverboard import codec
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    Row = DriverMotion | DriverAnswer | DriverRefusal
+
+PATIENCE_NS = 1_000_000_000
+"""The board answers no question; a driver calls it disconnected after this long without feedback."""
+_COMMAND = Struct("<HhhH")
+_HEAD = codec.START.to_bytes(2, "little")
+_BODY = _COMMAND.size - len(_HEAD)
+"""Where the check begins, which may look like a start: that of any frame of two equal words does."""
+_TOGETHER_NS = 20_000_000
+"""A rest of a frame that comes later than this is none: an adapter holds bytes back for 16 ms, and the board drops what
+it has as soon as the line falls idle."""
+_LENGTHS = (18, 22, 26)
+_REST = (0.0, 0.0)
+_NO_FRAME = DriverRefusal(
+    "bytes that are no frame",
+    "the board drops them too, so the wheels were stopped: is the driver made for this board?",
+)
+
+
+class HoverboardDriver:
+    """One driver's frames, and the feedback that it hears."""
+
+    def __init__(self) -> None:
+        self.openers, self.patience_ns = 1, PATIENCE_NS
+        self._kept = b""
+        """The beginning of a frame."""
+        self._kept_ns = 0
+        self._heard = b""
+        self._length = 0
+        """Of the board's feedback; 0: not known yet."""
+
+    def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
+        """The driver's frames."""
+        rows: list[Row] = []
+        if not chunk:
+            return rows
+        if self._kept and now_ns - self._kept_ns > _TOGETHER_NS:
+            self._kept = b""
+            rows += _dropped()
+        data, at = self._kept + chunk, 0
+        self._kept_ns = now_ns
+        while at < len(data):
+            frame = data[at : at + _COMMAND.size]
+            if not frame.startswith(_HEAD[: len(frame)]):
+                rows += _dropped()
+                at = _start(data, at)
+            elif len(frame) < _COMMAND.size:
+                break
+            elif speeds := _speeds(frame):
+                rows.append(DriverMotion(speeds))
+                at += len(frame)
+            else:
+                rows += _dropped()
+                at = _start(data, at + 1)
+        self._kept = data[at:]
+        return rows
+
+    def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
+        """The board's feedback, whole frames of whichever length it has."""
+        data, at = self._heard + chunk, 0
+        frames: list[bytes] = []
+        while (at := data.find(_HEAD, at)) >= 0:
+            if length := self._whole(data, at):
+                self._length = length
+                frames.append(data[at : at + length])
+                at += length
+            elif len(data) < at + max(_LENGTHS) + len(_HEAD):
+                break
+            else:
+                at += 1
+        # Without a start, its first byte may still be the last that came.
+        self._heard = data[at:] if at >= 0 else data[-1:]
+        return frames
+
+    def _whole(self, data: bytes, at: int) -> int:
+        """The length of the feedback that begins here; 0: none does. A length that is not known yet counts only with
+        another frame behind it, because some of the bytes of two frames can pass the check too."""
+        if self._length and _checked(data[at : at + self._length], self._length):
+            return self._length
+        for length in _LENGTHS:
+            if data.startswith(_HEAD, at + length) and _checked(data[at : at + length], length):
+                return length
+        return 0
+
+
+def _start(data: bytes, at: int) -> int:
+    """Where the next start is, or may begin with the last byte; behind all of them: nowhere."""
+    found = data.find(_HEAD, at)
+    return found if found >= 0 else len(data) - data.endswith(_HEAD[:1])
+
+
+def _dropped() -> list[Row]:
+    return [_NO_FRAME, DriverMotion(_REST)]
+
+
+def _speeds(frame: bytes) -> tuple[float, float] | None:
+    """Left and right, as the board clamps and mixes a frame; None: it is none."""
+    start, steer, speed, check = _COMMAND.unpack(frame)
+    if start != codec.START or check != start ^ (steer & 0xFFFF) ^ (speed & 0xFFFF):
+        return None
+    if _HEAD in frame[1 : _BODY + 1]:
+        return None
+    return codec.wheels(_clamped(steer), _clamped(speed))
+
+
+def _clamped(word: int) -> int:
+    most = int(codec.LIMIT)
+    return max(-most, min(word, most))
+
+
+def _checked(frame: bytes, length: int) -> bool:
+    if len(frame) != length:
+        return False
+    check = 0
+    for at in range(0, length, 2):
+        check ^= frame[at] | frame[at + 1] << 8
+    return not check
+
+
+def language(_settings: Mapping[str, float | str]) -> HoverboardDriver:
+    """A driver's conversation, which needs no setting."""
+    return HoverboardDriver()
