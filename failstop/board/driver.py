@@ -35,6 +35,9 @@ if TYPE_CHECKING:
         patience_ns: int
         """How long a driver waits for an answer. After a longer pause of its own the guard answers the newest question
         alone, because a driver that has given up takes a late answer for the one to its next question."""
+        past_ns: int
+        """How much of what the board said before the driver opened the port the language hears first, a few seconds at
+        most. What heard() returns of that is dropped, because it is old. 0: nothing, as after the reset of a board."""
 
         def wrote(self, chunk: bytes, now_ns: int) -> list[DriverMotion | DriverAnswer | DriverRefusal]:
             """The driver wrote these bytes, split and glued in any way. Returns what they ask for, in order. It has to

@@ -15,6 +15,8 @@ from failstop.guard.openers import Opener, Watch, dying, openers
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from failstop.guard.pty import Pty
 
 
@@ -88,9 +90,10 @@ class Door:
                 return True
         return False
 
-    def recount(self) -> None:
-        """See who has it open, and keep further programs out where it is open as often as may be."""
-        found, hidden = openers(self._pty.name)
+    def recount(self, meanwhile: Callable[[], None]) -> None:
+        """See who has it open, and keep further programs out where it is open as often as may be. `meanwhile`: as of
+        openers()."""
+        found, hidden = openers(self._pty.name, meanwhile)
         seen = {pid: opener for pid, opener in found.items() if pid not in self._dying and not dying(pid)}
         shown = sum(opener.times for opener in seen.values())
         self.count = max(self.count, shown) if hidden else shown

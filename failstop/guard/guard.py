@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import select
+from collections import deque
 from time import monotonic_ns
 
 from failstop.api import words
@@ -47,6 +48,8 @@ LOOK_NS = 500_000_000
 """How often it is looked whether the service and the link are there."""
 SAY_NS = 2_000_000_000
 """How often people are told again what there is to say of the driver, so that the words are not old."""
+PAST_NS = 4_000_000_000
+"""How much of what the board said is kept for the next driver."""
 A_DRIVER = "a driver"
 
 
@@ -59,9 +62,11 @@ class Guard:
         self._poll = select.epoll()
         self._door = Door(pty, self._poll)
         self._talk: Talk | None = None
+        self._past: deque[tuple[int, bytes]] = deque()
+        """What the board said last."""
         self._who = A_DRIVER
         """The driver, for people."""
-        self._crowded = False
+        self._crowded = self._flooded = False
         self._empty_ns = monotonic_ns()
         """When nothing of the driver's waited to be read."""
         self._told: set[str] = set()
@@ -86,7 +91,10 @@ class Guard:
             self._look(now_ns)
         self._listen()
         self._read(now_ns)
-        self._drive(now_ns)
+        self._report()
+        # Who wrote may have gone while it was looked who has it open.
+        if not news.any:
+            self._drive(now_ns)
         self._say(now_ns)
 
     def _wait_s(self, now_ns: int) -> float:
@@ -114,12 +122,18 @@ class Guard:
     # Who has it open.
 
     def _recount(self, orphans: Sequence[Opener]) -> None:
-        self._door.recount()
+        # A driver may ask at once, and must be answered while it is looked who it is.
+        new = self._talk is None
+        self._talk = self._talk or self._conversation()
+        self._flooded = False
+        self._door.recount(self._read_meanwhile)
         if orphans and self._door.count:
             self._door.hang_up()
             self._tell(f"a child of {orphans[0]}, which has died, had the port open: hung up")
-        if self._talk is None or not self._door.count:
-            self._begin()
+            new = True
+            self._talk = None
+        if new or not self._door.count:
+            self._begin(self._talk)
         crowded, self._crowded = self._crowded, self._door.crowded
         if self._crowded and not crowded:
             names = " and ".join(map(str, self._door.seen.values())) or f"{self._door.count} programs"
@@ -128,16 +142,28 @@ class Guard:
                 "write moves the robot until one of them closes it"
             )
 
-    def _begin(self) -> None:
-        """Begin a conversation with the program that has it open; where none has, wait for one."""
-        settings, opener = self._board.settings, next(iter(self._door.seen.values()), None)
-        self._talk = None
-        if settings is not None:
-            language = language_of(settings.text("board.kind"), settings.flat())
-            self._door.most = int(settings["guard.openers"]) or (language.openers if language else 1)
-            if self._door.count and language:
-                _, source_ns = settings.sources()[self._board.source]
-                self._talk = Talk(language, self._board.scale.wheels, settings.ns("guard.timeout_s"), source_ns)
+    def _conversation(self) -> Talk | None:
+        """A new one; None: nobody has it open, or no service was found yet."""
+        settings = self._board.settings
+        language = language_of(settings.text("board.kind"), settings.flat()) if settings else None
+        if settings is None or language is None:
+            return None
+        self._door.most = int(settings["guard.openers"]) or language.openers
+        if not self._door.count:
+            return None
+        _, source_ns = settings.sources()[self._board.source]
+        # A driver gets nothing that the board said before it was there.
+        self._remember(self._board.heard())
+        for t_ns, chunk in self._past:
+            if monotonic_ns() - t_ns < language.past_ns:
+                language.heard(chunk, t_ns)
+        return Talk(language, self._board.scale.wheels, settings.ns("guard.timeout_s"), source_ns)
+
+    def _begin(self, talk: Talk | None = None) -> None:
+        """Begin a conversation with the program that has it open, or go on with the one that has begun; where none has
+        it open, wait for one."""
+        opener = next(iter(self._door.seen.values()), None)
+        self._talk = (talk if self._door.count else None) or self._conversation()
         self._told.clear()
         if not self._door.count:
             self._who = A_DRIVER
@@ -160,27 +186,45 @@ class Guard:
 
     # What they write, and what they get.
 
+    def _remember(self, heard: list[tuple[int, bytes]]) -> None:
+        self._past += heard
+        while self._past and self._past[-1][0] - self._past[0][0] > PAST_NS:
+            self._past.popleft()
+
     def _listen(self) -> None:
-        for t_ns, chunk in self._board.heard():
+        heard = self._board.heard()
+        self._remember(heard)
+        for t_ns, chunk in heard:
             for data in self._talk.heard(chunk, t_ns) if self._talk else ():
                 self._pty.write(data)
 
-    def _read(self, now_ns: int) -> None:
+    def _read_meanwhile(self) -> None:
+        """While something else lasts; a driver that writes without end may wait."""
+        if not self._flooded:
+            self._flooded = not self._read(monotonic_ns())
+
+    def _read(self, now_ns: int) -> bool:
+        """Read and answer what the driver has written; returns whether that was all."""
         if not self._door.count:
-            return  # what waits is of a program that has just opened it, which the next turn sees
+            return True  # what waits is of a program that has just opened it, which the next turn sees
         since_ns = self._empty_ns
         chunk, empty = self._pty.read()
         if empty:
             self._empty_ns = now_ns
         if not chunk or self._talk is None:
-            return
+            return empty
         for answer in self._talk.wrote(chunk, now_ns, since_ns):
             self._pty.write(answer)
         if not empty and now_ns - since_ns > LOOK_NS:
             self._talk.refuse("more than can be read in time", "what it writes may be old, so it moves nothing")
-        for refusal in self._talk.refusals:
-            self._tell(f"{self._who}: {refusal.what}: {refusal.why}")
-        self._talk.refusals.clear()
+        return empty
+
+    def _report(self) -> None:
+        """Say what the driver does not get."""
+        if self._talk:
+            for refusal in self._talk.refusals:
+                self._tell(f"{self._who}: {refusal.what}: {refusal.why}")
+            self._talk.refusals.clear()
 
     def _drive(self, now_ns: int) -> None:
         if self._talk is None or self._door.crowded or (command := self._talk.command(now_ns)) is None:

@@ -14,6 +14,10 @@ import struct
 
 from failstop.data import Data
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 IN_CLOSE_WRITE, IN_CLOSE_NOWRITE, IN_OPEN = 0x8, 0x10, 0x20
 _EXITING = 0x4
 """PF_EXITING, of the flags in /proc/PID/stat."""
@@ -65,14 +69,16 @@ class Opener(Data):
         return f"{self.name} (pid {self.pid})"
 
 
-def openers(path: str) -> tuple[dict[int, Opener], bool]:
-    """The programs that have this terminal open, but for this process; and whether some process hid its files."""
+def openers(path: str, meanwhile: Callable[[], None]) -> tuple[dict[int, Opener], bool]:
+    """The programs that have this terminal open, but for this process; and whether some process hid its files. Where
+    many programs run it takes longer than a driver waits, so `meanwhile` is called after each of them."""
     wanted = _identity(path)
     found: dict[int, Opener] = {}
     hidden = False
     for pid in (int(name) for name in os.listdir("/proc") if name.isdigit()):
         if pid == os.getpid():
             continue
+        meanwhile()
         folder = f"/proc/{pid}/fd"
         try:
             names = os.listdir(folder)

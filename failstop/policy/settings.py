@@ -175,6 +175,7 @@ FAMILIES = {
         _word("sign", 1, "-1: more pulses are a smaller angle", (1, -1)),
         Setting("low", 0, "", 0, 4094, "a joint is sent below so many pulses only on its way back up"),
         Setting("high", 1000, "", 1, 4095, "a joint is sent above so many pulses only on its way back down"),
+        Setting("offset", 0, "", -2047, 2047, "homing offset of LeRobot's calibration, for its host at the guard port"),
         Setting("speed_radps", 1.0, "rad/s", 0.01, 6.0, "fastest turn of the joint"),
         Setting("acceleration_radps2", 4.0, "rad/s2", 0.05, 50.0, "ramp of the joint"),
         Setting("tuck", -1, "", -1, 4095, "pulses in the tuck pose; -1: the joint is no part of it"),

@@ -116,7 +116,7 @@ def test_without_a_robot_it_prints_what_a_driver_would_get(tmp_path: Path, diffd
             driver.close()
 
 
-@pytest.mark.parametrize("kind", ["rrc", "feetech"])
+@pytest.mark.parametrize("kind", ["rrc"])
 def test_a_board_that_nobody_has_described_drivers_of_says_so(tmp_path: Path, kind: str) -> None:
     settings = tmp_path / "settings.toml"
     write_settings(str(settings), {"board.kind": kind})

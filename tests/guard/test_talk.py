@@ -16,6 +16,7 @@ class Words:
 
     openers = 1
     patience_ns = 1 * S
+    past_ns = 0
 
     def __init__(self) -> None:
         self.asked = 0

@@ -64,7 +64,7 @@ class ArduinoDriver:
     """One driver's lines, and the counts that it sees: they begin at 0, as after the reset of a real opening."""
 
     def __init__(self) -> None:
-        self.openers, self.patience_ns = 1, PATIENCE_NS
+        self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
         self._command = 0
         self._at = 0
         """Which argument its bytes go to; 0: none yet."""

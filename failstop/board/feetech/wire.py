@@ -28,8 +28,9 @@ from failstop.board.wire import (
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
+    from failstop.board.driver import DriverLanguage
     from failstop.board.interface import ServoBus
 
 _MS = 1_000_000
@@ -47,6 +48,12 @@ def _arm(port: Port) -> ServoBus:
     from failstop.board.feetech.arm import FeetechArm
 
     return FeetechArm(port)
+
+
+def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
+    from failstop.board.feetech import driver  # for the guard port alone
+
+    return driver.language(settings)
 
 
 WIRE = Wire(
@@ -101,4 +108,5 @@ WIRE = Wire(
         ),
     ),
     arm=_arm,
+    driver=_driver,
 )

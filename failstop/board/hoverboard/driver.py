@@ -4,8 +4,8 @@ A driver writes eight bytes, ten to a hundred times a second, and expects the bo
 a frame that stands alone between two gaps. A pseudo-terminal keeps no gaps, so a frame is found wherever it begins. The
 wheels are computed as the board mixes them, whatever the driver meant.
 
-A frame that was cut, with the next one behind it, can pass the check as one with any speed: cdab0000 and a stop are full
-speed backward. No driver writes a word that looks like a start, so eight bytes with a start among them are no frame.
+A frame that was cut can pass the check together with the next one, with any speed: cdab0000 and a stop make full speed
+backward. No driver writes a word that looks like a start, so eight bytes with a start among them are no frame.
 
 Firmware source, commit a0751d5. Its feedback has 18 bytes, that of the fork for hoverboard-robotics' ROS driver 22
 (24955d6), and a branch that sends two currents as well 26 (c7152c1). The driver was built for its board, so it gets
@@ -46,7 +46,7 @@ class HoverboardDriver:
     """One driver's frames, and the feedback that it hears."""
 
     def __init__(self) -> None:
-        self.openers, self.patience_ns = 1, PATIENCE_NS
+        self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
         self._kept = b""
         """The beginning of a frame."""
         self._kept_ns = 0

@@ -52,7 +52,7 @@ class UgvDriver:
 
     def __init__(self, track_m: float) -> None:
         """`track_m`: the distance of left and right wheels, by which T:13's turn becomes speeds."""
-        self.openers, self.patience_ns = OPENERS, PATIENCE_NS
+        self.openers, self.patience_ns, self.past_ns = OPENERS, PATIENCE_NS, 0
         self._half_m = min(track_m, _TRACK_M) / 2.0
         self._line = b""
         self._too_long = False

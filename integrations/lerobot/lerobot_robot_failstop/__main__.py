@@ -29,7 +29,11 @@ def tables(calibration: Any) -> str:
         low, high = row["range_min"], row["range_max"]
         if low >= high:
             raise ValueError(f"arm_{name} has a range from {low} to {high}: calibrate it again")
-        found.append(f"[joints.{name}]\nservo = {row['id']}\nzero = {(low + high) // 2}\nlow = {low}\nhigh = {high}\n")
+        offset = row.get("homing_offset")
+        last = f"offset = {offset}\n" if isinstance(offset, int) and offset else ""
+        found.append(
+            f"[joints.{name}]\nservo = {row['id']}\nzero = {(low + high) // 2}\nlow = {low}\nhigh = {high}\n{last}"
+        )
     return "\n".join(found)
 
 

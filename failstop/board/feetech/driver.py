@@ -1,0 +1,280 @@
+"""The packets that a driver may write to Feetech's STS servos, and the answers it waits for: LeRobot's LeKiwi host.
+
+They are taken byte by byte as a servo takes them: it waits for the rest of a packet forever and looks at nothing twice.
+Only the wheels' goal speeds move anything. What the driver reads at its start comes from a table for each servo: the
+settings' ranges and offsets, what LeKiwi's servos are set to, and what the driver has written itself. From address 46 a
+wheel's table is what the servo said last, from 56 a joint's; what nobody has read yet is not answered.
+
+Every question and every write to one servo is answered, a refused write too, because LeRobot's host ends when an answer
+is missing. A servo that is neither a wheel nor a joint of the settings does not answer, as if it were not connected.
+
+Sources: Feetech's memory table, feetech-servo-sdk 1.0.0, LeRobot 0.4.4 (8fff0fd).
+"""
+
+from __future__ import annotations
+
+from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
+from failstop.board.feetech import codec
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    Row = DriverMotion | DriverAnswer | DriverRefusal
+
+PATIENCE_NS = 34_000_000
+"""feetech-servo-sdk's; LeRobot waits 50 ms. A late answer would be taken for the one to the next question forever."""
+PAST_NS = 4_000_000_000
+"""The service asks a joint that stands still for its place every two seconds or so, and a host asks at once."""
+_PING, _REG_WRITE, _ACTION, _RECOVERY, _RESET = 0x01, 0x04, 0x05, 0x06, 0x0A
+_MEMORY = 90
+_MODEL = b"\x09\x03"
+"""An STS3215."""
+_FIRMWARE = b"\x03\x0a"
+_ID_AT, _LOW_AT, _HIGH_AT, _OFFSET_AT, _MODE_AT, _LOCK = 5, 9, 11, 31, 33, 55
+_OFFSET_SIGN = 0x800
+_SENSORS = 56
+"""From here on a servo says what it measures."""
+_KNOWN_TO = 65
+"""What is read of a servo ends here."""
+_SET = {7: 0, 21: 16, 22: 32, 23: 0, 41: 254, 85: 254}
+"""As LeRobot sets every servo; the gains are those of the arm's."""
+_SPEEDS = range(codec.GOAL_SPEED, codec.GOAL_SPEED + 2)
+_BEFORE_SPEED = range(codec.GOAL_POSITION, codec.GOAL_SPEED)
+"""Goal position and goal time (42 to 45), which a servo in velocity mode ignores while they are zero."""
+_STOPPED = "so the wheels were stopped"
+_ARM = "failstop moves the arm for programs that use its plugin or Robot.arm, and for no driver at the guard port"
+_BY_ID = "servos are named one by one at the guard port"
+
+
+class FeetechDriver:
+    """One driver's packets, and what it can read of each servo."""
+
+    def __init__(self, joints: Mapping[int, tuple[int, int, int]]) -> None:
+        """`joints`: of each servo of the arm the lowest and the highest position, and its homing offset, in steps."""
+        self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, PAST_NS
+        self._memory = {wheel: _memory(wheel, 0, codec.TURN - 1, 0, mode=1) for wheel in codec.WHEELS}
+        self._memory |= {servo: _memory(servo, *told, mode=0) for servo, told in joints.items()}
+        self._heard_of: dict[int, set[int]] = {servo: set() for servo in self._memory}
+        """Addresses of each servo that it has told of."""
+        self._error = dict.fromkeys(self._memory, 0)
+        self._speeds = dict.fromkeys(codec.WHEELS, 0.0)
+        """The wheels' goals, as the driver wrote them."""
+        self._packet = bytearray()
+        self._heard = b""
+
+    def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
+        """The driver's packets."""
+        rows: list[Row] = []
+        for value in chunk:
+            if packet := self._byte(value):
+                rows += self._take(packet)
+        return rows
+
+    def _byte(self, value: int) -> bytes:
+        """The packet that this byte completes; empty: none."""
+        packet = self._packet
+        size = len(packet)
+        if (size < 2 and value != 0xFF) or (size == 3 and value < 2):
+            packet.clear()
+        elif size != 2 or value != 0xFF:
+            packet.append(value)
+            if size > 3 and size == packet[3] + 3:
+                whole = bytes(packet)
+                packet.clear()
+                return whole
+        return b""
+
+    def _take(self, packet: bytes) -> list[Row]:
+        to, kind, data = packet[2], packet[4], packet[5:-1]
+        if sum(packet[2:]) & 0xFF != 0xFF:
+            return [DriverRefusal("a packet with a wrong check", "the servos ignore it too")]
+        if kind == codec.SYNC_WRITE and to == codec.EVERY_SERVO and len(data) > 2:
+            address, size = data[:2]
+            found = range(2, len(data) - size, size + 1)
+            return self._write([(data[at], data[at + 1 : at + 1 + size]) for at in found], address)
+        if kind == codec.WRITE and data:
+            if to == codec.EVERY_SERVO:
+                return self._broadcast(data[0], data[1:])
+            if to not in self._memory:
+                return []
+            return [*self._write([(to, data[1:])], data[0]), self._answer(to, b"")]
+        if kind == _PING and to in self._memory:
+            return [self._answer(to, b"")]
+        if kind == codec.READ and len(data) > 1:
+            return self._read([to], data[0], data[1])
+        if kind == codec.SYNC_READ and to == codec.EVERY_SERVO and len(data) > 2:
+            return self._read(data[2:], data[0], data[1])
+        if kind in (_REG_WRITE, _ACTION, _RECOVERY, _RESET):
+            refusal = DriverRefusal(f"the instruction {kind:#04x}", "it changes a servo, or moves it later: use WRITE")
+            return [refusal, self._answer(to, b"")] if to in self._memory else [refusal]
+        return []
+
+    # What it reads.
+
+    def _read(self, servos: Iterable[int], address: int, size: int) -> list[Row]:
+        rows: list[Row] = []
+        wanted = range(address, address + size)
+        answers = b""
+        for servo in servos:
+            if servo not in self._memory:
+                if servo < codec.EVERY_SERVO:
+                    what = f"servo {servo}"
+                    rows.append(DriverRefusal(what, "it is no wheel, and no joint of the settings names it"))
+            elif wanted.stop <= _MEMORY and self._knows(servo, wanted):
+                if wanted.stop > _KNOWN_TO and wanted.start < _SENSORS + 15:
+                    why = "failstop does not ask the servos for it: it was answered 0"
+                    rows.append(DriverRefusal("reading status or current (65 to 70)", why))
+                answers += self._packet_of(servo, bytes(self._memory[servo][address : wanted.stop]))
+        return [*rows, DriverAnswer(answers)] if answers else rows
+
+    def _knows(self, servo: int, wanted: range) -> bool:
+        """What a servo measures is told when it has been read."""
+        return all(at in self._heard_of[servo] for at in wanted if _SENSORS <= at < _KNOWN_TO)
+
+    def _packet_of(self, servo: int, data: bytes) -> bytes:
+        return codec.packet(servo, self._error[servo], data)
+
+    def _answer(self, servo: int, data: bytes) -> DriverAnswer:
+        return DriverAnswer(self._packet_of(servo, data))
+
+    # What it writes.
+
+    def _broadcast(self, address: int, data: bytes) -> list[Row]:
+        if address == codec.GOAL_SPEED and len(data) == len(_SPEEDS) and not any(data):
+            return [self._stop()]
+        refusal = DriverRefusal(f"a write to every servo (address {address})", f"{_BY_ID}, {_STOPPED}")
+        return [refusal, self._stop()]
+
+    def _stop(self) -> DriverMotion:
+        self._speeds = dict.fromkeys(codec.WHEELS, 0.0)
+        return DriverMotion(tuple(self._speeds.values()))
+
+    def _write(self, written: Iterable[tuple[int, bytes]], address: int) -> list[Row]:
+        """The rows of one packet, after which all wheels have the speeds that they were told."""
+        rows: list[Row] = []
+        told = stopped = False
+        for servo, data in written:
+            if servo in codec.WHEELS:
+                moved, found = self._wheel(servo, address, data)
+                told |= moved
+                stopped |= any(isinstance(row, DriverMotion) for row in found)
+                rows += [row for row in found if not isinstance(row, DriverMotion)]
+            elif servo in self._memory:
+                rows += self._joint(servo, address, data)
+        if stopped:
+            rows.append(self._stop())
+        elif told:
+            rows.append(DriverMotion(tuple(self._speeds.values())))
+        return rows
+
+    def _wheel(self, wheel: int, address: int, data: bytes) -> tuple[bool, list[Row]]:
+        """Whether it is told a speed; and refusals, with a motion if the wheels are to stop."""
+        rows: list[Row] = []
+        speed = bytearray()
+        for at, value in enumerate(data, address):
+            if at in _SPEEDS:
+                speed.append(value)
+            elif at in _BEFORE_SPEED or at == _MODE_AT:
+                if value != (at == _MODE_AT):
+                    what = "a wheel's position, PWM or mode (33, 42 to 45)"
+                    rows += [DriverRefusal(what, f"it would turn without a speed, {_STOPPED}: use 46"), self._stop()]
+            elif at == codec.TORQUE_SWITCH and value <= 1:
+                self._memory[wheel][at] = value
+                if not value:
+                    rows.append(self._stop())
+            else:
+                rows += self._setting(wheel, at, value)
+        if not speed:
+            return False, rows
+        if len(speed) < len(_SPEEDS):
+            return False, [*rows, DriverRefusal("half of a wheel's speed (46 or 47)", f"{_STOPPED}"), self._stop()]
+        # Without torque a wheel turns at no speed.
+        torque = self._memory[wheel][codec.TORQUE_SWITCH]
+        self._speeds[wheel] = codec.signed(int.from_bytes(speed, "little")) if torque else 0.0
+        self._memory[wheel][_SPEEDS.start : _SPEEDS.stop] = speed
+        return True, rows
+
+    def _joint(self, servo: int, address: int, data: bytes) -> list[Row]:
+        rows: list[Row] = []
+        for at, value in enumerate(data, address):
+            if at == codec.TORQUE_SWITCH and value <= 1:
+                rows.append(DriverRefusal("torque of the arm (40)", "the service decides whether the arm holds"))
+                self._memory[servo][at] = value
+            elif at != 41 and codec.GOAL_POSITION <= at < 50:
+                rows.append(DriverRefusal("moving the arm (42 to 49)", _ARM))
+            else:
+                rows += self._setting(servo, at, value)
+        return rows
+
+    def _setting(self, servo: int, at: int, value: int) -> list[Row]:
+        """A byte of the servo's settings, which stay as they are."""
+        if at == _LOCK:
+            self._memory[servo][at] = value
+            return []
+        if at < _MEMORY and self._memory[servo][at] == value:
+            return []
+        why = "the servo keeps its own: set servos up without the guard port"
+        return [DriverRefusal(f"a setting of a servo (address {at})", why)]
+
+    # What the servos say.
+
+    def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
+        """The servos only answer, so nothing is passed on; what they measure is kept."""
+        data, at = self._heard + chunk, 0
+        while (at := data.find(codec.HEAD, at)) >= 0 and at + 4 <= len(data):
+            servo, length = data[at + 2 : at + 4]
+            end = at + 4 + length
+            if servo >= codec.EVERY_SERVO or not 2 <= length <= codec.LONGEST_REPLY:
+                at += 1
+            elif end > len(data):
+                break
+            elif sum(data[at + 2 : end]) & 0xFF != 0xFF:
+                at += 1
+            else:
+                self._measured(servo, data[at + 4], data[at + 5 : end - 1])
+                at = end
+        # Without a head, its first byte may still be the last that came.
+        self._heard = data[at:] if at >= 0 else data[-1:]
+        return []
+
+    def _measured(self, servo: int, error: int, data: bytes) -> None:
+        """An answer says by its length alone which question it answers."""
+        if servo not in self._memory:
+            return
+        self._error[servo] = error
+        if servo in codec.WHEELS:
+            begin = codec.GOAL_SPEED if len(data) in codec.SIZES else _MEMORY
+        else:
+            begin = next((begin for begin, size in codec.READS.values() if size == len(data)), _MEMORY)
+        for at, value in enumerate(data, begin):
+            if _SENSORS <= at < _KNOWN_TO:
+                self._memory[servo][at] = value
+                self._heard_of[servo].add(at)
+
+
+def _memory(servo: int, low: int, high: int, offset: int, *, mode: int) -> bytearray:
+    memory = bytearray(_MEMORY)
+    memory[:2], memory[3:5], memory[_ID_AT], memory[_MODE_AT] = _FIRMWARE, _MODEL, servo, mode
+    for at, value in ((_LOW_AT, low), (_HIGH_AT, high), (_OFFSET_AT, abs(offset) | (_OFFSET_SIGN * (offset < 0)))):
+        memory[at : at + 2] = value.to_bytes(2, "little")
+    for at, value in _SET.items():
+        memory[at] = value
+    memory[codec.TORQUE_SWITCH] = memory[_LOCK] = 1
+    return memory
+
+
+def language(settings: Mapping[str, float | str]) -> FeetechDriver:
+    """A driver's conversation with the wheels, and with the joints of these settings."""
+    names = [key.split(".")[1] for key in settings if key.startswith("joints.") and key.endswith(".servo")]
+    tables = [f"joints.{name}" for name in names]
+    return FeetechDriver(
+        {
+            int(settings[f"{table}.servo"]): (
+                int(settings.get(f"{table}.low", 0)),
+                int(settings.get(f"{table}.high", codec.TURN - 1)),
+                int(settings.get(f"{table}.offset", 0)),
+            )
+            for table in tables
+        }
+    )
