@@ -31,6 +31,18 @@ def test_the_settings_have_the_servos_and_ranges_of_the_file(
     assert found["gripper"]["zero"] == 500
 
 
+def test_an_offset_is_kept_for_lerobot_s_host_at_the_guard_port(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "kiwi.json"
+    file.write_text(json.dumps(CALIBRATION | {"arm_gripper": {**CALIBRATION["arm_gripper"], "homing_offset": -1043}}))
+    assert main([str(file)]) == 0
+    settings = tmp_path / "arm.toml"
+    settings.write_text(capsys.readouterr().out)
+    found = {name: row["offset"] for name, row in config.load(str(settings)).named["joints"].items()}
+    assert found == {**dict.fromkeys(found, 0), "gripper": -1043}
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [

@@ -1,0 +1,184 @@
+"""The frames that a driver may write to Hiwonder's RRC, and what it hears: the vendor's Python SDK and its ROS node.
+
+They are taken byte by byte as the board's receiver takes them, which looks at nothing twice and waits for the rest of a
+frame forever. A motor frame that names some motors leaves the others at their speed. The board's motor handler checks
+nothing, so a frame whose count does not fit its length, with a motor that does not exist, or with a speed that is no
+number is refused whole, and the wheels stop.
+
+A question that nobody answers blocks the SDK forever. So a servo's place is answered with what failstop itself has read
+last, and every other question with a failure of the full length. Reports that come unasked are passed on whole.
+
+Sources: the vendor's protocol description and SDK (2c12249; TurboPi's 73b850d), firmware source.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from struct import Struct
+
+from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
+from failstop.board.rrc import framing
+from failstop.board.rrc.decoder import Decoder
+from failstop.board.rrc.framing import BUS_SERVO, BUZZER, LED, MOTOR, OLED, PWM_SERVO, RGB, SYS, WHEELS
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    Row = DriverMotion | DriverAnswer | DriverRefusal
+
+PATIENCE_NS = 60_000_000_000
+"""The SDK waits for an answer forever, so none is dropped."""
+PAST_NS = 4_000_000_000
+_START, _START_2, _FUNC, _LENGTH, _DATA, _CHECK = range(6)
+_ONE, _SEVERAL, _STOP_ONE, _STOP_SEVERAL, _TYPE_OR_DUTY = 0, 1, 2, 3, 5
+_ENTRY = Struct("<Bf")
+_TYPE_LENGTH = 2
+_STOPPED = "so the wheels were stopped"
+_PASSED = (framing.SYS, framing.KEY_FUNC, framing.IMU_FUNC, framing.GAMEPAD, framing.SBUS)
+_NAMES = {LED: "an LED (1)", BUZZER: "the buzzer (2)", OLED: "the display (10)", RGB: "RGB lights (11)"}
+_PWM_READS = {0x05: 2, 0x09: 1}
+_BUS_READS = {0x05: 2, 0x07: 2, 0x09: 1, 0x0D: 1, 0x12: 1, 0x22: 1, 0x32: 4, 0x36: 4, 0x3A: 1}
+"""Bytes of the value in the answer to each question."""
+_PWM_SET_OFFSET = 0x07
+_BUS_SETS = (0x10, 0x20, 0x24, 0x30, 0x34, 0x38)
+_FAILED = b"\xff"
+_FOR_PROGRAMS = "failstop moves servos for programs that use Robot.arm, and steers by itself"
+
+
+class RrcDriver:
+    """One driver's frames, and what it hears of the board."""
+
+    def __init__(self) -> None:
+        self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, PAST_NS
+        self._state = _START
+        self._func = self._length = 0
+        self._data = bytearray()
+        self._skipped = False
+        """Bytes that begin no frame were reported already."""
+        self._speeds = [0.0] * WHEELS
+        """Turns a second of each motor, as the driver told it last."""
+        self._decoder = Decoder()
+        self._kept: dict[tuple[int, int, int], bytes] = {}
+        """The board's newest answer about a servo, by function, servo and question."""
+
+    def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
+        """The driver's frames."""
+        rows: list[Row] = []
+        for value in chunk:
+            rows += self._byte(value)
+        return rows
+
+    def _byte(self, value: int) -> list[Row]:
+        if self._state == _START:
+            if value == framing.HEAD[0]:
+                self._state = _START_2
+                return []
+            if self._skipped:
+                return []
+            self._skipped = True
+            return self._refuse("bytes that are no frame", "the board ignores them")
+        if self._state == _START_2:
+            self._state = _FUNC if value == framing.HEAD[1] else _START
+        elif self._state == _FUNC:
+            self._func = value
+            self._state = _LENGTH if value <= RGB else _START
+        elif self._state == _LENGTH:
+            self._length, self._data = value, bytearray()
+            self._state = _DATA if value else _CHECK
+        elif self._state == _DATA:
+            self._data.append(value)
+            if len(self._data) == self._length:
+                self._state = _CHECK
+        else:
+            self._state, self._skipped = _START, False
+            if value != framing.crc8(self._data, framing.crc8((self._func, self._length))):
+                return self._refuse("a frame with a wrong check", "the board ignores it")
+            return self._take(bytes(self._data))
+        return []
+
+    def _take(self, data: bytes) -> list[Row]:
+        if self._func == MOTOR:
+            return self._motor(data)
+        if self._func in _NAMES:
+            return [DriverRefusal(_NAMES[self._func], "failstop passes nothing but motion on to this board yet")]
+        if self._func in (PWM_SERVO, BUS_SERVO):
+            return self._servo(data)
+        what = "a setting of the board (0)" if self._func == SYS else f"a frame of function {self._func}"
+        return [DriverRefusal(what, "use the board without the guard port for it")]
+
+    def _refuse(self, what: str, why: str) -> list[Row]:
+        self._speeds = [0.0] * WHEELS
+        return [DriverRefusal(what, f"{why}, {_STOPPED}"), DriverMotion(tuple(self._speeds))]
+
+    def _motor(self, data: bytes) -> list[Row]:
+        kind, rest = data[:1], data[1:]
+        if kind == bytes((_ONE,)) and len(rest) == _ENTRY.size:
+            return self._told(_ENTRY.iter_unpack(rest))
+        if kind == bytes((_SEVERAL,)) and rest and len(rest) == 1 + rest[0] * _ENTRY.size:
+            return self._told(_ENTRY.iter_unpack(rest[1:]))
+        if kind == bytes((_STOP_ONE,)) and len(rest) == 1:
+            return self._told([(rest[0], 0.0)])
+        if kind == bytes((_STOP_SEVERAL,)) and len(rest) == 1:
+            return self._told((wheel, 0.0) for wheel in range(WHEELS) if rest[0] >> wheel & 1)
+        if kind == bytes((_TYPE_OR_DUTY,)) and len(data) == _TYPE_LENGTH:
+            return [DriverRefusal("the type of the motors (3, 5)", "the board keeps the one that it has")]
+        if kind == bytes((_TYPE_OR_DUTY,)):
+            return self._refuse(
+                "a duty cycle (set_motor_duty)", "it has no speed that could be limited; TurboPi is not supported"
+            )
+        return self._refuse(
+            "a motor frame that does not fit its length", "the board would take what follows for speeds"
+        )
+
+    def _told(self, entries: Iterable[tuple[int, float]]) -> list[Row]:
+        speeds = self._speeds.copy()
+        for motor, rps in entries:
+            if motor >= WHEELS:
+                return self._refuse(f"motor {motor + 1}", f"the board has {WHEELS}")
+            if not isfinite(rps):
+                return self._refuse("a speed that is no number", "the board would take it")
+            speeds[motor] = rps
+        self._speeds = speeds
+        return [DriverMotion(tuple(speeds))]
+
+    def _servo(self, data: bytes) -> list[Row]:
+        func = self._func
+        kind, reads = (data[0], _PWM_READS if func == PWM_SERVO else _BUS_READS) if data else (0, {})
+        if kind in reads and len(data) > 1:
+            return self._question(data[1], kind, reads[kind])
+        name = f"{'a PWM' if func == PWM_SERVO else 'a bus'} servo"
+        if func == PWM_SERVO and kind == _PWM_SET_OFFSET:
+            if not any(data[2:]):
+                return []  # the vendor's node sets it to 0 at its start
+            return [DriverRefusal(f"the offset of {name} (4, 07)", "the board keeps the one that it has")]
+        if func == BUS_SERVO and kind in _BUS_SETS:
+            return [DriverRefusal(f"a setting of {name} (5, {kind:02X})", "set servos up without the guard port")]
+        return [DriverRefusal(f"moving {name} ({func}, {kind:02X})", _FOR_PROGRAMS)]
+
+    def _question(self, servo: int, kind: int, size: int) -> list[Row]:
+        if kept := self._kept.get((self._func, servo, kind)):
+            return [DriverAnswer(framing.seal(self._func, kept))]
+        # A PWM servo's answer has no room for a failure.
+        failed = (_FAILED if self._func == BUS_SERVO else b"") + bytes(size)
+        why = "failstop has no answer of it" + (": it was answered 0" if self._func == PWM_SERVO else ", so it failed")
+        name = "PWM" if self._func == PWM_SERVO else "bus"
+        return [
+            DriverRefusal(f"reading {name} servo {servo} ({self._func}, {kind:02X})", why),
+            DriverAnswer(framing.seal(self._func, bytes((servo, kind)) + failed)),
+        ]
+
+    def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
+        """The board's reports, whole frames, without the answers to failstop's own questions."""
+        found: list[bytes] = []
+        for func, data in self._decoder.feed(chunk):
+            if func in _PASSED:
+                found.append(framing.seal(func, data))
+            elif func in (PWM_SERVO, BUS_SERVO) and len(data) > 2:
+                self._kept[func, data[0], data[1]] = data
+        return found
+
+
+def language(_settings: Mapping[str, float | str]) -> RrcDriver:
+    """A driver's conversation, which needs no setting."""
+    return RrcDriver()
