@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
     Row = DriverMotion | DriverAnswer | DriverRefusal
 
-PATIENCE_NS = 60_000_000_000
+_FOREVER_NS = 60_000_000_000
 """The SDK waits for an answer forever, so none is dropped."""
-PAST_NS = 4_000_000_000
+_PAST_NS = 4_000_000_000
 _START, _START_2, _FUNC, _LENGTH, _DATA, _CHECK = range(6)
 _ONE, _SEVERAL, _STOP_ONE, _STOP_SEVERAL, _TYPE_OR_DUTY = 0, 1, 2, 3, 5
 _ENTRY = Struct("<Bf")
@@ -50,7 +50,7 @@ class RrcDriver:
     """One driver's frames, and what it hears of the board."""
 
     def __init__(self) -> None:
-        self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, PAST_NS
+        self.openers, self.patience_ns, self.past_ns = 1, _FOREVER_NS, _PAST_NS
         self._state = _START
         self._func = self._length = 0
         self._data = bytearray()
