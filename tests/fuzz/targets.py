@@ -8,6 +8,7 @@ import io
 import json
 import math
 import os
+import random
 import struct
 import zlib
 from argparse import Namespace
@@ -22,7 +23,9 @@ from failstop import config
 from failstop.api.errors import FailstopError
 from failstop.board import described, interface
 from failstop.board import wire as wire_words
-from failstop.board.kinds import board_of
+from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal, language_of
+from failstop.board.kinds import board_of, is_described
+from failstop.board.rrc.framing import MOTOR
 from failstop.board.servos import ServoAnswer
 from failstop.cli.commands import incident as command
 from failstop.cli.screen import incident as screen
@@ -30,6 +33,7 @@ from failstop.fleet import levels, signed, topics, twins, view, wire
 from failstop.fleet.replay import Seen
 from failstop.fleet.roster import Roster
 from failstop.fleet.twins import Twins
+from failstop.guard.talk import Talk
 from failstop.incidents import files
 from failstop.messages import box, packing, records
 from failstop.policy import causes, layouts
@@ -38,7 +42,9 @@ from failstop.ros2 import trajectory
 from failstop.web import driving, guard, lease, messages
 from failstop.web import incidents as cards
 from failstop.web.devices import Devices, typed
+from failstop_lab.boards.line import arrivals, model_of
 from failstop_lab.prove import pack
+from failstop_lab.sim.motors import Motors
 from failstop_lab.sim.receiver import Receiver
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,6 +54,13 @@ SCRATCH = Path(os.environ.get("XDG_RUNTIME_DIR", "/dev/shm")) / f"failstop-fuzz-
 SHOWN = ({"all": False, "json": False}, {"all": True, "json": False}, {"all": True, "json": True})
 """Options of `incident show`."""
 BOARDS = {kind: board_of(kind, 0.1, 0.0) for kind in layouts.BOARDS}
+SIZES: dict[str, float | str] = {"wheels.track_m": 0.172}
+SPOKEN = [kind for kind in BOARDS if language_of(kind, SIZES)]
+"""Boards that have a language for drivers."""
+OF_LINES = ("arduino", "ugv")
+"""Boards that read lines, however slowly their bytes come. Of a faster line the first loses bytes while it answers."""
+SLOW_NS = 5_000_000
+DRIVER_BYTES = 600
 KEY = bytes(32)
 ROBOT = "failstop/v1/failstop/robot/robot7"
 
@@ -138,6 +151,64 @@ def receivers(data: bytes) -> None:
     stop = board.stop
     (func, _, *body) = stop[2:-1]
     assert (func, bytes(body)) in [row[1:] for row in whole.feed(board.burst)]
+
+
+def obeyed(kind: str, chunks: tuple[bytes, ...]) -> list[tuple[float, ...]]:
+    """The speeds that the board itself commands when these chunks reach it one after another."""
+    if not is_described(kind):
+        receiver, motors = Receiver(), Motors()
+        frames = [row[1:] for chunk in chunks for row in receiver.feed(chunk)]
+        return [motors.execute(body) for func, body in frames if func == MOTOR]
+    board = model_of(kind).any_state(random.Random(0))
+    byte_ns = SLOW_NS if kind in OF_LINES else BOARDS[kind].port.byte_ns
+    begin_ns = 0
+    for chunk in chunks:
+        begin_ns += SLOW_NS
+        for begin_ns, value in arrivals([(begin_ns, chunk)], byte_ns):  # noqa: B020
+            board.byte(begin_ns, value)
+            if hasattr(board, "_rates"):
+                board._rates = [1.0, 1.0]  # T:138 is refused, by name: it does not reach the board
+    board.until(begin_ns + SLOW_NS)
+    return [speeds for _, speeds in board.commands]
+
+
+def _alike(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    return all(math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9) for a, b in zip(one, other, strict=True))
+
+
+def _shown(rows: list[DriverMotion | DriverAnswer | DriverRefusal]) -> list[str]:
+    return [f"{type(row).__name__} {vars(row)}" for row in rows]
+
+
+def drivers(data: bytes) -> None:
+    """A driver's bytes, in the language of every board that has one: the rows of a whole are those of its pieces, no
+    wheel turns that the board itself would not turn, and what a conversation commands is finite and complete."""
+    at, body = (data[0], data[1:DRIVER_BYTES]) if data else (0, b"")
+    pieces = body[:at], body[at:]
+    for kind in SPOKEN:
+        wheels = len(BOARDS[kind].speeds(BOARDS[kind].stop) or ())
+        whole, split = language_of(kind, SIZES), language_of(kind, SIZES)
+        assert whole
+        assert split
+        rows = whole.wrote(body, 1)
+        assert _shown(rows) == _shown([row for part in pieces for row in split.wrote(part, 1)]), kind
+        moved = []
+        for row in rows:
+            assert isinstance(row, (DriverMotion, DriverAnswer, DriverRefusal)), kind
+            if isinstance(row, DriverMotion) and any(row.speeds):
+                moved.append(tuple(row.speeds))
+        own = iter(obeyed(kind, (body,)))
+        for speeds in moved:
+            assert any(_alike(speeds, found) for found in own), (kind, speeds)
+        for now_ns, part in enumerate(pieces):
+            assert all(isinstance(heard, bytes) for heard in whole.heard(part, now_ns)), kind
+        talk = Talk(split, wheels, 300, 300)
+        for now_ns, part in enumerate((body, *pieces)):
+            assert all(isinstance(answer, bytes) for answer in talk.wrote(part, now_ns, 0)), kind
+            command = talk.command(now_ns)
+            assert command is None or (len(command.speeds) == wheels and all(map(math.isfinite, command.speeds))), kind
+        assert all(row.what.isprintable() and row.why.isprintable() for row in talk.refusals), kind
+        talk.ended(body, 3)
 
 
 SHAPES: tuple[Callable[[bytes], object], ...] = (
@@ -322,6 +393,16 @@ TARGETS: dict[str, Target] = {
             b'\0{"T":1001,"v":-1}\n{"T":1001,"v":1e308,"L":NaN,"R":0}\n',
             b'\0{"T":1001,"v":1' + bytes(b"0" * 310) + b"}\n",
             struct.pack("<8d", -0.01, 0.0, 1e308, -1e308, math.nan, math.inf, 11.6, 255.0),
+        ),
+    ),
+    "drivers": Target(
+        drivers,
+        (
+            *(b"\4" + BOARDS[kind].burst for kind in SPOKEN),
+            b"\5\ru 30:20:0:100\rm 10 -20\re\rm 32768 0\rxm +7, +8\ro 90 90\r",
+            b'\7{"T": "13", "X": 0.1, "Z": 0.4}\n{"T":1,"L":0.2,"R":-0.3}\n{\'T\':1,L:1.9e0,R:.5}\n{"T":0}\n',
+            b'\7{"T":11,"L":200,"R":200}\n{"T":138,"L":0.5,"R":0.5}\n{"T":1,"L":0.2,"R":0.2}\n',
+            b'\7{"T":1,"L":1e400,"R":-1e400}\n{"T":13,"X":NaN,"Z":1e308}\n',
         ),
     ),
     "receivers": Target(receivers, (b"\3" + BOARDS["rrc"].burst,)),
