@@ -8,6 +8,8 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 
+from failstop import config
+from failstop.board.driver import language_of
 from failstop.board.interface import BY_IMU, HEARD_BATTERY, Board
 from failstop.board.kinds import board_of, is_described, wire_of
 from failstop.policy.layouts import BOARDS
@@ -24,9 +26,10 @@ HAS_WHEEL_REPORTS = "reports of its wheels"
 """So often that a wheel which runs away shows in them."""
 SHOWS_DEAF = "pings, or an echo of its command"
 HAS_ARM_BESIDE = "an arm that moves beside the wheels"
+HAS_DRIVERS = "a language for drivers at the guard port"
 PARTS = (
     *(HAS_ARM, HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU, HAS_CHECK, HAS_BATTERY, HAS_REPORTS),
-    *(HAS_WHEEL_REPORTS, SHOWS_DEAF),
+    *(HAS_WHEEL_REPORTS, SHOWS_DEAF, HAS_DRIVERS),
 )
 RARELY_NS = 1_000_000_000
 CARRIED_OUT_NS = 100_000_000
@@ -74,6 +77,7 @@ def traits_of(kind: str) -> Traits:
         HAS_IMU: language.observed_by == BY_IMU,
         HAS_WHEEL_REPORTS: 0 < language.reports.every_ns < RARELY_NS,
         SHOWS_DEAF: bool(language.pings) or language.echo_ns > 0,
+        HAS_DRIVERS: language_of(kind, config.load(None).flat()) is not None,
         # A Wire has no word for these.
         HAS_GAMEPAD: not is_described(kind),
         HAS_KEYS: not is_described(kind),

@@ -25,6 +25,7 @@ PROCESS_HANGS = "a process hangs"
 SEVERAL = "several processes at once"
 SERVICE_STOPPED = "the service is stopped"
 CLIENT_FAILS = "the client that drives fails"
+GUARD_FAILS = "the driver at the guard port fails, or the guard does"
 ASKED_TO_STOP = "somebody asks for a stop"
 SENSOR = "the obstacle sensor or an interlock fails"
 USB = "the USB connection drops"
@@ -40,6 +41,7 @@ FAULT_CLASSES = (
     SEVERAL,
     SERVICE_STOPPED,
     CLIENT_FAILS,
+    GUARD_FAILS,
     ASKED_TO_STOP,
     SENSOR,
     USB,
@@ -57,6 +59,7 @@ CLAIMS_OF: dict[str, tuple[str, ...]] = {
     SEVERAL: ("SEVERAL-1", "MOVE-2"),
     SERVICE_STOPPED: ("END-1",),
     CLIENT_FAILS: ("CLIENT-1", "MOVE-2"),
+    GUARD_FAILS: ("CLIENT-1", "GUARD-1", "MOVE-2"),
     ASKED_TO_STOP: ("ASK-1", "CAUSE-1"),
     SENSOR: ("SENSOR-1",),
     USB: ("PORT-1",),

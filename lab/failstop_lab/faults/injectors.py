@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop_lab.faults import inject_board, inject_clients, inject_machine, ptrace
+from failstop_lab.faults import inject_board, inject_clients, inject_guard, inject_machine, ptrace
 from failstop_lab.faults.fault import SPIN, Fault
 from failstop_lab.faults.inject import Injector
 from failstop_lab.faults.scene import Scene
@@ -40,6 +40,7 @@ INJECTORS = {
     "processes": Processes,
     **inject_board.INJECTORS,
     **inject_clients.INJECTORS,
+    **inject_guard.INJECTORS,
     **inject_machine.INJECTORS,
 }
 

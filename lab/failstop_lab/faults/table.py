@@ -31,6 +31,7 @@ from failstop.policy.causes import HANGS as HANGS_CAUSE
 from failstop_lab.boards.traits import (
     HAS_BATTERY,
     HAS_CHECK,
+    HAS_DRIVERS,
     HAS_GAMEPAD,
     HAS_IMU,
     HAS_KEYS,
@@ -50,6 +51,7 @@ from failstop_lab.faults.fault import (
     BY_RESET,
     CLIENT_FAILS,
     CONTINUE,
+    GUARD_FAILS,
     HANG,
     MACHINE,
     MEMORY,
@@ -152,6 +154,39 @@ CLIENT_ROWS = (
     Fault(
         "slot-unlinked", MEMORY, "the driving client's slot is unlinked", "nobody",
         (), BY_ITSELF, "", None, "slot-unlinked", aftermath_s=0.4, weight=1,
+    ),
+)  # fmt: skip
+
+GUARD_ROWS = (
+    *(
+        Fault(
+            name, GUARD_FAILS, how, first, (), BY_ENABLE, DRIVER_HAS_DIED, processes.AT_ONCE_MS, name,
+            aftermath_s=aftermath_s, needs=frozenset({HAS_DRIVERS}), weight=1,
+        )
+        for name, how, first, aftermath_s in (
+            (
+                "guard-driver-killed", "SIGKILL of the driver at the guard port, which is started again at once",
+                "guard, then gate (driver death)", 0.3,
+            ),
+            (
+                "guard-driver-closes", "the driver closes the guard port while it drives; another opens it at once",
+                "guard, then gate (driver death)", 0.3,
+            ),
+            (
+                "guard-killed", "SIGKILL of the guard; it is started again, and so is the driver",
+                "gate (its lifeline)", 1.5,
+            ),
+        )
+    ),
+    *(
+        Fault(
+            name, GUARD_FAILS, how, "gate (command timeout)", (), BY_ITSELF, "", 320.0, name,
+            aftermath_s=0.45, needs=frozenset({HAS_DRIVERS}), weight=1,
+        )
+        for name, how in (
+            ("guard-driver-hung", "SIGSTOP of the driver at the guard port"),
+            ("guard-hung", "SIGSTOP of the guard, while the driver writes on"),
+        )
     ),
 )  # fmt: skip
 
@@ -305,7 +340,7 @@ SURROUNDINGS = (
     ),
 )  # fmt: skip
 
-TABLE = (*processes.ROWS, *WOKEN, *CLIENT_ROWS, *REQUESTS, *PORT_ROWS, *SURROUNDINGS)
+TABLE = (*processes.ROWS, *WOKEN, *CLIENT_ROWS, *GUARD_ROWS, *REQUESTS, *PORT_ROWS, *SURROUNDINGS)
 FAULT_BY_NAME = {fault.name: fault for fault in TABLE}
 
 BEYOND = (

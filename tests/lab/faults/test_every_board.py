@@ -8,12 +8,13 @@ from collections.abc import Iterator
 import pytest
 
 from failstop.policy.layouts import BOARDS
-from failstop_lab.boards.traits import HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_WHEEL_REPORTS, SHOWS_DEAF, traits_of
+from failstop_lab.boards.traits import HAS_ARM_BESIDE, HAS_DRIVERS, HAS_GAMEPAD, HAS_KEYS, SHOWS_DEAF, traits_of
 from failstop_lab.faults.arm_table import BESIDE_BY_NAME
 from failstop_lab.faults.campaign import inject_one
 from failstop_lab.faults.fault import Fault
 from failstop_lab.faults.report import EVERY, rows_of
 from failstop_lab.faults.scene import Scene
+from failstop_lab.faults.table import GUARD_ROWS
 from tests.support.amounts import LONG
 from tests.support.boards import EVERY_KIND
 
@@ -33,6 +34,17 @@ def test_rows_of_every_board(kind: str) -> None:
             assert not outcome.wrong, outcome.story("every board")
 
 
+@pytest.mark.slow
+@pytest.mark.starts
+@pytest.mark.claim("GUARD-1")
+@pytest.mark.parametrize("kind", [kind for kind in EVERY_KIND if HAS_DRIVERS in traits_of(kind).parts])
+def test_the_guard_port_s_rows_of_every_board_that_has_a_language_for_drivers(kind: str) -> None:
+    with Scene(f"guards-{os.getpid()}", kind=kind) as scene:
+        for row in GUARD_ROWS:
+            outcome = inject_one(scene, row.at(scene.traits), seed="guard")
+            assert not outcome.wrong, outcome.story("guard")
+
+
 def faults(kind: str) -> Iterator[tuple[Fault, Fault]]:
     """The rows of a board, each with the first board's."""
     for name, row in rows_of(traits_of(kind)).items():
@@ -42,7 +54,10 @@ def faults(kind: str) -> Iterator[tuple[Fault, Fault]]:
 
 
 def test_a_bar_is_the_first_boards_and_the_boards_own_line_and_loop() -> None:
-    of_others = [name for name, row in EVERY.items() if isinstance(row, Fault) and HAS_WHEEL_REPORTS in row.needs]
+    of_others = [
+        name for name, row in EVERY.items() if isinstance(row, Fault) and not row.needs <= traits_of(BOARDS[0]).parts
+    ]
+    assert {"board-wheel-runs-away"} <= set(of_others) <= {"board-wheel-runs-away", *(row.name for row in GUARD_ROWS)}
     assert rows_of(traits_of(BOARDS[0])) == {name: row for name, row in EVERY.items() if name not in of_others}
     for kind in EVERY_KIND:
         own_ms = traits_of(kind).own_ns / 1e6

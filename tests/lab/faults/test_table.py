@@ -41,6 +41,10 @@ DESIGN = {
     "all of them": ("kill-supervisor+port_owner+gate+telemetry+stopper",),
     "client that drives dies": ("client-killed", "client-killed-large", "client-hung-up", "client-fails"),
     "client that drives hangs": ("client-hung", "pad-silent"),
+    "driver at the guard port dies, closes or hangs": (
+        *("guard-driver-killed", "guard-driver-closes", "guard-driver-hung"),
+    ),
+    "guard dies or hangs": ("guard-killed", "guard-hung"),
     "USB drop": ("usb-drop", "usb-drop-mid-frame", "usb-drop-renamed", "usb-drop-permission"),
     "USB drop while the supervisor hangs": ("usb-drop-unwatched",),
     "board deaf, not draining": ("board-deaf", "board-not-draining", "board-unproven"),
