@@ -112,7 +112,7 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
     path = finish.write(talk, finish.text(settings, robot, evidence), name)
     talk.draft.forget()
     finish.doctor(talk, path, device, name)
-    finish.closing(talk, path, name, evidence)
+    finish.closing(talk, path, name, evidence, settings)
 
 
 def _take_up(talk: Talk) -> None:

@@ -18,6 +18,7 @@ from types import FrameType
 from typing import Any
 
 from failstop import config, helpers
+from failstop.board.driver import language_of
 from failstop.board.kinds import watchdog_of
 from failstop.cli import style
 from failstop.cli.commands.doctor import screen
@@ -29,6 +30,7 @@ from failstop.files.instance import DEFAULT_NAME, option
 from failstop.files.root import state_directory
 from failstop.instances import unit_of
 from failstop.policy.proofs import WATCHDOGS
+from failstop.policy.settings import Settings
 from failstop.setup.halt import WAITS_S, Halt
 from failstop.setup.rig import toml
 from failstop.setup.talk import NO, YES, Left, NotAnAnswer, Talk
@@ -208,8 +210,11 @@ def doctor(talk: Talk, path: str, device: str, name: str) -> None:
     style.show(screen(found, min(80, style.width())) if found else [[("   nothing to say", style.OK)]])
 
 
-def closing(talk: Talk, path: str, name: str, evidence: Mapping[str, Any]) -> None:
-    """Sum up: the proofs, those that are missing, and the commands to type next."""
+def closing(
+    talk: Talk, path: str, name: str, evidence: Mapping[str, Any], settings: Mapping[str, object] | None = None
+) -> None:
+    """Sum up: the proofs, those that are missing, the commands to type next, and with `settings` the guard port where
+    the board has one."""
     style.show([[], [("What is proved", style.STRONG)]])
     rows = evidence.get("rows", [])
     if not rows:
@@ -227,6 +232,28 @@ def closing(talk: Talk, path: str, name: str, evidence: Mapping[str, Any]) -> No
     style.show([[], [("Next", style.STRONG)]])
     # Whole lines, whatever their length: they are copied.
     style.show([[(f"   {command}", style.STRONG)] for command in commands(path, name)])
+    if settings is not None:
+        _guard(talk, Settings(dict(settings)), path, name)
+
+
+def _guard(talk: Talk, settings: Settings, path: str, name: str) -> None:
+    """Offer the guard port, where somebody has said what a driver may write to this board."""
+    if language_of(settings.text("board.kind"), settings.flat()) is None:
+        return
+    style.show([[], [("Your own driver", style.STRONG)]])
+    talk.say(
+        "A driver that was written for the bare board can keep its code. It opens the guard port in the place of "
+        f"{settings.text('device.path') or 'its port'}, and the wheels stop when it dies or hangs:"
+    )
+    in_systemd = name == DEFAULT_NAME and path == config.installed(name) and os.path.isdir("/run/systemd/system")
+    start = "sudo systemctl enable --now failstop-guard@$USER" if in_systemd else f"failstop guard{option(name)}"
+    style.show([[(f"   {start}", style.STRONG)]])
+    if settings.on("scan.gate"):
+        talk.say(
+            'Such a driver reports no obstacle sensor, so it moves nothing while scan.gate is "on": set it to "off", '
+            "or have a program call Robot.sensed().",
+            style.WARN,
+        )
 
 
 def _prove(path: str, name: str) -> str:

@@ -397,6 +397,26 @@ def test_what_was_not_proved_is_named(place: Path, capsys: pytest.CaptureFixture
     assert "-> failstop prove --quick --name left\n" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("gate", ["on", "off"])
+def test_the_guard_port_is_offered_for_a_board_that_has_one(
+    place: Path, capsys: pytest.CaptureFixture[str], gate: str
+) -> None:
+    settings = {"board.kind": "arduino", "device.path": "/dev/ttyACM0", "scan.gate": gate}
+    finish.closing(talk(place), "/x/s.toml", "left", {}, settings)
+    said = " ".join(capsys.readouterr().out.split())
+    assert "It opens the guard port in the place of /dev/ttyACM0" in said
+    assert "failstop guard --name left" in said
+    assert ('scan.gate is "on"' in said) == (gate == "on")
+
+
+def test_no_guard_port_is_offered_for_a_board_that_nobody_has_described_drivers_of(
+    place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(finish, "language_of", lambda *_: None)
+    finish.closing(talk(place), "/x/s.toml", "left", {}, {"board.kind": "arduino"})
+    assert "guard" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("wheels", "said", "meant"),
     [
