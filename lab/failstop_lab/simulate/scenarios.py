@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from failstop_lab.boards.traits import HAS_ARM, HAS_KEYS, HAS_REPORTS, Traits
+from failstop_lab.boards.traits import HAS_ARM, HAS_DRIVERS, HAS_KEYS, HAS_REPORTS, Traits
+from failstop_lab.simulate.guarded import Guarded
 from failstop_lab.simulate.stage import FROM_THE_START, NEEDS, SETTINGS, Continuation, Stage
 
 Play = Callable[[Stage], object]
@@ -339,6 +340,68 @@ def machine_sleeps(stage: Stage, robot: Any) -> None:
 def service_ends(stage: Stage, robot: Any) -> None:
     """The service is told to end while it drives."""
     stage.end_service()
+
+
+def _at_the_guard_port(stage: Stage) -> Guarded:
+    """A driver of the bare board drives through the guard."""
+    robot = stage.connect()
+    stage.enable(robot)
+    guarded = Guarded(stage, robot)
+    guarded.moves()
+    return guarded
+
+
+def _guard_driver_dies(stage: Stage) -> None:
+    """A driver at the guard port is killed, and started again at once."""
+    guarded = _at_the_guard_port(stage)
+    guarded.kill_driver()
+    guarded.start_driver()
+    guarded.watch(0.5)
+
+
+def _guard_driver_hangs(stage: Stage) -> None:
+    """A driver at the guard port is silent, and dies of it."""
+    guarded = _at_the_guard_port(stage)
+    guarded.hold(guarded.driver, 900)
+    guarded.watch(0.5)
+    guarded.kill_driver()
+    guarded.watch(0.1)
+
+
+def _guard_dies(stage: Stage) -> None:
+    """The guard is killed while its driver writes on."""
+    guarded = _at_the_guard_port(stage)
+    guarded.kill_guard()
+    guarded.watch(0.4)
+
+
+def _guard_hangs_and_its_driver_dies(stage: Stage) -> None:
+    """The guard is silent while its driver writes on and dies: what waits to be read then moves nothing."""
+    guarded = _at_the_guard_port(stage)
+    guarded.hold(guarded.guard, 500)
+    guarded.watch(0.4)
+    guarded.kill_driver()
+    guarded.watch(0.5)
+
+
+def _guard_driver_goes_on_behind_a_stop(stage: Stage) -> None:
+    """A stop is asked for, reset, and motion disabled, while the driver at the guard port never ceases to command."""
+    guarded = _at_the_guard_port(stage)
+    stage.stop(guarded.robot)
+    guarded.watch(0.1)
+    stage.reset(guarded.robot)
+    guarded.watch(0.1)
+    stage.enable(guarded.robot)
+    guarded.watch(0.1)
+    stage.disable(guarded.robot)
+    guarded.watch(0.1)
+
+
+for _play in (
+    *(_guard_driver_dies, _guard_driver_hangs, _guard_dies, _guard_hangs_and_its_driver_dies),
+    _guard_driver_goes_on_behind_a_stop,
+):
+    scenario(_play, _play.__name__[1:], needs=(HAS_DRIVERS,))
 
 
 def _arm_to_drive_pose(stage: Stage) -> None:
