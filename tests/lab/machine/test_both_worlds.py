@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 
 from failstop.api import events as real_events
+from failstop_lab.boards.traits import HAS_DRIVERS
 from failstop_lab.simulate.scenarios import SCENARIOS, Play
-from failstop_lab.simulate.stage import Stage
+from failstop_lab.simulate.stage import NEEDS, Stage
 from tests.lab.machine.processes import Processes
 from tests.lab.machine.twins import TWINS
 from tests.support.amounts import LONG
@@ -32,6 +33,11 @@ ON_ONE_ALONE = {
     "port_does_not_drain": "a pty never says that it holds bytes",
     "machine_sleeps": "this machine must not",
     "service_ends": "there is no run left to read from",
+}
+ON_ONE_ALONE |= {
+    name: "a named pipe stands for the guard port there; tests/lab/faults has its rows with real processes"
+    for name, play in SCENARIOS.items()
+    if HAS_DRIVERS in NEEDS[play]
 }
 PLAYS = {name: play for name, play in SCENARIOS.items() if name not in ON_ONE_ALONE} | TWINS
 pytestmark = pytest.mark.slow
