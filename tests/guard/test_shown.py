@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,11 @@ from typing import Any
 import pytest
 
 from bench.guard_scene import GuardScene, Process
+from failstop.api.events import EventLog
 from failstop.incidents import files, story
 from failstop.incidents.incident import Incident
+from failstop.web.view import view
 from failstop_lab.trial import wait_for
-from tests.web.parts import Web
 
 pytestmark = pytest.mark.slow
 RATE = "30"
@@ -48,22 +50,19 @@ def saved(scene: GuardScene) -> Incident:
 
 @pytest.mark.claim("GUARD-1")
 def test_the_page_and_the_incident_name_the_driver_that_died(scene: GuardScene, diffdrive: str) -> None:
-    with Web(scene.trial.name, state=scene.trial.state) as web:
+    def page() -> Any:
+        return view(scene.trial.robot.state, EventLog(scene.trial.name).read(), time.time())
 
-        def view() -> Any:
-            return web.get("/api/state")["view"]
-
-        driver = driving(scene, diffdrive)
-        who = f"diffdrive (pid {driver.pid})"
-        wait_for("the page to name it", lambda: view()["driver"] == f"{who} as cmd_vel")
-        assert who in view()["clients"]
-        assert not any("pytest" in client for client in view()["clients"])
-        os.kill(driver.pid, signal.SIGKILL)
-        driver.child.wait()
-        scene.stands()
-        wait_for("the page to say why", lambda: view()["latched"] and who in view()["why"])
-        assert view()["driver"] == ""
-        wait_for("the port to be free on the page", lambda: who not in view()["clients"])
+    driver = driving(scene, diffdrive)
+    who = f"diffdrive (pid {driver.pid})"
+    wait_for("the page to name it", lambda: page()["driver"] == f"{who} as cmd_vel")
+    assert who in page()["clients"]
+    os.kill(driver.pid, signal.SIGKILL)
+    driver.child.wait()
+    scene.stands()
+    wait_for("the page to say why", lambda: page()["latched"] and who in page()["why"])
+    assert page()["driver"] == ""
+    wait_for("it to be gone from the page", lambda: who not in page()["clients"])
     assert who in str(scene.trial.robot.why())
     incident = saved(scene)
     assert who in incident.why

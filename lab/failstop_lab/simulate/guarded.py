@@ -19,7 +19,7 @@ from failstop_lab.machine.process import Process
 from failstop_lab.machine.robot import COMMAND_EVERY_S, MS
 from failstop_lab.simulate.stage import DRIVER_NS, RPS_PER_MPS, SPEED_MPS, Stage
 
-PORT = "/run/port"
+DRIVER_PIPE = "/run/port"
 TURN_S = 0.005
 LATE_MS = 340
 """From the driver's end or silence to wheels at rest, whatever is held up: guard.timeout_s, and two ticks."""
@@ -33,7 +33,7 @@ class Guarded:
         self._player = stage.player
         self._system: Any = stage.robot.loader.system["os"]
         with contextlib.suppress(FileExistsError):
-            self._system.mkfifo(PORT)
+            self._system.mkfifo(DRIVER_PIPE)
         board = stage.traits.language
         rps = SPEED_MPS * RPS_PER_MPS
         self.motion, self.rest = board.motor_speeds([rps] * board.wheels, rps), board.burst
@@ -85,7 +85,7 @@ class Guarded:
 
     def _drive(self) -> None:
         """A driver of the bare board: it writes one frame again and again."""
-        port = self._system.open(PORT, os.O_WRONLY)
+        port = self._system.open(DRIVER_PIPE, os.O_WRONLY)
         with contextlib.suppress(BrokenPipeError):
             while not self._over:
                 self._stage.witness.asks_for(self._asks_rps)
@@ -98,7 +98,7 @@ class Guarded:
         """Turns as those of failstop/guard/guard.py: the end of the driver comes before what it wrote."""
         load, time = self._stage.robot.loader.load, self._stage.time
         service = load("failstop.guard.service").Service("failstop")
-        port = self._system.open(PORT, os.O_RDONLY | os.O_NONBLOCK)
+        port = self._system.open(DRIVER_PIPE, os.O_RDONLY | os.O_NONBLOCK)
         poll = self._stage.robot.loader.system["select"].epoll()
         poll.register(port, select.EPOLLIN)
         driver, life, talk = None, -1, None
