@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import json
 import math
 import os
@@ -57,9 +58,10 @@ BOARDS = {kind: board_of(kind, 0.1, 0.0) for kind in layouts.BOARDS}
 SIZES: dict[str, float | str] = {"wheels.track_m": 0.172}
 SPOKEN = [kind for kind in BOARDS if language_of(kind, SIZES)]
 """Boards that have a language for drivers."""
-OF_LINES = ("arduino", "ugv")
-"""Boards that read lines, however slowly their bytes come. Of a faster line the first loses bytes while it answers."""
+GAPS = "hoverboard"
+"""The board that takes a frame only between two gaps, which a terminal does not keep: each frame counts as alone."""
 SLOW_NS = 5_000_000
+"""Between two bytes for the other boards, so that one that answers a byte loses none of the next ones."""
 DRIVER_BYTES = 600
 KEY = bytes(32)
 ROBOT = "failstop/v1/failstop/robot/robot7"
@@ -153,22 +155,26 @@ def receivers(data: bytes) -> None:
     assert (func, bytes(body)) in [row[1:] for row in whole.feed(board.burst)]
 
 
-def obeyed(kind: str, chunks: tuple[bytes, ...]) -> list[tuple[float, ...]]:
-    """The speeds that the board itself commands when these chunks reach it one after another."""
+def obeyed(kind: str, body: bytes) -> list[tuple[float, ...]]:
+    """The speeds that the board itself commands when these bytes reach it, however a driver has paused among them."""
     if not is_described(kind):
         receiver, motors = Receiver(), Motors()
-        frames = [row[1:] for chunk in chunks for row in receiver.feed(chunk)]
-        return [motors.execute(body) for func, body in frames if func == MOTOR]
+        frames = [row[1:] for row in receiver.feed(body)]
+        return [motors.execute(data) for func, data in frames if func == MOTOR]
+    if kind == GAPS:
+        starts = [at for at in range(len(body)) if body[at : at + 1] == BOARDS[kind].stop[:1]]
+        return [speeds for at in starts for speeds in _heard(kind, body[at : at + len(BOARDS[kind].stop)])]
+    return _heard(kind, body)
+
+
+def _heard(kind: str, body: bytes) -> list[tuple[float, ...]]:
     board = model_of(kind).any_state(random.Random(0))
-    byte_ns = SLOW_NS if kind in OF_LINES else BOARDS[kind].port.byte_ns
-    begin_ns = 0
-    for chunk in chunks:
-        begin_ns += SLOW_NS
-        for begin_ns, value in arrivals([(begin_ns, chunk)], byte_ns):  # noqa: B020
-            board.byte(begin_ns, value)
-            if hasattr(board, "_rates"):
-                board._rates = [1.0, 1.0]  # T:138 is refused, by name: it does not reach the board
-    board.until(begin_ns + SLOW_NS)
+    at_ns, byte_ns = SLOW_NS, BOARDS[kind].port.byte_ns if kind == GAPS else SLOW_NS
+    for at_ns, value in arrivals([(at_ns, body)], byte_ns):  # noqa: B020
+        board.byte(at_ns, value)
+        if hasattr(board, "_rates"):
+            board._rates = [1.0, 1.0]  # T:138 is refused, by name: it does not reach the board
+    board.until(at_ns + SLOW_NS)
     return [speeds for _, speeds in board.commands]
 
 
@@ -176,8 +182,12 @@ def _alike(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
     return all(math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9) for a, b in zip(one, other, strict=True))
 
 
-def _shown(rows: list[DriverMotion | DriverAnswer | DriverRefusal]) -> list[str]:
-    return [f"{type(row).__name__} {vars(row)}" for row in rows]
+def _said(rows: list[DriverMotion | DriverAnswer | DriverRefusal]) -> tuple[object, ...]:
+    """What rows ask for: a motion that is repeated asks for nothing more, nor does a refusal."""
+    motions = [repr(list(map(float, row.speeds))) for row in rows if isinstance(row, DriverMotion)]
+    answers = [row.data for row in rows if isinstance(row, DriverAnswer)]
+    refusals = {(row.what, row.why) for row in rows if isinstance(row, DriverRefusal)}
+    return [motion for motion, _ in itertools.groupby(motions)], answers, refusals
 
 
 def drivers(data: bytes) -> None:
@@ -186,18 +196,18 @@ def drivers(data: bytes) -> None:
     at, body = (data[0], data[1:DRIVER_BYTES]) if data else (0, b"")
     pieces = body[:at], body[at:]
     for kind in SPOKEN:
-        wheels = len(BOARDS[kind].speeds(BOARDS[kind].stop) or ())
+        wheels = BOARDS[kind].wheels
         whole, split = language_of(kind, SIZES), language_of(kind, SIZES)
         assert whole
         assert split
         rows = whole.wrote(body, 1)
-        assert _shown(rows) == _shown([row for part in pieces for row in split.wrote(part, 1)]), kind
+        assert _said(rows) == _said([row for part in pieces for row in split.wrote(part, 1)]), kind
         moved = []
         for row in rows:
             assert isinstance(row, (DriverMotion, DriverAnswer, DriverRefusal)), kind
             if isinstance(row, DriverMotion) and any(row.speeds):
                 moved.append(tuple(row.speeds))
-        own = iter(obeyed(kind, (body,)))
+        own = iter(obeyed(kind, body))
         for speeds in moved:
             assert any(_alike(speeds, found) for found in own), (kind, speeds)
         for now_ns, part in enumerate(pieces):
@@ -398,7 +408,10 @@ TARGETS: dict[str, Target] = {
     "drivers": Target(
         drivers,
         (
-            *(b"\4" + BOARDS[kind].burst for kind in SPOKEN),
+            *(
+                b"\4" + BOARDS[kind].motor_speeds([0.3] * BOARDS[kind].wheels, 0.3) * 2 + BOARDS[kind].burst
+                for kind in SPOKEN
+            ),
             b"\5\ru 30:20:0:100\rm 10 -20\re\rm 32768 0\rxm +7, +8\ro 90 90\r",
             b'\7{"T": "13", "X": 0.1, "Z": 0.4}\n{"T":1,"L":0.2,"R":-0.3}\n{\'T\':1,L:1.9e0,R:.5}\n{"T":0}\n',
             b'\7{"T":11,"L":200,"R":200}\n{"T":138,"L":0.5,"R":0.5}\n{"T":1,"L":0.2,"R":0.2}\n',

@@ -45,7 +45,7 @@ def test_each_scenario_is_right_without_a_fault_and_its_driver_moves_the_wheels(
     stage = Stage(SCENARIOS[name], kind=kind)
     moved = moves(stage)
     stage.play()
-    assert len(moved) > 1
+    assert moved
     assert stage.witness.violations == []
     stage.prove_alive()
     assert stage.witness.violations == []
