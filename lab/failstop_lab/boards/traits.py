@@ -70,7 +70,7 @@ def traits_of(kind: str) -> Traits:
     """The traits of one of the setting's BOARDS, or of a folder of the user's own. Raises ValueError."""
     language = board_of(kind, DIAMETER_M, 0.0)
     has = {
-        HAS_ARM: language.arm is not None,
+        HAS_ARM: bool(language.arm and not language.arm.beside_wheels),
         HAS_ARM_BESIDE: bool(language.arm and language.arm.beside_wheels),
         HAS_PINGS: bool(language.pings),
         HAS_REPORTS: language.silent_ns > 0 and not language.ping_ns,
