@@ -30,7 +30,7 @@ def checked_board(settings: Settings, path: str | None) -> Board:
 
 def slowest_mps(settings: Settings) -> float:
     """The smallest speed of a wheel's rim that the board can be told, m/s: a slower one is rounded to rest; 0: any."""
-    kind, diameter_m, per_rps, _ = settings.board()
+    kind, diameter_m, per_rps, *_ = settings.board()
     if not is_described(kind):
         return 0.0
     motion = wire_of(kind).motion

@@ -120,6 +120,8 @@ class Scale:
     """Measured turn of the robot over the told one, by the gyro; None: not known."""
     wrong: tuple[str, ...] = ()
     """What differs, in words, with the setting to look at."""
+    remarks: tuple[str, ...] = ()
+    """What differs by less, so that a slope, a load, the battery or skidding wheels may explain it."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -353,9 +353,9 @@ class StateReader(SeenRun):
         )
 
     def _scale(self, capped: str) -> snapshot.Scale:
-        wheels, turn, wrong = self._value("scale") or (nan, nan, ())
+        wheels, turn, wrong, remarks = self._value("scale") or (nan, nan, (), ())
         of_wheels, of_turn = (None if isnan(value) else round(value, 3) for value in (wheels, turn))
-        return snapshot.Scale(capped, of_wheels, of_turn, tuple(wrong))
+        return snapshot.Scale(capped, of_wheels, of_turn, tuple(wrong), tuple(remarks))
 
     def _by_mount(self, values: list[float]) -> snapshot.Wheels | None:
         """Turns by wire id as radians by wheel; None where a wheel is not reported."""

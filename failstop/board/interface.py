@@ -193,8 +193,8 @@ class Board:
     per_rps: float
     """One turn a second of a wheel in the unit of its motion."""
     scale_assumed: bool = False
-    """`per_rps` is only the usual value: it depends on this robot's motors and encoders, the board's reports share it,
-    and the setting board.per_rps has not confirmed it."""
+    """Nobody knows that `per_rps` is right: it depends on this robot's motors and encoders and the board's reports
+    share it, or a person wrote it, and the setting board.per_rps_confirmed is not the same number."""
     reports: WheelReports
     """What it says of its wheels, and how to read it."""
     wheels: int

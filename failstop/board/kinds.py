@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from math import isclose
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from failstop.board.described import Described
     from failstop.board.facts import Facts, SteeringServo
     from failstop.board.interface import Board
     from failstop.board.wire import Wire
@@ -12,6 +15,8 @@ KINDS = ("arduino", "feetech", "hoverboard", "ugv")
 """The boards of this room that a Wire describes."""
 ALL_KINDS = ("rrc", *KINDS)
 """All boards of this room, the usual one first."""
+SAME_SCALE = 0.01
+"""Two numbers for one scale that differ by less than this share are the same, because they are written rounded."""
 
 
 def is_own(kind: str) -> bool:
@@ -60,18 +65,29 @@ def board_of(
     diameter_m: float,
     per_rps: float,
     steering: SteeringServo | None = None,
+    confirmed_per_rps: float = 0.0,
     *,
     tried: bool = False,
 ) -> Board:
     """The board of the setting board.kind. `per_rps`: a wheel's speed of one turn a second in its own unit; 0: as such
-    boards usually have it; `steering`: the servo of a steered base, None: there is none; `tried`: as for
-    wire_of(). Nothing of another board is imported. Raises OwnBoardError, a ValueError."""
+    boards usually have it; `steering`: the servo of a steered base, None: there is none; `confirmed_per_rps`: the
+    `per_rps` that a turn of a wheel has confirmed, 0: none; `tried`: as for wire_of(). Nothing of another board is
+    imported. Raises OwnBoardError, a ValueError."""
     if is_described(kind):
         from failstop.board.described import Described
 
         wire = wire_of(kind, tried=tried)
         made = Described(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m)
-        made.scale_assumed = not (per_rps or wire.motion.scale_known or made.reports.own_scale)
+        made.scale_assumed = _assumed(wire, made, diameter_m, confirmed_per_rps)
         return made
     board: Board = __import__(f"failstop.board.{kind}.board", fromlist=["board"]).board(diameter_m, per_rps, steering)
     return board
+
+
+def _assumed(wire: Wire, board: Described, diameter_m: float, confirmed_per_rps: float) -> bool:
+    """Whether nobody knows that the scale of `board` is right. A number that a person wrote is none that was tried, and
+    one that was confirmed counts for no other."""
+    if isclose(board.per_rps, confirmed_per_rps, rel_tol=SAME_SCALE):
+        return False
+    usual = isclose(board.per_rps, wire.motion.per_rps(diameter_m), rel_tol=SAME_SCALE)
+    return not (usual and (wire.motion.scale_known or board.reports.own_scale))

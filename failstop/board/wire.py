@@ -138,7 +138,7 @@ class Motion(Data):
     command that the board obeys tells which frame it was. Only a board that is asked nothing needs it."""
     scale_known: bool = False
     """True: `per_rps` is a fact of the board, the same for every robot. False: it depends on the robot's motors and
-    encoders, so `per_rps` is only a guess until somebody has confirmed it by the setting board.per_rps."""
+    encoders, so `per_rps` is only a guess until a turn of a wheel has confirmed it (board.per_rps_confirmed)."""
 
 
 class Sample:

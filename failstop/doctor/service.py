@@ -98,6 +98,8 @@ def wheels_scale(look: Look) -> list[Finding]:
         return [row for text in known.wrong for row in warn(text, "", "correct the setting, and restart the service")]
     seen = [(known.wheels, "as the board reports them"), (known.turn, "as the gyro feels the turn")]
     said = [f"{share:.2f} times as fast as told, {by}" for share, by in seen if share is not None]
+    if known.remarks:
+        return [row for text in known.remarks for row in ok(text)]
     if said:
         return ok(f"they turn {', and '.join(said)}")
     independent = look.board.reports.own_scale or look.told.on("board.imu")

@@ -161,7 +161,7 @@ SEGMENTS = (
             _word("judged_ns", "supervisor"),  # the last IMU sample that still_ns is judged from; 0: none yet
             _latest("imu", records.IMU, "clients"),  # corrected, the rate less its bias
             _latest("wheels", records.WHEELS_SEEN, "gate, supervisor, clients"),  # what is known of them now
-            _latest("scale", 1024, "clients"),  # measured beside told: wheels, turn, what differs in words (msgpack)
+            _latest("scale", 1024, "clients"),  # measured over told: wheels, turn, what is wrong, remarks (msgpack)
             _latest("battery", records.BATTERY, "clients"),
             _latest("health", records.HEALTH, "clients"),
             _latest("bias", records.BIAS, "its successor, clients"),

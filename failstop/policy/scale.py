@@ -2,7 +2,8 @@
 a person has confirmed it. Pure.
 
 Where commands and reports share the scale, their ratio is 1 whatever it is: only a person, who sees the wheel, can tell
-that it is wrong. So a robot whose scale nobody has confirmed drives slowly. Where the board reports in a unit of its
+that it is wrong. So a robot whose scale nobody has confirmed drives slowly, and a number that a person has only written
+into the settings confirms nothing. Where the board reports in a unit of its
 own, or a gyro feels the turn, what was measured is compared with what was told.
 """
 
@@ -14,16 +15,21 @@ from failstop.policy.layouts import ACKERMANN
 from failstop.policy.settings import Settings
 
 PER_RPS = "board.per_rps"
+CONFIRMED = "board.per_rps_confirmed"
+"""The number that counts as confirmed: another one in PER_RPS does not."""
 CAPS = {"limits.vx_mps": 0.05, "limits.vy_mps": 0.05, "limits.wz_radps": 0.25}
 """Speeds that an unconfirmed scale allows at most. A scale that is five times too large makes 0.25 m/s of 0.05: the
 reduced speed at which people may work beside a machine (ISO 10218-1)."""
 ASSUMED = "nobody has confirmed the scale of the wheels (board.per_rps)"
-REMEDY = "`failstop setup` measures it by a turn of a wheel; or set board.per_rps"
+REMEDY = "`failstop setup` confirms it by one turn of a wheel; without setup, see board.per_rps_confirmed"
 WHEELS_FIT = {True: 1.25, False: 2.0}
 """How far the measured speed of a wheel may be from the told one, either way, as a factor; by whether the board holds
 the speed that it was told. One that sets a voltage is faster downhill, and slower under load."""
-GYRO_FITS = 1.6
-"""The same for a turn of the robot: tracks and skidding wheels make less of a turn than they roll."""
+GYRO_FITS = (1 / 1.6, 1.25)
+"""The same for a turn of the robot, the least and the most: tracks and skidding wheels make less of a turn than they
+roll, and nothing makes more of it."""
+FITS = 1.25
+"""A speed that is off by more than this factor is worth a remark, even if a healthy robot may explain it."""
 ON_A_STAND = 0.1
 """A gyro that feels less than this share of the turn says nothing of scale: the robot is on a stand, or held."""
 
@@ -54,15 +60,41 @@ def wheels_differ(ratio: float, per_rps: float, *, holds_speed: bool) -> str:
     in use now, in the board's unit."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, WHEELS_FIT[holds_speed]):
         return ""
-    would = f"board.per_rps = {per_rps / ratio:.4g} would fit it (now {per_rps:.4g})"
-    return f"the wheels turn {ratio:.2g} times as fast as they are told, as the board reports them: {would}"
+    return f"{_wheels(ratio)}: board.per_rps = {per_rps / ratio:.4g} would fit it (now {per_rps:.4g})"
+
+
+def wheels_remark(ratio: float, per_rps: float) -> str:
+    """The same where a healthy robot may explain it, because its board sets a voltage; empty: it fits."""
+    if not (isfinite(ratio) and ratio > 0) or near(ratio, FITS):
+        return ""
+    would = f"board.per_rps = {per_rps / ratio:.4g} fits it (now {per_rps:.4g})"
+    return f"{_wheels(ratio)}; a slope, a load or the battery can do that, but if they always do, {would}"
+
+
+def _wheels(ratio: float) -> str:
+    return f"the wheels turn {ratio:.2g} times as fast as they are told, as the board reports them"
 
 
 def gyro_differs(ratio: float, layout: str) -> str:
     """The same of a robot of which the gyro feels `ratio` times the turn that was told."""
-    if not (isfinite(ratio) and ratio >= ON_A_STAND) or near(ratio, GYRO_FITS):
+    least, most = GYRO_FITS
+    if not (isfinite(ratio) and ratio >= ON_A_STAND) or least <= ratio <= most:
         return ""
+    return f"{_turn(ratio)}: one of {_sizes(layout)} is not this robot's, or its wheels slip"
+
+
+def gyro_remark(ratio: float, layout: str) -> str:
+    """The same where a healthy robot may explain it, because its tracks or wheels skid; empty: it fits."""
+    if not (isfinite(ratio) and ratio >= ON_A_STAND) or near(ratio, FITS):
+        return ""
+    return f"{_turn(ratio)}; tracks and skidding wheels do that, but otherwise one of {_sizes(layout)} is wrong"
+
+
+def _turn(ratio: float) -> str:
+    return f"the robot turns {ratio:.2g} times as fast as it is told, as the gyro feels it"
+
+
+def _sizes(layout: str) -> str:
+    """The settings that say how fast the robot turns."""
     of_layout = {"omni3": "wheels.lever_m", ACKERMANN: "steering.per_rad, wheels.wheelbase_m"}
-    across = of_layout.get(layout, "wheels.track_m")
-    may_be = f"one of {across}, wheels.diameter_m and board.per_rps is not this robot's, or its wheels slip"
-    return f"the robot turns {ratio:.2g} times as fast as it is told, as the gyro feels it: {may_be}"
+    return f"{of_layout.get(layout, 'wheels.track_m')}, wheels.diameter_m and board.per_rps"

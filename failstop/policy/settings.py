@@ -44,6 +44,14 @@ DECLARED = (
         tuple(robots.EVERY_ROBOT),
     ),
     Setting("board.per_rps", 0.0, "", 0.0, 10000.0, "a wheel's turn a second in the board's own unit; 0: as usual"),
+    Setting(
+        "board.per_rps_confirmed",
+        0.0,
+        "",
+        0.0,
+        10000.0,
+        "the board.per_rps that a turn of a wheel has confirmed, so speeds are not capped; setup writes it; 0: none",
+    ),
     _word("board.imu", "on", "off for a robot without an IMU, as a board that has none sets it by itself", SWITCH),
     Setting("gate.period_s", 0.02, "s", 0.005, 0.05, "time between two decisions of the gate"),
     Setting("gate.command_timeout_s", 0.3, "s", 0.05, 2.0, "an older command moves nothing; a source can have its own"),
@@ -347,9 +355,10 @@ class Settings:
             for name, own in self.named["interlocks"].items()
         }
 
-    def board(self) -> tuple[str, float, float, SteeringServo | None]:
+    def board(self) -> tuple[str, float, float, SteeringServo | None, float]:
         """What board_of() of failstop/board/kinds.py takes: the kind of the board, the wheels' diameter in m, a wheel's
-        turn a second in the board's own unit (0: as usual), and the servo of a steered base."""
+        turn a second in the board's own unit (0: as usual), the servo of a steered base, and the turn a second that a
+        turn of a wheel has confirmed (0: none)."""
         steering = None
         if self.text("wheels.layout") == layouts.ACKERMANN:
             steering = SteeringServo(
@@ -359,7 +368,8 @@ class Settings:
                 per_rad=self["steering.sign"] * self["steering.per_rad"],
                 most_rad=radians(self["steering.most_deg"]),
             )
-        return self.text("board.kind"), self["wheels.diameter_m"], self["board.per_rps"], steering
+        scale = self["board.per_rps"], self["board.per_rps_confirmed"]
+        return self.text("board.kind"), self["wheels.diameter_m"], scale[0], steering, scale[1]
 
     @property
     def speeds(self) -> int:

@@ -34,7 +34,7 @@ QUESTIONS = {
     "layout": "how body velocity becomes wheel speeds, for a robot without a name",
     "stand": "yes: the wheels are off the ground and free",
     "per_rps": "one turn a second of a wheel in the board's own unit, instead of a turn by hand (of an Arduino the "
-    "encoder counts of a turn, divided by 30); unknown: speeds stay capped",
+    "encoder counts of a turn, divided by 30); speeds stay capped, because no turn has confirmed it; or unknown",
     **{f"wheel_{number - 1}": f"the wheel of id {number - 1} and its way, as fl+" for number in NUMBERS},
     "forward": "yes: every wheel turned forward",
     "turn": "yes: the robot would have turned to the left",

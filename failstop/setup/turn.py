@@ -16,7 +16,7 @@ from failstop.board.interface import HEARD_WHEELS, Board
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError, set_speed
 from failstop.board.tap import Tap
-from failstop.policy.scale import CAPS, PER_RPS
+from failstop.policy.scale import CAPS, CONFIRMED, PER_RPS
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.setup.halt import Halt
 from failstop.setup.rig import Rig, alone, rim_mps
@@ -38,25 +38,34 @@ MOST_TURNS = 100.0
 
 
 def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, speeds: int) -> dict[str, object]:
-    """The setting board.per_rps by a person's word; nothing where the board knows it, or the person does not. `speeds`:
-    in a frame of the board. Raises Left."""
+    """The setting board.per_rps by a person's word, and that it is confirmed if a wheel was turned for it; nothing
+    where the board knows it, or the person does not. `speeds`: in a frame of the board. Raises Left."""
     settings = Settings(dict(values))
     board = board_of(*settings.board())
     if not board.scale_assumed:
         return {}
     talk.say("How far a wheel turns depends on its motor and its encoder, and nothing but you can tell.")
-    if not talk.known(KEY):
+    before = talk.draft.answers.get(KEY)
+    if KEY in talk.given:
+        answer = talk.ask(KEY, "", "", _check, keep=False)
+    elif before:
+        answer = talk.ask(KEY, "", "", _check)
+    else:
         if talk.silent:
             raise Left(f"nobody is here to turn a wheel: give --per-rps, a number or {UNKNOWN}")
         found = by_hand(talk, device, board) if board.reports.position_per_turn else None
-        answer = found or driven(talk, device, settings, halt, speeds, board)
+        answer = before = found or driven(talk, device, settings, halt, speeds, board)
         talk.draft.keep(KEY, answer)
-    else:
-        answer = talk.ask(KEY, "", "", _check)
     if answer == UNKNOWN:
-        talk.warn(f"Speeds stay capped at {SLOWEST_MPS:g} m/s until it is known.", f"set {PER_RPS}, or run setup again")
+        talk.warn(f"Speeds stay capped at {SLOWEST_MPS:g} m/s until it is known.", "run setup again, and turn a wheel")
         return {}
-    return {PER_RPS: float(answer)}
+    if answer != before:
+        talk.warn(
+            f"No wheel was turned to confirm this number, so speeds stay capped at {SLOWEST_MPS:g} m/s.",
+            "run setup without --per-rps, and turn a wheel",
+        )
+        return {PER_RPS: float(answer)}
+    return {PER_RPS: float(answer), CONFIRMED: float(answer)}
 
 
 def _check(answer: str) -> str:

@@ -26,6 +26,7 @@ STAND = (
     "and the power switch is at hand. Ctrl-C stops the wheels at any time."
 )
 STEERED_BY, STEERING = "steering.servo", "steering.sign"
+SCALE = (scale.PER_RPS, scale.CONFIRMED)
 SUPPLY = "are the motors' supply and that motor's plug in?"
 
 
@@ -154,9 +155,10 @@ class Trial:
         if not (wrong := scale.wheels_differ(ratio, board.per_rps, holds_speed=board.reports.holds_speed)):
             return {}
         self._talk.say(f"{wrong[0].upper()}{wrong[1:]}.", style.WARN)
-        self._values[scale.PER_RPS] = float(f"{board.per_rps / ratio:.4g}")
+        found: dict[str, object] = dict.fromkeys(SCALE, float(f"{board.per_rps / ratio:.4g}"))
+        self._values |= found
         self._set_speeds()
-        return {scale.PER_RPS: self._values[scale.PER_RPS]}
+        return found
 
     def _legend(self) -> None:
         """How the questions are answered, once."""
@@ -184,7 +186,7 @@ class Trial:
     def _turn(self, id_: int) -> None:
         rim = rim_mps(self._rps, self._diameter_m)
         values, velocity = alone(self._kind, self._speeds, id_, rim, self._diameter_m)
-        values |= {key: value for key, value in self._values.items() if key == scale.PER_RPS}
+        values |= {key: value for key, value in self._values.items() if key in SCALE}
         self._talk.say(f"The wheel of id {id_} turns for {SECONDS:g} s, alone ...", style.DIM)
         with Rig(self._device, values, self._halt) as rig:
             rig.drive(velocity, SECONDS)

@@ -155,7 +155,9 @@ class Telemetry:
         """News of the board that nobody has acted on: the kind, the value, when it came."""
         self._bias_flags = (False, False)
         self._silence = Silence(self._board, context.own.word("patience_ns").get())
-        self._scale, self._scale_ns, self._scale_noted = ScaleJudge(settings, self._board), 0, False
+        self._scale, self._scale_ns = ScaleJudge(settings, self._board), 0
+        self._scale_noted: set[str] = set()
+        """At which levels people were told that the speeds differ."""
         self._turn_radps = 0.0
         self._odd = OddReports(low_battery_stops=self._low_battery.stops)
         self._attach(context)
@@ -407,7 +409,9 @@ class Telemetry:
         if found.what == RAN_AWAY:
             self._raise(causes.RUNAWAY(name, told, seen))
         else:
-            text = f"the {name} wheel stands although it is told {told:.2f} turns a second: stalled, or unplugged"
+            slow = ", or board.per_rps is far too small" if self._board.reports.own_scale else ""
+            told_text = f"the {name} wheel stands although it is told {told:.2f} turns a second"
+            text = f"{told_text}: stalled, or unplugged{slow}"
             self._note("wheel_stands", text, {"wheel": name, "told": told, "seen": seen})
 
     def _publish_wheels(self, now_ns: int) -> None:
@@ -444,11 +448,12 @@ class Telemetry:
         changed = judge.follow(self._gate.velocity, measured.speeds_rps, measured.t_ns, turn_radps, now_ns)
         if changed or now_ns - self._scale_ns >= SCALE_NS:
             self._scale_ns = now_ns
-            self._latest["scale"].write(pack([judge.wheels, judge.turn, judge.wrong]), now_ns)
-        if judge.wrong and not self._scale_noted:
-            self._scale_noted = True
-            for text in judge.wrong:
-                self._note("scale", text)
+            self._latest["scale"].write(pack([judge.wheels, judge.turn, judge.wrong, judge.remarks]), now_ns)
+        for level, texts in (("warning", judge.wrong), ("info", judge.remarks)):
+            if texts and level not in self._scale_noted:
+                self._scale_noted.add(level)
+                for text in texts:
+                    self._note("scale", text, level=level)
 
     def _on_obeyed(self, speeds: interface.Value, t_ns: int) -> None:
         self._proving.obeyed(speeds, t_ns, moves=self._gate.enabled and self._gate.commanded)

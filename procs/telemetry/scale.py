@@ -22,12 +22,12 @@ FALLEN_S = 0.6
 """Nothing is compared for so long after a command has fallen, because a wheel may still turn as fast as before."""
 BEGINS_S = 0.2
 """Nor for so long after it was told to begin."""
-REACHED_S = 0.4
+REACHED_S = 0.3
 """A command that has stayed the same for so long has been reached, so from then on a wheel can be called too slow."""
-FAST_S, SLOW_S = 0.1, 0.15
-"""How much has to be compared before it is called too fast, or too slow."""
-LAG_S = {True: 0.3, False: 0.1}
-"""Added to the factor that still fits, divided by the seconds that were compared: for too fast, and for too slow."""
+RISEN_LEAST_S, REACHED_LEAST_S = 0.1, 0.15
+"""How much has to be compared: while the command rises, and once it has been reached."""
+RISEN_LAG_S, REACHED_LAG_S = 0.3, 0.03
+"""Added to the factor that still fits, divided by the seconds that were compared: the less, the further off."""
 FORGET_S = 10.0
 """Half of it is forgotten then, so that what is known follows the robot."""
 LEAST_RPS, LEAST_RADPS = 0.1, 0.1
@@ -74,7 +74,7 @@ class Ratio:
     @property
     def known(self) -> Sum:
         """The better one."""
-        return self.reached if self.reached.seconds >= SLOW_S else self.risen
+        return self.reached if self.reached.seconds >= REACHED_LEAST_S else self.risen
 
     def add(self, told: float, measured: float, elapsed_s: float) -> None:
         """What was told and measured in this time."""
@@ -90,12 +90,16 @@ class Ratio:
         if self._same_s >= REACHED_S:
             self.reached.add(told, measured, elapsed_s)
 
-    def differs(self, factor: float) -> bool:
-        """Whether it is known to be off by more than this factor."""
-        fast, slow = self.risen, self.reached
-        too_fast = fast.seconds >= FAST_S and fast.ratio > factor + LAG_S[True] / fast.seconds
-        too_slow = slow.seconds >= SLOW_S and slow.ratio < 1 / (factor + LAG_S[False] / slow.seconds)
-        return too_fast or too_slow
+    def differs(self, least: float, most: float) -> bool:
+        """Whether it is known to be less than `least` or more than `most`. A wheel that lags is no slow one, so while
+        the command rises it can only be too fast."""
+        risen, reached = self.risen, self.reached
+        if risen.seconds >= RISEN_LEAST_S and risen.ratio > most + RISEN_LAG_S / risen.seconds:
+            return True
+        if reached.seconds < REACHED_LEAST_S:
+            return False
+        lag = REACHED_LAG_S / reached.seconds
+        return reached.ratio > most + lag or reached.ratio < 1 / (1 / least + lag)
 
 
 class ScaleJudge:
@@ -110,6 +114,8 @@ class ScaleJudge:
         self._last_ns = 0
         self.wrong: tuple[str, ...] = ()
         """What differs, in words, with the setting to look at."""
+        self.remarks: tuple[str, ...] = ()
+        """The same by less: a healthy robot may explain it."""
 
     @property
     def wheels(self) -> float:
@@ -131,8 +137,9 @@ class ScaleJudge:
         turn_radps: float | None,
         now_ns: int,
     ) -> bool:
-        """Compare since the last look; True when `wrong` has changed. `velocity` is told; `speeds_rps`: as the board
-        reported at `read_ns`, by wire id; `turn_radps`: as the gyro feels it, None while its bias is not known."""
+        """Compare since the last look; True when there is something else to say. `velocity` is told; `speeds_rps`: as
+        the board reported at `read_ns`, by wire id; `turn_radps`: as the gyro feels it, None while its bias is not
+        known."""
         elapsed_s, self._last_ns = (now_ns - self._last_ns) * 1e-9, now_ns
         if not 0 < elapsed_s < 1:
             return False
@@ -142,17 +149,29 @@ class ScaleJudge:
                 wheel.add(told, measured, elapsed_s)
         if turn_radps is not None:
             self._turn.add(velocity[2], turn_radps, elapsed_s)
-        before, self.wrong = self.wrong, tuple(filter(None, (self._of_wheels(), self._of_turn())))
-        return bool(self.wrong) != bool(before)
+        before = bool(self.wrong), bool(self.remarks)
+        (wheels, wheels_remark), (turn, turn_remark) = self._of_wheels(), self._of_turn()
+        self.wrong = tuple(filter(None, (wheels, turn)))
+        self.remarks = tuple(filter(None, (wheels_remark, turn_remark)))
+        return (bool(self.wrong), bool(self.remarks)) != before
 
-    def _of_wheels(self) -> str:
+    def _of_wheels(self) -> tuple[str, str]:
+        """What is wrong, or else a remark."""
         holds = self._reports.holds_speed
         turning = [wheel for wheel in self._wheels if wheel.known.ratio > UNTURNED]
-        if not turning or not all(wheel.differs(scale.WHEELS_FIT[holds]) for wheel in turning):
-            return ""
-        return scale.wheels_differ(self.wheels, self._per_rps, holds_speed=holds)
+        if not turning or not _all_differ(turning, scale.FITS):
+            return "", ""
+        wrong = ""
+        if _all_differ(turning, scale.WHEELS_FIT[holds]):
+            wrong = scale.wheels_differ(self.wheels, self._per_rps, holds_speed=holds)
+        return wrong, "" if wrong or holds else scale.wheels_remark(self.wheels, self._per_rps)
 
-    def _of_turn(self) -> str:
-        if not self._turn.differs(scale.GYRO_FITS):
-            return ""
-        return scale.gyro_differs(self.turn, self._layout)
+    def _of_turn(self) -> tuple[str, str]:
+        if not self._turn.differs(1 / scale.FITS, scale.FITS):
+            return "", ""
+        wrong = scale.gyro_differs(self.turn, self._layout) if self._turn.differs(*scale.GYRO_FITS) else ""
+        return wrong, "" if wrong else scale.gyro_remark(self.turn, self._layout)
+
+
+def _all_differ(wheels: Sequence[Ratio], factor: float) -> bool:
+    return all(wheel.differs(1 / factor, factor) for wheel in wheels)

@@ -83,11 +83,20 @@ def asked(place: Path, values: dict[str, object], **given: str) -> dict[str, obj
 
 
 def test_a_number_that_is_given_is_taken_and_an_unknown_one_stays_unset(place: Path) -> None:
-    assert asked(place, dict(VALUES), per_rps="22") == {"board.per_rps": 22.0}
-    assert asked(place, dict(VALUES)) == {"board.per_rps": 22.0}, "as before"
+    assert asked(place, dict(VALUES), per_rps="22") == {"board.per_rps": 22.0}, "no wheel was turned for it"
+    with pytest.raises(Left, match="nobody is here to turn a wheel"):
+        asked(place, dict(VALUES))
     assert asked(place, dict(VALUES), per_rps="unknown") == {}
     with pytest.raises(Left, match="type a number above 0, up to 10000, or unknown"):
         asked(place, dict(VALUES), per_rps="0")
+
+
+def test_a_turn_of_before_the_setup_was_left_confirms_its_number_and_no_other(place: Path) -> None:
+    conversation = talk(place)
+    conversation.draft.keep("per_rps", "22")
+    assert asked(place, dict(VALUES)) == {"board.per_rps": 22.0, "board.per_rps_confirmed": 22.0}
+    assert asked(place, dict(VALUES), per_rps="33") == {"board.per_rps": 33.0}
+    assert asked(place, dict(VALUES), per_rps="22") == {"board.per_rps": 22.0, "board.per_rps_confirmed": 22.0}
 
 
 def test_without_a_person_the_scale_has_to_be_given(place: Path) -> None:
@@ -102,7 +111,7 @@ def test_without_a_person_the_scale_has_to_be_given(place: Path) -> None:
         {"board.kind": "feetech"},
         {"board.kind": "hoverboard"},
         {"board.kind": "ugv"},
-        {"board.kind": "arduino", "board.per_rps": 20.0},
+        {"board.kind": "arduino", "board.per_rps": 20.0, "board.per_rps_confirmed": 20.0},
     ],
     ids=str,
 )

@@ -91,6 +91,8 @@ def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -
             holds, per_rps = stand.language.reports.holds_speed, stand.language.per_rps
             if wrong := scale.wheels_differ(ratio, per_rps, holds_speed=holds):
                 raise WrongScale(f"at {velocity.words} {wrong}; correct it, and repeat")
+            if remark := scale.wheels_remark(ratio, per_rps):
+                found = dataclasses.replace(found, notes=(*found.notes, f"at {velocity.words} {remark}"))
         elif true_rps and not found.notes:
             found = dataclasses.replace(found, notes=pace.of_simulated(true_rps, told_rps, stand.language.per_rps))
         if not found.turning(turned):
@@ -107,6 +109,8 @@ def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -
         if rest_ns is None:
             raise Restless(NOT_AT_REST.format(velocity.words))
         found.rolled_s[velocity.name] = (rest_ns - begun_ns) / NS
+    if stand.confirms_scale and found.speeds:
+        found = dataclasses.replace(found, notes=(*found.notes, pace.CONFIRMS.format(stand.language.per_rps)))
     return found
 
 

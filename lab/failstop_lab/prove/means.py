@@ -17,7 +17,7 @@ NO_REPORTS = (
     "turn on"
 )
 NO_ANSWER = "acknowledged: this board answers no question, and does not report the command that it obeys"
-UNCONFIRMED = "speeds: nobody has confirmed board.per_rps, so this is proved at a capped speed (`failstop setup`)"
+UNCONFIRMED = "speeds: no turn of a wheel has confirmed board.per_rps, so the speed is capped here (`failstop setup`)"
 SAME_SCALE = "speeds: this board's reports share board.per_rps, so a wrong one does not show in them"
 UNMEASURED = "speeds: this board reports none of its wheels"
 FREEZES = "a frozen computer, a pulled cable"
@@ -98,8 +98,8 @@ def means_of(kind: str, board: Board, *, imu: bool = True) -> Means:
 
 
 def _speeds(board: Board) -> str:
-    if board.scale_assumed:
-        return UNCONFIRMED
     if board.reports.own_scale:
         return ""
+    if board.scale_assumed:
+        return UNCONFIRMED
     return SAME_SCALE if board.reports.every_ns else UNMEASURED

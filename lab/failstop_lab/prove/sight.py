@@ -124,7 +124,7 @@ class ByWheels(Sight):
     speeds: dict[str, float] = dataclasses.field(default_factory=dict)
     """At each velocity the measured speed of the wheels over the told one; empty: not known."""
     notes: tuple[str, ...] = ()
-    """What is seen of a simulated board, and could not be of a robot."""
+    """What else the report should say of the speeds."""
 
     by = "wheels"
     source = "board's report of its wheels"

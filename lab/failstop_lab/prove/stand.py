@@ -47,8 +47,19 @@ the scan gate is one of the stop paths."""
 
 
 def settings_for(user: dict[str, object]) -> dict[str, object]:
-    """The user's settings, with those of the test over them. The robot's own limits hold."""
-    return {**{key: value for key, value in user.items() if key != "device.path"}, **OVERRIDES}
+    """The user's settings, with those of the test over them. The robot's own limits hold, and no cap where the test
+    confirms the scale before anything else. Raises SettingError."""
+    found = {**{key: value for key, value in user.items() if key != "device.path"}, **OVERRIDES}
+    if per_rps := confirms(user):
+        found[scale.CONFIRMED] = per_rps
+    return found
+
+
+def confirms(user: dict[str, object]) -> float:
+    """The scale that the test confirms, because nobody has and the board reports in a unit of its own; 0: none. Raises
+    SettingError."""
+    board = board_of(*config.checked(dict(user)).board())
+    return board.per_rps if board.scale_assumed and board.reports.own_scale else 0.0
 
 
 def driven(user: dict[str, object]) -> Settings:
@@ -70,6 +81,7 @@ class ProveStand(Stand):
         then judges too. Raises SettingError."""
         self.device = device
         values = settings_for(user)
+        self.confirms_scale = confirms(user) > 0
         self.user: Settings = driven(user)
         self.settings: Settings = driven(values)
         self.language = board_of(*self.settings.board())

@@ -131,9 +131,22 @@ def test_wheels_that_do_not_turn_as_told_end_it_and_the_setting_is_named(too_lar
 
 
 @pytest.mark.slow
-def test_a_scale_that_nobody_has_confirmed_is_named_and_no_wheel_is_faster_than_its_cap(tmp_path: Path) -> None:
-    config = settings(tmp_path, **{"board.kind": "arduino"})
+@pytest.mark.parametrize("written", [{}, {"board.per_rps": 114.5}], ids=str)
+def test_a_scale_that_nobody_has_confirmed_is_named_and_no_wheel_is_faster_than_its_cap(
+    written: dict[str, object], tmp_path: Path
+) -> None:
+    config = settings(tmp_path, **{"board.kind": "arduino", **written})
     done = failstop("prove", "--sim", "--json", *AT, "--config", config, timeout=LIMIT_S)
     result = json.loads(done.stdout)
     assert {row["velocity"] for row in result["rows"]} == {"0.05"}
     assert UNCONFIRMED in result["unproved"]
+
+
+@pytest.mark.slow
+def test_a_scale_that_the_reports_fit_is_confirmed_by_the_test(tmp_path: Path) -> None:
+    """It is so close to the usual one that the board's report fits, and the board reports in a unit of its own."""
+    config = settings(tmp_path, **{"board.kind": "ugv", "board.per_rps": 0.27})
+    done = failstop("prove", "--sim", "--json", *AT, "--config", config, timeout=LIMIT_S)
+    result = json.loads(done.stdout)
+    assert {row["velocity"] for row in result["rows"]} == {"0.2"}, "no cap here"
+    assert "board.per_rps_confirmed = 0.27 may be set" in json.dumps(result)

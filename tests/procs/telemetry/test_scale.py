@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from math import isnan, nan
 
 import pytest
@@ -17,7 +18,10 @@ from failstop.procs.telemetry.scale import ScaleJudge
 STEP_NS = 20_000_000
 OWN = ("hoverboard", "ugv")
 """Boards that report in a unit of their own."""
-WRONG = (0.2, 0.35, 3.0, 6.0)
+WRONG = (0.2, 0.4, 2.5, 6.0)
+"""Wrong scales that no slope, load or battery explains."""
+NEAR = (0.5, 0.7, 1.5, 2.0)
+"""Those that it may explain where the board sets a voltage."""
 DRIVE_S = 1.0
 """What `failstop drive` drives for by default."""
 
@@ -35,6 +39,7 @@ class Robot:
         self._turn = 0.0
         self.told = self.velocity = (0.0, 0.0, 0.0)
         self.said: list[str] = []
+        self.remarked: list[str] = []
         self.noise: Callable[[], float] = float
         self.reports = True
         self._read_ns = 0
@@ -61,12 +66,17 @@ class Robot:
                 self._read_ns = self.now_ns
             gyro = None if self._body is None else self._turn + self.noise() / 50
             measured = [speed + self.noise() for speed in self._speeds]
-            if self.judge.follow(self.velocity, measured, self._read_ns, gyro, self.now_ns) and self.judge.wrong:
-                self.said += self.judge.wrong
+            if self.judge.follow(self.velocity, measured, self._read_ns, gyro, self.now_ns):
+                self.said += [text for text in self.judge.wrong if _kind_of(text) not in map(_kind_of, self.said)]
+                self.remarked += self.judge.remarks
 
 
-@pytest.mark.parametrize("kind", OWN)
-@pytest.mark.parametrize("ratio", WRONG)
+def _kind_of(text: str) -> str:
+    """What differs: the wheels or the turn."""
+    return text.partition(" turn")[0]
+
+
+@pytest.mark.parametrize(("kind", "ratio"), [*product(OWN, WRONG), *product(("ugv",), NEAR)])
 def test_the_first_drive_tells_wheels_that_do_not_turn_as_told(kind: str, ratio: float) -> None:
     robot = Robot(kind, wheels=ratio)
     robot.drive(0.2, 0.0, DRIVE_S)
@@ -80,12 +90,31 @@ def test_the_first_drive_tells_wheels_that_do_not_turn_as_told(kind: str, ratio:
     assert len(robot.said) == 1, "once"
 
 
-@pytest.mark.parametrize("ratio", [0.4, 3.0])
+@pytest.mark.parametrize("ratio", NEAR)
+def test_the_first_drive_remarks_on_what_a_slope_or_a_load_may_explain(ratio: float) -> None:
+    robot = Robot("hoverboard", wheels=ratio)
+    robot.drive(0.2, 0.0, DRIVE_S)
+    robot.drive(0.0, 0.0, 1.0)
+    assert robot.said == []
+    assert "a slope, a load or the battery can do that, but if they always do, board.per_rps = " in robot.remarked[-1]
+    would = float(robot.remarked[-1].partition("board.per_rps = ")[2].partition(" ")[0])
+    assert would == pytest.approx(robot.board.per_rps / ratio, rel=0.15)
+
+
+@pytest.mark.parametrize("ratio", [0.2, 0.4, 0.5, 1.5, 2.0, 2.5, 6.0])
 def test_the_gyro_tells_a_turn_that_is_not_as_told(ratio: float) -> None:
     robot = Robot("rrc", body=ratio)
-    robot.drive(0.0, 1.0, 2.0)
+    robot.drive(0.0, 1.0, DRIVE_S)
+    robot.drive(0.0, 0.0, 1.0)
     (said,) = robot.said
     assert "as the gyro feels it: one of wheels.track_m, wheels.diameter_m" in said
+
+
+def test_a_turn_that_skidding_wheels_explain_is_a_remark() -> None:
+    robot = Robot("rrc", body=0.7)
+    robot.drive(0.0, 1.0, DRIVE_S)
+    assert robot.said == []
+    assert "tracks and skidding wheels do that, but otherwise one of wheels.track_m" in robot.remarked[-1]
 
 
 @pytest.mark.parametrize("kind", ["arduino", "feetech"])
