@@ -128,8 +128,9 @@ class Incident:
         """Everything for the board, in order: the port owner's, the supervisor's bursts, the stopper's last one."""
         board: list[tuple[int, tuple[int, Any]]] = self._entries(layout.TELEMETRY, "box", box.unpack_board)
         self.imu = [Imu(ns, values[:3], values[3:]) for ns, (kind, values) in board if kind == box.IMU_KIND]
-        self.battery_v = [values[0] / 1e3 for _, (kind, values) in board if kind == box.BATTERY_KIND]
-        """Volts, at each of its readings."""
+        self.battery_v = [(ns, values[0] / 1e3) for ns, (kind, values) in board if kind == box.BATTERY_KIND]
+        """(when, volts)."""
+        self._servos_ns = [ns for ns, (kind, _) in board if kind == box.SERVO_KIND]
         self.measured = [
             (ns, tuple(values[wire_id] for wire_id in ids))
             for ns, (kind, values) in board
@@ -259,6 +260,19 @@ class Incident:
             fastest = max(max(map(abs, speeds), default=0.0) for _, speeds in run)
             found.append((turn, run[0][0], run[-1][0], fastest, len(run)))
         return found
+
+    def ages(self) -> dict[str, float | None]:
+        """How old the newest reading of each kind was at the cause, in s, named as in State.ages; None: the file has no
+        reading from before it. That of the wheels is called `wheels_s`."""
+        readings = {
+            "board_s": [ns for ns, _ in self.received],
+            "wheels_s": [ns for ns, _ in self.measured],
+            "imu_s": [sample.t_ns for sample in self.imu],
+            "battery_s": [ns for ns, _ in self.battery_v],
+            "servos_s": self._servos_ns,
+        }
+        newest = {name: [ns for ns in times if ns <= self.cause_ns] for name, times in readings.items()}
+        return {name: round((self.cause_ns - max(times)) / 1e9, 3) if times else None for name, times in newest.items()}
 
     def _board(self) -> Board | None:
         """The board that the settings name; None: of the user's own, whose code no reader of a file runs."""

@@ -180,5 +180,5 @@ def as_dict(incident: Incident) -> dict[str, Any]:
         {"ms": round(incident.ms(line.ns), 3), "what": line.what, "text": line.text, "count": line.count}
         for line in tell(incident)
     ]
-    found = {"id": incident.id, **incident.head, "story": lines}
+    found = {"id": incident.id, **incident.head, "story": lines, "ages": incident.ages()}
     return {**found, "machine": incident.machine, "settings": incident.settings}

@@ -144,7 +144,7 @@ def test_an_empty_incident_is_a_report_all_the_same() -> None:
     shown = text(made.incident())
     for fact in ("before", "noticed", "proof"):
         assert re.search(rf"^  {fact} +.*not known", shown, re.M), fact
-    assert shown.count("not known") == 6
+    assert shown.count("not known") == 7
     assert text(made.incident(), whole=False).startswith("Incident ")
 
 
@@ -164,7 +164,8 @@ def test_the_report_reads_from_the_reason_to_the_versions(incident: Incident) ->
         *("driving, 0.20 m/s forward; nav (pid 77) as cmd_vel", "noticed by the port owner"),
         *("proof written after 0.21 ms", "acknowledged after 3.10 ms", "still after about 0.3 s"),
         *("Story, milliseconds from the cause", "motion enabled by nav", ">>         0  CAUSE"),
-        *("! gate (pid 102) was killed by SIGKILL", "battery 11.80 V, at least 11.20 V"),
+        *("! gate (pid 102) was killed by SIGKILL", "battery 11.80 V, read"),
+        *("after the cause; at least 11.20 V", "readings the newest before the cause, and how old it was then: IMU"),
         *("load 0.50 0.40 0.30", "device.path = /dev/pts/7", "failstop 0.1.0, python 3.11.7"),
     ]
     places = [re.sub(r"\s+", " ", shown).find(re.sub(r"\s+", " ", part)) for part in parts]
@@ -305,6 +306,18 @@ def test_what_the_board_reports_of_the_wheels_is_told_beside_what_they_were_told
         ("are still, by the board's reports", 40.0, 2),
     ]
     assert "wheels    turned, at most 0.80 turns/s; still 40 ms after it (by the board's reports)" in text(found, 160)
+
+
+def test_readings_have_ages(incident: Incident) -> None:
+    old = rolled((-20_000, 0.8))
+    assert story.as_dict(old)["ages"]["wheels_s"] == 20.0
+    shown = text(old, 160)
+    assert "wheels    turned, at most 0.80 turns/s, 20 s before; TURNED at the last report, 20.0 s before it" in shown
+    assert "readings  the newest before the cause, and how old it was then: wheels 20.0 s" in shown
+    assert "were still, 20 s before" in text(rolled((-20_000, 0.0)), 160)
+    assert "battery   11.80 V, read 1.0 s after the cause; at least 11.20 V" in text(incident, 160)
+    ages = story.as_dict(incident)["ages"]
+    assert (ages["battery_s"], ages["wheels_s"], ages["servos_s"]) == (1.0, None, None)
 
 
 def test_wheels_that_turn_at_the_end_are_told_with_their_speed() -> None:

@@ -23,6 +23,8 @@ NARROWEST = 60
 LABEL = 10
 LEAD = 2 + 10 + 2 + LABEL + 2
 """Columns in front of a line's text: indent, time, gap, label, gap."""
+READINGS = {"board_s": "board", "wheels_s": "wheels", "imu_s": "IMU", "battery_s": "battery", "servos_s": "servos"}
+"""Words for the names of Incident.ages()."""
 PROOFS = {True: PLAIN, None: WARN, False: FAIL}
 ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL}
 
@@ -118,8 +120,9 @@ def _wheels(incident: Incident) -> list[Fact]:
     first = "not reported before"
     if before:
         first = f"turned, at most {before[-1][3]:.2f} turns/s" if before[-1][0] else "were still"
+        first += words.aged((incident.cause_ns - before[-1][2]) / 1e9).replace("ago", "before")
     if turn:
-        after = f"TURNED at the last report, {words.took(max(0, end_ns - incident.cause_ns) / 1e9)} after it"
+        after = f"TURNED at the last report, {_when(incident, end_ns)} it"
         return [("wheels", f"{first}; {after}: at most {fastest_rps:.2f} turns/s (by the board's reports)", FAIL)]
     rest = (
         f"; still {words.took((begin_ns - incident.cause_ns) / 1e9)} after it" if begin_ns > incident.cause_ns else ""
@@ -143,13 +146,34 @@ def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
     return found
 
 
+def _when(incident: Incident, ns: int) -> str:
+    """How long before the cause, or after it."""
+    return f"{words.took(abs(ns - incident.cause_ns) / 1e9)} {'before' if ns < incident.cause_ns else 'after'}"
+
+
+def _battery(incident: Incident) -> str:
+    """The last reading, when it was, and the lowest."""
+    if not incident.battery_v:
+        return memory.NOT_KNOWN
+    ns, volts = incident.battery_v[-1]
+    least = min(volts for _, volts in incident.battery_v)
+    return f"{volts:.2f} V, read {_when(incident, ns)} the cause; at least {least:.2f} V"
+
+
+def _ages(incident: Incident) -> str:
+    """How old the newest readings were when it happened."""
+    ages = {READINGS[name]: age_s for name, age_s in incident.ages().items() if age_s is not None}
+    old = ", ".join(f"{name} {words.took(age_s)}" for name, age_s in ages.items())
+    return f"the newest before the cause, and how old it was then: {old}" if old else memory.NOT_KNOWN
+
+
 def _around(incident: Incident) -> list[Fact]:
     """Details for a reader whom the story has left with a question."""
     usual = Settings().lines().splitlines()
     changed = [f"{key} = {value}" for key, value in incident.settings.items() if f"{key}={value}" not in usual]
-    volts = f"{incident.battery_v[-1]:.2f} V, at least {min(incident.battery_v):.2f} V" if incident.battery_v else ""
     return [
-        ("battery", volts or memory.NOT_KNOWN, PLAIN),
+        ("battery", _battery(incident), PLAIN),
+        ("readings", _ages(incident), PLAIN),
         ("machine", ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in incident.machine.items()), PLAIN),
         ("settings", ", ".join(changed) or "all as by default", PLAIN),
         ("versions", ", ".join(f"{name} {value}" for name, value in incident.head["versions"].items()), PLAIN),
