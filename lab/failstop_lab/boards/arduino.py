@@ -102,7 +102,7 @@ class Arduino(Rolling):
     def _turn(self, at_ns: int) -> None:
         """A raw line's PWM counts as if it were ticks."""
         passed_s, self._turned_ns = (at_ns - self._turned_ns) / 1e9, at_ns
-        self._way = [way + speed * PERIODS * passed_s for way, speed in zip(self._way, self.rolls, strict=True)]
+        self._way = [way + speed * PERIODS * passed_s for way, speed in zip(self._way, self.reported, strict=True)]
         self.counts = (int(self._way[0]), int(self._way[1]))
 
     def turn_by_hand(self, wheel: int, counts: float) -> None:

@@ -227,7 +227,7 @@ class Bus(Rolling):
                 continue
             ear.ids.discard(servo)
             if self.turns and servo in codec.WHEELS:
-                steps = int(self.rolls[codec.WHEELS.index(servo)])
+                steps = int(self.reported[codec.WHEELS.index(servo)])
                 said = steps if steps >= 0 else -steps | NEGATIVE
                 self.memory[servo][SPEED_AT : SPEED_AT + 2] = said.to_bytes(2, "little")
             data = bytearray(codec.packet(servo, 0, bytes(self.memory[servo][address : address + size])))

@@ -98,7 +98,8 @@ class Hoverboard(Rolling):
     def _main_loop(self) -> None:
         self.loop()
         if self._loops % 2 == 0:
-            turned = (self.gain * self.rolls[0], -self.gain * self.rolls[1])
+            reported = self.reported
+            turned = (self.gain * reported[0], -self.gain * reported[1])
             left, right = map(self._rpm, turned) if self.turns else (0, 0)
             volts = CENTIVOLTS if self.turns else 0
             frame = feedback.seal(

@@ -58,6 +58,11 @@ class Rolling:
     pushed = 0.0
     """And by so much more, in the unit of the board's motion: somebody pushes it, or it does not obey."""
 
+    lies = 1.0
+    """Its reports say that every wheel turns so many times as fast as it does."""
+    claims = 0.0
+    """And by so much more, in the unit of the board's motion."""
+
     @property
     def rolls(self) -> tuple[float, ...]:
         """Speeds in the unit of its motion."""
@@ -65,6 +70,13 @@ class Rolling:
             return self.wheels
         first, *others = self.wheels
         return (first * self.faster + self.pushed, *others)
+
+    @property
+    def reported(self) -> tuple[float, ...]:
+        """Speeds that its reports are made of."""
+        if self.lies == 1.0 and not self.claims:
+            return self.rolls
+        return tuple([speed * self.lies + self.claims for speed in self.rolls])
 
 
 @dataclass(frozen=True)

@@ -150,6 +150,15 @@ class LiveModel(BoardModel):
             raise ValueError("the wheels of this board's receiver do what they are told")
         self.receiver.faster, self.receiver.pushed = faster, pushed_rps * self._per_rps
 
+    def lie(self, times: float = 1.0, more_rps: float = 0.0) -> None:
+        """Its reports say that every wheel turns so many times as fast as it does, and by `more_rps` more."""
+        if isinstance(self.receiver, Rolling):
+            self.receiver.lies, self.receiver.claims = times, more_rps * self._per_rps
+
+    @property
+    def driven(self) -> Speeds:
+        return self._rps(self.receiver.wheels)
+
     def turn_by_hand(self, wheel: int, turns: float) -> None:
         """A person turns a wheel, and its encoder counts. Raises ValueError."""
         turned = getattr(self.receiver, "turn_by_hand", None)

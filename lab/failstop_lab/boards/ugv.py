@@ -87,7 +87,7 @@ class Ugv(Rolling):
     def _report(self, at_ns: int) -> None:
         passed_s = (at_ns - self._report_ns + REPORT_NS) / 1e9
         self._report_ns = at_ns + REPORT_NS
-        wheels = tuple(speed * self.gain for speed in self.rolls)
+        wheels = tuple(speed * self.gain for speed in self.reported)
         self._odometers = [way + 100 * speed * passed_s for way, speed in zip(self._odometers, wheels, strict=True)]
         said = b'{"T":1001,"L":%g,"R":%g,"ax":0,"ay":0,"az":8192,"gx":0,"gy":0,"gz":0,"odl":%d,"odr":%d,"v":1180}\r\n'
         self.said.append((at_ns, said % (*wheels, *self._odometers)))

@@ -87,6 +87,18 @@ class BoardPort:
         self._told = self.model.executed_total
         self.plan()
 
+    def lie(self, times: float, more_rps: float = 0.0) -> None:
+        """Its reports say that every wheel turns so many times as fast as it does, and by `more_rps` more."""
+        self.catch_up()
+        self.model.lie(times, more_rps)
+
+    def behave(self) -> None:
+        """What it reports is true, and arrives at once; it hears, and its wheels do what they are told."""
+        self.lie(1.0)
+        self.up_ns, self.model.silent, self.model.deaf = 0, False, False
+        if isinstance(self.model, LiveModel):
+            self.model.roll(1.0, 0.0)
+
     def plan(self) -> None:
         """Have the time pass when something is due: call it after a change of the model."""
         due_ns = self.model.next_ns

@@ -40,6 +40,8 @@ CATCH_UP_NS = 100_000_000
 # The firmware averages the battery voltage: a step takes about 3 s to show fully.
 BATTERY_READINGS = 3
 NEVER_NS = 1 << 63
+TRUTH = (1.0, 0.0)
+"""What reports say of a speed: so many times it, and so much more."""
 
 
 class Executed:
@@ -115,6 +117,7 @@ class BoardModel:
         self.garble_down = 0.0
         self.garble_up = 0.0
         self.cut_bytes = 0
+        self._lies = TRUTH
         self.prints = True
         """Whether what it prints as it starts can be read, where its kind prints something."""
 
@@ -214,6 +217,16 @@ class BoardModel:
         """Only boards that report what their wheels do can have one that does something else."""
         raise ValueError("this board does not report its wheels")
 
+    def lie(self, times: float = 1.0, more_rps: float = 0.0) -> None:
+        """Its reports say that every wheel turns so many times as fast as it does, and by `more_rps` more. Here the IMU
+        shakes as if they did."""
+        self._lies = times, more_rps
+
+    @property
+    def driven(self) -> Speeds:
+        """Speeds that its motors make, in rps; a wheel that somebody pushes turns although they make none."""
+        return self.wheels
+
     def _pwm_servo(self, data: bytes, t_ns: int) -> None:
         command = data[0] if data else 0
         if command == 0x01 and len(data) >= 4:
@@ -268,7 +281,9 @@ class BoardModel:
         t_ns = self._imu_ns
         self._imu_ns = self._next(t_ns, self._imu_period_ns, now_ns)
         if self.imu_on:
-            frame = upward.imu_frame(*self.imu.sample(self.wheels, t_ns))
+            times, more_rps = self._lies
+            seen = tuple([speed * times + more_rps for speed in self.wheels]) if self._lies != TRUTH else self.wheels
+            frame = upward.imu_frame(*self.imu.sample(seen, t_ns))
             self.imu_sent += 1
             # The rate is that of complete frames.
             self._send(frame, t_ns - BYTE_NS * len(frame))

@@ -21,6 +21,11 @@ TABLE_MODULE = "failstop.supervisor.process_table"
 PORT_MODULE = "failstop.procs.port_owner.port"
 PEER_MODULE = "failstop.procs.peer"
 STOP_PORT_MODULE = "failstop.board.stop_port"
+TELEMETRY_MODULE = "failstop.procs.telemetry.main"
+UNASKED_MODULE = "failstop.procs.telemetry.unasked"
+TURNING_MODULE = "failstop.procs.gate.turning"
+SOURCES_MODULE = "failstop.procs.gate.sources"
+MONITOR_MODULE = "failstop.supervisor.monitor"
 
 CUT_AND_ASKED = "short write, while somebody asks for a stop"
 NOT_REPEATED = ("failstop.board.described", "tuple(row[1:] for row in wire.stop.repeats_ns)", "((), (), ())")
@@ -186,6 +191,35 @@ CONTROLS = (
         "a sleep of the machine goes unnoticed",
         "machine_sleeps",
         ((PORT_OWNER_MODULE, "self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))", "pass"),),
+    ),
+    Mutant(
+        "nobody stops for a wheel that runs away",
+        "wheel_runs_away",
+        ((TELEMETRY_MODULE, "self._raise(causes.RUNAWAY(name, told, seen))", "pass"),),
+        board="hoverboard",
+    ),
+    Mutant(
+        "nobody stops for a board that says nothing",
+        "board_says_nothing",
+        ((MONITOR_MODULE, "{LINK_DEAF: causes.DEAF, LINK_SILENT: causes.BOARD_SILENT}", "{LINK_DEAF: causes.DEAF}"),),
+        board="ugv",
+    ),
+    Mutant(
+        "wheels that turn unasked do not disable motion",
+        "wheels_turn_unasked",
+        ((TURNING_MODULE, "if not unexpected or by != _BY_REPORTS:", "if unexpected or by != _BY_REPORTS:"),),
+        board="hoverboard",
+    ),
+    Mutant(
+        "wheels that turn on unasked latch no stop",
+        "wheels_turn_unasked",
+        ((UNASKED_MODULE, "return Reaction(causes.UNSTILL(), False, None)", "return NO_REACTION"),),
+        board="hoverboard",
+    ),
+    Mutant(
+        "a program drives on through an enable",
+        "commands_through_an_enable",
+        ((SOURCES_MODULE, "for source in self._rank if source not in self._held)", "for source in self._rank)"),),
     ),
     Mutant(
         "the board's own watchdog is not armed",

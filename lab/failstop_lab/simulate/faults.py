@@ -10,17 +10,30 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
+from failstop.messages import layout
 from failstop_lab.machine.files import Fifo, Open, Regular
 from failstop_lab.machine.port import Port
 from failstop_lab.machine.process import Process, Thread
 from failstop_lab.machine.robot import MS
 from failstop_lab.simulate.stage import Stage
-from failstop_lab.simulate.witness import PORT_WRITERS, SERVICE_PROCESSES
+from failstop_lab.simulate.witness import COMPARED, PORT_WRITERS, SERVICE_PROCESSES, TRUE_REPORTS
 
 Fault = tuple[str, Callable[[], None]]
 LONG_HOLD_NS = 300 * MS
 BESIDE = " dies beside"
 """In the name of each fault that happens to another process than the one that makes the call."""
+REPORTS_STOP, REPORTS_LATE = "reports stop", "reports are late"
+LIES = {
+    "reports say that the wheels stand": (0.0, 0.0),
+    "reports say that the wheels turn": (1.0, 1.0),
+    "reports say that the wheels turn the other way": (-1.0, 0.0),
+}
+"""So many times as fast as they turn, and so many turns a second more."""
+REPORTS = (REPORTS_STOP, REPORTS_LATE, *LIES)
+BLIND_NS = 1_200 * MS
+"""So long reports are not what they should be: longer than any answer to that takes."""
+LATE_NS = 250 * MS
+"""So late they are."""
 LINES = 2
 """By so many lines of the call stack two calls are told apart."""
 ASLEEP_S = 20.0
@@ -69,6 +82,10 @@ def faults(
     yield f"starved{told}", lambda: _held(stage, process, held_ns, starved=True)
     yield "machine sleeps", lambda: stage.sleep_machine(ASLEEP_S)
     opened = process.files.get(about[0]) if call in ("write", "read") else None
+    if call == "read" and process.name == layout.TELEMETRY and opened and isinstance(opened.node, Port):
+        for_ns = BLIND_NS if held_ns == LONG_HOLD_NS else held_ns
+        for name in REPORTS:
+            yield name, lambda name=name: _blinded(stage, name, for_ns)  # type: ignore[misc]
     for number in _refusals(call, opened):
         yield errno.errorcode[number], _refused(stage, process, call, number)
     if call == "write" and opened and isinstance(opened.node, Port):
@@ -128,6 +145,31 @@ def _land(stage: Stage, process: Process, opened: Open, data: bytes) -> None:
     stage.witness.tell(f"the write that {process.name} was in is done")
     with contextlib.suppress(OSError):
         opened.node.write(opened, data)
+
+
+def _blinded(stage: Stage, name: str, ns: int) -> None:
+    """For so long what the board reports stops, comes late, or is not true. The judge looks at its wheels."""
+    board, machine = stage.robot.board, stage.machine
+    if name in LIES:
+        stage.witness.blind(ns, (TRUE_REPORTS, COMPARED))
+    else:
+        stage.witness.blind(ns + (LATE_NS if name == REPORTS_LATE else 0))
+
+    def over() -> None:
+        if name in LIES:
+            board.lie(1.0)
+        elif name == REPORTS_LATE:
+            board.up_ns = 0
+        else:
+            board.model.silent = stage.silenced
+
+    if name in LIES:
+        board.lie(*LIES[name])
+    elif name == REPORTS_LATE:
+        board.up_ns = LATE_NS
+    else:
+        board.model.silent = True
+    machine.at(machine.now_ns + ns, over)
 
 
 def _refused(stage: Stage, process: Process, call: str, number: int) -> Callable[[], None]:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from failstop_lab.boards.traits import HAS_ARM, HAS_KEYS, HAS_REPORTS, SHOWS_DEAF, Traits
+from failstop_lab.boards.traits import HAS_ARM, HAS_KEYS, HAS_REPORTS, HAS_WHEEL_REPORTS, SHOWS_DEAF, Traits
 from failstop_lab.machine.kernel import Machine
 from failstop_lab.machine.loading import Loader
 from failstop_lab.simulate.witness import Witness
@@ -18,8 +18,6 @@ NOT_TRIED = {
     "cause bad_frame": "nor does a gate that sends nonsense",
     "admission bad frame": "nor does a gate that sends nonsense",
     "admission burst": "a zero frame that is too old comes of a gate and a port owner that are both held up",
-    "cause unstill": "the simulated board's IMU does not feel its wheels shake on here",
-    "cause runaway": "the wheels of the simulated board do what they are told here",
     "cause not_heard": "a second without an answer, and a process that is held up within it: two faults",
     "cause defect": "nothing happens to a process that cannot happen",
     "cause battery": "its voltage takes seconds to show",
@@ -51,6 +49,7 @@ CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("cause device_lost", ("PORT-1",)),
     ("cause (stuck|deaf|not_heard|restarted)", ("BOARD-1",)),
     ("cause board_silent", ("SILENCE-1",)),
+    ("cause (runaway|unstill)", ("RUNAWAY-1",)),
     ("cause (not_finite|two_publishers|driver_died|driver_silent)", ("CLIENT-1",)),
     ("cause (key|requested|piped)", ("ASK-1",)),
     ("cause stopping", ("END-1",)),
@@ -69,6 +68,8 @@ OF_PARTS = {
     "cause key": HAS_KEYS,
     "cause deaf": SHOWS_DEAF,
     "cause board_silent": HAS_REPORTS,
+    "cause runaway": HAS_WHEEL_REPORTS,
+    "cause unstill": HAS_WHEEL_REPORTS,
     "cause restarted": HAS_REPORTS,
     "admission hangs": HAS_ARM,
 }

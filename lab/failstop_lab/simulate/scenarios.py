@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
-from failstop_lab.boards.traits import HAS_ARM, HAS_DRIVERS, HAS_KEYS, HAS_REPORTS, Traits
+from failstop_lab.boards.traits import HAS_ARM, HAS_DRIVERS, HAS_KEYS, HAS_REPORTS, HAS_WHEEL_REPORTS, Traits
 from failstop_lab.simulate.guarded import Guarded
 from failstop_lab.simulate.stage import FROM_THE_START, NEEDS, SETTINGS, Continuation, Stage
 
@@ -16,6 +17,8 @@ DRIVEN: dict[str, Continuation] = {}
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 600, 540)}
 """Servo, pulses of the tuck pose and of the drive pose."""
 SLOW_MPS = 0.01
+UNASKED_S = 4.6
+"""So long wheels turn unasked: longer than it takes to disable motion, and to latch a stop, at any board."""
 LOOKS = 25
 """For so many ticks a process is killed as soon as it is there, which is more often than it is restarted."""
 JOINT_KEYS = ("servo", "tuck", "drive")
@@ -327,6 +330,80 @@ driven(
     "The board reports nothing any more while it drives.",
     needs=(HAS_REPORTS,),
 )
+
+
+def _wheel_runs_away(stage: Stage, robot: Any) -> None:
+    stage.drive(robot, 0.8)
+    stage.run_away(5.0)
+    stage.drive(robot, 2.2)
+
+
+driven(
+    _wheel_runs_away,
+    "wheel_runs_away",
+    "A wheel turns five times as fast as it is told, and the board reports it.",
+    needs=(HAS_WHEEL_REPORTS,),
+)
+
+
+def _wheels_turn_unasked(stage: Stage, robot: Any) -> None:
+    """The program sends zero for so long that its last command is over, then nothing."""
+    robot.drive(0.0, 0.0, 0.0)
+    stage.time.sleep(0.7)
+    stage.push(0.4)
+    stage.time.sleep(UNASKED_S)
+    stage.push(0.0)
+    with contextlib.suppress(stage.failstop.FailstopError):
+        robot.enable()  # without a reset: nobody has seen why they turned
+    stage.drive(robot, 0.2)
+
+
+driven(
+    _wheels_turn_unasked,
+    "wheels_turn_unasked",
+    "Wheels turn although they are told zero while motion is enabled, until a stop is latched for it.",
+    needs=(HAS_WHEEL_REPORTS,),
+)
+
+
+@driven
+def reports_lie(stage: Stage, robot: Any) -> None:
+    """The board says that its wheels stand while they turn, and that they turn while they stand: no stop depends on
+    it."""
+    stage.lie(0.0)
+    stage.drive(robot, 0.1)
+    stage.stop(robot)
+    stage.lie(1.0, 0.4)
+    stage.time.sleep(0.2)
+    stage.enable(robot)
+    stage.drive(robot, 0.1)
+    stage.disable(robot)
+    stage.lie(1.0)
+
+
+@driven
+def reports_are_late(stage: Stage, robot: Any) -> None:
+    """What the board says arrives a quarter of a second late: no stop waits for it."""
+    stage.delay_reports(250)
+    stage.drive(robot, 0.3)
+    stage.stop(robot)
+    stage.enable(robot)
+    stage.drive(robot, 0.1)
+    stage.disable(robot)
+    stage.delay_reports(0)
+
+
+@driven
+def commands_through_an_enable(stage: Stage, robot: Any) -> None:
+    """A program goes on commanding while motion is enabled: it drives only after a zero, or a pause."""
+    stage.stop(robot)
+    stage.reset(robot)
+    stage.drive(robot, 0.04)
+    stage.enable_for(robot)
+    stage.drive(robot, 0.1)
+    stage.enable(robot)
+    stage.drive(robot, 0.04)
+    robot.close()
 
 
 @driven

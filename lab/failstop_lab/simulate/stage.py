@@ -22,7 +22,7 @@ from failstop_lab.machine.process import Process, Thread
 from failstop_lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop_lab.simulate import marks
 from failstop_lab.simulate.order import Order, watch_looks, watch_rings
-from failstop_lab.simulate.witness import ASKED_NS, BACK_NS, ZEROS_NS, Witness
+from failstop_lab.simulate.witness import ASKED_NS, BACK_NS, COMPARED, REPORTS, TRUE_REPORTS, ZEROS_NS, Witness
 
 Continuation = Callable[["Stage", Any], object]
 SETTINGS: dict[Callable[[Stage], object], dict[str, object]] = {}
@@ -50,6 +50,11 @@ RESTART_NS = 100 * MS
 DRIVER_NS = 500 * MS
 NOTICED_MS = 350
 """A board that is asked for its counters every 0.2 s may be told to drive again until the next answer."""
+RUN_DOWN_MS = 300 + 200 + 100 + 200
+"""From when a wheel runs away to the stop, with three times between reports: the lag, the shortest time that counts,
+the run-down from SPEED_MPS at the default braking, and what the stop takes (docs/dev/runaway.md)."""
+UNASKED_MS = 2 * 1_500 + 300
+"""From when wheels turn unasked, which disables motion and then latches a stop, with some times between reports."""
 SILENT_MS = 1_000
 """A board that says nothing any more is stopped within so long."""
 MOVING_AT = layout.SEGMENT_BY_NAME[layout.PORT_OWNER].offsets["moving"]
@@ -95,6 +100,8 @@ class Stage:
         self._granted_ns = FOREVER_NS
         """When the last program may drive."""
         self._keep = True
+        self.silenced = False
+        """The scenario has the board say nothing."""
         self.player: Process | None = None
         self._last: Process | None = None
         """The program that drives after the faults."""
@@ -277,18 +284,53 @@ class Stage:
 
     def silence_board(self) -> None:
         """Nothing that the board says arrives any more; it hears and obeys."""
-        self.must_stop("the board says nothing", SILENT_MS, layout.SUPERVISOR)
-        self.robot.board.model.silent = True
+        self.must_stop("the board says nothing", SILENT_MS, REPORTS)
+        self.robot.board.model.silent = self.silenced = True
+
+    def run_away(self, faster: float) -> None:
+        """The first wheel turns so many times as fast as it is told."""
+        every_ms = self.traits.language.reports.every_ns // MS
+        self.must_stop("a wheel runs away", RUN_DOWN_MS + 3 * every_ms, COMPARED)
+        self.robot.board.catch_up()
+        self.robot.board.model.roll(faster, 0.0)
+
+    def push(self, rps: float) -> None:
+        """Somebody pushes the first wheel, or another program drives it, while the service tells it zero; 0: not any
+        more. If it goes on, motion is disabled, and then a stop is latched."""
+        if rps:
+            every_ms = self.traits.language.reports.every_ns // MS
+            self.witness.must_refuse("the wheels turned although they were told zero", (UNASKED_MS + 4 * every_ms) * MS)
+        self.robot.board.catch_up()
+        self.robot.board.model.roll(1.0, rps)
+
+    def enable_for(self, robot: Any) -> None:
+        """Enable while that program commands a speed: it may turn no wheel until it has sent zero, or has paused."""
+        self.witness.asks_for_motion()
+        robot.enable()
+        self.witness.is_granted()
+        self.witness.must_wait("a program commands on through an enable")
+
+    def lie(self, times: float, more_rps: float = 0.0) -> None:
+        """The board reports that every wheel turns so many times as fast as it does, and by `more_rps` more."""
+        self.witness.tell("the board's reports lie" if (times, more_rps) != (1.0, 0.0) else "they are true again")
+        self.robot.board.lie(times, more_rps)
+
+    def delay_reports(self, ms: int) -> None:
+        """What the board says arrives so much later."""
+        self.witness.tell(f"what the board says arrives {ms} ms late")
+        self.robot.board.up_ns = ms * MS
 
     def restart_board(self, deaf_ms: int) -> None:
         """The board starts again, and hears and reports nothing for so long; its reports afterwards tell."""
         self.witness.tell(f"the board restarts, deaf for {deaf_ms} ms")
         self.robot.board.restart(deaf_ms * MS)
-        self.must_stop("the board restarted", deaf_ms + NOTICED_MS, layout.TELEMETRY)
+        within_ns = (deaf_ms + NOTICED_MS) * MS
+        moot = self.witness.blindness(TRUE_REPORTS)
+        self.witness.must_stop("the board restarted", within_ns, layout.TELEMETRY, moot)
 
     def press(self, key: int) -> None:
         """A key of the board."""
-        self.must_stop("a key was pressed", 30, layout.TELEMETRY)
+        self.witness.must_stop("a key was pressed", 30 * MS, layout.TELEMETRY, self.witness.blindness(REPORTS))
         self.robot.board.press(key)
 
     def sleep_machine(self, seconds: float) -> None:
@@ -370,9 +412,9 @@ class Stage:
             if process.held_until_ns:
                 machine.resume(process)
         if self.robot.board.model.deaf:
-            self.robot.board.model.deaf = False
             self.witness.hears_ns = machine.now_ns + ZEROS_NS
-        self.robot.board.model.silent = False
+        self.robot.board.behave()
+        self.silenced = False
         if self.robot.board.port is None:
             self.replug()
         else:

@@ -9,6 +9,7 @@ one does.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from functools import partial
 
 from failstop.board.kinds import is_described
@@ -54,6 +55,11 @@ HANG_BAR_NS = {
     "telemetry": 530 * MS,
 }
 """From the last beat to the stop at the board: the lease or the deadline, a tick, and the steps."""
+REPORTS, TRUE_REPORTS, COMPARED = "reports", "true reports", "reports compared with commands"
+"""Who notices what the board says at all, what shows only in what it truly says of its wheels, and what shows only when
+that has been compared with commands for long enough."""
+SEES_AGAIN_NS = 1_500 * MS
+"""A telemetry that was held up compares reports with commands again once it knows both for long enough."""
 STOPPER_NS = 290 * MS
 """While supervisor and port owner are both silent, the stopper is the one that notices."""
 ZEROS_NS = 250 * MS
@@ -109,6 +115,8 @@ class Witness:
         """When half of a write was on the wire last."""
         self._fenced_ns = 0
         """Until then the stop for one that was fenced may be on its way."""
+        self._waits = ""
+        """Why a program has to pause before it may turn the wheels; empty: none has."""
         self._late = False
         """The one frame that may follow a stop which came while the port owner was held up has come."""
         robot.machine.told = self._told
@@ -176,12 +184,13 @@ class Witness:
         begun_ns, ended_ns = self._stopper_paused_ns
         return begun_ns <= self._asked_ns and self._machine.now_ns < ended_ns + RESUMED_NS
 
-    def must_stop(self, why: str, within_ns: int, by: str = "") -> None:
+    def must_stop(self, why: str, within_ns: int, by: str = "", moot: Callable[[], bool] = lambda: False) -> None:
         """From `within_ns` on the wheels stand, until a program asks for motion again. What is on the wire before it
-        goes first, and a thread that pauses goes on first, of who writes to the board or of `by`, who notices."""
+        goes first, and a thread that pauses goes on first, of who writes to the board or of `by`, who notices. `moot`:
+        whether nobody could notice."""
         self.tell(why)
         after_ns = max(self._wire_ns, self._late_until_ns(by)) - self._machine.now_ns
-        self._judge_in(within_ns, why, self.asked_for_motion, reached=True, after_ns=after_ns, by=by)
+        self._judge_in(within_ns, why, self.asked_for_motion, reached=True, after_ns=after_ns, by=by, moot=moot)
 
     def _late_until_ns(self, by: str = "") -> int:
         return max(self._late_ns.get(name, 0) for name in (*PORT_WRITERS, by))
@@ -201,15 +210,16 @@ class Witness:
         left_ns: int | None = None,
         zeros: bool = False,
         by: str = "",
+        moot: Callable[[], bool] = lambda: False,
     ) -> None:
         """`late`: the wheels turned when they were looked at last, and the board's own line and loop may be why.
         `left_ns`: how much of the bar is left, if not all. `zeros`: the repeats of a stop, whose times are chosen
         against the board's own loop, were moved by a pause, so it may have lost them: the zeros behind them count."""
         begun_ns, paused_ns = self._machine.now_ns, self._all_paused_ns(by)
-        again = partial(self._judge_in, within_ns, why, asked, by=by)
+        again = partial(self._judge_in, within_ns, why, asked, by=by, moot=moot)
 
         def due() -> None:
-            if self.asked_for_motion != asked:
+            if self.asked_for_motion != asked or moot():
                 return
             now_ns, port = self._machine.now_ns, self._board.port
             if port and port.drained_ns > begun_ns:
@@ -224,7 +234,7 @@ class Witness:
                 again(reached=reached, late=late, left_ns=more_ns, zeros=zeros)
                 return
             self._board.catch_up()
-            turn = any(self._board.model.wheels)
+            turn = any(self._board.model.driven)
             if not (reached and self.reached()):
                 again(reached=self.reached(), after_ns=self._wire_ns - now_ns)
             elif turn and own_ns and not late:
@@ -239,6 +249,34 @@ class Witness:
         own_ns = self._own_ns()
         bar_ns = left_ns if left_ns is not None else own_ns if late else within_ns
         self._machine.at(self._machine.now_ns + max(0, after_ns) + bar_ns, due)
+
+    def must_refuse(self, why: str, within_ns: int) -> None:
+        """From `within_ns` on no program may turn the wheels, until it asks for motion again. Whether they turn by
+        themselves is not judged; nor is anything where the reports that show it are not what they should be."""
+        self.tell(why)
+        asked, moot = self.asked_for_motion, self.blindness(COMPARED)
+
+        def due() -> None:
+            if self.asked_for_motion == asked and not moot():
+                self._forbidden = self._forbidden or why
+
+        self._machine.at(self._machine.now_ns + within_ns, due)
+
+    def blindness(self, by: str) -> Callable[[], bool]:
+        """Whether from now on there was ever a time in which it, one of the three above, could notice nothing."""
+        begun_ns, paused_ns = self._machine.now_ns, self._paused_ns[by]
+        return lambda: self._paused_ns[by] != paused_ns or self._late_ns.get(by, 0) > begun_ns
+
+    def blind(self, ns: int, what: tuple[str, ...] = (REPORTS, TRUE_REPORTS, COMPARED)) -> None:
+        """For so long these notice nothing: the board's reports are not what they should be, or nobody reads them."""
+        for by in what:
+            self._paused_ns[by] += ns
+            self._late_ns[by] = max(self._late_ns.get(by, 0), self._machine.now_ns + ns)
+
+    def must_wait(self, why: str) -> None:
+        """No program may turn the wheels, until one asks for motion or a program is held up, which is a pause."""
+        self._forbidden = self._forbidden or why
+        self._waits = why
 
     def _own_ns(self) -> int:
         """How much later than the first board this one may obey, from now on."""
@@ -332,6 +370,10 @@ class Witness:
         one that asks for motion, whose answer may come behind that. A program that is held up in enable() may send its
         request only then."""
         self._board.catch_up()
+        if process.name == "telemetry":
+            self.blind(ns + SEES_AGAIN_NS, (COMPARED,))
+        if process.name not in SERVICE_PROCESSES and self._waits == self._forbidden:
+            self._forbidden = self._waits = ""
         if self._asking and process.name not in SERVICE_PROCESSES:
             self._machine.at(self._machine.now_ns + ns, self._asks_still)
         if ns > HANG_BAR_NS.get(process.name, ns) and any(self._board.model.wheels) and not self._asking:

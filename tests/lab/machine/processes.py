@@ -101,6 +101,9 @@ class Processes:
             robot.drive(0.0, 0.0, 0.0)  # else the enable would hold what it commanded just now
         robot.enable()
 
+    def enable_for(self, robot: failstop.Robot) -> None:
+        robot.enable()
+
     def drive(self, robot: failstop.Robot, seconds: float, speed_mps: float = SPEED_MPS) -> None:
         """Command a speed for so long."""
         self._drove.add(robot)

@@ -33,6 +33,8 @@ ON_ONE_ALONE = {
     "port_does_not_drain": "a pty never says that it holds bytes",
     "machine_sleeps": "this machine must not",
     "service_ends": "there is no run left to read from",
+    **dict.fromkeys(("wheel_runs_away", "wheels_turn_unasked"), "this board reports no wheels"),
+    **dict.fromkeys(("reports_lie", "reports_are_late"), "a simulated board on a pty reports what is true, at once"),
 }
 ON_ONE_ALONE |= {
     name: "a named pipe stands for the guard port there; tests/lab/faults has its rows with real processes"

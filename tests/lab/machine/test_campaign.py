@@ -26,6 +26,7 @@ PLAYED = (
     "the stopper does not fence",
     "the stopper does not notice a silence",
     "ready before the port owner's answer",
+    "a program drives on through an enable",
 )
 """Controls that their scenario needs no fault for."""
 

@@ -6,10 +6,20 @@ from pathlib import Path
 
 import pytest
 
+from failstop.board.kinds import KINDS
 from failstop.policy.layouts import BOARDS
-from failstop_lab.boards.traits import HAS_ARM, HAS_DRIVERS, HAS_IMU, HAS_KEYS, HAS_REPORTS, traits_of
+from failstop_lab.boards.traits import (
+    HAS_ARM,
+    HAS_DRIVERS,
+    HAS_IMU,
+    HAS_KEYS,
+    HAS_REPORTS,
+    HAS_WHEEL_REPORTS,
+    traits_of,
+)
 from failstop_lab.simulate.campaign import Plan, explore
 from failstop_lab.simulate.controls import CONTROLS, Mutant
+from failstop_lab.simulate.faults import REPORTS
 from failstop_lab.simulate.scenarios import SCENARIOS, scenarios_of
 from failstop_lab.simulate.seeds import Nursery
 from failstop_lab.simulate.stage import NEEDS, Stage
@@ -19,6 +29,8 @@ from tests.support.boards import EVERY_KIND, own_folder
 pytestmark = pytest.mark.slow
 DRAWN = ["port_owner_dies"]
 OF_OTHERS = [each for each in CONTROLS if each.board != BOARDS[0]]
+OF_WHEELS = ("wheel_runs_away", "wheels_turn_unasked")
+"""Scenarios of a board that reports its wheels."""
 CHEAP = "a stop is not repeated"
 
 
@@ -69,10 +81,29 @@ def test_a_board_in_a_folder_of_ones_own_drives_on_it(tmp_path: Path) -> None:
 def test_a_scenario_needs_what_a_board_has_by_its_description() -> None:
     whole, *described = (traits_of(kind) for kind in BOARDS)
     guarded = [name for name, play in SCENARIOS.items() if HAS_DRIVERS in NEEDS[play]]
-    others = [name for name in SCENARIOS if name not in guarded]
-    assert [name for name in scenarios_of(whole) if name not in guarded] == others
+    assert scenarios_of(whole) == [name for name in SCENARIOS if name not in OF_WHEELS]
     for traits in described:
         assert not traits.parts & {HAS_ARM, HAS_KEYS, HAS_IMU}
-        found = scenarios_of(traits)
-        assert len(others) - len(set(found) & set(others)) == 2 + 2 * (HAS_REPORTS not in traits.parts)
-        assert (set(found) & set(guarded) == set(guarded)) == (HAS_DRIVERS in traits.parts)
+        lacks = 2 * (HAS_REPORTS not in traits.parts) + len(OF_WHEELS) * (HAS_WHEEL_REPORTS not in traits.parts)
+        lacks += len(guarded) * (HAS_DRIVERS not in traits.parts)
+        assert len(SCENARIOS) - len(scenarios_of(traits)) == 2 + lacks
+
+
+@pytest.mark.parametrize("fault", REPORTS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_stop_waits_for_a_report_or_is_lost_by_one(kind: str, fault: str) -> None:
+    """The reports stop, are late, or lie, at each reading of some scenarios; the board's wheels judge."""
+    for scenario in scenarios_of(traits_of(kind)) if LONG else ("drive_and_stop", "reports_lie"):
+        found = explore(Plan(scenario, most=1, fault=fault, board=kind))
+        assert [run.text() for run in found.wrong] == []
+        assert found.runs > 1
+
+
+@pytest.mark.parametrize(
+    "control", [each for each in OF_OTHERS if each.scenario in OF_WHEELS], ids=lambda each: each.row
+)
+def test_a_judge_of_wheels_that_is_taken_out_is_missed(control: Mutant) -> None:
+    for patches, wrong in ((control.patches, True), ((), False)):
+        stage = Stage(SCENARIOS[control.scenario], patches=patches, kind=control.board)
+        stage.run()
+        assert bool(stage.witness.violations) == wrong
