@@ -15,7 +15,7 @@ KINDS = ("arduino", "feetech", "hoverboard", "ugv")
 """The boards of this room that a Wire describes."""
 ALL_KINDS = ("rrc", *KINDS)
 """All boards of this room, the usual one first."""
-SAME_SCALE = 0.01
+SAME_PER_RPS = 0.01
 """Two numbers for one scale that differ by less than this share are the same, because they are written rounded."""
 
 
@@ -87,7 +87,7 @@ def board_of(
 def _assumed(wire: Wire, board: Described, diameter_m: float, confirmed_per_rps: float) -> bool:
     """Whether nobody knows that the scale of `board` is right. A number that a person wrote is none that was tried, and
     one that was confirmed counts for no other."""
-    if isclose(board.per_rps, confirmed_per_rps, rel_tol=SAME_SCALE):
+    if isclose(board.per_rps, confirmed_per_rps, rel_tol=SAME_PER_RPS):
         return False
-    usual = isclose(board.per_rps, wire.motion.per_rps(diameter_m), rel_tol=SAME_SCALE)
+    usual = isclose(board.per_rps, wire.motion.per_rps(diameter_m), rel_tol=SAME_PER_RPS)
     return not (usual and (wire.motion.scale_known or board.reports.own_scale))

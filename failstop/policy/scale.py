@@ -15,7 +15,7 @@ from failstop.policy.layouts import ACKERMANN
 from failstop.policy.settings import Settings
 
 PER_RPS = "board.per_rps"
-CONFIRMED = "board.per_rps_confirmed"
+PER_RPS_CONFIRMED = "board.per_rps_confirmed"
 """The number that counts as confirmed: another one in PER_RPS does not."""
 CAPS = {"limits.vx_mps": 0.05, "limits.vy_mps": 0.05, "limits.wz_radps": 0.25}
 """Speeds that an unconfirmed scale allows at most. A scale that is five times too large makes 0.25 m/s of 0.05: the

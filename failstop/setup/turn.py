@@ -16,7 +16,7 @@ from failstop.board.interface import HEARD_WHEELS, Board
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError, set_speed
 from failstop.board.tap import Tap
-from failstop.policy.scale import CAPS, CONFIRMED, PER_RPS
+from failstop.policy.scale import CAPS, PER_RPS, PER_RPS_CONFIRMED
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.setup.halt import Halt
 from failstop.setup.rig import Rig, alone, rim_mps
@@ -65,7 +65,7 @@ def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, spe
             "run setup without --per-rps, and turn a wheel",
         )
         return {PER_RPS: float(answer)}
-    return {PER_RPS: float(answer), CONFIRMED: float(answer)}
+    return {PER_RPS: float(answer), PER_RPS_CONFIRMED: float(answer)}
 
 
 def _check(answer: str) -> str:

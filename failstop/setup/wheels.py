@@ -26,7 +26,7 @@ STAND = (
     "and the power switch is at hand. Ctrl-C stops the wheels at any time."
 )
 STEERED_BY, STEERING = "steering.servo", "steering.sign"
-SCALE = (scale.PER_RPS, scale.CONFIRMED)
+SCALE = (scale.PER_RPS, scale.PER_RPS_CONFIRMED)
 SUPPLY = "are the motors' supply and that motor's plug in?"
 
 

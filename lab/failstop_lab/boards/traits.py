@@ -13,7 +13,7 @@ from failstop.board.driver import language_of
 from failstop.board.interface import BY_IMU, HEARD_BATTERY, Board
 from failstop.board.kinds import board_of, is_described, wire_of
 from failstop.policy.layouts import BOARDS
-from failstop.policy.scale import CONFIRMED, PER_RPS
+from failstop.policy.scale import PER_RPS, PER_RPS_CONFIRMED
 from failstop_lab.boards.line import BAR_NS, CROWD_BAR_NS, ReceiverModel, arrivals, model_of, play
 from failstop_lab.boards.live import DIAMETER_M
 
@@ -61,7 +61,9 @@ class Traits:
         """The settings that a service for it needs: of a simulated board the scale of its wheels is known."""
         if self.kind == BOARDS[0]:
             return {}
-        known = dict.fromkeys((PER_RPS, CONFIRMED), self.language.per_rps) if self.language.scale_assumed else {}
+        known = (
+            dict.fromkeys((PER_RPS, PER_RPS_CONFIRMED), self.language.per_rps) if self.language.scale_assumed else {}
+        )
         return {"board.kind": self.kind, **known}
 
 

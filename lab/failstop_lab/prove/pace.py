@@ -15,9 +15,7 @@ ROUNDING = 1.0005
 """The gate's, of the fastest wheel."""
 TURNS_RPS = 0.02
 """A wheel that is told less is not compared."""
-CONFIRMS = (
-    f"the board reports speeds that fit, so {scale.CONFIRMED} = {{:.6g}} may be set: it lifts the cap on the speed"
-)
+CONFIRMS = f"the board reports speeds that fit: set {scale.PER_RPS_CONFIRMED} = {{:.6g}}, which lifts the speed cap"
 
 
 def told_rps(settings: Settings, velocity: Turning, board: Board) -> tuple[float, ...]:

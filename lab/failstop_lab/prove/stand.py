@@ -51,7 +51,7 @@ def settings_for(user: dict[str, object]) -> dict[str, object]:
     confirms the scale before anything else. Raises SettingError."""
     found = {**{key: value for key, value in user.items() if key != "device.path"}, **OVERRIDES}
     if per_rps := confirms(user):
-        found[scale.CONFIRMED] = per_rps
+        found[scale.PER_RPS_CONFIRMED] = per_rps
     return found
 
 

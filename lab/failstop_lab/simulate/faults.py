@@ -29,10 +29,10 @@ LIES = {
     "reports say that the wheels turn the other way": (-1.0, 0.0),
 }
 """So many times as fast as they turn, and so many turns a second more."""
-REPORTS = (REPORTS_STOP, REPORTS_LATE, *LIES)
+REPORT_FAULTS = (REPORTS_STOP, REPORTS_LATE, *LIES)
 BLIND_NS = 1_200 * MS
 """So long reports are not what they should be: longer than any answer to that takes."""
-LATE_NS = 250 * MS
+REPORTS_LATE_NS = 250 * MS
 """So late they are."""
 LINES = 2
 """By so many lines of the call stack two calls are told apart."""
@@ -84,7 +84,7 @@ def faults(
     opened = process.files.get(about[0]) if call in ("write", "read") else None
     if call == "read" and process.name == layout.TELEMETRY and opened and isinstance(opened.node, Port):
         for_ns = BLIND_NS if held_ns == LONG_HOLD_NS else held_ns
-        for name in REPORTS:
+        for name in REPORT_FAULTS:
             yield name, lambda name=name: _blinded(stage, name, for_ns)  # type: ignore[misc]
     for number in _refusals(call, opened):
         yield errno.errorcode[number], _refused(stage, process, call, number)
@@ -153,7 +153,7 @@ def _blinded(stage: Stage, name: str, ns: int) -> None:
     if name in LIES:
         stage.witness.blind(ns, (TRUE_REPORTS, COMPARED))
     else:
-        stage.witness.blind(ns + (LATE_NS if name == REPORTS_LATE else 0))
+        stage.witness.blind(ns + (REPORTS_LATE_NS if name == REPORTS_LATE else 0))
 
     def over() -> None:
         if name in LIES:
@@ -166,7 +166,7 @@ def _blinded(stage: Stage, name: str, ns: int) -> None:
     if name in LIES:
         board.lie(*LIES[name])
     elif name == REPORTS_LATE:
-        board.up_ns = LATE_NS
+        board.up_ns = REPORTS_LATE_NS
     else:
         board.model.silent = True
     machine.at(machine.now_ns + ns, over)

@@ -6,7 +6,7 @@ import itertools
 
 from failstop_lab.machine.buffers import EARLY, LATE, REST_OF_PLACE, SAME_PLACE
 from failstop_lab.machine.robot import MS
-from failstop_lab.simulate.faults import REPORTS
+from failstop_lab.simulate.faults import REPORT_FAULTS
 from failstop_lab.simulate.witness import SERVICE_PROCESSES
 
 MEASURES = 16
@@ -77,7 +77,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "board": (BOARD_DEAF, PULLED),
     "races": tuple(RACES.values()),
     "torn": (TORN,),
-    "reports": REPORTS,
+    "reports": REPORT_FAULTS,
 }
 MEMORY = ("memory", "races", "torn")
 LIGHT = ("pauses", "order", *MEMORY)

@@ -22,7 +22,7 @@ from failstop_lab.machine.process import Process, Thread
 from failstop_lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop_lab.simulate import marks
 from failstop_lab.simulate.order import Order, watch_looks, watch_rings
-from failstop_lab.simulate.witness import ASKED_NS, BACK_NS, COMPARED, REPORTS, TRUE_REPORTS, ZEROS_NS, Witness
+from failstop_lab.simulate.witness import ANY_REPORTS, ASKED_NS, BACK_NS, COMPARED, TRUE_REPORTS, ZEROS_NS, Witness
 
 Continuation = Callable[["Stage", Any], object]
 SETTINGS: dict[Callable[[Stage], object], dict[str, object]] = {}
@@ -284,7 +284,7 @@ class Stage:
 
     def silence_board(self) -> None:
         """Nothing that the board says arrives any more; it hears and obeys."""
-        self.must_stop("the board says nothing", SILENT_MS, REPORTS)
+        self.must_stop("the board says nothing", SILENT_MS, ANY_REPORTS)
         self.robot.board.model.silent = self.silenced = True
 
     def run_away(self, faster: float) -> None:
@@ -330,7 +330,7 @@ class Stage:
 
     def press(self, key: int) -> None:
         """A key of the board."""
-        self.witness.must_stop("a key was pressed", 30 * MS, layout.TELEMETRY, self.witness.blindness(REPORTS))
+        self.witness.must_stop("a key was pressed", 30 * MS, layout.TELEMETRY, self.witness.blindness(ANY_REPORTS))
         self.robot.board.press(key)
 
     def sleep_machine(self, seconds: float) -> None:

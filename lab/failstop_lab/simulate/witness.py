@@ -55,7 +55,7 @@ HANG_BAR_NS = {
     "telemetry": 530 * MS,
 }
 """From the last beat to the stop at the board: the lease or the deadline, a tick, and the steps."""
-REPORTS, TRUE_REPORTS, COMPARED = "reports", "true reports", "reports compared with commands"
+ANY_REPORTS, TRUE_REPORTS, COMPARED = "reports", "true reports", "reports compared with commands"
 """Who notices what the board says at all, what shows only in what it truly says of its wheels, and what shows only when
 that has been compared with commands for long enough."""
 SEES_AGAIN_NS = 1_500 * MS
@@ -267,7 +267,7 @@ class Witness:
         begun_ns, paused_ns = self._machine.now_ns, self._paused_ns[by]
         return lambda: self._paused_ns[by] != paused_ns or self._late_ns.get(by, 0) > begun_ns
 
-    def blind(self, ns: int, what: tuple[str, ...] = (REPORTS, TRUE_REPORTS, COMPARED)) -> None:
+    def blind(self, ns: int, what: tuple[str, ...] = (ANY_REPORTS, TRUE_REPORTS, COMPARED)) -> None:
         """For so long these notice nothing: the board's reports are not what they should be, or nobody reads them."""
         for by in what:
             self._paused_ns[by] += ns

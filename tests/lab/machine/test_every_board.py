@@ -19,7 +19,7 @@ from failstop_lab.boards.traits import (
 )
 from failstop_lab.simulate.campaign import Plan, explore
 from failstop_lab.simulate.controls import CONTROLS, Mutant
-from failstop_lab.simulate.faults import REPORTS
+from failstop_lab.simulate.faults import REPORT_FAULTS
 from failstop_lab.simulate.scenarios import SCENARIOS, scenarios_of
 from failstop_lab.simulate.seeds import Nursery
 from failstop_lab.simulate.stage import NEEDS, Stage
@@ -84,12 +84,11 @@ def test_a_scenario_needs_what_a_board_has_by_its_description() -> None:
     assert scenarios_of(whole) == [name for name in SCENARIOS if name not in OF_WHEELS]
     for traits in described:
         assert not traits.parts & {HAS_ARM, HAS_KEYS, HAS_IMU}
-        lacks = 2 * (HAS_REPORTS not in traits.parts) + len(OF_WHEELS) * (HAS_WHEEL_REPORTS not in traits.parts)
-        lacks += len(guarded) * (HAS_DRIVERS not in traits.parts)
-        assert len(SCENARIOS) - len(scenarios_of(traits)) == 2 + lacks
+        lacks = {HAS_ARM: 1, HAS_KEYS: 1, HAS_REPORTS: 2, HAS_WHEEL_REPORTS: len(OF_WHEELS), HAS_DRIVERS: len(guarded)}
+        assert len(SCENARIOS) - len(scenarios_of(traits)) == sum(lacks[part] for part in lacks.keys() - traits.parts)
 
 
-@pytest.mark.parametrize("fault", REPORTS)
+@pytest.mark.parametrize("fault", REPORT_FAULTS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_stop_waits_for_a_report_or_is_lost_by_one(kind: str, fault: str) -> None:
     """The reports stop, are late, or lie, at each reading of some scenarios; the board's wheels judge."""
