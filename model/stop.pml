@@ -59,6 +59,13 @@ byte faults = FAULTS;
 bit calm;               /* from here on nothing more goes wrong, nobody commands, and what hangs stays hung */
 bit told;               /* the stop tool has written */
 
+#ifdef REPORTS
+/* What the board reports of its wheels, and what telemetry makes of it. A report may be true, lie, come late, or never. */
+bit turn_said;          /* the newest report says that the wheels turn */
+bit unasked;            /* telemetry's record says that they turn although they were told zero */
+bit again_asked;        /* an entry without a cause in telemetry's ring: the stop is to be written again */
+#endif
+
 #ifdef GARBLES
 /* A board that takes a stop only alone on the line, between idle gaps: two writes that touch are both lost. */
 #define QUIET 0
@@ -144,7 +151,12 @@ inline stopped(p) {
   }
 }
 
+#ifdef HEEDS_REPORTS
+/* Wheels that are reported to stand are not stopped. */
+inline burst(p) { if :: usable(p) && turn_said -> stopped(p) :: else fi }
+#else
 inline burst(p) { if :: usable(p) -> stopped(p) :: else fi }
+#endif
 
 /* The burst for the port owner's death. Where a successor has begun, it is the echo of a stop that was written before. */
 inline death_burst(p) {
@@ -230,6 +242,9 @@ end_turn:
     :: d_step { beats(PO) && request -> burst(PO) };
       d_step { request = 0; refuse() };
       stops = 1
+#ifdef REPORTS
+    :: d_step { beats(PO) && again_asked -> again_asked = 0; if :: usable(PO) -> write_stop(PO) :: else fi }
+#endif
     :: d_step { beats(PO) && gate_died_po -> burst(PO) };
       d_step { gate_died_po = 0; told_gate = 0; refuse() };
       stops = 1
@@ -312,9 +327,26 @@ end_turn:
 #ifdef DISABLE
   :: d_step { acts(GATE) && under && !calm -> caused = 1; disable(); ring_stop = 1; no_ring() }
 #endif
+#ifdef REPORTS
+  :: d_step { acts(GATE) && under && unasked && !calm -> caused = 1; disable(); ring_stop = 1; no_ring() }
+#endif
   :: state[GATE] == RUNS && silent[GATE] -> silent[GATE] = 0
   od
 }
+
+#ifdef REPORTS
+/* ---- procs/telemetry: whatever a report says, it may raise a cause, have the stop written again, and tell the gate */
+
+proctype telemetry()
+{
+end_reads:
+  do
+  :: d_step { !calm && turn_said != unasked -> unasked = turn_said }
+  :: d_step { faults && !calm && !told && turn_said && !request -> faults--; request = 1; caused = 1 }
+  :: d_step { !calm && turn_said && !again_asked -> again_asked = 1 }
+  od
+}
+#endif
 
 /* ---- supervisor/main.py */
 
@@ -550,6 +582,9 @@ end_world:
       if :: passed_po == GOOD -> passed_po = BROKEN :: else fi;
       if :: passed_stp == GOOD -> passed_stp = BROKEN :: else fi }
 #endif
+#ifdef REPORTS
+  :: d_step { !calm -> turn_said = 1 - turn_said }
+#endif
   :: d_step { !plugged -> plugged = 1 }
   :: d_step { !calm -> calm = 1; faults = 0 }
   :: d_step { state[SUP] == HUNG && !calm -> state[SUP] = RUNS }
@@ -571,6 +606,9 @@ init {
     run supervisor(); run opener(); run port_owner(); run news(); run gate(); run stopper(); run systemd(); run world();
 #ifdef GARBLES
     run board();
+#endif
+#ifdef REPORTS
+    run telemetry();
 #endif
     skip
   }
