@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -353,8 +352,7 @@ def _wheels_turn_unasked(stage: Stage, robot: Any) -> None:
     stage.push(0.4)
     stage.time.sleep(UNASKED_S)
     stage.push(0.0)
-    with contextlib.suppress(stage.failstop.FailstopError):
-        robot.enable()  # without a reset: nobody has seen why they turned
+    stage.enable_unseen(robot)
     stage.drive(robot, 0.2)
 
 

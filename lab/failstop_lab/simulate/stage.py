@@ -100,6 +100,8 @@ class Stage:
         self._granted_ns = FOREVER_NS
         """When the last program may drive."""
         self._keep = True
+        self._enabled_by: Process | None = None
+        """The supervisor of the run in which a program has enabled last."""
         self.silenced = False
         """The scenario has the board say nothing."""
         self.player: Process | None = None
@@ -140,6 +142,7 @@ class Stage:
         self.witness.asks_for_motion()
         robot.enable()
         self.witness.is_granted()
+        self._enabled_by = self.robot.named("supervisor")
 
     def drive(self, robot: Any, seconds: float, speed_mps: float = SPEED_MPS) -> None:
         """Command a speed for so long."""
@@ -302,6 +305,17 @@ class Stage:
             self.witness.must_refuse("the wheels turned although they were told zero", (UNASKED_MS + 4 * every_ms) * MS)
         self.robot.board.catch_up()
         self.robot.board.model.roll(1.0, rps)
+
+    def enable_unseen(self, robot: Any) -> None:
+        """Enable without a reset, after push(): nobody has seen why the wheels turned, so it is refused. In another run
+        of the service motion was not enabled then, and it is an ask for motion like any other."""
+        is_another = self.robot.named("supervisor") is not self._enabled_by
+        if is_another:
+            self.witness.asks_for_motion()
+        with contextlib.suppress(self.failstop.FailstopError):
+            robot.enable()
+        if is_another:
+            self.witness.is_granted()
 
     def enable_for(self, robot: Any) -> None:
         """Enable while that program commands a speed: it may turn no wheel until it has sent zero, or has paused."""

@@ -187,6 +187,7 @@ def test_a_robot_whose_imu_alone_feels_something_is_told_of(monkeypatch: pytest.
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(amount(300, 3600))
 @every_reporter
 def test_no_drive_of_a_healthy_robot_is_taken_for_a_runaway(kind: str) -> None:
     """At random: ramps, reversals, sudden zeros, rests."""
