@@ -134,6 +134,7 @@ def hoverboards_without_reports(at: Path) -> str:
     folder = own_folder(at)
     for name, source in {
         "codec": "failstop/board/hoverboard/codec.py",
+        "driver": "failstop/board/hoverboard/driver.py",
         "feedback": "failstop/board/hoverboard/feedback.py",
         "wire": "failstop/board/hoverboard/wire.py",
         "receiver": "lab/failstop_lab/boards/hoverboard.py",

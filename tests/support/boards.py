@@ -27,7 +27,7 @@ def own_folder(at: Path) -> str:
     """The smallest board of failstop's, as a user would have it: the same modules, in a folder that failstop does not
     know."""
     at.mkdir()
-    sources = {name: f"failstop/board/arduino/{name}.py" for name in ("codec", "wire")}
+    sources = {name: f"failstop/board/arduino/{name}.py" for name in ("codec", "driver", "wire")}
     sources["receiver"] = "lab/failstop_lab/boards/arduino.py"
     for name, source in sources.items():
         text = (ROOT / source).read_text()
