@@ -1,1 +1,1 @@
-"""The service's processes: one folder each, and what starting and running any of them takes."""
+"""The service's processes, one folder each, and the modules that starting and running any of them needs."""

@@ -51,8 +51,8 @@ class Context:
         self.heartbeat = Heartbeat(self.own, os.getpid(), granted, monotonic_ns())
 
     def run(self, turn: Callable[[dict[int, int]], bool | None], loop: Loop, longest_ns: int) -> None:
-        """The end of the start-up: settle the memory, say that the process runs, and wake the supervisor for it. Then
-        handle one wake-up after the other, until a turn is False."""
+        """End the start-up: settle the memory, report that the process runs, and wake the supervisor. Then handle one
+        wake-up after another, until a turn returns False."""
         rights.settle()
         self.heartbeat.state(BEAT_RUNNING, monotonic_ns())
         self.bell("supervisor_bell").ring()
@@ -62,7 +62,7 @@ class Context:
         self.heartbeat.state(BEAT_STOPPING, monotonic_ns())
 
     def fd(self, key: str) -> int:
-        """An inherited descriptor; -1 when there is none, as with a port that is not open."""
+        """An inherited descriptor; -1 if there is none, for example for a port that is not open."""
         return self._fds[key]
 
     def bell(self, key: str) -> EventBell:
@@ -72,5 +72,5 @@ class Context:
         return segments.attach(self.memory, name, self.incarnation)
 
     def client_slots(self) -> list[Segment]:
-        """Every client's segment, as the service reads it; one that is gone is out of use."""
+        """Every client's segment, as the service reads it. A segment that is gone counts as unused."""
         return [segments.read_client_slot(self.memory, at, self.incarnation) for at in range(layout.CLIENT_SLOTS)]

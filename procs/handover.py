@@ -28,8 +28,9 @@ class Control:
         self._socket = _socket.socket(_socket.AF_UNIX, _socket.SOCK_SEQPACKET, 0, fd)
 
     def send(self, fd: int, number: int, path: str) -> None:
-        """Send a duplicate of the port's descriptor, its number in this run and its path. A peer that has died does not
-        need one: its successor inherits it. One that has no free descriptor number gets none: the duplicate is lost."""
+        """Send a duplicate of the port's descriptor, with its number in this run and its path. A peer that has died
+        needs none, because its successor inherits it. If the peer has no free descriptor number, the duplicate is
+        lost."""
         packed = [(_socket.SOL_SOCKET, _socket.SCM_RIGHTS, _FD.pack(fd))]
         try:
             self._socket.sendmsg([_NUMBER.pack(number) + cut(path, PATH_BYTES)], packed, _socket.MSG_DONTWAIT)
@@ -37,7 +38,7 @@ class Control:
             return
 
     def receive(self) -> tuple[int, int, str] | None:
-        """Return (descriptor, number, path) of a port that was sent; None: none waits, or it was lost."""
+        """Return (descriptor, number, path) of a port that was sent; None if none waits or it was lost."""
         flags = _socket.MSG_DONTWAIT | _socket.MSG_CMSG_CLOEXEC
         try:
             data, ancillary, _, _ = self._socket.recvmsg(_NUMBER.size + PATH_BYTES, _socket.CMSG_LEN(_FD.size), flags)
@@ -50,7 +51,8 @@ class Control:
         return None
 
     def newer(self, ready: dict[int, int], least: int) -> tuple[int, int, str] | None:
-        """As receive(), of what this wake-up brings. One with a number below `least` is known, and was sent twice."""
+        """Like receive(), if this wake-up brings something. A port with a number below `least` is known already: it was
+        sent twice."""
         while self.fd in ready and (sent := self.receive()):
             if sent[1] >= least:
                 return sent
@@ -62,13 +64,14 @@ class Control:
 
 
 class HeldPort:
-    """The port of a process that does not own it, taken as the supervisor hands it down, let go at once when it has
-    gone: a descriptor kept open over a USB drop renumbers the device. A word tells which port it is."""
+    """The port of a process that does not own it. The process adopts what the supervisor sends, and closes it at once
+    when the port is gone, because a descriptor kept open over a USB drop renumbers the device. A word of shared memory
+    says which port it is."""
 
     def __init__(
         self, context: Context, loop: Loop, control: Control, adopt: Callable[[int], None], wanted: int
     ) -> None:
-        """`adopt`: lets the old descriptor go for another, -1 for none; `wanted`: what the loop watches it for."""
+        """`adopt`: replaces the old descriptor by another (-1: none); `wanted`: what the loop watches the port for."""
         self._loop, self._control, self._adopt, self._wanted = loop, control, adopt, wanted
         self._record = context.segment(layout.PORT_OWNER).latest_reader("port")
         self._word = context.own.word("port_number")
@@ -82,17 +85,17 @@ class HeldPort:
             self._loop.watch(fd, self._wanted)
 
     def watch(self, wanted: int) -> None:
-        """Watch it for something else from here on."""
+        """Watch the port for something else from now on."""
         if wanted != self._wanted:
             self._wanted = wanted
             if self._fd >= 0:
                 self._loop.watch(self._fd, wanted)
 
     def follow(self, ready: dict[int, int], *, lost: bool) -> bool:
-        """Look for news of the port, once a turn; `lost`: its user has found that it is gone. True when another
-        descriptor was taken, of a new port or of the same one again."""
+        """Look for news about the port, once per turn; `lost`: its user found that the port is gone. True when another
+        descriptor was adopted, of a new port or of the same one again."""
         taken = False
-        given_up = records.port_state(self._record.read(), self._number) == records.PORT_LOST  # by the port owner
+        given_up = records.port_state(self._record.read(), self._number) == records.PORT_LOST  # sent by the port owner
         if ready.get(self._fd, 0) & GONE or lost or given_up:
             self.let_go()
         while sent := self._control.newer(ready, self._number + (self._fd >= 0)):
@@ -104,7 +107,7 @@ class HeldPort:
         return taken
 
     def let_go(self) -> None:
-        """Close the port, if one is held."""
+        """Close the port, if it is open."""
         if self._fd >= 0:
             self._loop.forget(self._fd)
             self._adopt(-1)

@@ -1,12 +1,12 @@
 """Loop: waits for descriptors or the next timer, with microsecond time-outs.
 
 A loop waits for every timer that it made; the code that set a timer checks whether it is due. A timer that is due and
-is neither taken nor set again keeps the loop awake.
+neither taken nor set again keeps the loop awake.
 
-`epoll.poll` takes whole milliseconds; `select` is finer, but can't watch a port for its hang-up alone. So the
-descriptors are in an epoll set. For a timer `select` waits for that set; for the longest time that a process may
-sleep, where a millisecond is nothing, the set waits by itself, which is a call less. It is one sleep either way: each
-costs about 0.12 ms of processor time (60 us of the kernel's, and as much in cold caches).
+`epoll.poll` takes whole milliseconds. `select` is finer, but can't watch a port for its hang-up alone. So the
+descriptors are in an epoll set, and `select` waits for that set when a timer is near. When only the longest sleep
+limits the wait, a millisecond doesn't matter, so the set waits by itself, which saves a call. Either way a wait is one
+sleep, which costs about 0.12 ms of processor time (60 us in the kernel, and as much in cold caches).
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from failstop.shm.bell import EventBell
 READ = select.EPOLLIN
 WRITE = select.EPOLLOUT
 EDGE = select.EPOLLET
-"""Beside READ: tell of new bytes once, whether all of them are read or not."""
+"""Used with READ: report new bytes once, whether or not all of them are read."""
 HANGUP = 0
-"""Watch for the hang-up or error alone, which the kernel always reports."""
+"""Watch only for the hang-up or an error, which the kernel always reports."""
 
 GONE = select.EPOLLHUP | select.EPOLLERR
 MS = 1_000_000
 LONG_NS = 10 * MS
-"""A longest time from here on is not meant to the millisecond."""
+"""A wait that is longer than this need not be exact to the millisecond."""
 NEVER = 2**63 - 1
 
 
 class Timer:
-    """A point in time (CLOCK_MONOTONIC ns), or NEVER; and those after it."""
+    """A point in time (CLOCK_MONOTONIC ns), or NEVER, and the points that follow it."""
 
     def __init__(self) -> None:
         self.set(NEVER)
 
     def set(self, ns: int, *then: int) -> None:
-        """Set the next point in time, and those that follow, each when the one before was taken."""
+        """Set the next point in time and those that follow; each counts once the one before was taken."""
         self.ns, self._then = ns, then
 
     def due(self, now_ns: int) -> bool:
@@ -45,11 +45,11 @@ class Timer:
         return now_ns >= self.ns
 
     def wait(self, until_ns: int) -> None:
-        """Put the next point in time off until then at least."""
+        """Put the next point in time off until `until_ns` at least."""
         self.ns = max(self.ns, until_ns)
 
     def take(self, now_ns: int) -> bool:
-        """True when the timer is due; the point in time after it takes its place then."""
+        """True when the timer is due; then the following point in time takes its place."""
         if now_ns < self.ns:
             return False
         self.set(*self._then, NEVER)
@@ -74,13 +74,13 @@ class Loop:
             self._epoll.modify(fd, wanted)
 
     def listen(self, *bells: EventBell) -> None:
-        """Watch bells. A wait clears those that have rung: what is news after its end rings again."""
+        """Watch bells. A wait clears the bells that have rung, so news after the wait rings again."""
         for bell in bells:
             self._bells[bell.fd] = bell
             self.watch(bell.fd, READ)
 
     def forget(self, fd: int) -> None:
-        """Take a descriptor out; call before closing it, since a duplicate elsewhere would keep it in."""
+        """Remove a descriptor. Call it before closing, since a duplicate elsewhere would keep it in the set."""
         self._epoll.unregister(fd)
 
     def readable(self, fd: int) -> bool:
@@ -88,12 +88,12 @@ class Loop:
         return bool(select.select((fd,), (), (), 0)[0])
 
     def timer(self) -> Timer:
-        """One more point in time to wait for; for as long as the loop lives."""
+        """Make a timer that this loop waits for as long as it lives."""
         self._timers.append(Timer())
         return self._timers[-1]
 
     def due_ns(self) -> int:
-        """The first of the timers; NEVER: there is none."""
+        """The first time of all timers; NEVER if none is set."""
         return min([timer.ns for timer in self._timers], default=NEVER)
 
     def wait(self, longest_ns: int) -> dict[int, int]:

@@ -14,11 +14,12 @@ from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
 LEAVE_AFTER_NS = 150_000_000
-"""How long the stop's writers outlive the supervisor at least: the burst and its repeats, at most boards."""
+"""How long the processes that write stops outlive the supervisor at least: the burst and its repeats on most boards."""
 AFTER_LAST_NS = 30_000_000
-"""How long they stay after the last repeat, so that it is on the wire."""
+"""How long they stay after the last repeat, so that it reaches the wire."""
 LATEST_NS = 500_000_000
-"""How long they stay at most for a port that still holds the stop: the kernel drops it at the last close."""
+"""How long they stay at most for a port that still holds the stop, because the kernel drops the bytes at the last
+close."""
 
 
 def leave_after_ns(board: Board) -> int:
@@ -27,22 +28,22 @@ def leave_after_ns(board: Board) -> int:
 
 
 DRAINED_NS = 5_000_000
-"""How often a port that still holds the stop is looked at."""
+"""How often to look at a port that still holds the stop."""
 _LINE = 1
-"""In each process's block of futexes; line 0 is the supervisor's to wait on."""
+"""In each process's block of futexes; the supervisor waits on line 0."""
 
 
 class Parent:
-    """The supervisor, and the ports that it hands down. Its death is the end of who watches it too, later."""
+    """The supervisor and the ports that it sends. When it dies, the watcher stops the robot and exits 150 ms later."""
 
     def __init__(self, context: Context, loop: Loop, line: int, port: StopPort, *, early: bool) -> None:
-        """`line`: of the supervisor's futexes, to wait on; `port`: where this process writes its stops; `early`: the
-        thread that learns of the death first stops on it."""
+        """`line`: which of the supervisor's futexes to wait on; `port`: where this process writes its stops; `early`:
+        the thread that first learns of the death writes the stop."""
         self._port = port
         self.life = Lifeline(context.parent)
         self.control = Control(context.fd("control"))
         self.orphaned_ns = 0
-        """When its death was noticed; 0: it lives."""
+        """When its death was noticed; 0 while it lives."""
         self._loop = loop
         self._leave = loop.timer()
         context.early.watch_block(self.life, layout.SUPERVISOR_BLOCK, line, port.early_stop if early else None)
@@ -50,19 +51,20 @@ class Parent:
             loop.watch(fd, READ)
 
     def died(self, ready: dict[int, int]) -> bool:
-        """True when this wake-up, or the early news before it, says that it has died; until that is answered."""
+        """True when this wake-up, or the early news before it, reports the supervisor's death; until drop() answers
+        it."""
         return not self.orphaned_ns and self.life.died(ready)
 
     def drop(self, now_ns: int) -> None:
-        """Watch it no longer: the stop for it is written and repeated, then it is time to leave()."""
+        """Stop watching it: the stop for its death is written. Once the repeats are out, leave() returns True."""
         self.orphaned_ns = now_ns
         self._leave.set(now_ns + leave_after_ns(self._port.board))
         self._loop.forget(self.life.fd)
         self._loop.forget(self.control.fd)
 
     def leave(self, now_ns: int) -> bool:
-        """True when it is time to exit: the repeats are written and on the wire. A port that holds them back is waited
-        for, but not long."""
+        """True when it is time to exit, because the repeats are on the wire. It waits for a port that holds them back,
+        but not long."""
         if not self._leave.due(now_ns):
             return False
         if now_ns - self.orphaned_ns < LATEST_NS and not self._port.lost and (self._port.unsent or self._port.holds()):
@@ -72,12 +74,12 @@ class Parent:
 
 
 class Peer:
-    """`life` is None while there is none, or none whose death has not been answered."""
+    """One watched process. `life` is None while there is no process, or its death was already answered."""
 
     def __init__(self, name: str, context: Context, loop: Loop, port: StopPort) -> None:
-        """`port`: on which the thread stops that the early news of its death comes to."""
+        """`port`: where the thread that gets the early news of the death writes the stop."""
         self.death = causes.DIED(name)
-        """The cause of a stop for its death."""
+        """The cause of a stop for this process's death."""
         self.heart = HeartbeatReader(context.segment(name))
         self.life: Lifeline | None = None
         self._word = context.segment("supervisor").word(f"{name}_life")
@@ -88,12 +90,12 @@ class Peer:
         self._named = 0
 
     def named(self) -> int:
-        """The pid that the supervisor names; 0 before the first."""
+        """The pid that the supervisor names; 0 before the first process."""
         return records.unpack_life(self._word.get())[0]
 
     def follow(self) -> int:
-        """Watch whom the supervisor names: by its pid at once, by its futex once it runs and so holds it. Returns the
-        pid of the one before when its death had not been noticed, else 0."""
+        """Watch the process that the supervisor names: by its pid at once, by its futex once it runs and so holds it.
+        Returns the pid of the process before it if that death had not been noticed, else 0."""
         named = self._word.get()
         pid, block = records.unpack_life(named)
         died = 0
@@ -111,21 +113,21 @@ class Peer:
         return died
 
     def _stop_early(self, pid: int) -> None:
-        """In the thread that waits. Where another is named by now, somebody has stopped for this one: who was held up
-        for so long must not cut into the motion that came after."""
+        """Write the stop in the thread that waits. If the supervisor names another process by now, this death was
+        already answered, and a thread that was held up must not cut into the motion that came after."""
         if self.named() == pid:
             self._stop()
 
     def runs(self) -> bool:
-        """True from when it has said that it runs until its death is answered."""
+        """True from when it has reported that it runs until its death is answered."""
         return self.life is not None and self.life.watched
 
     def died(self, ready: dict[int, int]) -> int:
-        """Its pid when this wake-up, or the early news before it, says that it has died, else 0."""
+        """Its pid if this wake-up, or the early news before it, reports its death, else 0."""
         return self.life.pid if self.life and self.life.died(ready) else 0
 
     def drop(self) -> None:
-        """Watch it no longer."""
+        """Stop watching it."""
         if self.life:
             self._loop.forget(self.life.fd)
             self.life.close()

@@ -1,5 +1,5 @@
-"""Rights: what a process asks of the kernel for itself - real-time scheduling, locked memory, death with its parent, an
-end at once when it crashes or loops, open files."""
+"""Rights: what a process asks of the kernel for itself: real-time scheduling, locked memory, death with its parent, an
+immediate end when it crashes or loops, and open files."""
 
 from __future__ import annotations
 
@@ -18,18 +18,20 @@ _SIGKILL = 9
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 LOOP_US = 100_000
-"""Processor time at real-time priority without a pause after which the kernel ends this process: a loop there takes the
-core from all of lower priority, with the last core from those who are to stop for it."""
+"""Processor time without a pause, at real-time priority, after which the kernel kills this process. An endless loop
+would take the core from every process of lower priority, including, on the last core, the ones that must stop for
+it."""
 SUPERVISOR_LOOP_US = 500_000
-"""The supervisor's: a loop of the lowest of the stop path keeps nobody from stopping, and its end is the service's. The
-kernel counts whole ticks, those of a core that a virtual machine's host withholds too. It is less than the time after
-which the kernel pauses all real-time processes of a core (sched_rt_runtime_us)."""
+"""The same for the supervisor. It has the lowest priority on the stop path, so its loop keeps nobody from stopping, and
+its end is the end of the service. The kernel counts whole ticks, including those that a virtual machine's host
+withholds. It must be less than the time after which the kernel pauses all real-time processes of a core
+(sched_rt_runtime_us)."""
 
 DESCRIPTORS = 68
-"""Descriptors that the supervisor has open at most: 52 with every process, segment and bell, 5 of a dead run's, 2 for
-each of 4 savers, and those that a look at a file takes."""
+"""Descriptors that the supervisor has open at most: 52 with every process, segment and bell, 5 for a dead run, 2 for
+each of 4 savers, and a few to look at a file."""
 STACK_BYTES = 256 * 1024
-"""Room for the stack of each process: four times that with which all of them ran."""
+"""Stack size of each process: four times what all of them were seen to need."""
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -40,7 +42,8 @@ def name_process(name: str) -> None:
 
 
 def die_with_parent(parent_pid: int) -> None:
-    """SIGKILL this process when its parent dies. A parent that died before the call is noticed: raises SystemExit."""
+    """Have the kernel SIGKILL this process when its parent dies. Raises SystemExit if the parent died before the
+    call."""
     _libc.prctl(_PR_SET_PDEATHSIG, _SIGKILL, 0, 0, 0)
     if os.getppid() != parent_pid:
         raise SystemExit(f"parent {parent_pid} is gone")
@@ -48,8 +51,8 @@ def die_with_parent(parent_pid: int) -> None:
 
 @contextlib.contextmanager
 def realtime(priority: int) -> Iterator[bool]:
-    """Whether the kernel gives this process SCHED_FIFO at `priority` when it asks; the process has it within. Limits
-    and capabilities do not tell: a container or a control group may refuse all the same."""
+    """Ask the kernel for SCHED_FIFO at `priority` and yield whether it was granted; the process has it within the
+    block. Limits and capabilities can't tell, because a container or a control group may refuse anyway."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -59,21 +62,21 @@ def realtime(priority: int) -> Iterator[bool]:
     try:
         yield True
     finally:
-        with contextlib.suppress(PermissionError):  # a priority that it inherited, and may not take itself
+        with contextlib.suppress(PermissionError):  # an inherited priority that this process may not set itself
             os.sched_setscheduler(0, *before)
 
 
 def take_rights(priority: int) -> int:
-    """Ask for SCHED_FIFO at `priority` and locked memory; returns the heartbeat bits of what was granted, and of the
-    early news, which some kernels don't give.
+    """Ask for SCHED_FIFO at `priority` and locked memory; returns the heartbeat bits of the granted rights, and of the
+    early news of deaths, which some kernels don't give.
 
-    What this process starts begins without real-time rights, so that a restart's imports disturb nobody's tick.
+    Processes started from this one begin without real-time rights, so that the imports of a restart disturb no tick.
 
-    A process that crashes leaves no dump. That one ends which loops (LOOP_US) begins with settle(): a start
-    takes longer than any turn.
+    A process that crashes leaves no dump. The limit that ends an endless loop (LOOP_US) applies from settle() on,
+    because a start takes longer than any turn.
 
-    Memory is locked as it is touched (MCL_ONFAULT): locking all of it doubles the resident size, and with it the time
-    that the kernel needs to report this process's death.
+    Memory is locked as it is touched (MCL_ONFAULT). Locking all of it would double the resident size, and with it the
+    time that the kernel needs to report this process's death.
     """
     granted = 0
     futex.leave_no_dump()
@@ -89,7 +92,8 @@ def take_rights(priority: int) -> int:
 
 
 def settle(loop_us: int = LOOP_US) -> None:
-    """End the start-up: collect once, and leave the rest to reference counting; a loop of `loop_us` is now the end."""
+    """End the start-up: collect garbage once and leave the rest to reference counting. From now on, a loop of `loop_us`
+    kills the process."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -97,7 +101,8 @@ def settle(loop_us: int = LOOP_US) -> None:
 
 
 def _limit(which: int, soft: int | None) -> None:
-    """A soft limit, as near as the hard one lets it be; None: the hard one. What is started here may set its own."""
+    """Set a soft limit, as close as the hard limit allows; None: to the hard limit. Processes started here may set
+    their own."""
     _, hard = resource.getrlimit(which)
     if soft is None or 0 <= hard < soft:
         soft = hard
@@ -106,9 +111,9 @@ def _limit(which: int, soft: int | None) -> None:
 
 
 def take_room() -> None:
-    """See to it that this process, and those that it starts, can have DESCRIPTORS open, and have STACK_BYTES for their
-    stacks: the first call that needs more ends a process by SIGSEGV, without a word. A limit that a process may raise
-    itself is raised. Raises OSError."""
+    """Make sure that this process and those that it starts can open DESCRIPTORS and have STACK_BYTES of stack;
+    otherwise the first call that needs more would end a process by SIGSEGV without a message. Raises the limits that a
+    process may raise itself. Raises OSError."""
     needed = (resource.RLIMIT_NOFILE, DESCRIPTORS, no_descriptors), (resource.RLIMIT_STACK, STACK_BYTES, _no_stack)
     for which, least, told in needed:
         soft, hard = resource.getrlimit(which)
@@ -119,7 +124,7 @@ def take_room() -> None:
 
 
 def no_descriptors(most: int) -> str:
-    """Advice where RLIMIT_NOFILE, `most`, is too low."""
+    """What to do when RLIMIT_NOFILE, `most`, is too low."""
     return _too_low(f"RLIMIT_NOFILE is {most}", f"{DESCRIPTORS} open files", "`ulimit -n 1024`, or LimitNOFILE=")
 
 

@@ -22,7 +22,7 @@ from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.thread_state import state_of
 
 LONGEST_NS = 5_000_000_000
-"""A process silent for longer than this beyond its deadline is replaced, whatever the machine does."""
+"""A process that is silent for longer than this past its deadline is replaced, whatever the machine does."""
 _CPU_CLOCK = 2
 """clock_gettime(2): a process's clock is ~pid << 3 with the kind in the lowest bits, here the exact time run."""
 
@@ -33,9 +33,9 @@ def starved(state: str, ran_ns: int, deadline_ns: int) -> bool:
 
 
 def look(pid: int, heart: HeartbeatReader, deadline_ns: int, bell: EventBell) -> bool:
-    """True when the silent process is starved; `bell` is its own. Takes two readings, about 20 us."""
+    """True when the silent process is starved; `bell` is that process's own. Takes two readings, about 20 us."""
     try:
-        # One that is starting has not beaten yet: what is there is its predecessor's.
+        # A starting process has not beaten yet, so the value there is its predecessor's.
         before_ns = heart.cpu_ns.get() if heart.pid.get() == pid else 0
         ran_ns = clock_gettime_ns(~pid << 3 | _CPU_CLOCK) - before_ns
         state = state_of(pid)

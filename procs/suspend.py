@@ -5,22 +5,23 @@ from __future__ import annotations
 import time
 
 SLEPT_NS = 50_000_000
-"""Less than this is no sleep: the two clocks are read one after the other, and a process may be held up between."""
+"""A shorter time is no sleep: the two clocks are read one after the other, and the process may be held up in
+between."""
 
 
 def gained_ns() -> int:
-    """The time that CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC, in ns: all that was slept since the machine started."""
+    """How far CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC, in ns: all the time slept since the machine started."""
     before_ns = time.monotonic_ns()
     boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
-    # The later reading, so that being held up in between makes the result too small and never looks like a sleep.
+    # Read it second, so that being held up in between makes the result too small and never looks like a sleep.
     return boot_ns - max(before_ns, time.monotonic_ns())
 
 
 class SuspendWatch:
-    """The time that the machine had slept when it was asked last."""
+    """Remembers how long the machine had slept at the last call."""
 
     def __init__(self) -> None:
-        # A reading that was held up is too small: the best of three.
+        # A reading that was held up is too small, so take the best of three.
         self._gained_ns = max(gained_ns() for _ in range(3))
 
     def slept_ns(self) -> int:

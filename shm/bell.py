@@ -1,7 +1,7 @@
-"""Bells: wake-ups that fit one epoll set. A bell says "look", never what; one that is lost costs a tick, no data.
+"""Bells: wake-ups that fit one epoll set. A bell says "look", never at what; a lost ring costs a tick, but no data.
 
 EventBell (an eventfd) rings between the service's own processes, which inherit it. PipeBell (a FIFO in the runtime
-directory) is for clients: its bytes are hints which slots to look at, and any bytes at all are a ring.
+directory) is for clients: each byte hints at a slot to look at, and any byte at all is a ring.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _ONE = (1).to_bytes(8, "little")
 
 
 class EventBell:
-    """An eventfd: any number of rings are one wake-up."""
+    """An eventfd: any number of rings cause one wake-up."""
 
     def __init__(self, fd: int) -> None:
         self.fd = fd
@@ -27,15 +27,15 @@ class EventBell:
         return cls(os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC))
 
     def ring(self) -> None:
-        """Wake whoever waits. A counter that is full (nobody has looked for ages) rings already."""
-        # Not contextlib.suppress: it costs more than the call, here and below.
+        """Wake the process that waits. A full counter (nobody has looked for ages) is already ringing."""
+        # Not contextlib.suppress, which costs more than the call, here and below.
         try:  # noqa: SIM105
             os.write(self.fd, _ONE)
         except BlockingIOError:
             pass
 
     def clear(self) -> None:
-        """Take the rings so far; call before looking, so that a later ring is not lost."""
+        """Clear the rings so far. Call it before looking, so that a later ring is not lost."""
         try:  # noqa: SIM105
             os.read(self.fd, 8)
         except BlockingIOError:
@@ -43,7 +43,7 @@ class EventBell:
 
 
 def make_pipe(path: str, mode: int, gid: int = -1) -> None:
-    """Make a FIFO with exactly this mode, in place of whatever a dead run left there. Raises OSError."""
+    """Create a FIFO with exactly this mode, replacing a dead run's file. Raises OSError."""
     above, name = os.path.split(path)
     where = place.directory(above)
     try:
@@ -58,17 +58,18 @@ def make_pipe(path: str, mode: int, gid: int = -1) -> None:
 
 
 def open_pipe(path: str) -> int:
-    """The service's end, opened for both so that it never sees an end of file when the last client leaves."""
+    """Open the service's end, for reading and writing, so that it never sees an end of file when the last client
+    leaves."""
     return place.opened(path, os.O_RDWR, pipe=True)
 
 
 def open_pipe_to_write(path: str) -> int:
-    """A client's end. Raises OSError (FileNotFoundError or ENXIO without a service), place.Untrusted among them."""
+    """Open a client's end. Raises OSError: FileNotFoundError or ENXIO without a service, or place.Untrusted."""
     return place.opened(path, os.O_WRONLY, pipe=True)
 
 
 def send(fd: int, data: bytes) -> bool:
-    """Write at most PIPE_BUF bytes whole; False when the pipe is full, which rings just as well."""
+    """Write at most PIPE_BUF bytes whole; False when the pipe is full, which rings as well."""
     try:
         os.write(fd, data)
     except BlockingIOError:
@@ -82,11 +83,11 @@ def send(fd: int, data: bytes) -> bool:
 
 MOST_BYTES = 65536
 _taken = bytearray(MOST_BYTES)
-"""Made beforehand: whoever reads stop requests must live on where no process may have more memory."""
+"""Allocated in advance, because the reader of stop requests must keep working when no process can get more memory."""
 
 
 def take(fd: int) -> bytes:
-    """Everything that waits in a pipe, up to MOST_BYTES; empty when nothing does."""
+    """Everything that waits in a pipe, up to MOST_BYTES; empty if nothing does."""
     try:
         return bytes(memoryview(_taken)[: os.readv(fd, (_taken,))])
     except BlockingIOError:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from typing import Protocol
 
     class View(Protocol):
-        """Memory as a reader or writer uses it: one slice copy out, one slice assignment in."""
+        """Memory as a reader or writer uses it: copy one slice out, or assign one slice."""
 
         def __getitem__(self, where: slice, /) -> bytes: ...
 
@@ -64,7 +64,7 @@ class PayloadTooLarge(ValueError):
 
 
 def seed(record: str, incarnation: int) -> int:
-    """CRC seed of a record (`segment.record`) in the run with this incarnation."""
+    """The CRC seed of a record (`segment.record`) in the run with this incarnation."""
     return crc32(record.encode(), crc32(incarnation.to_bytes(8, "little")))
 
 
@@ -88,7 +88,7 @@ def check(raw: bytes, crc_seed: int) -> Entry | None:
 
 
 def cell_bytes(capacity: int) -> int:
-    """Bytes one cell of this capacity takes: whole 64-byte lines, so that no two cells share one."""
+    """Bytes that one cell of this capacity takes: whole 64-byte lines, so that no two cells share one."""
     return -(-(CELL_HEADER_BYTES + capacity) // LINE_BYTES) * LINE_BYTES
 
 
@@ -104,16 +104,16 @@ class _Cells:
         self._seed = crc_seed
 
     def _slice(self, seq: int) -> slice:
-        """Where the entry of this number lies."""
+        """Where the entry with this number is stored."""
         at = self._at + seq % self._cells * self._size
         return slice(at, at + self._size)
 
     def _last(self) -> int:
-        """The number of the newest whole entry; 0: there is none."""
+        """The number of the newest whole entry; 0 if none exists."""
         return max(self._whole(), default=0)
 
     def _whole(self) -> list[int]:
-        """Sequence numbers of all whole entries, in one copy: not for a hot path. Most rings are nearly empty."""
+        """Sequence numbers of all whole entries, read in one copy. Not for a hot path. Most rings are nearly empty."""
         raw, size = self._view[self._at : self._at + self._cells * self._size], self._size
         seqs = enumerate(struct.iter_unpack(f"<8xQ{size - 16}x", raw[: len(raw) // size * size]))
         return [n for i, (n,) in seqs if n % self._cells == i and check(raw[i * size : (i + 1) * size], self._seed)]
@@ -128,19 +128,20 @@ class LatestReader(_Cells):
         self._where = slice(offset, offset + cells * self._size)
         self._seen = 0
         self._raw = b""
-        """The bytes of the value that was read last; empty: none was whole."""
+        """The bytes of the value that was read last; empty if none was whole."""
         self._known: Entry | None = None
 
     def read(self) -> Entry | None:
-        """Return (seq, t_mono_ns, payload) of the newest whole value, or None when there is none."""
+        """Return (seq, t_mono_ns, payload) of the newest whole value, or None if none exists."""
         raw = self._view[self._where]
         if raw == self._raw:
             return self._known
         entry = self._newest(raw)
-        for _ in range(2):  # two writes that overtake a copy leave it without a value, or with one older than seen
+        # Two writes that overtake the copy leave it without a whole value, or with one older than a value seen before.
+        for _ in range(2):
             if (entry and entry[0] >= self._seen) or not raw.strip(b"\0"):
                 break
-            Barrier()()  # without it the loads of this copy may be as old as those of the one before
+            Barrier()()  # without this barrier, the loads of this copy may be as old as those of the copy before
             raw = self._view[self._where]
             entry = self._newest(raw)
         self._raw, self._known = raw, entry
@@ -160,10 +161,10 @@ class _Writer(_Cells):
         super().__init__(view, offset, capacity, cells, crc_seed)
         self._barrier = Barrier()
         self.seq = self._last()
-        """Of the newest entry; 0: there is none."""
+        """The number of the newest entry; 0 if none exists."""
 
     def put(self, payload: bytes, t_ns: int | None = None) -> int:
-        """Publish an entry; returns its sequence number. Raises PayloadTooLarge, and then nothing is changed."""
+        """Publish an entry; returns its sequence number. Raises PayloadTooLarge, and then changes nothing."""
         seq = self.seq + 1
         data = build(seq, monotonic_ns() if t_ns is None else t_ns, payload, self._seed, self._capacity)
         at = self._slice(seq).start
@@ -174,7 +175,7 @@ class _Writer(_Cells):
 
 
 class LatestWriter(_Writer):
-    """Publishes values of which the newest counts."""
+    """Publishes values of which only the newest counts."""
 
     write = _Writer.put
 
@@ -185,7 +186,7 @@ class RingWriter(_Writer):
     it, and the entries before it among that: a barrier is between."""
 
     def put_all(self, data: bytes, t_ns: int | None = None) -> None:
-        """Publish bytes of any length, in entries that hold them."""
+        """Publish bytes of any length, split into entries."""
         for at in range(0, len(data), self._capacity):
             self.put(data[at : at + self._capacity], t_ns)
 
@@ -208,7 +209,7 @@ class RingReader(_Cells):
         self._blank = bytes(self._size)
         self.lost = 0
         self._old = b""
-        """The bytes of its cell that were found to be an older entry, or blank: the same again need no other look."""
+        """The bytes of this cell that were found to be blank or an older entry; the same bytes need no second check."""
         last = self._last()
         self._await(max(1, last - cells + 1) if from_oldest else last + 1)
 
@@ -247,7 +248,7 @@ class RingReader(_Cells):
         self._old = b""
 
     def _check(self, raw: bytes) -> Entry | None:
-        """The entry in a copy of the next cell; one that is whole but belongs in another cell is damage too."""
+        """The entry in a copy of the next cell. A whole entry that belongs in another cell counts as damage."""
         entry = check(raw, self._seed)
         if entry and (entry[0] - self._next) % self._cells:
             return None
@@ -258,14 +259,13 @@ class RingReader(_Cells):
         self._await(seq)
 
     def _pass_damage(self) -> bool:
-        """False when the cell may yet become the next entry; True when it is worth another look, or was passed.
-
-        A damaged cell would hold a reader up for a whole lap, and with it the stops that follow in the ring.
+        """False when the cell may yet become the next entry; True when it is worth another look, or was passed. Without
+        this, a damaged cell would hold a reader up for a whole lap, and with it the stops that follow in the ring.
         """
         later = [seq for seq in self._whole() if seq > self._next]
         if not later:
             return False
-        # It may have been published, and others after it, while the ring was looked through.
+        # The entry and later ones may have been published while the ring was searched.
         Barrier()()
         if self._check(self._view[self._where]) is None:
             self._resume(min(later))

@@ -27,7 +27,7 @@ def open_claims(path: str, *, create: bool = False, mode: int = 0o660, gid: int 
 
 
 def acquire(fd: int, index: int) -> bool:
-    """Claim byte `index` for as long as `fd` stays open; False when somebody else holds it."""
+    """Claim byte `index` for as long as `fd` stays open; False if another holder has it."""
     try:
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, index, 1, 0))
     except (BlockingIOError, PermissionError):
@@ -41,7 +41,8 @@ def release(fd: int, index: int) -> None:
 
 
 def held(fd: int, index: int, *, by_writer: bool = False) -> bool:
-    """True when somebody else holds it; `by_writer`: who may write the file. A read-only descriptor will do."""
+    """True if another holder has it; `by_writer`: count only holders that may write the file. A read-only descriptor is
+    enough."""
     asked = fcntl.F_RDLCK if by_writer else fcntl.F_WRLCK
     answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(asked, os.SEEK_SET, index, 1, 0))
     return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)

@@ -30,15 +30,15 @@ BLOCKS = 256
 """A block for each start of a process, a line in it for each watcher; used again after 255 later starts."""
 
 _OWNER_DIED = 1 << 30
-_WAITERS = 1 << 31  # without it the kernel marks the word, and wakes nobody
+_WAITERS = 1 << 31  # without this bit, the kernel marks the word but wakes nobody
 _OWNER = _OWNER_DIED - 1
 _WAIT, _WAKE = 0, 1
 _FUTEX, _SET_ROBUST_LIST = {"x86_64": (202, 273), "aarch64": (98, 99)}.get(os.uname().machine, (-1, -1))
 _PROOF_NS = 1_000_000_000
 _LOOK_S = 0.0001
 NO_DUMP = 1
-"""Bytes, in which no dump fits. 0 is not heeded where a program takes the dumps (core(5))."""
-_LIST_HEAD = struct.Struct("<QqQ")  # robust_list_head: the first entry, from an entry to its word, one in the making
+"""A limit in bytes in which no dump fits. 0 would be ignored when a program collects the dumps (core(5))."""
+_LIST_HEAD = struct.Struct("<QqQ")  # robust_list_head: first entry, offset from an entry to its word, entry being added
 _POINTER = struct.Struct("<Q")
 
 _libc = ctypes.CDLL(None, use_errno=True)
@@ -48,13 +48,14 @@ _libc.munmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t]
 
 
 class Futex:
-    """The word at the start of a line of a file, and as many lines after it as belong together.
+    """The word at the start of a line of a file, and the lines after it that belong together.
 
-    Only the kernel reaches it through the mapping: a file that somebody has truncated costs no SIGBUS.
+    Only the kernel reaches it through the mapping, so a truncated file causes no SIGBUS.
     """
 
     def __init__(self, fd: int, offset: int, *, write: bool) -> None:
-        """Map the page that has all the lines. Whoever waits needs the caller's descriptor open. Raises OSError."""
+        """Map the page that has all the lines. A thread that waits needs the caller's descriptor to stay open. Raises
+        OSError."""
         self._fd = fd
         self._owned = False
         self._offset = offset
@@ -66,20 +67,20 @@ class Futex:
         self._address = self._page + offset - start
 
     def detach(self) -> None:
-        """Have a descriptor of its own: whenever the caller closes that of before, a thread that is about to hold this
-        does not write to the next file of that number. Once. Raises OSError."""
+        """Duplicate the descriptor, once. Otherwise, when the caller closes its own, a thread that is about to hold
+        this futex could write to the next file that gets the number. Raises OSError."""
         self._fd = os.dup(self._fd)
         self._owned = True
 
     def _value(self) -> int:
         try:
             return int.from_bytes(os.pread(self._fd, 4, self._offset), "little")
-        except OSError:  # closed, by one who does not want to know any more
+        except OSError:  # closed by a caller that no longer wants the news
             return 0
 
     def hold(self, lines: int = 1) -> object:
-        """Let the death of the calling thread be told here, on so many lines. Returns what has to be kept as long as
-        the thread lives, or until let_go(); None where the kernel can't. Raises OSError."""
+        """Have the kernel report the death of the calling thread here, on this many lines. Returns an object to keep as
+        long as the thread lives, or until let_go(); None if the kernel can't do it. Raises OSError."""
         kept = ctypes.create_string_buffer(_LIST_HEAD.size + lines * LINE_BYTES)
         head = ctypes.addressof(kept)
         entries = [head + _LIST_HEAD.size + line * LINE_BYTES for line in range(lines)]
@@ -97,16 +98,16 @@ class Futex:
         return kept
 
     def held(self) -> bool:
-        """True while a thread holds it that has not died."""
+        """True while a living thread holds it."""
         return bool(self._value() & _OWNER)
 
     def told(self) -> bool:
-        """True once the kernel has told of the death of who held it."""
+        """True once the kernel has reported the death of the thread that held it."""
         return bool(self._value() & _OWNER_DIED)
 
     def wait_for_death(self, wanted: Callable[[], bool] = lambda: True) -> bool:
-        """Block until who holds it has died; False when nobody does, when it was given back, or once it is not
-        `wanted` any more (wake() makes it look). Lets other threads run meanwhile."""
+        """Block until the thread that holds it has died. Returns False if no thread holds it, if it was given back, or
+        once it is not `wanted` any more (wake() makes it look). Lets other threads run meanwhile."""
         value = held = self._value()
         while wanted():
             if value != held or not held & _OWNER:
@@ -115,49 +116,50 @@ class Futex:
             if failed and ctypes.get_errno() not in (errno.EAGAIN, errno.EINTR):
                 return False
             value = self._value()
-        # It may have been woken in the place of one who waits for who holds it now: the kernel wakes one.
+        # The kernel wakes one waiter; if it woke this stale one, pass the wake-up on.
         self.wake()
         return False
 
     def wake(self) -> None:
-        """Let whoever waits look again."""
+        """Make the waiting threads look again."""
         _libc.syscall(_FUTEX, ctypes.c_void_p(self._address), _WAKE, ctypes.c_int(1 << 30))
 
     def close(self) -> None:
-        """Take it out of this process's memory, once no thread of it holds it or waits for it."""
+        """Unmap it. Call it once no thread of this process holds it or waits for it."""
         _libc.munmap(self._page, mmap.PAGESIZE)
         if self._owned:
             os.close(self._fd)
 
 
 _NOTHING = ctypes.create_string_buffer(_LIST_HEAD.size)
-"""The empty list: its first entry is itself."""
+"""The empty list: its first entry points to itself."""
 _NOTHING.raw = _LIST_HEAD.pack(ctypes.addressof(_NOTHING), 0, 0)
 
 
 def let_go() -> None:
-    """The death of the calling thread is told nowhere from here on."""
+    """Stop reporting the death of the calling thread."""
     _libc.syscall(_SET_ROBUST_LIST, _NOTHING, _LIST_HEAD.size)
 
 
 def leave_no_dump() -> None:
-    """Allow this process no dump when it crashes: the dying hold what tells of their death until one is made."""
+    """Allow this process no dump when it crashes: until a dump is written, the dying process keeps holding the futexes
+    that report its death."""
     _, hard = resource.getrlimit(resource.RLIMIT_CORE)
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_CORE, (min(hard, NO_DUMP) if hard >= 0 else NO_DUMP, hard))
 
 
 def proven() -> bool:
-    """Whether this kernel does tell of deaths here: a thread holds a word of its own, and ends. Some that run Linux
-    programs don't (gVisor, qemu's user mode). Takes 0.2 ms."""
+    """Test whether this kernel reports deaths at all: a thread holds a word of its own, and ends. Some systems that run
+    Linux programs don't (gVisor, qemu's user mode). Takes 0.2 ms."""
     fd = os.memfd_create("proof")
     word = None
-    kept: list[object] = []  # memory that the kernel looks into; None: it was refused
+    kept: list[object] = []  # memory that the kernel looks into; None: it refused
     try:
         os.ftruncate(fd, mmap.PAGESIZE)
         word = Futex(fd, 0, write=True)
         _thread.start_new_thread(_hold_until_the_end, (word, kept))
-        while not kept:  # until then the thread has the word
+        while not kept:  # until then the thread holds the word
             sleep(_LOOK_S)
         until_ns = monotonic_ns() + _PROOF_NS
         while not word.told() and kept != [None] and monotonic_ns() < until_ns:
@@ -172,8 +174,8 @@ def proven() -> bool:
 
 
 def _hold_until_the_end(word: Futex, kept: list[object]) -> None:
-    """Of a thread, which is this alone."""
+    """The body of a thread that does nothing else."""
     try:
         kept.append(word.hold())
-    except Exception:  # after any error too: proven() waits until there is something
+    except Exception:  # set after any error too, because proven() waits for it
         kept.append(None)

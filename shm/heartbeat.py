@@ -1,4 +1,4 @@
-"""Heartbeat: what each process says of itself in words of its own segment, once a turn of its loop."""
+"""Heartbeat: what each process reports about itself in words of its own segment, once per turn of its loop."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ BEAT_STARTING, BEAT_RUNNING, BEAT_STOPPING = range(1, 4)
 STATES = {0: "absent", BEAT_STARTING: "starting", BEAT_RUNNING: "running", BEAT_STOPPING: "stopping"}
 
 REALTIME, MEMORY_LOCKED, EARLY_NEWS = 1, 2, 4
-"""Rights. The last: the kernel tells of deaths before it takes the memory down (futex.proven)."""
+"""Rights. The last: the kernel reports deaths before it frees the process's memory (futex.proven)."""
 
 
 class HeartbeatReader:
@@ -25,16 +25,16 @@ class HeartbeatReader:
         self.rights = segment.word("beat_rights")
 
     def age_ns(self, now_ns: int) -> int:
-        """Time since the last beat; a beat that came after `now_ns` was taken counts as age 0."""
+        """Time since the last beat. A beat that came after `now_ns` was read counts as age 0."""
         return max(0, now_ns - self.ns.get())
 
     def running(self, pid: int) -> bool:
-        """True when the process with this pid has said that it runs."""
+        """True when the process with this pid has reported that it runs."""
         return self.pid.get() == pid and self.state.get() == BEAT_RUNNING
 
 
 class Heartbeat:
-    """The writing side. Only the segment's own process beats; a successor starts again."""
+    """The writing side. Only the segment's own process beats; its successor starts again."""
 
     def __init__(self, own: Segment, pid: int, rights: int, now_ns: int) -> None:
         self._words = words = HeartbeatReader(own)
@@ -48,7 +48,7 @@ class Heartbeat:
         words.ns.set(now_ns)
 
     def beat(self, now_ns: int) -> None:
-        """Tell of one turn of the loop."""
+        """Publish one turn of the loop."""
         words, gap_ns = self._words, now_ns - self.last_ns
         self.last_ns = now_ns
         if gap_ns > self._worst_ns:
@@ -58,7 +58,7 @@ class Heartbeat:
         words.ns.set(now_ns)
 
     def state(self, state: int, now_ns: int) -> None:
-        """Publish BEAT_STARTING, BEAT_RUNNING or BEAT_STOPPING. A start that took long was no silence."""
+        """Publish BEAT_STARTING, BEAT_RUNNING or BEAT_STOPPING. A long start does not count as silence."""
         self.last_ns = now_ns
         self.beat(now_ns)
         self._words.state.set(state)

@@ -1,4 +1,4 @@
-"""Segments: shared memory of one writer, with the records that its specification places in it."""
+"""Segments: shared memory with one writer, and the records that its specification places in it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from failstop.shm.futex import Futex
 from failstop.shm.words import LINE_BYTES, Word
 
 HEADER_BYTES = 128
-"""Of the cell that every segment starts with (messages/segments.py), frozen so that versions can tell each other."""
+"""Size of the cell that every segment starts with (messages/segments.py). Never change it: versions recognise each
+other by it."""
 
 
 class Record(Data):
@@ -93,7 +94,7 @@ class Segment:
         return RingWriter(*self._cells(name, "ring"))
 
     def futex(self, name: str, line: int = 0, *, write: bool = False) -> Futex:
-        """A line to wait for a death on or, with `write`, to hold; only in unmapped segments. Raises OSError."""
+        """A line to wait on for a death or, with `write`, to hold; only in unmapped segments. Raises OSError."""
         record, offset = self._place(name, "futexes")
         if self._fd < 0:
             raise TypeError(f"{self.spec.name}.{name}: a futex needs the file")
@@ -102,7 +103,8 @@ class Segment:
         return Futex(self._fd, offset + line * LINE_BYTES, write=write)
 
     def wipe(self) -> None:
-        """Empty a client's own slot, all but the goodbyes: one that the gate has not seen would look like a death."""
+        """Empty a client's own slot, except for the goodbyes: a goodbye that the gate has not seen would look like a
+        death."""
         at = HEADER_BYTES + self.spec.records["left"].size()
         self.view[at : self.spec.size] = bytes(self.spec.size - at)
 
@@ -111,9 +113,9 @@ class Segment:
         return self._fd
 
     def close(self) -> None:
-        """Give the descriptor of an unmapped segment back; a mapping ends when its last word or reader is gone."""
+        """Close the descriptor of an unmapped segment. A mapping ends when its last word or reader is freed."""
         fd, self._fd = self._fd, -1
         if isinstance(self.view, FileView):
-            self.view.fd = -1  # the number may soon be another file's, which a writer of this view must not reach
+            self.view.fd = -1  # the number may soon name another file, which a writer of this view must not reach
         if fd >= 0:
             os.close(fd)

@@ -1,8 +1,8 @@
-"""Words: lone aligned u64 values, each alone in a 64-byte line, one writer each; and the barrier that orders them.
+"""Words: single aligned u64 values, each alone in a 64-byte line with one writer; and the barrier that orders them.
 
-A store or load of one through a memoryview cast to 'Q' is a single machine access, so a reader sees the old or the new
-value and nothing between. What needs more than one word to be true at once belongs in a cell. Two words may be seen in
-another order than they were stored in, but for a barrier between them on both sides.
+A store or load through a memoryview cast to 'Q' is a single machine access, so a reader sees the old or the new value
+and nothing between. Values that must be true together belong in a cell. Two words may be seen in another order than
+they were stored in, unless both sides have a barrier between them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The supervisor's part of the black box: its own ring, and starting the saver after a latched stop.
 
-The saver (failstop/incidents/saver.py) is a process of its own, at ordinary priority, in its own session. Nothing here
-waits for it but the end of the service, and that no longer than FINISH_S.
+The saver (failstop/incidents/saver.py) is a process of its own, at ordinary priority, in its own session. The
+supervisor never waits for it, except at the end of the service, and then for FINISH_S at most.
 """
 
 from __future__ import annotations
@@ -23,27 +23,28 @@ from failstop.supervisor.stops import Stop
 
 SAMPLE_NS = 100_000_000
 START_NS = 150_000_000
-"""From a stop to the saver's start. Starting it holds the supervisor until the new process has a core, and that must
-not come to the gate's lease: so before people have enabled motion again, when the repeats at 20 and 100 ms are out."""
+"""The saver starts this long after the stop. Starting it holds the supervisor until the new process has a core, which
+must not use up the gate's lease. So it happens before anyone has enabled motion again, once the repeats at 20 and 100
+ms are out."""
 COPY_NS = 2_200_000_000
-"""From a stop to the copy: what can be known of a stop is known after 2.0 s (proof.py)."""
+"""The copy is made this long after the stop, because after 2.0 s nothing more will be learned about it (proof.py)."""
 PATIENCE_NS = 60_000_000_000
-"""A dead run's saver waits for the service to be ready, at most so long."""
+"""The saver of a dead run waits this long, at most, for the service to be ready."""
 MOST_SAVERS = 4
 """Savers that run at one time."""
 MOST_STOPS_WAITING = 16
-"""Stops that wait for a saver. They come as fast as somebody resets the last one."""
+"""Stops that wait for a saver. They come as fast as a person can reset the last one."""
 ON_TIME_NS = START_NS
-"""A saver that is late by more than this waits until nothing moves, since people may have enabled motion by then."""
+"""A saver that is later than this waits until nothing moves, because motion may have been enabled by then."""
 GIVE_UP_NS = 30_000_000_000
-"""After that the rings hold less than half a minute before the stop."""
+"""After this time the rings hold less than half a minute before the stop."""
 FINISH_S = 1.0
 STEP = "look at the disk and at the state directory"
 TOO_OFTEN = "find out what stops and resets the robot so often"
 
 
 class BlackBox:
-    """One turn: follow(). begin() once, when the other processes are started."""
+    """Call begin() once, when the other processes are started, and follow() once per turn."""
 
     def __init__(self, run: Run, moves: Callable[[], bool]) -> None:
         """`moves`: whether motion is enabled, or the wheels were last told to turn."""
@@ -56,20 +57,21 @@ class BlackBox:
         self._ring = run.own.ring_writer("box")
         self._beats = [run.views[which].word("beat_ns") for which in layout.PROCESS_NAMES]
         self._silences = [(0, 0)] * len(self._beats)
-        """The longest silence of each process since the last sample, and when it was seen, in ns."""
+        """The longest silence of each process since the last sample, and when it was seen, both in ns."""
         self._waiting: list[tuple[int, dict[str, object]]] = []
-        """When to start a saver, and with what."""
+        """The savers still to start: when, and with which command-line words."""
         self._savers: dict[int, _socket.socket] = {}
-        """The socket to each that runs, by its pid: its end has it copy now, and what it has to say comes back."""
+        """The socket to each running saver, by its pid. Closing it makes the saver copy now; the saver reports back on
+        it."""
         self._for_dead_run = 0
-        """The pid of the one that waits for this run to be ready; 0: none does."""
+        """The pid of the saver that waits for this run to be ready, or 0."""
         self._sampled_ns = 0
 
     def wrote(self, now_ns: int) -> None:
         self._ring.put(box.OWN_BURST_RECORD, now_ns)
 
     def latched(self, stop: Stop, epoch: int) -> None:
-        """A stop is latched, the news is out: save what led to it, and what follows."""
+        """Save what led to a stop that was just latched and published, and what follows it."""
         self._sample(monotonic_ns())
         if self._on and len(self._waiting) >= MOST_STOPS_WAITING:
             self._not_saved(f"{MOST_STOPS_WAITING} earlier stops still wait to be saved", TOO_OFTEN)
@@ -78,7 +80,7 @@ class BlackBox:
             self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": stop.t_ns + COPY_NS}))
 
     def follow(self, now_ns: int, *, ready: bool) -> None:
-        """Once a turn, at its end, and before the supervisor's own beat."""
+        """Call once per turn, at its end, before the supervisor's own beat."""
         ages = ((now_ns - (beat.get() or now_ns), now_ns) for beat in self._beats)
         self._silences = list(map(max, self._silences, ages))
         if now_ns - self._sampled_ns >= SAMPLE_NS:
@@ -92,7 +94,7 @@ class BlackBox:
             self._start_next(now_ns)
 
     def _start_next(self, now_ns: int) -> None:
-        """Start the saver that is due, once there is room for it and its start can hold up nobody who drives."""
+        """Start the saver that is due, if there is room for it and its start can't hold up a driver."""
         late_ns = now_ns - self._waiting[0][0]
         if len(self._savers) < MOST_SAVERS and (late_ns <= ON_TIME_NS or not self._moves()):
             self._start(self._waiting.pop(0)[1], self._run.readable)
@@ -107,8 +109,8 @@ class BlackBox:
         self._silences = [(0, now_ns)] * len(self._beats)
 
     def begin(self) -> None:
-        """Start the saver for a run before this one that was not ended in order. It copies nothing, and takes no
-        processor time from anybody, before this run is ready: but by then nobody wants to be held up for its start."""
+        """Start the saver for an earlier run that did not end cleanly. It copies nothing and uses no processor time
+        until this run is ready; starting it later would hold up a driver."""
         left = self._run.left
         if self._on and len(left) == len(layout.PROCESS_NAMES):
             self._for_dead_run = self._start({"until_ns": monotonic_ns() + PATIENCE_NS}, left)
@@ -116,7 +118,7 @@ class BlackBox:
             os.close(left.popitem()[1])
 
     def _start(self, words: dict[str, object], fds: dict[str, int]) -> int:
-        """Start a saver and return its pid; 0: the machine is out of descriptors or processes, and that is all."""
+        """Start a saver and return its pid; 0 if the machine is out of descriptors or processes."""
         ends: list[_socket.socket] = []
         try:
             ends += _socket.socketpair()
@@ -135,7 +137,7 @@ class BlackBox:
         return pid
 
     def _hasten(self, pid: int) -> None:
-        """Have a saver copy now, if it still runs."""
+        """Make a saver copy now, if it still runs."""
         with contextlib.suppress(OSError, KeyError):
             self._savers[pid].shutdown(_socket.SHUT_WR)
 
@@ -150,7 +152,7 @@ class BlackBox:
                 self._tell(code, told if isinstance(told, dict) else None)
 
     def _tell(self, code: int, told: dict[str, str | float] | None) -> None:
-        """Tell what a saver that has ended has saved, if anything, or what is `wrong`; `told` None: it said nothing."""
+        """Log what an ended saver saved, or what is `wrong`. `told` is its report; None if it sent none."""
         if not code and told == {}:
             return
         told = told or {}
@@ -167,7 +169,7 @@ class BlackBox:
         self._events.tell("incident", f"incident not saved: {why}", reason, level="warning", step=step)
 
     def finish(self) -> None:
-        """The end of the service, its stops written: what is being saved is saved now."""
+        """Save at once whatever is still waiting. Called at the end of the service, after its stops are written."""
         while self._waiting and len(self._savers) < MOST_SAVERS:
             self._start(self._waiting.pop(0)[1], self._run.readable)
         for _ in self._waiting:

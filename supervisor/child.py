@@ -1,7 +1,7 @@
 """Where each process of the service starts: `python -I -S child.py PROCESS key=value ...`.
 
-Run by the supervisor, and by `failstop run` for the supervisor itself. Without the site module, which costs more than
-all of a small process's own imports; whoever starts it hands its own search path over instead.
+Run by the supervisor, and by `failstop run` for the supervisor itself. It runs without the site module, which costs
+more than all of a small process's own imports; the starting process passes its own search path instead.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def main(argv: list[str]) -> int:
         from failstop.policy.processes import PROCESS_BY_NAME
         from failstop.procs.context import Context
 
-        _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # an end at once, as by any other signal
+        _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # end at once, as from any other signal
         row = PROCESS_BY_NAME[argv[1]]
         context = Context(row.name, words, row.priority, outlives_parent=row.outlives_supervisor)
         code: int = __import__(row.module, fromlist=["run"]).run(context)
@@ -41,8 +41,9 @@ def main(argv: list[str]) -> int:
 
 
 def fail(error: Exception) -> NoReturn:
-    """The end of a process that does not know what to do: as Python tells of it but for the source, if stderr takes it,
-    and then at once, as if it had been killed. To take an interpreter down takes 5 ms, in which nobody stops for it."""
+    """End a process that can't go on: print the traceback as Python would, without source lines, if stderr takes it,
+    then die at once as if killed. Shutting the interpreter down would take 5 ms during which no other process stops for
+    this one."""
     try:
         lines = ["Traceback (most recent call last):"]
         at = error.__traceback__

@@ -1,4 +1,4 @@
-"""Children: the processes of the table as the supervisor knows them: their states, deaths, restarts, silences."""
+"""Children: the supervisor's view of each process in the table: its state, deaths, restarts and silences."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from failstop.supervisor import starter
 _SIGNALS = {found.value: found.name for found in signal.Signals}
 _SIGNALS[signal.SIGXCPU] += " (it ran on and on at real-time priority)"
 STARTING_NS = 5_000_000_000
-"""A process that does not say that it runs within this time is killed."""
+"""A process that does not report within this time that it runs is killed."""
 LONGEST_WAIT_NS = 2_000_000_000
 
 # The states of a process, in the words that people read.
 WAITING = "waiting"  # to be started
-DOWN = "down"  # it died too often: not started before a reset
+DOWN = "down"  # it died too often, so it is not started before a reset
 STARTING = "starting"
 RUNNING = "running"
-HUNG = "hanging"  # silent past its deadline, which the machine explains: not killed for that
+HUNG = "hanging"  # silent past its deadline, but the machine explains it, so it is not killed
 FENCED = "fenced"  # killed for hanging, and not gone yet
-DEAD = "dead"  # that is known, and answered; still to be reaped
+DEAD = "dead"  # its death is known and answered; still to be reaped
 
 # The events of a process, in the words that people read.
 STARTED = "started"
-RUNS = "runs"  # it says so itself
-SPARED = "spared"  # it is silent, which the machine explains
-BEATS = "beats"  # after it was spared: also before it says that it runs, and just before its death is known
+RUNS = "runs"  # the process reports it
+SPARED = "spared"  # it is silent, and the machine explains it
+BEATS = "beats"  # after it was spared; also before it reports that it runs, and just before its death is known
 KILLED = "killed"  # for hanging
 TERMINATED = "died"
 REAPED = "reaped"
@@ -56,67 +56,68 @@ ALIVE = tuple(state for state, after in NEXT.items() if TERMINATED in after)
 
 
 class Fence(Data):
-    """The record of a hung process that was killed, so that nothing that it still wanted to do can happen. Times are
-    CLOCK_MONOTONIC in ns; 0: it has not happened."""
+    """The record of killing a hung process, which keeps it from doing anything more. Times are CLOCK_MONOTONIC in ns; 0
+    means it has not happened."""
 
     noticed_ns: int
     kill_ns: int
     burst_ns: int
-    """When the stop was written on the supervisor's own descriptor, as it is for a port owner."""
+    """When the stop was written on the supervisor's own descriptor, as for a hung port owner."""
     silent_ns: int = 0
     was_starved: bool = False
-    """The machine did not run it: no fault of its own."""
+    """The machine did not run it, so the hang was not its own fault."""
     gone_ns: int = 0
     again_ns: int = 0
-    """When the stop was written again for its end."""
+    """When the stop was written again because the process had ended."""
 
     def _steps_us(self) -> list[tuple[str, str, float]]:
-        """The steps that have happened: for programs, for people, and how long after the notice."""
+        """The steps that have happened: the name for programs, the name for people, and us after the notice."""
         words = (("kill", "killed"), ("burst", "stop written"), ("gone", "gone"), ("again", "stop again"))
         times_ns = (self.kill_ns, self.burst_ns, self.gone_ns, self.again_ns)
         return [(*step, (at - self.noticed_ns) / 1e3) for step, at in zip(words, times_ns, strict=True) if at]
 
     def story(self, name: str) -> str:
-        """In words, in ms from the notice."""
+        """The steps as a sentence, in ms after the notice."""
         return f"{name} was fenced: {', '.join(f'{told} after {us / 1e3:.1f} ms' for _, told, us in self._steps_us())}"
 
     def fields(self) -> dict[str, float]:
-        """Its times for programs: us from the notice."""
+        """The steps for programs: us after the notice."""
         return {"silent_ms": round(self.silent_ns / 1e6, 1), **{f"{step}_us": us for step, _, us in self._steps_us()}}
 
 
 class Child:
-    """One row of the process table as it is now."""
+    """One row of the process table, with its current state."""
 
     def __init__(self, row: Process, beat: HeartbeatReader, restart: Timer, settings: Settings) -> None:
-        """A machine that can't run one process sooner runs no other sooner, so no deadline is shorter than a lease."""
+        """No deadline is shorter than a lease, because a machine that can't run one process sooner can't run another
+        sooner."""
         self.row = row
         self.beat = beat
         self._settings = settings
         self._deadline_ns = max(row.deadline_ns, settings.ns("gate.lease_s"))
         self._deaths: list[int] = []
-        """Times of its deaths, as long as they count."""
+        """Times of its deaths that still count."""
         self.state = WAITING
         self.pid = 0
-        """0: there is none, since it waits or is down."""
+        """0 while no process exists, because it waits or is down."""
         self.block = 0
         """The block of futexes that it holds."""
         self.life: Lifeline | None = None
         self.started_ns = 0
         self.restart = restart
-        """When it is to be started again, if it is not started yet."""
+        """When to start it again, if it is not started yet."""
         self.fence: Fence | None = None
-        """It was killed for hanging: when and how."""
+        """When and how it was killed for hanging, if it was."""
         self.excused_ns = 0
-        """Silence before this is not its own."""
+        """Silence before this time is not the process's own fault."""
         self._spared_ns = 0
-        """Its last sign of life before a silence that the machine explains, and that lasts; 0: there is none such."""
+        """Its last sign of life before a silence that the machine explains and that still lasts; else 0."""
         self.defects: list[Cause] = []
-        """Events that cannot happen and did, since they were last stopped for."""
+        """Impossible events that happened since the last stop for one."""
         self.times_restarted = 0
         self.last_exit = ""
         self.killed = False
-        """Its predecessor was killed by a signal."""
+        """The process before it was killed by a signal."""
 
     def on(self, event: str) -> None:
         """Follow an event to the next state; one that can't happen in this state is kept as a defect."""
@@ -127,7 +128,7 @@ class Child:
         self.state = after
 
     def started(self, life: Lifeline, block: int, now_ns: int) -> None:
-        """It was just started; `life`: the news of its death."""
+        """Record that the process was just started; `life` reports its death."""
         self.life = life
         self.pid = life.pid
         self.block = block
@@ -138,8 +139,9 @@ class Child:
         self.on(STARTED)
 
     def restart_wait_ns(self, now_ns: int) -> int | None:
-        """It has died: the first time in the window it is restarted at once, the next after a doubling wait, and after
-        the limit (None) it is down, and the service stopped, until people reset, rather than loop."""
+        """Record a death and return how long to wait before the restart. The first death in the window restarts at
+        once, later ones after a doubling wait. After the limit it returns None: the process stays down and the service
+        stopped until a reset, so that it doesn't crash in a loop."""
         window_ns, backoff_ns = self._settings.ns("restart.window_s"), self._settings.ns("restart.backoff_s")
         self._deaths = [t for t in self._deaths if now_ns - t < window_ns] + [now_ns]
         count = len(self._deaths)
@@ -152,24 +154,25 @@ class Child:
         self.on(RECALLED)
 
     def running(self) -> bool:
-        """True when it has said that it runs, whether or not the machine lets it."""
+        """True once it has reported that it runs, whether or not the machine lets it run now."""
         return self.state in (RUNNING, HUNG)
 
     def heard_ns(self) -> int:
         return max(self.beat.ns.get(), self.started_ns)
 
     def allowed_ns(self) -> int:
-        """How long it may be silent: when it runs, or until it says so."""
+        """How long it may be silent, in ns; longer until it has reported that it runs."""
         return self._deadline_ns if self.running() else STARTING_NS
 
     def spare(self, now_ns: int, silent_ns: int) -> None:
-        """Its silence is the machine's: as long again from now on. `silent_ns`: as judged; it may beat meanwhile."""
+        """Excuse a silence that the machine explains: give the process as long again, from now. `silent_ns` is the
+        judged silence; the process may beat meanwhile."""
         self.excused_ns = now_ns
         self._spared_ns = self._spared_ns or now_ns - silent_ns
         self.on(SPARED)
 
     def beaten(self) -> int:
-        """Once it has beaten again after it was spared: how long it was silent (ns); else 0."""
+        """How long a spared process was silent (ns), returned once when it beats again; else 0."""
         silent_ns = self.heard_ns() - self._spared_ns if self._spared_ns else 0
         if silent_ns:
             self._spared_ns = 0
@@ -177,14 +180,14 @@ class Child:
         return silent_ns
 
     def overdue_ns(self) -> int:
-        """When it counts as hanging unless it beats before; NEVER: there is nothing to wait for."""
+        """When it counts as hanging unless it beats first; NEVER if no beat is expected."""
         if KILLED not in NEXT[self.state]:
             return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns
         return max(sign_ns, self.excused_ns) + self.allowed_ns()
 
     def kill(self, wait_s: float) -> None:
-        """End it, and collect it if it has ended within `wait_s`."""
+        """Kill it, and reap it if it ends within `wait_s`."""
         if self.life:
             self.life.kill()
             self.life.wait(wait_s)
@@ -193,7 +196,8 @@ class Child:
             self.reap()
 
     def reap(self) -> str:
-        """Collect the dead process; returns how it died, in words; empty: not yet, as while a debugger holds it."""
+        """Reap the dead process and return how it died, in words; empty if it can't be reaped yet, for example while a
+        debugger holds it."""
         if (code := starter.reap(self.pid)) is None:
             return ""
         self.killed = code < 0

@@ -1,4 +1,5 @@
-"""Entry of the supervisor, which `failstop run` has become: the stop is written, the port open, the name locked."""
+"""Entry of the supervisor, which has replaced `failstop run`. By now the stop is written, the port is open and the name
+is locked."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ def start(words: dict[str, str]) -> int:
         port.drain()
         port.close()
         return 1
-    # Not where it fails: then every moment counts, and the next run saves what is left behind.
+    # Skipped if the service fails: then every moment counts, and the next run saves the rings that are left.
     code = _serve(supervisor)
     run.remove()
     port.close()  # an exit would wait for a port that does not drain
@@ -52,8 +53,8 @@ def start(words: dict[str, str]) -> int:
 
 
 def _found(run: Run, port: OwnPort, notify: Notify) -> Supervisor:
-    """The supervisor of a run that can be found from here on. Its heartbeat and its process table are there before the
-    run's name is: a client reads them as soon as it finds that. Raises what a Run raises, and leaves as little."""
+    """Create the supervisor of a run, then publish the run's name. The heartbeat and the process table come first,
+    because a client reads them as soon as it finds the name. Raises whatever Run raises, and leaves nothing behind."""
     try:
         supervisor = Supervisor(run, port, notify)
         run.publish()
@@ -81,11 +82,11 @@ def _serve(supervisor: Supervisor) -> int:
 
 
 def _take_descriptors(lock: int, port: int) -> int:
-    """Close whatever else was inherited, and have small numbers for the two, which nobody inherits any more: select()
-    takes none from 1024 on. The lock stays open as long as this process lives; returns the port."""
-    with contextlib.suppress(OSError):  # without /proc they stay
+    """Close every other inherited descriptor and move these two to small numbers, because select() can't use numbers
+    from 1024 on. Neither is inherited any more. The lock stays open for the life of this process; returns the port."""
+    with contextlib.suppress(OSError):  # without /proc they stay open
         for fd in set(map(int, os.listdir("/proc/self/fd"))) - {0, 1, 2, lock, port}:
-            with contextlib.suppress(OSError):  # the listing's own
+            with contextlib.suppress(OSError):  # the descriptor of the listing itself
                 os.close(fd)
     for fd in (lock, port):
         found = os.dup(fd)

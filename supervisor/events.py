@@ -1,6 +1,6 @@
-"""Events: what the supervisor tells people - in the journal or on stderr, and in a ring for programs.
+"""Events: what the supervisor reports to people, in the journal or on stderr, and to programs, in a ring.
 
-Told is not yet sent: events wait for flush(), which comes at the end of a turn, when the bytes of a stop are out.
+An event is queued first and sent by flush() at the end of the turn, when the bytes of a stop are out.
 """
 
 from __future__ import annotations
@@ -31,23 +31,24 @@ EVENT_CUTS = ((280, 280), (200, 60), (120, 24))
 EVENT_BYTES = layout.SEGMENT_BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name, causes.FLEET.name))
 AGAIN = frozenset(("stop_again", "stop_also"))
-"""Events that anybody can bring about without end; a stop that is latched again takes somebody who resets."""
+"""Events that anyone can cause without end. A stop can only be latched again after a reset."""
 MINUTE_NS = 60_000_000_000
 OWN_BYTES = 65536
-"""Bytes told in a minute of each kind and level: a dozen stops a second for half of it."""
+"""Bytes allowed per minute for each kind and level: twice the size of a dozen stops a second."""
 REPEATS_BYTES = 8192
-"""Of requests that repeat what is latched: everybody may make them, without end, and they change nothing."""
+"""Bytes per minute for requests that repeat what is latched. Anyone can make them without end, and they change
+nothing."""
 LEAST_COLUMNS = 40
 """Below this a hanging indent leaves too little."""
 PREFIX = "failstop: "
-"""The begin of the service's lines and of the commands' errors."""
+"""How the service's lines and the commands' errors begin."""
 JOINED = "\0"
-"""In the place of a space that is no place to break at."""
+"""Stands for a space at which no line may break."""
 
 
 def fold(text: str, width: int, indent: int) -> str:
-    """The text with line breaks, no line longer than `width` columns, those after the first indented. A command in
-    backquotes stays whole where it fits; a single word that is longer than a line is left to the terminal."""
+    """Break the text into lines of at most `width` columns, indenting all but the first. A command in backquotes stays
+    whole if it fits; a single word longer than a line is left to the terminal."""
     if len(text) <= width or width < LEAST_COLUMNS:
         return text
     rows, row = [], ""
@@ -61,7 +62,7 @@ def fold(text: str, width: int, indent: int) -> str:
 
 
 def _words(text: str, room: int) -> list[str]:
-    """The pieces that may not be broken: words, and commands in backquotes with what is written against them."""
+    """The pieces that may not be broken: words, and commands in backquotes with the punctuation next to them."""
     parts = text.split("`")
     parts[1:-1:2] = [command.replace(" ", JOINED) for command in parts[1:-1:2]]
     found: list[str] = []
@@ -71,7 +72,7 @@ def _words(text: str, room: int) -> list[str]:
 
 
 def fitted(text: str, fd: int, indent: int = len(PREFIX)) -> str:
-    """The text as it is to be written to this descriptor, a terminal or not."""
+    """The text as it should be written to this descriptor, folded if it is a terminal."""
     try:
         return fold(text, os.get_terminal_size(fd).columns, indent)
     except (OSError, ValueError):
@@ -79,8 +80,8 @@ def fitted(text: str, fd: int, indent: int = len(PREFIX)) -> str:
 
 
 def say(text: str) -> None:
-    """Write one line to stderr, broken at words on a terminal. A log that can't be written is no reason to stop
-    working, nor one that nobody reads (a full pipe, a terminal held by Ctrl-S): the line is dropped then."""
+    """Write one line to stderr, broken at words on a terminal. The line is dropped if the log can't be written or is
+    blocked (a full pipe, a terminal held by Ctrl-S), because that is no reason to stop working."""
     try:
         if select.select((), (STDERR,), (), 0)[1]:
             os.write(STDERR, f"{fitted(PREFIX + text, STDERR)}\n".encode("utf-8", "replace"))
@@ -92,23 +93,23 @@ class Events:
     """The one place where events leave the service. Without a journal they are lines on stderr."""
 
     def __init__(self, name: str, ring: RingWriter | None = None, journal: Outbox | None = None) -> None:
-        """`name`: the instance's."""
+        """`name`: the name of the instance."""
         self._name = name
         self._ring = ring
         self._journal = journal
         self._waiting: list[EventRow] = []
         self._minute_ns = 0
-        """When the minute began of which the allowances are."""
+        """When the minute that the allowances count for began."""
         self._spent: Counter[FloodSort] = Counter()
-        """Bytes of each sort in it."""
+        """Bytes of each sort in this minute."""
         self._left_out: Counter[FloodSort] = Counter()
-        """How many events of a sort were left out, where that was not told yet."""
+        """How many events of each sort were dropped and not reported yet."""
 
     def tell(
         self, kind: str, text: str, fields: Mapping[str, Value | None] | None = None, *, level: str = "", step: str = ""
     ) -> None:
-        """Tell an event of a kind of kinds.py (any other becomes a note), at its kind's level or another. `step`: what
-        to do next. A field that is None is left out."""
+        """Queue an event of a kind from kinds.py (any other becomes a note), at the kind's level unless `level` is
+        given. `step`: what to do next. A field that is None is left out."""
         known = EVENT_BY_NAME.get(kind) or EVENT_BY_NAME["note"]
         given = {key: value for key, value in (fields or {}).items() if value is not None}
         now_ns, level = monotonic_ns(), level if level in LEVELS else known.level
@@ -122,8 +123,9 @@ class Events:
         return f"`failstop {words}{instance.option(self._name)}`"
 
     def flush(self, now_ns: int = 0, *, hold: bool = False) -> None:
-        """Send what was told. `hold`: a stop's bytes are not out yet; then only what has waited for long. `now_ns` 0:
-        the end. What was left out is told of when the minute is over, or now."""
+        """Send the queued events. `hold`: the bytes of a stop are not out yet, so send only events that have waited too
+        long. `now_ns` 0 means the service ends. Dropped events are summed up when the minute is over, or now at the
+        end."""
         over = bool(self._left_out) and now_ns - self._minute_ns >= MINUTE_NS
         if self._waiting and not (hold and now_ns - self._waiting[0][0] < LONGEST_HOLD_NS):
             self._send_waiting()
@@ -140,7 +142,7 @@ class Events:
     def _send(
         self, t_ns: int, unix_s: float, kind: str, level: str, what: str, step: str, fields: dict[str, Value]
     ) -> None:
-        """Send one event to everybody, unless there was too much of its sort."""
+        """Send one event to the ring and the journal, unless its sort has used up its allowance."""
         text = f"{what}{NEXT_STEP}{step}" if step else what
         datagram = journal_entry(self._name, t_ns, kind, level, text, fields) if self._journal else b""
         size = len(datagram) or len(f"{PREFIX}{text}\n".encode("utf-8", "replace"))
@@ -154,8 +156,8 @@ class Events:
             say(text)
 
     def _may_spend(self, sort: FloodSort, size: int, t_ns: int) -> bool:
-        """True while there is room. Once there is none nothing more of this sort is told in this minute: a flood is a
-        few lines and a number, not every other line of it."""
+        """True while there is room. Once there is none, nothing more of this sort is sent in this minute: a flood
+        should be a few lines and a number, not every other line of it."""
         if t_ns - self._minute_ns >= MINUTE_NS:
             self._minute_ns, self._spent = t_ns, Counter()
         self._spent[sort] += size
@@ -170,14 +172,15 @@ class Events:
 
 
 def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
-    """True for what anybody may bring about without end."""
+    """True for events that anyone can cause without end."""
     return kind in AGAIN and fields.get("cause") in ASKED
 
 
 def ring_entry(
     t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value], what: int = 0
 ) -> bytes:
-    """One event for the ring, as a msgpack map. `what`: the characters of the text before its step; 0: it has none."""
+    """One event for the ring, as a msgpack map. `what`: how many characters of the text come before its next step; 0 if
+    it has none."""
     told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level} | ({"what": what} if what else {})
     return fitting(EVENT_BYTES, EVENT_CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})
 
@@ -197,8 +200,8 @@ def journal_entry(name: str, t_ns: int, kind: str, level: str, text: str, fields
 
 
 def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
-    """The datagram of a journal entry. `NAME=value` and a line break; a value with a line break in it goes as the name,
-    a line break, its length as a little-endian u64, the value, a line break."""
+    """Encode the fields as a journal datagram: `NAME=value` and a line break each. A value that contains a line break
+    is sent as the name, a line break, its length as a little-endian u64, the value, and a line break."""
     parts = []
     for name, value in fields:
         data = str(value).encode("utf-8", "replace")
@@ -210,8 +213,8 @@ def encode(fields: Iterable[tuple[str, Value]]) -> bytes:
 
 
 def is_journal(stream: str) -> bool:
-    """True when `stream`, the DEVICE:INODE of $JOURNAL_STREAM, is this process's stderr: then the journal is where its
-    lines go. A stderr that was redirected since has another device or inode."""
+    """True when `stream`, the DEVICE:INODE of $JOURNAL_STREAM, is this process's stderr, so that its lines go to the
+    journal. A stderr that was redirected since then has another device or inode."""
     try:
         found = os.fstat(STDERR)
     except OSError:

@@ -1,4 +1,4 @@
-"""Fit: whether the board that the settings name takes what they drive."""
+"""Fit: checks that the board in the settings can do what the settings ask of it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from failstop.policy.settings import Settings
 
 
 def checked_board(settings: Settings, path: str | None) -> Board:
-    """The board of the settings of this file. Raises SettingError (it does not take what they drive), OwnBoardError."""
+    """The board that the settings of this file name. Raises SettingError (the board can't do what the settings ask) or
+    OwnBoardError."""
     board, kind = board_of(*settings.board()), settings.text("board.kind")
     if board.wheels != settings.speeds:
         layout = settings.text("wheels.layout")
@@ -29,7 +30,7 @@ def checked_board(settings: Settings, path: str | None) -> Board:
 
 
 def slowest_mps(settings: Settings) -> float:
-    """The smallest speed of a wheel's rim that the board can be told, m/s: a slower one is rounded to rest; 0: any."""
+    """The slowest rim speed in m/s that the board can be sent; slower ones are rounded to zero. 0 means any speed."""
     kind, diameter_m, per_rps, *_ = settings.board()
     if not is_described(kind):
         return 0.0

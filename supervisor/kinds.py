@@ -1,4 +1,4 @@
-"""Kinds: every kind of event there is: its level, its MESSAGE_ID, the fields that every event of the kind has.
+"""Kinds: every kind of event, with its level, its MESSAGE_ID and the fields that every such event has.
 
 The journal's catalog of them is lab/failstop_lab/pages/catalog_texts.py. A MESSAGE_ID never changes its meaning.
 """

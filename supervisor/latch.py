@@ -1,7 +1,7 @@
-"""The latch and the epochs: of all that stops the robot, the first since the last reset is what people are told.
+"""The latch and the epochs. The first stop since the last reset is the one that people see.
 
-The supervisor alone raises the epoch, latches and resets, and everybody else reads what it publishes. Whoever sees a
-new epoch, with its bell or without, finds the cause of it and a service that is not ready.
+Only the supervisor raises the epoch, latches and resets; every other process reads what it publishes. A process that
+sees a new epoch, with or without its bell, also finds its cause and a service that is not ready.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from failstop.supervisor.stops import Stop
 
 
 class Latch:
-    """The latched stop, and since which epoch; the newest stop, latched or not. Pure."""
+    """The latched stop and its epoch, and the newest stop, latched or not. Pure."""
 
     def __init__(self) -> None:
         self.stop: Stop | None = None
-        """The one that is latched; None: nothing is."""
+        """The latched stop, or None."""
         self.since = 0
-        """The epoch that was raised for it; 0: nothing is latched."""
+        """The epoch raised for the latched stop; 0 if nothing is latched."""
         self.newest: Stop | None = None
         self.reset_epoch = 0
-        """The epoch in which the last reset was made."""
+        """The epoch of the last reset."""
         self._raised_ns = 0
 
     def add(self, stops: list[Stop], epoch: int, now_ns: int) -> None:
-        """Take stops that came together; the epoch is being raised to `epoch` for them."""
+        """Add stops that came together; the epoch is being raised to `epoch` for them."""
         self.newest = min(stops, key=lambda stop: stop.t_ns)
         self._raised_ns = now_ns
         if self.stop is None:
@@ -38,7 +38,7 @@ class Latch:
             self.stop.cause = better.cause
 
     def reset(self, epoch: int, asked_ns: int) -> Reply:
-        """Clear the latch and nothing else, unless a stop has come since the request."""
+        """Clear the latch, unless a stop has come since the request was made at `asked_ns`. Nothing else changes."""
         if self.newest and asked_ns < self._raised_ns:
             return asked_before(self.newest.cause)
         self.reset_epoch = epoch
@@ -48,21 +48,21 @@ class Latch:
         return Reply(True, f"latched stop cleared (was: {CAUSE}); motion still disabled", was)
 
     def as_record(self) -> bytes:
-        """The latch as the record that everybody reads; asked once there was a stop."""
+        """The latch as the shared record. Call it only after a stop."""
         told = self.stop or self.newest
         assert told is not None
         return records.LATCH.pack(self.since, told.t_ns, self._raised_ns, told.cause.pack())
 
 
 class Epochs:
-    """The words and records of shared memory that epoch, latch and resets are told in."""
+    """The words and records of shared memory that hold the epoch, the latch and the answers to resets."""
 
     def __init__(self, run: Run) -> None:
         own, gate = run.own, run.views[layout.GATE]
         self.number = 1
         self.latch = Latch()
         self.owed_ns = 0
-        """Since when a stop is neither answered nor written by the supervisor; 0: there is none such."""
+        """Since when a stop has been neither answered nor written by the supervisor; 0 if none is owed."""
         self.ready_word = own.word("ready")
         self._epoch_word = own.word("epoch")
         self._epoch_word.set(self.number)
@@ -91,7 +91,7 @@ class Epochs:
         return self._stopped_word.get() >= self.number
 
     def decide_reset(self) -> bool:
-        """Decide the reset that the gate passes on, and tell it; True when one was done."""
+        """Decide the reset that the gate passes on, and publish the answer. True if the latch was reset."""
         number = self._asked_word.get()
         if number == self._decided_word.get():
             return False

@@ -1,7 +1,8 @@
-"""The supervisor's loop: deaths first, then causes that others noticed, then starting and watching.
+"""The supervisor's loop: first deaths, then causes that other processes noticed, then starting and watching. It alone
+raises the epoch.
 
-It alone raises the epoch. On a wake-up the order is: (1) the burst, when the port owner has died; (2) the epoch and the
-bells, so that whoever can write stops; (3) everything that people want to know of it.
+Each wake-up runs in this order: (1) the burst, when the port owner has died; (2) the epoch and the bells, so that every
+process that can write a stop does; (3) everything that people want to know about it.
 """
 
 from __future__ import annotations
@@ -35,26 +36,28 @@ from failstop.supervisor.status import LEASE, Status, advice, lacking
 from failstop.supervisor.stops import Stop, explained
 
 TICK_NS = 20 * MS
-"""A third of the lease that motion has of its beats."""
+"""A third of the lease for which one of its beats allows motion."""
 AT_REST_NS = 2 * TICK_NS
-"""A tick while the gate says that there is nobody for whom anything could move: then nobody judges the lease."""
+"""The tick while the gate reports that nothing could move for anyone, so that nobody judges the lease."""
 BEATS_ALONE = 2
-"""Ticks in which it shows that it lives and looks at nothing, if nothing has happened: what happens rings."""
+"""Ticks on which it only beats, if nothing has happened. Anything that happens rings a bell."""
 STOP_ANSWER_NS = 5_000_000
 """How long the port owner may take to answer a raised epoch before the supervisor writes the burst itself."""
 HURRY_NS = 1_000_000
 EXCUSE_NS = 60_000_000
-"""After a silence of its own this long it judges nobody by theirs. Two ticks less than the shortest deadline."""
+"""After being silent itself for this long, the supervisor judges nobody by their silence. Two ticks less than the
+shortest deadline."""
 CLIENT_SILENT_NS = 150_000_000
-"""A client that beats ten times a second, and was silent for this long, was held up."""
+"""A client that beats ten times a second and was silent for this long was held up."""
 HEAR_NS = 300_000_000
-"""How long the service's end waits for the board's answer to its stop: the ping may be 50 ms away (schedule.py)."""
+"""How long the end of the service waits for the board's answer to its stop. The ping may be 50 ms away
+(schedule.py)."""
 END_S = 2.0
 """How long the end of the service waits for each process that it has killed, before the last burst goes out."""
 
 
 class Supervisor:
-    """The parent's state; one turn() a wake-up."""
+    """The supervisor's state. Call turn() once per wake-up."""
 
     def __init__(self, run: Run, port: OwnPort, notify: Notify) -> None:
         self._run, self._port = run, port
@@ -79,13 +82,13 @@ class Supervisor:
         self.status.publish(self.status.missing(stopping=False))
         self._unanswered: Stop | None = None
         self._due = self.loop.timer()
-        """When the port owner has had its time to answer, or the first process counts as hanging unless it beats."""
+        """When the port owner's time to answer is over, or the first process counts as hanging unless it beats."""
         self._turned_ns = self._watched_ns = monotonic_ns()
         self._repeats = Repeats(self.loop.timer(), port.board.repeats_ns[SUPERVISOR_ROW], self._turned_ns)
         self._repeats.restart(self._turned_ns)
         self.ending = False
         self.broken = False
-        """It can't go on, and ends by itself, when its stop is answered."""
+        """It can't go on, and ends by itself once its stop is answered."""
         self.loop.listen(run.bells[layout.SUPERVISOR], self.processes.early.bell)
 
     def end(self, _number: int, _frame: object) -> None:
@@ -103,7 +106,7 @@ class Supervisor:
         self.processes.watch_early()
         self._follow_port(ready, now_ns)
         self._follow_answer(now_ns)
-        if not self._unanswered and self.epochs.decide_reset():  # once the last stop is carried out
+        if not self._unanswered and self.epochs.decide_reset():  # once the last stop is written
             self.processes.recall(now_ns)
         self.processes.follow_spared(now_ns)
         self._fence_hangs(now_ns)
@@ -120,7 +123,7 @@ class Supervisor:
         self._due.set(min([*late_ns, *(child.overdue_ns() for child in self.children)]))
 
     def rest(self) -> dict[int, int]:
-        """Sleep until something has happened, or it is time to look whether something has; returns what is ready."""
+        """Sleep until something happens or a timer is due; returns the ready descriptors."""
         for _ in range(BEATS_ALONE):
             ready = self.loop.wait(self._tick_ns())
             now_ns = monotonic_ns()
@@ -135,9 +138,10 @@ class Supervisor:
         return TICK_NS if self._busy_word.get() or self._moving_word.get() else AT_REST_NS
 
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
-        """Deaths, and what others noticed: the burst where nobody else can write it, then the epoch, then the rest."""
+        """Answer deaths and causes that others noticed: the burst if no other process can write it, then the epoch,
+        then the rest."""
         gap_ns = now_ns - self._turned_ns
-        # A signal has let this process go on since: SIGCONT is blocked (entry.py).
+        # A signal has let this process continue since then: SIGCONT is blocked (entry.py).
         continued = gap_ns >= EXCUSE_NS and signal.sigtimedwait((signal.SIGCONT,), 0)
         suspended_ns = gap_ns if continued else 0
         dead = self.processes.died(ready)
@@ -149,24 +153,25 @@ class Supervisor:
         self._raise_epoch(self._collect(dead, now_ns, written_ns, suspended_ns) + self._held_up(now_ns, suspended_ns))
 
     def _burst(self) -> int:
-        """The burst on its own descriptor; returns when it was written, 0 when it was not."""
+        """Write the burst on the supervisor's own descriptor; returns when it was written, or 0 if it was not."""
         written, now_ns = self._port.burst(), monotonic_ns()
         self._repeats.restart(now_ns)
         return self._wrote(now_ns) if written else 0
 
     def _wrote(self, written_ns: int) -> int:
-        """A burst went out on its own descriptor then, which is returned."""
+        """Record that a burst went out on the supervisor's own descriptor at this time, and return the time."""
         self.epochs.owed_ns = 0
         self._written_word.set(written_ns)
         self.blackbox.wrote(written_ns)
         return written_ns
 
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
-        """A port that has gone, and one that is back: the opener has written the burst on it, unless it could not."""
+        """Follow a port that was lost and one that is back. The opener has already written the burst on a new port, if
+        it could."""
         stranger, sure = self.handover.misplaced, self.handover.sure
         if self.handover.lost(ready, now_ns):
             self.monitor.link.opened(now_ns, sure=sure)
-            if stranger:  # the port owner still has it open, and takes it for the board
+            if stranger:  # the port owner still has the device open, and takes it for the board
                 self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, causes.DEVICE_LOST())])
         opened_ns = self.handover.opened(now_ns)
         if opened_ns is not None:
@@ -178,17 +183,18 @@ class Supervisor:
         self.handover.make_up(now_ns)
 
     def _stop_alone(self, now_ns: int) -> None:
-        """Nobody else repeats a stop, or says zero to the board, while no port owner runs that has the port."""
+        """Repeat a stop and send zeros to the board while no port owner has the port."""
         served = self.processes[layout.PORT_OWNER].running() and self.handover.has(layout.PORT_OWNER)
         self._repeats.wait(self._port.free_ns)
         if served:
-            self._repeats.end()  # it stops itself, and may have been told to move again
+            self._repeats.end()  # this port owner stops by itself, and may have been told to move again
         elif self._repeats.take(now_ns) and self._port.burst():
             self._wrote(monotonic_ns())
 
     def _held_up(self, now_ns: int, suspended_ns: int) -> list[Stop]:
-        """A stop for a supervisor that could not watch anybody, while motion is enabled; it kills nobody for a silence
-        that it did not hear. `suspended_ns`: how long a signal has suspended it since its last turn; 0: none has."""
+        """A stop because the supervisor itself was held up while motion was enabled, and so could not watch anyone. It
+        kills nobody for a silence it did not observe. `suspended_ns`: how long a signal suspended it since its last
+        turn, or 0."""
         self._watched_ns, self._turned_ns = self._turned_ns, now_ns
         gap_ns = now_ns - self._watched_ns
         if gap_ns >= EXCUSE_NS:
@@ -206,14 +212,15 @@ class Supervisor:
         return []
 
     def _follow_names(self, now_ns: int) -> None:
-        """A stop, and the end, for a service that others can't find any more."""
+        """Stop and end a service whose name other processes can't find any more."""
         if cause := self._run.lost(now_ns):
             self.broken = True
             self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, cause)])
         self.ending |= self.broken and self._unanswered is None
 
     def _listening(self) -> bool:
-        """True while pings are written and their answers decoded: what nobody could hear makes no board deaf."""
+        """True while pings are written and their answers decoded. Without both, an unanswered ping does not prove a
+        deaf board."""
         asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
         return self._port.fd >= 0 and asks.state == hears.state == RUNNING
 
@@ -224,7 +231,7 @@ class Supervisor:
         return now_ns - heard_ns >= CLIENT_SILENT_NS
 
     def _collect(self, dead: list[Child], now_ns: int, burst_ns: int, suspended_ns: int) -> list[Stop]:
-        """Every stop that this wake-up brings. `burst_ns`: when the port owner's death was answered."""
+        """Every stop that this wake-up brings. `burst_ns`: when the port owner's death was answered with the burst."""
         stops = []
         for process, ring in self._stops.items():
             while entry := ring.next():
@@ -238,7 +245,8 @@ class Supervisor:
         return stops
 
     def _raise_epoch(self, stops: list[Stop]) -> None:
-        """Stops that came together, if any, for which the port owner is given a moment to answer."""
+        """Raise the epoch for stops that came together, if there are any, and give the port owner a moment to
+        answer."""
         if not stops:
             return
         self.epochs.raise_for(stops, monotonic_ns())
@@ -253,10 +261,10 @@ class Supervisor:
         for stop in stops:
             if stop is not self._unanswered:
                 self.monitor.also(stop)
-        self._run.bells[layout.TELEMETRY].ring()  # for the board's answer
+        self._run.bells[layout.TELEMETRY].ring()  # for the answer of the board
 
     def _follow_answer(self, now_ns: int) -> None:
-        """Take the port owner's answer to a raised epoch, a stop; if it gives none, the supervisor writes the burst."""
+        """Record the port owner's stop in answer to a raised epoch. If it gives none, write the burst here."""
         stop = self._unanswered
         if stop is None:
             return
@@ -274,8 +282,9 @@ class Supervisor:
         self.monitor.answered(stop, ending=self.ending)
 
     def _motion(self) -> bool:
-        """True while motion is enabled in this epoch, or the wheels were last told to turn. Read after whatever it is
-        to be compared with: the port owner says that it moves before it looks at the epoch for the last time."""
+        """True while motion is enabled in this epoch, or the wheels were last told to turn. Read it after the value
+        that you compare it with, because the port owner publishes that it moves before it looks at the epoch for the
+        last time."""
         self._barrier()
         if self._moving_word.get():
             return True
@@ -284,24 +293,24 @@ class Supervisor:
         return bool(gate.get("enabled")) and gate["epoch"] == self.epochs.number
 
     def _fence_hangs(self, now_ns: int) -> None:
-        """A process that has not beaten within its deadline: at that moment, not at a tick after it."""
+        """Act on a process that has not beaten within its deadline, at that moment and not at the next tick."""
         for child in self.children:
             if now_ns >= child.overdue_ns():
                 is_starved = starved.look(child.pid, child.beat, child.allowed_ns(), self._run.bells[child.row.name])
                 silent_ns = now_ns - child.heard_ns()
-                if now_ns >= child.overdue_ns():  # else it has just beaten
+                if now_ns >= child.overdue_ns():  # otherwise it has just beaten
                     self._answer_silence(child, now_ns, silent_ns, is_starved=is_starved)
 
     def _answer_silence(self, child: Child, now_ns: int, silent_ns: int, *, is_starved: bool) -> None:
-        """A stop is right whatever the reason, a kill is not: what the machine did not run is run again, and a process
-        that is restarted on a machine that starves it is silent again. While motion is disabled there is nothing to
-        stop. Who hangs is stopped for and killed; its death does the rest.
+        """Stop whatever the reason, but don't kill whatever the reason: a starved process runs again, and a process
+        that restarted on a machine that starves it would be silent again. While motion is disabled there is nothing to
+        stop. A process that hangs is stopped for and killed, and its death does the rest.
 
             motion    starved: port owner    starved: another             hangs
             enabled   stopped, killed        stopped, latched             stopped, killed, latched
-            disabled  told                   told                         stopped, killed, latched
+            disabled  logged                 logged                       stopped, killed, latched
 
-        Whoever is starved beyond starved.LONGEST_NS is killed too, but its death counts for no crash loop.
+        A process starved for longer than starved.LONGEST_NS is killed too, but the death counts for no crash loop.
         """
         name = child.row.name
         kind = causes.STARVED if is_starved else causes.HANGS
@@ -342,18 +351,18 @@ class Supervisor:
         self._raise_epoch([stop])
         while self._unanswered:
             stop, now_ns = self._unanswered, monotonic_ns()
-            if now_ns >= stop.answer_by_ns:  # it hangs, maybe in a write of motion, which is to come before the burst
+            if now_ns >= stop.answer_by_ns:  # it hangs, maybe in a write of motion, which must precede the burst
                 self.processes[layout.PORT_OWNER].kill(0)
             self._follow_answer(now_ns)
             if self._unanswered:
-                sleep(HURRY_NS / 1e9)  # the loop's wait would end at once: nobody sees to who has died any more
+                sleep(HURRY_NS / 1e9)  # the loop's wait would return at once, because nobody handles the dead any more
         heard_ns = self._hear(stop.written_ns)
         link = self.monitor.link.state
         self.status.notify.stopping("the stop is written; ending every process")
         self.heartbeat.state(heartbeat.BEAT_STOPPING, monotonic_ns())
         for child in reversed(self.children):
             child.kill(END_S)
-        self._follow_port({}, monotonic_ns())  # it may have come back meanwhile
+        self._follow_port({}, monotonic_ns())  # the port may have come back meanwhile
         written = self._burst() > 0
         self._port.repeat(self._port.board.repeats_ns[SUPERVISOR_ROW])
         sent = written and self._port.drain()
@@ -363,8 +372,9 @@ class Supervisor:
         return sent and (heard_ns > 0 or link in (LINK_UNPROVEN, LINK_UNASKED))
 
     def _hear(self, stop_ns: int) -> int:
-        """Wait until the board has acknowledged the stop that was written then (0: none was); returns how long after
-        it, in ns; 0: not within HEAR_NS, or the time of an echo. The processes that ask and listen must live for it."""
+        """Wait until the board acknowledges the stop that was written at `stop_ns` (0: none was). Returns how much
+        later that was in ns; 0 if it took longer than HEAR_NS or the answer is an echo. The processes that ask and
+        listen must still be alive."""
         echo_ns = 2 * self._port.board.echo_ns
         until_ns = monotonic_ns() + (echo_ns if self.monitor.link.state == LINK_UNASKED else HEAR_NS)
         while stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening() and not self._is_held_up(now_ns):

@@ -1,7 +1,7 @@
-"""Monitor: what people are told of a stop, and what is to be seen after it was written - the board's answers, the
-IMU's verdict - and the link.
+"""Monitor: what people are told about a stop, what is observed after it was written (the board's answers, the IMU's
+verdict), and the link.
 
-What counts for a stop is decided in stops.py and proof.py; here are the words of shared memory that it is made of.
+stops.py and proof.py decide what counts for a stop; this file reads the facts for them from shared memory.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ UNCONNECTED = {
     LINK_SILENT: "the board says nothing any more. It has lost power, or hangs, or the wire from it is broken, which "
     "nobody can tell from here: POWER SWITCH, then look at its wires",
 }
-"""For people: what happened to the link."""
+"""What happened to the link, in words for people."""
 
 
 class Monitor:
-    """Tells of stops, follows the last one, and the link. One follow() a turn. `heard`: of the newest ping that was
-    answered, when it was sent, and when the answer came."""
+    """Logs stops, tracks the newest one until its proof is complete, and watches the link. Call follow() once per turn.
+    `heard` is (sent_ns, answered_ns) of the newest answered ping."""
 
     def __init__(
         self, run: Run, latch: Latch, board: Board, holds: Callable[[], bool], moves: Callable[[], bool]
@@ -70,7 +70,7 @@ class Monitor:
         self._after_ns = run.settings.ns("still.after_s")
         self._command = run.settings.text("still.command")
         self._command_pids: list[int] = []
-        """Those that have not ended, the newest last."""
+        """Commands that are still running, the newest last."""
         self._command_ran = False
         self._seen_answer = self._seen_proof = 0
         self.heard = (0, 0)
@@ -79,18 +79,18 @@ class Monitor:
         self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(board.pings), echo_ns=board.echo_ns)
         self._published = ""
         self._stopped_for = ""
-        """The state of the link that motion was stopped for, until motion has ended."""
+        """The state of the link that motion was stopped for, kept until motion has ended."""
         self._last: Proof | None = None
         self._said: set[Cause] = set()
-        """Those that were told of since the latch."""
+        """The causes logged since the latch."""
 
     def latched(self, stop: Stop) -> None:
-        """A cause is the first since a reset: everything that follows may be news again."""
+        """Follow a newly latched stop. It is the first since a reset, so every later cause is news again."""
         self._said = {stop.cause}
 
     def _news_of(self, cause: Cause) -> bool:
-        """True when this cause was not told of since the latch; several processes notice the same. Of more causes
-        than are remembered the older may be told of again."""
+        """True if this cause was not logged since the latch; several processes may notice the same one. It remembers
+        the last 64 causes, so an older one may be logged twice."""
         if cause in self._said:
             return False
         if len(self._said) >= SENTENCES_KEPT:
@@ -99,15 +99,17 @@ class Monitor:
         return True
 
     def also(self, stop: Stop) -> None:
-        """A cause that came together with others, or before their stop was answered."""
+        """Log a cause that came together with another, or before that one's stop was answered."""
         if self._news_of(stop.cause):
             fields = {**stop.fields(), "noticed_by": stop.noticed_by}
             self._run.events.tell("stop_also", f"also: {stop.cause.alarm()}", fields)
 
     def answered(self, stop: Stop, *, ending: bool) -> None:
-        """A stop was answered, written or not. `ending`: it is that of the service's end."""
+        """Log that a stop was answered, whether it was written or not. `ending`: it is the stop at the end of the
+        service."""
         self._follow_next(stop)
-        # Held for a moment is any burst; behind one that the board has not taken for long it goes nowhere.
+        # The kernel holds any burst for a moment; one that queues behind bytes the board has not taken for long goes
+        # nowhere.
         held = causes.STUCK in (stop.cause.kind, (stop.behind or stop).cause.kind) and self._holds()
         written_us = max(0, stop.written_ns - stop.t_ns) / 1000
         how = f"by the {stop.by} after {written_us:.0f} us"
@@ -139,20 +141,21 @@ class Monitor:
             self._run.events.tell("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
 
     def _follow_next(self, stop: Stop) -> None:
-        """From now on, unless one is latched: what comes then belongs to that, the one that people look for."""
+        """Follow this stop from now on, unless another is latched: people look for the latched one, so later news
+        belongs to it."""
         last = self._last
         if last and last.stop.written_ns and self._latch.reset_epoch < last.stop.epoch:
             return
         if last and not last.told:
-            self._tell_outcome(last)  # with what is known
+            self._tell_outcome(last)  # with everything known so far
         self._last = Proof(stop, self._after_ns, monotonic_ns(), time(), self._by)
         self._last.believed = self.link.believed
         self._publish(self._last)
 
     def follow(self, now_ns: int, *, listening: bool, held_up: bool = False) -> list[Stop]:
-        """Look at everything once; returns the stops that this brings. `listening`: telemetry runs, which decodes the
-        answers, and so does the port owner, which asks; `held_up`: the machine does not run one of them, or did not run
-        the supervisor."""
+        """Look at everything once and return the stops that this brings. `listening`: telemetry, which decodes the
+        answers, and the port owner, which asks, both run; `held_up`: the machine does not run one of them, or did not
+        run the supervisor."""
         stops = []
         self._take_answer()
         if self._last and self.link.believed and not self._last.believed:
@@ -174,7 +177,7 @@ class Monitor:
         return stops
 
     def _follow_link(self, now_ns: int, *, listening: bool) -> None:
-        """Look whether the board hears, and says anything."""
+        """Check whether the board hears, and whether it still reports anything."""
         link, newest_ns = self.link, self._asked.get()
         if not self._latch.stop:
             link.cleared()
@@ -192,9 +195,9 @@ class Monitor:
             self._run.events.tell("link", text, {"state": LINK_UNHEARD}, level="critical")
 
     def _stops_for_link(self, now_ns: int) -> list[Stop]:
-        """The stop for a board that is deaf or silent, while motion is enabled: once, and again if motion is enabled
-        again, as it may have been enabled while nobody knew of it yet. A silence that the machine may explain stops the
-        robot too, because nobody knows what the board heard."""
+        """The stop for a board that is deaf or silent while motion is enabled. It comes once, and again if motion is
+        enabled again, which may happen before anyone knows about the board. A silence that the machine may explain
+        stops the robot too, because nobody knows what the board heard."""
         kind, unheard_ns = STOPS_FOR.get(self.link.state), self.link.take_unheard()
         if unheard_ns and self._moves():
             return [Stop(now_ns, layout.SUPERVISOR, causes.NOT_HEARD(unheard_ns // MS))]
@@ -207,20 +210,20 @@ class Monitor:
         return [Stop(now_ns, layout.SUPERVISOR, kind())]
 
     def opened(self, written_ns: int, now_ns: int, *, sure: bool) -> None:
-        """A port was opened again, perhaps another board's; the supervisor's burst on it was at `written_ns`. `sure`:
-        it is known to be the board's."""
+        """Follow a port that was opened again, perhaps with another board; the supervisor's burst on it was at
+        `written_ns`. `sure`: it is known to be the board."""
         last, before = self._last, self.link.state
         self.link.opened(now_ns, sure=sure)
         if last is None or written_ns <= last.stop.t_ns:
             return
-        if not last.stop.written_ns or (before == LINK_UNHEARD and not last.believed):  # it went to another device
+        if not last.stop.written_ns or (before == LINK_UNHEARD and not last.believed):  # sent to another device
             last.written_at_last(written_ns, BY_SUPERVISOR)
             last.believed = self.link.believed
             self._publish(last)
 
     def _take_answer(self) -> None:
-        """Take what telemetry has found out: up to which write the board has handled everything (board/handled.py). A
-        report of zeros shows who is at the port, and no more."""
+        """Read from telemetry how far the board has handled everything that was written (board/handled.py). A report of
+        zeros only shows which device is at the port."""
         answered, proved = self._answered.read(), self._proved.read()
         if answered and answered[0] != self._seen_answer:
             self._seen_answer = answered[0]
@@ -230,13 +233,13 @@ class Monitor:
             self._acknowledge(*records.PROVED.unpack(proved[2]))
 
     def _acknowledge(self, sent_ns: int, arrival_ns: int) -> None:
-        """The board has answered, or obeyed, what was sent then."""
+        """Record that the board answered, or obeyed, the bytes that were sent at `sent_ns`."""
         self.heard = max(self.heard, (sent_ns, arrival_ns))
         if self._last and self._last.ponged(sent_ns, arrival_ns):
             self._publish(self._last)
 
     def _unstill(self, last: Proof, now_ns: int) -> bool:
-        """True when the wheels should be still and are not. A reset ends the question: people see to it then."""
+        """True if the wheels still move after a stop. A reset clears this: a person has taken over."""
         stop = last.stop
         if self._latch.reset_epoch >= stop.epoch:
             self._command_ran = False
@@ -247,7 +250,7 @@ class Monitor:
         still_ns = self._still.get()
         self._barrier()
         if self._judged.get() != judged_ns:
-            return False  # judged again meanwhile: next time
+            return False  # telemetry judged again meanwhile: use that next time
         unstill = last.judged(still_ns, judged_ns, now_ns)
         if last.observed_ns is not None and not known:
             self._command_ran = False
@@ -260,13 +263,13 @@ class Monitor:
         return unstill
 
     def _run_command(self) -> None:
-        """Once, until the wheels have been seen still or people have reset. What an earlier stop has run and has not
-        ended hangs, and must not keep this stop from its own."""
+        """Run the user's command, once until the wheels were seen still or a reset. A command that is left from an
+        earlier stop hangs, and must not keep this stop from running its own."""
         for pid in self._command_pids:
             try:
                 os.kill(-pid, signal.SIGKILL)
                 how = "killed"
-            except OSError as error:  # of another user's rights, by sudo
+            except OSError as error:  # it has another user's rights, by sudo
                 how = f"cannot be killed ({error.strerror})"
             text = f"still.command (pid {pid}) has not ended since an earlier stop: {how}, and run again"
             self._tell_command(text, "hangs", pid=pid)
@@ -298,8 +301,8 @@ class Monitor:
         self._run.events.tell("stop_outcome", proof.outcome(link), proof.fields(link), level=level)
 
     def ended(self, heard_ns: int, link: str, *, written: bool, sent: bool) -> None:
-        """The service has ended. `heard_ns`: how long after the first stop the board acknowledged it, 0 for not; `link`
-        as of proof.py; `written`: the kernel took the second stop; `sent`: it has passed it on."""
+        """Log the end of the service. `heard_ns`: how long after the first stop the board acknowledged it, or 0;
+        `link`: as in proof.py; `written`: the kernel took the second stop; `sent`: it has passed it on."""
         told = "the stop was written twice" if sent else "the second stop could NOT be written"
         if written and not sent:
             told = f"the second stop was handed over, {NOT_SENT}"

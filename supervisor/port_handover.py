@@ -1,8 +1,8 @@
-"""The port in the supervisor: its own descriptor, for the first stop of a run and for the stop when the port owner
-can't; the thread that opens a lost port again; and the handover to port owner, stopper and telemetry.
+"""The port in the supervisor. The supervisor has its own descriptor, for the first stop of a run and for stops that the
+port owner can't write; a thread that opens a lost port again; and the handover to port owner, stopper and telemetry.
 
-The descriptors of the four are one port or none. The supervisor alone opens a port and numbers it; the others inherit
-it, or are sent it. All let it go at once when it has gone.
+All four hold one port or none. Only the supervisor opens and numbers a port; the other three inherit the descriptor or
+receive it. All of them close it at once when the port is gone.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from failstop.procs.handover import Control
 from failstop.procs.loop import GONE, HANGUP
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:  # `failstop run` has OwnPort of here before its first stop, and needs no more
+if TYPE_CHECKING:  # `failstop run` imports OwnPort before its first stop, and needs nothing more
     from failstop.board.interface import Board
     from failstop.shm.bell import EventBell
     from failstop.supervisor.process_table import ProcessTable
@@ -31,35 +31,36 @@ if TYPE_CHECKING:  # `failstop run` has OwnPort of here before its first stop, a
 LOOK_NS = 5_000_000
 """How often a lost port is looked for."""
 WATCH_S = 1.0
-"""How often the devices next to the board are looked at: after a loss they are not the board."""
+"""How often the devices next to the board are listed: after a loss, none of them is the board."""
 DOUBT_S = 0.05
-"""How often the board is looked for while a device that may not be the board is open."""
+"""How often to look for the board while the open device may not be it."""
 SHARE_NS = 100_000_000
-"""How often a process is sent the port until it has it."""
+"""How often to send the port to a process until it has it."""
 BUSY_S = 1.0
-"""How long a port that a dead run's processes are just letting go of is waited for."""
+"""How long to wait for a port that the processes of a dead run are just closing."""
 UDEV_S = 2.0
-"""How long udev may take, at boot, to give a device that is there to its users."""
+"""How long udev may take, at boot, to give its users a device that exists already."""
 
 
 class OwnPort(StopPort):
     """A duplicate of the port's descriptor; -1 while the port is gone."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
-        """`servos`: of the robot's arm, which is stopped with the wheels; not known to a run's first burst."""
+        """`servos`: the ids of the robot's arm, which is stopped with the wheels; unknown at the first burst of a
+        run."""
         super().__init__(fd, board, servos)
         self.stopped = False
-        """The kernel has taken the whole of the run's first burst."""
+        """The kernel has taken the whole first burst of the run."""
         self.number = 1
-        """How many ports this run has had: the name of this one among those who share it."""
+        """How many ports this run has had, which names this one among the processes that share it."""
 
     @classmethod
     def open_and_stop(cls, path: str, board: Board, held: Callable[[], None] = lambda: None) -> OwnPort:
-        """Open the board's port and write the burst: the first bytes of a run. While another process holds the port,
+        """Open the board's port and write the burst, the first bytes of a run. While another process holds the port,
         `held` is called, and may raise. Raises port.PortError."""
         start_s = monotonic()
         while True:
-            # Looked at before it is opened: its rights may come between a refusal and a look.
+            # Look before opening: the rights may arrive between a refusal and the look.
             patience_s = {"busy": BUSY_S, "permission": UDEV_S if _is_new(path) else 0.0}
             try:
                 own = cls(port.open_port(path, exclusive=True, line=board.port), board)
@@ -79,7 +80,7 @@ class OwnPort(StopPort):
 
 
 def _is_new(path: str) -> bool:
-    """True while a device is as the kernel has made it: udev is still to give it to its users."""
+    """True while udev has not yet given a new device to its users."""
     try:
         node = os.stat(path)
     except OSError:
@@ -88,14 +89,14 @@ def _is_new(path: str) -> bool:
 
 
 class Opener:
-    """A thread of the supervisor's that opens a lost port when it is back, and writes the burst on it.
+    """A thread of the supervisor that opens a lost port when it is back, and writes the burst on it.
 
-    An open may take seconds, of a board that is slow to wake up: it holds nobody up here. The burst does not wait for
-    the supervisor's loop either. `finder` is the thread's own once begin() was called, but for `at`,
-    `sure` and `settled`.
+    Opening a board that is slow to wake up may take seconds, so a thread does it and the supervisor's loop goes on. The
+    thread also writes the burst, so the burst doesn't wait for the loop. Once begin() was called, only the thread uses
+    `finder`, except for `at`, `sure` and `settled`.
 
-    Between two losses it looks at the devices that are there. If the one that is open was taken for the board because
-    there was none better, and the board turns up, `misplaced` is set and the bell rings.
+    While the port is open, the thread lists the devices. If the open one was taken for the board only because no better
+    one was found, and the board appears, it sets `misplaced` and rings the bell.
     """
 
     def __init__(self, finder: Finder, board: Board, bell: EventBell) -> None:
@@ -108,25 +109,25 @@ class Opener:
         self._found: tuple[int, int] | None = None
         self.misplaced = False
         self.believed = False
-        """The device that is open has answered as the board does. The loop sets it, the thread takes it."""
+        """The open device has answered as the board does. Set by the loop, read by the thread."""
         self._spare = -1
         self._reserve()
 
     def begin(self) -> None:
-        """Start the thread, which lives as long as the process: at a loss there may be none to be had."""
+        """Start the thread, which lives as long as the process. After a loss it may be too late to get one."""
         _thread.start_new_thread(self._live, (os.sched_getscheduler(0), os.sched_getparam(0)))
 
     def look(self) -> None:
-        """Have the thread open the lost port as soon as it is back."""
+        """Tell the thread to open the lost port as soon as it is back."""
         self._asked.release()
 
     def take(self) -> tuple[int, int] | None:
-        """The opened port, once: its descriptor, and when the burst on it was written (0: it was not)."""
+        """Return the opened port, once: its descriptor, and when the burst on it was written (0: it was not)."""
         found, self._found = self._found, None
         return found
 
     def attempt(self) -> bool:
-        """One look. A descriptor number was kept for it: those that are free now may be gone by then."""
+        """Look for the port once. A descriptor number was reserved for it, because none may be free by then."""
         if self._spare >= 0:
             os.close(self._spare)
         self.misplaced = self.believed = False
@@ -145,7 +146,7 @@ class Opener:
             self._spare = -1
 
     def _live(self, policy: int, priority: os.sched_param) -> None:
-        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are for the loop
+        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # these are for the loop
         # A thread does not inherit what SCHED_RESET_ON_FORK takes away.
         os.sched_setscheduler(0, policy, priority)
         self.finder.look_around()
@@ -167,7 +168,7 @@ class Opener:
 
 
 class PortHandover:
-    """The supervisor's part of it; `controls`: its ends of the control sockets."""
+    """The supervisor's part of the handover; `controls`: its ends of the control sockets."""
 
     def __init__(self, run: Run, port: OwnPort, processes: ProcessTable) -> None:
         self._port = port
@@ -186,21 +187,22 @@ class PortHandover:
 
     @property
     def sure(self) -> bool:
-        """False while a device is open that was taken for the board because there was none better."""
+        """False while the open device was only taken for the board because no better one was found."""
         return self.opener.finder.sure
 
     @property
     def misplaced(self) -> bool:
-        """True if the device that is open is not the board, which is there."""
+        """True if the open device is not the board, and the board is present."""
         return self._port.fd >= 0 and self.opener.misplaced and not self.opener.believed
 
     def believe(self) -> None:
-        """The device that is open has answered as the board does, so it is the board."""
+        """Record that the open device answered as the board does, so it is the board."""
         if self._port.fd >= 0 and not self.opener.finder.settled:
             self.opener.believed = True
 
     def lost(self, ready: dict[int, int], now_ns: int) -> bool:
-        """True when the port has just gone, or is not the board's: it is let go at once, and the board looked for."""
+        """True when the port has just been lost, or is not the board's. The device is closed at once and the board
+        looked for."""
         if self._port.fd < 0:
             return False
         gone = ready.get(self._port.fd, 0) & GONE or self._port_owner_s() == records.PORT_LOST
@@ -209,7 +211,7 @@ class PortHandover:
         self._loop.forget(self._port.fd)
         self._port.close()
         for each in self._bells:
-            each.ring()  # they have the same to let go
+            each.ring()  # the others must close it too
         path = self.opener.finder.at
         text = f"{path} is gone; the stop is written the moment it is back; wheels that turn: POWER SWITCH"
         if not gone:
@@ -220,7 +222,8 @@ class PortHandover:
         return True
 
     def opened(self, now_ns: int) -> int | None:
-        """Share a port that has just come back, and return when its burst was written (0: not); None: none has come."""
+        """Share a port that has just come back, and return when its burst was written (0: it was not). None: no port
+        has come back."""
         found = self.opener.take()
         if found is None:
             return None
@@ -239,21 +242,21 @@ class PortHandover:
         return written_ns
 
     def make_up(self, now_ns: int) -> None:
-        """A descriptor is lost on its way to a process that has no free number for it: it is sent again."""
+        """Send the descriptor again to a process that had no free number for it, so that it was lost on its way."""
         if self._port.fd >= 0 and now_ns - self._shared_ns >= SHARE_NS:
             self._share(
                 [name for name in self.controls if self._processes[name].running() and not self.has(name)], now_ns
             )
 
     def _share(self, names: list[str], now_ns: int) -> None:
-        """One that is still to be started inherits it, and one in its queue would stay open."""
+        """A process that is not started yet inherits the port; a descriptor in its queue would stay open."""
         for name in names:
             self._shared_ns = now_ns
             if self._processes[name].pid:
                 self.controls[name].send(self._port.fd, self._port.number, self.opener.finder.at)
 
     def _port_owner_s(self) -> int:
-        """The state that the port owner gives for the port that is open here."""
+        """The port owner's reported state of the port that is open here."""
         return records.port_state(self._record.read(), self._port.number)
 
     def has(self, name: str) -> bool:
@@ -263,5 +266,5 @@ class PortHandover:
         return self._numbers[name].get() == self._port.number
 
     def complete(self) -> bool:
-        """True when all four have the port: without them there would be no second channel, or no proof."""
+        """True when all four processes have the port: otherwise there would be no second channel, or no proof."""
         return self._port.fd >= 0 and all(map(self.has, self.controls))

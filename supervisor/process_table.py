@@ -1,4 +1,5 @@
-"""ProcessTable: starts the supervisor's children, names them to those who watch them, reaps and restarts them."""
+"""ProcessTable: starts the supervisor's children, names them to the processes that watch them, reaps and restarts
+them."""
 
 from __future__ import annotations
 
@@ -21,16 +22,16 @@ from failstop.supervisor.run import Run
 TRY_AGAIN_NS = 500_000_000
 STARVED_EVERY_NS = 10_000_000_000
 STARVED_SHOWN_NS = 600_000_000_000
-"""A silence that the machine explains is shown for so long; each that follows meanwhile begins this anew."""
+"""How long a silence that the machine explains is shown. Each further one restarts this time."""
 GATE_AGAIN_NS = 60_000_000_000
-"""A gate that died too often is tried again: it is the one that hears a reset."""
+"""A gate that died too often is tried again after this time, because a reset is requested through it."""
 
 
 class ProcessTable:
-    """Every process of the table as it is now. The early news of their deaths ring `early.bell`."""
+    """Every process of the table, with its current state. The early news of a death rings `early.bell`."""
 
     def __init__(self, run: Run, port: OwnPort, advice: str) -> None:
-        """Holds the supervisor's own block from here on. `advice`: what to do against starving, for people."""
+        """Hold the supervisor's own block of futexes from now on. `advice`: what helps against starving, for people."""
         self._run, self._port = run, port
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
@@ -46,7 +47,7 @@ class ProcessTable:
         self._advice = advice
         self._starved_told_ns = self._starved_ns = self._starved_times = 0
         self._starved = (0, "")
-        """The longest silence of those that are shown, in ms, and whose it was."""
+        """The longest of the shown silences, in ms, and the name of its process."""
         self._notes = {name: run.views[name].ring_reader("notes") for name in (layout.GATE, layout.TELEMETRY)}
         self._by_name = {child.row.name: child for child in self.children}
 
@@ -54,14 +55,14 @@ class ProcessTable:
         return self._by_name[name]
 
     def died(self, ready: dict[int, int]) -> list[Child]:
-        """Those whose death this wake-up, or the early news before it, tells; each once."""
+        """The processes whose death this wake-up, or the early news before it, reports; each is returned once."""
         return [child for child in self.children if child.life and child.state != DEAD and child.life.died(ready)]
 
     def reap(self, ready: dict[int, int], now_ns: int) -> None:
-        """Collect the processes that have died, and plan their restarts."""
+        """Reap the processes that have died, and plan their restarts."""
         for child in self.children:
             if child.life and child.life.fd in ready:
-                self._loop.forget(child.life.fd)  # it stays readable, however long it takes to be collected
+                self._loop.forget(child.life.fd)  # the pidfd stays readable, however long the reaping takes
             pid = child.pid
             if child.state == DEAD and (death := child.reap()):
                 self._tell_death(child, pid, death)
@@ -97,14 +98,14 @@ class ProcessTable:
         self._events.tell("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
 
     def recall(self, now_ns: int) -> None:
-        """Restart those that are down, after a reset by people who know of it."""
+        """Restart the processes that are down, after a reset by a person who knows about it."""
         for child in self.children:
             if child.state == DOWN:
                 child.recalled()
                 self._restart_in(child, 0, now_ns)
 
     def watch_early(self) -> None:
-        """Wait for the early news of the death of each that runs; the news of the port owner's stops at once."""
+        """Wait for the early news of each running process's death. The news of the port owner's death stops at once."""
         for child in self.children:
             if child.state == STARTING and child.beat.running(child.pid):
                 child.on(RUNS)
@@ -114,26 +115,26 @@ class ProcessTable:
                     self.early.watch_block(child.life, child.block, 0, stop, child.row.priority)
 
     def _tell_watchers(self) -> None:
-        """Those who watch others look up whom, and who runs."""
+        """Wake the processes that watch others, so that they look up the current pids."""
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.STOPPER].ring()
 
     def restart_due(self, now_ns: int) -> None:
-        """Start those whose time has come."""
+        """Start the processes whose time has come."""
         for child in self.children:
             if child.restart.due(now_ns):
                 child.times_restarted += 1
                 self.start(child)
 
     def start(self, child: Child) -> None:
-        """Start a process, which inherits the port, and name it to those who watch it."""
+        """Start a process, which inherits the port, and name it to the processes that watch it."""
         name, block, pid, life = child.row.name, self._free_block(), 0, None
         try:
             pid = self._spawn(child.row, block)
             life = Lifeline(pid)
             self._loop.watch(life.fd, READ)
         except OSError as error:
-            if pid:  # out of descriptors: without its pidfd nobody would know of its death
+            if pid:  # out of descriptors: without its pidfd nobody would notice its death
                 os.kill(pid, signal.SIGKILL)
                 starter.reap(pid, 0)
             if life:
@@ -147,8 +148,8 @@ class ProcessTable:
             self._tell_watchers()
 
     def _spawn(self, row: Process, block: int) -> int:
-        """Start a process with its block of futexes, its descriptors (-1: none) and the number in this run of the port
-        that is among them; returns its pid. Raises OSError."""
+        """Start a process with its block of futexes and its descriptors (-1: none), among them the port with this
+        number. Returns the pid. Raises OSError."""
         known = self._run.descriptors(row.name, self._port.fd)
         given = {key: known[key] for key in row.descriptors}
         words = {**self._words, "block": block, "number": self._port.number, **given}
@@ -156,24 +157,24 @@ class ProcessTable:
         return starter.spawn(arguments, self._environment, [fd for fd in given.values() if fd >= 0])
 
     def pass_notes(self) -> None:
-        """Remarks that the processes have for people."""
+        """Pass on the notes that the processes have for people."""
         for process, ring in self._notes.items():
             while entry := ring.next():
                 try:
                     note = Note.unpack(entry[2])
                 except ValueError:
-                    continue  # a damaged one: nothing depends on it
+                    continue  # a damaged note; nothing depends on it
                 fields = {"process": process, **note.fields}
                 self._events.tell(note.kind, note.text, fields, level=note.level, step=note.step)
 
     def follow_spared(self, now_ns: int) -> None:
-        """Once a turn: who was spared and has beaten again is told of."""
+        """Once per turn: report each spared process that beats again."""
         for child in self.children:
             if silent_ns := child.beaten():
                 self.tell_starved(child.row.name, silent_ns, now_ns)
 
     def tell_starved(self, name: str, silent_ns: int, now_ns: int) -> None:
-        """The machine did not run a process for so long; told at once, then at most every ten seconds."""
+        """Report that the machine did not run a process for this long: at once, then at most every ten seconds."""
         silent_ms = round(silent_ns / 1e6)
         self._starved = max(self._shown_starved(now_ns), (silent_ms, name), key=lambda told: told[0])
         self._starved_times += 1
@@ -188,7 +189,7 @@ class ProcessTable:
         return self._starved if now_ns - self._starved_ns < STARVED_SHOWN_NS else (0, "")
 
     def starved_record(self) -> dict[str, object]:
-        """For clients: the longest of the silences that are shown, and how many there were in this run."""
+        """For clients: the longest of the shown silences, and how many there were in this run."""
         longest_ms, process = self._shown_starved(monotonic_ns())
         shown = {"longest_ms": longest_ms, "process": process} if process else None
         return {"starved": shown, "starved_times": self._starved_times}

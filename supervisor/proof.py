@@ -1,11 +1,11 @@
-"""The proof of a stop: what can be known of it once it was answered; and the link, which is what the board's answers
-prove. Pure.
+"""The proof of a stop (what can be known about it once it was answered) and the link (what the board's answers prove).
+Pure.
 
     acknowledged   the board answered a ping that was written after it, or reports that it obeys zeros
     observed       the IMU, or the board's reports of its wheels, say that they are still (unstill: they are not)
-    told           nothing more will be known of it
+    told           nothing more will be known about it, so the outcome is logged
 
-Levels of proof are kept apart everywhere: the board may be silent while the IMU sees the wheels come to rest.
+Levels of proof are kept apart everywhere, because the board may be silent while the IMU sees the wheels come to rest.
 """
 
 from __future__ import annotations
@@ -29,31 +29,33 @@ from failstop.supervisor.stops import Stop
 
 # The wheels after a stop, as the IMU sees them.
 WHEELS_UNKNOWN = "unknown"
-WHEELS_UNSTILL = "unstill"  # they should be still and are not, and were not seen still since
+WHEELS_UNSTILL = "unstill"  # they should be still and are not, and have not been seen still since the stop
 WHEELS_STILL = "still"
 PONG_NS = 20_000_000
-"""A ping as young as this may still be answered; a stop's ping and the next are further apart (schedule.py)."""
+"""A ping younger than this may still be answered; a stop's ping and the next one are further apart (schedule.py)."""
 ACKNOWLEDGE_NS = 1_500_000_000
-"""A stop that the board has not acknowledged by then is told of without."""
+"""A stop that the board has not acknowledged by then is logged as unacknowledged."""
 JUDGED_AFTER_NS = 800_000_000
-"""The IMU's word is of the time after the cause once it was judged this long after it: longer than a window of the
-judgement and its hold (procs/telemetry/still.py)."""
+"""The IMU's verdict is about the time after the cause if it was made this long after it, because that is longer than a
+window of the judgement plus its hold (procs/telemetry/still.py)."""
 JUDGED_WITHIN_NS = 500_000_000
-"""A judgement older than this is none: the IMU, or who decodes it, is silent."""
+"""A judgement older than this does not count: the IMU, or telemetry, is silent."""
 LEAST_NS = 1_000_000
-"""The shortest time to rest: 0 means that there was nothing to come to rest."""
+"""The shortest time to rest that is shown, because 0 means that the wheels were at rest already."""
 HEEDS_NS = 200_000_000
-"""A board that reports zero for so long after it should have reported to obey motion does not hear."""
+"""If the board still reports zero this long after it should have reported that it obeys motion, it doesn't hear."""
 LATE_LOOK_NS = 200_000_000
-"""A first look at the IMU's word this long after the cause (the supervisor was held up) may have missed the shaking."""
+"""If the first look at the IMU's verdict comes this long after the cause (the supervisor was held up), the shaking may
+have been missed."""
 
 
 class Proof:
     """The proof of one stop that was answered. Times are CLOCK_MONOTONIC in ns."""
 
     def __init__(self, stop: Stop, after_ns: int, now_ns: int, unix_s: float, by: tuple[str, str]) -> None:
-        """`after_ns`: how long the wheels may take to be still; `unix_s`: the wall clock now. Where that is late,
-        board and wheels have the usual time from now on. `by`: what acknowledges and observes it (interface.py)."""
+        """`after_ns`: how long the wheels may take to be still; `unix_s`: the wall clock now. If now is long after the
+        cause, board and wheels have the usual time from now on. `by`: what acknowledges and what observes the stop
+        (interface.py)."""
         self.stop = stop
         self._by = by
         self.unix_s = unix_s - (now_ns - stop.t_ns) / 1e9
@@ -64,39 +66,40 @@ class Proof:
         """From the cause until the wheels were still; 0: the IMU saw no shaking before it either."""
         self.wheels = WHEELS_UNKNOWN
         self.held = False
-        """Its bytes were still in the kernel when it was told of: the board takes none."""
+        """The kernel still held its bytes when it was logged, because the board takes none."""
         self.believed = True
-        """False while the device that took its bytes has not answered as the board does."""
+        """False until the device that took its bytes has answered as the board does."""
         self.told = False
-        """True when all that can be known of it was told."""
+        """True when everything that can be known about it was logged."""
         self._was_still = True
         self._looked_ns = 0
         self._after_ns = after_ns
         self._again_ns = stop.t_ns + after_ns
         self._since_ns = now_ns
-        """The time from which the board's obedience and its answer are counted."""
+        """The time from which the board's answer and its obedience count."""
 
     def written_at_last(self, written_ns: int, by: str) -> None:
-        """Take the time of a stop that could not be written before the port was back."""
+        """Record when a stop was written that had to wait for the port to come back."""
         self.stop.written_ns, self.stop.by = written_ns, by
         self.told = False
         self._since_ns = written_ns
         self._again_ns = written_ns + self._after_ns
 
     def ponged(self, sent_ns: int, arrival_ns: int) -> bool:
-        """A ping was answered; True when this acknowledges the stop."""
+        """Record that a ping was answered; True when this acknowledges the stop."""
         if self.acknowledged_ns is not None or sent_ns < self.stop.written_ns or not self.stop.written_ns:
             return False
         self.acknowledged_ns = arrival_ns - self.stop.t_ns
         return True
 
     def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
-        """Take the IMU's word: since when the wheels are still (0: they shake), judged at `judged_ns` (0: never yet).
-        True when they should be still and are not, and again each time they have had as long: stop again."""
+        """Record the IMU's verdict: since when the wheels are still (0: they shake), judged at `judged_ns` (0: never
+        yet). Returns True when the wheels should be still and are not, and again after each further such time: write
+        the stop again."""
         self._looked_ns = self._looked_ns or now_ns
         if not self._by[1] or self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
             return False
-        # A board's reports are of a moment, not of a window: wheels that came to rest after the cause have turned.
+        # The board's reports are about one moment, not a window: wheels that came to rest after the cause were turning.
         late = self._by[1] != BY_IMU or self._looked_ns - self.stop.t_ns > LATE_LOOK_NS
         if not still_ns:
             self._was_still = False
@@ -105,7 +108,7 @@ class Proof:
                 self.wheels = WHEELS_UNSTILL
                 return True
         elif not self._was_still or (late and still_ns > self.stop.t_ns):
-            # A window may begin before the cause: they turned all the same.
+            # A window may begin before the cause: the wheels were turning all the same.
             self.observed_ns = max(LEAST_NS, still_ns - self.stop.t_ns)
         elif judged_ns - self.stop.t_ns >= JUDGED_AFTER_NS:
             self.observed_ns = 0
@@ -113,7 +116,7 @@ class Proof:
         return False
 
     def complete(self, now_ns: int) -> bool:
-        """True, once, when nothing more will be known of it: the time to tell people."""
+        """True, once, when nothing more will be known about the stop, so that it is time to log the outcome."""
         age_ns = now_ns - self._since_ns
         if self.acknowledged_ns is None and age_ns < ACKNOWLEDGE_NS:
             return False
@@ -188,28 +191,28 @@ class Link:
     """
 
     def __init__(self, deaf_ns: int, *, asked: bool = True, echo_ns: int = 0) -> None:
-        """`asked`: the board has pings. `echo_ns`: when a command that was written is reported as obeyed at the latest;
-        0: the board reports none."""
+        """`asked`: the board has pings. `echo_ns`: how soon at the latest the board reports that it obeys a command
+        that was written; 0: it reports none."""
         self._deaf_ns = deaf_ns
         self._asked = asked
         self._heeds_ns = echo_ns + HEEDS_NS if echo_ns else 0
         self._first = LINK_UNPROVEN if asked else LINK_UNASKED
         self._answers = self._first
-        """The state by its answers and its echo alone."""
+        """The state judged by the board's answers and its echo alone."""
         self._silent = self._by_echo = False
         self._heard = False
-        """It has answered in this run, or has reported if nothing is asked."""
+        """The board has answered in this run, or reported if it is asked nothing."""
         self._opened_ns = self._listened_ns = 0
         self._held_up_ns = self._unheard_ns = 0
         """When the machine last held up a process that asks, listens or judges."""
         self._true_ns = 0
         """When the newest ping was sent that was truly answered, or the port was opened."""
         self._said_ns = self._patience_ns = 0
-        """When it said something last, 0: not since the port was opened; and how long it may pause."""
+        """When the board last said anything (0: not since the port was opened), and how long it may pause."""
         self._answered_ns = 0
         """When the newest answered ping was sent."""
         self._asked_ns = 0
-        """When the oldest ping after it was sent; 0: none yet."""
+        """When the oldest ping after that one was sent; 0: none yet."""
         self._missed = False
 
     @property
@@ -219,26 +222,28 @@ class Link:
 
     @property
     def believed(self) -> bool:
-        """False while nothing shows that the device at the port is the board."""
+        """False until the device at the port has shown that it is the board."""
         return self._answers not in (LINK_UNPROVEN, LINK_UNHEARD)
 
     @property
     def forbids(self) -> bool:
-        """Motion must not be enabled: the board was heard in this run, and is not now. Of a device that was never heard
-        nothing better can be asked, as it may be a board that says nothing by its nature. After an echo of zeros a stop
-        is latched, and behind the reset only the next motion tells whether it hears again."""
+        """True if motion must not be enabled: the board was heard in this run and is not heard now. A device that was
+        never heard is allowed, because some boards say nothing by design. After an echo of zeros a stop is latched, and
+        after its reset only the next motion shows whether the board hears again."""
         known = self._answers == LINK_DEAF and not self._by_echo
         return known or self.state == LINK_SILENT or (self.state == LINK_UNHEARD and self._heard)
 
     def opened(self, now_ns: int, *, sure: bool = True) -> None:
-        """Another port: nothing is known of what is there now. `sure`: it is known to be the board."""
+        """Begin again with another port: nothing is known about the device there. `sure`: it is known to be the
+        board."""
         self._answers = self._first if sure and not self._heard else LINK_UNHEARD
         self._opened_ns = self._answered_ns = self._listened_ns = self._true_ns = now_ns
         self._asked_ns = self._said_ns = 0
         self._missed = self._silent = self._by_echo = False
 
     def listen(self, newest_ping_ns: int, now_ns: int = 0) -> None:
-        """Nobody could have heard anything until now: a silence begins now, or with the next ping, at the earliest."""
+        """Until now nobody could have heard an answer, so a silence begins now, or with the next ping, at the
+        earliest."""
         self._asked_ns = 0
         self._answered_ns = max(self._answered_ns, newest_ping_ns)
         self._listened_ns = max(self._listened_ns, now_ns)
@@ -264,7 +269,7 @@ class Link:
         return found
 
     def said(self, said_ns: int, newest_ping_ns: int) -> None:
-        """It said something at `said_ns`, of whatever kind."""
+        """Record that the board said something, of any kind, at `said_ns`."""
         if said_ns <= max(self._said_ns, self._opened_ns):
             return
         self._said_ns = said_ns
@@ -277,28 +282,29 @@ class Link:
                 self._answers = LINK_UNASKED
 
     def follow_silence(self, patience_ns: int, now_ns: int) -> None:
-        """Look whether it has gone silent; `patience_ns`: how long it may pause, 0: it speaks only when it is asked."""
+        """Check whether the board has gone silent. `patience_ns`: how long it may pause; 0: it speaks only when
+        asked."""
         self._patience_ns = patience_ns
         since_ns = max(self._said_ns, self._listened_ns)
         if self._said_ns and patience_ns and now_ns - since_ns >= patience_ns and not self._excused(since_ns, now_ns):
             self._silent = True
 
     def follow_echo(self, unheeded_ns: int) -> None:
-        """Look whether it obeys zero although motion is written; `unheeded_ns`: since when it reports so, 0: it does
-        not. What its reports said last is of the time of the newest, so a pause of them makes no board deaf."""
+        """Check whether the board obeys zero although motion is written. `unheeded_ns`: since when it reports that; 0:
+        it does not. The last report stays true for its own time, so a pause in the reports makes no board deaf."""
         if self._heeds_ns and unheeded_ns and self._said_ns - unheeded_ns >= self._heeds_ns:
             self._answers, self._by_echo = LINK_DEAF, True
 
     def cleared(self) -> None:
-        """Nothing is latched. After a stop a board that hears reports zero as one does that is deaf, so only the next
-        motion tells whether it hears again."""
+        """Record that nothing is latched. After a stop, a deaf board and a hearing one both report zero, so only the
+        next motion tells whether it hears again."""
         if self._by_echo:
             self._answers, self._by_echo = self._first, False
 
     def answered(self, sent_ns: int) -> None:
-        """A ping that was sent at `sent_ns` was answered."""
+        """Record that the ping sent at `sent_ns` was answered."""
         if sent_ns < self._opened_ns:
-            return  # by the device that was at the port before
+            return  # answered by the device that was at the port before
         if not self._by_echo:
             self._answers = LINK_ALIVE
         self._heard = True
@@ -320,7 +326,8 @@ class Link:
             self._asked_ns = newest_ping_ns
         if self.state != LINK_ALIVE or not self._asked_ns:
             return False
-        # Half of it since a ping that it should have answered: a ping period before, it had nothing to answer.
+        # Half of the time must have passed since a ping that it should have answered: before that ping it had nothing
+        # to answer.
         if now_ns - self._answered_ns < self._deaf_ns or now_ns - self._asked_ns < self._deaf_ns // 2:
             return False
         if now_ns - newest_ping_ns < PONG_NS or self._may_be_silent(now_ns):
@@ -331,7 +338,7 @@ class Link:
         return True
 
     def _may_be_silent(self, now_ns: int) -> bool:
-        """A board that reports all the time has said nothing lately: soon it is known whether it is silent, and whether
-        a silent board hears is not known."""
+        """True while a board that reports all the time has said nothing lately. Soon it is known whether it is silent,
+        and a silent board can't be called deaf."""
         quiet_ns = now_ns - max(self._said_ns, self._listened_ns)
         return 0 < self._patience_ns <= self._deaf_ns and self._said_ns > 0 and quiet_ns >= self._patience_ns // 2

@@ -1,11 +1,11 @@
-"""Run: what a run of the service makes before its first process starts, what its parts share, and how it goes again.
+"""Run: what a run of the service creates before its first process starts, what its parts share, and how it is removed.
 
-A run is found by its name, the file that says which shared memory is the service's. That file comes last and goes
-first: whoever finds the name can believe all that is found under it.
+A run is found by its name, a file that says which shared memory belongs to the service. The name is created last and
+removed first, so everything under a name that exists can be trusted.
 
-Whoever has a segment attached goes on working when its name is taken away, as logind's RemoveIPC=yes does when the
-service's user logs out. But no process can be started again from then on, no client can come, and without the name of
-the stop pipe nobody can ask for a stop. Nothing here can mend that: the next run makes its own.
+A process that has attached a segment can keep using it after the name is removed, as happens when the service's user
+logs out and logind has RemoveIPC=yes. But from then on no process can be started, no client can connect, and without
+the stop pipe's name nobody can ask for a stop. A running service can't fix that; the next run creates its own names.
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ GROUP = "failstop"
 """The group whose members may drive; everyone may stop."""
 SHARED_MEMORY = "shared memory "
 A_SLOT = f"{SHARED_MEMORY}client."
-"""Shared memory that the service can go on without."""
+"""Shared memory that the service can do without."""
 LOOK_EVERY_NS = 1_000_000_000
 
 
 def client_gid() -> int:
-    """The group whose members may drive; -1 (the service's own): there is none, or this user may not use it."""
+    """The group whose members may drive; -1 (the service's own group) if no such group exists or this user may not use
+    it."""
     try:
         gid = grp.getgrnam(GROUP).gr_gid
     except KeyError:
@@ -46,28 +47,29 @@ def client_gid() -> int:
 
 
 class Run:
-    """Shared memory, pipes, claims, bells and control sockets of one run; its settings, loop and events."""
+    """One run's shared memory, pipes, claims, bells and control sockets; its settings, loop and events."""
 
     def __init__(
         self, settings: Settings, name: str, runtime_dir: str, journal: Outbox | None = None, again: str = ""
     ) -> None:
-        """The caller holds the instance's lock. The run is not to be found until publish(). Raises
-        segments.AttachError, instance.InstanceError, OSError; then nothing is left but a dead run's memory."""
+        """The caller holds the instance's lock. The run can't be found before publish(). Raises segments.AttachError,
+        instance.InstanceError or OSError, and then leaves nothing behind except a dead run's memory."""
         self.settings = settings
         self.name = name
         self.runtime_dir = runtime_dir
         self._again = again
-        """The command line that starts such a run."""
+        """The command line that starts this run again."""
         self.incarnation = int.from_bytes(os.urandom(8), "little")
         self.memory = segments.memory(name, self.incarnation)
-        """The name that the segments share."""
+        """The name that all segments share."""
         self._refuse_living()
         self._dead = segments.dead_runs(name)
         self.left = segments.open_all(self._dead[-1]) if self._dead else {}
-        """The black box of a run that was not ended in order. Its names go when this run has its own."""
+        """The black box of a run that did not end cleanly. Its names are removed when this run has its own."""
         self._segments: list[Segment] = []
         self.readable: dict[str, int] = {}
-        """Of the processes' segments, for the black box: they can be copied whatever becomes of their names."""
+        """Descriptors of the processes' segments for the black box, which can be copied even when their names are
+        gone."""
         try:
             self._make(client_gid())
             self.own = segments.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
@@ -81,7 +83,7 @@ class Run:
         self._looked_ns = 0
 
     def _refuse_living(self) -> None:
-        """Refuse to start beside a living run, also where its lock's file is gone."""
+        """Refuse to start next to a living run, even if its lock file is gone."""
         try:
             incarnation, _ = instance.current_run(self.runtime_dir)
         except instance.NoService:
@@ -90,27 +92,27 @@ class Run:
             raise instance.already_running(self.name, "unknown")
 
     def _make(self, gid: int) -> None:
-        instance.clear(self.runtime_dir)  # the name of a dead run, before anything under it is another's
-        # One after the other: what is there is known, whichever can't be made.
+        instance.clear(self.runtime_dir)  # remove the name of the dead run before anything under it is replaced
+        # Created one by one, so that a failure leaves only known files.
         for spec in layout.SEGMENTS:
             self._segments.append(segments.create(self.memory, spec.name, self.incarnation, gid))
         self.readable = segments.open_all(self.memory)
         if missing := [process for process in layout.PROCESS_NAMES if process not in self.readable]:
             raise segments.AttachError("absent", f"shared memory {missing[0]} was there and can't be opened: try again")
-        # For writing alone: whoever could read them could take away the requests of others.
+        # Write-only for clients: a reader could take away the requests of others.
         bell.make_pipe(instance.stop_path(self.runtime_dir), 0o622)
         bell.make_pipe(instance.bell_path(self.runtime_dir), 0o620, gid)
         os.close(claim.open_claims(instance.claims_path(self.runtime_dir), create=True, mode=0o660, gid=gid))
         self.stop_pipe = bell.open_pipe(instance.stop_path(self.runtime_dir))
         self.client_bell = bell.open_pipe(instance.bell_path(self.runtime_dir))
         self.named = {f"{SHARED_MEMORY}{made.spec.name}": made.fileno() for made in self._segments}
-        """A descriptor of whatever others find by its name."""
+        """A descriptor of everything that other processes find by its name."""
         self.named |= {"the stop pipe": self.stop_pipe, "the bell of the clients": self.client_bell}
         self.bells = {process: EventBell.create() for process in layout.PROCESS_NAMES}
         self.controls = {process: handover.pair() for process in (layout.PORT_OWNER, layout.STOPPER, layout.TELEMETRY)}
 
     def _tell_settings(self) -> None:
-        """For clients: what they need of the settings, and where this process's pid is its own; all settings."""
+        """For clients: the settings that they need and the pid namespace of this process; and all settings."""
         rules = {
             "sources": list(self.settings.sources()),
             "interlocks": list(self.settings.interlocks()),
@@ -121,7 +123,8 @@ class Run:
         self.own.latest_writer("settings").write(pack(self.settings.flat()))
 
     def publish(self) -> None:
-        """Let the run be found by its name: all that clients read is there. Keep how it was started. Raises OSError."""
+        """Publish the run's name, because everything that clients read exists now. Keep how the run was started. Raises
+        OSError."""
         device = os.path.abspath(self.settings.text("device.path"))
         kind = self.settings.text("board.kind")
         instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind))
@@ -131,7 +134,7 @@ class Run:
             segments.unlink_all(run)
 
     def descriptors(self, process: str, port_fd: int) -> dict[str, int]:
-        """Every descriptor that a process of the table may be given, by the name it has there."""
+        """Every descriptor that a process of the table may inherit, by its name there."""
         found = {f"{other}_bell": found.fd for other, found in self.bells.items()}
         found |= {"bell": self.bells[process].fd, "port": port_fd}
         found |= {"stop": self.stop_pipe, "client_bell": self.client_bell}
@@ -140,7 +143,8 @@ class Run:
         return found
 
     def lost(self, now_ns: int) -> Cause | None:
-        """Look, once a second, for what others need and can't find any more, and tell of it; the cause to end for."""
+        """Once a second, check the names that others need, and log the missing ones. Returns the cause to end for, if
+        any."""
         if now_ns - self._looked_ns < LOOK_EVERY_NS:
             return None
         self._looked_ns = now_ns
@@ -158,7 +162,7 @@ class Run:
         return None
 
     def remove(self) -> None:
-        """Take away every name, the run's own first; descriptors and mappings end with their processes."""
+        """Remove every name, the run's own first; descriptors and mappings end with their processes."""
         instance.clear(self.runtime_dir)
         segments.unlink_all(self.memory)
         for made in self._segments:

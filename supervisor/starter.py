@@ -1,7 +1,7 @@
-"""Starting processes, the supervisor itself among them: which interpreter, with what on its command line. Their end is
-collected here too.
+"""Starting and reaping processes, the supervisor included: which interpreter, and which command line.
 
-`-I -S` and the search path handed over: the site module costs a small process more than all of its own imports.
+They start with `-I -S` and get the search path on the command line, because the site module costs a small process more
+than all of its own imports.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from failstop.supervisor.child import PATH_VARIABLE
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 CHILD = ("supervisor", "child.py")
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
-"""One heap for all threads: a second one costs 200 kB at the first job of a thread, minutes after the start."""
+"""One heap for all threads. A second one would cost 200 kB at a thread's first job, minutes after the start."""
 PASSED_ON = (root.VARIABLE, "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
-"""Of this environment: where the runtime directory and the files of the telemetry are."""
+"""Environment variables that say where the runtime directory and telemetry's files are."""
 TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
-"""Variables of the service manager: it speaks with the supervisor alone, which takes them out of its environment."""
+"""Variables of the service manager. Only the supervisor talks to it, so it removes them from its environment."""
 
 
 def script_command(script: tuple[str, ...], *arguments: str, words: Mapping[str, object]) -> list[str]:
@@ -31,7 +31,7 @@ def script_command(script: tuple[str, ...], *arguments: str, words: Mapping[str,
 
 
 def environment(settings: Settings) -> dict[str, str]:
-    """All that a process gets of the environment."""
+    """The whole environment of a process."""
     path = dict.fromkeys([os.path.dirname(_PACKAGE), *filter(os.path.isabs, sys.path)])
     found = {PATH_VARIABLE: os.pathsep.join(path), SETTINGS_VARIABLE: settings.lines(), **C_LIBRARY}
     return found | {name: os.environ[name] for name in PASSED_ON if name in os.environ}
@@ -51,14 +51,14 @@ def spawn(arguments: list[str], environ: Mapping[str, str], passed: Sequence[int
 
 
 def reap(pid: int, options: int = os.WNOHANG) -> int | None:
-    """The exit code of a child that has ended, negative the signal that killed it; None: it can't be collected yet."""
+    """The exit code of a child that has ended, negative for a signal; None: it can't be reaped yet."""
     found, status = os.waitpid(pid, options)
     return os.waitstatus_to_exitcode(status) if found else None
 
 
 def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int, port: int, again: str) -> None:
-    """Replace this process by the supervisor, under the same pid; it inherits the lock and the open port. The command
-    line's own imports would double its size. `again`: the command line that starts such a run. Raises OSError."""
+    """Replace this process by the supervisor, under the same pid; it inherits the lock and the open port. The imports
+    of the command line would double its size. `again`: the command line that starts this run again. Raises OSError."""
     for fd in (lock, port):
         os.set_inheritable(fd, True)
     words = {"name": name, "dir": runtime_dir, "lock": lock, "port": port, "again": again}

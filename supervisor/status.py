@@ -1,18 +1,20 @@
-"""Status: what motion waits for, and whether the supervisor does its job. The gate is told by a word, clients by the
-process table, the service manager by datagrams (the sd_notify protocol), never waited for: ready, a status line, the
-watchdog, the end. What could not be sent is sent again later, and is no reason to do anything else.
+"""Status: what motion waits for, and whether the supervisor does its job.
 
-The watchdog is for a supervisor that no longer does its job, and for nothing else:
+The gate reads a word, clients read the process table, and the service manager gets datagrams (the sd_notify protocol):
+ready, a status line, the watchdog, the end. The supervisor never waits for the manager; a datagram that could not be
+sent is sent again later.
 
-    hung                                    it sends no beat by itself
-    a process that was killed and stays     whatever holds it in the kernel, a restart in here can't replace it
+The watchdog is only for a supervisor that no longer does its job:
+
+    hung                                    it sends no watchdog beats
+    a process that was killed and stays     something in the kernel holds it, so a restart from here can't replace it
     a stop owed                             nobody answered it and nobody could write it, though the port is open
 
-Everything else is healthy, however bad it looks: a process that is down until a reset, a port that is gone, a board
-that is deaf. The wheels are told to stop then, the status is served, and a restart would only take both away.
+Everything else is healthy, however bad it looks: a process that is down until a reset, a port that is gone, a deaf
+board. The wheels are told to stop then and the status is still published; a restart of the service would only end both.
 
-The rights of the service too: what it lacks without them, the leases that it can keep then, and the one command that
-gives it those to real-time scheduling and locked memory, where it runs.
+This file also handles the service's rights (real-time scheduling and locked memory): what the service loses without
+them, which lease it can keep then, and the one command that grants them.
 """
 
 from __future__ import annotations
@@ -43,21 +45,21 @@ if TYPE_CHECKING:  # commands have the rights' part of here, and need no more
     from failstop.supervisor.run import Run
 
 UNDYING_NS = 10_000_000_000
-"""SIGKILL to gone takes milliseconds; a process that closes a port which does not drain, seconds."""
+"""From SIGKILL to gone takes milliseconds, or seconds for a process that closes a port which does not drain."""
 OWED_NS = 2_000_000_000
-"""The supervisor's own burst goes out 5 ms after the cause and every 200 ms from then on."""
+"""The supervisor writes its own burst 5 ms after the cause, and every 200 ms from then on."""
 WAITED_NS = 2_000_000_000
-"""A wait of motion is told of after this long: a restart takes a fraction of it."""
+"""What motion waits for is logged after this long; a restart takes a fraction of it."""
 TELL_EVERY_NS = 100_000_000
-"""Its line is made this often: what is in it of the gate is new at every tick while something drives."""
+"""How often the status line is made. The gate's part of it changes at every tick while something drives."""
 
 LEASE = "gate.lease_s"
 LEASE_S = float(BY_KEY[LEASE].default)
 LEASE_WITHOUT_S = 0.2
-"""The lease without real-time rights, where the settings give none: below the stopper's patience with the port owner
-and the supervisor's with the gate (0.25 s), so that who stops first stays who stops first."""
+"""The lease without real-time rights, if the settings give none. It is below the time that the stopper allows the port
+owner and the supervisor allows the gate (0.25 s), so the order in which they stop stays the same."""
 OF_A_TIMEOUT = 0.9
-"""The lease takes no more than this share of the shortest command timeout, which is longer than any lease."""
+"""The lease takes at most this share of the shortest command timeout, which is longer than any lease."""
 
 UNIT = "`sudo systemctl edit {unit}`, with LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]"
 CONTAINER = "start the container with `--cap-add SYS_NICE --cap-add IPC_LOCK --ulimit rtprio=40 --ulimit memlock=-1`"
@@ -71,11 +73,12 @@ NO_EARLY_NEWS = (
 CONTAINER_FILES = ("/.dockerenv", "/run/.dockerenv", "/run/.containerenv", "/run/systemd/container")
 CONTROL_GROUP = "/proc/self/cgroup"
 CONTAINER_VARIABLE = "container"
-"""Set for the first process of a container by podman, lxc and systemd-nspawn, and inherited where nobody clears it."""
+"""Set for the first process of a container by podman, lxc and systemd-nspawn, and inherited unless somebody clears
+it."""
 
 
 class Status:
-    """One publish(), tell_people() and tell_manager() a turn. `ever`: the service has been ready."""
+    """Call publish(), tell_people() and tell_manager() once per turn. `ever`: the service has been ready."""
 
     def __init__(
         self, run: Run, notify: Notify, processes: ProcessTable, epochs: Epochs, handover: PortHandover
@@ -95,20 +98,20 @@ class Status:
         self._told_missing = ""
         self.ever = False
         self.fault = ""
-        """Why the supervisor does not do its job: the watchdog is left to bite."""
+        """Why the supervisor does not do its job; if set, the watchdog is left to fire."""
 
     def missing(self, *, stopping: bool) -> str:
-        """The thing that motion still waits for; empty when nothing. `stopping`: a stop is not answered yet."""
+        """What motion still waits for; empty if nothing. `stopping`: a stop is not answered yet."""
         absent = [child.row.name for child in self._processes.children if child.state != RUNNING]
         if not absent and not self._handover.complete():
             return "the port"
-        # A stop that the supervisor wrote itself is still to be answered: a port owner that was held up would cut into
-        # motion of a later enable, with frames of an older one perhaps before that.
+        # A stop that the supervisor wrote itself must still be answered: a port owner that was held up would otherwise
+        # cut into the motion of a later enable, perhaps after frames of an older one.
         carried_out = self._epochs.answered() and not stopping
         return ", ".join(absent) or ("" if carried_out else "a stop being carried out")
 
     def publish(self, missing: str) -> bool:
-        """The process table and the ready word, when they change. True once: it is ready for the first time."""
+        """Publish the process table and the ready word when they change. True once, when the service is first ready."""
         processes = {
             child.row.name: {
                 "pid": child.pid,
@@ -133,7 +136,7 @@ class Status:
         return True
 
     def tell_people(self, missing: str, now_ns: int) -> None:
-        """Once a turn: what motion waits for; told of when it stays away, and when it has come after all."""
+        """Once per turn: log what motion waits for when the wait gets long, and log when it is over."""
         if missing != self._missing:
             self._missing, self._missing_ns = missing, now_ns
         if self._told_missing == missing:
@@ -147,7 +150,8 @@ class Status:
             self._told_missing = ""
 
     def tell_manager(self, now_ns: int, missing: str, owed_since_ns: int) -> None:
-        """Status, watchdog. `missing`: what motion waits for; `owed_since_ns`: as in fault()."""
+        """Send the status line and the watchdog beat. `missing`: what motion waits for; `owed_since_ns`: as in
+        fault()."""
         if not self.notify.active or now_ns - self._told_ns < TELL_EVERY_NS:
             return
         self._told_ns = now_ns
@@ -163,9 +167,9 @@ class Status:
 
 
 def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
-    """Why the supervisor does not do its job, in words; empty while it does. `killed_ns`: when the processes that were
-    killed and are not gone were killed; `owed_since_ns`: since when a stop is neither answered nor written though there
-    is a descriptor to write to, 0 for no such stop. Pure."""
+    """Why the supervisor does not do its job, in words; empty while it does. `killed_ns`: when each process that was
+    killed and is not gone was killed; `owed_since_ns`: since when a stop is neither answered nor written although a
+    descriptor is open, 0 if there is none. Pure."""
     for name, since_ns in killed_ns.items():
         if now_ns - since_ns >= UNDYING_NS:
             return f"{name} was killed {(now_ns - since_ns) / 1e9:.0f} s ago and is not gone"
@@ -175,7 +179,8 @@ def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
 
 
 def although_told_zero(entry: tuple[int, int, bytes] | None, now_ns: int) -> str:
-    """That the wheels turn although they were told zero, by telemetry's record; empty: nothing says so now. Pure."""
+    """A text that says that the wheels turn although they were told zero, by telemetry's record; empty if nothing says
+    so. Pure."""
     if entry is None:
         return ""
     _, by, unexpected, _, _, read_ns, *_ = records.WHEELS_SEEN.unpack(entry[2])
@@ -184,8 +189,8 @@ def although_told_zero(entry: tuple[int, int, bytes] | None, now_ns: int) -> str
 
 
 def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> str:
-    """The service in one line. `missing`: what motion waits for; `down`: the processes that died too often; `latched`:
-    the reason of the latch; `gate`: its published state; each empty where there is none. Pure."""
+    """The service in one line. `missing`: what motion waits for; `down`: processes that died too often; `latched`: the
+    reason of the latch; `gate`: its published state. Each is empty if there is none. Pure."""
     until = "for a minute" if down == layout.GATE else "until a reset"
     stays = f"; {down} died too often and is down {until}" if down else ""
     if latched:
@@ -201,8 +206,8 @@ def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> 
 
 
 def advice(*, realtime: bool, managed: bool) -> str:
-    """Advice for when this process is late, the command in backquotes; `realtime`: it has the rights;
-    `managed`: a service manager has started it."""
+    """What to do when this process is late, with the command in backquotes. `realtime`: it has real-time rights;
+    `managed`: a service manager started it."""
     if realtime:
         return GRANTED
     command = UNIT.format(unit=own_unit()) if managed else CONTAINER if in_container() else SHELL
@@ -210,7 +215,7 @@ def advice(*, realtime: bool, managed: bool) -> str:
 
 
 def leased(settings: Settings, chosen: Container[str]) -> Settings:
-    """The settings with a lease that this process's rights can keep, unless it is among the `chosen` keys."""
+    """The settings with a lease that this process's rights can keep, unless the lease is among the `chosen` keys."""
     if LEASE in chosen:
         return settings
     with rights.realtime(max(row.priority for row in PROCESSES)) as granted:
@@ -218,13 +223,13 @@ def leased(settings: Settings, chosen: Container[str]) -> Settings:
 
 
 def lease_without_rights(settings: Settings) -> float:
-    """The lease of a service that has no real-time rights, s."""
+    """The lease in s of a service that has no real-time rights."""
     timeouts_s = (settings["gate.command_timeout_s"], *(ns / 1e9 for _, ns in settings.sources().values()))
     return max(settings[LEASE], min(LEASE_WITHOUT_S, OF_A_TIMEOUT * min(timeouts_s)))
 
 
 def cost(lease_s: float) -> str:
-    """The price that a service without real-time rights pays for its lease, as a clause."""
+    """What the service loses by its longer lease without real-time rights, as a clause."""
     if lease_s > LEASE_S:
         usual = f"{LEASE_S * 1e3:.0f} to {PROCESS_BY_NAME[layout.PORT_OWNER].deadline_ns / 1e6:.0f}"
         late = f"after {lease_s * 1e3:.0f} ms instead of {usual}"
@@ -233,14 +238,14 @@ def cost(lease_s: float) -> str:
 
 
 def lacking(granted: int, advice: str, lease_s: float) -> list[tuple[str, str]]:
-    """The rights that were not `granted` (heartbeat bits), each with a text for people; `lease_s`: in force."""
+    """The rights that were not `granted` (heartbeat bits), each with a text for people. `lease_s`: the lease in use."""
     realtime = f"{NO_REALTIME}, and {cost(lease_s)}; {advice}"
     told = ((REALTIME, "SCHED_FIFO", realtime), (EARLY_NEWS, "robust futexes", NO_EARLY_NEWS))
     return [(what, text) for bit, what, text in told if not granted & bit]
 
 
 def own_unit() -> str:
-    """The systemd unit of this process, by its control group; in words where that does not say."""
+    """The systemd unit of this process, by its control group; a description if the group names none."""
     try:
         with open(CONTROL_GROUP, encoding="utf-8", errors="replace") as file:
             groups = [line.rstrip().rpartition("/")[2] for line in file]
@@ -250,5 +255,5 @@ def own_unit() -> str:
 
 
 def in_container() -> bool:
-    """True when this process runs in one, as far as its kind leaves a sign."""
+    """True when this process runs in a container, if that kind of container leaves a sign."""
     return CONTAINER_VARIABLE in os.environ or any(map(os.path.exists, CONTAINER_FILES))

@@ -1,6 +1,7 @@
-"""A stop: a cause from the moment that somebody noticed it until somebody has answered it with a burst. Pure.
+"""A stop: a cause from the moment when a process notices it until the burst for it is written. Pure.
 
-A stop that nobody could write is written later, by whoever gets the port back. proof.py has what a stop has done.
+A stop that nobody could write is written later, by the process that gets the port back. proof.py has what the stop
+achieved.
 """
 
 from __future__ import annotations
@@ -16,19 +17,20 @@ BY_PORT_OWNER = "port owner"
 BY_SUPERVISOR = "supervisor"
 MAY_YET, HAS_ANSWERED, TOO_LATE = range(3)
 WRITERS = (
-    # may answer, answered, late
-    (WAITS, BY_NOTICER, BY_NOTICER),  # its cause came with the time of its burst
-    (WAITS, BY_PORT_OWNER, BY_SUPERVISOR),  # the port owner's last burst is about as old as the cause, or younger
-    (WAITS, BY_SUPERVISOR, BY_SUPERVISOR),  # neither, or a cause without a time of the port owner's: it could not write
+    # the port owner may still answer, has answered, is late
+    (WAITS, BY_NOTICER, BY_NOTICER),  # the cause came with the time of its burst
+    (WAITS, BY_PORT_OWNER, BY_SUPERVISOR),  # neither; or the port owner could not write
+    (WAITS, BY_SUPERVISOR, BY_SUPERVISOR),  # neither; or the port owner could not write
 )
-"""The process that writes a stop, or has written it: by what is known of its burst, and by the port owner, who has
-answered the epoch, may still do so, or is late or dead."""
+"""The process that writes a stop, or has written it. Rows: what is known about its burst. Columns: whether the port
+owner may still answer the epoch, has answered it, or is late or dead."""
 SOONER_NS = 20_000_000
-"""The port owner may have noticed the cause this much sooner; its burst from before that is none for this cause."""
+"""The port owner may have noticed the cause this much sooner. A burst from before that does not count for this
+cause."""
 
 
 def explained(cause: Cause, suspended_ns: int) -> Cause:
-    """The better cause of a silence of the supervisor's, which was suspended for so long (0: it was not)."""
+    """A better cause for the supervisor's silence if a signal suspended it for this long (0: it did not)."""
     silent = cause.kind is causes.HELD_UP or (cause.kind is causes.HANGS and cause.arguments[0] == layout.SUPERVISOR)
     return causes.SUPERVISOR_SUSPENDED(suspended_ns / 1e9) if suspended_ns and silent else cause
 
@@ -44,18 +46,18 @@ class Stop(Data):
     answer_by_ns: int = 0
     """Until when the port owner may answer it."""
     by: str = ""
-    """The process that wrote it; empty while none has answered it."""
+    """The process that wrote it; empty until it is answered."""
     epoch: int = 0
     behind: Stop | None = None
-    """The one that was latched when it was answered; None: this one itself."""
+    """The stop that was latched when this one was answered; None if it was this one."""
 
     def fields(self) -> dict[str, str | int]:
-        """Of an event: its cause, and the time that tells it from any other stop for the same cause."""
+        """The fields for an event: the cause, and the time, which tells this stop from others with the same cause."""
         return {**self.cause.fields(), "noticed_ns": self.t_ns}
 
     def who_wrote(self, *, answered: bool, may_answer: bool, port_owner_ns: int) -> tuple[str, int] | None:
-        """Return (by whom, when in ns; 0: the supervisor is to write it now), or None to wait: see WRITERS.
-        `may_answer`: the port owner lives and has had little time; `port_owner_ns`: its last burst."""
+        """Return (process, when it wrote in ns; 0: the supervisor must write now), or None to wait: see WRITERS.
+        `may_answer`: the port owner is alive and its time is not over; `port_owner_ns`: its last burst."""
         own = self.noticed_by == layout.PORT_OWNER
         recent = not own and port_owner_ns >= self.t_ns - SOONER_NS
         row = WRITERS[0 if self.written_ns else 1 if recent else 2]
@@ -65,8 +67,8 @@ class Stop(Data):
         return None if by == WAITS else (by, port_owner_ns if by == BY_PORT_OWNER else 0)
 
     def answered_by(self, by: str, written_ns: int, latched: Stop, epoch: int) -> None:
-        """Take who has written it, and when (0: it could not be written), while `latched` was latched."""
+        """Record which process wrote it and when (0: it could not be written), while `latched` was latched."""
         self.by = by
         self.written_ns = written_ns
-        self.behind = None if latched is self else latched  # nobody collects what refers to itself
+        self.behind = None if latched is self else latched  # a stop that refers to itself would never be freed
         self.epoch = epoch

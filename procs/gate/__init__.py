@@ -1,1 +1,1 @@
-"""The gate: decides, every tick and at once on news, whether and how the wheels may turn."""
+"""The gate: decides, at every tick and at once on news, whether and how the wheels may turn."""

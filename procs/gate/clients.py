@@ -1,7 +1,7 @@
-"""Clients as the gate sees them: whose slot is claimed, what is new in it, who has gone.
+"""Clients as the gate sees them: whose slot is claimed, what is new in it, and which clients have gone.
 
-Everything is read with pread and believed only when its CRC, its claim and its session agree. A client's name and pid
-are what it says of itself, for people to read; nothing depends on their truth.
+The gate reads everything with pread and believes it only when its CRC, its claim and its session agree. A client's name
+and pid are its own claims, for people to read; nothing depends on their truth.
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ if TYPE_CHECKING:
     from typing import Any
 
 News = tuple["Slot", str, tuple[object, ...]]
-"""A session's slot; the name of a record there, with its time (ns) and its values, or OVER."""
+"""A session's slot; then the name of one of its records with the record's time (ns) and values, or OVER."""
 OVER = "gone"
-"""The name of the news that a session has left its slot, or has died; with True if it said goodbye."""
+"""The name of the news that a session has left its slot or has died, with True if it said goodbye."""
 ONCE = ("command", "request", "arm_goal")
-"""Those that are acted on when they are new."""
+"""Records that are acted on only when they are new."""
 
 
 def newest_number(reader: LatestReader) -> int:
-    """The number of the newest entry. What is there at a restart is not new: the gate before may have acted on it."""
+    """The number of the newest entry. Entries from before a restart are not new, because the gate before may have acted
+    on them."""
     entry = reader.read()
     return entry[0] if entry else 0
 
 
 class Slot:
-    """One client slot and the session that holds it; session 0: nobody."""
+    """One client slot and the session that holds it; session 0: nobody holds it."""
 
     def __init__(self, index: int, segment: Segment) -> None:
         self.index = index
@@ -46,13 +47,13 @@ class Slot:
         self._hello, self._left = segment.latest_reader("hello"), segment.latest_reader("left")
         self._greeting: Entry | None = None
         self._greeted: int | None = None
-        """The hello that was read last, and whose it is."""
+        """The hello that was read last, and its session."""
         self._readers = {name: segment.latest_reader(name) for name in records.OF_SESSION}
-        # The gate's own record tells which request has its answer (requests.py).
+        # The gate's own record says which request was answered (requests.py).
         self._seen = {name: 0 if name == "request" else newest_number(self._readers[name]) for name in ONCE}
         self._session_seen = self.greet()
         self.ended = 0
-        """The session that held the slot before: what it left there is over."""
+        """The session that held the slot before; its records no longer count."""
         self.life: Lifeline | None = None
         self.session = 0
 
@@ -60,7 +61,7 @@ class Slot:
         return f"{self.name} (pid {self.pid})"
 
     def greet(self) -> int | None:
-        """The session that says hello now; None: there is none yet or any more, or it is damaged."""
+        """The session that says hello now; None if there is none, or the hello is damaged."""
         entry = self._hello.read()
         if entry is not self._greeting:
             self._greeting, self._greeted = entry, None
@@ -81,13 +82,13 @@ class Slot:
             return False
 
     def join(self, session: int) -> None:
-        """A session holds the slot now; a new one counts its records again."""
+        """Let a session hold the slot; a new session's records are counted from the start."""
         if session != self._session_seen:
             self._seen = dict.fromkeys(ONCE, 0)
         self.session = self._session_seen = session
 
     def latest(self, name: str) -> tuple[Any, ...] | None:
-        """When that record was written (ns) and its values, when it is whole and of this session."""
+        """The time (ns) and values of the newest record of this name, if it is whole and of this session."""
         return self._believed(records.OF_SESSION[name], self._readers[name].read())
 
     def new(self, name: str) -> tuple[Any, ...] | None:
@@ -108,11 +109,11 @@ class Slot:
         return (entry[1], *values) if writer == self.session else None
 
     def command(self, t_ns: int, vx: float, vy: float, wz: float, manual: bool, source: str) -> Command:
-        """The values of a command as one of this session."""
+        """A command of this session with these values."""
         return Command(self.session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
 
     def said(self) -> tuple[int, str, str] | None:
-        """The last words of this session for people: when, what it sees, what is wrong; None: nothing yet."""
+        """The session's last report for people: when, what it sees, what is wrong; None if there is none."""
         if found := self.latest("said"):
             t_ns, sees, wrong = found
             return t_ns, bounded(sees, records.SAID_BYTES), bounded(wrong, records.SAID_BYTES)
@@ -120,17 +121,18 @@ class Slot:
 
 
 def bounded(text: str, room: int) -> str:
-    """A client's words for a record that holds those of all: what can't be printed would take three bytes for one."""
+    """A client's text, shortened for a record that holds those of all clients. Unprintable characters are replaced,
+    because each would take three bytes."""
     return records.cut(records.printable(text), room).decode()
 
 
 class ClientTable:
-    """All slots; `active`: those that a session holds. Act on each of a look's news before asking for the next."""
+    """All slots; `active` are the ones that a session holds. Act on each news of a look before you ask for the next."""
 
     def __init__(
         self, segments: list[Segment], claims_fd: int, loop: Loop, early: EarlyNews, heard: tuple[str, ...]
     ) -> None:
-        """`heard`: the records that are looked at, in this order."""
+        """`heard`: the records to look at, in this order."""
         self._claims_fd = claims_fd
         self._loop = loop
         self._early = early
@@ -140,32 +142,32 @@ class ClientTable:
         self.active: list[Slot] = []
 
     def hinted(self, hints: bytes) -> list[Slot]:
-        """Slots to look at when the client bell rang: each byte hints at one; anything else hints at all of them."""
+        """Slots to look at when the client bell rang: each byte hints at one slot; any other byte means all of them."""
         if set(hints) <= set(range(layout.CLIENT_SLOTS)):
             return [self.slots[index] for index in set(hints)]
         return self.slots
 
     def look(self, slots: list[Slot]) -> Iterator[News]:
-        """Look at these: at the active ones once a tick, for news whose ring was lost and for claims that have ended;
-        now and then at all, for new clients whose ring was lost."""
+        """Look at these slots: the active ones once per tick, in case a ring was lost or a claim has ended; now and
+        then all of them, for new clients whose ring was lost."""
         for slot in tuple(slots):
             yield from self._look(slot)
 
     def lives_ended(self, ready: dict[int, int]) -> Iterator[News]:
-        """Drop each client whose lifeline has told of its death, even while the kernel takes its memory down, and even
-        if a process that it forked still holds the claim."""
+        """Drop each client whose lifeline reports its death, even while the kernel still frees its memory, and even if
+        a process that it forked still holds the claim."""
         for slot in tuple(self.active):
             if slot.life and slot.life.died(ready):
                 yield from self._leave(slot)
 
     def _watch(self, slot: Slot) -> None:
-        """Where neither its pid nor its futex can be watched, the claim alone decides, once a tick."""
-        # Of a client in a container the number is nobody's here, or somebody else's.
+        """If neither the pid nor the futex can be watched, the claim alone decides, once per tick."""
+        # In a container the client's pid means nothing here, or another process.
         known = self._pid_namespace and slot.pid_namespace == self._pid_namespace
         try:
             slot.life = Lifeline(slot.pid if known else 0)
         except (OSError, OverflowError):
-            return  # a lie, or a process that is gone already
+            return  # the pid is wrong, or the process has gone already
         self._loop.watch(slot.life.fd, READ)
         self._early.watch(slot.life, slot.segment)
 
@@ -178,7 +180,7 @@ class ClientTable:
             yield from self._leave(slot)
             if not session or session == slot.ended:
                 return
-            # One that is started again for a death must not be heard before that death is.
+            # A program that restarts after a crash must not be heard before that crash is.
             for other in tuple(self.active):
                 if not claim.held(self._claims_fd, other.index) or (other.life and other.life.dead()):
                     yield from self._leave(other)
@@ -186,7 +188,7 @@ class ClientTable:
             self.active.append(slot)
             self._watch(slot)
         elif not session:
-            return  # a claim alone is nobody yet, whatever else lies in the slot
+            return  # a claim alone is no client yet, whatever else the slot contains
         for record in self._heard:
             if values := slot.new(record) if record in ONCE else slot.latest(record):
                 yield slot, record, values

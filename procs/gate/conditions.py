@@ -1,5 +1,5 @@
-"""Conditions: what somebody must go on asserting for motion: the obstacle sensor, interlocks, an operator. Pure; each
-is told when it was asserted, by the clock of whoever asserts it."""
+"""Conditions that must be asserted again and again for motion: the obstacle sensor, interlocks, an operator. Pure;
+every assertion comes with its time, by the clock of the process that asserts it."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from failstop.policy.causes import Cause
 from failstop.procs.loop import MS
 
 AHEAD_NS = 20 * MS
-"""A record may be written after the turn that reads it began. What is stamped further ahead comes from a clock that is
-not this machine's, and would stay fresh for as long as it is ahead."""
+"""A record may be written after the turn that reads it began. A time stamp further ahead comes from another machine's
+clock, and would stay fresh for as long as it is ahead."""
 NOBODY_ATTENDS = "nobody attends: press ATTEND on the page, or run `failstop attend`"
 DEPARTED = "left"
 
 
 def believed_ns(t_ns: int, now_ns: int) -> int:
-    """The time that counts for a condition which is looked at again and again: never later than now; 0, which is older
-    than any timeout allows, for a stamp from the future."""
+    """The time that counts for a condition that is checked again and again: never later than now. A stamp from the
+    future becomes 0, which is too old for any timeout."""
     return min(t_ns, now_ns) if t_ns <= now_ns + AHEAD_NS else 0
 
 
@@ -30,7 +30,7 @@ class ScanGate:
         self.on = on
         self._blocks = False
         self.delivered_ns = 0
-        """When the sensor delivered last; 0: never yet."""
+        """When the sensor last delivered; 0: never yet."""
 
     def deliver(self, t_ns: int, now_ns: int) -> None:
         self.delivered_ns = max(self.delivered_ns, believed_ns(t_ns, now_ns))
@@ -40,12 +40,12 @@ class ScanGate:
         return self.on and (not self.delivered_ns or now_ns - self.delivered_ns > self._timeout_ns)
 
     def silent_ns(self) -> int:
-        """The time at which the last delivery stops counting."""
+        """When the last delivery stops counting."""
         return self.delivered_ns + self._timeout_ns + 1
 
     def note(self, now_ns: int, *, blocks: bool) -> Note | None:
-        """The news for people when the block comes or goes, with the sensor's age; else None. While something else
-        holds the wheels a silent sensor is not back."""
+        """The note for people when the block begins or ends, with the sensor's age; else None. While something else
+        blocks the wheels, a silent sensor does not count as back."""
         if blocks == self._blocks or (not blocks and self.silent(now_ns)):
             return None
         self._blocks = blocks
@@ -62,17 +62,17 @@ class Interlocks:
     """Named conditions that a client asserts. Enabling motion needs all of them, and losing one disables."""
 
     def __init__(self, declared: dict[str, tuple[int, str]]) -> None:
-        """`declared`: name -> (timeout in ns, the refusal's text)."""
+        """`declared`: name -> (timeout in ns, the text of a refusal)."""
         self._declared = declared
         self._asserted_ns: dict[str, int] = {}
 
     def hear(self, names: list[str], t_ns: int, now_ns: int) -> None:
-        """A client asserts these; names that no setting declares mean nothing."""
+        """A client asserts these conditions; names that the settings don't declare are ignored."""
         for name in self._declared.keys() & names:
             self._asserted_ns[name] = max(self._asserted_ns.get(name, 0), believed_ns(t_ns, now_ns))
 
     def unmet(self, now_ns: int) -> str:
-        """The refusal's text of the first condition that does not hold; empty when all do."""
+        """The text of the first condition that does not hold; empty if all hold."""
         for name, (timeout_ns, refusal) in self._declared.items():
             asserted_ns = self._asserted_ns.get(name)
             if asserted_ns is None or now_ns - asserted_ns > timeout_ns:
@@ -81,19 +81,20 @@ class Interlocks:
 
 
 class Attendance:
-    """The operators who are there, where motion needs one (attend.required), by the session that says so. What counts
-    is the moment at which an operator's device proves to have been there, not when the proof came."""
+    """The operators who are present, if motion needs one (attend.required), by the session that reports them. What
+    counts is the moment at which an operator's device proves to have been there, not when the proof arrives."""
 
     def __init__(self, lease_ns: int, *, on: bool) -> None:
         self.on = on
         self._lease_ns = lease_ns
         self._there: dict[int, tuple[int, str]] = {}
         self._last = ("", DEPARTED)
-        """The last operator, and how that one's presence ended."""
+        """The last operator, and how that operator's presence ended."""
 
     def hear(self, session: int, who: str, t_ns: int, now_ns: int) -> None:
-        """An operator was there at `t_ns`; a proof that is older than the last one of this operator, or than the lease,
-        renews nothing. A session speaks for one at a time: when it names another, the one before has left."""
+        """Record that an operator was present at `t_ns`. A proof that is older than this operator's last one, or older
+        than the lease, renews nothing. A session reports one operator at a time: if it names another, the one before
+        has left."""
         known_ns, known = self._there.get(session, (0, who))
         proven_ns = believed_ns(t_ns, now_ns)
         if self.on and (known != who or proven_ns > known_ns) and now_ns - proven_ns <= self._lease_ns:
@@ -102,12 +103,12 @@ class Attendance:
             self.leave(session)
 
     def leave(self, session: int) -> None:
-        """That session's operator is there no more, by its own word or by its death."""
+        """That session's operator is gone, because the session says so or has died."""
         if found := self._there.pop(session, None):
             self._last = found[1], DEPARTED
 
     def names(self, now_ns: int) -> list[str]:
-        """The operators that are there; others are forgotten."""
+        """The operators who are present; forgets the others."""
         for session, (proven_ns, who) in tuple(self._there.items()):
             if now_ns - proven_ns > self._lease_ns:
                 del self._there[session]
@@ -115,11 +116,11 @@ class Attendance:
         return [who for _, who in self._there.values()]
 
     def due_ns(self) -> int:
-        """When the last of them counts no more, if nothing is heard."""
+        """When the last operator stops counting, if nothing more is heard."""
         return max((proven_ns for proven_ns, _ in self._there.values()), default=0) + self._lease_ns + 1
 
     def unmet(self, now_ns: int) -> str:
-        """Why motion may not be enabled; empty when it may."""
+        """Why motion may not be enabled; empty if it may."""
         return NOBODY_ATTENDS if self.on and not self.names(now_ns) else ""
 
     def gone(self, now_ns: int) -> Cause | None:

@@ -1,13 +1,13 @@
-"""The gate's decisions. Pure: the time and the news are arguments, frames and texts are results.
+"""The gate's decisions. Pure: time and news are arguments; frames and texts are results.
 
-Block reasons, the first that holds:
+The reason for a block is the first of these that holds:
     estop: REASON     latched; ends only by reset
     disabled          until an explicit enable
-    let go first      whoever commands did so before motion was enabled
+    let go first      the source has commanded a velocity since before motion was enabled
     cmd timeout       no source has a command that is younger than its timeout
     no scan           the source that drives is not manual and the obstacle sensor is silent
-While blocked the velocity is zero at once, without a ramp. Otherwise it moves toward the clamped command by at most
-acceleration x elapsed time, and the elapsed time that counts is bounded, so that a late tick makes no jump.
+While blocked, the velocity is zero at once, without a ramp. Otherwise it moves toward the clamped command by at most
+acceleration x elapsed time. The elapsed time that counts is bounded, so that a late tick makes no jump.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ IS_LATCHED = "a stop is latched"
 WHEELS_ENABLED = "wheels enabled"
 MAY_MOVE = "motion enabled"
 LEAST_LIMIT = 5
-"""Percent: a limit under it would be a stop without a word."""
+"""Percent. A lower limit would be a stop that nobody notices."""
 _DISABLE, _LATCH, _STAY = DEATHS
 _WAIT, *_ = ANSWERS_TO_SILENCE
 MOST_IGNORED = 64
-"""Sources that are no client's and are told of in the life of a gate."""
+"""How many commands of unknown sources are logged in the life of a gate."""
 
 
 class GateCore:
-    """The gate's knowledge: enabled, the latch, the sources and their commands, the velocity."""
+    """What the gate knows: enabled, the latch, the sources and their commands, the velocity."""
 
     def __init__(
         self, settings: Settings, kinematics: Chassis, now_ns: int, *, arm_beside_wheels: bool = False
     ) -> None:
         self.arm_waits = not arm_beside_wheels
-        """The arm moves while motion is disabled alone."""
+        """The arm moves only while motion is disabled."""
         acceleration = settings["limits.acceleration_mps2"]
         limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
         self._most = tuple(limit * axis for limit, axis in zip(limits, kinematics.axes, strict=True))
@@ -59,26 +59,27 @@ class GateCore:
         self.attendance = Attendance(settings.ns("attend.lease_s"), on=settings.on("attend.required"))
         self.enabled = False
         self.enabled_ns = 0
-        """When motion was enabled; 0: it is not."""
+        """When motion was enabled; 0 while it is not."""
         self.latch: Cause | None = None
-        """The latch by the supervisor's word, or by the gate's own until the supervisor has answered that."""
+        """The latched cause, by the supervisor's record, or by the gate's own stop until the supervisor has answered
+        it."""
         self._stopped_in = 0
-        """The epoch in which it stopped by itself; answered once the epoch is newer."""
+        """The epoch in which the gate stopped by itself; a newer epoch answers it."""
         self.epoch = 0
-        """The epoch that motion was enabled in; every frame carries it."""
+        """The epoch in which motion was enabled; every frame carries it."""
         self.velocity = REST
         self.speeds = kinematics.rest
         self.capped = ""
-        """What a scale that nobody has confirmed means for driving, in words; empty: the scale is known."""
+        """How an unconfirmed scale limits driving, in words; empty if the scale is confirmed."""
         self.notes: list[Note] = []
-        """Notes for people, in order; the shell, which passes them on, empties the list."""
+        """Notes for people, in order. The shell passes them on and empties the list."""
         self._losses = DriverLosses(now_ns)
         self._ignored: set[tuple[int, str]] = set()
         self._driver_death = settings.text("gate.driver_death")
         self._driver_silence = settings.text("gate.driver_silence")
         self._drivers: dict[int, Command] = {}
-        """The last command of each session that has given one: its death is that of a driver, whether it drives now,
-        waits, or has fallen silent, since whatever starts it again would drive on."""
+        """The last command of each session that has given one. The session's death counts as a driver's death, whether
+        it drives now, waits, or has fallen silent, because it would drive on once it is started again."""
         self._movers: set[int] = set()
         """Sessions whose commands have turned the wheels."""
         self._stepped_ns = now_ns
@@ -86,11 +87,11 @@ class GateCore:
         self._ramps_on = False
 
     def rests(self, until_ns: int) -> bool:
-        """True while the velocity stays as it is, and no frame is to be sent before that time."""
+        """True while the velocity stays as it is, and no frame is due before that time."""
         return not self.enabled or not (self._ramps_on or until_ns > self._sent_ns + self._refresh_ns)
 
     def blocked(self, now_ns: int) -> str:
-        """Why the wheels may not turn; an empty text when they may."""
+        """Why the wheels may not turn; empty if they may."""
         if self.latch is not None:
             return f"{LATCHED}{self.latch}"
         if not self.enabled:
@@ -103,11 +104,12 @@ class GateCore:
         return ""
 
     def arm_closed(self) -> str:
-        """Why the arm takes no goal now; empty when it does."""
+        """Why the arm takes no goal now; empty if it does."""
         return IS_LATCHED if self.latch is not None else WHEELS_ENABLED if self.enabled and self.arm_waits else ""
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When what moves the wheels now stops counting: they stop then, not at a later tick; None: nothing does."""
+        """When the command that moves the wheels stops counting. The wheels stop then, not at a later tick. None:
+        nothing moves them."""
         driving = self.sources.driving(now_ns)
         if driving is None or self.blocked(now_ns):
             return None
@@ -119,9 +121,9 @@ class GateCore:
         return min(ends_ns)
 
     def take(self, command: Command, now_ns: int) -> Cause | None:
-        """A new command. Returns the cause to stop for, None when it is a good one: non-finite values, a second
-        publisher of one source beside one whose command still counts. A stamp from the future counts as now; a source
-        that no setting names, or that is the pad's, is noted and ignored."""
+        """Accept a new command; None if it is good. Otherwise returns the cause to stop for: non-finite values, or a
+        second publisher of a source whose command still counts. A stamp from the future counts as now. A source that
+        the settings don't name, or that is the pad's, is noted and ignored."""
         if not all(map(isfinite, command.velocity)):
             return causes.NOT_FINITE(command.who)
         if not self.sources.allows(command):
@@ -136,7 +138,8 @@ class GateCore:
         return None
 
     def _note_ignored(self, command: Command) -> None:
-        """Once for each session and source; a session that makes up ever new ones is not told of forever."""
+        """Note an ignored command once for each session and source, but not forever: a session could make up new
+        sources without end."""
         ignored = (command.session, command.source)
         if ignored not in self._ignored and len(self._ignored) < MOST_IGNORED:
             self._ignored.add(ignored)
@@ -146,8 +149,8 @@ class GateCore:
             self.notes.append(Note("ignored", text, {"who": command.who, "source": command.source}))
 
     def client_gone(self, session: int, now_ns: int, *, parted: bool) -> Cause | None:
-        """A client has gone, having `parted` in order or not: its commands are dropped, and if it drove, that is told.
-        The death of a driver disables motion, or returns the cause to stop for, as the settings say."""
+        """A client has gone, `parted` if it said goodbye: drop its commands, and note it if it drove. A driver's death
+        disables motion, or returns the cause to stop for, depending on the settings."""
         driving, driver = self.sources.driving(now_ns), self._drivers.pop(session, None)
         moved = session in self._movers
         self._movers.discard(session)
@@ -165,8 +168,8 @@ class GateCore:
         return None
 
     def driver_silence(self, now_ns: int) -> Cause | None:
-        """Once a step: tell of a driver that has just fallen silent while the wheels turned. It disables motion or
-        returns the cause to stop for, as the setting gate.driver_silence says; a person who lets go of a key does
+        """Once per step: note a driver that has just fallen silent while the wheels turned. Depending on the setting
+        gate.driver_silence, that disables motion or returns the cause to stop for; a person who lets go of a key does
         neither."""
         if not any(self.velocity) or self.sources.driving(now_ns):
             return None
@@ -183,7 +186,7 @@ class GateCore:
         return None
 
     def stop(self, cause: Cause, epoch: int) -> bool:
-        """Stop by itself, until the supervisor has latched it. True when this is news: nothing is latched yet."""
+        """Stop at once, until the supervisor has latched it. True when this is news, because nothing is latched yet."""
         self.stand_still()
         if self.latch is not None:
             return False
@@ -218,7 +221,7 @@ class GateCore:
         return refused(alone) if alone else None
 
     def enable(self, epoch: int, missing: str, now_ns: int) -> Reply:
-        """Allow motion in this epoch, if nothing is against it."""
+        """Allow motion in this epoch, if nothing forbids it."""
         if refusal := self.refusal(missing, now_ns):
             return refusal
         if self.enabled:
@@ -243,7 +246,7 @@ class GateCore:
         return Reply(True, "motion disabled")
 
     def limit_to(self, percent: int) -> Reply:
-        """Allow this share of the settings' speeds. It counts from the next step on, by the ramps."""
+        """Allow this share of the settings' speeds, from the next step on, by the ramps."""
         if not LEAST_LIMIT <= percent <= 100:
             return refused(f"a speed limit of {percent} %: must be {LEAST_LIMIT} to 100")
         self.limit = percent
@@ -252,7 +255,7 @@ class GateCore:
         return Reply(True, f"speed limited to {percent} % of the settings'" if percent < 100 else "speed limit lifted")
 
     def check_interlocks(self, now_ns: int) -> str:
-        """Once a tick: an interlock that is lost while enabled disables motion; returns which, in words."""
+        """Once per tick: an interlock that is lost while enabled disables motion; returns which one, in words."""
         unmet = self.interlocks.unmet(now_ns) if self.enabled else ""
         if unmet:
             self.stand_still()

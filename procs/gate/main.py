@@ -34,20 +34,21 @@ if TYPE_CHECKING:
     from typing import Any
 
 PUBLISH_NS = 75_000_000
-"""State goes out when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms a tick that
-comes a little early leaves it to the next one: 120 ms at every other time (measured)."""
+"""The state is published when it changes, and at the first tick when it is this old: 10 Hz or faster. At 100 ms, a tick
+that comes a little early would leave it to the next one: 120 ms every other time (measured)."""
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 HEARD = ("sensed", "interlocks", "attended", "arm_goal", "request", "command")
-"""The records of a client, in the order in which they are looked at: what may forbid a command comes before it."""
+"""The records of a client, in the order in which they are looked at: records that may forbid a command come before
+it."""
 MOST_RINGS = 20
-"""Wake-ups by clients between two ticks: one a millisecond, as eight clients at 100 Hz would not need."""
+"""Wake-ups by clients between two ticks: one a millisecond, more than eight clients at 100 Hz need."""
 LOOK_AT_ALL_EVERY = 10
-"""Periods between two looks at slots that nobody is known to hold, and at what clients say of themselves."""
+"""Periods between two looks at slots that nobody is known to hold, and at what clients report about themselves."""
 
 
 class Gate:
-    """The process's state; one turn() a wake-up."""
+    """The gate's state. Call turn() once per wake-up."""
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
@@ -71,7 +72,7 @@ class Gate:
         self._barrier = Barrier()
         self._looked_ns, self._rings, self._ticking = 0, 0, False
         self._turn, self._frame = 0, b""
-        """How often the last motion frame was sent in a row, and that frame."""
+        """How often in a row the last motion frame was sent, and that frame."""
         self._each_tick = bool(settings.servos() or settings.interlocks())
         self._published: dict[str, object] = {}
         self._published_ns = 0
@@ -98,7 +99,7 @@ class Gate:
         self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, heard)
 
     def _attach(self, context: Context) -> None:
-        """Make the writers of its records, and the bells that it rings."""
+        """Make the writers of the gate's records, and the bells that it rings."""
         own = context.own
         self._frames = Frames(context)
         self._stops = own.ring_writer("stops")
@@ -110,7 +111,7 @@ class Gate:
         self._supervisor_bell = context.bell("supervisor_bell")
 
     def _watch_others(self, context: Context) -> None:
-        """Make the readers of others' records, and watch what wakes it."""
+        """Make the readers of others' records, and watch the descriptors that wake the gate."""
         supervisor, telemetry = context.segment("supervisor"), context.segment("telemetry")
         self._epoch_word = supervisor.word("epoch")
         self._supervisor_heart = HeartbeatReader(supervisor)
@@ -125,7 +126,7 @@ class Gate:
         self.loop.watch(self._client_bell, READ)
 
     def follow_latch(self) -> None:
-        """Read the supervisor's latch, as a gate that was restarted does too."""
+        """Read the supervisor's latch; a restarted gate does this too."""
         self._barrier()
         if entry := self._latch.read():
             since, _, self._raised_ns, cause = records.LATCH.unpack(entry[2])
@@ -143,7 +144,7 @@ class Gate:
             self.follow_latch()
             self.requests.answer_reset(now_ns)
         self._follow_clients(self.clients.lives_ended(ready), now_ns)
-        if self._client_bell in ready:  # last: who joins may get the number of a descriptor that was closed above
+        if self._client_bell in ready:  # last: a new client may get a number closed above
             self._client_rang(now_ns)
         self._follow_telemetry(now_ns)
         if self.core.enabled:
@@ -151,10 +152,10 @@ class Gate:
         if self._next_tick.due(now_ns):
             self._tick(now_ns)
         elif self._due.due(now_ns):
-            # A client that repeats its command has not rung for it.
+            # A client that repeats its command has not rung a bell.
             self._follow_clients(self.clients.look(self.clients.active), now_ns)
             self._step(now_ns)
-        # When what drives the wheels stops counting, as this turn saw it: it is not forgotten until the tick.
+        # When the current driver's command stops counting, as this turn saw it; the tick keeps it in mind.
         self._due.set(self.core.due_ns(now_ns) or NEVER)
         if self.arm:
             self._turn_arm(self.arm, now_ns)
@@ -166,7 +167,8 @@ class Gate:
         self.heartbeat.beat(now_ns)
 
     def _rests(self, now_ns: int) -> bool:
-        """True while every other tick is enough: whoever comes, or wants something else, rings, and a death is told."""
+        """True while every other tick is enough: a client that comes or wants something else rings, and a death is
+        reported."""
         needs = self._each_tick or self._rings >= MOST_RINGS or not self.core.rests(now_ns + self.period_ns)
         return not needs and all(slot.life and slot.life.pid for slot in self.clients.active)
 
@@ -188,7 +190,7 @@ class Gate:
             self._hear(slot, record, values, now_ns)
 
     def _hear(self, slot: Slot, record: str, values: tuple[Any, ...], now_ns: int) -> None:
-        """Act on one record of a client, `values`: its time and what it holds; or on the client's end."""
+        """Act on one record of a client (`values`: its time and content), or on the client's end."""
         match record:
             case "command":
                 self._command(slot.command(*values), now_ns)
@@ -207,7 +209,8 @@ class Gate:
                 self._client_gone(now_ns, slot, *values)
 
     def _client_rang(self, now_ns: int) -> None:
-        """Hear clients at once; a flood of rings at the ticks alone: it would take a core from lower priorities."""
+        """Hear clients at once, but a flood of rings only at the ticks, because it would take a core from lower
+        priorities."""
         rung = self.clients.hinted(bell.take(self._client_bell))
         self._follow_clients(self.clients.look(rung), now_ns)
         self._rings += 1
@@ -218,7 +221,7 @@ class Gate:
         self._ticking = True  # a command is stepped to at its end, once
         self._rest.ticked(now_ns)
         if self._rings >= MOST_RINGS:
-            self._client_rang(now_ns)  # a new client among them is in no slot in use yet
+            self._client_rang(now_ns)  # a new client among them is not in a used slot yet
             self.loop.watch(self._client_bell, READ)
         self._rings = 0
         if now_ns - self._looked_ns < LOOK_AT_ALL_EVERY * self.period_ns:
@@ -236,13 +239,14 @@ class Gate:
         self._box.tick(now_ns, self.core, self.epoch)
 
     def _check_supervisor(self, now_ns: int) -> None:
-        """The port owner admits nothing without it: then nobody is to be told that motion is enabled."""
+        """Disable motion if the supervisor is silent: the port owner admits nothing then, so nobody should be told that
+        motion is enabled."""
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
         if silent_ns > self._lease_ns:
             self._stop(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
 
     def _check_turning(self, now_ns: int) -> None:
-        """Wheels that turn while nobody commands anything are no reason to leave motion enabled."""
+        """Disable motion if the wheels turn while nobody commands anything."""
         core = self.core
         if why := self._turning.check(now_ns, idle=core.enabled and not any(core.velocity)):
             core.stand_still()
@@ -250,7 +254,7 @@ class Gate:
             self._frames.stop(now_ns)
 
     def _follow_said(self, now_ns: int) -> None:
-        """Pass on clients' remarks on themselves, unjudged."""
+        """Pass on the clients' reports about themselves, unjudged."""
         rows = [(slot.session, slot.index, slot.who(), *said) for slot in self.clients.active if (said := slot.said())]
         if (notes := self._said.follow(rows, now_ns)) is not None:
             self.core.notes += notes
@@ -283,7 +287,7 @@ class Gate:
                 self.arm.core.stop(IS_LATCHED, self.core.latch)
 
     def _follow_telemetry(self, now_ns: int) -> None:
-        """The gamepad's sticks, and what telemetry asks for: a reset, or a frame that is not motion."""
+        """The gamepad's sticks, and telemetry's requests: a reset, or a frame that is not motion."""
         entry = self._pad_command.read()
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
@@ -297,7 +301,8 @@ class Gate:
                 self._frames.put(records.OTHER, frame, now_ns)
 
     def _stop(self, cause: Cause | None, now_ns: int) -> None:
-        """Latch a stop, if there is a cause: burst at once, then the news to the supervisor, which raises the epoch."""
+        """Latch a stop, if there is a cause: the burst at once, then the news to the supervisor, which raises the
+        epoch."""
         if cause and self.core.stop(cause, self.epoch):
             self._stop_all(IS_LATCHED, now_ns, cause)
             self._stops.put(records.STOPPED.pack(self.epoch, now_ns, 0, cause.pack()))
@@ -318,7 +323,7 @@ class Gate:
             self.requests.settle(request, reply, now_ns, enabled=enabled)
 
     def _missing(self) -> str:
-        """Why motion can't be enabled yet; empty when nothing is missing."""
+        """What motion still waits for; empty if nothing is missing."""
         if self._ready_word.get():
             return ""
         link = self._link.read()
@@ -326,14 +331,14 @@ class Gate:
         return waits_for or "a process or the port is not up yet, see `failstop status`"
 
     def _enable(self, request: Request, now_ns: int) -> Reply:
-        """Motion, if nothing is against it; with an arm that is to be folded, its way to the drive pose first."""
+        """Enable motion, if nothing forbids it. An arm that must be folded first goes to the drive pose."""
         way = None
         if self.arm and not self.core.enabled and not self.core.refusal(self._missing(), now_ns):
             way = self.arm.enable(request, now_ns)
         return way or self.core.enable(self.epoch, self._missing(), now_ns)
 
     def _disable(self, _request: Request, now_ns: int) -> Reply:
-        """Forbid motion; what moves is stopped, and nothing latched."""
+        """Forbid motion: moving wheels are stopped, and nothing is latched."""
         reply = self.core.disable()
         self._stop_all(reply.text, now_ns)
         return reply
@@ -368,7 +373,7 @@ class Gate:
             self._step(now_ns)
 
     def _attend(self, now_ns: int, slot: Slot, t_ns: int, names: list[str]) -> None:
-        """An operator that this session speaks for was there then, or with the time 0 is there no more."""
+        """An operator was present at this time, by this session; time 0: that operator has left."""
         if names and t_ns:
             self.core.attendance.hear(slot.session, bounded(names[0], records.WHO_BYTES), t_ns, now_ns)
         elif names:
@@ -379,7 +384,7 @@ class Gate:
             self._stop(self.arm.goal(slot, t_ns, mode, values, self.core.arm_closed(), now_ns), now_ns)
 
     def _client_gone(self, now_ns: int, slot: Slot, parted: bool) -> None:
-        """It has left, or its claim is gone: if it was the one that drives, the wheels stand at once."""
+        """A client has left, or its claim has ended. If it drove, the wheels stop at once."""
         self.core.attendance.leave(slot.session)
         enabled = self.core.enabled
         if died := self.core.client_gone(slot.session, now_ns, parted=parted):
@@ -392,8 +397,9 @@ class Gate:
             self.arm.client_gone(slot.session, now_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish the state when it has changed, and at least every PUBLISH_NS. The sensor's last delivery, which is
-        new at every tick, waits for that: whoever reads the state would unpack it at every tick too."""
+        """Publish the state when it has changed, and at least every PUBLISH_NS. The time of the sensor's last delivery
+        is new at every tick but waits for that, because each reader would have to unpack the state at every tick
+        too."""
         core = self.core
         driving = core.sources.driving(now_ns)
         driver = driving.session if driving else 0
@@ -426,7 +432,7 @@ class Gate:
 
 
 def run(context: Context) -> int:
-    """Run forever: the gate dies with the supervisor."""
+    """Run forever; the gate dies with the supervisor."""
     gate = Gate(context)
     context.run(gate.turn, gate.loop, PERIODS_AT_REST * gate.period_ns)
     return 0

@@ -1,4 +1,5 @@
-"""Remarks: what people are told of requests and of those who left off driving; what clients say of themselves. Pure."""
+"""Remarks: what people are told about requests and about drivers that stopped driving, and what clients report about
+themselves. Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from failstop.policy.causes import Reply
 from failstop.procs.gate.sources import Command
 
 SaidRow = tuple[int, int, str, int, str, str]
-"""Session, slot, who, when it was said (CLOCK_MONOTONIC ns), what it sees, what is wrong (may be empty)."""
+"""Session, slot, name, time (CLOCK_MONOTONIC ns), what the client sees, what is wrong (may be empty)."""
 
 VERBS = {
     records.ENABLE: "enable",
@@ -24,14 +25,14 @@ VERBS = {
 }
 MOST_AT_ONCE = 20
 EVERY_NS = 200_000_000
-"""A program that asks without end is told of five times a second, not a thousand times."""
+"""A program that asks without end is noted five times a second, not a thousand times."""
 HALTS_AT_ONCE = 5
 HALTS_EVERY_NS = 10_000_000_000
-"""A program that commands more slowly than its timeout starts and stops the wheels forever."""
+"""A program that commands less often than its timeout starts and stops the wheels forever."""
 
 
 def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) -> Note | None:
-    """A note of a request's effect, or of its refusal; None: it has changed nothing. `enabled`: as before."""
+    """A note about a request's effect or refusal; None if it changed nothing. `enabled`: before the request."""
     by = f"{who} (pid {pid})" if pid else who
     fields: dict[str, str | int | float] = {"who": who, "pid": pid} if pid else {"who": who}
     named = VERBS.get(verb, str(verb))
@@ -51,17 +52,17 @@ def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) ->
 
 
 class Budget:
-    """How many remarks people are told: some at once, then one at a time."""
+    """How many remarks people get: some at once, then one at a time."""
 
     def __init__(self, now_ns: int, most: int = MOST_AT_ONCE, every_ns: int = EVERY_NS) -> None:
         self._most = self._left = most
         self._every_ns = every_ns
         self._ns = now_ns
         self.unsaid = 0
-        """Those that were left out since the last one that was not."""
+        """How many were left out since the last one that was not."""
 
     def spend(self, now_ns: int) -> bool:
-        """True when one more may be told now."""
+        """True when one more remark may go out now."""
         earned = (now_ns - self._ns) // self._every_ns
         self._ns += earned * self._every_ns
         self._left = min(self._most, self._left + earned)
@@ -73,15 +74,15 @@ class Budget:
 
 
 def disabled_by_death(driver: Command, *, moved: bool) -> Note:
-    """A driver has died, and motion is disabled for it: always told, as only an enable allows motion again. `moved`:
-    its commands have turned the wheels."""
+    """A driver has died, so motion was disabled. Always noted, because only an enable allows motion again. `moved`: its
+    commands have turned the wheels."""
     did = "had driven" if moved else "had commanded but not moved the robot"
     text = f"motion disabled: {driver.who}, which {did}, has died"
     return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
 
 
 def disabled_by_silence(driver: Command, now_ns: int) -> Note:
-    """A driver has fallen silent and motion is disabled for it: always told, as only an enable allows motion again."""
+    """A driver has fallen silent, so motion was disabled. Always noted, because only an enable allows motion again."""
     silent_ms = (now_ns - driver.t_ns) / 1e6
     text = f"motion disabled: {driver.who} stopped sending commands {silent_ms:.0f} ms ago while it drove"
     fields = {"who": driver.who, "source": driver.source, "reason": text.partition(": ")[2]}
@@ -89,15 +90,15 @@ def disabled_by_silence(driver: Command, now_ns: int) -> Note:
 
 
 class DriverLosses:
-    """Notes of sources that drove and no longer do: the gate commands zero, and nothing is latched. The end of a
-    person's driving has a budget of its own, so that it can't hide a program that fails."""
+    """Notes about sources that stopped driving: the gate commands zero, and nothing is latched. Drives by hand have
+    their own budget, so that a person can't hide a failing program."""
 
     def __init__(self, now_ns: int) -> None:
         self._failed = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
         self._ended = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
 
     def silent(self, driver: Command, now_ns: int) -> list[Note]:
-        """It has sent nothing for its timeout."""
+        """The driver has sent nothing for its timeout."""
         silent_ms = (now_ns - driver.t_ns) / 1e6
         last = f"last command {silent_ms:.0f} ms ago, so the wheels are told to stop"
         if driver.by_hand:
@@ -106,7 +107,7 @@ class DriverLosses:
         return self._note("driver_silent", driver, text, now_ns, silent_ms=round(silent_ms, 1))
 
     def gone(self, driver: Command, now_ns: int, *, parted: bool) -> list[Note]:
-        """It has died or ended without a word; or it has `parted`, given its slot back, which ends its command."""
+        """The driver has died or ended without a goodbye; `parted`: it gave its slot back, which ends its command."""
         if parted:
             return self._note("driver_ended", driver, "ended its command, so the wheels are told to stop", now_ns)
         return self._note("driver_gone", driver, "has gone while it drove, so the wheels are told to stop", now_ns)
@@ -119,14 +120,14 @@ class DriverLosses:
 
 
 class SelfReports:
-    """The last words of each session, what it sees and what is wrong: for people, nothing depends on their truth."""
+    """The last report of each session: what it sees and what is wrong. For people; nothing depends on its truth."""
 
     def __init__(self, now_ns: int) -> None:
         self._rows: dict[int, SaidRow] = {}
         self._budget = Budget(now_ns)
 
     def follow(self, rows: list[SaidRow], now_ns: int) -> list[Note] | None:
-        """Take the words of all sessions; returns what people are told, None when not even a time has changed."""
+        """Take the reports of all sessions. Returns notes for people; None if not even a time has changed."""
         before, self._rows = self._rows, {row[0]: row for row in rows}
         if before == self._rows:
             return None
@@ -135,7 +136,7 @@ class SelfReports:
         return [note for note in notes if self._budget.spend(now_ns)]
 
     def table(self) -> list[tuple[int, int, str, str]]:
-        """Slot, when, what it sees, what is wrong, of each."""
+        """Slot, time, what it sees, and what is wrong, for each session."""
         return [(slot, t_ns, sees, wrong) for _, slot, _, t_ns, sees, wrong in self._rows.values()]
 
 

@@ -1,5 +1,5 @@
-"""Requests: from what a client asks for to its answer. A reset is the supervisor's to decide, one at a time; of the
-rest what may move something gives way to a stop, and to what ends motion, that was asked for after it."""
+"""Resets go to the supervisor one at a time. A request that could start motion loses to any stop, disable or hold asked
+for later."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ UNSEEN = "another stop has come since: look at it first, then ask again"
 ENDS = (records.DISABLE, records.ARM_HOLD)
 ARM_MOVES = (records.ARM_MOVE, records.ARM_DRIVE, records.ARM_TUCK)
 GIVES_WAY = {records.ENABLE: ENDS, **dict.fromkeys(ARM_MOVES, (*ENDS, *ARM_MOVES, records.ENABLE))}
-"""Requests after which something may move, and the later ones that each of them gives way to; and all to a stop."""
+"""Requests after which something may move, and the later requests that each of them loses to. All lose to a stop."""
 
 
 class Request(Data):
-    """A request: its verb, when it was made (CLOCK_MONOTONIC ns), its number, whose it is; without a slot the pad's."""
+    """A request: its verb, when it was made (CLOCK_MONOTONIC ns), its number, its slot and session. Without a slot it
+    is the pad's."""
 
     verb: int
     asked_ns: int
@@ -39,29 +40,29 @@ class Request(Data):
         return self.slot.who() if self.slot else PAD_SOURCE
 
     def about(self, record: str) -> tuple[Any, ...] | None:
-        """A record of the slot that the request is about: as Slot.latest()."""
+        """A record of the slot that the request refers to; see Slot.latest()."""
         return self.slot.latest(record) if self.slot else None
 
 
 class Requests:
-    """Requests of clients: what gives way to what, the resets that wait, and the answers given."""
+    """The requests of clients: which ones lose to others, the resets that wait, and the answers."""
 
     def __init__(self, context: Context, notes: list[Note], now_ns: int) -> None:
-        """`notes`: where news for people is put."""
+        """`notes`: the list for notes to people."""
         own, supervisor = context.own, context.segment("supervisor")
         self._notes = notes
         self._supervisor_bell = context.bell("supervisor_bell")
         self._epoch_word = supervisor.word("epoch")
         self._asked_ns: dict[int, int] = {}
-        """By verb: when what was last done was asked for."""
+        """By verb: when the last request that was carried out was made."""
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
         self._replied = [_answered(own.latest_reader(f"reply.{i}")) for i in range(layout.CLIENT_SLOTS)]
-        """The session and the number of the last request that was answered there, by a gate before this one too."""
+        """The session and the number of the last request that was answered in each slot, also by an earlier gate."""
         self._oldest_ns = now_ns - records.ANSWER_WITHIN_NS
         self._answers: list[tuple[int, bytes]] = []
         """Answers that are not written yet, each with its slot."""
         self._resets: list[Request] = []
-        """Those that wait; the first of them is being decided."""
+        """The resets that wait; the first of them is being decided."""
         self._asked_word, self._asked_ns_word = own.word("resets_asked"), own.word("reset_asked_ns")
         self._decided_word, self._decided = supervisor.word("resets"), supervisor.latest_reader("reset")
         self._resets_seen = self._decided_word.get()
@@ -69,26 +70,27 @@ class Requests:
         self._barrier = Barrier()
 
     def is_answered(self, slot: Slot, number: int) -> bool:
-        """True for a request that has its answer: a gate that starts finds the newest one of each client."""
+        """True for a request that was answered already: a gate that starts finds each client's newest one."""
         return (slot.session, number) == self._replied[slot.index]
 
     def refusal(self, request: Request, stopped_ns: int, last: Cause) -> Reply | None:
-        """Refuse what would move something, when a stop, or what ends it, was asked for since; what nobody waits for
-        any more; a reset whose person had not seen the newest stop. `stopped_ns`, `last`: of the last stop."""
+        """Refuse a request that would move something if a stop, or a request that ends motion, was made since; one
+        whose client no longer waits; and a reset whose person had not seen the newest stop. `stopped_ns` and `last`
+        describe the last stop."""
         if request.asked_ns < stopped_ns and request.verb in GIVES_WAY:
             return asked_before(last)
         if request.asked_ns < self._oldest_ns:
             return refused("the gate has started since: ask again")
         if request.verb == records.RESET:
             _, seen = request.about("seen") or (0, 0)
-            # A stop that comes after this look is newer than the request, which the supervisor refuses for that.
+            # A stop that comes after this look is newer than the request, so the supervisor refuses it.
             return refused(UNSEEN) if seen and seen != self._epoch_word.get() else None
         if any(request.asked_ns < self._asked_ns.get(each, 0) for each in GIVES_WAY.get(request.verb, ())):
             return refused("a later request took its place: ask again")
         return None
 
     def settle(self, request: Request, reply: Reply, now_ns: int, *, enabled: bool = False) -> None:
-        """A request has come to this: tell its asker, and people. `enabled`: as motion was before."""
+        """Answer a request, and note it for people. `enabled`: motion before the request."""
         verb = request.verb
         if reply.done:
             self._asked_ns[verb] = max(self._asked_ns.get(verb, 0), min(request.asked_ns, now_ns))
@@ -97,8 +99,8 @@ class Requests:
             self._remark(request, reply, now_ns, enabled=enabled)
 
     def answer(self, request: Request, reply: Reply) -> None:
-        """Tell a client, by the next write(). What a later request of the same session has given up is not told of: it
-        would take the place of the answer to that one."""
+        """Answer a client at the next write(). A request that the session has given up for a later one gets no answer,
+        because it would take the place of the later one's answer."""
         if (slot := request.slot) is None:
             return
         last_session, last_number = self._replied[slot.index]
@@ -107,14 +109,14 @@ class Requests:
             self._answers.append((slot.index, reply.pack(request.session, request.number)))
 
     def write(self) -> None:
-        """Write the answers, after the state that has come of them: whoever reads one reads no older state, since a
-        writer has a barrier before each entry (cell.py)."""
+        """Write the answers, after the state that resulted from them: a client that reads an answer reads no older
+        state, because a writer has a barrier before each entry (cell.py)."""
         for index, answer in self._answers:
             self._replies[index].write(answer)
         self._answers.clear()
 
     def _remark(self, request: Request, reply: Reply, now_ns: int, *, enabled: bool) -> None:
-        """Tell people who has asked for what, with what effect."""
+        """Note for people which client asked for what, and the effect."""
         who, pid = (request.slot.name, request.slot.pid) if request.slot else (PAD_SOURCE, 0)
         note = of_request(request.verb, who, pid, reply, enabled=enabled)
         if note and self._budget.spend(now_ns):
@@ -124,7 +126,7 @@ class Requests:
                 self._notes.append(Note("note", f"and {unsaid} more requests, too many to tell of each"))
 
     def ask_reset(self, request: Request) -> None:
-        """Pass one on, when it is its turn. One waits for each slot: of those that ask again, the newest."""
+        """Pass a reset on when it is its turn. One waits for each slot: the newest."""
         self._resets[1:] = [each for each in self._resets[1:] if each.slot is not request.slot]
         self._resets.append(request)
         if len(self._resets) == 1:
@@ -137,13 +139,13 @@ class Requests:
         self._supervisor_bell.ring()
 
     def reset_decided(self) -> bool:
-        """True when one was decided since the last call: read the latch before its answer, behind whose barrier the
-        answer is new enough too."""
+        """True if a reset was decided since the last call. Read the latch before its answer: the barrier of the answer
+        makes the latch new enough too."""
         seen, self._resets_seen = self._resets_seen, self._decided_word.get()
         return self._resets_seen != seen
 
     def answer_reset(self, now_ns: int) -> None:
-        """Tell the asker of the supervisor's decision, who may have asked the gate before this one."""
+        """Tell the client the supervisor's decision; it may have asked an earlier gate."""
         entry = self._decided.read()
         if not self._resets or self._resets_seen != self._asked_word.get() or entry is None:
             return
@@ -154,7 +156,7 @@ class Requests:
 
 
 def _answered(replies: LatestReader) -> tuple[int, int]:
-    """The session and the number of the request that the newest whole answer ended; zeros where there is none."""
+    """The session and number of the request that the newest whole answer belongs to; zeros if there is none."""
     entry = replies.read()
     session, number, reply = unpack_reply(entry[2]) if entry else (0, 0, refused(""))
     return (0, 0) if reply.done == records.UNDER_WAY else (session, number)

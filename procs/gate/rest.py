@@ -1,4 +1,5 @@
-"""Rest: what the gate leaves out while nothing ramps; the word `busy`, by which others rest while nobody is there."""
+"""Rest: the ticks that the gate skips while nothing ramps, and the word `busy`, by which other processes rest while no
+client is present."""
 
 from __future__ import annotations
 
@@ -6,7 +7,7 @@ from failstop.procs.context import Context
 from failstop.procs.loop import NEVER, Loop, Timer
 
 PERIODS_AT_REST = 2
-"""From tick to tick, while nothing needs each of them."""
+"""Ticks apart, while nothing needs each of them."""
 
 
 class Rest:
@@ -21,16 +22,16 @@ class Rest:
         self._word.set(0)
 
     def beats_alone(self, ready: dict[int, int], now_ns: int) -> bool:
-        """True when nothing has happened and nothing is due but a beat."""
+        """True when nothing has happened and only a beat is due."""
         return self._beat.take(now_ns) and not ready and now_ns < self._loop.due_ns()
 
     def ticked(self, now_ns: int) -> None:
-        """A tick begins. One that was missed is left out, not made up for."""
+        """Begin a tick. A missed tick is skipped, not made up for."""
         self._ticked_ns = max(self._tick.ns, now_ns - self._period_ns // 2)
 
     def follow(self, now_ns: int, *, busy: bool, rests: bool) -> None:
-        """At the end of a whole turn: the next tick is due a period after the last one, or two where the gate `rests`,
-        or where one is over. `busy`: somebody is there for whom something could move."""
+        """Call at the end of a whole turn. The next tick is due one period after the last, or two while the gate
+        `rests` or is late. `busy`: something could move for a client that is present."""
         if busy != bool(self._word.get()):
             self._word.set(busy)
             self._bell.ring()

@@ -18,10 +18,10 @@ class Frames:
         self._ring = context.own.ring_writer("frames")
         self._port_owner_bell = context.bell("port_owner_bell")
         self.epoch = 0
-        """The newest, which every frame carries but one of motion."""
+        """The newest epoch, which every frame carries except motion frames."""
 
     def put(self, kind: int, body: bytes, now_ns: int, epoch: int | None = None) -> None:
-        """A frame of the newest epoch, or of the one that motion was enabled in."""
+        """Put a frame with the newest epoch, or with the epoch in which motion was enabled."""
         self._ring.put(records.FRAME.pack(self.epoch if epoch is None else epoch, kind, body), now_ns)
         self._port_owner_bell.ring()
 
@@ -30,7 +30,7 @@ class Frames:
 
 
 class GateBox:
-    """The gate's part of the black box: one record a tick, of the newest command and of what became of it."""
+    """The gate's part of the black box: one record per tick, with the newest command and what became of it."""
 
     def __init__(self, ring: RingWriter) -> None:
         self._ring = ring

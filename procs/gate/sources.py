@@ -1,12 +1,13 @@
-"""Sources: who may command, in which order. Pure.
+"""Sources: which programs may command, and in which order. Pure.
 
-A source is named in the settings, with a priority and a timeout of its own. The highest whose command is fresh drives.
-A higher one takes over at once; a lower one gets the wheels back only after the higher has been silent for its timeout,
-and then from zero along the ramp. The gamepad in its drive mode is a source above all, that no setting or client names.
+A source is named in the settings, with its own priority and timeout. The highest source with a fresh command drives. A
+higher source takes over at once. A lower one gets the wheels back only after the higher one was silent for its timeout,
+and then starts from zero along the ramp. The gamepad in its drive mode is a source above all others, which no setting
+or client can name.
 
-Enabling motion moves nothing: a source that commands a velocity at that moment is held until it has sent zero, or has
-been silent for its timeout. So a stick that somebody still holds, or a program that never stopped commanding, does not
-drive off by itself, whatever face it comes from.
+Enabling motion moves nothing: a source that commands a velocity at that moment is held until it has sent zero, or was
+silent for its timeout. So a stick that is still held, or a program that never stopped commanding, does not drive off by
+itself, whichever way motion was enabled.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ PAD_PRIORITY = 101
 JUST_COMMANDED_NS = 5_000_000_000
 """A program that commanded motion within this time before an enable is likely to command it again."""
 PAD_SESSION = records.NOBODY
-"""Of the pad's commands, which come from telemetry."""
+"""The session of the pad's commands, which come from telemetry."""
 
 
 class Command(Data):
-    """A velocity command: who gave it, as which source, when (CLOCK_MONOTONIC ns), and what."""
+    """A velocity command: its session, its source, its time (CLOCK_MONOTONIC ns) and its velocity."""
 
     session: int
     who: str
@@ -34,18 +35,18 @@ class Command(Data):
 
     @property
     def moves(self) -> bool:
-        """It asks for a velocity other than zero."""
+        """True if it asks for a velocity other than zero."""
         return any(self.velocity)
 
     @property
     def by_hand(self) -> bool:
-        """A person drives through a program, and ends a command by letting go of a key. The gamepad says where its
-        sticks are for as long as it can be heard, so its silence is a loss."""
+        """True if a person drives through a program and ends a command by letting go of a key. The gamepad reports its
+        sticks for as long as it is in range, so its silence is a loss."""
         return self.manual and self.source != PAD_SOURCE
 
 
 class Sources:
-    """The last command of each source, and which of them drives."""
+    """The last command of each source, and which source drives."""
 
     def __init__(self, declared: dict[str, tuple[int, int]], pad_timeout_ns: int) -> None:
         """`declared`: name -> (priority, timeout in ns), the highest first."""
@@ -54,27 +55,27 @@ class Sources:
         self._timeout_ns = {name: timeout_ns for name, (_, timeout_ns) in rows.items()}
         self._commands: dict[str, Command] = {}
         self._held: dict[str, str] = {}
-        """Who commands as each source that must let go before it counts."""
+        """The client that commands as each source that must let go before it counts."""
         self._driver = ""
         self._asked_ns = -1
         self._found: Command | None = None
-        """The command that drives, as of `_asked_ns`: in each turn it is asked for many times."""
+        """The driving command at `_asked_ns`, kept because each turn asks for it many times."""
 
     def allows(self, command: Command) -> bool:
         """True for a client as a source of the settings, and for the pad as itself."""
         return command.source in self._rank and (command.source == PAD_SOURCE) == (command.session == PAD_SESSION)
 
     def fresh(self, source: str, now_ns: int) -> Command | None:
-        """The source's command while it is not older than its timeout."""
+        """The source's command, if it is not older than its timeout."""
         command = self._commands.get(source)
         return command if command and now_ns - command.t_ns <= self._timeout_ns[source] else None
 
     def stale_ns(self, command: Command) -> int:
-        """The time at which a command stops counting."""
+        """When a command stops counting."""
         return command.t_ns + self._timeout_ns[command.source] + 1
 
     def rival(self, command: Command, now_ns: int) -> Command | None:
-        """The command of another publisher of the same source that still counts."""
+        """A command of another publisher of the same source that still counts."""
         last = self.fresh(command.source, now_ns)
         return last if last and last.session != command.session else None
 
@@ -89,7 +90,8 @@ class Sources:
         self._asked_ns = -1
 
     def hold(self, now_ns: int) -> list[str]:
-        """Motion is being enabled: whoever commands a velocity by now must let go first. Returns who that is."""
+        """Hold each source that commands a velocity while motion is being enabled; it must let go first. Returns their
+        names."""
         fresh = {source: command for source in self._rank if (command := self.fresh(source, now_ns))}
         self._held = {source: command.who for source, command in fresh.items() if command.moves}
         self._asked_ns = -1
@@ -100,12 +102,13 @@ class Sources:
         return [who for source, who in self._held.items() if self.fresh(source, now_ns)]
 
     def holds(self, now_ns: int) -> bool:
-        """True while somebody commands who must let go first."""
+        """True while a source commands that must let go first."""
         return bool(self.held(now_ns))
 
     def paused(self, now_ns: int) -> list[tuple[str, int]]:
-        """The programs whose last command is a motion that counts no more but is recent, each with its age in ns. A
-        program that commands more seldom than its timeout is one: it is not held, because each time it has paused."""
+        """The programs whose last command is a recent motion that no longer counts, each with its age in ns. This
+        includes a program that commands less often than its timeout: it is not held, because it has paused each
+        time."""
         last = ((command, now_ns - command.t_ns) for command in self._commands.values() if not command.by_hand)
         return [
             (command.who, age_ns)
@@ -119,7 +122,7 @@ class Sources:
         self._asked_ns = -1
 
     def clear(self) -> None:
-        """Motion is disabled: nobody drives. Who commands on is remembered for the next enable."""
+        """Motion was disabled, so nobody drives. Sources that keep commanding are remembered for the next enable."""
         self._held.clear()
         self._driver = ""
         self._asked_ns = -1
@@ -137,7 +140,7 @@ class Sources:
         return self._commands.get(self._driver)
 
     def take_over(self, now_ns: int) -> tuple[Command | None, bool]:
-        """The command that drives from now on, and True when the wheels fall back to a lower source with it."""
+        """The command that drives from now on, and True if the wheels fall back to a lower source with it."""
         command = self.driving(now_ns)
         before, self._driver = self._driver, command.source if command else self._driver
         fell_back = command is not None and bool(before) and self._rank[self._driver] < self._rank[before]

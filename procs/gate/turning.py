@@ -9,21 +9,21 @@ _BY_REPORTS = records.WHEELS_BY.index("wheels")
 
 
 class TurningWatch:
-    """`check` once a tick."""
+    """Call check() once per tick."""
 
     def __init__(self, seen: LatestReader, after_ns: int) -> None:
-        """`seen`: telemetry's record of the wheels; `after_ns`: how long they may turn on after they were told zero."""
+        """`seen`: telemetry's record of the wheels; `after_ns`: how long they may turn after they were told zero."""
         self._seen, self._after_ns = seen, after_ns
         self._idle_ns = 0
-        """Since when motion is enabled and zero is commanded; 0: it is not so."""
+        """Since when motion is enabled while zero is commanded; 0 if it is not so."""
 
     def check(self, now_ns: int, *, idle: bool) -> str:
-        """Why motion must be disabled; empty: there is no reason. `idle`: it is enabled, and zero is commanded."""
+        """Why motion must be disabled; empty if there is no reason. `idle`: motion is enabled and zero is commanded."""
         self._idle_ns = (self._idle_ns or now_ns) if idle else 0
         if not idle or now_ns - self._idle_ns < self._after_ns:
             return ""
         entry = self._seen.read()
-        # What was published before they were told zero for so long is about other commands.
+        # A report from before the wheels were told zero for this long is about other commands.
         if entry is None or entry[1] - self._idle_ns < self._after_ns:
             return ""
         _, by, unexpected, *_ = records.WHEELS_SEEN.unpack(entry[2])

@@ -5,7 +5,7 @@ The first row that does not hold decides. A cause is a stop of the port owner's 
 sees a newer epoch than the one it stopped in.
 
     the gate is watched: it lives                                   else DROP
-    the frame's epoch is the current one                            DROP: of a dead epoch, wherever it was queued
+    the frame's epoch is the current one                            DROP: the epoch is over, wherever it was queued
     the current epoch is newer than its own stop                    DROP
     the frame is younger than the lease                             DROP
     nobody has asked for a stop meanwhile                           STOP_ASKED: that is the stop
@@ -14,28 +14,29 @@ sees a newer epoch than the one it stopped in.
     it is a whole motor frame within the speed                      the cause
     all hold                                                        ADMIT
 
-STAND_STILL instead of DROP for a frame of speeds zero while the wheels may turn: to stand still is never too late.
+A frame of zero speeds gets STAND_STILL instead of DROP while the wheels may turn: it is never too late to stop.
 
 A frame for the servos is written only when these rows hold too:
 
     check                                                    else
     the robot has an arm, and the frame is a whole one for   stop
       its servos within bounds (ServoBus.check)
-    no motion frame was written since the last stop,         drop: an arm moves while the wheels stand
-      or the board's arm may move beside
-    a question: nothing is before it, and no servo moves     drop: a silent servo holds the receiver for 5 ms
-      where that may hold a stop up
-    the receiver is held for less than HELD_NS by what is    wait: it is what a stop may have to wait; those behind it
-      before it and itself                                   wait too, until they are too old
+    no motion frame was written since the last stop, or      drop: an arm moves only while the wheels are stopped
+      the board's arm may move while the wheels do
+    if it is a question: no frame is before it, and no       drop: a silent servo holds the receiver for 5 ms
+      servo moves, if that may hold a stop up
+    the frame and those before it hold the receiver for      wait: a stop may have to wait as long; later frames
+      less than HELD_NS                                      wait too, until they are too old
 
-Invariants are looked at besides, by other facts than those of the tables; one that does not hold is a stop (DEFECT):
+Invariants are checked as well, by other facts than those of the tables; a broken one is a stop (DEFECT):
 
     the epoch only grows
     one process writes the port owner's memory               just before a motion frame is written
     no stop is latched, of this epoch or one before          the same
     the frame was made after the port owner's own last stop  the same
 
-A move that waits is late by a millisecond or two. Dropped, its joints would stand until the next one, a period later.
+A move that waits is a millisecond or two late. If it were dropped, its joints would stop until the next one, a period
+later.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ from failstop.procs.loop import MS, NEVER
 
 ADMIT, DROP, STAND_STILL, STOP_ASKED = range(4)
 DatedFrame = tuple[bytes, int, int]
-"""A motion frame of the gate's, the epoch in which motion was enabled, and when it was made."""
+"""A motion frame of the gate, the epoch in which motion was enabled, and when the frame was made."""
 MOST_WAITING = 16
 
 
@@ -63,11 +64,11 @@ class Admission:
         self._lease_ns = lease_ns
         self._max_rps = max_rps
         self.stopped_in = 0
-        """The newest epoch in which it stopped on its own."""
+        """The newest epoch in which it stopped by itself."""
         self._stopped_ns = 0
-        """The last stop of its own."""
+        """When it last stopped by itself."""
         self.wheels_move = False
-        """A motion frame has been written since the last stop."""
+        """True once a motion frame was written since the last stop."""
 
     def decide(
         self,
@@ -80,8 +81,8 @@ class Admission:
         *,
         requested: bool,
     ) -> int | Cause:
-        """One of ADMIT, DROP, STAND_STILL and STOP_ASKED, or the cause of a stop. `gate_ns`, `supervisor_ns`: last
-        beats (None: no gate is watched); `rules`: for the frame's content; `requested`: a stop request waits."""
+        """One of ADMIT, DROP, STAND_STILL and STOP_ASKED, or the cause of a stop. `gate_ns`, `supervisor_ns`: their
+        last beats (None: no gate is watched); `rules`: check the frame's content; `requested`: a stop request waits."""
         if gate_ns is None or not self.current(motion, epoch, now_ns):
             return STAND_STILL if self.wheels_move and motion[0] == self._board.stop else DROP
         if requested:
@@ -91,43 +92,44 @@ class Admission:
         return rules.check(motion[0]) or ADMIT
 
     def check(self, frame: bytes) -> Cause | None:
-        """The cause of a stop that a motion frame's content is; None: it may go out."""
+        """The cause of a stop if this motion frame must not go out; None: it may."""
         fault = self._board.check_motion(frame, self._max_rps)
         return None if fault == "" else causes.BAD_FRAME(_said(fault))
 
     def current(self, motion: DatedFrame, epoch: int, now_ns: int) -> bool:
-        """True when the frame is of the current epoch, after any stop of its own, and young enough."""
+        """True when the frame belongs to the current epoch, was made after any stop of the port owner's own, and is
+        young enough."""
         _, frame_epoch, frame_ns = motion
         return frame_epoch == epoch and epoch > self.stopped_in and now_ns - frame_ns < self._lease_ns
 
     def lapses_ns(self, gate_ns: int, supervisor_ns: int) -> int:
-        """When the first of the leases runs out that were last renewed then."""
+        """When the first of the two leases, last renewed at these times, runs out."""
         return min(gate_ns, supervisor_ns) + self._lease_ns
 
     def lapsed(self, gate_ns: int, supervisor_ns: int, now_ns: int) -> Cause | None:
-        """The cause of a stop: whose lease has run out; None: both are fresh."""
+        """The cause of a stop if a lease has run out; None: both are fresh."""
         for name, beat_ns in ((layout.GATE, gate_ns), (layout.SUPERVISOR, supervisor_ns)):
             if now_ns - beat_ns >= self._lease_ns:
                 return causes.HANGS(name, (now_ns - beat_ns) // MS)
         return None
 
     def stopped(self, epoch: int, now_ns: int) -> None:
-        """Remember a stop of the port owner's own in this epoch: the supervisor answers it with a newer one."""
+        """Remember a stop of the port owner's own in this epoch; the supervisor answers it with a newer one."""
         self.wheels_move = False
         self.stopped_in = max(self.stopped_in, epoch)
         self._stopped_ns = now_ns
 
     def follow(self, epoch: int, before: int) -> Cause | None:
-        """Take a change of the epoch, which is a stop; the cause of one where it went back. Then only an epoch above
-        all that were seen lets motion out."""
+        """Follow a change of the epoch, which is a stop. An epoch that went back returns a cause, and then only an
+        epoch above all that were seen lets motion out."""
         if epoch > before:
             return None
         self.stopped_in = max(self.stopped_in, before)
         return causes.DEFECT(layout.SUPERVISOR, f"epoch {epoch}", f"{before} was in force")
 
     def impossible(self, frame_ns: int, epoch: int, latched_in: int, *, alone: bool) -> Cause | None:
-        """The invariant that an admitted motion frame breaks; None: they hold. `latched_in`: the epoch of what is
-        latched, 0: nothing is."""
+        """The cause of a stop if an admitted motion frame breaks an invariant; None: all hold. `latched_in`: the epoch
+        of the latched stop; 0: nothing is latched."""
         if not alone:
             return causes.DEFECT(layout.PORT_OWNER, "motion", "another process writes its memory")
         if 0 < latched_in <= epoch:
@@ -136,16 +138,16 @@ class Admission:
 
 
 class BusSchedule:
-    """When the servos' bus is free, as far as this process has written to it, and which frames wait for that."""
+    """When the servos' bus is free, as far as this process has written to it, and which frames wait for it."""
 
     def __init__(self, bus: ServoBus | None, servos: tuple[int, ...]) -> None:
-        """`bus`: the board's arm; `servos`: those that the robot has, none on a robot without an arm."""
+        """`bus`: the board's arm; `servos`: the ids that the robot has, none on a robot without an arm."""
         self._bus = bus
         self.servos = servos
         self._free_ns = 0
         self._rest_ns = 0
         self.waiting: deque[DatedFrame] = deque(maxlen=MOST_WAITING)
-        """The gate's frames for the servos that are not yet written, in order; every stop ends them."""
+        """The gate's frames for the servos that are not written yet, in order; every stop drops them."""
 
     def check(self, frame: bytes) -> Cause | None:
         """The cause of a stop if this frame must not go out; None: it may."""
@@ -155,7 +157,7 @@ class BusSchedule:
         return None if fault == "" else causes.BAD_FRAME(f"for the arm, {_said(fault)}")
 
     def due_ns(self, frame: bytes, now_ns: int, *, wheels_move: bool) -> int:
-        """When a frame without a fault may be written, now or soon; NEVER: it is dropped."""
+        """When a frame without a fault may be written, now or soon; NEVER: drop it."""
         bus = self._bus
         if bus is None or (wheels_move and not bus.beside_wheels):
             return NEVER
@@ -165,7 +167,7 @@ class BusSchedule:
         return max(now_ns, self._free_ns + bus.held_ns(frame) - HELD_NS)
 
     def wrote(self, frame: bytes, now_ns: int) -> bool:
-        """Account for a frame that was written; True if a servo moves by it."""
+        """Account for a frame that was written; True if it moves a servo."""
         if self._bus is None:
             return False
         self._free_ns = max(self._free_ns, now_ns) + self._bus.held_ns(frame)
@@ -176,5 +178,5 @@ class BusSchedule:
 
 
 def _said(fault: object) -> str:
-    """A check's words. Only an empty text lets a frame pass, since a check that forgets to return one returns None."""
+    """The text of a check. Only an empty text lets a frame pass, since a check that forgets its return gives None."""
     return fault if fault and isinstance(fault, str) else f"its check returned {fault!r}, not a text"

@@ -1,4 +1,4 @@
-"""The port owner's loop: stop causes first, then motion, then what the board sent.
+"""The port owner's loop: first stop causes, then motion, then what the board sent.
 
 Nothing between noticing a cause and the burst can block, log or build bytes: BURST is a constant and the port is open.
 """
@@ -27,13 +27,15 @@ from failstop.shm.lifeline import give_way
 from failstop.shm.words import Barrier
 
 TICK_NS = 33 * MS
-"""A third of what it may be silent for (policy/processes.py). What it has to notice sooner rings, or is a timer."""
+"""A third of the time that it may be silent (policy/processes.py). Anything that it must notice sooner rings, or is a
+timer."""
 OTHER_BACKLOG = 128
-"""Bytes under way behind which a frame that is not motion may still queue: 1.3 ms that a stop may have to wait."""
+"""Bytes on their way to the board behind which a frame that is not motion may still queue: a stop may have to wait 1.3
+ms for them."""
 
 
 class PortOwner:
-    """The process's state; one turn() a wake-up."""
+    """The port owner's state. Call turn() once per wake-up."""
 
     def __init__(self, context: Context) -> None:
         settings, board = context.settings, context.board
@@ -44,17 +46,17 @@ class PortOwner:
         self.bus = BusSchedule(board.arm, settings.servos())
         self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER_ROW], monotonic_ns())
         self._held: DatedFrame | None = None
-        """The newest motion, while the line has to be silent before it; `_line`: until when."""
+        """The newest motion frame, while it waits for the line to be silent; `_line`: the timer for that."""
         self._line = self.loop.timer()
         self.suspend = SuspendWatch()
         self._lapse = self.loop.timer()
         """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
         self._arm_due = self.loop.timer()
-        """When the arm's next frame may be written, that has to wait."""
+        """When the arm's next waiting frame may be written."""
         self._barrier = Barrier()
         self._moved_ns = 0
         self._arm_moved = False
-        """A servo was sent somewhere since the last stop."""
+        """True once a servo was sent somewhere since the last stop."""
         self._silence_ns = 2 * settings.ns("gate.refresh_s")
         self._stuck = False
         self.wire = PortWriter(context.fd("port"), board, self.bus.servos)
@@ -69,7 +71,7 @@ class PortOwner:
         self.port.begin(monotonic_ns())
 
     def _attach(self, context: Context) -> None:
-        """Make the writers of its records, and the bells that it rings."""
+        """Make the writers of the port owner's records, and the bells that it rings."""
         own = context.own
         self._pid_word, self._pid = (word := own.word("beat_pid")), word.get()
         self._stopped_word = own.word("stopped_epoch")
@@ -79,7 +81,7 @@ class PortOwner:
         self._supervisor_bell = context.bell("supervisor_bell")
 
     def _watch_others(self, context: Context) -> None:
-        """Make the readers of others' records, and watch what wakes it."""
+        """Make the readers of others' records, and watch the descriptors that wake the port owner."""
         supervisor = context.segment("supervisor")
         self._epoch_word = supervisor.word("epoch")
         self._latch = supervisor.latest_reader("latch")
@@ -115,12 +117,12 @@ class PortOwner:
         return not self._parent.leave(now_ns)
 
     def stop(self, cause_ns: int, cause: Cause) -> None:
-        """Stop on its own: burst, refuse motion until a newer epoch, publish the cause."""
+        """Stop by itself: write the burst, refuse motion until a newer epoch, publish the cause."""
         self.wire.burst()
         self._own_stop(cause_ns, monotonic_ns(), cause)
 
     def _own_stop(self, cause_ns: int, written_ns: int, cause: Cause) -> None:
-        """Account for a burst for a cause of its own. The epoch is the one in force, seen or not: the supervisor
+        """Account for a burst for a cause of its own. It belongs to the epoch in force, seen or not: the supervisor
         answers the published cause with a newer one."""
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch, written_ns)
@@ -129,12 +131,12 @@ class PortOwner:
         self._supervisor_bell.ring()
 
     def _burst(self) -> None:
-        """A stop that is no cause: for one that the supervisor knows, or that the gate has made."""
+        """Write a stop without a cause: the supervisor knows it already, or the gate asked for it."""
         self.wire.burst()
         self._stopped(monotonic_ns())
 
     def _stopped(self, written_ns: int) -> int:
-        """Account for a burst. Returns when it was written: 0 when the kernel did not take all of it."""
+        """Account for a burst. Returns when it was written; 0 when the kernel did not take all of it."""
         self.admission.wheels_move = self._arm_moved = False
         self.bus.waiting.clear()
         self._take_held()
@@ -146,7 +148,8 @@ class PortOwner:
         if self.wire.lost or self.wire.unsent:
             return 0
         self._written_word.set(written_ns)
-        # A board at which two stops may not touch may lose one: behind motion the repeat says that nothing moves.
+        # A board that needs a pause between two stops may lose one. After motion, its repeat confirms that nothing
+        # moves.
         if not (self.board.after_ns and self._moved_ns):
             self._moving_word.set(0)
         return written_ns
@@ -158,7 +161,7 @@ class PortOwner:
         self._own_stop(now_ns, written_ns, self._requests.take(now_ns))
 
     def _hear_causes(self) -> None:
-        """Buttons, keys and wheels, which telemetry has decoded; an empty cause asks for the stop once more."""
+        """Stop for buttons, keys and wheels that telemetry has decoded; an empty cause asks for the stop once more."""
         while entry := self._causes.next():
             if not entry[2]:
                 self._stop_again()
@@ -167,8 +170,8 @@ class PortOwner:
             self._own_stop(entry[1], monotonic_ns(), causes.read(entry[2]))
 
     def _stop_again(self) -> None:
-        """Write the stop of the wheels once more, without a cause; an arm may go on. Where the line has to be silent
-        first, that is left to the next refresh."""
+        """Write the stop of the wheels again, without a cause; an arm may go on. If the line must be silent first, the
+        next refresh does it."""
         if self.wire.free_ns <= monotonic_ns():
             self.wire.frame(self.board.burst, backlog=OTHER_BACKLOG)
 
@@ -180,7 +183,7 @@ class PortOwner:
             return
         self.wire.burst()
         written_ns = monotonic_ns()
-        # First, whoever's news came first: others die with it.
+        # First, whichever process reports it first: the deaths of other processes follow from it.
         if orphaned or (not self._parent.orphaned_ns and self._parent.life.dead()):
             self._own_stop(now_ns, written_ns, causes.DIED(layout.SUPERVISOR))
             self._parent.drop(now_ns)
@@ -189,7 +192,8 @@ class PortOwner:
             peer.drop()
 
     def _follow_epoch(self, now_ns: int) -> None:
-        """Answer a raised epoch, another's stop, by a burst, unless it has just stopped by itself for that cause."""
+        """Answer a raised epoch, which another process's stop has caused, by a burst, unless the port owner has just
+        stopped by itself for the same cause."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
             if went_back := self.admission.follow(epoch, self.epoch):
@@ -205,7 +209,7 @@ class PortOwner:
                 self.stop(now_ns, peer.death)
 
     def _check_suspend(self, now_ns: int) -> bool:
-        """Stop after a sleep of the machine: frames are older than they look, and the robot may have been moved."""
+        """Stop after the machine has slept: frames are older than they look, and the robot may have been moved."""
         if slept_ns := self.suspend.slept_ns():
             self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))
         return slept_ns > 0
@@ -219,7 +223,7 @@ class PortOwner:
         elif (silent_ns := now_ns - self.heartbeat.last_ns) >= HANG_NS:
             self.stop(now_ns, causes.HANGS(layout.PORT_OWNER, silent_ns // MS))
         elif now_ns - self._moved_ns > self._silence_ns:
-            # Its beat is fresh, its frames are not: the board would keep the last of them forever.
+            # The gate still beats but sends no new frames: the board would keep the last one forever.
             self.stop(now_ns, causes.MUTE((now_ns - self._moved_ns) // MS))
         else:
             self._await_lapse()
@@ -229,14 +233,16 @@ class PortOwner:
         self._lapse.set(min(lapses_ns, self._moved_ns + self._silence_ns + 1))
 
     def _check_drain(self, now_ns: int) -> None:
-        """Stop, once, for a port that does not drain; before anything new is written, which had no time to drain."""
+        """Stop, once, for a port that does not drain. Checked before anything new is written, which had no time to
+        drain."""
         stuck = self.wire.stuck(now_ns)
         if stuck and not self._stuck:
             self.stop(now_ns, causes.STUCK())
         self._stuck = stuck
 
     def _forward_frames(self) -> None:
-        """Drain the gate's ring: of motion the newest counts, a stop ends all motion queued before it."""
+        """Read the gate's ring: of the motion frames only the newest counts, and a stop drops all motion queued before
+        it."""
         motion = self._take_held()
         while entry := self._frames.next():
             _, frame_ns, payload = entry
@@ -256,14 +262,15 @@ class PortOwner:
             self._forward_motion(motion)
 
     def _gate_stop(self) -> None:
-        """The gate wants a burst: at once while something moves, else not again so soon after the last: clients that
-        disable again and again must not keep the wire full."""
+        """Write the burst that the gate asks for: at once while something moves, otherwise only some time after the
+        last one, because clients that disable again and again must not keep the wire full."""
         now_ns = monotonic_ns()
         if self.admission.wheels_move or self._arm_moved or now_ns - self._written_word.get() >= requests.REST_NS:
             self._burst()
 
     def _forward_arm(self) -> None:
-        """Write the arm's frames in order, each decided on as motion is; the first that must wait holds up the rest."""
+        """Write the arm's frames in order, each admitted as motion is. The first one that must wait holds up the
+        rest."""
         due_ns = NEVER
         while self.bus.waiting:
             move, now_ns = self.bus.waiting[0], monotonic_ns()
@@ -282,7 +289,8 @@ class PortOwner:
         self._arm_due.set(due_ns)
 
     def _write_arm(self, move: DatedFrame) -> None:
-        """Write a frame for the servos, with the word `moving` set meanwhile alone: a servo's move ends by itself."""
+        """Write a frame for the servos. The word `moving` is set only during the write, because a servo's move ends by
+        itself."""
         before = self._moving_word.get()
         self._moving_word.set(1)
         self._barrier()
@@ -302,7 +310,8 @@ class PortOwner:
             self._moving_word.set(0)
 
     def _decide(self, motion: DatedFrame, now_ns: int, rules: Admission | BusSchedule) -> int | Cause:
-        """Decide by the table of admission.py, at the time of the write: what was young at the wake-up may not be."""
+        """Decide by the table of admission.py, at the time of the write: a frame that was young at the wake-up may be
+        too old."""
         requested = self._requests.waits()
         gate_ns = self._gate.heart.ns.get() if self._gate.life else None
         beat_ns = self._supervisor_beat.get()
@@ -318,7 +327,8 @@ class PortOwner:
             self.stop(now_ns, verdict)
 
     def _forward_motion(self, motion: DatedFrame) -> None:
-        """Where the line has to be silent first, it waits: what may go out is decided when it does."""
+        """Write motion now, or hold it while the line must be silent first; whether it may go out is decided when it is
+        written."""
         now_ns = monotonic_ns()
         if self.wire.free_ns > now_ns:
             self._held = motion
@@ -332,16 +342,16 @@ class PortOwner:
             self._refuse(verdict, now_ns)
 
     def _take_held(self) -> DatedFrame | None:
-        """The motion that waits for a silent line; from now on nothing waits for that, whatever becomes of it."""
+        """Return the motion that waits for a silent line, and stop waiting for the line."""
         motion, self._held = self._held, None
         if motion:
             self._line.set(NEVER)
         return motion
 
     def _write_motion(self, motion: DatedFrame) -> None:
-        """Set the word `moving`, then look at epoch and time once more, then write: whoever reads that nothing moves,
-        having raised the epoch or not, knows that no frame is about to be written that would not be good then. So a
-        port owner that is starved here, for however long, may live."""
+        """Set the word `moving`, then look at epoch and time once more, then write. So a process that reads that
+        nothing moves, whether or not it has raised the epoch, knows that no outdated frame is about to be written, and
+        a port owner that is starved here, for however long, need not be killed."""
         self._moving_word.set(1)
         self._barrier()
         now_ns = monotonic_ns()
@@ -359,19 +369,20 @@ class PortOwner:
             self._moved_ns = now_ns
             self._await_lapse()
             self.repeats.end()
-            self._requests.wake()  # from here on the next request counts at once
+            self._requests.wake()  # from now on the next request counts at once
         elif frame == self.board.stop:
-            # Standing still does not wait for the next refresh, and a burst may be added to whatever is held.
+            # A stop does not wait for the next refresh, and a burst may follow bytes that are held.
             self.wire.burst()
 
     def _impossible(self, frame_ns: int) -> Cause | None:
-        """The cause of a stop that a motion frame made then is, although it was admitted; None: it goes out."""
+        """The cause of a stop if an admitted motion frame made then breaks an invariant; None: it goes out."""
         latch, alone = self._latch.read(), self._pid_word.get() == self._pid
         latched_in = records.LATCH.unpack(latch[2])[0] if latch else 0
         return self.admission.impossible(frame_ns, self.epoch, latched_in, alone=alone)
 
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
-        """Read and flush the port, and take one on which the supervisor has stopped; each loss is a stop of its own."""
+        """Read and flush the port, and adopt one on which the supervisor has stopped. Each loss is a stop with its own
+        cause."""
         if self.wire.fd >= 0:
             self.port.serve(ready)
             if self.wire.lost:
@@ -397,7 +408,8 @@ class PortOwner:
 
 
 def run(context: Context) -> int:
-    """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills it."""
+    """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills the port
+    owner."""
     owner = PortOwner(context)
     context.run(owner.turn, owner.loop, TICK_NS)
     owner.wire.close()

@@ -1,7 +1,8 @@
-"""The open port, beside what is written to it on the way of a stop: its loss, the next one, what a board that has just
-been opened is told, and what the board sends while no telemetry runs, which reads it else.
+"""The open port, apart from the writing of stops: its loss, the next one, what a newly opened board is sent, and
+reading the board while telemetry, which otherwise reads it, does not run.
 
-A board that opening resets is deaf at first. Its port counts as open, for motion too, once it hears and was told.
+A board that opening its port resets is deaf at first. Its port counts as open, for motion too, once the board hears and
+has received its settings.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from failstop.procs.port_owner.port_writer import PortWriter
 from failstop.procs.schedule import Pings
 
 AGAIN_NS = 20_000_000
-"""After so long it is told again what the kernel did not take whole."""
+"""How long to wait before sending again what the kernel did not take whole."""
 
 
 class OpenPort:
-    """Its number, and what others are told of it."""
+    """The port's number, and what other processes learn about it."""
 
     def __init__(self, context: Context, loop: Loop, wire: PortWriter, now_ns: int) -> None:
         own, board = context.own, context.board
@@ -38,25 +39,26 @@ class OpenPort:
         self.hears_ns = now_ns if told == records.PORT_OPEN else now_ns + self._deaf_ns
         """When the board hears. A port that the process before this one has used was not opened again."""
         self._untold = () if told == records.PORT_OPEN else self._opening
-        """Frames that the board is to be told before the port counts as open."""
+        """Frames that the board must get before the port counts as open."""
         period_ns = min(context.settings.ns("link.ping_s"), board.ping_ns or NEVER)
         due = loop.timer() if board.pings else Timer()
         self.pings = Pings(len(board.pings), period_ns, due, self.hears_ns)
         self._asked_word = own.word("asked_ns")
         self.wrote = own.ring_writer("wrote")
-        """Keeps everything that the board will answer or echo, each entry before its bytes: an entry whose bytes never
-        went out counts as lost, but without an entry the answer would prove a later write than its own."""
+        """Keeps everything that the board will answer or echo, each entry before its bytes. An entry whose bytes never
+        went out counts as lost; but without an entry, an answer would prove a later write than its own."""
         self._ping_backlog = 2 * len(board.burst)
-        """Bytes under way behind which a ping may queue: it follows a stop at once, to be handled right after it."""
+        """Bytes on their way to the board behind which a ping may queue: it follows a stop at once, to be handled right
+        after it."""
 
     def begin(self, now_ns: int) -> None:
-        """Go on after the first burst: the port counts as open once the board hears and was told."""
+        """Go on after the first burst: the port counts as open once the board hears and has received its settings."""
         self._hears.set(now_ns if self._wire.lost else self.hears_ns)
         self.follow(now_ns)
 
     def _hear(self, now_ns: int) -> None:
-        """The board hears. What it is to be told may be refused, and a stop may cut it off: then the port is not open
-        yet, since nobody would tell it later that its own watchdog was left as it was."""
+        """The board hears now. The kernel may refuse the settings, and a stop may cut them off; then the port is not
+        open yet, because otherwise the board's own watchdog would never be set."""
         if self._wire.lost or self._told():
             self._hears.set(NEVER)
             self.publish(now_ns)
@@ -64,7 +66,7 @@ class OpenPort:
             self._hears.set(now_ns + AGAIN_NS)
 
     def _told(self) -> bool:
-        """Tell the board what is left to tell; True once the kernel has taken all of it."""
+        """Send the remaining settings; True once the kernel has taken all of them."""
         wire = self._wire
         for frame in self._untold:
             if not wire.frame(frame, len(frame) * len(self._untold)) or wire.unsent:
@@ -73,24 +75,24 @@ class OpenPort:
         return True
 
     def follow(self, now_ns: int) -> None:
-        """Once a turn: tell a board that hears now what it is to be told."""
+        """Once per turn: send its settings to a board that hears now."""
         if self._hears.due(now_ns):
             self._hear(now_ns)
 
     def tell_again(self, now_ns: int) -> None:
-        """Have the board told once more what it was told at its opening."""
+        """Send the board again what it was sent when its port was opened."""
         if self._wire.fd >= 0 and self._hears.ns == NEVER:
             self._untold = self._opening
             self._hears.set(now_ns)
 
     def publish(self, now_ns: int) -> None:
-        """Tell the others of its state."""
+        """Publish the port's state."""
         state = records.PORT_LOST if self._wire.lost else records.PORT_OPEN
         self._record.write(records.PORT.pack(self.number, now_ns, state, self._path))
         self._supervisor_bell.ring()
 
     def adopt(self, sent: tuple[int, int, str], now_ns: int) -> None:
-        """Take another, on which the supervisor has stopped; its first bytes are a burst."""
+        """Adopt another port, on which the supervisor has stopped, so its first bytes are a burst."""
         fd, self.number, self._path = sent
         self._wire.adopt(fd)
         self._untold = self._opening
@@ -98,7 +100,8 @@ class OpenPort:
         self.pings.wait(self.hears_ns)
 
     def ask(self, now_ns: int) -> None:
-        """Write the next ping, if it is due, and publish the time before the write: it is what its answer proves."""
+        """Write the next ping if it is due, and publish the time before the write, because that is what its answer
+        proves."""
         pings = self.pings
         if not pings.due(now_ns):
             return
@@ -114,12 +117,12 @@ class OpenPort:
             pings.failed(now_ns)
 
     def commands(self, frame: bytes, now_ns: int) -> None:
-        """A motion frame is about to be written, or a stop was: keep it, where the board echoes it."""
+        """A motion frame is about to be written, or a stop was: keep it if the board echoes it."""
         if (speeds := self._board.commanded(frame)) is not None:
             self.wrote.put(records.WROTE.pack(COMMANDED, tuple(speeds)), now_ns)
 
     def serve(self, ready: dict[int, int]) -> None:
-        """Keep what the board sent, finish what the kernel did not take, notice that it is gone."""
+        """Keep what the board sent, finish what the kernel did not take, and notice that the port is gone."""
         wire = self._wire
         found = ready.get(wire.fd, 0)
         if found & WRITE:
@@ -132,9 +135,9 @@ class OpenPort:
         """Watch for the end, for room while the kernel has not taken everything, and for what the board sends unless
         telemetry has `heard` it.
 
-        Each read takes all that is there. Without EDGE the kernel looks for more at the next wait, and lets this
-        process sleep until its own worker, of ordinary priority, has ended (n_tty_poll): after every frame of the
-        board, on a busy machine for as long as others run, deaf to stops.
+        Each read takes all there is. Without EDGE the kernel looks for more at the next wait, and lets this process
+        sleep until its own worker, which has ordinary priority, has ended (n_tty_poll). After every frame of the board,
+        on a busy machine, that would leave the port owner deaf to stops for as long as other processes run.
         """
         fd, bytes_too = self._wire.fd, HANGUP if heard else READ | EDGE
         wanted = (fd, bytes_too & ~EDGE | WRITE if self._wire.unsent else bytes_too)
@@ -143,7 +146,7 @@ class OpenPort:
         self._watched = wanted
 
     def lose(self) -> None:
-        """Close the port, and watch it no longer."""
+        """Close the port, and stop watching it."""
         if self._watched[0] == self._wire.fd:
             self._loop.forget(self._wire.fd)
         self._watched = (-1, 0)

@@ -1,4 +1,4 @@
-"""Port writer: writing to the port without ever blocking and without ever building up a backlog."""
+"""Port writer: writes to the port without ever blocking and without building up a backlog."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from failstop.messages import box
 from failstop.shm.cell import RingWriter
 
 DRAIN_NS = 100_000_000
-"""A port that holds bytes back for this long does not drain: a stop cause."""
+"""A port that holds bytes back for this long does not drain, which is a stop cause."""
 
 
 class PortWriter(StopPort):
-    """The port owner's. Nothing is written to it from when it is lost."""
+    """The port owner's writer. It writes nothing once the port is lost."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         super().__init__(fd, board, servos)
         self._box: RingWriter | None = None
         self._early: list[int] = []
-        """How much the kernel took of each early stop that the loop has not heeded yet, or ALREADY."""
+        """For each early stop that the loop has not seen yet: how much of it the kernel took, or ALREADY."""
         self._handed = 0
         """Bytes handed to the kernel since it last held none."""
         self._held_since_ns = 0
         self._refused = False
-        """The last write was not taken at all."""
+        """The kernel took nothing of the last write."""
 
     def _write(self, data: bytes) -> int:
         taken = super()._write(data)
@@ -39,8 +39,8 @@ class PortWriter(StopPort):
         return taken
 
     def heed(self) -> None:
-        """The loop is about to look for deaths. Between an early stop and this nothing but a burst goes out: whoever
-        has written a stop early has marked its lifeline before."""
+        """Call when the loop is about to look for deaths. Between an early stop and this call nothing but a burst goes
+        out, because the thread that writes a stop early has marked its lifeline before."""
         with self._writing:
             early, self._early = self._early, []
         for taken in early:
@@ -67,8 +67,8 @@ class PortWriter(StopPort):
         return held
 
     def keep(self, ring: RingWriter) -> None:
-        """Tell the black box of the burst that was just written, and of everything from now on. Attaching its ring
-        takes milliseconds, so the first burst does not wait for it."""
+        """Record in the black box the burst that was just written, and everything from now on. Attaching its ring takes
+        milliseconds, so the first burst does not wait for it."""
         self._box = ring
         self._note(box.WIRE_BURST, self._stop, len(self._stop) - len(self.unsent))
 
@@ -77,8 +77,8 @@ class PortWriter(StopPort):
             self._box.put(box.pack_wire(kind, data, taken))
 
     def frame(self, data: bytes, backlog: int = 0) -> bool:
-        """Write one frame. False, with nothing of it written or kept, when the kernel holds bytes and was handed more
-        than `backlog` of them here, or takes none: what is kept for later would be late."""
+        """Write one frame. Returns False, with nothing written or kept, if the kernel takes none of it, or still holds
+        bytes after it was handed more than `backlog` of them here: a frame that is kept for later would be late."""
         with self._writing:
             if self.lost or self.unsent or self._early or (self.holds() and max(self._handed, 1) > backlog):
                 taken = 0
@@ -90,9 +90,9 @@ class PortWriter(StopPort):
         return taken > 0 and not self.lost
 
     def stuck(self, now_ns: int) -> bool:
-        """True when bytes have been held back for DRAIN_NS; asked once a tick."""
+        """True when bytes have been held back for DRAIN_NS. Call once per tick."""
         if self._refused and not self.lost and select.select((), (self.fd,), (), 0)[1]:
-            self._refused = False  # somebody else was in a write of theirs
+            self._refused = False  # another thread was writing
         if self.lost or not (self.unsent or self._refused or self.holds()):
             self._held_since_ns = 0
             return False
@@ -101,7 +101,7 @@ class PortWriter(StopPort):
         return now_ns - self._held_since_ns >= DRAIN_NS
 
     def adopt(self, fd: int) -> None:
-        """Of a newly opened port the first bytes are a burst."""
+        """Adopt a newly opened port, whose first bytes are a burst."""
         super().adopt(fd)
         self._handed = self._held_since_ns = 0
         self._refused = False

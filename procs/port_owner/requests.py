@@ -1,7 +1,7 @@
-"""The stop pipe, to which everybody may write: any bytes are a stop, and the text, where there is one, only says why.
+"""The stop pipe, which everyone may write to. Any bytes are a stop; the text, if there is one, only says why.
 
-After a request the pipe rests: a flood of requests must not become a flood of bursts and epochs. Bytes that arrive
-meanwhile stay in the pipe, and no motion is admitted before they have been looked at.
+After a request the pipe rests, because a flood of requests must not become a flood of bursts and epochs. Bytes that
+arrive meanwhile stay in the pipe, and no motion is admitted before they were read.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ REST_NS = 20_000_000
 
 
 class RequestPipe:
-    """The port owner's end of it."""
+    """The port owner's end of the pipe."""
 
     def __init__(self, fd: int, loop: Loop) -> None:
         self._fd, self._loop = fd, loop
         self._rests = loop.timer()
-        """Until then, after a request."""
+        """When the rest after a request ends."""
         loop.watch(fd, READ)
 
     def asked(self, ready: dict[int, int], now_ns: int) -> bool:
-        """True when somebody asks for a stop at this wake-up."""
+        """True when a stop is requested at this wake-up."""
         if self._fd in ready:
             return True
         if self._rests.due(now_ns):
@@ -36,7 +36,7 @@ class RequestPipe:
         return self._rests.ns != NEVER and self._loop.readable(self._fd)
 
     def take(self, now_ns: int) -> Cause:
-        """The request, once its stop is written; from here on the pipe rests."""
+        """Read the request, once its stop is written; the pipe rests from now on."""
         line = bell.take(self._fd).split(b"\n", 1)[0]
         if self._rests.ns == NEVER:
             self._loop.forget(self._fd)
@@ -44,7 +44,7 @@ class RequestPipe:
         return causes.requested(line)
 
     def wake(self) -> None:
-        """The next request counts at once."""
+        """End the rest: the next request counts at once."""
         if self._rests.ns != NEVER:
             self._rests.set(NEVER)
             self._loop.watch(self._fd, READ)

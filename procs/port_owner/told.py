@@ -1,4 +1,4 @@
-"""Told: what the board was told last, as far as a restart of the board undoes it: to drive, and its own watchdog."""
+"""Told: the commands that a restart of the board would undo: the last motion, and the setting of its own watchdog."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from failstop.procs.port_owner.port_writer import PortWriter
 
 
 class Told:
-    """Writes motion, with what must come before it, and says for telemetry since when the wheels are told to turn."""
+    """Writes motion, with the frames that must come before it, and publishes since when the wheels are told to turn."""
 
     def __init__(self, context: Context, wire: PortWriter, port: OpenPort) -> None:
         self._board, self._wire, self._port = context.board, wire, port
         self._since_word, self._turning = context.own.word("told_ns"), False
         self._backlog = max((len(ping) for ping in self._board.pings), default=0)
-        """A ping (70 us of wire) is no backlog that motion has to stay behind."""
+        """A ping (70 us on the wire) is not a backlog that holds motion up."""
         self._restarts_word = context.segment("telemetry").word("restarts")
         self._restarts = self._restarts_word.get()
         self._since(0)
@@ -29,12 +29,13 @@ class Told:
             self._since(0)
 
     def arm(self) -> bool:
-        """Set the board's own watchdog, before the first motion behind a stop: the board may have restarted meanwhile.
-        False while the port does not take it."""
+        """Set the board's own watchdog, before the first motion after a stop, because the board may have restarted
+        meanwhile. False while the port does not take it."""
         return not self._board.arming or self._wire.frame(self._board.arming)
 
     def write(self, frame: bytes, now_ns: int, *, first: bool) -> bool:
-        """Write a motion frame; `first`: behind a stop, and so behind arm(). False when the port does not take it."""
+        """Write a motion frame; `first`: it is the first after a stop, and so follows arm(). False when the port does
+        not take it."""
         turns = frame != self._board.stop
         if not turns:
             self.stopped()
@@ -46,7 +47,7 @@ class Told:
         return True
 
     def follow(self, now_ns: int) -> None:
-        """A board that has restarted is told again what it was told when its port was opened."""
+        """Send a board that has restarted the same frames again as when its port was opened."""
         restarts = self._restarts_word.get()
         if restarts != self._restarts:
             self._restarts = restarts

@@ -1,1 +1,1 @@
-"""The stopper: the second stop channel, resident beside the service, and the one-shot stop tool."""
+"""The stopper: the second stop channel, resident next to the service, and the one-shot stop tool."""

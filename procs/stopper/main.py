@@ -1,11 +1,12 @@
-"""The stopper's loop: it waits for the port owner's or the supervisor's death, or the port owner's silence, and writes
-the burst on its own descriptor of the port, and zeros again and again until there is another port owner.
+"""The stopper's loop: it waits for the port owner's or the supervisor's death, or the port owner's silence. Then it
+writes the burst on its own descriptor of the port, and zeros again and again until there is another port owner.
 
-A port owner that is silent when it should have answered is fenced: SIGKILL, burst, and the burst again when it is gone,
-since a frame that it was about to write could still follow the first. The supervisor does that sooner, while it works.
+A port owner that is silent when it should have answered is fenced: SIGKILL, then the burst, then the burst again when
+the process is gone, because a frame that it was about to write could still follow the first. The supervisor does that
+sooner, while it works.
 
-While the port owner lives it is the one that orders stops against motion: a burst written beside one that works could
-be followed by a motion frame that was on its way. So at the supervisor's death the stopper lets it go first, not long.
+While the port owner is alive, all stops go through it, because only it can order them against motion frames. So at the
+supervisor's death the stopper lets the port owner go first, but not for long.
 """
 
 from __future__ import annotations
@@ -25,16 +26,17 @@ from failstop.procs.schedule import ZERO_EVERY_NS, Repeats
 from failstop.shm.words import Barrier
 
 LONGEST_SLEEP_NS = 100_000_000
-"""Less than half of what it may be silent for (policy/processes.py). What it has to notice sooner wakes it."""
+"""Less than half of the time that it may be silent (policy/processes.py). Anything that it must notice sooner wakes
+it."""
 FIRST_GO_NS = 3_000_000
-"""How long the port owner may take to answer the supervisor's death before the stopper writes all the same."""
+"""How long the port owner may take to answer the supervisor's death before the stopper writes anyway."""
 LOOK_AGAIN_NS = 200_000
 STALLED_NS = 200_000_000
-"""A stopper that itself was silent for this long judges nobody by it: the whole service was frozen."""
+"""A stopper that was itself silent for this long judges nobody by their silence: the whole service was frozen."""
 
 
 class Stopper:
-    """The process's state; one turn() a wake-up."""
+    """The stopper's state. Call turn() once per wake-up."""
 
     def __init__(self, context: Context) -> None:
         port_owner = context.segment("port_owner")
@@ -71,7 +73,7 @@ class Stopper:
         return not self._parent.leave(now_ns)
 
     def _answer_deaths(self, ready: dict[int, int], now_ns: int) -> None:
-        """Stop for the port owner's death at once; at the supervisor's the port owner has the first go."""
+        """Stop for the port owner's death at once. At the supervisor's death the port owner goes first."""
         if died := self._port_owner.died(ready):
             self._port_owner_died(died, now_ns)
             self._port_owner.drop()
@@ -86,8 +88,8 @@ class Stopper:
             self._burst(now_ns)
 
     def _succeeded(self) -> bool:
-        """True when a new port owner runs: it has stopped the wheels at its start, and by now they may have been
-        enabled. A stopper that was held up must not cut into that motion for an old death."""
+        """True when a new port owner runs: it stopped the wheels at its start, and motion may have been enabled by now.
+        A stopper that was held up must not cut into that motion for an old death."""
         named = self._port_owner.named()
         return named != self._stopped_for and self._port_owner.heart.running(named)
 
@@ -101,7 +103,7 @@ class Stopper:
             self._written_word.set(monotonic_ns())
 
     def _write_due(self, now_ns: int) -> None:
-        """The burst after the port owner's first go, and the repeats of an earlier burst."""
+        """Write the burst once the port owner's first go is over, and the repeats of an earlier burst."""
         self._repeats.wait(self._port.free_ns)
         if self._first_go.ns != NEVER:
             self._look_again.set(now_ns + LOOK_AGAIN_NS)
@@ -111,38 +113,38 @@ class Stopper:
                 self._burst(now_ns)
         elif self._repeats.take(now_ns):
             if not self._parent.orphaned_ns and self._succeeded():
-                self._repeats.end()  # the new one repeats its stop itself
+                self._repeats.end()  # the new one repeats its own stop
                 return
             if self._port_owner_written.get() < self._parent.orphaned_ns:
                 self._fence()
             self._write()
 
     def _hangs_ns(self) -> int:
-        """When the port owner counts as hanging unless it beats before; NEVER: none runs, or it is fenced already."""
+        """When the port owner counts as hanging unless it beats first; NEVER if none runs, or it is fenced already."""
         heart, life = self._port_owner.heart, self._port_owner.life
         if life is None or life.pid == self._stopped_for or not heart.running(life.pid):
             return NEVER
         return max(heart.ns.get(), self._excused_ns) + HANG_NS
 
     def _follow_port_owner(self, now_ns: int) -> None:
-        """Watch the port owner that the supervisor names. A silent one gets one burst, and is fenced; one that the
-        machine starves is given as long again, while it moves nothing."""
+        """Watch the port owner that the supervisor names. A silent one gets one burst and is fenced. If the machine
+        starves it and it moves nothing, it gets as much time again."""
         if died := self._port_owner.follow():
             self._port_owner_died(died, now_ns)
         if now_ns >= self._hangs_ns():
             if self._spares(now_ns):
                 self._excused_ns = now_ns
             else:
-                self._fence()  # before the burst: it may wake up between the two
+                self._fence()  # before the burst, because it may wake up between the two
                 self._burst(now_ns)
         self._hang.set(self._hangs_ns())
 
     def _spares(self, now_ns: int) -> bool:
-        """True when the silent port owner is starved, and the wheels were told to stand."""
+        """True when the silent port owner is starved, and the wheels were last told to stop."""
         heart, life = self._port_owner.heart, self._port_owner.life
         if not life or heart.age_ns(now_ns) >= HANG_NS + starved.LONGEST_NS:
             return False
-        # The word last: what the port owner was about to write when it was looked at has been told by then.
+        # Read the word last: by then it includes what the port owner was about to write when it was looked at.
         is_starved = starved.look(life.pid, heart, HANG_NS, self._port_owner_bell)
         self._barrier()
         return is_starved and not self._port_owner_moving.get()
@@ -155,7 +157,8 @@ class Stopper:
 
 
 def run(context: Context) -> int:
-    """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills it."""
+    """Run until the supervisor has died and the stop is written; a supervisor that ends the service kills the
+    stopper."""
     stopper = Stopper(context)
     context.run(stopper.turn, stopper.loop, LONGEST_SLEEP_NS)
     stopper.held.let_go()  # an exit would wait for a port that does not drain
