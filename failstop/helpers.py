@@ -1,9 +1,9 @@
 """Helpers: the Python processes that a command starts. They find the modules that the command finds, but never one in
 the current folder.
 
-`python -m failstop` puts the current folder first on the search path, and so does an empty entry of PYTHONPATH. Root,
-standing in a folder where somebody else left a `json.py`, would then run that file. Python's own `-P` is of 3.11 on,
-and `-I` alone would also lose PYTHONPATH and the user's site-packages, in which ROS and failstop itself may be
+`python -m failstop` puts the current folder first on the search path, and so does an empty entry of PYTHONPATH. If root
+runs it in a folder where somebody else left a `json.py`, Python would run that file. Python's own `-P` exists only
+since 3.11, and `-I` alone would also lose PYTHONPATH and the user's site-packages, where ROS and failstop itself may be
 installed. So a helper starts with `-I`, runs this file, and gets its search path from the process that starts it.
 """
 
@@ -17,14 +17,14 @@ _PACKAGE = os.path.dirname(_FILE)
 
 
 def python(module: str, *words: str) -> list[str]:
-    """The command line that runs a module as `python -m` does, or with "-c" the program in the first of `words`."""
+    """The command line that runs a module as `python -m` does, or, with "-c", the program in the first of `words`."""
     flags = ["-I", *["-B"] * sys.dont_write_bytecode]
     return [sys.executable, *flags, _FILE, os.pathsep.join(search_path()), module, *words]
 
 
 def search_path() -> list[str]:
-    """This process's search path without the current folder, in whatever way that came to be on it. A folder that was
-    meant stays: one that PYTHONPATH names by its whole path, and those of Python and failstop themselves."""
+    """This process's search path without the current folder, however that got onto it. Folders that were put there on
+    purpose stay: those that PYTHONPATH names by their full path, and those of Python and failstop itself."""
     named = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     meant = {os.path.dirname(_PACKAGE), os.path.dirname(os.__file__), *filter(os.path.isabs, named), *_site_packages()}
     try:
@@ -32,20 +32,20 @@ def search_path() -> list[str]:
         left_out = {here, *(os.path.abspath(path) for path in named if not os.path.isabs(path))} - meant
     except OSError:  # the current folder was removed, so nothing can be imported from it
         left_out = set()
-    # As a program that is started does: PYTHONPATH may have been set since this one was.
+    # A newly started program does the same: PYTHONPATH may have been set since this one started.
     since = [path for path in named if path not in sys.path]
     found = dict.fromkeys(path for path in (*since, *sys.path) if os.path.isabs(path) and path not in left_out)
     return [*found, *{os.path.dirname(_PACKAGE)} - found.keys()]
 
 
 def _site_packages() -> list[str]:
-    """Where pip and the distribution install."""
+    """Where pip and the distribution install packages."""
     site = sys.modules.get("site")
     return [*site.getsitepackages(), site.getusersitepackages()] if site and not sys.flags.no_site else []
 
 
 def leave_current_folder() -> None:
-    """Import nothing from the current folder from here on, neither in this process nor in those that it starts."""
+    """Import nothing from the current folder from now on, neither in this process nor in those that it starts."""
     sys.path[:] = search_path()
     if named := os.environ.get("PYTHONPATH"):
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(os.path.isabs, named.split(os.pathsep)))

@@ -1,9 +1,9 @@
-"""The stop without a service: the stop tool opens the port and writes the stop burst, which needs nothing running; at
-the service's end it kills the rest of its own control group first.
+"""The stop without a service: the stop tool opens the port and writes the stop burst, which needs no running process.
+At the service's end it first kills the rest of its own control group.
 
-At `systemctl stop`, at a restart and when its watchdog bites, systemd runs ExecStopPost beside workers that still live:
-they hold the port (TIOCEXCL), and what they write could follow the stop. They are found by reading /proc, not the
-control group's own files: their place depends on how the machine mounts its hierarchies.
+At `systemctl stop`, at a restart and when its watchdog fires, systemd runs ExecStopPost while workers of the service
+still live. They hold the port (TIOCEXCL), and what they write could follow the stop. The tool finds them in /proc, not
+in the control group's own files, whose place depends on how the machine mounts its hierarchies.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from failstop.board.stop_port import StopPort
 RETRY_S = 0.02
 WARN_S = 1.0
 OLDER_S = 0.05
-"""An answer that comes within this time is to a question that somebody asked before."""
+"""An answer that comes within this time belongs to a question asked before."""
 _SIGKILL = 9
 
 TYPE_CHECKING = False
@@ -39,9 +39,9 @@ def stop(
     say: Callable[[str], None],
     otherwise: Callable[[PortError], bool] = lambda _: False,
 ) -> float:
-    """Write the burst; returns after how many seconds. `wait` says for how many to try, and is asked when the first try
-    has failed: the answer may be in a file. `otherwise`: called after each try that has failed; True: a stop is out by
-    another way. Raises PortError, the last one met."""
+    """Write the burst; returns how many seconds it took. `wait` returns for how many seconds to retry, and is called
+    only after the first failure, because the answer may be in a file. `otherwise` is called after each failure; True:
+    another way has sent a stop. Raises the last PortError."""
     start_s = time.monotonic()
     wait_s = -1.0
     warned = False
@@ -64,8 +64,8 @@ def stop(
 
 
 def write(path: str, board: Board, servos: tuple[int, ...] = ()) -> None:
-    """Open without taking the port from anyone, write the whole burst, and behind it what stops an arm with these
-    servos, see it drained, close. Raises PortError."""
+    """Open the port without taking it from anyone, write the whole burst, then the frames that stop an arm with these
+    servos, wait until they are drained, close. Raises PortError."""
     stop_port = StopPort(open_port(path, exclusive=False, line=board.port), board, servos)
     try:
         stop_port.burst()
@@ -79,12 +79,11 @@ def write(path: str, board: Board, servos: tuple[int, ...] = ()) -> None:
 
 
 def answered(path: str, board: Board, *, patient: bool) -> bool | None:
-    """Whether the board answers at a port where its stop was written; None: that can't be known, because it answers
-    nothing by its nature, or a service reads the port. `patient`: a board that opening its port resets is waited for.
-    Never raises."""
+    """Whether the board answers at a port where its stop was written. None: unknown, because the board answers nothing
+    by design, or a service reads the port. `patient`: wait for a board that opening its port resets. Never raises."""
     if not (board.pings or board.echo_ns):
         return None
-    # After the stop, which needs neither.
+    # Imported after the stop, which needs neither.
     from failstop.board import asking
     from failstop.board.tap import Tap
 
@@ -112,13 +111,14 @@ def answered(path: str, board: Board, *, patient: bool) -> bool | None:
 
 
 def of_a_service(proc: str = "/proc") -> bool:
-    """True when this process's control group is that of a systemd service, and not of a login, say. Raises OSError."""
+    """True if this process's control group is that of a systemd service, and not, for example, of a login. Raises
+    OSError."""
     return any(line.endswith(b".service") for line in _group(proc, "self"))
 
 
 def kill_rest(timeout_s: float, proc: str = "/proc") -> tuple[int, int]:
-    """SIGKILL every other process of this one's control group until none is left, or `timeout_s` is over; returns how
-    many were killed, and how many of these have not ended. `proc`: where to find processes. Raises OSError when this
+    """SIGKILL every other process of this one's control group until none is left, or `timeout_s` is over. Returns how
+    many were killed, and how many of them have not ended. `proc`: where to find processes. Raises OSError if this
     process's own control group can't be read."""
     group = _group(proc, "self")
     until_s = time.monotonic() + timeout_s
@@ -128,7 +128,7 @@ def kill_rest(timeout_s: float, proc: str = "/proc") -> tuple[int, int]:
     while not left and (found := _others(proc, group)):
         try:
             for fd in found.values():
-                # Of another user's: it is waited for in vain, and told of.
+                # Another user's process: waiting for it fails, and the result reports it.
                 with contextlib.suppress(OSError):
                     _signal.pidfd_send_signal(fd, _SIGKILL)
             killed.update(found)
@@ -140,7 +140,7 @@ def kill_rest(timeout_s: float, proc: str = "/proc") -> tuple[int, int]:
 
 
 def _others(proc: str, group: list[bytes]) -> dict[int, int]:
-    """The pidfd of each other process of the group that has not ended, by its pid."""
+    """The pidfd of each other living process of the group, by its pid."""
     found: dict[int, int] = {}
     for word in os.listdir(proc):
         if not word.isdecimal() or int(word) == os.getpid():
@@ -152,7 +152,7 @@ def _others(proc: str, group: list[bytes]) -> dict[int, int]:
             fd = os.pidfd_open(pid)
         except OSError:
             continue  # it has just ended
-        # Looked at again behind the descriptor: the pid may have been another process's a moment ago.
+        # Look again now that the descriptor is open: the pid may have been another process's a moment ago.
         try:
             same = _group(proc, word) == group and bool(_wait([fd], 0.0))
         except OSError:
@@ -165,14 +165,14 @@ def _others(proc: str, group: list[bytes]) -> dict[int, int]:
 
 
 def _group(proc: str, pid: str) -> list[bytes]:
-    """A process's control group in the hierarchies that systemd keeps services apart in, one or both; people may have
-    chosen others, for single processes. Raises OSError."""
+    """A process's control group in the hierarchies where systemd separates services, one or both; in others people may
+    have moved single processes. Raises OSError."""
     with open(f"{proc}/{pid}/cgroup", "rb") as file:
         return [line for line in file.read().splitlines() if line.split(b":", 2)[1] in (b"", b"name=systemd")]
 
 
 def _wait(fds: Collection[int], until_s: float) -> int:
-    """Wait until all of these processes have ended; returns how many have not by then."""
+    """Wait until all of these processes have ended; returns how many have not by `until_s`."""
     poll = select.poll()
     for fd in fds:
         poll.register(fd, select.POLLIN)

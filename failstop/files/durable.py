@@ -1,5 +1,7 @@
-"""Durable: files that are whole and on the disk, or not there, and that are what they seem to be. A draft is written
-and synced, then it gets its name; a file that is read or added to is a regular one, and nobody waits for its other end.
+"""Durable: files that are either whole and on the disk, or absent, and that are what they seem to be.
+
+A draft is written and synced, then renamed. Only regular files are read or appended to, so that no open waits for the
+other end of a pipe.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ import stat
 from errno import EINVAL, EPERM
 
 LEAST_ROOM = 1_000_000
-"""Bytes. An incident, the largest file that outlives a run, takes about half as many."""
+"""Bytes. An incident, the largest file that outlives a run, takes about half of this."""
 FILE_TYPES = {
     stat.S_IFLNK: "a link",
     stat.S_IFIFO: "a FIFO",
@@ -22,8 +24,8 @@ FILE_TYPES = {
 
 
 def open_regular(path: str, flags: int = os.O_RDONLY) -> int:
-    """Open a regular file, through links too. Returns at once, where that of a pipe would wait. Raises OSError."""
-    # Looked at before it is opened: the open of a device does something, such as to raise a port's modem lines.
+    """Open a regular file, also through links. Returns at once; opening a pipe would wait. Raises OSError."""
+    # Check before opening, because opening a device has effects, such as raising a port's modem lines.
     with contextlib.suppress(FileNotFoundError):
         _check_regular(os.lstat(path) if flags & os.O_NOFOLLOW else os.stat(path), path)
     fd = os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC, 0o644)
@@ -36,12 +38,13 @@ def open_regular(path: str, flags: int = os.O_RDONLY) -> int:
 
 
 def open_own(path: str, flags: int = os.O_RDONLY) -> int:
-    """Open a file of the service's: regular, by its only name, this user's or its folder's owner's. Raises OSError."""
+    """Open a file of the service: regular, with no second name, owned by this user or its folder's owner. Raises
+    OSError."""
     fd = open_regular(path, flags | os.O_NOFOLLOW)
     try:
         found = os.fstat(fd)
         owners = (os.geteuid(), os.stat(os.path.dirname(path) or ".").st_uid)
-        # The caller may have more rights than the folder's owner: a second name may be that of anybody's file.
+        # The caller may have more rights than the folder's owner, who could have given any file a second name here.
         if found.st_nlink > 1 or found.st_uid not in owners:
             raise OSError(EPERM, "a file of somebody else's, or with another name: move it away", path)
     except OSError:
@@ -57,11 +60,11 @@ def _check_regular(found: os.stat_result, path: str) -> None:
 
 
 def write_draft(draft: str, data: bytes) -> None:
-    """Write a draft, in place of an old one. Raises OSError, and then there is none."""
+    """Write a draft, replacing an old one. Raises OSError, and then leaves none."""
     with contextlib.suppress(FileNotFoundError):
         os.unlink(draft)
     try:
-        # Never through a link: whoever runs this may be more than the folder's owner.
+        # Never through a link, because the caller may have more rights than the folder's owner.
         with open(draft, "xb", opener=lambda path, flags: os.open(path, flags | os.O_NOFOLLOW, 0o644)) as file:
             file.write(data)
             file.flush()
@@ -72,14 +75,14 @@ def write_draft(draft: str, data: bytes) -> None:
 
 
 def write_all(fd: int, data: bytes) -> None:
-    """Write all of this through a descriptor, and see it on the disk. Raises OSError."""
+    """Write all of the data to a descriptor, and wait until it is on the disk. Raises OSError."""
     while data:
         data = data[os.write(fd, data) :]
     os.fsync(fd)
 
 
 def publish(draft: str, path: str) -> None:
-    """Give a draft its name, in place of what had it. Raises OSError; until the rename the old file is there."""
+    """Rename a draft to its final name, replacing the old file. Raises OSError; until the rename the old file stays."""
     try:
         os.rename(draft, path)
     except OSError:
@@ -94,8 +97,8 @@ def publish(draft: str, path: str) -> None:
 
 
 def no_room(path: str) -> str:
-    """Why a file can't be put on the disk of this path, or of the nearest folder above it; empty: it can, or the disk
-    does not say."""
+    """Why no file can be put on the disk of this path, or of the nearest existing folder above it; empty if it can, or
+    the disk doesn't say."""
     while not os.path.exists(path) and path != os.path.dirname(path):
         path = os.path.dirname(path)
     try:
@@ -107,7 +110,7 @@ def no_room(path: str) -> str:
         return f"the disk of {path} is read-only"
     if free < LEAST_ROOM:
         return f"the disk of {path} is full ({free // 1000} kB free)"
-    # A file system that does not count its files says 0 of 0.
+    # A file system that does not count its files reports 0 of 0.
     return f"the disk of {path} has no room for another file" if found.f_files and not found.f_favail else ""
 
 

@@ -1,4 +1,4 @@
-"""Instances: the names, the runtime directory and the service lock that keep several robots on one machine apart."""
+"""Instances: the names, runtime directories and locks that keep several robots on one machine apart."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
 RUN_DIGITS = 16
 SHARED = "/dev/shm/failstop"
 LAST_BYTES = 65536
-"""More than the longest paths of port and settings file, quoted for a shell."""
+"""Longer than the longest paths of port and settings file, quoted for a shell."""
 
 
 class Last(Data):
     """How the last run of a name was started."""
 
     device: str = ""
-    """Its port; empty: there was no run that this user can see."""
+    """Its port; empty if this user can see no earlier run."""
     command: str = ""
     """The command line that starts it again."""
     servos: tuple[int, ...] = ()
     board: str = ""
-    """The kind of its board; empty: not known."""
+    """The kind of its board; empty if not known."""
 
 
 class InstanceError(Exception):
@@ -35,7 +35,7 @@ class InstanceError(Exception):
 
 
 class NoService(Exception):
-    """No service of this name runs."""
+    """No service with this name is running."""
 
 
 def check_name(name: str) -> str:
@@ -46,17 +46,17 @@ def check_name(name: str) -> str:
 
 
 def option(name: str) -> str:
-    """The option that means this instance: " --name NAME", and nothing for the default one."""
+    """The option that selects this instance: " --name NAME", or nothing for the default one."""
     return "" if name == DEFAULT_NAME else f" --name {name}"
 
 
 def bases() -> list[str]:
-    """The folders that runtime directories of all instances are in, the best first."""
+    """The folders that hold the runtime directories of all instances, the best first."""
     user = os.getuid()
     session = os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{user}"
     found = [root.at("/run/failstop"), os.path.join(session, "failstop")]
-    # A user without a session, as in a container, has no private folder. In a shared one others may have been there
-    # first, and be in the way; never in root's.
+    # A user without a session, for example in a container, has no private folder. In a shared folder other users may
+    # have been first, and be in the way; never in root's.
     return [*found, f"{SHARED}-{user}"] if user else found
 
 
@@ -71,39 +71,39 @@ def _file(name: str) -> Callable[[str], str]:
 
 
 lock_path = _file("lock")
-"""The file whose first byte the running service holds."""
+"""The file whose first byte the running service locks."""
 claims_path = _file("claims")
-"""The file on whose bytes clients hold their slots."""
+"""The file whose bytes clients lock to hold their slots."""
 stop_path = _file("stop")
-"""The FIFO that every local user may write: any bytes are a stop."""
+"""The FIFO that every local user may write to: any bytes are a stop."""
 bell_path = _file("bell")
 """The FIFO by which clients wake the gate."""
 run_path = _file("run")
-"""The file that says which run's shared memory is the service's: its incarnation, RUN_DIGITS hexadecimal digits."""
+"""The file that says which run's shared memory is the service's: its incarnation in RUN_DIGITS hexadecimal digits."""
 last_path = _file("last")
-"""The file that says how the last run was started; it stays when that has ended."""
+"""The file that says how the last run was started; it stays when the run has ended."""
 
 
 def _draft_of(path: str) -> str:
-    """Where a file is written before it takes its name."""
+    """Where a file is written before it is renamed."""
     return f"{path}.new"
 
 
 def publish_run(runtime_dir: str, incarnation: int) -> int:
-    """Say which run serves this directory; returns the descriptor of the file that says so. Raises OSError."""
+    """Write which run serves this directory; returns the descriptor of that file. Raises OSError."""
     return _put(runtime_dir, run_path(runtime_dir), f"{incarnation:016x}\n".encode())
 
 
 def remember(runtime_dir: str, last: Last) -> None:
-    """Keep how this run was started, for when it has ended. Raises OSError."""
+    """Keep how this run was started, for after its end. Raises OSError."""
     words = last.device, last.command, last.board, *map(str, last.servos)
     os.close(_put(runtime_dir, last_path(runtime_dir), b"\0".join(map(os.fsencode, words))))
 
 
 def last(name: str) -> Last:
-    """How the last run of this name was started, as far as this user can see one. Raises nothing."""
+    """How the last run of this name was started, as far as this user may see it. Raises nothing."""
     found: list[tuple[int, list[str]]] = []
-    # A name that can't be one; a file that is not there, or not to be trusted.
+    # An impossible name; a file that is missing, or can't be trusted.
     with contextlib.suppress(InstanceError):
         for path in map(last_path, places(name)):
             with contextlib.suppress(OSError):
@@ -125,7 +125,7 @@ def _read(path: str) -> tuple[int, list[str]]:
 
 
 def _put(runtime_dir: str, path: str, data: bytes) -> int:
-    """Put a file for everybody into a runtime directory, whole or not at all; returns its descriptor. Raises
+    """Put a file that everyone may read into a runtime directory, whole or not at all; returns its descriptor. Raises
     OSError."""
     draft = _draft_of(path)
     above = place.directory(runtime_dir)
@@ -147,7 +147,7 @@ def _put(runtime_dir: str, path: str, data: bytes) -> int:
 
 
 def clear(runtime_dir: str) -> None:
-    """Take away what a run has put into its directory, its name first, but for the lock and how it was started."""
+    """Remove everything a run has put into its directory, its name first, except the lock and how it was started."""
     try:
         where = place.directory(runtime_dir)
     except OSError:
@@ -160,7 +160,7 @@ def clear(runtime_dir: str) -> None:
 
 
 def current_run(runtime_dir: str) -> tuple[int, int]:
-    """Of the service of this directory: (incarnation, uid of its owner). Raises NoService, InstanceError."""
+    """(incarnation, uid of the owner) of the service in this directory. Raises NoService, InstanceError."""
     fd = -1
     try:
         fd = place.opened(run_path(runtime_dir), os.O_RDONLY)
@@ -175,7 +175,7 @@ def current_run(runtime_dir: str) -> tuple[int, int]:
 
 
 def already_running(name: str, pid: int | str) -> InstanceError:
-    """The refusal of a second service of one name."""
+    """The refusal to start a second service with one name."""
     return InstanceError(f"{name!r} is already running (pid {pid}): stop it first, or choose another --name")
 
 
@@ -201,10 +201,10 @@ def open_stop(name: str) -> tuple[str, int]:
 
 
 def no_service(name: str, doubts: str = "") -> NoService:
-    """The refusal to a client of a service that does not run. `doubts`: what was found and is not believed."""
+    """The error for a client if no service is running. `doubts`: files that were found but are not trusted."""
     return NoService(f"no service named {name!r} is running: start it with `{start_command(name)}`{doubts}")
 
 
 def start_command(name: str) -> str:
-    """The command line that starts a service of this name as its last run was started."""
+    """The command line that starts a service of this name in the same way as its last run."""
     return last(name).command or f"failstop run{option(name)}"

@@ -1,9 +1,9 @@
-"""Places: opening what is in a runtime directory without taking anybody else's word for it.
+"""Places: opening files in a runtime directory without trusting anyone else.
 
-A path is a claim. What is opened here was proved on the descriptor, and nothing on the way to it was a link: the
-directory is root's, this user's, or of whom root alone can have put above it; nobody else may write it; and what is in
-it is of the expected kind and of the directory's owner. So nobody can plant a directory, a link, or a file of another
-kind for somebody else to write through, whoever that is, root first of all.
+A path is only a claim. Every file opened here is checked on its descriptor, and nothing on the way to it was a link.
+The directory belongs to root, to this user, or to a user to whom only root can have given it; nobody else may write to
+it; and the file has the expected kind and the directory's owner. So nobody can plant a directory, a link or a file of
+another kind for somebody else, least of all root, to write through.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 class Untrusted(OSError):
-    """Somebody else may have put it there; `strerror` says who, and what helps."""
+    """Another user may have put it there; `strerror` says who, and what helps."""
 
     def __init__(self, path: str, why: str) -> None:
         super().__init__(errno.EBADF, f"{path} {why}", path)
@@ -26,7 +26,7 @@ class Untrusted(OSError):
 
 def user(uid: int) -> str:
     """A user as people know them: name and number."""
-    import pwd  # only for what is refused
+    import pwd  # imported only for a refusal
 
     try:
         return f"{pwd.getpwuid(uid).pw_name} (uid {uid})"
@@ -45,18 +45,18 @@ def directory(path: str) -> int:
 
 
 def base_directory(path: str) -> int:
-    """Open the directory that runtime directories are made in. Raises OSError, Untrusted among them."""
+    """Open the directory in which runtime directories are made. Raises OSError, Untrusted among them."""
     return _checked(os.open(path, _DIRECTORY), path)
 
 
 def inner_directory(base: int, name: str, path: str) -> int:
-    """Open the directory `name` of one that base_directory() has opened; `path` is what people call it."""
+    """Open the directory `name` inside one that base_directory() has opened; `path` is its path for messages."""
     return _checked(os.open(name, _DIRECTORY, dir_fd=base), path, os.fstat(base))
 
 
 def _checked(fd: int, path: str, base: os.stat_result | None = None) -> int:
-    """The directory that is open as `fd`, if it is root's, this user's, its base's owner's, or of whom root alone can
-    have given it to. In a base that is sticky nobody puts anything in the place of what is there."""
+    """The directory that is open as `fd`, if it belongs to root, to this user, to the base's owner, or to a user to
+    whom only root can have given it. In a sticky base nobody can replace what exists."""
     try:
         found = os.fstat(fd)
         above = base or os.stat("..", dir_fd=fd)
@@ -74,8 +74,8 @@ def _checked(fd: int, path: str, base: os.stat_result | None = None) -> int:
 
 
 def opened(path: str, flags: int, *, pipe: bool = False) -> int:
-    """Open a file of a runtime directory, or a FIFO (`pipe`); one that is created is this user's alone (mode 0600).
-    Raises OSError, Untrusted among them."""
+    """Open a file in a runtime directory, or a FIFO (`pipe`); a file that this creates belongs to this user alone (mode
+    0600). Raises OSError, Untrusted among them."""
     above, name = os.path.split(path)
     where = directory(above)
     try:

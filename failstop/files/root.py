@@ -1,4 +1,5 @@
-"""Root: below which the machine's own directories are for this process, and an instance's that outlives it."""
+"""Root: the directory below which this process finds the machine's own directories, and an instance's directory that
+outlives it."""
 
 from __future__ import annotations
 
@@ -7,11 +8,12 @@ from collections.abc import Callable, Mapping
 
 SYSTEM_BASE = "/var/lib/failstop"
 VARIABLE = "FAILSTOP_ROOT"
-"""Names another root than /: a run below it has nothing to do with what is installed, or runs, on the machine."""
+"""Names another root than /, so that a run below it has nothing to do with what is installed, or running, on the
+machine."""
 
 
 def at(path: str) -> str:
-    """Where an absolute path of the system's, as /run/failstop, is."""
+    """The place of an absolute system path, such as /run/failstop, below the root."""
     return os.environ.get(VARIABLE, "") + path
 
 
@@ -25,9 +27,9 @@ def state_directory(
     configured: str = "",
     writable: Callable[[str], bool] = _by_this_process,
 ) -> str:
-    """The directory for an instance's files, which need not exist yet: the configured one, systemd's
-    $STATE_DIRECTORY, /var/lib/failstop/NAME when that is writable, else under $XDG_STATE_HOME or ~/.local/state.
-    `writable`: whether the user whose directory it is may write to a folder."""
+    """The directory for an instance's files, which may not exist yet: the configured one; systemd's $STATE_DIRECTORY;
+    /var/lib/failstop/NAME if that is writable; else under $XDG_STATE_HOME or ~/.local/state. `writable`: whether the
+    user whose directory it is may write to a folder."""
     if configured:
         return configured
     if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:

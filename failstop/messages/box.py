@@ -1,8 +1,7 @@
-"""The black box: the payloads of the rings `box`, in which each process but the stopper keeps about its last
-minute.
+"""The black box: the payloads of the rings `box`, in which each process except the stopper keeps about its last minute.
 
-One ring in each writer's own segment, so it outlives its writer, and whoever looks at it disturbs nobody. A put is one
-cell of private bytes and one slice assignment. On the stop path it comes after the bytes of the stop.
+Each ring is in its writer's own segment, so it outlives the writer, and reading it disturbs nobody. A put is one cell
+of private bytes and one slice assignment. On the stop path it comes after the bytes of the stop.
 """
 
 from __future__ import annotations
@@ -17,15 +16,15 @@ if TYPE_CHECKING:
     from typing import Any
 
 SECONDS = 60
-"""The time that each ring covers, at the rates of its writer's defaults."""
+"""The time that each ring covers, at its writer's default rates."""
 GATE_CELLS = 3072
-"""A tick each, 50 a second."""
+"""One per tick, 50 a second."""
 WIRE_CELLS = 4096
-"""Up to 50 motion frames, 2 pings and a few stops a second; a client that drives at 100 Hz has them last for 40 s."""
+"""Up to 50 motion frames, 2 pings and a few stops a second. A client that drives at 100 Hz fills them in 40 s."""
 BOARD_CELLS = 8192
 """110 IMU samples, 20 gamepad frames and a battery reading a second."""
 ARM_CELLS = 640
-"""10 a second while somebody moves the arm, and one at each change."""
+"""10 a second while a client moves the arm, and one at each change."""
 BEATS_CELLS = 768
 """10 a second, and one at each stop."""
 
@@ -33,41 +32,41 @@ ARM_BYTES = 80
 SHORT_WHO_BYTES = 36
 
 LATCHED = "estop: "
-"""The gate's words for why the wheels may not turn, as its record has them too. The latch's reason follows."""
+"""How the gate's reason for a latched stop begins, also in its record. The latch's reason follows."""
 DISABLED = "disabled"
 NO_COMMAND = "cmd timeout"
 NO_SCAN = "no scan"
 HELD = "let go first"
 EVERY_BLOCK = (LATCHED, DISABLED, HELD, NO_COMMAND, NO_SCAN)
-"""The first that holds is told."""
+"""The first one that holds is reported."""
 DECISIONS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN, HELD)
-"""The gate's decision: its index is in the record."""
+"""The gate's decisions; the record has the index."""
 DECISION = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4, HELD: 5}
 ENABLED, MANUAL, DRIVES = 1, 2, 4
-"""Flags. The last: the newest command is the one that drives, and not one that waits behind a higher source."""
+"""Flags. The last: the newest command is the one that drives, and does not wait behind a higher source."""
 
 WIRE_BURST, WIRE_FRAME, WIRE_REST = range(1, 4)
-"""Bytes for the board: the stop burst; one frame, whose first bytes follow; what the kernel had not taken of either."""
+"""Bytes for the board: the stop burst; one frame, with its first bytes; what the kernel had not taken of either."""
 WIRE_HEAD = 39
-"""Bytes of a frame that are kept: a motor frame of four wheels is 27, and 12 more steer at most."""
+"""How many bytes of a frame are kept: a motor frame for four wheels has 27, and steering adds 12 at most."""
 
 IMU_KIND, BATTERY_KIND, PAD_KIND, SERVO_KIND, WHEELS_KIND = range(1, 6)
 
 ARM_MODES = ("", "trajectory", "follow", "jog")
-"""Of an arm's goal; empty: nobody moves it from here on."""
+"""Modes of an arm's goal; empty: nobody moves it from now on."""
 
 SILENCES = 1
 OWN_BURST = 2
-"""Supervisor: a burst on its own descriptor, written at the entry's time."""
+"""Flag of the supervisor: a burst on its own descriptor, written at the entry's time."""
 MOST_U32 = 0xFFFFFFFF
 
 MOST_SPEEDS = 5
-"""Speeds in a frame for the board, at most; of a steered base the last is the angle of its steering in rad."""
+"""The most speeds in a frame for the board. On a steered base the last is the steering angle in rad."""
 TICK = Shape(f"<IBBBBI3f3f{MOST_SPEEDS}f16s", records.rest(SHORT_WHO_BYTES))
-"""A tick of the gate, as unpack_gate() has it. It has room for the most speeds, and says how many of them there are: a
-record of one size needs no layout for each board."""
+"""A tick of the gate; unpack_gate() describes it. It has room for the most speeds and says how many it holds, so that
+records need no layout for each board."""
 WIRE: Payload[int, int, int, bytes] = Payload("<BHH", records.rest(WIRE_HEAD))
-"""Bytes for the board: WIRE_BURST or another; how many; how many of them the kernel took; the first ones of a frame."""
+"""Bytes for the board: WIRE_BURST or another; how many; how many the kernel took; the first bytes of a frame."""
 REPORTS: dict[int, Shape] = {
     IMU_KIND: Shape("<6f"),
     BATTERY_KIND: records.BATTERY,
@@ -75,8 +74,8 @@ REPORTS: dict[int, Shape] = {
     SERVO_KIND: records.SERVO,
     WHEELS_KIND: Shape(f"<{records.MOST_WHEELS}f"),
 }
-"""Reports that telemetry has decoded, by the kind that is their first byte; the IMU's as it is published; the measured
-speed of each wheel by wire id, in turns a second (NaN: not reported)."""
+"""Reports that telemetry has decoded, by the kind that is their first byte. The IMU's is as published; the speed of
+each wheel is in turns per second, by wire id (NaN: not reported)."""
 BOARD_BYTES = 1 + max(shape.most for shape in REPORTS.values())
 OF_BEATS = Shape("<B10I")
 _ARM = struct.Struct("<BB")
@@ -84,7 +83,8 @@ _AIM = struct.Struct("<Bf")
 
 
 def single(value: float) -> float:
-    """The nearest value that a float of four bytes can hold: a client's command may be any double. NaN stays."""
+    """The closest value that a four-byte float can hold, because a client's command may be any double. NaN stays
+    NaN."""
     return min(max(value, -3e38), 3e38)
 
 
@@ -94,7 +94,7 @@ def pack_wire(kind: int, data: bytes, taken: int) -> bytes:
 
 
 def pack_board(kind: int, *values: float | None) -> bytes:
-    """A report of the board, with the values of its kind in REPORTS."""
+    """A report of the board, with the values that REPORTS has for its kind."""
     return bytes((kind,)) + REPORTS[kind].pack(*values)
 
 
@@ -106,15 +106,15 @@ def unpack_board(payload: bytes) -> tuple[int, tuple[Any, ...]]:
 
 
 def pack_arm(mode: str, who: str, aims: list[tuple[int, float]]) -> bytes:
-    """The arm's aim, and whose it is: of each servo where it is to be in the end (trajectory), where now (follow), in
-    pulses, or its rate (jog), in pulses/s."""
+    """The arm's goal, and the client that set it. For each servo: where it must end (trajectory), where it must be now
+    (follow), both in pulses, or its rate (jog), in pulses/s."""
     aims = aims[: records.MOST_JOINTS]
     head = _ARM.pack(ARM_MODES.index(mode), len(aims)) + b"".join(_AIM.pack(servo, single(aim)) for servo, aim in aims)
     return head + who.encode("utf-8", "replace")[: ARM_BYTES - len(head)]
 
 
 def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
-    """Return (mode, who, what each servo is to do). Raises ValueError."""
+    """Return (mode, who, the goal of each servo). Raises ValueError."""
     mode, count = _ARM.unpack_from(payload) if len(payload) >= _ARM.size else (255, 0)
     end = _ARM.size + count * _AIM.size
     if mode >= len(ARM_MODES) or len(payload) < end:
@@ -124,7 +124,7 @@ def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
 
 
 def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
-    """The longest silence of each of layout.PROCESS_NAMES since the last record, and how long ago that was seen."""
+    """The longest silence of each of layout.PROCESS_NAMES since the last record, and how long ago it was seen."""
     return OF_BEATS.pack(SILENCES, *(min(max(0, time_us), MOST_U32) for time_us in (*silent_us, *before_us)))
 
 
@@ -153,7 +153,7 @@ def unpack_gate(payload: bytes) -> dict[str, Any]:
 
 
 def unpack_beats(payload: bytes) -> tuple[tuple[int, int], ...]:
-    """Return (silent_us, before_us) of each of layout.PROCESS_NAMES; empty for a burst. Raises ValueError."""
+    """Return (silent_us, before_us) for each of layout.PROCESS_NAMES; empty for a burst. Raises ValueError."""
     if payload == OWN_BURST_RECORD:
         return ()
     kind, *times = OF_BEATS.unpack(payload)

@@ -1,8 +1,8 @@
-"""The layout: every record of shared memory, declared once, with its writer, its payload and who reads it.
+"""The layout: every record of shared memory, declared once, with its writer, its payload and its readers.
 
-One segment per writer, so that "one writer per record" is what the mapping permits and not a promise: a process maps
-its own segment for writing and every other one for reading only. Client segments are written by clients and never
-mapped by the service (see cell.py).
+There is one segment per writer, so the mapping enforces "one writer per record": a process maps its own segment for
+writing and every other one only for reading. Clients write their own segments, and the service never maps those (see
+cell.py).
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from failstop.shm.words import LINE_BYTES
 
 LAYOUT_VERSION = 12
 SUPERVISOR_BLOCK = 0
-"""The block of futexes (futex.py) that the supervisor holds; its children's are counted on from there."""
+"""The block of futexes (futex.py) that the supervisor holds. The blocks of its children follow."""
 CLIENT_SLOTS = 8
 NOTE_BYTES = 576
-"""The most that gate and telemetry tell people at once (packing.py)."""
+"""The longest note that gate and telemetry send at once (packing.py)."""
 PINGS = 4
-"""The most different pings that a board has, so that an answer says which of them it answers."""
+"""The most different pings that a board has; an answer says which of them it answers."""
 PUBLIC = 0o644
 CLIENTS_WRITE = 0o660
 PRIVATE = 0o600
@@ -40,7 +40,7 @@ def _word(name: str, readers: str) -> Record:
 
 
 def _latest(name: str, payload: Shape | int, readers: str) -> Record:
-    """`payload`: the shape that says how large it is, or so many bytes."""
+    """`payload`: the shape that gives its size, or a number of bytes."""
     return Record("latest", name, readers, payload if isinstance(payload, int) else payload.most, 2)
 
 
@@ -61,7 +61,7 @@ def _beat() -> tuple[Record, ...]:
 
 
 FEWER: dict[str, int] = {"sensed": 64, "attended": 96}
-"""Bytes of a client's records that never fill their shape."""
+"""Sizes of client records that never fill their shape."""
 
 
 def _client(index: int) -> SegmentSpec:
@@ -70,7 +70,7 @@ def _client(index: int) -> SegmentSpec:
         "the client that holds the slot's claim",
         CLIENTS_WRITE,
         (
-            _latest("left", records.LEFT, "gate"),  # the goodbyes of clients before: they stay when the slot is taken
+            _latest("left", records.LEFT, "gate"),  # earlier clients' goodbyes, kept when the slot is taken
             Record("futexes", "held", "gate", LINE_BYTES),  # by a thread of the client
             _latest("hello", records.HELLO, "gate"),
             *(_latest(name, FEWER.get(name, shape), "gate") for name, shape in records.OF_SESSION.items()),
@@ -87,7 +87,7 @@ SEGMENTS = (
             *_beat(),
             _word("epoch", "port_owner, gate, stopper, clients"),
             _word("ready", "gate, clients"),  # 1 while every process beats and the port is open and stopped
-            # Whom to watch (records.life): the newest of each that was started.
+            # The processes to watch (records.life): the newest of each.
             *(_word(f"{process}_life", "port_owner") for process in (GATE, TELEMETRY, STOPPER)),
             _word("port_owner_life", "stopper"),
             _word("written_ns", "everyone"),  # when it last wrote a burst itself
@@ -117,7 +117,7 @@ SEGMENTS = (
             _word("asked_ns", "supervisor"),  # when it last wrote a ping
             _latest("port", records.PORT, "supervisor, stopper, clients"),  # its state and path
             _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order
-            # What the board will answer or echo, each with the time before it was written: more than LOST_NS of pings.
+            # What the board will answer or echo, with the time before each write. Holds more than LOST_NS of pings.
             _ring("wrote", records.WROTE, 512, "everyone"),
             _ring("received", 512, 512, "everyone"),  # bytes from the board while no telemetry runs, in order
             _ring("box", box.WIRE, box.WIRE_CELLS, "everyone"),  # bytes for the board (box.py)
@@ -131,7 +131,7 @@ SEGMENTS = (
             *_beat(),
             _word("resets_asked", "supervisor, its successor"),  # the number of the newest reset that was asked for
             _word("reset_asked_ns", "supervisor"),  # when that was asked for
-            _word("busy", "supervisor, telemetry"),  # 1 while motion is enabled, a client is there, or there is an arm
+            _word("busy", "supervisor, telemetry"),  # 1 while motion is enabled, a client is present, or an arm exists
             _word("limit", "its successor"),  # percent of the settings' speeds that it allows; 0: nobody has set one
             _ring("frames", records.FRAME, 64, "port_owner"),  # motion, stops, other frames for the wire
             _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order
@@ -155,7 +155,7 @@ SEGMENTS = (
             _latest("proved", records.PROVED, "supervisor"),  # the newest stop that the board has obeyed
             _word("unheeded_ns", "supervisor, clients"),  # since when it obeys zeros by its own word, told to move
             _word("said_ns", "supervisor, clients"),  # when the board said anything last; 0: never
-            # So long it may say nothing; 0: it speaks only when asked, or nobody knows yet.
+            # How long it may say nothing; 0: it speaks only when asked, or nobody knows yet.
             _word("patience_ns", "supervisor, its successor"),
             _word("still_ns", "supervisor"),  # since when the IMU says that the wheels are still; 0: it shakes
             _word("judged_ns", "supervisor"),  # the last IMU sample that still_ns is judged from; 0: none yet
@@ -169,7 +169,7 @@ SEGMENTS = (
             _latest("pad", records.PAD, "clients"),
             _latest("pad_arm", records.PAD_ARM, "gate"),  # one a frame while the pad moves a joint
             _latest("pad_command", records.PAD_COMMAND, "gate"),  # one a frame while the pad drives
-            # What it stops for, in order; empty: write the stop again, for no cause.
+            # The causes that it stops for, in order; empty: write the stop again, without a cause.
             _ring("causes", 64, 8, "port_owner"),
             _ring("servos", records.SERVO, 64, "gate"),  # answers of the arm's servos, in order
             _ring("pad_requests", records.PAD_REQUEST, 32, "gate"),  # resets, and frames that are not motion, in order
@@ -204,5 +204,5 @@ _TEXT = f"layout {LAYOUT_VERSION}\n" + "\n".join(
     for r in spec.records.values()
 )
 LAYOUT_HASH = crc32(_TEXT.encode()) << 32 | crc32(_TEXT.encode(), 0x5AFE)
-"""Of all declarations above: processes of different layouts refuse each other. Raise LAYOUT_VERSION when a payload
-format in records.py changes without any size changing."""
+"""A hash of all declarations above: processes with different layouts refuse each other. Raise LAYOUT_VERSION when a
+payload format in records.py changes without any size changing."""

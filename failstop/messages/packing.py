@@ -1,4 +1,4 @@
-"""Packing: msgpack for the service's own records, with one small buffer for each process; and the notes made of it."""
+"""Packing: msgpack for the service's own records, with one small buffer per process, and the notes made with it."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ Value = str | int | float
 Fields = dict[str, Value]
 NO_FIELDS: Fields = {}
 NEXT_STEP = "; next: "
-"""A text for people has this before the step that it names."""
+"""In a text for people, this comes before the next step."""
 
-# msgpack.packb allocates 1 MB at every call: a process that is out of memory would die of a remark.
+# msgpack.packb allocates 1 MB at every call, so a process that is out of memory would die of a note.
 pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
-"""The bytes of a value. Not for several threads. Raises TypeError, ValueError, OverflowError."""
+"""The bytes of a value. Not thread-safe. Raises TypeError, ValueError, OverflowError."""
 
 STEP_BYTES = 200
 NOTE_CUTS = ((280, 280), (280, 64))
-"""Bytes that are left of the text, and of each field's: the first that fit into the ring."""
+"""Bytes that are left of the text and of each field; the first pair that fits into the ring is used."""
 
 
 def fitting(
@@ -32,8 +32,8 @@ def fitting(
     fields: Mapping[str, Value],
     whole: Callable[[str, dict[str, Value]], object],
 ) -> bytes:
-    """Text and fields, made one by `whole` and packed into `room` bytes: texts are cut, as little as it takes, and
-    fields that still do not fit are left out."""
+    """Combine text and fields with `whole` and pack them into `room` bytes. Texts are cut as little as possible, and
+    fields that still don't fit are left out."""
     for text_bytes, value_bytes in cuts:
         short = cut(text, text_bytes).decode()
         given = {
@@ -46,8 +46,11 @@ def fitting(
 
 
 class Note(Data):
-    """A note for people, on its way from gate or telemetry to the supervisor's events. A msgpack list: kind
-    (supervisor/kinds.py), level (empty: the kind's own), text, the step to take (may be empty), fields."""
+    """A note for people, on its way from gate or telemetry to the supervisor's events.
+
+    As bytes it is a msgpack list: kind (supervisor/kinds.py), level (empty: the kind's own), text, next step (may be
+    empty), fields.
+    """
 
     kind: str
     text: str
@@ -56,7 +59,7 @@ class Note(Data):
     step: str = ""
 
     def pack(self) -> bytes:
-        """For a ring of NOTE_BYTES."""
+        """The bytes for a ring of NOTE_BYTES."""
         head, step = (self.kind, self.level), cut(self.step, STEP_BYTES).decode()
         return fitting(NOTE_BYTES, NOTE_CUTS, self.text, self.fields, lambda text, fields: (*head, text, step, fields))
 

@@ -1,6 +1,6 @@
-"""Records: the payloads of fixed shape, each declared once: its values, how they become bytes and bytes become them.
+"""Records: the payloads with a fixed shape, each declared once: its values, and how they become bytes and back.
 
-Payloads of variable shape (state, process table, the stop that people read) are msgpack maps made by their writers.
+Payloads with a variable shape (state, process table, the stop that people read) are msgpack maps made by their writers.
 """
 
 from __future__ import annotations
@@ -20,21 +20,22 @@ if TYPE_CHECKING:
     Rows = Sequence[tuple[float, Sequence[float]]]
 
 MOTION, WRITE_BURST, OTHER, ARM = range(1, 5)
-"""Kinds of frames: a motor frame, of which the newest wins and dies with its epoch and the lease; the stop burst, now;
-another that is not motion, in order; one for the arm's servos, in order, which dies as motion does."""
+"""Kinds of frames. MOTION: a motor frame; only the newest counts, and it expires with its epoch and the lease.
+WRITE_BURST: the stop burst, now. OTHER: any frame that is not motion, in order. ARM: a frame for the arm's servos, in
+order; it expires as motion does."""
 ASKED_BYTES = 180
-"""Of the words in which a client asks for a stop, in UTF-8: with who asks they fit a record."""
+"""Bytes for the words in which a client asks for a stop, in UTF-8. With the asker's name they fit a record."""
 WHO_BYTES = 64
 FLEET_PREFIX = "fleet:"
-"""The begin of the asker's name where a stop of the whole fleet is passed on."""
+"""How the asker's name begins if the stop was for the whole fleet and was passed on."""
 CAUSE = "{cause}"
-"""In the text of a reply: the place of the cause's own."""
+"""In the text of a reply: stands for the text of the cause."""
 REPLY_BYTES = 290
 LEFT_OUT = b" ..."
-"""The end of such words where they were cut."""
+"""How such words end if they were cut."""
 
 NOBODY = 0
-"""No client's session."""
+"""A session number that no client has."""
 SOURCE_BYTES = 16
 HELD_BYTES = 200
 PATH_BYTES = 300
@@ -42,7 +43,7 @@ SAID_BYTES = 190
 WIRE_BYTES = 260
 """The longest frame on the wire."""
 CAUSE_BYTES = 282
-"""A cause, packed (failstop/policy/causes.py)."""
+"""The size of a packed cause (failstop/policy/causes.py)."""
 
 PORT_CLOSED, PORT_OPEN, PORT_LOST = range(3)
 PORT_STATES = ("closed", "open", "lost")
@@ -50,16 +51,16 @@ PORT_STATES = ("closed", "open", "lost")
 ENABLE, DISABLE, RESET, ARM_MOVE, ARM_DRIVE, ARM_TUCK, ARM_HOLD, ARM_RELEASE, ARM_READ, LIMIT = range(1, 11)
 
 REFUSED, DONE, UNDER_WAY = range(3)
-"""Replies; behind UNDER_WAY another one follows."""
+"""Replies; after UNDER_WAY another reply follows."""
 FOR_THE_LATCH, FOR_AN_INTERLOCK, FOR_THE_WHEELS = 1, 2, 3
-"""Reasons of a refusal: what is latched, whose cause is told; an interlock, whose text is told; that the wheels may
+"""Reasons of a refusal: a latched stop, whose cause is given; an interlock, whose text is given; that the wheels may
 turn."""
 ARM_FOLLOW, ARM_JOG = 1, 2
 MOST_JOINTS = 8
 MOST_SERVOS = 16
 MOST_ROWS = 200
 MOST_REPORTED = 4
-"""Wheels of a board that reports the command that it obeys."""
+"""The most wheels of a board that reports the command it obeys."""
 
 PAD_RESET, PAD_FRAME = 1, 2
 PLUGGED = ("unknown", "plugged", "unplugged")
@@ -67,8 +68,8 @@ PAD_MODES = ("locked", "drive", "joint")
 
 
 class Tail(Data):
-    """The part behind the numbers: how its values become bytes, and bytes its values (ValueError: not these bytes); how
-    many bytes there are, at most and at least."""
+    """The part after the numbers: how its values become bytes and back (ValueError if the bytes don't fit), and how
+    many bytes it has at most and at least."""
 
     pack: Callable[..., bytes]
     unpack: Callable[[bytes], tuple[Any, ...]]
@@ -80,8 +81,9 @@ NOTHING = Tail(bytes, lambda data: (), 0)
 
 
 class Shape:
-    """Numbers in the form of `struct`, and the tail's values after them. `pack` takes what `unpack` returns; `unpack`
-    raises ValueError for bytes of another shape, so that a reader takes them for damage. `most`: bytes."""
+    """Numbers in the notation of `struct`, followed by the tail's values. `pack` takes what `unpack` returns. `unpack`
+    raises ValueError for bytes of another shape, so that a reader treats them as damage. `most`: the largest size in
+    bytes."""
 
     __slots__ = ("_count", "_numbers", "_tail", "most", "pack")
 
@@ -106,7 +108,7 @@ class Shape:
 if TYPE_CHECKING:
 
     class Payload(Shape, Generic[Unpack[Values]]):
-        """A shape of these values, as the type checker sees it."""
+        """A shape with these value types, for the type checker."""
 
         pack: Callable[[Unpack[Values]], bytes]
 
@@ -117,7 +119,7 @@ else:
 
 
 def life(pid: int, block: int) -> int:
-    """A word that says whom to watch: the pid, and the block of futexes that it holds."""
+    """A word that names a process to watch: its pid, and the block of futexes that it holds."""
     return block << 32 | pid
 
 
@@ -127,12 +129,12 @@ def unpack_life(word: int) -> tuple[int, int]:
 
 
 def printable(text: str) -> str:
-    """A text of somebody else's, safe to show: what cannot be printed becomes a question mark."""
+    """Somebody else's text, safe to show: unprintable characters become question marks."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def asking(words: str, who: str = "", pid: int = 0) -> bytes:
-    """The line for the stop pipe: why, in words that are cut to ASKED_BYTES, and who asks, with tabs between them."""
+    """The line for the stop pipe: the reason, cut to ASKED_BYTES, and the asker's name and pid, separated by tabs."""
     text, name = (" ".join(given.split()) for given in (words, who))
     kept = cut(text, ASKED_BYTES)
     if len(kept) < len(text.encode("utf-8", "replace")):
@@ -141,7 +143,7 @@ def asking(words: str, who: str = "", pid: int = 0) -> bytes:
 
 
 def cut(text: str, room: int) -> bytes:
-    """UTF-8 of at most `room` bytes, cut between characters."""
+    """The text in at most `room` bytes of UTF-8, cut between characters."""
     return text.encode("utf-8", "replace")[:room].decode("utf-8", "ignore").encode()
 
 
@@ -247,7 +249,7 @@ _COUNTS = struct.Struct("<BH")
 _DOUBLE = struct.Struct("<d")
 
 FRAME: Payload[int, int, bytes] = Payload("<QB", rest(WIRE_BYTES))
-"""An entry of the gate's ring: epoch, kind, body: MOTION and OTHER carry a wire frame, WRITE_BURST nothing."""
+"""An entry of the gate's ring: epoch, kind, body. MOTION and OTHER carry a frame for the wire, WRITE_BURST nothing."""
 WROTE: Payload[int, tuple[float, ...]] = Payload(
     "<B",
     Tail(
@@ -256,18 +258,18 @@ WROTE: Payload[int, tuple[float, ...]] = Payload(
         MOST_REPORTED * _DOUBLE.size,
     ),
 )
-"""Something that was written and that the board answers or echoes: the index of a ping, or COMMANDED of
-failstop/board/handled.py and the speeds that the board will report."""
+"""Something written that the board answers or echoes: the index of a ping; or COMMANDED (failstop/board/handled.py) and
+the speeds that the board will report."""
 PROVED: Payload[int, int] = Payload("<QQ")
-"""The board has handled all that was written until the first time; it said so at the second (ns)."""
+"""The board has handled everything written until the first time; it said so at the second (ns)."""
 STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
-"""A stop: its epoch, when it was noticed, when its burst was handed to the kernel (0: it was not), its cause,
+"""A stop: its epoch, when it was noticed, when its burst was handed to the kernel (0: it was not), and its cause,
 packed."""
 LATCH: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
-"""The latch: the epoch that was raised for what is latched (0: nothing is), when that was noticed, when the epoch was
-raised last; the cause that is latched, else that of the last stop, packed."""
+"""The latch: the epoch raised for the latched stop (0: nothing is latched), when that stop was noticed, when the epoch
+was last raised, and the latched cause, packed; if nothing is latched, the last stop's cause."""
 PORT: Payload[int, int, int, str] = Payload("<QQB", _text(PATH_BYTES))
-"""The port: its number in this run, since when it is in this state (ns), PORT_OPEN or another, its path."""
+"""The port: its number in this run, since when it is in this state (ns), PORT_OPEN or another state, and its path."""
 COMMAND: Payload[int, float, float, float, bool, str] = Payload(
     "<Q3d?",
     Tail(
@@ -278,23 +280,24 @@ COMMAND: Payload[int, float, float, float, bool, str] = Payload(
     ),
 )
 """A velocity command of the client session that wrote it: vx (m/s forward), vy (m/s left), wz (rad/s
-counter-clockwise), whether a person drives, the source, which is never cut: it could be another one."""
+counter-clockwise), whether a person drives, and the source. The source is never cut, because a cut name could be
+another source."""
 ASSERTED: Payload[int, list[str]] = Payload(
     "<Q", Tail(lambda names: _whole("\n".join(names), HELD_BYTES), _unpack_names, HELD_BYTES)
 )
-"""The assertions of a client session: names of interlocks, never cut, or none for "the sensor delivered"."""
+"""What a client session asserts: names of interlocks, never cut; or no names, for "the sensor delivered"."""
 SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 * SAID_BYTES + 1))
-"""A line of a client session on itself: what it sees, and what is wrong, which may be nothing."""
+"""A client session's report about itself: what it sees, and what is wrong (may be empty)."""
 HELLO: Payload[int, int, int, str] = Payload("<QIQ", _text(64))
-"""The holder of a client slot: a random session number, its pid and in which namespace of pids, its name."""
+"""The holder of a client slot: a random session number, its pid, its pid namespace, its name."""
 GOODBYES = 64
 LEFT = Shape(f"<{GOODBYES}Q")
-"""The sessions that have left a client slot in order, the last one first: many may come and go between two looks of the
+"""The sessions that have left a client slot, the last one first, because many may come and go between two looks of the
 gate."""
 
 
 def goodbye(session: int, before: bytes) -> bytes:
-    """The goodbye of a session, in front of those that lay there."""
+    """The goodbye of a session, put before the earlier ones."""
     try:
         earlier = LEFT.unpack(before)
     except ValueError:
@@ -303,44 +306,45 @@ def goodbye(session: int, before: bytes) -> bytes:
 
 
 ANSWER_WITHIN_NS = 1_000_000_000
-"""How long a client waits for the answer to a request, unless it asks for more patience (Robot, `answer_s`)."""
+"""How long a client waits for the answer to a request, unless it sets another time (Robot, `answer_s`)."""
 REQUEST: Payload[int, int, int] = Payload("<QQB")
-"""A client session's request: its number, which comes back in the reply; its verb, ENABLE or another."""
+"""A client session's request: its number, which the reply repeats, and its verb, ENABLE or another."""
 SPEED_LIMIT: Payload[int, int] = Payload("<QB")
-"""The speed limit that a session's request is about, in percent of the settings' speeds."""
+"""The speed limit of a session's request, in percent of the settings' speeds."""
 SEEN: Payload[int, int] = Payload("<QQ")
-"""The epoch that a session's person had seen who asks for a reset; 0: the asking itself is all that is known."""
+"""The newest epoch that the person who asks for a reset had seen; 0: not known, only that the person asked."""
 REPLY: Payload[int, int, int, int, str, bytes] = Payload(
     "<QQBB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
 )
-"""The reply to a session's request: its number; DONE, REFUSED or UNDER_WAY; FOR_THE_LATCH, FOR_AN_INTERLOCK or
-FOR_THE_WHEELS, 0 (refused for something else, or not at all); the text; the cause, packed, that is meant where it says
-CAUSE."""
+"""The reply to a session's request: its number; DONE, REFUSED or UNDER_WAY; FOR_THE_LATCH, FOR_AN_INTERLOCK,
+FOR_THE_WHEELS or 0 (refused for another reason, or not refused); the text; and the packed cause that CAUSE in the text
+stands for."""
 ARM_GOAL: Payload[int, int, dict[int, float]] = Payload(
     "<QB", Tail(_pack_goal, _unpack_goal, 1 + MOST_JOINTS * _VALUE.size)
 )
-"""A session's goal, renewed: ARM_FOLLOW with the angle (rad) of each servo's joint, or ARM_JOG with its rate
-(rad/s)."""
+"""A session's goal for the arm, renewed again and again: ARM_FOLLOW with the angle (rad) of each servo's joint, or
+ARM_JOG with its rate (rad/s)."""
 ARM_PATH: Payload[int, float, list[int], Rows] = Payload(
     "<Qd", Tail(_pack_rows, _unpack_rows, _COUNTS.size + MOST_JOINTS + MOST_ROWS * (8 + 4 * MOST_JOINTS))
 )
-"""A session's trajectory: the share of the joints' speeds that it may use, the servos (MOST_JOINTS at most), and rows
-(MOST_ROWS at most): when (s; 0 in the first row: as fast as allowed), and the angles (rad) of these servos' joints."""
+"""A session's trajectory: the share of the joints' speeds it may use, the servos (MOST_JOINTS at most), and the rows
+(MOST_ROWS at most), each with a time (s; 0 in the first row: as fast as allowed) and the angles (rad) of these servos'
+joints."""
 OF_SESSION: dict[str, Shape] = {
     "command": COMMAND,
     "sensed": ASSERTED,  # its time is that of the obstacle sensor's last delivery
     "interlocks": ASSERTED,  # the conditions that this client says hold, at its time
-    "attended": ASSERTED,  # the operator who was there at its time; 0: who is there no more
+    "attended": ASSERTED,  # the operator who was present at its time; 0: that operator has left
     "request": REQUEST,
     "speed_limit": SPEED_LIMIT,  # the limit that a request is about
-    "seen": SEEN,  # the newest stop that the person knew of who asks for a reset
+    "seen": SEEN,  # the newest stop known to the person who asks for a reset
     "arm_goal": ARM_GOAL,  # follow or jog, renewed
     "arm_path": ARM_PATH,  # the trajectory that a request is about
-    "said": SAID,  # in a line, what the client sees and what is wrong
+    "said": SAID,  # one line: what the client sees and what is wrong
 }
-"""The records that a client writes into its slot after its hello: each begins with its session."""
+"""The records that a client writes into its slot after its hello. Each begins with its session."""
 SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack_answer, _ANSWER.size, _ANSWER.size))
-"""An answer of a bus servo: which, to which question (board/servos.py), the value; None: it did not answer."""
+"""A bus servo's answer: the servo, the question (board/servos.py), and the value; None: it did not answer."""
 IMU: Payload[float, float, float, float, float, float] = Payload("<6d")
 """A sample: acceleration (m/s2), then rate (rad/s); x forward, y left, z up."""
 RATE_VARIANCE = 0.0012**2
@@ -350,38 +354,39 @@ BIAS: Payload[float, float, float, bool, bool] = Payload("<3d??")
 ODOMETRY_FROM = ("commands", "wheels")
 BY_COMMANDS, BY_ROLLING = range(len(ODOMETRY_FROM))
 ODOMETRY = Shape("<8dB6d")
-"""Pose: x m, y m, th rad since the start; twist in the robot's frame: vx m/s, vy m/s, wz rad/s; the standard deviation
-published with it: m/s of vx and vy, rad/s of wz; what both come from, an index of ODOMETRY_FROM; the covariance of the
-pose: xx, xy, x th, yy, y th, th th. Its time is that of the newest report of the wheels, or of now for commands."""
+"""Pose: x m, y m, th rad since the start; twist in the robot's frame: vx m/s, vy m/s, wz rad/s; the twist's standard
+deviation: m/s for vx and vy, rad/s for wz; the source of both, an index of ODOMETRY_FROM; the covariance of the pose:
+xx, xy, x th, yy, y th, th th. Its time is that of the wheels' newest report, or now if it comes from commands."""
 POSE_VARIANCE = 1e3
-"""m^2 of x and y, rad^2 of th, to publish with a pose from commands: dead reckoning is not to be trusted."""
+"""m^2 for x and y, rad^2 for th, to publish with a pose from commands, because dead reckoning can't be trusted."""
 MOST_WHEELS = 4
 WHEELS_DO = ("unknown", "still", "turning")
 WHEELS_BY = ("", "IMU", "wheels")
 WHEELS_SEEN = Shape(f"<BB?BQQ{MOST_WHEELS}d{MOST_WHEELS}d")
-"""What is known of the wheels: an index of WHEELS_DO and of WHEELS_BY (what says so); whether they turn although they
-were told zero for longer than still.after_s; how many wheels are reported; since when it is so, and the newest reading
-(both ns, 0: never); then the measured speed of each wheel by wire id in turns a second, and how far each has turned
-(NaN: not reported)."""
+"""What is known about the wheels: an index of WHEELS_DO, and of WHEELS_BY (the observer); whether they turn although
+they were told zero for longer than still.after_s; how many wheels are reported; since when it is so, and the newest
+reading (both ns, 0: never); then the measured speed of each wheel in turns per second, by wire id, and how far each has
+turned (NaN: not reported)."""
 OLD_READING_NS = 500_000_000
-"""A reading of the wheels that is older says nothing of now."""
+"""An older reading of the wheels says nothing about now."""
 BATTERY: Payload[int, int] = Payload("<IB")
-"""The battery's mV, and whether the charger is plugged in: an index of PLUGGED."""
+"""The battery's voltage in mV, and whether the charger is plugged in: an index of PLUGGED."""
 HEALTH = Shape("<", Tail(_pack_health, _unpack_health, MOST_SERVOS * 3))
-"""Servos, as they say of themselves: of each its id, load (-1 to 1, told in percent) and temperature (degrees Celsius;
-0: not told yet)."""
+"""What servos report about themselves: the id, load (-1 to 1, sent in percent) and temperature of each (degrees
+Celsius; 0: not reported yet)."""
 PAD: Payload[int, int, int, int, int, int, int] = Payload("<HB4bB")
-"""The gamepad's last frame: a bit a button, the hat, axes lx, ly, rx, ry of -128..127; an index of PAD_MODES."""
+"""The gamepad's last frame: a bit per button, the hat, axes lx, ly, rx, ry from -128 to 127; an index of PAD_MODES."""
 PAD_COMMAND: Payload[float, float, float] = Payload("<3d")
-"""The command of the gamepad's sticks: vx (m/s forward), vy (m/s left), wz (rad/s counter-clockwise)."""
+"""The velocity commanded by the gamepad's sticks: vx (m/s forward), vy (m/s left), wz (rad/s counter-clockwise)."""
 PAD_ARM: Payload[int, float] = Payload("<Bd")
-"""The gamepad's wish for the arm: a joint, by its place in the settings, and a share of its speed, -1 to 1."""
+"""The gamepad's command for the arm: a joint, by its place in the settings, and a share of its speed, -1 to 1."""
 PAD_REQUEST: Payload[int, bytes] = Payload("<B", rest(WIRE_BYTES))
-"""A request of telemetry to the gate: PAD_RESET, or PAD_FRAME with a wire frame that is not motion."""
+"""A request of telemetry to the gate: PAD_RESET, or PAD_FRAME with a frame for the wire that is not motion."""
 
 
 def port_state(entry: tuple[int, int, bytes] | None, number: int) -> int:
-    """The state of the port with this number by the port owner's record; PORT_CLOSED when that is about another."""
+    """The state of the port with this number, by the port owner's record; PORT_CLOSED if the record is about another
+    port."""
     if entry is None:
         return PORT_CLOSED
     told, _, state, _ = PORT.unpack(entry[2])

@@ -1,8 +1,9 @@
-"""The segments of a run: shared memory objects of POSIX, on Linux files. The supervisor creates them, others attach.
+"""The segments of a run: POSIX shared memory objects, which are files on Linux. The supervisor creates them; other
+processes attach.
 
-/dev/shm is everyone's to write. So each run has names of its own that nobody can know before (`memory`: the instance's
-name and the run's incarnation), which the runtime directory tells (instance.run), and what is attached must be the
-service's own: attaching checks the owner, and then size, magic, layout and the run's incarnation, and refuses with a
+Everyone may write to /dev/shm. So each run has names that nobody can know in advance (`memory`: the instance's name and
+the run's incarnation), which only the runtime directory reveals (instance.run), and a segment must prove to be the
+service's own: attaching checks the owner, then size, magic, layout and the run's incarnation, and refuses with a
 message that says what to do. A restart of the service makes new segments; nothing is ever repaired.
 """
 
@@ -39,7 +40,7 @@ class AttachError(Exception):
 
 
 def memory(instance: str, incarnation: int) -> str:
-    """The name that a run's segments share."""
+    """The name that all segments of a run share."""
     return f"{instance}.{incarnation:016x}"
 
 
@@ -48,9 +49,9 @@ def path_of(memory: str, segment: str, folder: str = SHM) -> str:
 
 
 def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
-    """Create a segment of this run, whose supervisor alone does it, and holds the lock on its own as long as it lives.
-    Raises AttachError, and leaves nothing then."""
-    import posix_ipc  # here and in unlink() alone: whoever attaches loads nothing for it
+    """Create a segment of this run. Only the run's supervisor does this, and it holds the lock on its own segment as
+    long as it lives. Raises AttachError, and then leaves nothing behind."""
+    import posix_ipc  # imported here and in unlink() only, so that attaching does not load it
 
     spec, path = SEGMENT_BY_NAME[name], path_of(memory, name)
     try:
@@ -61,7 +62,7 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
     try:
         if name == SUPERVISOR:
             claim.acquire(fd, 0)
-        # Found at the first touch it would be a SIGBUS.
+        # Reserve the memory now; otherwise the first touch could be a SIGBUS.
         os.posix_fallocate(fd, 0, spec.size)
         header = _HEADER.pack(MAGIC, LAYOUT_HASH, spec.size, incarnation, name.encode(), VERSION.encode())
         os.pwrite(fd, cell.build(1, 0, header, _HEADER_SEED, HEADER_BYTES - cell.CELL_HEADER_BYTES), 0)
@@ -79,7 +80,8 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
 
 
 def unlink(memory: str, name: str) -> None:
-    """Remove a segment's name; one that is not there, or is another user's, is fine: nobody needs the name again."""
+    """Remove a segment's name. A name that is gone already, or is another user's, is fine, because nobody needs it
+    again."""
     import posix_ipc
 
     with contextlib.suppress(posix_ipc.Error, OSError):
@@ -92,33 +94,33 @@ def unlink_all(memory: str) -> None:
 
 
 def living(memory: str) -> bool:
-    """True while the supervisor of this run lives."""
+    """True while this run's supervisor is alive."""
     try:
         fd = os.open(path_of(memory, SUPERVISOR), os.O_RDONLY | _FLAGS)
     except OSError:
         return False
     try:
         return lives(fd)
-    except OSError:  # no regular file
+    except OSError:  # not a regular file
         return False
     finally:
         os.close(fd)
 
 
 def open_life(memory: str, owner: int) -> int:
-    """A descriptor for lives() of this run's supervisor, to ask more than once. Raises AttachError."""
+    """A descriptor to call lives() with more than once. Raises AttachError."""
     return _open(memory, SUPERVISOR, False, owner)
 
 
 def lives(fd: int) -> bool:
-    """True while the supervisor of the run lives: it holds the lock on its segment, of which this is a descriptor, from
-    the moment when it has made it; others may only read it. One system call; it needs no pid, so it tells the same in
-    every container. Raises OSError when this is no regular file."""
+    """True while the run's supervisor is alive: it holds the lock on its segment from the moment it has made it, and
+    other users may only read that file. `fd`: a descriptor of it. One system call without a pid, so it works in every
+    container. Raises OSError if this is not a regular file."""
     return claim.held(fd, 0, by_writer=True)
 
 
 def version(memory: str) -> str:
-    """The version of failstop that made a run's segments; empty where that can't be read."""
+    """The version of failstop that made a run's segments; empty if it can't be read."""
     try:
         with open(path_of(memory, SUPERVISOR), "rb") as file:
             header = _header(file.read(HEADER_BYTES))
@@ -128,7 +130,7 @@ def version(memory: str) -> str:
 
 
 def _header(raw: bytes) -> tuple[int, int, int, bytes, bytes] | None:
-    """Layout, size, incarnation, name and version, as a segment's first bytes say; None: they are no header."""
+    """Layout, size, incarnation, name and version from a segment's first bytes; None if they are no header."""
     entry = cell.check(raw, _HEADER_SEED)
     if entry is None or len(entry[2]) != _HEADER.size or not entry[2].startswith(MAGIC):
         return None
@@ -157,12 +159,11 @@ def dead_runs(instance: str) -> list[str]:
 
 
 def attach(memory: str, name: str, incarnation: int | None = None, *, write: bool = False, owner: int = -1) -> Segment:
-    """A segment to read, or to write when this process is its declared writer. Mapped, but for what more than one
-    process writes, clients or the lifelines' holders: reached through its file, one that somebody truncates costs no
-    SIGBUS.
+    """Attach a segment to read, or to write if this process is its declared writer.
 
-    `incarnation` is the run that is expected; None takes the run that is there. `owner`: the uid of the service; -1:
-    this process's. Raises AttachError.
+    It is mapped, except where several processes write it (clients, or the lifelines' holders): those are accessed
+    through the file, so that truncating it causes no SIGBUS. `incarnation` is the expected run; None takes the one that
+    exists. `owner`: the uid of the service; -1: this process's. Raises AttachError.
     """
     spec = SEGMENT_BY_NAME[name]
     fd = _open(memory, name, write, owner)
@@ -182,8 +183,8 @@ def attach(memory: str, name: str, incarnation: int | None = None, *, write: boo
 
 
 def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
-    """A client's segment as the service reads it, by records that carry the incarnation in their CRC: clients may have
-    scribbled over its header. One whose name was taken away is out of use: nothing is ever in it."""
+    """A client's segment as the service reads it, by records that carry the incarnation in their CRC, because clients
+    may have scribbled over its header. A segment whose name was removed counts as unused: it is always empty."""
     name = f"client.{index}"
     try:
         fd = _open(memory, name, False)
@@ -193,8 +194,8 @@ def read_client_slot(memory: str, index: int, incarnation: int) -> Segment:
 
 
 def open_all(memory: str) -> dict[str, int]:
-    """Read-only descriptors of the processes' segments, by name, as far as they are there: what is unlinked later can
-    still be read through them. Only files of this user's."""
+    """Read-only descriptors of the processes' segments, by name, for those that exist. They can be read even after the
+    names are removed. Only this user's files."""
     found = {}
     for name in layout.PROCESS_NAMES:
         try:
@@ -205,12 +206,12 @@ def open_all(memory: str) -> dict[str, int]:
 
 
 def copy(fd: int, memory: str, name: str) -> tuple[int, bytes]:
-    """A private copy of a whole segment that is open as `fd`: (incarnation, bytes). Raises AttachError."""
+    """A private copy of the whole segment that is open as `fd`: (incarnation, bytes). Raises AttachError."""
     return _check_header(fd, memory, SEGMENT_BY_NAME[name], None), os.pread(fd, SEGMENT_BY_NAME[name].size, 0)
 
 
 def _open_file(memory: str, name: str, flags: int, owner: int) -> int:
-    """A segment's descriptor; a pipe in its place is not waited for. Raises OSError, place.Untrusted (not
+    """A segment's descriptor. A pipe in its place does not block. Raises OSError, or place.Untrusted (not
     `owner`'s)."""
     path = path_of(memory, name)
     fd = os.open(path, flags | _FLAGS)
@@ -243,7 +244,7 @@ def _open(memory: str, name: str, write: bool, owner: int = -1) -> int:
 
 
 def _told(memory: str, name: str) -> str:
-    """A segment as people are told of it."""
+    """How messages name a segment."""
     return f"shared memory {name} of {memory.partition('.')[0]!r}"
 
 

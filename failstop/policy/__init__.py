@@ -1,1 +1,2 @@
-"""Policy: what the service goes by - the settings, and the causes of a stop. Below every process; it imports none."""
+"""Policy: the tables that the service follows: the settings, and the causes of a stop. It lies below every process and
+imports none."""

@@ -1,8 +1,8 @@
-"""Capsules: would the arm hit itself, the chassis or the floor on its way? Pure; never on the way of a stop.
+"""Capsules: would the arm hit itself, the chassis or the floor on its way? Pure; never used on the stop path.
 
-The arm is a chain of capsules, one behind each joint: with every angle zero it stands straight up from its mount. A
-joint turns what is behind it about the vertical (yaw), about an axis across (pitch), about itself (roll), or nothing
-(none, a gripper). The chassis is a capsule along the robot. Lengths, radii and the mount are settings.
+The arm is a chain of capsules, one after each joint. With every angle at zero it points straight up from its mount. A
+joint turns the rest of the arm about the vertical (yaw), about an axis across (pitch), about itself (roll), or not at
+all (none, a gripper). The chassis is a capsule along the robot. Lengths, radii and the mount are settings.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Capsule = tuple[str, Point, Point, float]
 FLOOR = "the floor"
 CHASSIS = "the chassis"
 STEP_RAD = 0.05
-"""Between two looks at the arm on its way: 5 mm at a reach of 0.1 m, 15 mm at 0.3 m."""
+"""Angle between two looks at the arm on its way: 5 mm at a reach of 0.1 m, 15 mm at 0.3 m."""
 
 
 class Model:
@@ -33,7 +33,7 @@ class Model:
         self._chassis: Capsule = (CHASSIS, (-reach_m, 0.0, height_m), (reach_m, 0.0, height_m), radius_m)
 
     def capsules(self, angles: dict[str, float]) -> list[Capsule]:
-        """The links in these angles (rad by joint), from the mount on."""
+        """The links at these angles (rad by joint), starting at the mount."""
         found: list[Capsule] = []
         at, yaw, pitch = self._mount, 0.0, 0.0
         for name, turns, length_m, radius_m in self._links:
@@ -47,8 +47,8 @@ class Model:
         return found
 
     def nearest(self, angles: dict[str, float]) -> tuple[float, str, str]:
-        """The pair that is nearest to touching in these angles, with the gap between both (m; below 0: they touch).
-        What is mounted on each other is no pair."""
+        """The two parts closest to touching at these angles, with the gap between them (m; below 0: they touch). Parts
+        mounted on each other are not compared."""
         links = self.capsules(angles)
         found = (inf, "", "")
         for index, link in enumerate(links):
@@ -71,7 +71,7 @@ def _gap_m(one: Capsule, other: Capsule) -> float:
 
 
 def apart_m(p1: Point, q1: Point, p2: Point, q2: Point) -> float:
-    """The distance of two segments: the nearest points of both lines, each held to its segment in turn."""
+    """The distance of two segments: the closest points of both lines, each limited to its segment in turn."""
     d1, d2, r = _minus(q1, p1), _minus(q2, p2), _minus(p1, p2)
     a, e, b, c, f = _dot(d1, d1), _dot(d2, d2), _dot(d1, d2), _dot(d1, r), _dot(d2, r)
     s = _held(b * f - c * e, a * e - b * b)
@@ -81,7 +81,8 @@ def apart_m(p1: Point, q1: Point, p2: Point, q2: Point) -> float:
 
 
 def _held(part: float, whole: float) -> float:
-    """A share from 0 to 1. Where the whole is nothing, of lines that are parallel or a segment that is a point, any."""
+    """A share limited to 0..1. If the whole is nothing (parallel lines, or a segment that is a point), any share is
+    right."""
     return max(0.0, min(1.0, part / whole)) if whole > 0.0 else 0.0
 
 
@@ -100,8 +101,8 @@ def _on(begin: Point, way: Point, share: float) -> Point:
 def on_the_way(
     model: Model, start: dict[str, float], rows: list[tuple[float, dict[str, float]]]
 ) -> tuple[float, str, str] | None:
-    """When (s; 0 where a row has no time), and the pair that touches first, on the straight way (in angles) from
-    `start` along the rows; None: none does. What touches already may part."""
+    """When (s; 0 if a row has no time) and which two parts touch first, on the straight way (in angles) from `start`
+    along the rows; None: none touch. Parts that touch already may move apart."""
     at_s, at, gap_m = 0.0, start, model.nearest(start)[0]
     for t_s, to in rows:
         end = {**at, **to}

@@ -1,10 +1,11 @@
-"""Causes: everything that stops the robot, declared once: its words, who notices it, what clears it, what people do.
+"""Causes: everything that stops the robot, declared once: its text, the processes that notice it, what clears it, and
+what people do.
 
-A cause travels as the number of its row with its arguments (`pack`), from whoever notices it to whoever tells of it;
-its text is made at the end (`str`). In a template, what stands in brackets is left out when its arguments are empty.
-Every cause latches.
+A cause travels as the number of its row with its arguments (`pack`) from the process that notices it to the one that
+reports it; its text is made at the end (`str`). In a template, text in brackets is left out when its arguments are
+empty. Every cause latches.
 
-`what` continues "stopped since ...", with the same arguments, and `role` of the process and `names` of the buttons;
+`what` continues "stopped since ...", with the same arguments plus `role` of the process and `names` of the buttons.
 `remedy` continues "first ..." and takes no arguments (`Kind.first`).
 """
 
@@ -21,15 +22,15 @@ if TYPE_CHECKING:
     from failstop.messages.packing import Value
 
 ARGUMENTS_BYTES = 280
-"""Bytes that the arguments of a cause take at most, in UTF-8; what is longer is cut."""
+"""Bytes that the arguments of a cause may take, in UTF-8; longer ones are cut."""
 BETWEEN = "\x1f"
 LONGEST_PID = 10
 NOT_KNOWN = "not known yet"
-"""The place of a name that is not known yet: the asker completes its cause by asking once more."""
+"""Stands for a name that is not known yet. The asker completes its cause by asking once more."""
 A_RESET = "a reset"
 NEW_RUN = "a new start of the service"
 CLIENTS = "gate"
-"""The process that notices the acts of clients."""
+"""The process that notices what clients do."""
 NUMBER_BYTES = 2
 _TYPES = {"": str, "d": int, "X": int, "f": float}
 
@@ -43,9 +44,9 @@ USE_THE_SWITCH = "use the POWER SWITCH"
 
 
 class Kind(Data):
-    """One row. `number`: never given to another row; `template`: what stands in braces are the parameters, none of
-    which is "name"; `noticed_by`: processes; `doubt`: a clause that ends `what`, and sends people to the power switch,
-    until the stop is known to have reached the wheels."""
+    """One row. `number`: never given to another row; `template`: its parameters are in braces, and none is called
+    "name"; `noticed_by`: processes; `doubt`: a clause that ends `what`, and sends people to the power switch until the
+    stop is known to have reached the wheels."""
 
     number: int
     name: str
@@ -62,19 +63,19 @@ class Kind(Data):
 
     @cached_property
     def parameters(self) -> tuple[tuple[str, type[Value]], ...]:
-        """Name and type of each: looked for once, as causes are made in front of a burst."""
+        """Name and type of each parameter. Computed once, because causes are made right before a burst."""
         fields = [part.partition("}")[0].partition(":") for part in self.template.split("{")[1:]]
         return tuple((name, _TYPES[form[-1:]]) for name, _, form in fields)
 
     def __call__(self, *arguments: Value) -> Cause:
-        """A cause of this kind. Raises ValueError for arguments that are not those of the row."""
+        """A cause of this kind. Raises ValueError if the arguments don't fit the row."""
         if len(arguments) != len(self.parameters):
             raise ValueError(f"{self.name} takes {len(self.parameters)} arguments, not {len(arguments)}")
         return Cause(self, tuple(of(given) for (_, of), given in zip(self.parameters, arguments, strict=True)))
 
 
 class Cause:
-    """Why the robot was stopped: the row, and what it says of this case. `str` of it is its text."""
+    """Why the robot was stopped: the row, and its arguments in this case. `str` of it is its text."""
 
     __slots__ = ("arguments", "kind")
 
@@ -91,11 +92,11 @@ class Cause:
         return f"{self}: {USE_THE_SWITCH}" if self.kind.doubt else str(self)
 
     def as_map(self) -> dict[str, Value]:
-        """For programs: the name of its row, and its arguments."""
+        """For programs: the name of the row, and the arguments."""
         return {"name": self.kind.name, **self.named()}
 
     def fields(self) -> dict[str, str]:
-        """Of an event: for people, and for programs."""
+        """The fields of an event: for people, and for programs."""
         return {"reason": str(self), "cause": self.kind.name}
 
     def __str__(self) -> str:
@@ -111,7 +112,7 @@ class Cause:
         return hash((self.kind.number, self.arguments))
 
     def pack(self) -> bytes:
-        """ARGUMENTS_BYTES + 2 bytes at most."""
+        """The cause in at most ARGUMENTS_BYTES + 2 bytes."""
         texts = (str(value).replace(BETWEEN, "?") for value in self.arguments)
         return self.kind.number.to_bytes(NUMBER_BYTES, "little") + cut(BETWEEN.join(texts), ARGUMENTS_BYTES)
 
@@ -123,14 +124,14 @@ def unpack(payload: bytes) -> Cause:
         raise ValueError(f"no cause has the number {number} of {len(payload)} bytes")
     kind = BY_NUMBER[number]
     texts = payload[NUMBER_BYTES:].decode("utf-8", "replace").split(BETWEEN)
-    # Parameters that were cut off are empty.
+    # Parameters that were cut off become empty.
     texts += [""] * (len(kind.parameters) - len(texts))
     pairs = zip(kind.parameters, texts, strict=False)
     return Cause(kind, tuple(text if of is str else of(text or 0) for (_, of), text in pairs))
 
 
 def filled(template: str, arguments: dict[str, Value]) -> str:
-    """A text of a row with its arguments; every other part of it stands in brackets."""
+    """The template with its arguments filled in; every second part of it was in brackets."""
     parts = template.replace("]", "[").split("[")
     return "".join(
         part.format_map(arguments)
@@ -140,7 +141,7 @@ def filled(template: str, arguments: dict[str, Value]) -> str:
 
 
 def read(payload: bytes) -> Cause:
-    """A cause of packed bytes, UNKNOWN where they are damaged: a stop is one whatever its cause."""
+    """The cause in packed bytes; UNKNOWN if they are damaged, because a stop counts whatever its cause is."""
     try:
         return unpack(payload)
     except ValueError:
@@ -148,7 +149,7 @@ def read(payload: bytes) -> Cause:
 
 
 def of(name: str, arguments: dict[str, Value]) -> Cause:
-    """The cause that a program was told of by its name and its arguments; UNKNOWN where this version has no such."""
+    """The cause with this name and these arguments; UNKNOWN if this version has no such cause."""
     kind = CAUSE_BY_NAME.get(name)
     if kind is None or {key for key, _ in kind.parameters} - set(arguments):
         return UNKNOWN()
@@ -156,8 +157,8 @@ def of(name: str, arguments: dict[str, Value]) -> Cause:
 
 
 def requested(line: bytes) -> Cause:
-    """The cause of a stop that was asked for with this line in the stop pipe (records.asking). Any local user may write
-    the line, and a pipe does not tell its reader who did: so the name in it is what the asker says, and no more."""
+    """The cause of a stop that was requested with this line in the stop pipe (records.asking). Any local user may write
+    the line, and a pipe does not tell its reader who did. So the name is the asker's own claim."""
     text = line.decode("utf-8", "replace")
     words, _, rest = text.partition("\t")
     who, _, pid = rest.partition("\t")
@@ -169,13 +170,13 @@ def requested(line: bytes) -> Cause:
 
 
 def _quoted(text: str) -> str:
-    """Somebody's words as they can stand between quotation marks: they end where these do."""
+    """A text made safe to put between quotation marks, which it could otherwise end."""
     return printable(text).replace('"', "'")
 
 
 def completed(latched: Cause, later: Cause) -> bool:
-    """Whether a later stop tells what the cause of the latched one lacked: both of one program, which
-    said at first that something is not known yet. It happens once, as nothing is lacking then."""
+    """Whether a later stop fills in what the latched cause lacked: both are from one program, which had said at first
+    that something was not known yet. It happens once, because nothing is missing afterwards."""
     if not latched.kind is later.kind is REQUESTED:
         return False
     (words, *who), (more, *same) = latched.arguments, later.arguments
@@ -356,7 +357,7 @@ CAUSE_BY_NAME = {kind.name: kind for kind in BY_NUMBER.values()}
 
 
 class Reply(Data):
-    """The answer to a request; in its text CAUSE (records) stands where the cause's own belongs."""
+    """The answer to a request. In its text, CAUSE (records) stands for the text of `cause`."""
 
     done: int
     text: str
@@ -367,7 +368,7 @@ class Reply(Data):
         return self.text.replace(records.CAUSE, str(self.cause))
 
     def pack(self, session: int, number: int) -> bytes:
-        """For the request of this number, of this client's session."""
+        """The answer to the request with this number, of this client's session."""
         cause = self.cause.pack() if self.cause else b""
         return records.REPLY.pack(session, number, self.done, self.refused_for, self.text, cause)
 
@@ -379,12 +380,12 @@ def unpack_reply(payload: bytes) -> tuple[int, int, Reply]:
 
 
 def refused(why: str, latched: Cause | None = None) -> Reply:
-    """Refused; for what is `latched`, where something is, which then stands behind the reason."""
+    """A refusal; if something is `latched`, its cause follows the reason."""
     if latched is None:
         return Reply(records.REFUSED, why)
     return Reply(records.REFUSED, f"{why} ({records.CAUSE})", latched, records.FOR_THE_LATCH)
 
 
 def asked_before(cause: Cause) -> Reply:
-    """Refused: who asked before the last stop, which is for this cause, did not know of it."""
+    """The refusal of a request that was made before the last stop, so the client did not know about it."""
     return Reply(False, f"asked before the last stop ({records.CAUSE}): see to that, then ask again", cause)

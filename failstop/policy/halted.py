@@ -1,7 +1,7 @@
-"""Halted: what a command may say of the wheels once it has tried to stop them. Pure.
+"""Halted: what a command may say about the wheels after it has tried to stop them. Pure.
 
-A command says "stopped" only for what it has seen: a stop that went out whole and, where the board can confirm one, the
-board's own word after that. For everything else it says that a wheel may still be turning.
+A command says "stopped" only for what it has observed: a stop that went out whole and, if the board can confirm one,
+the board's own answer after it. Otherwise it says that a wheel may still be turning.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ NOT_CONFIRMED = f"a stop was written to {{where}}, but the board did not confirm
 CONFIRMED = "the board has confirmed the stop"
 UNCONFIRMABLE = "a stop was written to {where}, but nothing can confirm it: check that no wheel turns"
 OF_CTRL_C = 130
-"""Exit code of a command that Ctrl-C has ended."""
+"""The exit code of a command that Ctrl-C ended."""
 
 
 class Halted(Data):
     """What is known after a command has tried to stop the wheels."""
 
     where: str
-    """The port or the topic that the stop went to."""
+    """The port or the topic that the stop was sent to."""
     written: bool
     """A whole stop has left this computer."""
     there: bool = True
@@ -40,21 +40,21 @@ class Halted(Data):
     confirmed: bool = False
     """The board has answered a question that followed the stop."""
     still: bool | None = None
-    """Whether the wheels are reported at rest after the stop; None: nothing reports them."""
+    """Whether the wheels are reported at rest after the stop; None if nothing reports them."""
     by: str = "the board"
-    """What reports them."""
+    """What reports the wheels."""
 
     @property
     def safe(self) -> bool:
-        """Nothing known says that a wheel may still be turning."""
+        """True if nothing known says that a wheel may still be turning."""
         return self._row()[1]
 
     def sentence(self) -> str:
-        """What may be said of the wheels, without the last full stop."""
+        """What may be said about the wheels, without the final full stop."""
         return self._row()[2].format(where=self.where, by=self.by, why=f" ({self.why})" if self.why else "")
 
     def interrupted(self) -> int:
-        """The exit code of a command that Ctrl-C has ended."""
+        """The exit code of a command that Ctrl-C ended."""
         return OF_CTRL_C if self.safe else 1
 
     def _row(self) -> tuple[Callable[[Halted], bool], bool, str]:
@@ -70,4 +70,4 @@ SENTENCES: tuple[tuple[Callable[[Halted], bool], bool, str], ...] = (
     (lambda known: known.confirmed, True, CONFIRMED),
     (lambda _: True, True, UNCONFIRMABLE),
 )
-"""What fits, whether that is safe, and the sentence. The first row that fits decides."""
+"""The condition, whether that is safe, and the sentence. The first row that fits decides."""

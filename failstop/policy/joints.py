@@ -1,5 +1,6 @@
-"""Joints: what the settings say of each, and where each one is. Pure. Positions are pulses, fractional where they are
-commanded: rounding is the frame's affair, since 0.3 rad/s are 2.9 pulses a move, and slower moves fractions of one."""
+"""Joints: each joint's settings, and where the joint is. Pure. Positions are in pulses, fractional where they are
+commanded. Rounding is left to the frame, because 0.3 rad/s are 2.9 pulses per move, and slower moves are fractions of
+one."""
 
 from __future__ import annotations
 
@@ -9,11 +10,11 @@ from failstop.board.kinds import facts_of
 from failstop.policy.settings import Settings
 
 MOST_MISSES = 4
-"""Questions in a row without an answer: it counts as silent."""
+"""A servo that leaves this many questions in a row unanswered counts as silent."""
 
 
 class Joint:
-    """One joint: its bounds, and what is known of it."""
+    """One joint: its bounds, and what is known about it."""
 
     def __init__(
         self,
@@ -22,7 +23,7 @@ class Joint:
         highest: int,
         turn: int,
     ) -> None:
-        """`highest`: the last of its pulses; `turn`: so many make a whole turn."""
+        """`highest`: the last of its pulses; `turn`: pulses in a whole turn."""
         number = {key: float(value) for key, value in table.items() if not isinstance(value, str)}
         self.name = name
         self.servo = int(number["servo"])
@@ -36,16 +37,16 @@ class Joint:
         self.tuck, self.drive = int(number["tuck"]), int(number["drive"])
         self.judged = table["judged"] == "on"
         self.position = 0.0
-        """Commanded, fractional; means something only while `known`."""
+        """The commanded position, fractional. It means something only while `known`."""
         self.velocity = 0.0
         self.known = False
-        """Where it is has been read, and nothing but its own stream has moved it since."""
+        """Its position has been read, and only its own stream of moves has moved it since."""
         self.loaded: bool | None = None
-        """Its torque was switched on, and nothing since says that it is off; None: neither switched nor read yet."""
+        """Its torque was switched on, and nothing says that it is off since; None: neither switched nor read yet."""
         self.measured: int | None = None
         self.measured_ns = 0
         self.unpaired: int | None = None
-        """A reading that another one must equal before it counts."""
+        """A reading that counts once a second reading equals it."""
         self.misses = 0
         """Questions in a row without an answer."""
         self.temperature_c = self.supply_mv = 0
@@ -53,23 +54,23 @@ class Joint:
 
     @property
     def silent(self) -> bool:
-        """Its servo does not answer."""
+        """True if its servo does not answer."""
         return self.misses >= MOST_MISSES
 
     def pulses(self, angle_rad: float) -> float:
-        """An angle in rad, as pulses."""
+        """An angle in rad, in pulses."""
         return self.zero + self.turned(angle_rad)
 
     def turned(self, angle_rad: float) -> float:
-        """A change of the angle, or a rate of it, as one in pulses."""
+        """A change or rate of the angle, in pulses."""
         return self.sign * angle_rad * self.per_rad
 
     def rad(self, pulses: float) -> float:
-        """Pulses, as an angle in rad."""
+        """Pulses as an angle in rad."""
         return (pulses - self.zero) * self.sign / self.per_rad
 
     def range_rad(self) -> tuple[float, float]:
-        """The angles that it may be sent to, the smaller first."""
+        """The angles it may be sent to, the smaller first."""
         low, high = sorted((self.rad(self.low), self.rad(self.high)))
         return low, high
 
@@ -80,38 +81,38 @@ class Joint:
         return (self.name, self.servo, position, *read)
 
     def forget(self) -> None:
-        """It was stopped, or let go, on its way: where it is must be read again."""
+        """It was stopped, or let go, on its way, so its position must be read again."""
         self.known = False
         self.velocity = 0.0
         self.unpaired = None
 
     def follow(self, target: float, share: float, elapsed_s: float) -> None:
-        """Move on toward a position, with at most `share` of its speed, so that it can still stop there."""
+        """Move toward a position, with at most `share` of its speed, slowly enough that it can still stop there."""
         gap = target - self.position
         wanted = min(self.speed * share, abs(gap) / elapsed_s, self._stops_within(abs(gap), elapsed_s))
         self._step(copysign(wanted, gap), elapsed_s)
 
     def jog(self, rate: float, elapsed_s: float) -> None:
-        """Move on at a rate (pulses/s), which ends at its bounds."""
+        """Move at a rate (pulses/s), which ends at its bounds."""
         room = (self.high - self.position) if rate > 0 else (self.position - self.low)
         wanted = min(abs(rate), self.speed, self._stops_within(max(0.0, room), elapsed_s))
         self._step(copysign(wanted, rate), elapsed_s)
 
     def _stops_within(self, way: float, elapsed_s: float) -> float:
-        """The speed from which it can still stop in steps of this length, within this way."""
+        """The speed from which it can still stop within this distance, in steps of this length."""
         ramp = self.acceleration * elapsed_s
         return ramp * (sqrt(0.25 + 2 * way / (ramp * elapsed_s)) - 0.5)
 
     def _step(self, wanted: float, elapsed_s: float) -> None:
         most = self.acceleration * elapsed_s
         self.velocity += max(-most, min(most, wanted - self.velocity))
-        # Turned by hand beyond its bounds it comes back at its speed, and not in one leap.
+        # A joint that was turned by hand beyond its bounds comes back at its speed, not in one leap.
         low, high = min(self.low, self.position), max(self.high, self.position)
         self.position = max(low, min(high, self.position + self.velocity * elapsed_s))
 
 
 def from_settings(settings: Settings) -> list[Joint]:
-    """The arm's joints in the order of the settings; none without an arm."""
+    """The arm's joints in the order of the settings; none on a robot without an arm."""
     facts = facts_of(settings.text("board.kind"))
     if not (facts and facts.arm):
         return []
@@ -125,7 +126,7 @@ def from_settings(settings: Settings) -> list[Joint]:
 
 
 def too_far(angles: dict[Joint, float]) -> str:
-    """A joint that may not be sent there, with its range; empty: each may."""
+    """A text that names a joint which may not be sent there, with its range; empty if all may."""
     for joint, angle in angles.items():
         low, high = joint.range_rad()
         if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:

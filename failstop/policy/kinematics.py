@@ -1,9 +1,8 @@
-"""Kinematics of a wheeled base: body velocity to wheel speeds and back, in each of the layouts there are. Pure.
+"""Kinematics of a wheeled base: from body velocity to wheel speeds and back, for each layout. Pure.
 
 Body velocity is x forward, y left, wz counter-clockwise. Speeds come in the order of the ids on the wire, each with the
-sign of how its motor is mounted. The wheels of two sides are numbered left before right, and front before rear.
-
-A wheel at rest is +0.0, never -0.0: the frame of zeros is then the stop frame to the byte.
+sign of how its motor is mounted. On a base with two sides, wheels are numbered left before right, and front before
+rear. A wheel at rest is +0.0, never -0.0, so that the frame of zeros equals the stop frame byte for byte.
 """
 
 from __future__ import annotations
@@ -21,26 +20,26 @@ RimSpeeds = tuple[float, float, float]
 """How fast a wheel rolls at its rim, in m/s, for each of vx and vy in m/s, and wz in rad/s."""
 
 FIXED, MECANUM = 0.0, 1.0
-"""How much wheels of two sides follow vy."""
+"""How much wheels on two sides follow vy."""
 AXES = {
     "mecanum": (1.0, 1.0, 1.0),
     "differential": (1.0, 0.0, 1.0),
     "omni3": (1.0, 1.0, 1.0),
     ACKERMANN: (1.0, 0.0, 1.0),
 }
-"""Factors of (vx, vy, wz) that each layout can follow: a limit times its factor is the limit that holds."""
+"""Factors of (vx, vy, wz) that each layout can follow. A limit times its factor is the limit that holds."""
 
 
 LEAST_PIVOT = 1e-9
-"""Less than this share of the largest number is a rounding error."""
+"""A smaller share of the largest number is a rounding error."""
 
 
 class Chassis:
-    """Wheels of one diameter: each turns in proportion to the body's velocity."""
+    """Wheels of one diameter; each turns in proportion to the body's velocity."""
 
     __slots__ = ("_back", "_rows", "axes", "rest")
     steers = False
-    """The last of its speeds is the angle of the steered wheels, in rad to the left."""
+    """True if the last of its speeds is the angle of the steered wheels, in rad to the left."""
 
     def __init__(
         self,
@@ -50,8 +49,8 @@ class Chassis:
         mounted: Sequence[tuple[int, int]],
         speeds: int,
     ) -> None:
-        """`rows`: of each wheel; `mounted`: its id on the wire and its sign; `speeds`: so many are sent, and those of
-        ids without a wheel are zero."""
+        """`rows`: one for each wheel; `mounted`: the id on the wire and the sign of each; `speeds`: how many are sent.
+        An id without a wheel gets zero."""
         self.axes = axes
         self.rest = (0.0,) * speeds
         turns_per_m = 1 / (pi * diameter_m)
@@ -62,27 +61,30 @@ class Chassis:
         self._back: tuple[tuple[float, ...], ...] | None = None
 
     def rolled(self) -> tuple[tuple[float, ...], ...]:
-        """The way back: for each of vx, vy (m/s) and wz (rad/s) the factor of each wheel's turns a second, by wire id.
-        The product is the velocity that fits all wheels best (least squares): four mecanum wheels have one speed more
-        than the body has directions, and what they can't roll together is slip. Raises ValueError for wheels that can't
-        tell the directions apart, such as three omni wheels that all roll the same way."""
+        """The inverse: for each of vx, vy (m/s) and wz (rad/s), the factor of each wheel's turns per second, by wire
+        id.
+
+        The product is the velocity that fits all wheels best (least squares). Four mecanum wheels have one speed more
+        than the body has directions, so the part that they can't roll together is slip. Raises ValueError if the wheels
+        can't tell the directions apart, for example three omni wheels that all roll the same way.
+        """
         if self._back is None:
             self._back = _least_squares(self._rows, self.axes)
         return self._back
 
     def velocity(self, rps: Sequence[float]) -> Velocity:
-        """The body's velocity (m/s, m/s, rad/s) while the wheels turn so fast, in revolutions per second by wire id.
-        Raises ValueError as rolled() does."""
+        """The body's velocity (m/s, m/s, rad/s) at these wheel speeds, in revolutions per second by wire id. Raises
+        ValueError as rolled() does."""
         vx, vy, wz = [sum(map(mul, row, rps)) for row in self.rolled()]
         return vx, vy, wz
 
     def reach(self, velocity: Velocity) -> Velocity:
-        """The velocity that the base can have, nearest to this."""
+        """The closest velocity that the base can have."""
         return velocity
 
     def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
-        """Revolutions per second by wire id. What no wheel can follow moves nothing."""
-        # Adding zero makes +0.0 of -0.0.
+        """Revolutions per second by wire id. A velocity that no wheel can follow moves nothing."""
+        # Adding zero turns -0.0 into +0.0.
         return tuple([x * vx_mps + y * vy_mps + z * wz_radps + 0.0 for x, y, z in self._rows])
 
     def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
@@ -97,43 +99,43 @@ class Steered(Chassis):
     steers = True
 
     def __init__(self, rear: Chassis, wheelbase_m: float, most_rad: float) -> None:
-        """`rear`: the driven wheels; `most_rad`: the largest angle of the steered ones."""
+        """`rear`: the driven wheels; `most_rad`: the largest steering angle."""
         self._rear, self._wheelbase_m, self._most_rad = rear, wheelbase_m, most_rad
         self._turns_most = tan(most_rad) / wheelbase_m
         self.axes, self.rest = AXES[ACKERMANN], (*rear.rest, 0.0)
 
     def reach(self, velocity: Velocity) -> Velocity:
-        """The velocity that it can have, at this speed forward: no narrower curve than its steering makes."""
+        """The closest velocity that it can have at this forward speed: no curve is tighter than its steering allows."""
         vx, _, wz = velocity
         most = abs(vx) * self._turns_most
         return vx, 0.0, max(-most, min(most, wz))
 
     def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
-        """Revolutions per second by wire id, and then the angle of the steered wheels; 0 at rest, where it says nothing
-        of where they stand."""
+        """Revolutions per second by wire id, then the angle of the steered wheels; 0 at rest, where the velocity does
+        not determine the angle."""
         vx, vy, wz = self.reach((vx_mps, vy_mps, wz_radps))
         angle = atan2(self._wheelbase_m * abs(wz), abs(vx)) if vx and wz else 0.0
-        # The quotient of the smallest numbers there are is rounded to more than the curve that was reached.
+        # For the smallest numbers, the quotient is rounded to a larger angle than the curve's.
         return *self._rear.wheels_rps(vx, vy, wz), copysign(min(angle, self._most_rad), vx * wz) if angle else 0.0
 
     def rolled(self) -> tuple[tuple[float, ...], ...]:
-        """By the two rear wheels: how much faster one turns than the other says how the base turns, whatever the angle
-        of the steered wheels is by then."""
+        """From the two rear wheels: the difference of their speeds gives the turn, whatever the steering angle is by
+        then."""
         return self._rear.rolled()
 
     def turn_radps(self, vx_mps: float, steering_rad: float) -> float:
-        """How fast it turns with its wheels steered to this angle (to the left positive), rad/s."""
+        """How fast it turns at this steering angle (positive to the left), in rad/s."""
         return vx_mps * tan(max(-self._most_rad, min(steering_rad, self._most_rad))) / self._wheelbase_m
 
     def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
-        """The fastest wheel: the outer one of the narrowest curve."""
+        """The speed of the fastest wheel: the outer one in the tightest curve."""
         return self._rear.worst_rps(*self.reach((vx_mps, vy_mps, wz_radps)))
 
 
 def _least_squares(rows: Sequence[Sequence[float]], axes: Velocity) -> tuple[tuple[float, ...], ...]:
-    """The pseudo-inverse of rows of three numbers, without the directions whose factor in `axes` is 0."""
+    """The pseudo-inverse of rows of three numbers, leaving out directions whose factor in `axes` is 0."""
     used = [at for at in range(3) if axes[at]]
-    # Gauss and Jordan, on the normal equations with the wheels on their right side.
+    # Gauss-Jordan elimination on the normal equations, with the wheels on the right side.
     table = [[sum(row[a] * row[b] for row in rows) for b in used] + [row[a] for row in rows] for a in used]
     least = LEAST_PIVOT * max(abs(value) for line in table for value in line[: len(used)])
     for at, _ in enumerate(used):
@@ -152,28 +154,28 @@ def _least_squares(rows: Sequence[Sequence[float]], axes: Velocity) -> tuple[tup
 
 
 def two_sides(wheels: int, lever_m: float, sideways: float) -> list[RimSpeeds]:
-    """Wheels on a left and a right side, two or four of them. `lever_m`: of each about the middle; `sideways`: how much
-    it follows vy. A way to the left turns the front left and the rear right mecanum wheel backward."""
+    """Wheels on a left and a right side, two or four. `lever_m`: the lever of each about the middle; `sideways`: how
+    much it follows vy. To move left, the front left and the rear right mecanum wheel turn backward."""
     sides = (-1.0, 1.0) if wheels == 2 else (-1.0, -1.0, 1.0, 1.0)
     return [(1.0, (side if number % 2 == 0 else -side) * sideways, side * lever_m) for number, side in enumerate(sides)]
 
 
 def omni(lever_m: float, ways_deg: Sequence[float]) -> list[RimSpeeds]:
-    """Omni wheels around the middle, each of which rolls one way, in degrees counter-clockwise from forward, and slips
-    across it. All of them forward turn the robot counter-clockwise."""
-    # Rounded, so that a wheel across the way of the robot stands.
+    """Omni wheels around the middle. Each rolls in one direction, given in degrees counter-clockwise from forward, and
+    slips across it. If all roll forward, the robot turns counter-clockwise."""
+    # Rounded, so that a wheel at right angles to the motion does not turn.
     return [(round(cos(radians(way)), 15), round(sin(radians(way)), 15), lever_m) for way in ways_deg]
 
 
 def from_settings(settings: Settings) -> Chassis:
-    """The kinematics that wheels.layout names, with the sizes, signs and ids of [wheels]."""
+    """The kinematics for wheels.layout, with the sizes, signs and ids of [wheels]."""
     layout, mounted = settings.text("wheels.layout"), mounted_wheels(settings.values)
     if layout == "omni3":
         rows = omni(settings["wheels.lever_m"], [settings[f"wheels.angle_{number}_deg"] for number in (1, 2, 3)])
     elif layout == "mecanum":
         rows = two_sides(len(mounted), (settings["wheels.wheelbase_m"] + settings["wheels.track_m"]) / 2, MECANUM)
     elif layout == "differential":
-        # A base that skids turns less than one that pivots between its wheels, and is given a wider track.
+        # A base that skids turns less than one that pivots between its wheels, so its track is set wider.
         rows = two_sides(len(mounted), settings["wheels.track_m"] / 2, FIXED)
     elif layout == ACKERMANN:
         rows = two_sides(len(mounted), settings["wheels.track_m"] / 2, FIXED)
@@ -187,9 +189,9 @@ def from_settings(settings: Settings) -> Chassis:
 def of_wheels(
     base: Chassis, mounted: Sequence[tuple[int, int]], speeds_radps: Sequence[float], steering_rad: float | None = None
 ) -> Velocity:
-    """The body's velocity while its wheels turn so fast (rad/s, positive forward, in the order of their numbers).
-    `mounted`: as settings.mounted_wheels has them; `steering_rad`: the angle of the steered wheels, to the left
-    positive; then the rear wheels only say how fast it goes. Raises ValueError."""
+    """The body's velocity at these wheel speeds (rad/s, positive forward, in the order of the wheels' numbers).
+    `mounted`: as settings.mounted_wheels returns it; `steering_rad`: the steering angle, positive to the left; with it,
+    the rear wheels only give the speed. Raises ValueError."""
     rps = [0.0] * len(base.rest)
     for (id_, sign), speed in zip(mounted, speeds_radps, strict=True):
         rps[id_] = sign * speed / (2 * pi)
@@ -202,5 +204,5 @@ def of_wheels(
 
 
 def max_wheel_rps(settings: Settings) -> float:
-    """The fastest that any wheel can turn within the settings' limits, in revolutions per second."""
+    """The highest speed of any wheel within the settings' limits, in revolutions per second."""
     return from_settings(settings).worst_rps(*(settings[f"limits.{axis}"] for axis in ("vx_mps", "vy_mps", "wz_radps")))

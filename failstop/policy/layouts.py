@@ -1,6 +1,5 @@
-"""Layouts: how many wheels a robot has, what they are called, and their settings. Pure.
-
-The board says how many speeds a frame has, the layout how many wheels there are; a speed that no wheel takes is zero.
+"""Layouts: how many wheels a robot has, their names, and their settings. Pure. The board determines how many speeds a
+frame has, the layout how many wheels there are; a speed without a wheel is zero.
 """
 
 from __future__ import annotations
@@ -18,19 +17,20 @@ if TYPE_CHECKING:
     Values = Mapping[str, float | str]
 
 BOARDS = ALL_KINDS
-"""The kinds of boards, each a folder of the board room that describes it."""
+"""The kinds of boards. Each is a folder of failstop/board that describes it."""
 ACKERMANN = "ackermann"
 LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (2,)}
-"""Wheels that each may have. A known board drives the most that it has speeds for; an own board has the fewest."""
+"""The numbers of wheels that each layout may have. A known board drives as many as it has speeds for; your own board
+starts with the fewest."""
 SERVO_PULSES = {"pwm": (500, 2500, 4), "bus": (0, 1000, 253)}
-"""Of the kinds of servos that can steer: their pulses, and the highest id."""
+"""For each kind of servo that can steer: its pulses, and the highest id."""
 SERVOS = tuple(SERVO_PULSES)
 WHEEL_NAMES = {
     2: ("left", "right"),
     3: ("left", "rear", "right"),
     4: ("front left", "rear left", "front right", "rear right"),
 }
-"""The wheels in the order of their numbers, by how many there are."""
+"""The wheels in the order of their numbers, for each number of wheels."""
 NUMBERS = (1, 2, 3, 4)
 OF_THE_BASE = (
     Setting("wheels.layout", "mecanum", "", None, None, "how body velocity becomes wheel speeds", tuple(LAYOUTS)),
@@ -80,9 +80,9 @@ DEFAULTS: dict[str, dict[str, float | str]] = {
     "omni3": {"wheels.diameter_m": 0.1, "wheels.sign_3": 1},
     ACKERMANN: {"wheels.id_1": 1, "wheels.id_2": 3, "wheels.sign_2": -1},
 }
-"""Other defaults of a layout. Those of omni3 are LeKiwi's (lerobot's lekiwi.py), those of ackermann ROSOrin's."""
+"""Other defaults of a layout. The omni3 ones are LeKiwi's (lerobot's lekiwi.py), the ackermann ones ROSOrin's."""
 _FIRST_LAYOUT = {2: "differential", 3: "omni3"}
-"""The layout of a board of so many speeds, where none is set."""
+"""The layout of a board with this many speeds, if none is set."""
 _GEOMETRY: dict[str, tuple[str, ...]] = {
     "wheels.wheelbase_m": ("mecanum", "differential", ACKERMANN),
     "wheels.track_m": ("mecanum", "differential", ACKERMANN),
@@ -94,7 +94,7 @@ _GEOMETRY: dict[str, tuple[str, ...]] = {
 
 
 def speeds_of(kind: str) -> int | None:
-    """How many speeds a frame for this kind of board sets; None: your own board, which takes as many as its layout has
+    """How many speeds a frame for this kind of board sets. None: your own board, which takes as many as its layout has
     wheels."""
     facts = facts_of(kind)
     return facts.speeds if facts else None
@@ -107,7 +107,7 @@ def steers(kind: str) -> bool:
 
 
 def wheel_count(kind: str, layout: str) -> int:
-    """How many wheels are driven. Raises SettingError where the board can't drive that layout."""
+    """How many wheels are driven. Raises SettingError if the board can't drive that layout."""
     if layout == ACKERMANN and not steers(kind):
         raise SettingError(f'wheels.layout = "{layout}": board.kind {kind} has no servo that steers')
     if (speeds := speeds_of(kind)) is None:
@@ -120,15 +120,15 @@ def wheel_count(kind: str, layout: str) -> int:
 
 
 def wheel_ids(given: Mapping[str, str]) -> list[int]:
-    """Of each wheel the id of its motor on the wire, by settings as texts; what is not given has its default."""
+    """The id on the wire of each wheel's motor, from settings as texts; missing ones have their defaults."""
     found = {**{setting.key: str(setting.default) for setting in OF_THE_BASE}, "board.kind": BOARDS[0], **given}
     numbers = NUMBERS[: wheel_count(found["board.kind"], found["wheels.layout"])]
     return [int(found[f"wheels.id_{number}"]) for number in numbers]
 
 
 def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
-    """Put in the layout's own defaults, and take out what this robot does not have. Raises SettingError for one of the
-    settings in `changed` that it does not have."""
+    """Fill in the layout's own defaults, and remove settings that this robot does not have. Raises SettingError if one
+    of those is in `changed`."""
     kind = str(values["board.kind"])
     facts = facts_of(kind)
     if facts and not facts.imu:
@@ -150,11 +150,11 @@ def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
     if "board.robot" in values:
         robots.fill_figures(values, changed)
     elif "odometry.sideways_scale" not in changed:
-        values["odometry.sideways_scale"] = 1.0  # the default is how much ROSOrin's mecanum wheels slip
+        values["odometry.sideways_scale"] = 1.0  # the default is how much the rollers of ROSOrin's mecanum wheels slip
 
 
 def _absent(layout: str, count: int) -> dict[str, str]:
-    """Settings that a robot of so many wheels in that layout does not have, each with the reason."""
+    """Settings that a robot with this layout and number of wheels does not have, each with the reason."""
     named = ", ".join(f"{number} {name}" for number, name in zip(NUMBERS, WHEEL_NAMES[count], strict=False))
     beyond = f"this robot has {count} wheels ({named})"
     found = {f"wheels.{what}_{number}": beyond for what in ("sign", "id") for number in NUMBERS[count:]}
@@ -162,8 +162,8 @@ def _absent(layout: str, count: int) -> dict[str, str]:
 
 
 def check_base(values: Values) -> None:
-    """Each motor has an id of its own that the board knows, and the steering servo can turn as far as it is to. Raises
-    SettingError."""
+    """Check that each motor has its own id, which the board knows, and that the steering servo can turn as far as the
+    settings ask. Raises SettingError."""
     ids = {key: value for key, value in values.items() if key.startswith("wheels.id_")}
     all_differ(ids)
     kind = str(values["board.kind"])

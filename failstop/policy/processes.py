@@ -1,20 +1,21 @@
-"""The process table: every process of the service below the supervisor, in the order of their start."""
+"""The process table: every process of the service except the supervisor, in the order in which they are started."""
 
 from __future__ import annotations
 
 from failstop.data import Data
 
 SUPERVISOR_PRIORITY = 30
-"""SCHED_FIFO priorities: the higher runs first, the port owner before all, since every stop goes through it. Last is
-the supervisor: it is needed when they have died, and its death must not hold up those who answer it."""
+"""SCHED_FIFO priorities; the higher one runs first. The port owner is first, because every stop goes through it. The
+supervisor is last: it is needed when the others have died, and its death must not hold up the ones that answer it."""
 
 MS = 1_000_000
 HANG_NS = 250 * MS
-"""No wheel turns on after this: the stopper notices it of the port owner, supervisor and port owner each of itself."""
+"""No wheel turns on for longer than this after a hang. The stopper notices a hang of the port owner; supervisor and
+port owner each notice their own."""
 
 
 class Process(Data):
-    """One row: what it is, how it is started and watched, and what its loss means."""
+    """One row: the process, how it is started and watched, and what its loss means."""
 
     name: str
     role: str

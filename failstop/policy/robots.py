@@ -1,7 +1,7 @@
 """Robots: Hiwonder's RRC family by name, as defaults for settings. Pure tables.
 
-The figures are those of each robot's own ROS 2 packages (controller: odom_publisher_node.py, mecanum.py, ackermann.py).
-One that no source gives, or that sources give in two ways, is None: whoever has that robot measures it.
+The figures are from each robot's own ROS 2 packages (controller: odom_publisher_node.py, mecanum.py, ackermann.py). A
+figure that no source gives, or that two sources give differently, is None, so you must measure it on your robot.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ ROBOTS: dict[str, dict[str, Defaults]] = {
         "ackermann": _sizes(0.085, 0.17706, 0.17165) | _steering(2000 / pi, -1, 34.0),
         "omni3": {},
     },
-    # The way that its steering servo turns is given in two ways (29 degrees to one side, 40 to the other).
+    # Sources disagree about the direction of its steering servo (29 degrees to one side, 40 to the other).
     "mentorpi": {"mecanum": MENTORPI, "ackermann": _sizes(0.067, 0.145, 0.133) | _steering(2000 / pi, None, 29.0)},
     "landerpi": {
         "mecanum": MENTORPI,
-        # Its tracks skid: they turn it as mecanum wheels of the same base would.
+        # Its tracks skid; they turn it as mecanum wheels of the same base would.
         "differential": _sizes(0.068, 0.1368, 0.1368 + 0.1446) | LEFT_BACKWARD,
         "ackermann": _sizes(0.067, 0.145, 0.133) | _signs(-1, 1) | _steering(1000 / pi, 1, 40.0),
     },
-    # Sources differ on its sizes (a track of 0.182, 0.195 or 0.222 m). It is steered by bus servo 9, of 240 degrees.
+    # Sources disagree about its sizes (a track of 0.182, 0.195 or 0.222 m). Bus servo 9, with 240 degrees, steers it.
     "jetacker": {
         "ackermann": dict.fromkeys(SIZES)
         | _steering(1000 / radians(240), 1, 37.0)
@@ -64,19 +64,19 @@ UNDRIVEN = {
 }
 """Robots of the family that can't be driven, each with the reason."""
 LAYOUT_OF = {"jetacker": "ackermann"}
-"""The layout of a robot that has one alone, and not the usual one."""
+"""The layout of a robot that has only one, and not the usual one."""
 
 
 EVERY_ROBOT = (*ROBOTS, *UNDRIVEN)
 
 
 def fill_figures(values: dict[str, float | str], changed: Collection[str]) -> None:
-    """Put in this robot's figures. Raises SettingError for a robot that can't be driven, and for figures that are to be
+    """Fill in this robot's figures. Raises SettingError for a robot that can't be driven, or whose figures must be
     measured."""
     robot, layout = str(values["board.robot"]), str(values["wheels.layout"])
     if robot in UNDRIVEN:
         raise SettingError(f'board.robot = "{robot}": {UNDRIVEN[robot]}')
-    # A base of two sides is as wide as it is, however long.
+    # For a base with two sides, the width counts but the length does not.
     sizes = [key for key in SIZES if (layout, key) != ("differential", "wheels.wheelbase_m")]
     known = ROBOTS[robot].get(layout, dict.fromkeys(sizes))
     missing = [key for key, value in known.items() if value is None and key in values and key not in changed]

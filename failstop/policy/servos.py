@@ -1,4 +1,4 @@
-"""Servos of a bus: their loads and temperatures by the parts that they turn, and what is said of them. Pure."""
+"""Servos of a bus: their loads and temperatures by the parts that they turn, and the texts about them. Pure."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 
 def by_part(rows: Iterable[tuple[int, float, int]], settings: Settings) -> dict[str, tuple[float, int]]:
-    """Load and temperature of each servo that turns a wheel or a joint, as in `rear wheel (servo 8)`. `rows`: the ids
-    with both (records.HEALTH)."""
+    """Load and temperature of each servo that turns a wheel or a joint, by a name such as `rear wheel (servo 8)`.
+    `rows`: each id with both values (records.HEALTH)."""
     facts = facts_of(settings.text("board.kind"))
     wheels = facts.arm.wheels if facts and facts.arm else ()
     parts = {servo: f"{name} wheel" for servo, name in zip(wheels, WHEEL_NAMES.get(len(wheels), ()), strict=False)}
@@ -24,7 +24,7 @@ def by_part(rows: Iterable[tuple[int, float, int]], settings: Settings) -> dict[
 
 
 def summary(servos: Health) -> str:
-    """The hottest, and the one that bears the most."""
+    """A text about the hottest servo and the one with the highest load."""
     hottest = max(servos, key=lambda name: servos[name][1])
     loaded = max(servos, key=lambda name: abs(servos[name][0]))
     load = abs(servos[loaded][0])
@@ -33,5 +33,5 @@ def summary(servos: Health) -> str:
 
 
 def hot(servos: Health, settings: Settings) -> list[str]:
-    """A text for each that is as hot as the setting arm.hot_c."""
+    """A text for each servo that is as hot as the setting arm.hot_c."""
     return [f"{name} is at {at_c} C" for name, (_, at_c) in servos.items() if at_c >= settings["arm.hot_c"]]

@@ -1,37 +1,37 @@
-"""Setting: one declaration of a value, and whether a value is allowed by it."""
+"""Setting: the declaration of one value, and the check whether a value is allowed."""
 
 from __future__ import annotations
 
 from failstop.data import Data
 
 MOST_SHOWN = 160
-"""Characters of a value in a message."""
+"""Characters of a value shown in a message."""
 LONGEST_TEXT = 255
 
 
 class SettingError(ValueError):
-    """A value is not allowed; the message names the key, the value and what is."""
+    """A value is not allowed; the message names the key, the value and the allowed values."""
 
 
 def shortened(text: str) -> str:
-    """The text as a part of one line for people."""
+    """The text, shortened to fit into one line for people."""
     text = "".join(c if c.isprintable() else "?" for c in text)
     return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
 
 
 def shown(value: object) -> str:
-    """A value of whatever type, likewise."""
+    """A value of any type, shortened to fit into one line for people."""
     try:
         return shortened(repr(value))
-    except (ValueError, RecursionError):  # a number of thousands of digits, a list within lists within lists
+    except (ValueError, RecursionError):  # a number with thousands of digits, a list within lists within lists
         return f"{type(value).__name__} beyond all bounds"
 
 
 class Setting(Data):
-    """One declaration. A number has a range (inclusive) or a few allowed values; a text may have a few allowed words,
-    and beside them be the path of a folder.
+    """One declaration.
 
-    A text whose default is empty may be empty.
+    A number has a range (inclusive) or a few allowed values. A text may have a few allowed words, and may also allow
+    the path of a folder. A text whose default is empty may be empty.
     """
 
     key: str

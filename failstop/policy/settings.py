@@ -1,8 +1,8 @@
-"""Settings: every setting declared once, with its default, unit, range and meaning.
+"""Settings: every setting, declared once with its default, unit, range and meaning.
 
 `failstop run` reads and checks them once (failstop/config.py); the processes get them as `key=value` lines. Command
-sources, interlocks and an arm's joints are tables with a name of the user's: [sources.NAME], [interlocks.NAME],
-[joints.NAME]. One source is always there, cmd_vel.
+sources, interlocks and an arm's joints are tables that the user names: [sources.NAME], [interlocks.NAME],
+[joints.NAME]. One source always exists: cmd_vel.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
 
 
 def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | tuple[str, ...] = ()) -> Setting:
-    """One of a few values, or any text."""
+    """A setting with a few allowed words, or any text."""
     return Setting(key, default, "", None, None, doc, allowed)
 
 
@@ -165,7 +165,7 @@ DECLARED = (
     Setting("restart.backoff_s", 0.1, "s", 0.001, 2.0, "wait before the second restart in the window; then doubled"),
 )
 
-# Tables that have a name of the user's: [sources.NAME] and [interlocks.NAME].
+# Tables that the user names: [sources.NAME] and [interlocks.NAME].
 FAMILIES = {
     "sources": (
         Setting("priority", 0, "", 0, 100, "a source of a higher priority takes over at once"),
@@ -202,12 +202,12 @@ PAD_SOURCE = "gamepad"
 
 BY_KEY = {setting.key: setting for setting in DECLARED}
 MOST_TOLD = 8
-"""Wrong settings that are told of at once."""
+"""How many wrong settings one message lists."""
 
 
 def mounted_wheels(values: dict[str, float | str]) -> list[tuple[int, int]]:
-    """Of each wheel the id of its motor on the wire, and the sign, in the order of the wheels' numbers; `values`: of
-    all settings, by their keys."""
+    """The id on the wire and the sign of each wheel's motor, in the order of the wheels' numbers. `values`: all
+    settings, by key."""
     numbers = [number for number in NUMBERS if f"wheels.id_{number}" in values]
     return [(int(values[f"wheels.id_{number}"]), int(values[f"wheels.sign_{number}"])) for number in numbers]
 
@@ -222,10 +222,10 @@ class Settings:
     __slots__ = ("named", "values")
 
     def __init__(self, changed: dict[str, object] | None = None) -> None:
-        """Raises SettingError for unknown keys, wrong types, values out of range, all of them at once, or values that
-        contradict.
+        """Raises SettingError for unknown keys, wrong types and values out of range (all at once), or for values that
+        contradict each other.
 
-        An empty dict as a value is an empty table: of a source or an interlock it is one with every default.
+        An empty dict as a value is an empty table: for a source or an interlock, one with every default.
         """
         self.values: dict[str, float | str] = {setting.key: setting.default for setting in DECLARED}
         # Family, name, key: every value of every named table.
@@ -272,7 +272,7 @@ class Settings:
             table[last] = declaration(key).check(value, key)
 
     def _fill_named(self) -> None:
-        """Put in the defaults, in the order of the declarations."""
+        """Fill in the defaults, in the order of the declarations."""
         facts = facts_of(self.text("board.kind"))
         joints = facts.arm.joint if facts and facts.arm else {}
         for family, tables in self.named.items():
@@ -285,7 +285,7 @@ class Settings:
                 tables[name] = table
 
     def _cross_check(self) -> None:
-        """Rules over several settings, each in its own range."""
+        """Check rules over several settings that are each in their own range."""
         every = {key: value for key, value in self.flat().items() if not isinstance(value, str)}
         timeouts = ["gate.command_timeout_s", *(f"sources.{name}.timeout_s" for name in self.named["sources"])]
         longer_than = [
@@ -307,7 +307,7 @@ class Settings:
         self._check_servos()
 
     def _check_servos(self) -> None:
-        """Each joint has a servo of its own that the board has, and so has a steered base."""
+        """Check that each joint, and the steering of a steered base, has its own servo on the board."""
         kind = self.text("board.kind")
         facts = facts_of(kind)
         joints = {f"joints.{name}": table for name, table in self.named["joints"].items()}
@@ -322,7 +322,7 @@ class Settings:
                 _check_joint(key, table, kind, facts.arm)
 
     def __getitem__(self, key: str) -> float:
-        """A number, in the unit its name ends in."""
+        """A number, in the unit that its name ends in."""
         value = self.values[key]
         if isinstance(value, str):
             raise TypeError(f"{key} is a text")
@@ -349,7 +349,7 @@ class Settings:
         return dict(sorted(found.items(), key=lambda source: -source[1][0]))
 
     def interlocks(self) -> dict[str, tuple[int, str]]:
-        """The interlocks by name: (timeout_ns, what a refused enable is told)."""
+        """The interlocks by name: (timeout_ns, the text of a refused enable)."""
         return {
             name: (round(float(own["timeout_s"]) * 1e9), str(own["refusal"]) or f"interlock {name} is not satisfied")
             for name, own in self.named["interlocks"].items()
@@ -373,7 +373,7 @@ class Settings:
 
     @property
     def speeds(self) -> int:
-        """How many speeds a frame for the board has: one for each id on the wire."""
+        """How many speeds a frame for the board has, one for each id on the wire."""
         return layouts.speeds_of(self.text("board.kind")) or len(mounted_wheels(self.values))
 
     def servos(self) -> tuple[int, ...]:
@@ -381,7 +381,7 @@ class Settings:
         return tuple(int(table["servo"]) for table in self.named["joints"].values())
 
     def flat(self) -> dict[str, float | str]:
-        """Every value by its whole key, those of the named tables too."""
+        """Every value by its full key, including those of the named tables."""
         found = dict(self.values)
         for family, tables in self.named.items():
             for name, table in tables.items():
@@ -419,7 +419,7 @@ def _check_joint(key: str, table: dict[str, float | str], kind: str, arm: ArmFac
 
 
 def declaration(key: str) -> Setting:
-    """The declaration of a key, of a named table's too. Raises SettingError when there is none."""
+    """The declaration of a key, also in a named table. Raises SettingError if there is none."""
     if key in BY_KEY:
         return BY_KEY[key]
     family, _, rest = key.partition(".")
@@ -430,7 +430,7 @@ def declaration(key: str) -> Setting:
 
 
 def _unknown(key: str) -> SettingError:
-    # Imported for a mistake only: it costs more than this file.
+    # Imported only after a mistake, because it costs more than this file.
     from difflib import get_close_matches
 
     name = key.split(".")[1] if key.count(".") > 1 else "NAME"

@@ -1,1 +1,1 @@
-"""Telemetry: decodes what the board sends and publishes it. No stop needs it, but it asks for some."""
+"""Telemetry: decodes what the board sends and publishes it. No stop needs it, but it requests some stops."""

@@ -1,6 +1,6 @@
-"""The IMU: raw samples to m/s2 and rad/s, the gyro's bias at start, and the bias afterwards. Pure.
+"""The IMU: raw samples to m/s2 and rad/s, the gyro's bias at the start, and the bias afterwards. Pure.
 
-There is no orientation estimate: all that is known here is how much of the rates is bias.
+There is no orientation estimate: only how much of the rates is bias.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ Vector = tuple[float, float, float]
 G_MPS2 = 9.80665
 RAD_PER_DEG = pi / 180
 LONGEST_GAP_NS = 500_000_000
-"""Between two samples of one stretch. The first one after a longer silence neither moves the bias (its weight would be
-that of all the samples that are missing) nor goes on with a calibration."""
+"""Longest gap between two samples of one stretch. The first sample after a longer silence neither moves the bias (it
+would weigh as much as all the missing samples) nor continues a calibration."""
 LEAVE_STANDING = "leave it standing, restart the service"
 NOT_STATIONARY = "robot not stationary during gyro calibration"
 
@@ -28,7 +28,7 @@ class Accelerometer:
         self._scales = [settings[f"imu.scale_{axis}"] * G_MPS2 for axis in "xyz"]
 
     def mps2(self, x_g: float, y_g: float, z_g: float) -> Vector:
-        """The acceleration in m/s2, of a sample in g."""
+        """The acceleration in m/s2 for a sample in g."""
         (offset_x, offset_y, offset_z), (scale_x, scale_y, scale_z) = self._offsets_g, self._scales
         return (x_g - offset_x) * scale_x, (y_g - offset_y) * scale_y, (z_g - offset_z) * scale_z
 
@@ -51,35 +51,35 @@ class GyroBias:
     def __init__(self, settings: Settings) -> None:
         self._calibration_ns = settings.ns("imu.calibration_s")
         self._std_radps = settings["imu.calibration_std_dps"] * RAD_PER_DEG
-        """The most that counts as still."""
+        """The largest standard deviation that counts as still."""
         self._rest_ns = settings.ns("imu.tracking_rest_s")
         self._band_radps = settings["imu.tracking_band_dps"] * RAD_PER_DEG
         self._tau_s = settings["imu.tracking_tau_s"]
         self._averaged_s = self._tau_s
-        """How much of time the bias is an average of; tau_s once it is no plain average any more."""
+        """How much time the bias is an average of; tau_s once it is no plain average any more."""
         self._tracks = settings.on("imu.tracking")
-        """Else the bias never moves after the calibration."""
+        """If off, the bias never moves after the calibration."""
         self.samples: list[Vector] | None = [] if settings.on("board.imu") else None
-        """Those of the calibration; None from its outcome on."""
+        """The samples of the calibration; None once it has ended."""
         self._since_ns = 0
         self._last_ns: int | None = None
         self._resting_since_ns: int | None = None
         self.bias_radps: Vector = (0.0, 0.0, 0.0)
         self.calibrated = False
         self.stationary = True
-        """False: the calibration was given up, as the robot did not stand still."""
+        """False if the calibration was given up because the robot moved."""
         self.tracking = False
-        """Whether the last sample moved the bias."""
+        """True if the last sample moved the bias."""
 
     def inherit(self, bias_radps: Vector) -> None:
-        """Go on with the bias that an earlier run of this process had found."""
+        """Continue with the bias that an earlier run of this process found."""
         self.bias_radps = bias_radps
         self.calibrated = True
         self._averaged_s = self._tau_s
 
     def follow(self, commanded: bool, now_ns: int) -> str:
-        """Whether a velocity other than zero is commanded. Returns a line for the journal, or an empty text:
-        a robot that is told to drive is not calibrated, however quiet its gyro."""
+        """Follow whether a velocity other than zero is commanded. Returns a line for the journal, or an empty text. A
+        robot that is told to drive is not calibrated, however quiet its gyro is."""
         if not commanded:
             if self._resting_since_ns is None:
                 self._resting_since_ns = now_ns
@@ -89,7 +89,7 @@ class GyroBias:
         return self._not_stationary("it was told to drive") if self.samples is not None else ""
 
     def take(self, rate_radps: Vector, t_ns: int) -> str:
-        """One raw sample. Returns a line for the journal when a calibration ends, else an empty text."""
+        """Take a raw sample. Returns a line for the journal when a calibration ends, else an empty text."""
         gap_ns = LONGEST_GAP_NS + 1 if self._last_ns is None else t_ns - self._last_ns
         self._last_ns = t_ns
         if self.samples is not None:
@@ -139,8 +139,9 @@ class GyroBias:
         )
         if self.tracking and 0 < gap_ns <= LONGEST_GAP_NS:
             dt_s = gap_ns * 1e-9
-            # Until the average is as long as the time constant every reading counts as much as each before it: 3 s of
-            # noise would take three time constants to be forgotten, and cost a heading 20 s x their error.
+            # Until the average is as long as the time constant, each reading counts as much as each one before it.
+            # Otherwise 3 s of noise would take three time constants to be forgotten, and cost a heading 20 s x their
+            # error.
             self._averaged_s = min(self._averaged_s + dt_s, self._tau_s)
             step = min(dt_s / self._averaged_s, 1.0)
             (x, y, z), (bias_x, bias_y, bias_z) = rate_radps, self.bias_radps

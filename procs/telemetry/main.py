@@ -1,5 +1,5 @@
-"""Telemetry's loop: bytes from the port, decoded, published; buttons and keys become causes for the port owner, the
-pad's sticks and its reset become requests for the gate."""
+"""Telemetry's loop: reads bytes from the port, decodes and publishes them. Buttons and keys become causes for the port
+owner; the pad's sticks and its reset become requests for the gate."""
 
 from __future__ import annotations
 
@@ -41,22 +41,23 @@ from failstop.shm.segment import Segment
 from failstop.shm.words import Barrier
 
 LONGEST_IDLE_NS = 50_000_000
-"""At rest the board wakes nobody: what it has said is looked at so often."""
+"""At rest the board wakes no process; its bytes are read this often."""
 ODOMETRY_NS = 20_000_000
-"""Odometry goes out at this rate, as the gate decides no more often, and with it whatever else can wait."""
+"""How often odometry is published, because the gate decides no more often. Everything else that can wait goes with
+it."""
 SCALE_NS = 500_000_000
-"""How often it is published how the measured speeds compare with the told ones."""
+"""How often the comparison of measured and commanded speeds is published."""
 BIAS_NS = 80_000_000
-"""The state is 10 Hz or faster; at 100 ms it would be 105 to 110, since it goes out with the wake-ups there are. What
-is known of the wheels goes out as often, and with each reading."""
+"""The state must be published at 10 Hz or more. At 100 ms it would be every 105 to 110 ms, because it is published only
+when something else wakes the process. The state of the wheels is published as often, and with each reading."""
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
 BATTERY_LOG = "battery log"
 
 
 class GateState:
-    """The gate's published state, as telemetry uses it: whether the wheels are told to turn, may turn, are stopped.
-    Before the first: motion is disabled, the wheels stand, nothing is latched."""
+    """The gate's published state as telemetry uses it: whether the wheels are told to turn, may turn, or are stopped.
+    Before the first state: motion is disabled, the wheels are stopped, nothing is latched."""
 
     def __init__(self, reader: LatestReader) -> None:
         self._reader = reader
@@ -65,30 +66,30 @@ class GateState:
         self.enabled = False
         self.latched = False
         self.epoch = 0
-        """Raised by every stop: a latch that came and went between two looks leaves a newer one."""
+        """Raised by every stop, so a latch that came and went between two looks leaves a newer epoch."""
         self.tucks = False
-        """The arm has announced that it goes to its tuck pose."""
+        """The arm has announced that it will move to its tuck pose."""
         self.velocity = STANDSTILL
         """m/s forward, m/s left, rad/s counter-clockwise."""
         self.since_ns = 0
         """When this state began, as far as is known."""
         self.zero_ns = 0
-        """Since when zero is commanded; 0: something else is, or nothing was published yet."""
+        """Since when zero is commanded; 0 if another velocity is, or nothing was published yet."""
         self.wheels_rps: tuple[float, ...] = ()
-        """Turns a second that the wheels are told, by wire id."""
+        """The commanded turns per second of each wheel, by wire id."""
 
     @property
     def commanded(self) -> bool:
         return any(self.velocity)
 
     def read(self, now_ns: int) -> bool:
-        """Look for news; True when there is some."""
+        """Read the gate's state; True if it is new."""
         entry = self._reader.read()
         news = False
         if entry and entry[0] != self._seq:
             self._seq, self._t_ns = entry[0], entry[1]
             news = self._take(entry[2], entry[1])
-        if now_ns - self._t_ns > HANG_NS and (self.enabled or self.commanded):  # it publishes at least every 100 ms
+        if now_ns - self._t_ns > HANG_NS and (self.enabled or self.commanded):  # due every 100 ms
             self.enabled = False
             self.velocity = STANDSTILL
             self.since_ns = now_ns
@@ -98,8 +99,8 @@ class GateState:
 
     def _take(self, payload: bytes, t_ns: int) -> bool:
         try:
-            # Kept until the next: its keys are interned strings, and to intern and drop them at each turn has Python
-            # build its table of them again every few minutes.
+            # Keep this state until the next one. Its keys are interned strings, and interning and dropping them at each
+            # turn would make Python rebuild its table of them every few minutes.
             found = self._found = msgpack.unpackb(payload)
             vx, vy, wz = found["body_vel"]
             velocity = float(vx), float(vy), float(wz)
@@ -115,7 +116,7 @@ class GateState:
 
 
 class Telemetry:
-    """The process's state; one turn() a wake-up."""
+    """Telemetry's state. Call turn() once per wake-up."""
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
@@ -152,7 +153,7 @@ class Telemetry:
         self._barrier = Barrier()
         self._epoch_followed = self._odometry_ns = self._bias_ns = self._wheels_ns = self._reading_ns = 0
         self._heard: list[tuple[int, interface.Value, int]] = []
-        """News of the board that nobody has acted on: the kind, the value, when it came."""
+        """What the board reported and nobody has acted on yet: the kind, the value, when it came."""
         self._bias_flags = (False, False)
         self._silence = Silence(self._board, context.own.word("patience_ns").get())
         self._scale, self._scale_ns = ScaleJudge(settings, self._board), 0
@@ -169,7 +170,7 @@ class Telemetry:
         self._follow_gate(now_ns)
 
     def _attach(self, context: Context) -> None:
-        """Make the writers of its records, and the bells that it rings."""
+        """Make the writers of telemetry's records, and the bells that it rings."""
         own = context.own
         latest = ("imu", "bias", "odometry", "wheels", "scale", "battery", "health", "pad", "pad_command", "pad_arm")
         self._latest = {name: own.latest_writer(name) for name in latest}
@@ -184,7 +185,8 @@ class Telemetry:
         self.supervisor_bell = context.bell("supervisor_bell")
 
     def _watch_others(self, context: Context) -> None:
-        """Make the readers of others' records and the table of what the board says, and watch what wakes it."""
+        """Make the readers of others' records and the table of actions for each kind of report, and watch the
+        descriptors that wake telemetry."""
         gate = context.segment("gate")
         self._epoch_word = context.segment("supervisor").word("epoch")
         self._busy_word = gate.word("busy")
@@ -207,7 +209,7 @@ class Telemetry:
         self._port = HeardPort(context, self.loop, monotonic_ns())
 
     def _inherit(self, own: Segment) -> None:
-        """A successor goes on with the bias and the pose of the one before it."""
+        """Continue with the bias and the pose of the process before this one."""
         if entry := own.latest_reader("bias").read():
             x, y, z, _, calibrated = records.BIAS.unpack(entry[2])
             if calibrated:
@@ -218,7 +220,8 @@ class Telemetry:
             self._odometry.inherit(x_m, y_m, th_rad, source, (xx, xy, xt, yy, yt, tt), self._measured)
 
     def _inherit_wheels(self, own: Segment, read_ns: int) -> None:
-        """How far the wheels had turned by then. What they do until the first report of this run is not known."""
+        """Continue from how far the wheels had turned by then. Their turns until the first report of this run stay
+        unknown."""
         if entry := own.latest_reader("wheels").read():
             _, _, _, count, _, _, *values = records.WHEELS_SEEN.unpack(entry[2])
             speeds, turns = values[:count], values[records.MOST_WHEELS :][:count]
@@ -226,18 +229,18 @@ class Telemetry:
                 self._measured.inherit(turns, speeds, read_ns)
 
     def _known_charger_state(self) -> int:
-        """The charger's state as the run before this one saw it last."""
+        """The charger's state as the run before this one last saw it."""
         name = self._files.read(CHARGER, CHARGER_FILE).strip()
         return records.PLUGGED.index(name) if name in records.PLUGGED else battery.UNDECIDED
 
     def turn(self, ready: dict[int, int]) -> None:
-        """Handle one wake-up. One for samples of the IMU alone, of which there are the most, only publishes them."""
+        """Handle one wake-up. If it brings only IMU samples, which are the most frequent, only publish them."""
         now_ns = monotonic_ns()
         whole = len(ready) != 1 or self._port.fd not in ready
         kinds: list[int] = []
         for came_ns, data in self._port.take(now_ns):
             found = self._hearing.feed(data)
-            # Samples that came together are as far apart as they can be.
+            # Treat samples that came together as spread over the longest possible time.
             step_ns = self._port.waited_ns // (len(found) or 1)
             self._silence.heard([kind for kind, _ in found], came_ns)
             for at, (kind, said) in enumerate(found, 1 - len(found)):
@@ -254,7 +257,7 @@ class Telemetry:
             self._act(ready, now_ns)
 
     def _act(self, ready: dict[int, int], now_ns: int) -> None:
-        """Everything else of a turn."""
+        """The rest of a turn."""
         if self._gate.read(now_ns):
             self._follow_gate(now_ns)
         if self._runaway:
@@ -277,7 +280,7 @@ class Telemetry:
         self.heartbeat.beat(now_ns)
 
     def _follow_gate(self, now_ns: int) -> None:
-        """Follow the gate's state with everything that depends on it."""
+        """Pass the gate's state on to everything that depends on it."""
         gate = self._gate
         self._odometry.follow(gate.velocity, gate.since_ns or now_ns)
         self._note_gyro(self._gyro.follow(gate.commanded, now_ns))
@@ -288,7 +291,8 @@ class Telemetry:
         self._pad.follow(gate.latched, now_ns)
 
     def _follow_port(self, ready: dict[int, int]) -> None:
-        """The port owner, which does not read, is told of a loss; half a frame from before it has no other half."""
+        """Report a loss of the port to the port owner, which does not read it. Half a frame from before the loss is
+        dropped."""
         if self._port.lost:
             self._port_owner_bell.ring()
         if self._port.held.follow(ready, lost=self._port.lost):
@@ -297,7 +301,7 @@ class Telemetry:
             self._silence.forget()
 
     def _tell_said(self) -> None:
-        """When the board has said something last. It comes behind everything that was made of what it said."""
+        """Publish when the board last said anything. Done after everything that results from what it said."""
         silence = self._silence
         if silence.said_ns and silence.said_ns != self._said_word.get():
             self._barrier()
@@ -306,9 +310,10 @@ class Telemetry:
             self._patience_word.set(silence.patience_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish the records that come with no frame of the board."""
+        """Publish the records that no frame of the board triggers."""
         if now_ns - self._odometry_ns >= ODOMETRY_NS:
-            # From when it was due: between IMU samples 9 ms apart it would else go out at every third, at 37 Hz.
+            # Count from when it was due: with IMU samples 9 ms apart, it would otherwise be published with every third,
+            # at 37 Hz.
             self._odometry_ns = max(self._odometry_ns + ODOMETRY_NS, now_ns - ODOMETRY_NS // 2)
             self._odometry.advance(now_ns)
             found = self._odometry
@@ -329,7 +334,7 @@ class Telemetry:
             self._latest["bias"].write(records.BIAS.pack(*gyro.bias_radps, *flags), now_ns)
 
     def _note(self, kind: str, text: str, fields: Fields = NO_FIELDS, *, level: str = "", step: str = "") -> None:
-        """Tell people something; the supervisor passes it on."""
+        """Report something to people; the supervisor passes it on."""
         self._pass_on(Note(kind, text, fields, level, step))
 
     def _pass_on(self, note: Note) -> None:
@@ -342,7 +347,7 @@ class Telemetry:
             self._note("gyro", text, level=level, step=step)
 
     def _tell_pad_mode(self) -> None:
-        """Whether the sticks move the wheels is what people want to know of a pad."""
+        """Report whether the sticks move the wheels, which is what people want to know about a pad."""
         mode = records.PAD_MODES[self._pad.mode]
         if mode != self._pad_mode:
             self._pad_mode = mode
@@ -353,14 +358,14 @@ class Telemetry:
         self._gate_bell.ring()
 
     def _raise(self, cause: Cause | None) -> None:
-        """The port owner stops before anyone decides anything. Not by the pipe that everybody may write to: who pressed
-        is what telemetry has seen, not what somebody says."""
+        """Have the port owner stop, before anyone decides anything. Not by the pipe that everyone may write to, because
+        who pressed is what telemetry has seen, not what somebody claims."""
         if cause:
             self._rings["causes"].put(cause.pack())
             self._port_owner_bell.ring()
 
     def _publish_imu(self, sample: interface.Value, t_ns: int) -> interface.Value:
-        """Returns the raw rates, and what was published."""
+        """Publish a sample; returns the raw rates and the published values."""
         raw_radps = imu.radps(*sample[3:])
         found = (*self._accelerometer.mps2(*sample[:3]), *self._gyro.corrected(raw_radps))
         self._latest["imu"].write(records.IMU.pack(*found), t_ns)
@@ -378,7 +383,7 @@ class Telemetry:
         self._note_gyro(note)
 
     def _tell_still(self, judge: StillJudge | ReadBack, *, was_still: bool) -> None:
-        # Read the other way round: no time is seen with a verdict from before it, nor with the lack of a verdict.
+        # Read in the opposite order, so that no time is seen with an older verdict, or with none.
         if not judge.judged_ns:
             self._judged_word.set(0)
             self._barrier()
@@ -389,7 +394,7 @@ class Telemetry:
             self.supervisor_bell.ring()
 
     def _on_wheels(self, sample: interface.Value, t_ns: int) -> None:
-        """Reports of the board itself on its wheels are better than their shaking."""
+        """The board's own reports about its wheels are better than the shaking that an IMU sees."""
         was_still = self._read_back.still_ns > 0
         speeds, positions = sample
         self._measured.take(speeds, positions, t_ns)
@@ -403,7 +408,7 @@ class Telemetry:
             self._on_finding(found)
 
     def _on_finding(self, found: Finding) -> None:
-        """A wheel that has run away stops the robot; one that stands is told of."""
+        """Stop for a wheel that has run away; report one that does not turn."""
         name, sign = self._named[found.wheel]
         told, seen = round(sign * found.told_rps, 2) + 0.0, round(sign * found.seen_rps, 2) + 0.0
         if found.what == RAN_AWAY:
@@ -415,7 +420,7 @@ class Telemetry:
             self._note("wheel_stands", text, {"wheel": name, "told": told, "seen": seen})
 
     def _publish_wheels(self, now_ns: int) -> None:
-        """What is known of the wheels, with the odometry."""
+        """Publish what is known about the wheels, with the odometry."""
         fact, measured = self._fact, self._measured
         told_zero_ns = 0 if self._gate.commanded else self._gate.zero_ns or self._began_ns
         went = self._way.went(measured.turns, rest=fact.does != THEY_TURN)
@@ -429,7 +434,7 @@ class Telemetry:
         )
 
     def _act_unasked(self, now_ns: int) -> None:
-        """Wheels that turn although they were told zero."""
+        """Act on wheels that turn although they were told zero."""
         gate = self._gate
         act = self._unasked.follow(
             self._fact, now_ns, enabled=gate.enabled, latched=gate.latched, epoch=self._epoch_word.get()
@@ -442,7 +447,7 @@ class Telemetry:
             self._pass_on(act.note)
 
     def _follow_scale(self, now_ns: int) -> None:
-        """How what was measured compares with what is told; people are told once that it differs."""
+        """Compare measured with commanded speeds; people are told once if they differ."""
         measured, judge = self._measured, self._scale
         turn_radps = self._turn_radps if self._gyro.calibrated else None
         changed = judge.follow(self._gate.velocity, measured.speeds_rps, measured.t_ns, turn_radps, now_ns)
@@ -457,13 +462,13 @@ class Telemetry:
 
     def _on_obeyed(self, speeds: interface.Value, t_ns: int) -> None:
         self._proving.obeyed(speeds, t_ns, moves=self._gate.enabled and self._gate.commanded)
-        if speeds and not self._proving.faded_ns:  # else it has not restarted but heard nothing
+        if speeds and not self._proving.faded_ns:  # otherwise it has not restarted, but heard nothing
             self._restarts.obeyed(zeros=not any(speeds))
 
     def _on_battery(self, sample: interface.Value, t_ns: int) -> None:
         (millivolts,) = sample
         if not millivolts:
-            # No battery is neither a low one nor the charger's doing; None is what people and programs then read.
+            # Without a battery the voltage is neither low nor changed by the charger, so people and programs read None.
             self._latest["battery"].write(records.BATTERY.pack(0, self._charger.state), t_ns)
             return
         self._raise(self._low_battery.take(millivolts))
@@ -518,7 +523,7 @@ class Telemetry:
 
 
 def run(context: Context) -> int:
-    """Run forever: telemetry dies with the supervisor."""
+    """Run forever; telemetry dies with the supervisor."""
     telemetry = Telemetry(context)
     context.run(telemetry.turn, telemetry.loop, LONGEST_IDLE_NS)
     return 0

@@ -1,4 +1,4 @@
-"""Odd reports: what people are told of a value that can't be. Pure."""
+"""Odd reports: the notes about values that are impossible. Pure."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ BLIND = ", and no low battery stops the robot meanwhile"
 
 
 class OddReports:
-    """Remembers what was told: such a value may come with every report."""
+    """Remembers what was noted, because an impossible value may come with every report."""
 
     def __init__(self, *, low_battery_stops: bool) -> None:
         self._low_battery_stops = low_battery_stops
         self._told: set[str] = set()
 
     def text(self, what: str, value: str) -> str:
-        """The text of a note about this value; empty if there was one about its kind."""
+        """The text of a note about this value; empty if its kind was noted before."""
         if what in self._told:
             return ""
         self._told.add(what)

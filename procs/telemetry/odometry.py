@@ -1,7 +1,7 @@
-"""Wheel odometry: the pose, from what the wheels report, or else from what the gate commands. Pure.
+"""Wheel odometry: the pose, from the wheels' reports, or else from the gate's commands. Pure.
 
-Reports of the wheels say how far the base has rolled, whatever it was told. Commands are all there is for a board that
-reports nothing: dead reckoning, whose pose nobody should trust. The first report that counts ends it for good.
+Reports of the wheels say how far the base has rolled, whatever was commanded. For a board that reports nothing there
+are only the commands: dead reckoning, a pose that nobody should trust. The first report that counts ends it for good.
 """
 
 from __future__ import annotations
@@ -24,59 +24,59 @@ if TYPE_CHECKING:
     Covariance = tuple[float, float, float, float, float, float]
 
 LONGEST_STEP_NS = 100_000_000
-"""More time than this between two looks does not count: nobody knows what the wheels did in it."""
+"""A longer time between two looks does not count, because nobody knows what the wheels did in it."""
 MEAN_NS = 200_000_000
-"""Speeds are means over this time where the board counts: one count in 50 ms may be 0.2 m/s."""
+"""If the board counts, speeds are means over this time, because one count in 50 ms may be 0.2 m/s."""
 SLIP = {"differential": 0.02, ACKERMANN: 0.02, "omni3": 0.05, "mecanum": 0.05}
-"""Standard deviation of what each wheel really rolls, m after 1 m; it grows with the root of the way. Rollers slip:
-on a carpet, a mecanum base makes 0.765 of the way sideways that its wheels make."""
+"""Standard deviation of how far each wheel really rolls, in m after 1 m; it grows with the root of the distance.
+Rollers slip: on a carpet, a mecanum base goes only 0.765 of the sideways distance that its wheels make."""
 DEAD_RECKONING: Covariance = (POSE_VARIANCE, 0.0, 0.0, POSE_VARIANCE, 0.0, POSE_VARIANCE)
 
 
 class Odometry:
-    """The pose since the start: x, y in m, th in rad from -pi to pi; and the twist in the robot's own frame."""
+    """The pose since the start (x, y in m, th in rad from -pi to pi) and the twist in the robot's own frame."""
 
     def __init__(self, settings: Settings) -> None:
-        # How much of the way that the wheels roll, or are told to, the base makes: here only, never in what the motors
-        # are sent.
+        # The share of the rolled or commanded distance that the base really moves. Used only here, never in what the
+        # motors are sent.
         self._scales = (settings["odometry.forward_scale"], settings["odometry.sideways_scale"], 1.0)
         self.twist_std = (settings["odometry.twist_std_mps"], settings["odometry.twist_std_radps"])
-        """m/s of vx and vy, rad/s of wz, to publish with the twist."""
+        """m/s for vx and vy, rad/s for wz, to publish with the twist."""
         self._last_ns: int | None = None
         self.x_m = self.y_m = self.th_rad = 0.0
         self.vx_mps = self.vy_mps = self.wz_radps = 0.0
         self.source = BY_COMMANDS
         """BY_ROLLING or BY_COMMANDS."""
         self._covariance = DEAD_RECKONING
-        """Of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th; without what is rounded."""
+        """The variances of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th; without the rounding error."""
         self._rounded = 0.0
-        """The variance of a wheel's turns that are counted in whole steps. It does not grow."""
+        """The variance of a wheel's turns due to counting in whole steps. It does not grow."""
         self._ways: tuple[tuple[float, ...], ...] = ()
-        """For each of x, y (m) and th (rad) of the base the factor of each wheel's turns, by wire id."""
+        """For x, y (m) and th (rad) of the base: the factor of each wheel's turns, by wire id."""
         base = kinematics.from_settings(settings)
-        with contextlib.suppress(ValueError):  # nobody can say how such wheels move the base, so commands count
+        with contextlib.suppress(ValueError):  # the base's motion can't be computed from such wheels, so commands count
             self._ways = tuple(
                 tuple(scale * each for each in row) for scale, row in zip(self._scales, base.rolled(), strict=True)
             )
         rim_m = pi * settings["wheels.diameter_m"]
         self._slip_turns2 = SLIP[settings.text("wheels.layout")] ** 2 / rim_m
-        """The variance of a wheel's turns, for each turn."""
+        """The variance of a wheel's turns per turn."""
         self._told_m = self._told_rad = 0.0
-        """How far it was commanded to go, there and back together."""
+        """How far it was commanded to go; there and back both count."""
         self._turns: tuple[float, ...] = ()
         self._missed = 0.0
         self._recent: deque[tuple[int, float, float, float]] = deque()
-        """Of reports in the window: when, and how far the base had gone in its own frame."""
+        """For each report in the window: when, and how far the base had gone in its own frame."""
         self._gone = (0.0, 0.0, 0.0)
 
     @property
     def t_ns(self) -> int:
-        """When it was so."""
+        """The time of the pose."""
         return self._last_ns or 0
 
     @property
     def covariance(self) -> Covariance:
-        """Of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th."""
+        """The covariance of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th."""
         xx, xy, xt, yy, yt, tt = self._covariance
         if self._rounded:
             x, y, th = (self._rounded * sum(way * way for way in row) for row in self._ways)
@@ -92,14 +92,14 @@ class Odometry:
         covariance: Covariance = DEAD_RECKONING,
         measured: Measured | None = None,
     ) -> None:
-        """Go on from where an earlier run of this process had come to. `measured`: the wheels, as it knew them."""
+        """Continue from the pose of an earlier run of this process. `measured`: the wheels, as that run knew them."""
         self.x_m, self.y_m, self.th_rad = x_m, y_m, remainder(th_rad, 2 * pi)
         self.source, self._covariance = source, covariance
         if measured and source == BY_ROLLING:
             self._turns, self._missed, self._last_ns = measured.turns, measured.missed, measured.t_ns
 
     def follow(self, velocity: tuple[float, float, float], t_ns: int) -> None:
-        """From `t_ns` on the gate commands another velocity (m/s, m/s, rad/s)."""
+        """The gate commands another velocity (m/s, m/s, rad/s) from `t_ns` on."""
         if self.source == BY_ROLLING:
             return
         self.advance(t_ns)
@@ -123,7 +123,7 @@ class Odometry:
         self._move(self.vx_mps * dt_s, self.vy_mps * dt_s, self.wz_radps * dt_s)
 
     def _move(self, ahead_m: float, aside_m: float, turned_rad: float) -> tuple[float, float]:
-        """Go this far, as seen from the heading in the middle; returns that heading's cosine and sine."""
+        """Move this far along the heading in the middle of the move; returns that heading's cosine and sine."""
         middle_rad = self.th_rad + turned_rad / 2
         ahead, aside = cos(middle_rad), sin(middle_rad)
         self.x_m += ahead_m * ahead - aside_m * aside
@@ -132,17 +132,17 @@ class Odometry:
         return ahead, aside
 
     def roll(self, measured: Measured) -> None:
-        """Go as far as the wheels have turned since the report before. For each new report."""
+        """Move as far as the wheels have turned since the report before. Call it for each new report."""
         turns, missed, t_ns = measured.turns, measured.missed, measured.t_ns
         if not turns or len(turns) != len(self._ways[0] if self._ways else ()):
-            return  # another number of wheels than this robot has
+            return  # a different number of wheels than this robot has
         if self.source == BY_COMMANDS:
             self.source = BY_ROLLING
-            # The way that it was told to go until now may be right or not.
+            # The distance commanded until now may be right or wrong.
             way, turn = self._told_m**2, self._told_rad**2
             self._covariance = (way, 0.0, 0.0, way, 0.0, turn)
             self._last_ns = t_ns
-        # A way is between two counts, and each is cut by up to a step.
+        # The distance lies between two counts, and each is rounded by up to a step.
         self._rounded = measured.step**2 / 6
         before, self._turns = self._turns, turns
         lost, self._missed = missed - self._missed, missed
@@ -152,7 +152,7 @@ class Odometry:
         self._last_ns = max(t_ns, self._last_ns or 0)
 
     def _go(self, steps: Sequence[float], lost: float) -> None:
-        """`steps`: turns of each wheel; `lost`: turns that each may have made besides."""
+        """`steps`: turns of each wheel; `lost`: turns that each may have made unseen."""
         dx, dy, dth = (sum(way * step for way, step in zip(row, steps, strict=True)) for row in self._ways)
         self._gone = (self._gone[0] + dx, self._gone[1] + dy, self._gone[2] + dth)
         if not lost and not any(steps):
@@ -165,9 +165,9 @@ class Odometry:
         self._grow(ahead, aside, dx, dy, variances)
 
     def _grow(self, ahead: float, aside: float, dx: float, dy: float, variances: Sequence[float]) -> None:
-        """Grow the covariance by a step of this way in the robot's frame and these variances of the wheels' turns."""
+        """Grow the covariance by a move in the robot's frame with these variances of the wheels' turns."""
         xs, ys, ths = self._ways
-        # A heading that is wrong by 1 rad carries the way off to the side.
+        # A heading that is wrong by 1 rad turns the whole distance to the side.
         out_x, out_y = -(dx * aside + dy * ahead), dx * ahead - dy * aside
         xx, xy, xt, yy, yt, tt = self._covariance
         xx, xy, yy = (
@@ -177,7 +177,7 @@ class Odometry:
         )
         xt, yt = xt + out_x * tt, yt + out_y * tt
         for x, y, th, variance in zip(xs, ys, ths, variances, strict=True):
-            # The heading in the middle has half of the turn's error.
+            # The heading in the middle has half of the error of the turn.
             gx = x * ahead - y * aside + out_x * th / 2
             gy = x * aside + y * ahead + out_y * th / 2
             xx, xy, xt = xx + gx * gx * variance, xy + gx * gy * variance, xt + gx * th * variance

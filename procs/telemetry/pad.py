@@ -15,40 +15,40 @@ from failstop.policy.kinematics import Velocity
 from failstop.policy.settings import Settings
 
 LOCKED, DRIVING, JOINT = range(3)
-"""Indices of records.PAD_MODES. JOINT needs an arm: the left stick chooses a joint, the right one turns it."""
+"""Indices of records.PAD_MODES. JOINT needs an arm: the left stick chooses a joint, the right stick turns it."""
 CHOOSES = 0.7
-"""How far it is pushed for that, of 1; back within half of it, it may choose again."""
+"""How far the stick must be pushed to choose, from 0 to 1. Once it is back within half of that, it may choose again."""
 
 FULL_AXIS = 127
 SILENCE_NS = 500_000_000
-"""About 20 frames a second come. After this long without one, nothing is held any more."""
+"""About 20 frames a second come. After this long without one, no button counts as held."""
 HOLD_ENDS = 3
-"""Frames without MODE that end a hold: single frames lose it."""
+"""Frames without MODE that end a hold, because single frames can miss it."""
 RAW_FRAMES = 6
-"""How many raw frames are kept for the log: what the pad sent just before a stop."""
+"""How many raw frames are kept for the log, to show what the pad sent just before a stop."""
 STANDSTILL = (0.0, 0.0, 0.0)
 
 PRESSES = frozenset((0x01, 0x02, 0x04, 0x20, 0x40, 0x80))
-"""Events of the board's keys that mean that a finger is or was on the key; releases (0x08, 0x10) are not."""
+"""Events of the board's keys that mean that a finger is or was on the key; releases (0x08, 0x10) do not count."""
 
 Sound = tuple[int, int, int, int]
-"""Hz, ms on, ms off, how often."""
+"""Hz, ms on, ms off, number of beeps."""
 OFF_MS = 100
-"""Between two beeps and after the last: an off time of 0 left a buzzer sounding forever."""
+"""Pause between two beeps and after the last. An off time of 0 left a buzzer sounding forever."""
 LATCH_SOUND: Sound = (1000, 400, OFF_MS, 2)
 """Two long low beeps."""
 MODE_SOUNDS = ((1500, 100, OFF_MS, 1), (2500, 100, OFF_MS, 2), (2500, 100, OFF_MS, 3))
-"""By the pad's mode. One short beep: locked; two short high ones: drive; three: joint."""
+"""The sound of each pad mode. One short beep: locked; two short high ones: drive; three: joint."""
 TUCK_SOUND = (2000, 50, OFF_MS, 4)
-"""Four short ones: the arm is about to move by itself."""
+"""Four short beeps: the arm is about to move by itself."""
 
 
 class PadNews(Data):
-    """The meaning of one frame."""
+    """What one frame means."""
 
     cause: Cause | None
     command: Velocity | None
-    """To command: m/s, m/s, rad/s."""
+    """The velocity to command: m/s, m/s, rad/s."""
     reset: bool
     arm: tuple[int, float] | None
     """A joint to turn, and the share of its speed."""
@@ -57,7 +57,8 @@ class PadNews(Data):
 
 
 class Pad:
-    """The gamepad's state from frame to frame. A pad that falls silent in drive mode is left to the command timeout."""
+    """The gamepad's state from frame to frame. If a pad falls silent in drive mode, the command timeout stops the
+    wheels."""
 
     def __init__(self, settings: Settings) -> None:
         self._mode_button = int(settings["pad.mode_button"])
@@ -71,11 +72,11 @@ class Pad:
         self._sample_ns = 0
         """The newest frame that differs from the one before it, and when it came."""
         self._limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
-        """The command of a stick at its end."""
+        """The velocity that a stick commands at its end."""
         self._joints = len(settings.servos())
         self._raw: list[tuple[int, bytes]] = []
         self._buttons = 0
-        """Those of the last frame, so that a held one is one request."""
+        """The buttons of the last frame, so that a held button is one request."""
         self._last_ns: int | None = None
         self._changed_ns: int | None = None
         self._latched_ns: int | None = None
@@ -88,19 +89,19 @@ class Pad:
         self.mode = LOCKED
 
     def follow(self, latched: bool, now_ns: int) -> None:
-        """Whether a stop is latched, by whomever. A latch drops the pad to locked."""
+        """Follow whether a stop is latched, whatever its cause. A latch switches the pad to locked."""
         if not latched:
             self._latched_ns = None
         elif self._latched_ns is None:
             self.stopped(now_ns)
 
     def stopped(self, now_ns: int) -> None:
-        """There was a stop, perhaps latched and reset unseen: whatever the pad holds is from before it."""
+        """Follow a stop, perhaps latched and reset unseen: everything the pad holds is from before it."""
         self.mode = LOCKED
         self._latched_ns = now_ns
 
     def take(self, sample: tuple[int, int, int, int, int, int], raw: bytes, t_ns: int) -> PadNews:
-        """One frame: (buttons, hat, lx, ly, rx, ry), and its bytes as they came."""
+        """Take one frame: (buttons, hat, lx, ly, rx, ry), and its raw bytes."""
         self._notice_silence(t_ns)
         self._raw = [*self._raw[1 - RAW_FRAMES :], (t_ns, raw)]
         buttons, _, lx, ly, rx, _ = sample
@@ -118,7 +119,7 @@ class Pad:
         if self.mode == DRIVING:
             command: Velocity | None = self._sticks(lx, ly, rx)
         else:
-            # Locked by MODE: stand still now, not when the command times out. A cause has stopped by itself.
+            # Locked by MODE: stop now, not when the command times out. A cause stops by itself.
             command = STANDSTILL if was == DRIVING and not cause else None
         arm = self._turns_joint(lx, rx) if self.mode == JOINT else (self.joint, 0.0) if was == JOINT else None
         return PadNews(cause, command, self._reset_is_due(buttons, t_ns), arm, locks)
@@ -130,7 +131,7 @@ class Pad:
         return t_ns - self._sample_ns
 
     def _stops(self, buttons: int) -> Cause | None:
-        """A button stops on its first frame: real taps last one frame only, so nothing may wait for a second."""
+        """The cause if a button stops. It does so on its first frame, because real taps last only one frame."""
         pressed = buttons & ~self._buttons & ~self._mode_button
         self._buttons = buttons
         return causes.BUTTON(pressed) if pressed else None
@@ -149,12 +150,12 @@ class Pad:
 
     def _notice_silence(self, t_ns: int) -> None:
         if self._last_ns is not None and t_ns - self._last_ns > SILENCE_NS:
-            self._buttons = 0  # one that was held then must not mask the next tap
+            self._buttons = 0  # a button that was held then must not hide the next tap
             self._hold_ns = None
         self._last_ns = t_ns
 
     def _follow_hold(self, buttons: int, t_ns: int) -> None:
-        """MODE down, or not: a hold begins, goes on, ends. The mode changes when one begins."""
+        """Follow MODE: a hold begins, continues or ends. The mode changes when a hold begins."""
         if buttons & self._mode_button:
             self._hold_frames_missing = 0
             if self._hold_ns is None:
@@ -175,8 +176,9 @@ class Pad:
             self.mode = (self.mode + 1) % (JOINT + 1 if self._joints else JOINT)
 
     def _reset_is_due(self, buttons: int, t_ns: int) -> bool:
-        """MODE has been down for long enough, all that time latched: a hold from before the latch resets nothing of
-        which its holder could not know. Once a hold, and with no other button down."""
+        """True when MODE has been held long enough, and a stop was latched all that time: a hold from before the latch
+        resets nothing, because the person could not know about the stop. Once per hold, and with no other button
+        pressed."""
         if buttons != self._mode_button or self._hold_ns is None or self._latched_ns is None or self._hold_spent:
             return False
         self._hold_spent = t_ns - max(self._hold_ns, self._latched_ns) >= self._reset_hold_ns
@@ -187,21 +189,21 @@ class Pad:
         return self._axis(ly) * forward, self._axis(-lx) * left, self._axis(-rx) * turn
 
     def _axis(self, raw: int) -> float:
-        """-1 to 1 (the axis reaches -128), and 0 within the dead zone."""
+        """From -1 to 1 (the axis reaches -128), and 0 within the dead zone."""
         value = max(-1.0, min(1.0, raw / FULL_AXIS))
         return value if abs(value) >= self._dead_zone else 0.0
 
 
 class Tones:
-    """Remembers what it last saw, so that a tone sounds on the change alone; off, it never sounds."""
+    """Remembers what it last saw, so that a tone sounds only on a change. If it is off, it never sounds."""
 
     def __init__(self, *, on: bool) -> None:
         self._on = on
         self._seen = (True, LOCKED, False)
-        """Latched, mode and tucks. What is latched at the start was told by whoever was there when it happened."""
+        """Latched, mode and tucks. A stop that is latched at the start was announced when it happened."""
 
     def follow(self, latched: bool, mode: int, *, tucks: bool = False) -> Sound | None:
-        """The sound to make now, or none. A latch also locks the pad: then its tone alone is heard."""
+        """The sound to make now, or None. A latch also locks the pad, and then only the latch's tone sounds."""
         (was_latched, was_mode, tucked), self._seen = self._seen, (latched, mode, tucks)
         if not self._on:
             return None

@@ -1,4 +1,4 @@
-"""Port: what the board sends, read from a duplicate of the port's descriptor, which telemetry never writes to."""
+"""Port: reads the board's bytes from a duplicate of the port's descriptor, which telemetry never writes to."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from failstop.procs.handover import Control, HeldPort
 from failstop.procs.loop import EDGE, HANGUP, READ, Loop
 
 LATE_NS = 100_000_000
-"""Bytes that may have waited for as long as this count as older, whatever they are: an old answer is none to a newer
-ping (procs/schedule.py), an old stick of the gamepad commands nothing."""
+"""Bytes that may have waited this long count as old: an old answer answers no newer ping (procs/schedule.py), and an
+old stick position commands nothing."""
 
 PROVED_NS = 3_000_000_000
-"""So long after a stop nothing is to be learned of it any more (supervisor/proof.py)."""
+"""This long after a stop nothing more will be learned about it (supervisor/proof.py)."""
 
 
 class HeardPort:
-    """Its bytes, each with the time at which it had come."""
+    """The port's bytes, each with the time at which they had come."""
 
     def __init__(self, context: Context, loop: Loop, now_ns: int) -> None:
         self._received = context.own.ring_writer("received")
         self._empty_ns = now_ns
-        """When nothing waited in it for the last time."""
+        """When the port was last found empty."""
         self._epoch = self._proved_ns = self.waited_ns = 0
-        """The time within which came what was taken last."""
+        """`waited_ns`: the time span in which the last bytes came."""
         self.fd = -1
         self.adopt(context.fd("port"))
         control = Control(context.fd("control"))
@@ -31,7 +31,8 @@ class HeardPort:
         loop.watch(control.fd, READ)
 
     def adopt(self, fd: int) -> None:
-        """Let it go for another, -1 for none. What waits there is dropped: nobody knows since when."""
+        """Replace the descriptor; -1: none. Bytes that wait in the new one are dropped, because nobody knows how old
+        they are."""
         if self.fd >= 0:
             port.close_port(self.fd)
         self.fd, self.lost = fd, False
@@ -39,13 +40,14 @@ class HeardPort:
             pass
 
     def rest(self, now_ns: int, epoch: int, *, busy: bool) -> None:
-        """Have its bytes wake telemetry while somebody is there, or a stop is to be proved; else its end alone."""
+        """Let the port's bytes wake telemetry while a client is present or a stop is to be proved; else only its
+        end."""
         if epoch != self._epoch:
             self._epoch, self._proved_ns = epoch, now_ns + PROVED_NS
         self.held.watch(READ | EDGE if busy or now_ns < self._proved_ns else HANGUP)
 
     def take(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Once a turn: what has come since the last, and when."""
+        """Once per turn: the bytes that have come since the last call, and when."""
         waited_ns = now_ns - self._empty_ns
         came_ns, self.waited_ns = (now_ns, waited_ns) if waited_ns < LATE_NS else (self._empty_ns, 0)
         found = []

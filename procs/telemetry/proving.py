@@ -1,5 +1,5 @@
-"""Proving: how much the board has handled, by its answers and reports, for the supervisor; and for people, whether it
-reports zero speed although it is told to move."""
+"""Proving: for the supervisor, how far the board has handled what was written, by its answers and reports; for people,
+whether it reports zero speed although it is told to move."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
     from failstop.procs.context import Context
 
 FORGOTTEN_NS = 500_000_000
-"""An older report of the command that is obeyed says nothing of now."""
+"""An older report of the obeyed command says nothing about now."""
 PAUSE_NS = 100_000_000
-"""After a pause of the reports that is longer than this, and than two of them take, what they say counts anew: an
-adapter that stalls brings old reports afterwards."""
+"""After a pause in the reports that is longer than this, and than two reports take, they count from the start again: an
+adapter that stalls delivers old reports afterwards."""
 
 
 class Proving:
-    """The records `answered` and `proved`, and the word `unheeded_ns`. A successor goes on where the process before it
-    was: what that knew to be answered stays so."""
+    """The records `answered` and `proved`, and the word `unheeded_ns`. A successor continues from what the process
+    before it knew to be answered."""
 
     def __init__(self, context: Context) -> None:
         own = context.own
@@ -40,11 +40,11 @@ class Proving:
 
     @property
     def faded_ns(self) -> int:
-        """When the board heard something last, if its own watchdog has stopped it for that; 0: it has not."""
+        """When the board last heard something, if its own watchdog has stopped it since; else 0."""
         return self._handled.faded_ns
 
     def answered(self, indices: Value, came_ns: int) -> None:
-        """The answer to one of these pings has come."""
+        """An answer to one of these pings has come."""
         before_ns = self._handled.asked_ns
         self._take(HEARD_PONG, indices, came_ns)
         if self._handled.asked_ns != before_ns:
@@ -56,12 +56,12 @@ class Proving:
         self._take(HEARD_OBEYED, speeds, came_ns)
         paused, self._obeyed_ns = came_ns - self._obeyed_ns > self._pause_ns, came_ns
         written = max(word.get() for word in self._stopped) < self._told_word.get() <= came_ns
-        zeros = bool(speeds) and not any(speeds)  # NaN is no zero, and no speeds are no report
+        zeros = bool(speeds) and not any(speeds)  # NaN is not zero, and no speeds are no report
         since_ns = self.faded_ns or (0 if paused else self._unheeded_ns)
         self._tell_unheeded((since_ns or came_ns) if moves and written and zeros else 0)
 
     def forget(self, now_ns: int) -> None:
-        """Once in a while: a report that is old is none."""
+        """Call once in a while: forget a report that is old."""
         if self._unheeded_ns and now_ns - self._obeyed_ns >= FORGOTTEN_NS:
             self._tell_unheeded(0)
 

@@ -1,7 +1,7 @@
-"""Read-back: whether the wheels stand, by what the board itself reports of them. Pure.
+"""Read-back: whether the wheels are stopped, by the board's own reports. Pure.
 
-They stand when two reports after each other say so: their speeds are zero, or their odometers are where they were.
-For a board without an IMU, and better than an IMU.
+The wheels are stopped when two reports in a row say so: their speeds are zero, or their odometers have not changed. It
+serves boards without an IMU, and is better than an IMU.
 """
 
 from __future__ import annotations
@@ -10,21 +10,21 @@ from collections.abc import Sequence
 from math import isfinite
 
 AT_REST = 1e-6
-"""A speed below this is none, in whatever unit."""
+"""A lower speed counts as zero, in any unit."""
 READS_APART_NS = 40_000_000
-"""Two odometer readings closer than this say little of a slow wheel."""
+"""Two odometer readings closer together than this say little about a slow wheel."""
 
 
 class ReadBack:
-    """`still_ns`: since when the wheels stand (0: they turn); `judged_ns`: the last report (0: none yet)."""
+    """`still_ns`: since when the wheels are still (0: they turn); `judged_ns`: the last report (0: none yet)."""
 
     def __init__(self) -> None:
         self.still_ns = self.judged_ns = 0
         self._before: tuple[int, tuple[float, ...]] | None = None
 
     def take(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
-        """Take a report; True when it was judged, or what was known no longer counts. NaN says nothing: as a number it
-        would pass for neither turning nor at rest, so from then on nobody knows."""
+        """Take a report; True when it was judged, or the verdict before it no longer counts. A NaN is unknown, because
+        as a number it would pass for neither turning nor at rest."""
         if not all(map(isfinite, (*speeds, *positions))):
             known, self._before = self.judged_ns > 0, None
             self.still_ns = self.judged_ns = 0
@@ -37,7 +37,7 @@ class ReadBack:
         return True
 
     def _rests(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool | None:
-        """Whether it says that they stand; None: nothing yet."""
+        """Whether the report says that the wheels are still; None: not known yet."""
         if any(abs(speed) > AT_REST for speed in speeds):
             self._before = (t_ns, positions)
             return False

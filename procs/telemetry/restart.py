@@ -16,15 +16,15 @@ from collections.abc import Sequence
 
 MS = 1_000_000
 KEPT_NS = 40 * MS
-"""How long to wait for the reports that an adapter has kept."""
+"""How long to wait for the reports that an adapter has held back."""
 LEARN_NS = 400 * MS
-"""Over this time it is learned how often the board reports."""
+"""How long to learn how often the board reports."""
 MISSING = 0.6
-"""The share of the reports of a pause that must be missing for good."""
+"""The share of the reports in a pause that must be missing for good."""
 FASTER = 1.5
-"""A wheel is taken to turn as much faster than it was seen to turn."""
+"""A wheel may turn this much faster than it was seen to turn."""
 FADES = 0.98
-"""The fastest turning that was seen counts a little less with each report."""
+"""The fastest turning seen counts a little less with each report."""
 LEAST_FALL = 10.0
 """In the counters' own unit; a smaller fall is an ordinary move backward."""
 CLOSE = 2.0
@@ -34,33 +34,33 @@ OBEYS_ZERO = "it obeys zero and was told to drive"
 
 
 class RestartWatch:
-    """Looks for the signs of a restart. Each method returns the sign that it found, in words, or an empty text; after a
-    sign everything is forgotten, so that one restart is found once."""
+    """Looks for the signs of a restart. Each method returns the sign that it found, in words, or an empty text. After a
+    sign it forgets everything, so that one restart is found once."""
 
     def __init__(self, silent_ns: int) -> None:
-        """`silent_ns`: a pause of its reports that only a restart explains; 0: it reports nothing."""
+        """`silent_ns`: a pause in the reports that only a restart explains; 0: the board reports nothing."""
         self._silent_ns = silent_ns
         self.forget()
 
     def forget(self) -> None:
         """Begin again, as with another port."""
         self._last_ns = self._other_ns = 0
-        """The last of its regular reports, and the last other sample."""
+        """When the last of its regular reports and the last other sample came."""
         self._learned = (0, 0)
         """Since when reports are counted, and how many came."""
         self._period_ns = 0.0
         """The time between two reports; 0: not known yet."""
         self._pause: tuple[int, int] | None = None
-        """A pause that has ended: when it began and when it ended."""
+        """A pause that is over: when it began and ended."""
         self._came = 0
         self._continues = False
-        """The counters went on from where they were."""
+        """The counters continued from their last values."""
         self._at: tuple[int, Sequence[float]] | None = None
         self._rate = 0.0
         self._drove = 0
 
     def heard(self, reports: int, others: int, now_ns: int) -> str:
-        """Take how many of its regular reports were read now, and how many other samples."""
+        """Take how many regular reports and how many other samples were read now."""
         if not self._silent_ns:
             return ""
         if self._pause:
@@ -71,7 +71,7 @@ class RestartWatch:
             self._other_ns = now_ns if others else self._other_ns
             return ""
         last_ns, self._last_ns = self._last_ns, now_ns
-        # A board that says other things in the meantime runs, and only its reports have stopped.
+        # A board that says other things in the meantime is running, and only its reports have stopped.
         alone = self._other_ns - last_ns < self._silent_ns
         if now_ns - last_ns < self._silent_ns:
             self._learn(reports, now_ns)
@@ -93,7 +93,7 @@ class RestartWatch:
             self._learned = (now_ns, 0)
 
     def _judged(self, begun_ns: int, ended_ns: int, now_ns: int) -> str:
-        """Whether the reports of a pause stayed away."""
+        """Judge whether the reports of a pause stayed away."""
         missing = (now_ns - begun_ns) / self._period_ns - self._came
         paused = (ended_ns - begun_ns) / self._period_ns
         self._pause, self._learned = None, (now_ns, 0)
@@ -102,7 +102,7 @@ class RestartWatch:
         return self._found(f"no report came for {(ended_ns - begun_ns) // MS} ms")
 
     def counted(self, positions: Sequence[float], t_ns: int) -> str:
-        """A report of its counters."""
+        """Take a report of its counters."""
         if not positions:
             return ""
         before, self._at = self._at, (t_ns, positions)
@@ -118,13 +118,14 @@ class RestartWatch:
         return ""
 
     def obeyed(self, *, zeros: bool, told_ns: int) -> str:
-        """A report of the command that it obeys. `told_ns`: since when it is told to drive, by all that was written; 0:
-        the last that was written is zero or a stop."""
+        """Take a report of the command that it obeys. `told_ns`: since when it is told to drive; 0 if the last write
+        was zero or a stop."""
         drove, self._drove = self._drove, 0 if zeros else told_ns
         return self._found(OBEYS_ZERO) if zeros and told_ns and drove == told_ns else ""
 
     def started(self, text: str) -> str:
-        """It prints this while it starts, which counts once it has reported before: a port may have been opened."""
+        """Take a text that the board prints only at its start. It counts only after the first report, because opening a
+        port restarts some boards."""
         return self._found(f"it printed {text}") if self._last_ns or self._at else ""
 
     def _found(self, sign: str) -> str:

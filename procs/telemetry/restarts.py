@@ -1,4 +1,4 @@
-"""Restarts: what telemetry does when the board has restarted. restart.py says whether it has."""
+"""Restarts: how telemetry reacts when the board has restarted. restart.py detects it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from failstop.procs.telemetry.restart import RestartWatch
 
 
 class Restarts:
-    """Counts restarts for the port owner, which tells the board its settings again. While motion is enabled a restart
-    is a stop: the next frame of motion would drive the board again."""
+    """Counts restarts for the port owner, which sends the board its settings again. While motion is enabled, a restart
+    is a stop, because the next frame of motion would drive the board again."""
 
     def __init__(
         self, context: Context, enabled: Callable[[], bool], note: Callable[..., None], stop: Callable[[Cause], None]
     ) -> None:
-        """`enabled`: whether motion is; `note`: tells people; `stop`: has the port owner stop."""
+        """`enabled`: whether motion is enabled; `note`: reports to people; `stop`: has the port owner stop."""
         board = context.board
         self._watch = RestartWatch(board.silent_ns)
         self._regular = interface.HEARD_IMU if board.observed_by == interface.BY_IMU else interface.HEARD_WHEELS
@@ -42,7 +42,7 @@ class Restarts:
         self._act(self._watch.obeyed(zeros=zeros, told_ns=self._told_word.get()))
 
     def started(self, said: interface.Value, _t_ns: int) -> None:
-        """It has printed what it prints while it starts."""
+        """Take a text that the board prints only while it starts."""
         self._act(self._watch.started(said[0]))
 
     def _act(self, sign: str) -> None:

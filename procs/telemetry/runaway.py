@@ -1,4 +1,4 @@
-"""Runaway: whether a wheel does what it is told, by what the board reports. Pure.
+"""Runaway: whether a wheel follows its commands, by the board's reports. Pure.
 
 Every report is compared with all that the wheels were told in the time that it may be about. A wheel has run away when
 it has turned faster than that, or the other way, for its run-down time, and has not slowed down meanwhile. One that

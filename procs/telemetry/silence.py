@@ -1,7 +1,7 @@
 """Silence: when the board last said anything, and how long it may pause before it counts as silent. Pure.
 
-Only reports that nobody asks for count as a sign of life that must not end. Where a board speaks only when it is asked,
-silence shows as questions without an answer, and the supervisor judges that (supervisor/proof.py).
+Only reports that come without a question count as a sign of life that must not end. If a board speaks only when asked,
+its silence shows as unanswered questions, which the supervisor judges (supervisor/proof.py).
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ if TYPE_CHECKING:
 REGULAR = frozenset((HEARD_IMU, HEARD_BATTERY, HEARD_WHEELS, HEARD_OBEYED))
 """Kinds of reports that come again and again. A key or a gamepad says something only when somebody touches it."""
 LEAST_PAUSE_NS = 700_000_000
-"""No pause shorter than this is silence: an adapter stalls for up to 0.3 s, and a restart takes about as long."""
+"""No shorter pause counts as silence: an adapter stalls for up to 0.3 s, and a restart takes about as long."""
 DESCRIBED_PAUSES = 4
-"""A pause of this many times the longest that a healthy board makes, by its description, is silence."""
+"""A pause is silence if it is this many times the longest pause of a healthy board, by the board's description."""
 SEEN_FOR_NS = 1_000_000_000
 SEEN_PAUSES = 20
-"""Where the description says nothing, pauses are measured over that long and that many of them. A board of which too
-little was seen is never silent."""
+"""If the description says nothing, pauses are measured over this long and this many. A board that was seen too little
+is never silent."""
 MEAN_PAUSES, LONGEST_PAUSES = 12, 2
-"""A pause of as many times the mean one, and of as many times the longest, is silence then. A machine that was held up
-saw a long one, so each new measurement may shorten the time."""
+"""Then a pause is silence if it is this many times the mean pause, and this many times the longest. A machine that was
+held up measures a long one, so each new measurement may shorten the time."""
 NOISE_NS = 2_000_000_000
-"""Bytes that can't be read count as a sign of life for this long: a few garbled reports in a row are no silence."""
+"""Unreadable bytes count as a sign of life for this long, because a few garbled reports in a row are no silence."""
 
 
 class Silence:
     """One board at one port. Times are CLOCK_MONOTONIC in ns."""
 
     def __init__(self, board: Board, patience_ns: int = 0) -> None:
-        """`patience_ns`: as the process before this one has learned it."""
+        """`patience_ns`: as learned by the process before this one."""
         self.said_ns = 0
-        """When the board said something last; 0: never."""
+        """When the board last said anything; 0: never."""
         self.patience_ns = patience_ns
-        """How long it may pause; 0: not known, or it speaks only when it is asked."""
+        """How long it may pause; 0: not known, or it speaks only when asked."""
         self._understood_ns = self._regular_ns = 0
         self._asked = bool(board.pings) and board.ping_ns > 0
         every_ns = board.reports.every_ns
@@ -49,7 +49,7 @@ class Silence:
             self.patience_ns = 0 if self._asked or not every_ns else max(LEAST_PAUSE_NS, DESCRIBED_PAUSES * every_ns)
 
     def heard(self, kinds: Collection[int], came_ns: int) -> None:
-        """Bytes have come, with reports of these kinds; none: they could not be read."""
+        """Bytes have come, with reports of these kinds; none if the bytes were unreadable."""
         if kinds:
             self._understood_ns = came_ns
         if not self._understood_ns or came_ns - self._understood_ns >= NOISE_NS:
@@ -73,6 +73,6 @@ class Silence:
             self._begun_ns = came_ns
 
     def forget(self) -> None:
-        """The port has gone: what is said now may come from another device."""
+        """The port is gone; what comes next may be from another device."""
         self.said_ns = self._understood_ns = self._regular_ns = 0
         self._longest_ns = self._pauses = 0

@@ -1,6 +1,7 @@
-"""Files under the state directory, written whole or not at all, by a thread: a slow disk must not hold up the loop.
+"""Files under the state directory, written whole or not at all, by a thread, because a slow disk must not hold up the
+loop.
 
-A file that can't be written is a line for the journal, once, and never more than that.
+A file that can't be written costs one line in the journal, and nothing else.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from failstop.files import durable
 Job = tuple[str, Callable[[], None]]
 
 THREAD_STACK_BYTES = 256 * 1024
-"""The thread's: all memory is locked as it is touched, and counts against the limit even before."""
+"""Stack size of the thread. All memory is locked as it is touched, but counts against the limit even before."""
 MOST_READ = 4096
 """Bytes of a file that is read: each holds a line."""
 MOST_JOBS = 100
-"""Jobs that a disk may leave waiting; at a line every 10 s that is a quarter of an hour."""
+"""Jobs that may wait for the disk; at a line every 10 s that is a quarter of an hour."""
 
 
 def append_line(path: str, header: str, line: str) -> None:
@@ -29,7 +30,7 @@ def append_line(path: str, header: str, line: str) -> None:
     fd = durable.open_own(path, os.O_RDWR | os.O_APPEND | os.O_CREAT)
     try:
         size = os.fstat(fd).st_size
-        # A line that a power cut has cut gets its end, so that it spoils no other.
+        # A line that a power cut has truncated is ended, so that it doesn't spoil the next.
         torn = size > 0 and os.pread(fd, 1, size - 1) != b"\n"
         data = (("\n" if torn else "" if size else header) + line).encode()
         if os.write(fd, data) != len(data):
@@ -40,7 +41,7 @@ def append_line(path: str, header: str, line: str) -> None:
 
 
 def write_whole(path: str, text: str) -> None:
-    """Replace a file's content, whole or not at all. Raises OSError, and then the old one is there."""
+    """Replace a file's content, whole or not at all. Raises OSError, and then the old content is unchanged."""
     os.makedirs(os.path.dirname(path), exist_ok=True)
     draft = f"{path}.new"
     durable.write_draft(draft, text.encode())
@@ -48,18 +49,18 @@ def write_whole(path: str, text: str) -> None:
 
 
 class StateFiles:
-    """Jobs for the thread, and what it has to say of them. Everything but _work runs in the loop's thread."""
+    """Jobs for the thread, and its results. Everything but _work runs in the loop's thread."""
 
     def __init__(self, folder: str) -> None:
         self.folder = folder
         self._jobs: SimpleQueue[Job] = SimpleQueue()
         self._notes: SimpleQueue[tuple[str, str]] = SimpleQueue()
         self._failing: dict[str, str] = {}
-        """The last attempt that failed, and why; the thread's own."""
+        """The files whose last write failed, and why. Used only by the thread."""
         self._running = False
 
     def read(self, what: str, name: str) -> str:
-        """A file's text; empty when there is none. At the start only: it does not go through the thread."""
+        """A file's text; empty if there is none. Only at the start, because it does not go through the thread."""
         try:
             fd = durable.open_own(os.path.join(self.folder, name))
             try:

@@ -1,9 +1,9 @@
-"""Whether the wheels stand still, as the gyro shows it. Pure.
+"""Whether the wheels are still, by the gyro. Pure.
 
-Wheels that turn shake the robot: the standard deviation of gyro x and of gyro y over a window tells. The limit between
-still and turning is near to both, so one window is quiet by chance now and then: the verdict is "still" when every
-window has been quiet for another HOLD_NS. docs/dev/telemetry.md has how often windows and holds of several lengths are
-wrong, the delay, and what an IMU of another rate makes of it.
+Turning wheels shake the robot, which shows in the standard deviation of gyro x and gyro y over a window. The limit
+between still and turning is close to both, so a window is quiet by chance now and then. The verdict is therefore
+"still" only when every window has been quiet for another HOLD_NS. docs/dev/telemetry.md has how often windows and holds
+of several lengths are wrong, the delay, and the effect of an IMU with another rate.
 """
 
 from __future__ import annotations
@@ -12,35 +12,37 @@ from failstop.policy.proofs import LEAST_SAMPLES, WINDOW_NS
 
 HOLD_NS = 250_000_000
 GAP_NS = 100_000_000
-"""Between two samples of one window; the first one after a longer silence starts again."""
+"""Longest gap between two samples of one window; the first sample after a longer silence starts a new one."""
 UNITS_PER_RADPS = 10_000_000
-"""The sums are of integers, and so exact forever: no sum drifts, and a wild sample leaves nothing behind."""
+"""The sums are of integers, so they stay exact: no sum drifts, and a wild sample leaves nothing behind."""
 
 
 class StillJudge:
-    """Decides since when the wheels stand still. The gyro's bias does not matter: it is no deviation.
+    """Decides since when the wheels are still. The gyro's bias does not matter, because it is no deviation.
 
-    What shakes less than the limit counts as still: on the robot a straight drive below some 0.08 m/s.
+    Shaking below the limit counts as still: on the robot, a straight drive below about 0.08 m/s.
     """
 
     def __init__(self, std_radps: float) -> None:
-        """`std_radps`: less on x and on y is quiet."""
+        """`std_radps`: a smaller deviation on both x and y is quiet."""
         self._limit = (std_radps * UNITS_PER_RADPS) ** 2
         self._samples: list[tuple[int, int, int]] = []
         self._sums = (0, 0, 0, 0)
-        """Of x, x squared, y, y squared of the samples."""
+        """The sums of x, x squared, y and y squared over the samples."""
         self._begun_ns = 0
         self._last_ns = 0
         self._quiet_ns = (0, 0)
-        """The first sample and the last of the first window of the present run of quiet ones; zeros: it is not."""
+        """The first and last sample of the first window in the present run of quiet windows; zeros if the present one
+        is not quiet."""
         self.still_ns = 0
         """Since when the wheels are still: all samples from then on are in quiet windows. 0: they turn, or nobody
-        knows. It may be before the stop: a window is quiet as soon as its rest outweighs the end of a movement."""
+        knows. It may be before the stop, because a window is quiet as soon as its rest outweighs the end of a
+        movement."""
         self.judged_ns = 0
-        """The last sample that there is a verdict of; 0: there is none, as while the first quiet windows must hold."""
+        """The last sample with a verdict; 0: no verdict, as while the first quiet windows must hold."""
 
     def take(self, gx_radps: float, gy_radps: float, t_ns: int) -> None:
-        """One sample, finite, with its bias or without. About 2 us."""
+        """Take one finite sample, with or without its bias. About 2 us."""
         if not 0 <= t_ns - self._last_ns <= GAP_NS:
             self._samples.clear()
             self._sums, self._begun_ns = (0, 0, 0, 0), t_ns
@@ -52,7 +54,7 @@ class StillJudge:
             self._quiet_ns = (0, 0)
 
     def _slide(self, x: int, y: int, t_ns: int) -> None:
-        """Take in a sample, let go of those that are older than the window."""
+        """Add a sample to the window, and drop those that are too old."""
         sum_x, squares_x, sum_y, squares_y = self._sums
         samples = self._samples
         samples.append((t_ns, x, y))
@@ -69,14 +71,14 @@ class StillJudge:
         self._sums = (sum_x, squares_x, sum_y, squares_y)
 
     def _judge(self, t_ns: int) -> bool:
-        """True when this window is quiet."""
+        """True if this window is quiet."""
         sum_x, squares_x, sum_y, squares_y = self._sums
         count = len(self._samples)
         # The variance times count x (count - 1).
         spread_x = count * squares_x - sum_x * sum_x
         spread_y = count * squares_y - sum_y * sum_y
         if not spread_x and not spread_y:
-            return False  # one value again and again is a sensor that has died, which proves nothing
+            return False  # a sensor that repeats one value has died, and proves nothing
         if max(spread_x, spread_y) >= self._limit * (count * (count - 1)):
             self.judged_ns = t_ns
             return False

@@ -1,11 +1,12 @@
-"""Unasked: what telemetry does about wheels that turn although they were told zero. Pure.
+"""Unasked: how telemetry reacts to wheels that turn although they were told zero. Pure.
 
     enabled            nothing: the gate reads the same fact, and disables motion with a burst
-    disabled for that  the stop is written again; if the wheels turn on as long once more, it is latched (UNSTILL)
-    disabled           somebody pushes the robot, or another program drives it: told, and the stop is written again
-    latched            the supervisor looks after the stop until the wheels were once seen still; then as disabled
+    disabled for that  write the stop again; if the wheels turn for as long once more, latch a stop (UNSTILL)
+    disabled           somebody pushes the robot, or another program drives it: report it, and write the stop again
+    latched            nothing until the wheels were seen still once, because the supervisor follows the stop; then as
+                       disabled
 
-What only an IMU feels is told, and nothing else: a robot that is carried shakes too.
+If only an IMU notices, it is only reported, because a robot that is carried shakes too.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ from failstop.policy.causes import Cause
 from failstop.procs.telemetry.wheels import ARE_STILL, SEEN_BY_REPORTS, THEY_TURN, WheelFact
 
 TOLD_AGAIN_NS = {True: 10_000_000_000, False: 60_000_000_000}
-"""So long people are told nothing new of wheels that still turn; False: of what an IMU feels."""
+"""How long people hear nothing new about wheels that still turn; False: by an IMU alone."""
 
 
 class Reaction(Data):
     """What to do now."""
 
     cause: Cause | None
-    """To stop and latch for."""
+    """The cause to stop and latch for."""
     again: bool
-    """Write the stop again, without a cause."""
+    """True to write the stop again, without a cause."""
     note: Note | None
 
 
@@ -34,14 +35,14 @@ NO_REACTION = Reaction(None, False, None)
 
 
 class Unasked:
-    """`follow` once for each news of the wheels or of the gate."""
+    """Call follow() for each change of the wheels or the gate."""
 
     def __init__(self, after_ns: int) -> None:
-        """`after_ns`: how long wheels may turn on after they were told zero."""
+        """`after_ns`: how long wheels may turn after they were told zero."""
         self._after_ns = after_ns
         self._was_enabled = self._was_unexpected = False
         self._disabled_ns = 0
-        """When motion was disabled because the wheels turned, as far as is known; 0: it was not."""
+        """When motion was disabled because the wheels turned, as far as is known; else 0."""
         self._epoch = 0
         self._rested = False
         """The wheels were seen still since the epoch of the latched stop."""
@@ -49,7 +50,7 @@ class Unasked:
         self._told_turning = False
 
     def follow(self, fact: WheelFact, now_ns: int, *, enabled: bool, latched: bool, epoch: int) -> Reaction:
-        """`epoch`: the gate's, which every stop raises."""
+        """Follow the wheels; `epoch`: the gate's, which every stop raises."""
         reported = fact.by == SEEN_BY_REPORTS
         if epoch != self._epoch:
             self._epoch, self._rested = epoch, False

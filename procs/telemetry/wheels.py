@@ -1,7 +1,7 @@
-"""Wheels: what is known of them now, from the board's reports or else from the IMU. Pure.
+"""Wheels: what is known about them now, from the board's reports or else from the IMU. Pure.
 
-This is the one fact that every screen shows: they turn, they are still, or nobody knows. The board's own reports count
-first, because an IMU only feels that the robot moves, or is being moved.
+Every screen shows this one fact: the wheels turn, they are still, or nobody knows. The board's own reports count first,
+because an IMU only feels that the robot moves, or is being moved.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ SEEN_BY_NOTHING, SEEN_BY_IMU, SEEN_BY_REPORTS = range(len(WHEELS_BY))
 _NOT_REPORTED = (nan,) * MOST_WHEELS
 
 LEAST_COUNTS = 2.5
-"""Less than this is the to and fro of an encoder at rest."""
+"""A smaller change is the jitter of an encoder at rest."""
 FASTEST_RPS = 50.0
-"""Turns a second that no wheel makes: 12 m/s with a wheel of 8 cm. A report beyond it is not believed."""
+"""Turns per second that no wheel reaches: 12 m/s with a wheel of 8 cm. Reports above it are not believed."""
 LEAST_TURN = 0.02
-"""Less than this is no jump of a counter: 5 mm with a wheel of 8 cm."""
+"""A smaller change is no jump of a counter: 5 mm with a wheel of 8 cm."""
 LONGEST_SILENCE_NS = 500_000_000
-"""Nobody knows how a wheel turned in a longer silence of its board, unless the board has counted."""
+"""Nobody knows how a wheel turned during a longer silence of its board, unless the board counts."""
 SAME_READ_NS = 5_000_000
-"""Reports that came closer together than this came in one read, so their times say nothing of a speed."""
+"""Reports closer together than this came in one read, so their times say nothing about speed."""
 _AT_ONCE_NS = 250_000_000
-"""A counter that has begun at zero has not counted for longer than this before it is read."""
+"""A counter that starts at zero has counted for at most this long before it is read."""
 
 
 def of_every_wheel(values: Sequence[float]) -> tuple[float, ...]:
-    """As many values as a record has wheels; NaN for those that are not reported."""
+    """As many values as a record has wheels; NaN for wheels that are not reported."""
     return (*values, *_NOT_REPORTED)[:MOST_WHEELS]
 
 
@@ -49,21 +49,21 @@ class Measured:
     """
 
     def __init__(self, reports: WheelReports, most_rps: float = 0.0) -> None:
-        """`most_rps`: the fastest wheel that the board can be told."""
+        """`most_rps`: the highest wheel speed that the board can be sent."""
         self._reports = reports
         self._fastest_rps = max(FASTEST_RPS, 4 * most_rps)
         self.counts = reports.position_per_turn > 0
-        """The board counts the turns itself; else they are added up from its speeds, and what it does not report is
+        """True if the board counts turns itself. Otherwise turns are added up from its speeds, and unreported ones are
         lost."""
         self.step = reports.position_step / reports.position_per_turn if self.counts else 0.0
-        """Turns between two counts; 0: too few to matter."""
+        """Turns between two counts; 0: too small to matter."""
         self._jump = max(LEAST_TURN, 1.5 * self.step)
         self.t_ns = 0
-        """When the newest report came that counts; 0: never."""
+        """When the newest report that counts came; 0: never."""
         self.speeds_rps: tuple[float, ...] = ()
-        """Turns a second; empty: not known."""
+        """Turns per second; empty: not known."""
         self.turns: tuple[float, ...] = ()
-        """Since the first report; empty: not reported."""
+        """Turns since the first report; empty: not reported."""
         self.missed = 0.0
         """Turns that a wheel may have made unseen since the first report, all gaps together."""
         self._positions: tuple[float, ...] = ()
@@ -71,10 +71,10 @@ class Measured:
         """A report that may begin a new count: its time and its positions."""
         self._moved: tuple[float, ...] = ()
         self._moved_ns = 0
-        """Turns since then, of which the speeds are made."""
+        """Since when the turns that the speeds are computed from are counted."""
 
     def inherit(self, turns: Sequence[float], speeds_rps: Sequence[float], t_ns: int) -> None:
-        """Go on from the newest report that an earlier run of this process had."""
+        """Continue from the newest report of an earlier run of this process."""
         self.turns, self.speeds_rps, self.t_ns = tuple(turns), tuple(speeds_rps), t_ns
 
     def take(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> None:
@@ -101,7 +101,7 @@ class Measured:
             self.speeds_rps = rps or self.speeds_rps
 
     def _add_up(self, rps: tuple[float, ...], t_ns: int) -> None:
-        """Turns from speeds: the mean of two reports, for the time between them."""
+        """Add turns from speeds: the mean of two reports times the time between them."""
         if len(self.turns) != len(rps):
             self.turns = (0.0,) * len(rps)
         if self.t_ns and t_ns > self.t_ns and len(self.speeds_rps) == len(rps):
@@ -113,7 +113,7 @@ class Measured:
                 self.missed += max(map(abs, (*self.speeds_rps, *rps)), default=0.0) * gap_ns * 1e-9
 
     def _count(self, positions: tuple[float, ...], t_ns: int) -> bool:
-        """Turns from counters; False when the report is not believed."""
+        """Add turns from counters; False if the report is not believed."""
         elapsed_ns = max(0, t_ns - self.t_ns)
         strange_ns, strange = self._strange
         self._strange = (0, ())
@@ -159,7 +159,7 @@ class Measured:
         return all(abs(step) <= most for step in steps)
 
     def _restarted(self, positions: tuple[float, ...], steps: tuple[float, ...], elapsed_ns: int) -> bool:
-        """All counters are close to zero, and the wheels were not on their way there."""
+        """True if all counters are close to zero, and the wheels were not on their way there."""
         if len(self.speeds_rps) != len(positions):
             return False
         short_s, elapsed_s = min(elapsed_ns, _AT_ONCE_NS) * 1e-9, elapsed_ns * 1e-9
@@ -175,15 +175,15 @@ class Measured:
 
 
 class Way:
-    """How far the wheels have gone since they were last at rest, where the board reports positions. A count that
-    changes to and fro on the edge of an encoder is no way."""
+    """How far the wheels have gone since they were last at rest, if the board reports positions. A count that flips on
+    the edge of an encoder does not count."""
 
     def __init__(self, reports: WheelReports) -> None:
         self._counts = 0.0 if reports.speed_per_rps else reports.position_per_turn
         self._from: tuple[float, ...] = ()
 
     def went(self, turns: tuple[float, ...], *, rest: bool) -> bool:
-        """`turns`: of each wheel; `rest`: they are at rest now. True also where nothing is known of positions."""
+        """`turns`: those of each wheel; `rest`: the wheels are at rest now. Also True if no positions are known."""
         if not self._counts:
             return True
         if rest or len(self._from) != len(turns):
@@ -193,25 +193,25 @@ class Way:
 
 
 class WheelFact:
-    """What is known, and since when. `follow` once for each reading and each news of the gate."""
+    """What is known about the wheels, and since when. Call follow() for each reading and each change of the gate."""
 
     def __init__(self, after_ns: int) -> None:
-        """`after_ns`: how long wheels may turn on after they were told zero."""
+        """`after_ns`: how long wheels may turn after they were told zero."""
         self._after_ns = after_ns
         self.does = UNKNOWN_WHEELS
         self.by = SEEN_BY_NOTHING
         self.since_ns = 0
-        """When they began to do so, as far as is known."""
+        """When the wheels began to do so, as far as is known."""
         self.read_ns = 0
-        """The newest reading; 0: there was none."""
+        """The newest reading; 0 if there was none."""
         self.unexpected = False
-        """They turn although they were told zero for longer than they may."""
+        """The wheels turn although they were told zero for longer than allowed."""
 
     def follow(
         self, read_back: ReadBack, still: StillJudge, told_zero_ns: int, now_ns: int, *, went: bool = True
     ) -> None:
-        """Judge again. `told_zero_ns`: since when they are told zero, 0: they are told to turn. `went`: they have got
-        further than an encoder that rests on the edge of a count."""
+        """Judge again. `told_zero_ns`: since when the wheels are told zero; 0: they are told to turn. `went`: they have
+        moved further than an encoder that flips on the edge of a count."""
         judge: ReadBack | StillJudge = read_back if read_back.judged_ns else still
         before = (self.does, self.by)
         self.read_ns = judge.judged_ns
@@ -221,7 +221,7 @@ class WheelFact:
             self.does = ARE_STILL if judge.still_ns else THEY_TURN
             self.by = SEEN_BY_REPORTS if judge is read_back else SEEN_BY_IMU
         late = told_zero_ns > 0 and self.read_ns - max(told_zero_ns, self.since_ns) >= self._after_ns
-        # Reports that have ended say nothing of now.
+        # Reports that have ended say nothing about now.
         self.unexpected = self.does == THEY_TURN and late and went and now_ns - self.read_ns < self._after_ns
         if before != (self.does, self.by):
             self.since_ns = judge.still_ns or judge.judged_ns or now_ns
