@@ -1,1 +1,1 @@
-"""The part that programs use: the robot, its state, its events."""
+"""The part of failstop that programs use: the robot, its state, its events."""

@@ -20,7 +20,8 @@ POSES = {"drive": records.ARM_DRIVE, "tuck": records.ARM_TUCK}
 
 
 class Arm:
-    """`robot.arm`. It moves while motion is disabled and nothing latched; a second client's goal is a latched stop."""
+    """`robot.arm`. It moves only while motion is disabled and nothing is latched. A second client's goal latches a
+    stop."""
 
     def __init__(self, session: Session) -> None:
         """Raises FailstopError for a robot whose settings name no joints."""
@@ -29,8 +30,8 @@ class Arm:
 
     @property
     def joints(self) -> dict[str, Joint]:
-        """Each joint by name, with its range (range_rad): of the service that runs now, which may have other ones than
-        before. Raises NoService, FailstopError."""
+        """Each joint by name, with its range (range_rad), from the service that is running now. A restart may have
+        changed them. Raises NoService, FailstopError."""
         with self._session._lock:
             found = self._session._current().joints
         if not found:
@@ -43,11 +44,14 @@ class Arm:
     def move(
         self, to: Mapping[str, float] | Sequence[Point], over_s: float = 0.0, *, speed: float = 1.0, told: Told = None
     ) -> str:
-        """Go to these angles, in `over_s` seconds (0: as fast as `speed`, a share of each joint's, allows), or along
-        points: (seconds from the begin, angles), each with the same joints. Returns when it was read back that it is
-        there. Raises Refused: out of range, too fast, it would hit something, wheels enabled, latched, preempted, held,
-        a servo that does not answer or did not follow."""
-        asked_ns = monotonic_ns()  # to look at all of the way takes time, in which something else may be asked for
+        """Go to these angles, in `over_s` seconds (0: as fast as `speed`, a share of each joint's speed, allows), or
+        along points: (seconds from the start, angles), each with the same joints. Returns once a reading confirms that
+        the arm is there.
+
+        Raises Refused: out of range, too fast, the arm would hit something, wheels enabled, a stop latched, preempted,
+        held, a servo that does not answer or did not follow.
+        """
+        asked_ns = monotonic_ns()  # checking the whole way takes time, during which another request may be made
         points = [(over_s, to)] if isinstance(to, Mapping) else to
         if not points:
             raise ValueError("a trajectory needs at least one point")
@@ -63,7 +67,7 @@ class Arm:
         return self._ask(records.ARM_MOVE, told, ("arm_path", speed, servos, rows), asked_ns)
 
     def pose(self, name: str, told: Told = None) -> str:
-        """Go to a pose of the settings, "drive" or "tuck", slowly (arm.pose_speed). Raises Refused, ValueError."""
+        """Go slowly (arm.pose_speed) to a pose of the settings, "drive" or "tuck". Raises Refused, ValueError."""
         if name not in POSES:
             raise ValueError(f"no pose {name!r}: there are {' and '.join(POSES)}")
         asked_ns = monotonic_ns()
@@ -74,12 +78,12 @@ class Arm:
 
     def follow(self, to: Mapping[str, float]) -> None:
         """Follow these angles, from now on until arm.goal_timeout_s after the last call; returns at once. Raises
-        Refused for an angle out of range; whether it moves, and why not, is in the state."""
+        Refused for an angle out of range. The state says whether the arm moves, and if not, why."""
         self._check(to)
         self._goal(records.ARM_FOLLOW, to)
 
     def jog(self, rates: Mapping[str, float]) -> None:
-        """Turn at these rates (rad/s), likewise."""
+        """Turn at these rates (rad/s), from now on until arm.goal_timeout_s after the last call; returns at once."""
         for name, rate in rates.items():
             if not isfinite(rate):
                 raise Refused(f"joint {name} at {rate:g} rad/s: every rate must be finite")
@@ -91,7 +95,8 @@ class Arm:
             self._session._client().tell("arm_goal", mode, found, wake=True)
 
     def hold(self) -> str:
-        """Stop where it is; torque stays, every goal is dropped, an enable on its way to the drive pose given up."""
+        """Stop where it is. The torque stays on, every goal is dropped, and an enable that is moving the arm to its
+        drive pose is given up."""
         return self._ask(records.ARM_HOLD)
 
     def release(self) -> str:
@@ -99,7 +104,7 @@ class Arm:
         return self._ask(records.ARM_RELEASE)
 
     def read(self, told: Told = None) -> dict[str, float]:
-        """Read where each joint is; angles by name. Raises Refused."""
+        """Read where each joint is; returns the angles by name. Raises Refused."""
         self._ask(records.ARM_READ, told)
         return {name: angle for name, joint in self.state.joints.items() if (angle := joint.angle_rad) is not None}
 
@@ -112,9 +117,9 @@ class Arm:
         return found
 
     def _check_way(self, rows: list[tuple[float, dict[str, float]]]) -> None:
-        """Refused where the arm would hit something, from where it was read to be: all of the way, before it begins.
-        Here and not in the gate, which looks at each move before it sends it, whoever wants it: all of a way takes
-        many milliseconds, and the gate has wheels to stop."""
+        """Refuse a way on which the arm would hit something, before it begins, starting from where the arm was read to
+        be. This is done here and not in the gate, because checking a whole way takes many milliseconds and the gate has
+        wheels to stop. The gate checks each single move before it sends it."""
         settings = Settings(dict(self._session.settings))
         if not settings.on("arm.collision"):
             return

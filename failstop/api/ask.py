@@ -1,7 +1,6 @@
-"""Ask: a stop by way of a service that runs, and what can be seen of it.
-
-The stop needs the stop pipe alone. Everything else, the service's port and its state, is read as far as it can be: the
-service may be of another version, half started or half dead.
+"""Ask: a stop through a running service, and what can be observed of it. The stop itself needs only the stop pipe. The
+service's port and state are read as far as possible, because the service may be of another version, half started or
+half dead.
 """
 
 from __future__ import annotations
@@ -16,15 +15,15 @@ from failstop.files import instance
 from failstop.messages import layout, records
 
 LATCH_S = 1.0
-"""How long a request may take until it is seen latched; the service needs a few milliseconds."""
+"""How long to wait until a request is seen latched; the service needs a few milliseconds."""
 HEAR_S = 0.3
-"""How long the board may take to answer before a latched stop is shown without its answer."""
+"""How long to wait for the board's answer before a latched stop is shown without it."""
 LOOK_S = 0.002
 
 
 def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
-    """Write a request into the pipe of a service, then look until it is latched, LATCH_S at most. Returns (how it went,
-    what is wrong, whether the wheels may turn for that): the first is empty when no stop is known to be out. Raises
+    """Write a request into the stop pipe of a service, then wait until it is latched, LATCH_S at most. Returns (how it
+    went, what is wrong, whether the wheels may still turn); the first is empty if no stop is known to be out. Raises
     nothing of its own."""
     try:
         send_stop(name, reason, who)
@@ -40,8 +39,9 @@ def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
 
 
 def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
-    """The port owner reads the pipe when it has written the stop: an empty pipe is a stop that is out. A flood of
-    others' requests never leaves it empty; then an epoch newer than the one seen first says as much. Raises OSError."""
+    """Wait until the stop is out. The port owner reads the pipe after it has written the stop, so an empty pipe means a
+    stop is out. A flood of requests by others never leaves it empty; then a newer epoch than the first one seen means
+    the same. Raises OSError."""
     from failstop.api import steps, verdict
     from failstop.api.state import StateReader
 
@@ -59,7 +59,7 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
                 if not doubt or time.monotonic() - latched_s >= HEAR_S:
                     text = f"stop latched ({state.cause}) by the service {name!r}; next: {steps.line(state)}"
                     return text, f"{doubt}: use the POWER SWITCH" if doubt else "", bool(doubt)
-        except Exception as error:  # the request is in the pipe, also where its memory is damaged
+        except Exception as error:  # the request is in the pipe, even if the shared memory is damaged
             problem = str(error)
         time.sleep(LOOK_S)
     if taken and not reader:
@@ -72,7 +72,7 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
 
 
 def port_of(name: str) -> str:
-    """The port of a service, by its own word; empty when that can't be read."""
+    """The port that a service reports; empty if that can't be read."""
     with contextlib.suppress(Exception), contextlib.closing(attach(name, layout.PORT_OWNER)) as found:
         if entry := found.latest_reader("port").read():
             return records.PORT.unpack(entry[2])[3]
@@ -80,7 +80,7 @@ def port_of(name: str) -> str:
 
 
 def same(port: str, device: str) -> bool:
-    """True when two paths are one port; by their names alone when it is not there."""
+    """True if two paths are the same port; compared by name only if the port is missing."""
     with contextlib.suppress(OSError):
         return os.stat(port).st_rdev == os.stat(device).st_rdev != 0
     return os.path.realpath(port) == os.path.realpath(device)

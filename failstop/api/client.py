@@ -1,4 +1,4 @@
-"""A program's side of a service: the run that is there, a client slot in it, and the stop pipe."""
+"""A program's side of a service: the running service, a client slot in it, and the stop pipe."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from failstop.shm.words import Barrier
 T = TypeVar("T")
 
 REPEAT_NS = 45_000_000
-"""A command that repeats the one before it so soon wakes nobody: the gate looks for it at its tick, and before it lets
-the one before it time out. A wake-up costs 0.2 to 0.4 ms of processor time."""
+"""A command that repeats the one before it this soon wakes nobody: the gate looks for it at its tick, before it lets
+the earlier one time out. A wake-up costs 0.2 to 0.4 ms of processor time."""
 GIVEN_UP = "given up for a later request of this program"
 LONGEST_SHOWN = 40
 OWN_WORDS_S = 0.1
-"""How long the words of an object that is given as the reason of a stop are worth telling."""
+"""How late the text of an object given as the reason of a stop may come and still be sent."""
 
 
 def runtime_dir(name: str) -> str:
@@ -42,19 +42,20 @@ def runtime_dir(name: str) -> str:
 
 
 def run(name: str) -> tuple[str, int]:
-    """The name that the running service's segments share, and their owner's uid. Raises NoService, FailstopError."""
+    """The name that the running service's segments share, and the uid of their owner. Raises NoService,
+    FailstopError."""
     incarnation, owner = _there(instance.current_run, runtime_dir(name))
     return segments.memory(name, incarnation), owner
 
 
 def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segment.Segment:
-    """A segment, for reading; of the run `found`, or of the one that is there. Raises NoService, FailstopError."""
+    """A segment for reading, of the run `found`, or of the one that is running. Raises NoService, FailstopError."""
     memory, owner = found or run(name)
     return _there(segments.attach, memory, which, owner=owner)
 
 
 def _there(take: Callable[..., T], *what: Any, **how: Any) -> T:
-    """Take something of the service. Raises NoService, FailstopError."""
+    """Call a function that needs the service, and translate its errors. Raises NoService, FailstopError."""
     try:
         return take(*what, **how)
     except (instance.NoService, instance.InstanceError, segments.AttachError) as error:
@@ -63,16 +64,17 @@ def _there(take: Callable[..., T], *what: Any, **how: Any) -> T:
 
 
 def unread(fd: int) -> int:
-    """How many bytes wait in a pipe to be read. Raises OSError."""
+    """How many bytes in a pipe have not been read yet. Raises OSError."""
     return int.from_bytes(fcntl.ioctl(fd, termios.FIONREAD, bytes(4)), "little")
 
 
 def send_stop(name: str, why: object, who: object = "") -> None:
-    """Ask for a latched stop: every local user may. The service shows `stop request: REASON (says it is WHO, pid N)`,
-    because a pipe does not tell its reader who wrote. A reason of more than records.ASKED_BYTES is cut. What an object
-    says of itself follows as a request of its own, unless it takes longer than OWN_WORDS_S.
+    """Ask for a latched stop. Every local user may.
 
-    Never blocks on the service. Raises NoService, FailstopError."""
+    The service shows `stop request: REASON (says it is WHO, pid N)`, because a pipe does not tell its reader who wrote.
+    A reason longer than records.ASKED_BYTES is cut. If the reason is an object, its own text follows in a second
+    request, unless it takes longer than OWN_WORDS_S. Never blocks on the service. Raises NoService, FailstopError.
+    """
     directory, fd = _there(instance.open_stop, name)
     try:
         words, whole = reason.plain(why)
@@ -88,8 +90,8 @@ def send_stop(name: str, why: object, who: object = "") -> None:
 
 
 def _say_more(fd: int, why: object, who: str) -> None:
-    """Send the object's own words, once the first request is read: of several that are read at once only the first
-    is told of. Words that come late would be a stop after somebody's reset."""
+    """Send the object's own text once the first request was read, because the service reports only the first of several
+    that it reads at once. Text that comes too late is dropped: it would stop the robot again after a reset."""
     until_s = time.monotonic() + OWN_WORDS_S
     with contextlib.suppress(Exception):
         words = reason.own(why)
@@ -100,16 +102,16 @@ def _say_more(fd: int, why: object, who: str) -> None:
 
 
 def gone(name: str) -> NoService:
-    """The error of every call to a service that was there before."""
+    """The error of every call to a service that was running before."""
     return NoService(f"the service {name!r} has gone: start it with {host.start(name)}")
 
 
 class SeenRun:
-    """The run that is there when this is made: whether it goes on, and what its settings declare. Not for several
-    threads at once.
+    """The run that is there when this object is made: whether it still runs, and what its settings declare. Not
+    thread-safe.
 
-    A run's name is published when all that this reads is there (supervisor/entry.py), and whether its supervisor lives
-    is asked of the kernel each time. So nothing that is read here once can be true of a moment alone.
+    A run publishes its name only when everything read here exists (supervisor/entry.py), and each check asks the kernel
+    whether its supervisor is alive. So nothing read here can change later in the same run.
     """
 
     def __init__(self, name: str) -> None:
@@ -122,31 +124,32 @@ class SeenRun:
         self._life = _there(segments.open_life, *self.found)
         self._beat = HeartbeatReader(self.supervisor)
         self.began_ns, self._rules = self.told("rules")
-        """When the supervisor told the rules, which it does once (CLOCK_MONOTONIC)."""
+        """When the supervisor published the rules, which it does once (CLOCK_MONOTONIC)."""
 
     def __del__(self) -> None:
         if self._life >= 0:
-            with contextlib.suppress(OSError):  # a program that closes what is not its own
+            with contextlib.suppress(OSError):  # a program that closes descriptors which are not its own
                 os.close(self._life)
 
     def shares_pids(self) -> bool:
-        """True where a pid of the service means the same process here as there."""
+        """True if a pid of the service means the same process in this program."""
         return bool(pid_namespace() == self._rules["pid_namespace"] != 0)
 
     def told(self, record: str) -> tuple[int, dict[str, Any]]:
-        """A record of the supervisor's that is there before the run's name is: when it was told, and what. Raises
-        FailstopError when somebody has damaged it."""
+        """A record that the supervisor wrote before it published the run's name: when, and its content. Raises
+        FailstopError if it is damaged."""
         entry = self.supervisor.latest_reader(record).read()
         if entry is None:
             raise FailstopError(f"shared memory of {self.name!r} is damaged: restart the service")
         return entry[1], msgpack.unpackb(entry[2])
 
     def over(self) -> bool:
-        """True when this run has ended: its supervisor has died. One system call: cheap enough for every call."""
+        """True when this run has ended, because its supervisor has died. One system call, so it is cheap enough for
+        every call."""
         try:
             return not segments.lives(self._life)
-        except OSError:  # a program that closes what is not its own: the next look makes another
-            self._life = -1  # its number may be another's from now on
+        except OSError:  # a program that closes descriptors which are not its own: the next look opens another
+            self._life = -1  # the number may be another file's from now on
             return True
 
     def silent(self, now_ns: int) -> bool:
@@ -164,7 +167,7 @@ class SeenRun:
 
 
 class Client:
-    """A claimed client slot. The claim ends with close(), when nobody refers to this any more, or with the process."""
+    """A claimed client slot. The claim ends with close(), when the object is freed, or with the process."""
 
     def __init__(self, name: str, who: str, *, pid: int | None = None) -> None:
         """`pid`: of the program that this process speaks for, which people are shown; None: for itself. Raises
@@ -196,11 +199,11 @@ class Client:
             except OSError as error:
                 raise NoService(f"the service {name!r} is going away ({error.strerror}): try again") from None
             life = None
-            # Without a thread or memory the gate learns of a death later, when the kernel has taken the process down.
+            # Without a thread or memory, the gate learns about a death later, when the kernel has freed the process.
             with contextlib.suppress(RuntimeError, OSError):
                 life = HeldByThread(self._segment.futex("held", write=True))
             self._farewell: list[bytes] = []
-            """A goodbye; without one the gate takes the slot's end for a death."""
+            """The goodbye, once it is said. Without one, the gate takes the end of the slot for a death."""
             taken.callback(_give_back, self.slot, self._segment, self._bell, life, self._farewell, os.getpid())
             self._drop = weakref.finalize(self, taken.pop_all().close)
         self._records = {record: self._segment.latest_writer(record) for record in records.OF_SESSION}
@@ -213,7 +216,7 @@ class Client:
 
     @property
     def drove(self) -> bool:
-        """It has given a command, so that its death is that of a driver."""
+        """True once it has given a command, so that its death is the death of a driver."""
         return bool(self._commanded[0])
 
     def _claim_slot(self, claims: int, found: tuple[str, int], incarnation: int) -> tuple[int, segment.Segment]:
@@ -244,8 +247,9 @@ class Client:
             raise gone(self.name) from None
 
     def tell(self, record: str, *values: Any, t_ns: int | None = None, wake: bool = False) -> bytes:
-        """Write one of records.OF_SESSION; returns what was written. `t_ns`: of what time it is (CLOCK_MONOTONIC), if
-        not of now. The gate sees it at its next tick, or now (`wake`). Raises NoService, ValueError."""
+        """Write one of records.OF_SESSION; returns what was written. `t_ns`: the time that it is about
+        (CLOCK_MONOTONIC), if not now. The gate sees it at its next tick, or with `wake` now. Raises NoService,
+        ValueError."""
         payload = records.OF_SESSION[record].pack(self._session, *values)
         self._records[record].write(payload, t_ns)
         if wake:
@@ -255,23 +259,24 @@ class Client:
     def command(
         self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str, t_ns: int | None = None
     ) -> None:
-        """Hand a velocity command to the gate, of that time if not of now; returns at once. A repetition of the one
-        just before waits for the gate's tick, which it would have waited for in any case. Raises NoService, and
-        ValueError for a source that is too long."""
+        """Hand a velocity command to the gate, with the time `t_ns` if it is not from now; returns at once. A
+        repetition of the last command waits for the gate's tick, which loses nothing. Raises NoService, and ValueError
+        for a source that is too long."""
         command = self.tell("command", vx_mps, vy_mps, wz_radps, manual, source, t_ns=t_ns)
         before, self._commanded = self._commanded, (command, monotonic_ns())
         if before[0] != command or self._commanded[1] - before[1] > REPEAT_NS:
             self._ring()
 
     def ask(self, verb: int, asked_ns: int | None = None) -> int:
-        """Make a request of then (`asked_ns`, CLOCK_MONOTONIC) or now; returns its number. Raises NoService."""
+        """Make a request, with the time `asked_ns` (CLOCK_MONOTONIC) if it is not from now; returns its number. Raises
+        NoService."""
         self._number += 1
         self.tell("request", self._number, verb, t_ns=asked_ns, wake=True)
         return self._number
 
     def answer(self, asked: int) -> Reply | None:
-        """The answer to a request; None while there is none. What the request has changed is in the state from then
-        on. A later request that was answered meanwhile, by another thread, has taken its place."""
+        """The answer to a request; None until it comes. The state then shows what the request has changed. If a later
+        request by another thread was answered meanwhile, that answer has replaced this one."""
         if (entry := self._reply.read()) is not None:
             session, number, reply = unpack_reply(entry[2])
             if session == self._session and number >= asked:
@@ -280,8 +285,8 @@ class Client:
         return None
 
     def close(self, *, in_order: bool = True) -> None:
-        """Give the slot back; a command of this client stops counting at once. `in_order`: with a goodbye, so that
-        the gate does not take it for a death."""
+        """Give the slot back; a command of this client stops counting at once. `in_order`: with a goodbye, so that the
+        gate does not take it for a death."""
         if in_order:
             lies = self._segment.latest_reader("left").read()
             self._farewell.append(records.goodbye(self._session, lies[2] if lies else b""))
@@ -291,9 +296,9 @@ class Client:
 def _give_back(
     slot: int, held: segment.Segment, ring: int, life: HeldByThread | None, farewell: list[bytes], owner: int
 ) -> None:
-    """Give a slot back: a command that lies in it stops counting at once. A fork of its `owner` touches nothing."""
+    """Give a slot back; a command in it stops counting at once. Does nothing in a fork of its `owner`."""
     if os.getpid() == owner:
-        # Another process may have the claim before the gate has seen it free.
+        # Another process may claim the slot before the gate has seen it free.
         with contextlib.suppress(OSError, ValueError):
             for goodbye in farewell:
                 held.latest_writer("left").write(goodbye)

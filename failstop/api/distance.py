@@ -1,4 +1,4 @@
-"""Stopping distance: how far the base goes from a fault until it stands, by the settings, on level ground."""
+"""Stopping distance: how far the base goes from a fault until it stands still, by the settings, on level ground."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from failstop.policy.proofs import WATCHDOGS
 from failstop.policy.settings import BY_KEY, Settings
 
 DEATH_S = 0.02
-"""From the death of a process to the stop at the first board: no p99 of docs/reference/faults.md, measured on a shared
-machine, is above it. On a quiet machine it is about 1 ms."""
+"""From the death of a process to the stop at the first board. No p99 in docs/reference/faults.md, measured on a shared
+machine, is higher. On a quiet machine it is about 1 ms."""
 SLACK_S = 0.015
-"""Between the end of a deadline and the stop, by the same rows."""
+"""From the end of a deadline to the stop, by the same measurements."""
 SILENCE_S = 0.02
-"""Between the end of a timeout and zero at any board: the gate acts as it ends, or for an interlock a period later."""
+"""From the end of a timeout to zero at any board: the gate acts as it ends, or, for an interlock, one period later."""
 OWN_LINE_S = 0.012
-"""Another board's line and loop, and the repeats of a stop that it may need: so much later than the first board it
-takes one. A USB adapter that forgets gaps adds 0.02 (docs/boards.md)."""
+"""How much later than the first board another one takes a stop: its line, its loop, and the repeats of a stop that it
+may need. A USB adapter that forgets gaps adds 0.02 (docs/boards.md)."""
 BRAKING = "limits.braking_mps2"
 WITHIN = "within {:.2f} m of any fault that software answers"
-"""The longest way, as every screen words it."""
+"""The longest distance, as every screen words it."""
 Reaction = tuple[float, str]
-"""For how long the wheels are told to turn after a thing fails, in s, and the thing."""
+"""How long the wheels keep being told to turn after a failure, in s, and what has failed."""
 
 
 def distance_m(speed_mps: float, seconds: float, braking_mps2: float) -> float:
-    """The way at this speed for so long, and then with this braking to rest."""
+    """How far the base goes at this speed for this time, and then braking to rest."""
     return speed_mps * seconds + speed_mps**2 / (2 * braking_mps2)
 
 
 def speed_mps(distance: float, seconds: float, braking_mps2: float) -> float:
-    """The speed at which distance_m() is this `distance`, in m."""
+    """The speed at which distance_m() is `distance`, in m."""
     return braking_mps2 * (math.sqrt(seconds**2 + 2 * distance / braking_mps2) - seconds)
 
 
 def fastest_mps(settings: Settings) -> float:
-    """The fastest that the base may go, whichever way."""
+    """The fastest that the base may go, in any direction."""
     return math.hypot(settings["limits.vx_mps"], settings["limits.vy_mps"] * AXES[settings.text("wheels.layout")][1])
 
 
 def reactions(settings: Settings) -> Iterator[Reaction]:
-    """Everything that software answers, if it fails while the base drives; a death is the first."""
+    """Every failure that software answers, if it happens while the base drives; a death is the first."""
     kind = settings.board()[0]
     board_s = OWN_LINE_S if is_described(kind) else 0.0
     yield DEATH_S + board_s, "a process of the service, or the program that drives, dies"
@@ -63,13 +63,13 @@ def reactions(settings: Settings) -> Iterator[Reaction]:
 
 
 def furthest(settings: Settings, share: float = 1.0) -> tuple[float, Reaction]:
-    """The longest way, in m, and what fails then. `share`: of the settings' speeds."""
+    """The longest distance, in m, and the failure that causes it. `share`: the share of the settings' speeds."""
     latest = max(reactions(settings))
     return distance_m(share * fastest_mps(settings), latest[0], settings[BRAKING]), latest
 
 
 def told(settings: Settings) -> list[str]:
-    """The distances in words, a line each."""
+    """The distances as sentences, one per line."""
     speed, braking = fastest_mps(settings), settings[BRAKING]
     way, (seconds, latest) = furthest(settings)
     (death_s, _), *_ = reactions(settings)

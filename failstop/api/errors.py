@@ -10,28 +10,28 @@ if TYPE_CHECKING:
 
 
 class FailstopError(Exception):
-    """Base of all; the message is one line that names the thing and the remedy."""
+    """Base class; the message is one line that names the thing and the remedy."""
 
     exit_code = 1
-    """Of a command that ends with it."""
+    """Exit code of a command that fails with this error."""
 
 
 class Refused(FailstopError):
-    """The service answered, and said no. The message is the reason and, where there is one, the next step."""
+    """The service answered, and said no. The message is the reason and, if there is one, the next step."""
 
     exit_code = 2
-    """Of a command that ends with it."""
+    """Exit code of a command that fails with this error."""
 
     def __init__(self, template: str, cause: Cause | None = None, step: str = "", refused_for: int = 0) -> None:
-        """`template`: the reason, with CAUSE in the place of the cause's own text; `refused_for`: 1 what is latched, 2
-        an interlock, 0 anything else."""
+        """`template`: the reason, with CAUSE in place of the cause's own text; `refused_for`: 1 for a latched stop, 2
+        for an interlock, 0 for anything else."""
         super().__init__(template, cause, step, refused_for)
         self.refused_for = refused_for
         self.template = template
         self.cause = cause
-        """Of the stop that it was refused for; None: for something else."""
+        """The cause of the stop that it was refused for; None if it was refused for something else."""
         self.step = step
-        """The remedy, commands in backquotes; empty: the reason says it all."""
+        """The remedy, with commands in backquotes; empty if the reason says it all."""
 
     @property
     def reason(self) -> str:
@@ -43,19 +43,19 @@ class Refused(FailstopError):
 
 
 class NoService(FailstopError):
-    """No service of that name runs, or it went away."""
+    """No service of that name is running, or it has ended."""
 
     exit_code = 3
-    """Of a command that ends with it."""
+    """Exit code of a command that fails with this error."""
 
 
 class Undeclared(FailstopError, ValueError):
-    """A source or an interlock that the service's settings do not name, or that is not a client's to use."""
+    """A source or an interlock that the service's settings do not name, or that clients may not use."""
 
 
 class TimedOut(FailstopError, TimeoutError):
-    """Robot.wait_for waited in vain; the message says how things stand, and what to do."""
+    """Robot.wait_for waited in vain; the message says what the state is, and what to do."""
 
 
 class NoAnswer(FailstopError):
-    """The service runs but did not answer in time."""
+    """The service is running but did not answer in time."""

@@ -23,28 +23,28 @@ LOOK_S = 0.02
 
 @dataclasses.dataclass(frozen=True)
 class Event:
-    """One event. Its kinds, and the fields of each, are in supervisor/kinds.py and docs/journal.md."""
+    """One event. supervisor/kinds.py and docs/journal.md list its kinds, and the fields of each."""
 
     seq: int
-    """Counted from 1 in each run of the service; a gap: so many were overwritten before they were read."""
+    """Counted from 1 in each run of the service. A gap means that events were overwritten before they were read."""
     t: float
     """Unix time."""
     ns: int
     """CLOCK_MONOTONIC, ns."""
     kind: str
-    """Its subject: stop, enabled, died, ... (docs/journal.md)."""
+    """What it is about: stop, enabled, died, ... (docs/journal.md)."""
     level: str
     """info, notice, warning, error or critical."""
     text: str
-    """One line for people, the same as in the journal; cut at 280 bytes, or 200 or 120 where fields need room."""
+    """One line for people, the same as in the journal; cut at 280 bytes, or at 200 or 120 if fields need room."""
     fields: dict[str, str | int | float]
-    """Values that its kind has beside the text."""
+    """The values of this kind of event, in addition to the text."""
     next: str = ""
-    """The step that the text ends with; empty: it names none."""
+    """The next step that the text ends with; empty if it names none."""
 
     @property
     def what(self) -> str:
-        """The text without the step that it ends with."""
+        """The text without its next step."""
         return self.text[: -len(NEXT_STEP) - len(self.next)] if self.next else self.text
 
 
@@ -52,15 +52,15 @@ class EventLog:
     """Reads the events of a running service; needs no permission and no client slot. Not thread-safe."""
 
     def __init__(self, name: str = DEFAULT_NAME, *, past: bool = True) -> None:
-        """`past`: with those that are there. Raises NoService, FailstopError."""
+        """`past`: start with the events that are still there. Raises NoService, FailstopError."""
         self.name = name
         self._run = SeenRun(name)
         self._ring = self._run.supervisor.ring_reader("events", from_oldest=past)
 
     def read(self) -> list[Event]:
-        """The events since the last call, the first time all that the service still has (the last 256). Empty when
-        there are none. Raises NoService when the service has ended, and all that it told was read."""
-        over = self._run.over()  # first: what it told last is still to be read then
+        """The events since the last call; the first call returns all that the service still has (the last 256). Empty
+        if there are none. Raises NoService when the service has ended and all its events were read."""
+        over = self._run.over()  # asked first, because the last events must still be read then
         found = []
         while entry := self._ring.next():
             if event := unpack(entry[0], entry[2]):
@@ -71,7 +71,8 @@ class EventLog:
         return found
 
     def follow(self) -> Iterator[Event]:
-        """Every event, those that are there first, each as it is told. Raises NoService when the service has ended."""
+        """Every event, starting with those that are there, each as it happens. Raises NoService when the service has
+        ended."""
         while True:
             found = self.read()
             yield from found
@@ -80,7 +81,7 @@ class EventLog:
 
 
 def unpack(seq: int, payload: bytes) -> Event | None:
-    """An entry of the ring; None for a payload that is none, as of another version."""
+    """The event in an entry of the ring; None if it can't be read, for example because it is from another version."""
     try:
         found = msgpack.unpackb(payload)
         text, what = found["text"], found.get("what")

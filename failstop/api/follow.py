@@ -12,17 +12,17 @@ from failstop.api.state import State
 
 KEPT = 256
 CHECK_S = 0.5
-"""Time between two looks at what it has told."""
+"""Time between two looks for news."""
 WINDOW = 10
-"""Samples, a second of them, that a vibration is taken from."""
+"""Samples (one second's worth) that the vibration is computed from."""
 
 
 class Follower:
-    """Reads the state of whatever run of the service is there, and what it tells."""
+    """Reads the state and the events of the service, whichever run of it is there."""
 
     def __init__(self, name: str) -> None:
-        """Raises NoService, FailstopError: there must be one at first."""
-        from failstop.api.robot import Robot  # 8 ms, which `failstop status` need not take
+        """Raises NoService, FailstopError: at first a service must be running."""
+        from failstop.api.robot import Robot  # takes 8 ms, which `failstop status` can do without
 
         self.name = name
         self.note = ""
@@ -55,15 +55,15 @@ class Follower:
 
 
 class Vibration:
-    """How much the gyro's x and y vary: wheels that turn shake it."""
+    """How much the gyro's x and y vary: turning wheels shake it."""
 
     def __init__(self) -> None:
         self._samples: deque[Sequence[float]] = deque(maxlen=WINDOW)
 
     def add(self, rate_radps: Sequence[float] | None) -> float | None:
-        """A new reading; returns the standard deviation in rad/s, None while too little is known."""
+        """Add a reading; returns the standard deviation in rad/s, or None while too little is known."""
         if rate_radps is None or (self._samples and rate_radps == self._samples[-1]):
-            self._samples.clear()  # a sensor that repeats itself is silent
+            self._samples.clear()  # a sensor that repeats itself is dead
         if rate_radps is not None:
             self._samples.append(rate_radps)
         if len(self._samples) < WINDOW:

@@ -1,4 +1,4 @@
-"""A futex that tells of this program's death, held by a thread that only waits."""
+"""A futex that reports this program's death, held by a thread that only waits."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ _FIRST = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 
 
 class HeldByThread:
-    """A futex that a thread of its own holds, which does nothing else: any thread may let it go. The thread ends when
-    nobody refers to this any more, too: whatever moment an exception of a signal's handler comes at, none is left."""
+    """A futex held by a thread that does nothing else, so any thread may release it. The thread also ends when this
+    object is freed, at whatever moment a signal handler raises an exception, so none is left behind."""
 
     def __init__(self, word: Futex) -> None:
-        """Returns once it is held. Raises RuntimeError for want of a thread, OSError for want of a descriptor."""
+        """Returns once it is held. Raises RuntimeError if no thread can be started, OSError if there is no descriptor
+        left."""
         self._ends: SimpleQueue[object] = SimpleQueue()
         held = _thread.allocate_lock()
         held.acquire()
-        # The thread keeps the reference that tells it of this object's end. In Python's words, as in a __del__, the
-        # next handler's exception could keep the thread from being told.
+        # The thread keeps the reference whose callback tells it that this object is freed. In Python code, such as
+        # __del__, an exception of the next signal handler could prevent that.
         gone = weakref.ref(self, self._ends.put)
         word.detach()
         try:
@@ -42,18 +43,18 @@ class HeldByThread:
             raise
 
     def let_go(self) -> None:
-        """End the thread. The word is the caller's to clear, before."""
+        """End the thread. The caller must clear the word before."""
         self._ends.put(None)
 
 
 def _live(word: Futex, ends: SimpleQueue[object], held: _thread.LockType, _gone: object) -> None:
-    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are for the program's own threads
-    # Of a process's dying threads the kernel then runs this one first. It sleeps until then, and delays nobody.
+    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # signals are for the program's own threads
+    # Among a process's dying threads, the kernel then runs this one first. It sleeps until then, and delays nobody.
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, _FIRST, os.sched_param(1))
     kept = None
     try:
-        with contextlib.suppress(OSError):  # without it there is the late news
+        with contextlib.suppress(OSError):  # without it the late news still comes
             kept = word.hold()
     finally:
         held.release()

@@ -1,4 +1,4 @@
-"""Host: how a service is started on this machine - as it was the last time, else by systemd where it has the unit."""
+"""Host: how a service is started on this machine: as the last time, else by systemd if it has the unit."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from failstop.instances import unit_of
 from failstop.policy.settings import BY_KEY
 
 BOOTED = "/run/systemd/system"
-"""There when systemd runs the machine (sd_booted(3))."""
+"""Exists when systemd runs the machine (sd_booted(3))."""
 FOLDERS = ("/etc/systemd/system", "/run/systemd/system", "/usr/local/lib/systemd/system", "/usr/lib/systemd/system")
 """Where systemd finds units (systemd.unit(5))."""
 DEVICE = str(BY_KEY["device.path"].default)
 
 
 def unit(name: str) -> str:
-    """The systemd unit of a service of this name; empty where systemd does not run, or does not have it."""
+    """The systemd unit of a service of this name; empty if systemd does not run or has no such unit."""
     found = unit_of(name)
     file = found.replace(f"@{name}.", "@.")
     there = any(os.path.exists(root.at(f"{folder}/{file}")) for folder in FOLDERS)
@@ -24,7 +24,7 @@ def unit(name: str) -> str:
 
 
 def start(name: str) -> str:
-    """The command that starts it, in backquotes: the last run's own command line, where there was a run."""
+    """The command that starts the service, in backquotes: the last run's own command line, if there was a run."""
     if not instance.last(name).command and (found := unit(name)):
         return f"`sudo systemctl start {found}`"
     return f"`{instance.start_command(name)}`"
@@ -32,11 +32,11 @@ def start(name: str) -> str:
 
 def stop(device: str | None = None) -> str:
     """The command that writes a stop without a service, in backquotes."""
-    import shlex  # a program that drives need not have it
+    import shlex  # a program that drives may not have it installed
 
     return f"`failstop stop{f' --device {shlex.quote(device)}' if device and device != DEVICE else ''}`"
 
 
 def journal(name: str) -> str:
-    """The command that shows what it told, in backquotes; empty where no journal has it."""
+    """The command that shows the service's events, in backquotes; empty if no journal has them."""
     return f"`journalctl -u {found} -e`" if (found := unit(name)) else ""

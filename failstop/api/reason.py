@@ -1,7 +1,7 @@
-"""Reason: the words of whatever a program gives as the reason of a stop.
+"""Reason: turns anything that a program gives as the reason of a stop into text.
 
-A text, a number or an exception is put into words here without a call of the program's own code, which could raise or
-take its time while the stop waits for it. That code is called when the stop is out.
+A text, a number or an exception is converted here without calling the program's own code, which could raise or take its
+time while the stop waits. That code is called when the stop is out.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ if TYPE_CHECKING:
 LOOKED_AT = 1000
 """Characters of a text that are looked at; a request has room for fewer."""
 LONGEST_BITS = 64
-"""Of a number that is told: Python makes no text of one with thousands of digits."""
+"""Longest number that is shown, in bits. Python refuses to convert one with thousands of digits."""
 
 
 def plain(reason: object) -> tuple[str, bool]:
-    """The words that need no code of the program, and whether they say it all. Never raises."""
+    """The text that needs no code of the program, and whether it is complete. Never raises."""
     try:
         return _of_exception(reason) if issubclass(type(reason), BaseException) else _of_object(reason)
-    except Exception:  # even the name of a class can be code, by its metaclass
+    except Exception:  # even the name of a class can be code, through its metaclass
         return "", False
 
 
 def own(reason: object) -> str:
-    """The words of an object by its own `__str__`; empty when it has none. May raise anything, and may not return."""
+    """The object's text by its own `__str__`; empty if it has none. May raise anything, and may never return."""
     kind = type(reason)
     if kind.__str__ is object.__str__ and kind.__repr__ is object.__repr__:
         return ""
@@ -36,7 +36,8 @@ def own(reason: object) -> str:
 
 
 def _of_exception(reason: object) -> tuple[str, bool]:
-    """Its class and what it was made of; one with a `__str__` of its own, or made of an object, has more to say."""
+    """The exception's class and arguments. An exception with its own `__str__`, or with an object as an argument, has
+    more to say."""
     kind = type(reason)
     arguments = BaseException.args.__get__(reason)  # type: ignore[attr-defined]  # whatever the class calls `args`
     told = [words for each in arguments if (words := _builtin(each)) is not None]
@@ -51,11 +52,11 @@ def _of_object(reason: object) -> tuple[str, bool]:
 
 
 def _builtin(value: Any) -> str | None:
-    """The words of a text, a number, or nothing; None for any other object."""
+    """The text of a string, a number or None; None for any other object."""
     kind = type(value)
     if value is None:
         return ""
-    # By the methods of the builtin classes: those of a class that is made of one may be anything.
+    # By the methods of the builtin classes, because a subclass may override them with anything.
     words: str | None = None
     if issubclass(kind, str):
         words = str.__getitem__(value, slice(LOOKED_AT))

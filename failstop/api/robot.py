@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from failstop.api.why import Why
 
 MOST_OF_A_NAME = 64
-"""Bytes of an operator's name; the rest is left out."""
+"""Bytes of an operator's name; the rest is cut."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Driving:
     """This command moves the wheels."""
 
     velocity: Velocity
-    """The velocity that the gate commands: it gets to what was asked for along the ramp, within the limits."""
+    """The velocity that the gate commands. It approaches the requested one along the ramp, within the limits."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Preempted:
     by: str
     """The program that drives: name and pid."""
     source: str
-    """As which source."""
+    """The source that this program commands as."""
 
     def __bool__(self) -> bool:
         return False
@@ -59,7 +59,7 @@ class Blocked:
     """Nothing moves."""
 
     block: Block
-    """The reason why the wheels stand. NO_COMMAND: the gate has not taken the command in time."""
+    """Why the wheels are stopped. NO_COMMAND: the gate did not get the command in time."""
     why: str
     """That reason in words, with the stop's cause."""
 
@@ -68,12 +68,12 @@ class Blocked:
 
 
 Answer = Driving | Preempted | Blocked
-"""True in a condition only if this command moves the wheels."""
+"""Only Driving is true in a condition."""
 
 
 def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[Answer, bool]:
-    """The answer of a gate that has decided so; and whether it is settled: a command that the gate has not seen yet
-    changes it where the one of before may have been too old, or the sensor silent. Pure."""
+    """The answer that follows from the gate's decision; and whether it is settled, because a command that the gate has
+    not seen yet may change it if the last one was too old or the sensor silent. Pure."""
     block = Block.LATCHED if cause else Block.of(decided["blocked"])
     if block in (Block.LATCHED, Block.DISABLED):
         return Blocked(block, str(cause or block.value)), True
@@ -91,12 +91,12 @@ def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[An
 
 
 class Calls(Session):
-    """Assert, look, stop: what both have, and what waits for nobody."""
+    """The calls that never wait, which Robot and AsyncRobot share."""
 
     def _command(
         self, vx: float, vy: float, wz: float, *, manual: bool, source: str, proven_ns: int | None = None
     ) -> None:
-        """Hand a command over; the gate takes it by itself. Raises what drive() raises."""
+        """Hand a command over; the gate picks it up. Raises what drive() raises."""
         if not (isfinite(vx) and isfinite(vy) and isfinite(wz)):
             raise ValueError(f"drive({vx}, {vy}, {wz}): every value must be finite")
         with self._lock:
@@ -112,23 +112,24 @@ class Calls(Session):
             return self._current().of_wheels(speeds_radps, steering_rad)
 
     def _judged(self, source: str) -> tuple[Answer, bool]:
-        """The answer by what the gate has decided last, and whether it is settled (judge)."""
+        """The answer by the gate's last decision, and whether it is settled (judge)."""
         with self._lock:
             decided, cause, *_ = self._current().decided()
         return judge(decided, source, cause)
 
     def sensed(self) -> None:
-        """The obstacle sensor delivered just now. Software commands move the wheels only while somebody says so at
-        least every 0.5 s (setting scan.timeout_s); else they are blocked with `no scan`. Raises NoService."""
+        """The obstacle sensor delivered just now. Software commands move the wheels only while this is called at least
+        every 0.5 s (setting scan.timeout_s); otherwise they are blocked with `no scan`. Raises NoService."""
         with self._lock:
             self._client().tell("sensed", [])
 
     def assert_interlocks(self, *interlocks: str) -> None:
-        """Assert that these interlocks hold now (names of the settings' [interlocks]); repeat it within their timeout.
+        """Assert that these interlocks hold now (names from the settings' [interlocks]); repeat it within their
+        timeout. Enabling needs every declared interlock, and losing one disables motion. An interlock that an earlier
+        call named and this one does not is no longer asserted, and ends with its timeout.
 
-        Enabling needs every declared one, and losing one disables motion. What an earlier call named and this one does
-        not is no longer asserted, and ends with its timeout. Raises Undeclared for one that the settings do not name,
-        and then asserts none; NoService when no service runs.
+        Raises Undeclared for an interlock that the settings do not name, and then asserts none; NoService when no
+        service is running.
         """
         with self._lock:
             run = self._current()
@@ -138,11 +139,11 @@ class Calls(Session):
     hold = Renamed("assert_interlocks")
 
     def attend(self, who: str, proven_ns: int | None = None) -> None:
-        """An operator of this name is there now, or was at `proven_ns` (CLOCK_MONOTONIC, ns), such as when a question
-        was put that has been answered since. Repeat it every 0.1 s or so: where the setting attend.required is "on",
-        motion needs somebody who attends, and who was not heard for attend.lease_s (1 s) is gone. That latches a stop,
-        unless somebody else attends; so does leave(), and this program's end. A Robot speaks for one operator at a
-        time: with another name the one before has left. Raises NoService."""
+        """An operator of this name is present now, or was at `proven_ns` (CLOCK_MONOTONIC, ns): for example, when you
+        asked a question that was answered later. Repeat it about every 0.1 s. If the setting attend.required is "on",
+        motion needs an operator, and an operator who was not heard for attend.lease_s (1 s) is gone. That latches a
+        stop, unless another operator is present; so do leave() and the end of this program. A Robot speaks for one
+        operator at a time: if you pass another name, the one before has left. Raises NoService."""
         name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
         self._attended(name, time.monotonic_ns() if proven_ns is None else proven_ns)
 
@@ -155,19 +156,21 @@ class Calls(Session):
             self._client().tell("attended", [who], t_ns=t_ns, wake=True)
 
     def say(self, sees: str, wrong: str = "") -> None:
-        """Tell people in a line what this program sees, and what is wrong, if anything is: `status`, `why`, `doctor`
-        and the events show it under the program's name, the newest words only. At most 190 bytes each; say it again
-        every few seconds, as old words are shown with their age."""
+        """Tell people in one line what this program sees and, if anything is wrong, what. `status`, `why`, `doctor` and
+        the events show it under the program's name, the newest line only. At most 190 bytes each. Repeat it every few
+        seconds, because old lines are shown with their age."""
         with self._lock:
             self._client().tell("said", sees, wrong)
 
     def estop(self, reason: object = "") -> None:
-        """Latched protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).
-        Motion stays off until reset() and enable(). Anyone may, with a service of any version, and with a Robot that is
-        closed; raises NoService when nothing is there to stop. The latch's reason is `stop request: REASON (says it is
-        CLIENT, pid N)`, since anyone may ask, under any name; of a reason of more than 180 bytes the rest is left out.
-        A reason may be anything, such as an exception: the stop never waits for its `__str__`. An object's own words
-        follow in the events."""
+        """Latch a protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).
+        Motion stays off until reset() and enable(). Anyone may call it, with a service of any version, even on a closed
+        Robot. Raises NoService when there is nothing to stop.
+
+        The latch's reason is `stop request: REASON (says it is CLIENT, pid N)`, because anyone may ask under any name.
+        A reason longer than 180 bytes is cut. It may be any object, such as an exception: the stop never waits for its
+        `__str__`, and the object's own text follows in the events.
+        """
         send_stop(self.name, reason, self.client_name)
 
     def _limiting(self, share: float, *, awaited: bool = False) -> Steps[str]:
@@ -179,29 +182,29 @@ class Calls(Session):
         return self._asking(records.RESET, about=("seen", seen or 0), awaited=awaited)
 
     def why(self) -> Why:
-        """Explain why the wheels stand, what proves it, and what to do. `str` of it is the three lines
-        that `failstop why` prints. Raises NoService, FailstopError."""
-        from failstop.api.why import explain  # nobody who drives needs its words
+        """Explain why the wheels are stopped, what proves it, and what to do. `str` of it is the three lines that
+        `failstop why` prints. Raises NoService, FailstopError."""
+        from failstop.api.why import explain  # imported here because driving does not need it
 
         return explain(self.state, EventLog(self.name).read(), time.time())
 
     def samples(self) -> list[Sample]:
-        """Reports of the board since the last call, each sample once with its time: Imu, Pad, Odometry. The
-        first call begins it, and the first of a new run begins again. What one read brought has one time. The state has
-        the newest of each alone. Raises NoService, FailstopError."""
+        """The board's reports since the last call, each sample once with its time: Imu, Pad, Odometry. The first call
+        starts the collection, and so does the first one in a new run. Samples that one read brought have the same time.
+        The state has only the newest of each. Raises NoService, FailstopError."""
         with self._lock:
             return self._current().samples()
 
     @property
     def arm(self) -> Arm:
-        """The robot's arm. Its calls wait: in an event loop, `await asyncio.to_thread(robot.arm.pose, "drive")`. Raises
-        FailstopError where the settings name none."""
+        """The robot's arm. Its calls wait; in an event loop, use `await asyncio.to_thread(robot.arm.pose, "drive")`.
+        Raises FailstopError if the settings name no joints."""
         return Arm(self)
 
 
 class AsyncRobot(Calls):
-    """A Robot for asyncio, from `Robot.connect()`; an asynchronous context manager. It belongs to one event loop. All
-    that is not here is as Robot has it."""
+    """A Robot for asyncio, from `Robot.connect()`; an asynchronous context manager. It belongs to one event loop.
+    Everything not listed here is as in Robot."""
 
     async def __aenter__(self) -> AsyncRobot:
         self._check_open()
@@ -216,8 +219,8 @@ class AsyncRobot(Calls):
             self._close(in_order=not isinstance(raised[1], Exception))
 
     def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = FIRST_SOURCE) -> Answer:
-        """As Robot.drive, but it never waits: the answer is what the gate has decided last, which is of the command
-        before until it has taken this one."""
+        """Like Robot.drive, but it never waits: the answer is the gate's last decision, which is about the command
+        before until the gate has taken this one."""
         self._command(vx, vy, wz, manual=manual, source=source)
         return self._judged(source)[0]
 
@@ -228,56 +231,55 @@ class AsyncRobot(Calls):
         manual: bool = False,
         source: str = FIRST_SOURCE,
     ) -> Answer:
-        """As Robot.drive_wheels; like drive() it never waits."""
+        """Like Robot.drive_wheels, but it never waits; see drive()."""
         return self.drive(*self._of_wheels(speeds_radps, steering_rad), manual=manual, source=source)
 
     async def _answered(self, verb: int, told: Told = None) -> str:
         return await _through(self._asking(verb, told, awaited=True))
 
     async def enable(self, told: Told = None) -> str:
-        """As Robot.enable."""
+        """Like Robot.enable."""
         return await self._answered(records.ENABLE, told)
 
     async def disable(self) -> str:
-        """As Robot.disable."""
+        """Like Robot.disable."""
         return await self._answered(records.DISABLE)
 
     async def reset(self, *, seen: int | None = None) -> str:
-        """As Robot.reset."""
+        """Like Robot.reset."""
         return await _through(self._resetting(seen, awaited=True))
 
     async def limit_speed(self, share: float) -> str:
-        """As Robot.limit_speed."""
+        """Like Robot.limit_speed."""
         return await _through(self._limiting(share, awaited=True))
 
     async def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
-        """As Robot.wait_for."""
+        """Like Robot.wait_for."""
         return await _through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> AsyncIterator[Event]:
-        """As Robot.events: `async for event in robot.events()`. What is told from this call on, whenever it is read: a
-        task that calls it itself may start late."""
+        """Like Robot.events: `async for event in robot.events()`. It has everything from this call on, whenever it is
+        read, because a task that iterates over it may start late."""
         return _follow(EventLog(self.name, past=past))
 
 
 class Robot(Calls):
     """A connection to the running service of that name; a context manager.
 
-    Reading the state and estop() need no permission. The other calls take one of the service's client slots, at their
+    Reading the state and estop() need no permission. The other calls take one of the service's client slots at their
     first use, which needs the group `failstop` (or the service's user).
 
-    A service that was restarted is noticed by every call, which then means the new run; nothing is enabled by it.
-    While none runs every call raises NoService. After close() every call but estop() raises FailstopError, whichever
-    thread makes it. A Robot that nobody refers to any more gives its slot back; one that was inherited by a fork takes
-    one of its own.
+    Every call notices a restart of the service and then uses the new run, in which motion is not enabled. While no
+    service is running, every call raises NoService. After close(), every call except estop() raises FailstopError, from
+    any thread. A Robot that is freed gives its slot back, and one that a fork inherits takes a slot of its own.
 
-    Several threads may use one Robot: it is one client, so the newest drive() of any of them counts. One that has a
-    slot keeps a thread of its own, which only sleeps: by its end the gate knows of this program's death at once,
-    however long the kernel takes its memory down.
+    Several threads may use one Robot. It is one client, so the newest drive() of any thread counts. A Robot with a slot
+    keeps a thread that only sleeps: when it ends, the gate knows at once that this program has died, however long the
+    kernel takes to free its memory.
     """
 
     connect = AsyncRobot
-    """A Robot for asyncio: `async with Robot.connect() as robot`. What takes time is awaited there."""
+    """A Robot for asyncio: `async with Robot.connect() as robot`. Calls that take time are awaited there."""
 
     def __enter__(self) -> Robot:
         self._check_open()
@@ -297,20 +299,20 @@ class Robot(Calls):
         wait_s: float = 0.01,
         proven_ns: int | None = None,
     ) -> Answer:
-        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3
-        s unless the settings say otherwise, 2 s at most), so repeat it. Values past the limits are clamped. After a
-        restart of the service nothing moves before somebody enables motion again.
+        """Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It holds for its source's timeout (0.3 s
+        unless the settings say otherwise, 2 s at most), so repeat it. Values beyond the limits are clamped. After a
+        restart of the service nothing moves until you enable motion again.
 
-        Returns what becomes of it: Driving, Preempted by whom, or Blocked by what; only Driving is true in a condition.
-        It takes no time while the wheels turn, and `wait_s` at most while they do not, in which the gate takes the
-        command: 0.3 ms on a machine that is idle. With 0 the answer may be that of the command before.
+        Returns Driving, Preempted (by which program) or Blocked (by what); only Driving is true in a condition. It
+        takes no time while the wheels turn. Otherwise it waits until the gate has taken the command, which takes 0.3 ms
+        on an idle machine, but no longer than `wait_s`. With 0 the answer may be about the command before.
 
-        A command that was under way for a while, as one by a network is, counts from `proven_ns` (CLOCK_MONOTONIC, ns),
-        the newest moment at which it is known to have been wanted.
+        A command that was delayed, for example by a network, counts from `proven_ns` (CLOCK_MONOTONIC, ns), the newest
+        moment at which you know that it was wanted. A command by a person (`manual`) is exempt from the scan gate.
+        `source` is a name from the settings' [sources].
 
-        A command by a person (`manual`) is exempt from the scan gate. `source` is a name of the settings' [sources].
-        Raises ValueError for a value that is not finite, Undeclared (a ValueError too) for a source that the settings
-        do not name, NoService when no service runs.
+        Raises ValueError for a value that is not finite, Undeclared (also a ValueError) for a source that the settings
+        do not name, NoService when no service is running.
         """
         self._command(vx, vy, wz, manual=manual, source=source, proven_ns=proven_ns)
         until_s = time.monotonic() + wait_s
@@ -330,23 +332,23 @@ class Robot(Calls):
         proven_ns: int | None = None,
     ) -> Answer:
         """Command the speed of each wheel, rad/s, positive forward, in the order of `state.wheels_radps` (its `names`).
-        A steered base has two rear wheels, which say how fast it goes and turns; with `steering_rad` (to the left
-        positive) their mean says how fast it goes, and the angle how it turns.
+        A steered base has two rear wheels, which set how fast it goes and turns; with `steering_rad` (positive to the
+        left) their mean sets how fast it goes, and the angle how it turns.
 
-        It is drive() with the velocity of the base whose wheels turn so, by the settings' sizes: all limits, ramps and
-        sources are the same, and what it returns is too. So a limit slows all wheels alike, and four mecanum wheels
-        get the nearest speeds that they can roll without slip. Raises what drive() raises, and ValueError for another
-        number of wheels, or for an angle where nothing is steered.
+        It is drive() with the velocity of a base whose wheels turn like this, by the settings' sizes: all limits,
+        ramps, sources and results are the same. So a limit slows all wheels alike, and four mecanum wheels get the
+        closest speeds that they can roll without slip. Raises what drive() raises, and ValueError for another number of
+        wheels, or for an angle on a base without steering.
         """
         velocity = self._of_wheels(speeds_radps, steering_rad)
         return self.drive(*velocity, manual=manual, source=source, wait_s=wait_s, proven_ns=proven_ns)
 
     def enable(self, told: Told = None) -> str:
-        """Enable motion. Better let a person do it (`failstop enable`) and wait_for("enabled"): a program that enables
-        and is restarted after a crash drives off with nobody looking. Raises Refused with the reason: latched, not
-        ready, an interlock that does not hold, or asked before the last stop. With an arm it goes to its drive pose
-        first, which takes seconds; `told` is called with how far it is. It can be given up by arm.hold(), disable(), or
-        a stop."""
+        """Enable motion. It is better to let a person do it (`failstop enable`) and wait_for("enabled"): a program that
+        enables motion by itself drives off unattended when it is restarted after a crash. Raises Refused with the
+        reason: a stop is latched, not ready, an interlock does not hold, or the request was made before the last stop.
+        An arm goes to its drive pose first, which takes seconds; `told` is called with its progress. arm.hold(),
+        disable() or a stop ends that."""
         return sleep_through(self._asking(records.ENABLE, told))
 
     def disable(self) -> str:
@@ -355,30 +357,31 @@ class Robot(Calls):
 
     def reset(self, *, seen: int | None = None) -> str:
         """Clear the latched stop; motion stays disabled until enable(). With nothing latched it changes nothing. Raises
-        Refused: a stop came after this was called, or after the State whose `epoch` is given as `seen`, which the
-        person who decides has looked at."""
+        Refused if a stop came after the call, or after the State whose `epoch` you pass as `seen`: the State that the
+        deciding person has looked at."""
         return sleep_through(self._resetting(seen))
 
     def limit_speed(self, share: float) -> str:
-        """Allow every driver this share of the settings' speeds, 0.05 to 1, until another is set or the service ends.
-        It counts at once, by the ramps. Raises Refused, ValueError."""
+        """Limit every driver to this share of the settings' speeds, 0.05 to 1, until another limit is set or the
+        service ends. It counts at once, by the ramps. Raises Refused, ValueError."""
         return sleep_through(self._limiting(share))
 
     def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
-        """Wait until the state is so, and return it: a word (docs/python.md), or what a function of the state
-        says. A service that is not there is waited for too. Raises TimedOut, which says what is the case and what to
-        do, and ValueError for a word that there is not."""
+        """Wait for a state, and return it: a word (docs/python.md), or a function of the state that returns True. It
+        also waits for a service that is not running. Raises TimedOut, which says what the state is and what to do, and
+        ValueError for an unknown word."""
         return sleep_through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> Iterator[Event]:
-        """News of the service as it happens: stops, deaths, requests (docs/journal.md). Waits for the next
-        one without end. `past`: first what the run has told so far, the last 256. Raises NoService at the run's end."""
+        """The service's events as they happen: stops, deaths, requests (docs/journal.md). Waits for the next one
+        without end. `past`: begin with the events of this run so far, the last 256. Raises NoService when the run
+        ends."""
         return EventLog(self.name, past=past).follow()
 
 
 async def _through(steps: Steps[T]) -> T:
-    """Take the steps, as session.sleep_through() does; the event loop goes on in between."""
-    import asyncio  # takes as long as all else here
+    """Run the steps as session.sleep_through() does, while the event loop goes on in between."""
+    import asyncio  # takes as long to import as everything else here
 
     try:
         while True:

@@ -1,6 +1,6 @@
-"""Session: a program's connection to the service of one name: which run of it, the client slot, the requests.
+"""Session: a program's connection to the service of one name: its run, the client slot, the requests.
 
-What takes time is written as steps, between which whoever waits sleeps: a thread here, a task in AsyncRobot.
+Calls that take time are generators of steps. Between steps the caller sleeps: a thread here, a task in AsyncRobot.
 """
 
 from __future__ import annotations
@@ -29,25 +29,26 @@ from failstop.policy.causes import Reply
 
 T = TypeVar("T")
 Steps = Generator[float, None, T]
-"""Each step: for how long to sleep, s."""
+"""Each step is a time to sleep, in s."""
 Told = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
-"""States that `Robot.wait_for` takes: ready (every process runs, and an enable would be granted, or a reset while a
-stop is latched), enabled, disabled, latched (a stop is), clear (none is), moving and standing (what the gate commands),
-still (the IMU has seen the wheels still since the last stop)."""
+"""States that `Robot.wait_for` takes: ready (`enable()` would succeed, or `reset()` if a stop is latched), enabled,
+disabled, latched (a stop is latched), clear (none is), moving and standing (what the gate commands), still (the IMU has
+seen the wheels still since the last stop)."""
 
 ANSWER_S = records.ANSWER_WITHIN_NS / 1e9
-"""How long a request may take; the gate answers within a tick."""
+"""How long to wait for the answer to a request; the gate answers within a tick."""
 POLL_S = 0.0003
 
 
 def pause_s(begun_s: float) -> float:
-    """Seconds to the next look, after a wait since then (time.monotonic()): an answer comes at once, or takes long."""
+    """Seconds until the next look, for a wait that began at that time (time.monotonic()): an answer comes at once, or
+    takes long."""
     return min(max(POLL_S, (time.monotonic() - begun_s) / 8), LOOK_S)
 
 
 def _ready(state: State) -> bool:
-    """Every process runs, and an enable would be granted; while a stop is latched, a reset."""
+    """Every process is running, and an enable would succeed, or a reset if a stop is latched."""
     if any(process.state != "running" for process in state.processes.values()) or state.waiting_for:
         return False
     if state.cause:
@@ -89,23 +90,24 @@ class Session:
         answer_s: float = ANSWER_S,
         disable_on_exit: bool = True,
     ) -> None:
-        """`client` is what others see of this program; by default its file name. `answer_s`: how long the gate may take
-        to answer a request. `disable_on_exit`: who enabled motion by this Robot takes it back at its end, by leaving
-        `with` or by close(); False leaves it enabled for other programs.
+        """`client` is the name that others see for this program; by default its file name. `answer_s`: how long the
+        gate may take to answer a request. `disable_on_exit`: motion that this Robot enabled is disabled at its end, by
+        leaving `with` or by close(); False leaves it enabled for other programs.
 
-        Raises NoService when no service runs, FailstopError for a name that can't be one. What else keeps this program
-        from driving or from reading the state, such as a service of another version, is raised by those calls: it keeps
-        nobody from estop()."""
+        Raises NoService when no service is running, FailstopError for an invalid name. Other obstacles to driving or to
+        reading the state, such as a service of another version, are raised by those calls, because they must not keep
+        you from estop().
+        """
         self.name = name
         self.client_name = client or own_name()
         self._answer_s = answer_s
         self._disable_on_exit = disable_on_exit
-        self._lock = threading.RLock()  # a signal's handler may call what it has interrupted
+        self._lock = threading.RLock()  # a signal handler may call what it has interrupted
         self._closed = False
         self._enabled = False
-        """By this Robot, as far as it knows."""
+        """True if this Robot has enabled motion, as far as it knows."""
         self._pending: tuple[int, object] | None = None
-        """The asker that the gate has not answered yet: the thread, and something of its own if a task awaits it."""
+        """The request that the gate has not answered yet: its thread, and an object of its own if a task awaits it."""
         self._run: StateReader | None = None
         self._connected: Client | None = None
         _made.add(self)
@@ -122,9 +124,9 @@ class Session:
         try:
             connected = self._connected
             if self._enabled and self._disable_on_exit and connected:
-                # A failure to disable keeps nobody from closing; the wheels stop by that too.
+                # Close even if disabling fails; closing stops the wheels too.
                 with contextlib.suppress(FailstopError):
-                    # The death of a driver is the gate's to answer, which tells people whose it was.
+                    # The gate answers the death of a driver, and reports whose it was.
                     if in_order or not connected.drove or self.settings["gate.driver_death"] == "stay":
                         sleep_through(self._asking(records.DISABLE))
         finally:
@@ -143,10 +145,10 @@ class Session:
             raise FailstopError(f"this Robot of {self.name!r} is closed: make a new one")
 
     def _current(self) -> StateReader:
-        """The run that is there now. When it is over, and its last processes are ending, its state can still be read.
+        """The run that is there now. If it is over and its last processes are ending, its state can still be read.
         Raises NoService, FailstopError."""
         self._check_open()
-        run = self._run  # a signal's handler may close this in the midst of it
+        run = self._run  # a signal handler may close this meanwhile
         if run is None or run.over():
             self._leave()
             run = self._run = StateReader(self.name)
@@ -158,7 +160,7 @@ class Session:
             if run.over():
                 raise gone(self.name)
             connected = self._connected = Client(self.name, self.client_name)
-        if self._closed:  # by a signal's handler, while this went on
+        if self._closed:  # a signal handler closed it meanwhile
             self._leave()
             self._check_open()
         return connected
@@ -167,7 +169,7 @@ class Session:
         return self._slot(self._current())
 
     def _forked(self) -> None:
-        """In the child of a fork: the slot is the parent's, and who holds the lock is not known."""
+        """In the child of a fork: the slot belongs to the parent, and nobody knows which thread held the lock."""
         self._lock = threading.RLock()
         self._pending = None
         self._enabled = False
@@ -175,27 +177,29 @@ class Session:
 
     @property
     def state(self) -> State:
-        """One snapshot of the service. When its supervisor has just died it says so, as a latched stop; raises
-        NoService once the last of its processes has ended, FailstopError."""
+        """One snapshot of the service. If its supervisor has just died, the snapshot shows that as a latched stop.
+        Raises NoService once the last of its processes has ended, FailstopError."""
         with self._lock:
             return self._current().read()
 
     @property
     def settings(self) -> dict[str, float | str]:
-        """Every setting of the service, by its whole key (`failstop config` lists them). Raises FailstopError."""
+        """Every setting of the service, by its full key (`failstop config` lists them). Raises FailstopError."""
         with self._lock:
             return self._current().settings()
 
     def _asking(
         self, verb: int, told: Told = None, about: tuple[Any, ...] = (), *, asked_ns: int = 0, awaited: bool = False
     ) -> Steps[str]:
-        """One request to the gate, until it is answered. The gate keeps one request of a client, and its answer, so
-        those of several threads or tasks go one after the other; one that is under way, such as an arm's move, lets
-        others pass, which is how it is given up. `told` is called with each word of how far it is, where that takes
-        time; `about`: the record that the gate finds with the request, and its values; `asked_ns`: when it was asked
-        for, if not now: a stop that comes while it waits for its turn is one that its caller did not know of;
-        `awaited`: by a task of an event loop; else the thread itself waits, and its tasks with it. Raises Refused,
-        NoAnswer, NoService, FailstopError."""
+        """One request to the gate, until it is answered.
+
+        The gate keeps one request per client, and its answer, so the requests of several threads or tasks go one after
+        the other. A request that takes time, such as an arm's move, lets others pass, which is how it can be given up.
+        `told` is called with each progress text; `about`: a record that belongs to the request, and its values;
+        `asked_ns`: when it was made, if not now: a stop that comes while the request waits for its turn is one that its
+        caller did not know about; `awaited`: a task of an event loop waits; otherwise the thread itself does, with all
+        its tasks. Raises Refused, NoAnswer, NoService, FailstopError.
+        """
         turn, said, begun_s = (threading.get_ident(), object() if awaited else None), "", time.monotonic()
         asked_ns = asked_ns or time.monotonic_ns()
         try:
@@ -204,7 +208,7 @@ class Session:
             client, run, number = sent
             before, until_s = self._enabled, time.monotonic() + self._answer_s
             if verb == records.ENABLE:
-                self._enabled = True  # it may be granted though nobody waits for the answer any more
+                self._enabled = True  # it may be granted even if nobody waits for the answer any more
             while not (answer := client.answer(number)) or answer.done == records.UNDER_WAY:
                 if answer and answer.text != said:
                     said, until_s = answer.text, time.monotonic() + self._answer_s
@@ -228,7 +232,7 @@ class Session:
             self._pass(turn)
 
     def _unanswered(self) -> NoAnswer:
-        """The error of a request that was not answered in time: that the gate is down, and until when, if it is."""
+        """The error of a request that was not answered in time: if the gate is down, it says so, and until when."""
         why = ""
         with contextlib.suppress(FailstopError):
             why = verdict.no_answer(self.state)
@@ -236,19 +240,19 @@ class Session:
         return NoAnswer(f"{what}: {why or 'see `failstop status`'}")
 
     def _refused(self, verb: int, answer: Reply) -> Refused:
-        """The error of a request that was refused, with what to do first: behind a stop, what an enable needs."""
+        """The error of a request that was refused, with what to do first: after a stop, what an enable needs."""
         step = words.named(DISABLE_FIRST, self.name) if answer.refused_for == records.FOR_THE_WHEELS else ""
         if verb in (records.ENABLE, records.RESET) or answer.cause:
             goal = Purpose.RESET if verb == records.RESET else Purpose.ENABLE
-            with contextlib.suppress(FailstopError):  # the service ends: the reason is all there is
+            with contextlib.suppress(FailstopError):  # the service is ending, so the reason says it all
                 step = steps.after_refusal(self.state, goal, told=answer.refused_for == records.FOR_AN_INTERLOCK)
         return Refused(answer.text, answer.cause, step, answer.refused_for)
 
     def _send(
         self, verb: int, turn: tuple[int, object], about: tuple[Any, ...], asked_ns: int
     ) -> tuple[Client, SeenRun, int] | None:
-        """By whom, in which run, under which number; None while another thread's or task's is on its way. A signal's
-        handler goes before what it has interrupted, and so does a thread before its tasks."""
+        """Send a request: returns its client, its run and its number; None while another thread's or task's request is
+        on its way. A signal handler goes before the code it has interrupted, and a thread before its tasks."""
         with self._lock:
             if self._pending:
                 thread, task = self._pending
@@ -263,13 +267,14 @@ class Session:
             return client, run, client.ask(verb, asked_ns)
 
     def _pass(self, turn: tuple[int, object]) -> None:
-        """Let the next one pass."""
+        """Let the next request go."""
         with self._lock:
             if self._pending == turn:
                 self._pending = None
 
     def _reaching(self, what: Word | Callable[[State], bool], timeout_s: float | None) -> Steps[State]:
-        """Until the state is so; it is what comes of it. Raises TimedOut, NoService, ValueError for no such word."""
+        """Wait until the state is reached, and return it. Raises TimedOut, NoService, or ValueError for an unknown
+        word."""
         is_so = what if callable(what) else _CHECKS.get(what)
         if is_so is None:
             raise ValueError(f"wait_for({what!r}): no such word; there are {', '.join(_CHECKS)}")
@@ -294,7 +299,7 @@ class Session:
 
 
 def sleep_through(steps: Steps[T]) -> T:
-    """Take the steps, asleep in between; returns what they come to, and raises what they raise."""
+    """Run the steps, sleeping in between; returns their result, and raises what they raise."""
     try:
         while True:
             time.sleep(next(steps))

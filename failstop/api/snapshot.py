@@ -1,4 +1,4 @@
-"""Snapshot: what a service tells of itself, as values with names. Times are s, lengths m, angles rad, voltages V."""
+"""Snapshot: the state of a service as named values. Times are in s, lengths in m, angles in rad, voltages in V."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ PadMode = Literal["locked", "drive", "joint"]
 
 
 class Block(enum.Enum):
-    """Why the wheels may not turn; the first that holds is told."""
+    """Why the wheels may not turn; the first reason that holds is given."""
 
     LATCHED = "latched"
-    """A stop is latched: `State.cause`. It takes a reset."""
+    """A stop is latched: `State.cause`. It needs a reset."""
     DISABLED = "disabled"
-    """Nobody has enabled motion since the start, the last stop or the last disable."""
+    """Motion was not enabled since the start, the last stop or the last disable."""
     HELD = "let go first"
-    """Whoever commands did so before motion was enabled: it counts after a zero or a pause."""
+    """The source has commanded a velocity since before motion was enabled. It counts after a zero or a pause."""
     NO_COMMAND = "no command"
     """No source has a command that is younger than its timeout."""
     NO_SCAN = "no scan"
@@ -30,7 +30,7 @@ class Block(enum.Enum):
 
     @classmethod
     def of(cls, text: str | None) -> Block | None:
-        """The block of the gate's words (`State.blocked`)."""
+        """The block for the gate's text (`State.blocked`)."""
         told = {
             box.DISABLED: cls.DISABLED,
             box.HELD: cls.HELD,
@@ -52,7 +52,7 @@ class Velocity(NamedTuple):
 
 
 class Wheels(tuple[float, ...]):
-    """The speed of each wheel in rad/s: positive is forward, and of three omni wheels counter-clockwise."""
+    """The speed of each wheel in rad/s. Positive is forward, or for three omni wheels counter-clockwise."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -67,57 +67,59 @@ class Wheels(tuple[float, ...]):
 
 @dataclasses.dataclass(frozen=True)
 class Turning:
-    """What is known of the wheels now, from the board's reports or from the IMU."""
+    """What is known about the wheels now, from the board's reports or from the IMU."""
 
     does: Literal["unknown", "still", "turning"] = "unknown"
     """turning; still; unknown: nothing has been read, or not for half a second."""
     by: Literal["", "IMU", "wheels"] = ""
-    """What says so: wheels (the board's reports of them) or IMU, which only feels that the robot moves, or is moved."""
+    """What observed it: wheels (the board's reports about them), or IMU, which only feels that the robot moves, or is
+    being moved."""
     unexpected: bool = False
-    """They turn although they were told zero for longer than the setting still.after_s allows."""
+    """The wheels turn although they were told zero for longer than the setting still.after_s allows."""
     since_s: float | None = None
-    """For how long it has been so, s; None: not known."""
+    """How long it has been so, s; None: not known."""
     age_s: float | None = None
-    """Age of the newest reading, s; None: there was none."""
+    """Age of the newest reading, s; None if there was none."""
     last: Literal["unknown", "still", "turning"] = "unknown"
     """What the newest reading said, however old it is."""
     speeds_radps: Wheels | None = None
-    """Measured speed of each wheel, rad/s, positive forward, by the names of `Wheels`; None: the board reports none."""
+    """Measured speed of each wheel, rad/s, positive forward, by the names of `Wheels`; None if the board reports
+    none."""
     turned_rad: Wheels | None = None
     """How far each wheel has turned since the first report, rad, positive forward: counted by the board, or added up
-    from its speeds. None: the board reports none."""
+    from its speeds. None if the board reports none."""
 
 
 OLD_S = 10.0
-"""A reading as old as this says nothing of now."""
+"""A reading of this age says nothing about now."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Ages:
-    """Ages of the newest readings, s; None: there was none in this run."""
+    """Ages of the newest readings, s; None if there was none in this run."""
 
     board_s: float | None = None
-    """Since the board said anything, of whatever kind."""
+    """Since the board said anything, of any kind."""
     battery_s: float | None = None
-    """Of `State.battery_v`."""
+    """Age of `State.battery_v`."""
     imu_s: float | None = None
-    """Of `State.imu`."""
+    """Age of `State.imu`."""
     odometry_s: float | None = None
-    """Of `State.odometry`."""
+    """Age of `State.odometry`."""
     servos_s: float | None = None
-    """Of `State.servos`."""
+    """Age of `State.servos`."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """Whether the wheels turn as fast as they are told (setting board.per_rps)."""
+    """Whether the wheels turn as fast as commanded (setting board.per_rps)."""
 
     capped: str = ""
-    """Nobody has confirmed board.per_rps, so speeds are capped: in words, with the remedy; empty: it is known."""
+    """Nobody has confirmed board.per_rps, so speeds are capped: a text with the remedy; empty if it is confirmed."""
     wheels: float | None = None
-    """Measured speed of the wheels over the told one, by reports in a unit of their own; None: not known."""
+    """Measured wheel speed divided by the commanded one, from reports in a unit of their own; None: not known."""
     turn: float | None = None
-    """Measured turn of the robot over the told one, by the gyro; None: not known."""
+    """Measured turn rate of the robot divided by the commanded one, from the gyro; None: not known."""
     wrong: tuple[str, ...] = ()
     """What differs, in words, with the setting to look at."""
     remarks: tuple[str, ...] = ()
@@ -126,7 +128,7 @@ class Scale:
 
 @dataclasses.dataclass(frozen=True)
 class Stop:
-    """The last stop, and the three proofs of it; one is None while it is not known."""
+    """The last stop, and its three proofs; each is None until it is known."""
 
     cause: Cause
     """Why."""
@@ -139,23 +141,25 @@ class Stop:
     written_by: str
     """The process that wrote the stop."""
     written_s: float | None
-    """Written: from noticing the cause until the kernel had the bytes, s. None: they could not be written."""
+    """Written: from noticing the cause until the kernel had the bytes, s. None if they could not be written."""
     acknowledged_s: float | None
-    """Acknowledged: until the board answered a ping that was written after the stop, or reported to obey it, s."""
+    """Acknowledged: from noticing the cause until the board answered a ping written after the stop, or reported that it
+    obeys it, s."""
     observed_s: float | None
-    """Observed: until the wheels were seen still, s; 0: they were not seen moving before the stop either."""
+    """Observed: from noticing the cause until the wheels were seen still, s; 0 if they were not seen moving before the
+    stop either."""
     epoch: int = 0
-    """That was raised for it: whoever asked for a stop in an earlier one was answered by this."""
+    """The epoch raised for it. It also answered anyone who asked for a stop in an earlier epoch."""
     sent: bool = True
-    """False: its bytes were found to be still in the kernel; the board takes none."""
+    """False if its bytes were found to be still in the kernel, because the board takes none."""
     acknowledged_by: str = "answer"
-    """The proof by which the board acknowledges: answer (to a ping), echo (of what it obeys); empty: by none."""
+    """How the board acknowledges: answer (to a ping), echo (of what it obeys); empty: not at all."""
     observed_by: str = "IMU"
-    """Source of `observed_s`: IMU, or wheels (the board's own reports of them); empty: the robot has no IMU."""
+    """Source of `observed_s`: IMU, or wheels (the board's own reports about them); empty if the robot has no IMU."""
     noticed_ns: int = 0
-    """When the cause was noticed (CLOCK_MONOTONIC, ns): the same whatever the wall clock is set to."""
+    """When the cause was noticed (CLOCK_MONOTONIC, ns), independent of the wall clock."""
     believed: bool = True
-    """False: the device that took its bytes has not answered as the board does."""
+    """False until the device that took its bytes has answered as the board does."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,7 +167,7 @@ class Process:
     """One process of the service."""
 
     pid: int
-    """0: there is none now."""
+    """0 while no such process exists."""
     state: str
     """starting, running, hanging, suspended (by a signal), fenced (for hanging), dead, waiting, down, or stopping."""
     age_s: float
@@ -171,7 +175,7 @@ class Process:
     restarts: int
     """How often it was restarted in this run."""
     last_exit: str | None
-    """How its predecessor died."""
+    """How the process before it died."""
     worst_s: float
     """The longest time between two turns of its loop since its start, s."""
     realtime: bool
@@ -179,11 +183,11 @@ class Process:
     memory_locked: bool
     """Its memory can't be swapped out."""
     early_news: bool = True
-    """The kernel tells it of a death before it takes the dead process's memory down."""
+    """The kernel reports a death to it before it frees the dead process's memory."""
     killed: bool = False
-    """Its predecessor was killed by a signal."""
+    """The process before it was killed by a signal."""
     starts_in_s: float | None = None
-    """Time until it is started again, s; None: it runs, or needs a reset first."""
+    """Time until it is started again, s; None if it is running, or needs a reset first."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -191,20 +195,20 @@ class Device:
     """The port of the board."""
 
     path: str
-    """Of its file, as the settings or `--device` name it."""
+    """Path of its file, as the settings or `--device` name it."""
     state: Literal["closed", "open", "lost"]
     """closed, open, or lost (unplugged)."""
     link: Literal["unproven", "alive", "deaf", "silent", "unheard", "unasked"]
     """alive: it answers; unproven: it has not answered yet; deaf: it does not hear; silent: it says nothing any more;
-    unheard: it has not answered since a replug; unasked: it can't answer, by its nature."""
+    unheard: it has not answered since a replug; unasked: it can't answer, by design."""
     watchdog_s: float = 0.0
-    """How long after the last frame the board's own watchdog acts, s; 0: it has none, or it is not known."""
+    """How long after the last frame the board's own watchdog acts, s; 0 if it has none, or it is not known."""
     watchdog_does: str = ""
-    """The act of that watchdog: zero (it stops the wheels), coast (they roll on without current), or disarm."""
+    """What that watchdog does: zero (it stops the wheels), coast (they roll on without current), or disarm."""
     imu: bool = True
     """False: the robot has no IMU (setting board.imu)."""
     unheeded_s: float | None = None
-    """How long the board has reported to obey zero speed while motion is commanded, s; None: it has not."""
+    """How long the board has reported that it obeys zero speed while motion is commanded, s; None if it has not."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -214,17 +218,17 @@ class Client:
     slot: int
     """0 to 7."""
     name: str
-    """Its name, by its own word."""
+    """Its name, as it reports it."""
     pid: int
-    """By its own word."""
+    """Its pid, as it reports it."""
     driving: bool
     """Its command moves the wheels now."""
     sees: str = ""
-    """A line on what it sees, by its own word (`Robot.say`)."""
+    """A line on what it sees, as it reports it (`Robot.say`)."""
     wrong: str = ""
-    """A line on what is wrong, by its own word."""
+    """A line on what is wrong, as it reports it."""
     said_s: float | None = None
-    """How long ago it said so, s; None: never."""
+    """How long ago it reported that, s; None: never."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -236,7 +240,7 @@ class Source:
     priority: int
     """The highest drives."""
     who: str
-    """The program that commands as it: name and pid."""
+    """The program that commands as this source: name and pid."""
     state: Literal["drives", "waits", "held", "silent"]
     """drives; waits: a higher one drives; held: it commanded before motion was enabled and must send zero or pause
     first; silent: it drove, and stopped sending commands while the wheels turned."""
@@ -244,12 +248,13 @@ class Source:
 
 @dataclasses.dataclass(frozen=True)
 class Starved:
-    """The longest silence in ten minutes that the machine explains, motion disabled: nothing was stopped for it."""
+    """The longest silence in ten minutes that the machine explains, while motion was disabled, so that nothing was
+    stopped for it."""
 
     longest_s: float
     """How long, s."""
     process: str
-    """The process that was not run."""
+    """The process that the machine did not run."""
 
     def __str__(self) -> str:
         return f"the machine starved the service: {self.process} was not run for {self.longest_s * 1e3:.0f} ms"
@@ -257,12 +262,12 @@ class Starved:
 
 @dataclasses.dataclass(frozen=True)
 class GyroBias:
-    """The gyro's reading of a robot that stands still."""
+    """The gyro's reading while the robot stands still."""
 
     bias_radps: tuple[float, float, float]
     """rad/s, x forward, y left, z up."""
     tracking: bool
-    """It follows the reading now."""
+    """True if it follows the reading now."""
     calibrated: bool
     """The robot stood still long enough at the start."""
 
@@ -277,17 +282,17 @@ class Imu(NamedTuple):
     rate_radps: tuple[float, ...]
     """rad/s, less the bias."""
     rate_variance: float = records.RATE_VARIANCE
-    """Of each axis of the rate, (rad/s)2."""
+    """Variance of each axis of the rate, (rad/s)2."""
 
 
 DEAD_RECKONING = (records.POSE_VARIANCE, 0.0, 0.0, records.POSE_VARIANCE, 0.0, records.POSE_VARIANCE)
 
 
 class Odometry(NamedTuple):
-    """Pose since the start and velocity, from the wheels where the board reports them, else from what was commanded."""
+    """Pose since the start and velocity, from the wheels if the board reports them, else from the commands."""
 
     t_ns: int
-    """CLOCK_MONOTONIC of when it was so, ns: of the newest report of the wheels, where they count."""
+    """CLOCK_MONOTONIC of the pose, ns: the time of the wheels' newest report, if they count."""
     x_m: float
     """m, forward at the start."""
     y_m: float
@@ -306,10 +311,10 @@ class Odometry(NamedTuple):
     """Standard deviation of wz, rad/s, by the settings."""
     source: Literal["commands", "wheels"] = "commands"
     """wheels: as far as the board reports that they have turned. commands: as far as they were told to turn, whatever
-    they did, because the board has reported nothing of them."""
+    they did, because the board has reported nothing about them."""
     pose_covariance: tuple[float, ...] = DEAD_RECKONING
-    """Of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th. From wheels it grows with the way; from commands it is
-    so large that nobody trusts the pose."""
+    """Covariance of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th. From wheels it grows with the distance;
+    from commands it is so large that nobody trusts the pose."""
 
     @property
     def pose_variance(self) -> float:
@@ -323,13 +328,13 @@ class Pad(NamedTuple):
     t_ns: int
     """CLOCK_MONOTONIC of the read that brought it, ns."""
     buttons: int
-    """A bit a button."""
+    """One bit per button."""
     hat: int
-    """As the board gives it."""
+    """As the board reports it."""
     axes: tuple[int, ...]
     """lx, ly, rx, ry, -128 to 127."""
     mode: PadMode
-    """The part that the gamepad moves."""
+    """What the gamepad moves."""
 
 
 Sample = Imu | Pad | Odometry
@@ -349,17 +354,18 @@ class JointState:
     age_s: float | None
     """Since it was read, s."""
     commanded_rad: float | None
-    """Where it was sent, rad; None while it is not known where it is."""
+    """Where it was sent, rad; None while its position is not known."""
     torque: bool | None
-    """It holds; None: not known yet."""
+    """True if it holds; None: not known yet."""
     temperature_c: int | None
-    """Of the servo, degrees Celsius."""
+    """Temperature of the servo, degrees Celsius."""
     supply_v: float | None
-    """Of the servo, V."""
+    """Supply voltage of the servo, V."""
 
     @property
     def at_rad(self) -> float | None:
-        """Where it is as far as is known, rad: sent (no servo is asked while it moves), or read to be."""
+        """Where it is as far as is known, rad: where it was sent (no servo is asked while it moves), or where it was
+        read to be."""
         return self.angle_rad if self.commanded_rad is None else self.commanded_rad
 
 
@@ -374,45 +380,45 @@ class ArmState:
     moving: bool
     """It moves now."""
     by: str
-    """The program that moves it; empty: none."""
+    """The program that moves it; empty if none does."""
     closed: str
-    """Why it takes no goal; empty: it takes one."""
+    """Why it takes no goal; empty if it takes one."""
     refused: str
-    """Why the last goal of a stream was not taken; empty: it was."""
+    """Why the last goal of a stream was not taken; empty if it was."""
     released: bool
     """Its torque is off."""
     silent: tuple[int, ...]
     """Servos that do not answer."""
     wrong: tuple[str, ...]
-    """Faults of it, in words."""
+    """Its faults, in words."""
     pose: str
     """drive, tuck, or empty."""
     auto_tuck_s: float | None
-    """Until it tucks itself, s; None: it does not."""
+    """Time until it tucks itself, s; None if it does not."""
     pad_joint: str | None
     """The joint that the gamepad turns."""
     joints: dict[str, JointState]
-    """By name."""
+    """The joints by name."""
 
 
 @dataclasses.dataclass(frozen=True)
 class State:
-    """One consistent snapshot: what the gate decided is one record, read whole."""
+    """One consistent snapshot: the gate's decision is one record, read whole."""
 
     name: str
-    """Of the service."""
+    """Name of the service."""
     enabled: bool
     """Motion is enabled."""
     estop: str | None
     """The text of `cause`."""
     cause: Cause | None
-    """The latched stop: the first cause since the last reset; None: nothing is."""
+    """The cause of the latched stop: the first since the last reset; None if nothing is latched."""
     blocked: str | None
     """Why the wheels may not turn, in the gate's words; None when they may. Programs compare `block`."""
     body_vel: Velocity
     """The velocity that the gate commands."""
     wheels_radps: Wheels
-    """The speed that it commands of each wheel."""
+    """The speed that the gate commands for each wheel."""
     epoch: int
     """Raised by every stop."""
     waiting_for: str | None
@@ -422,7 +428,7 @@ class State:
     processes: dict[str, Process]
     """By name."""
     starved: Starved | None
-    """None: the machine has run every process in time for ten minutes."""
+    """None if the machine has run every process in time for ten minutes."""
     clients: tuple[Client, ...]
     """The holders of the client slots."""
     sources: tuple[Source, ...]
@@ -430,7 +436,7 @@ class State:
     scan_age_s: float | None
     """Since the obstacle sensor delivered last, s; None: never."""
     last_stop: Stop | None
-    """None: there was none in this run."""
+    """None if there was no stop in this run."""
     imu: Imu | None
     """None before the first sample."""
     gyro_bias: GyroBias | None
@@ -444,32 +450,35 @@ class State:
     plugged: Literal["unknown", "plugged", "unplugged"]
     """Whether a charger is plugged in, judged from the voltage's steps."""
     age_s: float
-    """Of the gate's record, s: it publishes every 0.08 s at least."""
+    """Age of the gate's record, s: it publishes every 0.08 s at least."""
     speed_limit: float = 1.0
     """The share of the settings' speeds that drivers may use (`Robot.limit_speed`)."""
     attended_by: tuple[str, ...] | None = None
-    """The operators who are there; None: none is needed (setting attend.required)."""
+    """The operators who are present; None if none is needed (setting attend.required)."""
     arm: ArmState | None = None
-    """None without an arm in the settings, and while a service starts, until its gate has told of the arm."""
+    """None without an arm in the settings, and while a service starts, until its gate has reported the arm."""
     unmet: str = ""
-    """The reason why an interlock does not hold, in the words of its refusal; empty: all that are declared hold."""
+    """Why an interlock does not hold, in the words of its refusal; empty if all declared ones hold."""
     starved_times: int = 0
-    """How often in this run the machine explained a silence as `starved` does."""
+    """How often in this run the machine explained a silence as in `starved`."""
     lease_s: float = 0.06
     """Longest silence of gate or supervisor while wheels turn, s (gate.lease_s; longer without real-time rights)."""
     steering_rad: float | None = None
-    """Commanded angle of the steered wheels, rad, positive to the left. None: there are none, or the robot stands."""
+    """Commanded angle of the steered wheels, rad, positive to the left. None if there are none, or the robot is at
+    rest."""
     stands_within_m: float = 0.0
-    """Stopping distance: from any fault that software answers until the robot stands, m, at the speed limit of now."""
+    """Stopping distance: from any fault that software answers until the robot stands still, m, at the current speed
+    limit."""
     scale: Scale = Scale()
-    """Whether the wheels turn as fast as they are told."""
+    """Whether the wheels turn as fast as commanded."""
     turning: Turning = Turning()
-    """What is known of the wheels now, whatever they were told."""
+    """What is known about the wheels now, whatever they were told."""
     enabled_ns: int = 0
-    """When motion was enabled (CLOCK_MONOTONIC, ns); 0: it is not. It differs after a disable and an enable, however
-    soon one follows the other."""
+    """When motion was enabled (CLOCK_MONOTONIC, ns); 0 while it is not. It differs after a disable and an enable,
+    however quickly one follows the other."""
     servos: dict[str, tuple[float, int]] = dataclasses.field(default_factory=dict)
-    """By the part that each turns: load (a share of the most that it gives, signed) and temperature in degrees C."""
+    """Load (a share of the most that it gives, signed) and temperature in degrees C of each servo, by the part that it
+    turns."""
     ages: Ages = Ages()
     """How old the readings are."""
     battery_ns: int = 0
@@ -482,7 +491,7 @@ class State:
 
     @property
     def moving(self) -> bool:
-        """The gate commands a velocity."""
+        """True while the gate commands a velocity."""
         return self.blocked is None and any(self.wheels_radps)
 
     def source_that(self, state: str) -> Source | None:
@@ -490,13 +499,13 @@ class State:
         return next((source for source in self.sources if source.state == state), None)
 
     def is_current(self, age_s: float | None) -> bool:
-        """Whether a reading of this age says something of now: it does not once the board says nothing any more."""
+        """Whether a reading of this age says something about now. None does once the board says nothing any more."""
         heard = self.device.state == "open" and self.device.link not in (LINK_SILENT, LINK_UNHEARD)
         return heard and (age_s or 0.0) < OLD_S
 
     @property
     def driver(self) -> Source | None:
-        """The source whose command moves the wheels, or would; None: there is none."""
+        """The source whose command moves the wheels, or would; None if there is none."""
         return self.source_that("drives")
 
     def as_dict(self) -> dict[str, Any]:

@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 HANGING_S = 0.5
 UNITS = {"ms": 1e3, "us": 1e6}
-"""Of times in records, by the end of their names: how many are a second."""
+"""Units of times in records, by the end of their names: how many make a second."""
 
 ZEROS = (0.0,) * box.MOST_SPEEDS
 STANDING: dict[str, Any] = {
@@ -43,9 +43,9 @@ STANDING: dict[str, Any] = {
     "wheels_rps": ZEROS,
     "sources": [],
 }
-"""Of the gate's record: what stands while nothing may move."""
+"""Values in the gate's record while nothing may move."""
 NOTHING_YET = {**STANDING, "limit": 100, "estop": None, "blocked": box.DISABLED, "clients": [], "scan_ns": 0}
-"""The gate's record before a run's first gate has published one: a run begins with motion disabled."""
+"""The gate's record before the first gate of a run has published one: a run begins with motion disabled."""
 RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "stop": (layout.SUPERVISOR, msgpack.unpackb),
     "link": (layout.SUPERVISOR, lambda payload: payload.decode("ascii", "replace")),
@@ -62,7 +62,7 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "odometry": (layout.TELEMETRY, records.ODOMETRY.unpack),
     "pad": (layout.TELEMETRY, records.PAD.unpack),
 }
-"""The records of a snapshot: the writer of each, and what reads it."""
+"""The records of a snapshot: the writer of each, and the function that decodes it."""
 
 PLUGGED: tuple[Any, ...] = records.PLUGGED
 WHEELS_DO: tuple[Any, ...] = records.WHEELS_DO
@@ -84,11 +84,11 @@ def _pad(t_ns: int, buttons: int, hat: int, *rest: int) -> Pad:
 
 
 SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU_KIND: _imu, box.PAD_KIND: _pad}
-"""The types of samples, by the board's report; other reports are told in State alone."""
+"""The types of samples, by the board's report; other reports appear only in State."""
 
 
 class StateReader(SeenRun):
-    """A run of a service of which snapshots are read; reads only, and needs no client slot."""
+    """One run of a service, from which snapshots are read. It only reads, and needs no client slot."""
 
     def __init__(self, name: str) -> None:
         """Raises NoService, FailstopError."""
@@ -108,12 +108,12 @@ class StateReader(SeenRun):
         return RECORDS[record][1](entry[2]) if entry else None
 
     def _timed(self, record: str, make: Callable[..., T]) -> T | None:
-        """The newest of a record with its time, as its type."""
+        """The newest of a record with its time, made into its type."""
         entry = self._latest[record].read()
         return make(entry[1], *RECORDS[record][1](entry[2])) if entry else None
 
     def settings(self) -> dict[str, float | str]:
-        """Every setting that the service was started with, by its whole key. Raises FailstopError."""
+        """Every setting that the service was started with, by its full key. Raises FailstopError."""
         found: dict[str, float | str] = self.told("settings")[1]
         return found
 
@@ -122,7 +122,7 @@ class StateReader(SeenRun):
         return self._telemetry.ring_reader("box")
 
     def samples(self) -> list[Sample]:
-        """Reports of the board since the last call, in order, and the newest odometry, if it is new."""
+        """The board's reports since the last call, in order, and the newest odometry if it is new."""
         found = []
         while entry := self._box.next():
             kind, values = box.unpack_board(entry[2])
@@ -148,7 +148,7 @@ class StateReader(SeenRun):
 
     @cached_property
     def _mounted(self) -> list[tuple[int, float]]:
-        """Of each wheel where its speed is in the gate's record, and what makes forward rad/s of it."""
+        """For each wheel: where its speed is in the gate's record, and the factor that makes it forward rad/s."""
         return [(id_, sign * 2 * pi) for id_, sign in mounted_wheels(self.settings())]
 
     @cached_property
@@ -158,8 +158,8 @@ class StateReader(SeenRun):
         return chassis_of(self._declared)
 
     def of_wheels(self, speeds_radps: tuple[float, ...], steering_rad: float | None) -> snapshot.Velocity:
-        """The velocity of the base while its wheels turn so fast. Raises ValueError for another number of wheels, or
-        for an angle where nothing is steered; FailstopError."""
+        """The velocity of the base at these wheel speeds. Raises ValueError for another number of wheels, or for an
+        angle on a base without steering; FailstopError."""
         from failstop.policy.kinematics import of_wheels
 
         mounted = mounted_wheels(self.settings())
@@ -169,7 +169,7 @@ class StateReader(SeenRun):
         return snapshot.Velocity(*of_wheels(self._chassis, mounted, speeds_radps, steering_rad))
 
     def _steering_rad(self, speeds: tuple[float, ...]) -> float | None:
-        """Of a steered base the angle is the last of what the gate commands; 0 at rest says nothing."""
+        """On a steered base the angle is the last of the gate's commanded values; at rest, a 0 says nothing."""
         steered = self.settings()["wheels.layout"] == ACKERMANN
         return speeds[-1] if steered and any(speeds[at] for at, _ in self._mounted) else None
 
@@ -253,14 +253,15 @@ class StateReader(SeenRun):
 
     def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
         """The gate's state, the latch, the epoch, the time of the gate's publishing, and whether the supervisor is
-        dead: the part of read() that a driving program needs each time. Before a run's first gate has published
-        anything: that motion is disabled, as of the begin of the run. Raises FailstopError.
+        dead: the part of read() that a driving program needs each time. Before the first gate of a run has published
+        anything, motion is disabled since the start of the run. Raises FailstopError.
 
-        A stop that the gate has not followed yet, because it hangs or has just died, is in force all the same: the port
-        owner admits nothing of an older epoch, and the gate's successor starts latched. The same holds for a gate that
-        says on what it said before the supervisor died or fell silent."""
+        A stop that the gate has not followed yet, because it hangs or has just died, is still in force: the port owner
+        admits nothing from an older epoch, and the gate's successor starts latched. This also applies to a gate that
+        still publishes what it published before the supervisor died or fell silent.
+        """
         dead = self.over()
-        epoch = self._epoch.get()  # before the gate's record: a newer one is then no sign of a stop
+        epoch = self._epoch.get()  # read before the gate's record, so that a newer epoch is no sign of a stop
         if entry := self._latest["state"].read():
             _, told_ns, payload = entry
             decided: dict[str, Any] = RECORDS["state"][1](payload)
@@ -285,7 +286,7 @@ class StateReader(SeenRun):
         return tuple(snapshot.Client(**client, **said.get(client["slot"], {})) for client in clients)
 
     def _device(self) -> snapshot.Device:
-        # A run begins with an open port, which its supervisor has; then the port owner tells of it.
+        # A run begins with an open port, which its supervisor has; later the port owner reports it.
         *_, state, path = self._value("port") or (records.PORT_OPEN, str(self.settings()["device.path"]))
         found: Any = records.PORT_STATES[state]
         since_ns = self._unheeded.get()
@@ -294,12 +295,12 @@ class StateReader(SeenRun):
 
     @cached_property
     def _watchdog(self) -> tuple[float, str, bool]:
-        """The board's own, not of a board of the user's own, whose code no client runs; and whether there is an IMU."""
+        """The board's watchdog, except for your own board, whose code no client runs; and whether there is an IMU."""
         settings = self.settings()
         return *watchdog_of(str(settings["board.kind"])), settings["board.imu"] == "on"
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
-        """`dead`: the supervisor, which keeps the table, has died; two of the others have with it."""
+        """`dead`: the supervisor, which keeps the table, has died, and two of the other processes with it."""
         pid = self._beats[layout.SUPERVISOR].pid.get()
         found = {}
         for name, row in {layout.SUPERVISOR: {"pid": pid, "restarts": 0, "last_exit": None}, **table}.items():
@@ -326,13 +327,13 @@ class StateReader(SeenRun):
         return found
 
     def _is_suspended(self, pid: int) -> bool:
-        """A signal has suspended it, as Ctrl-Z in its terminal does."""
+        """True if a signal has suspended it, as Ctrl-Z in its terminal does."""
         with contextlib.suppress(OSError):
             return self.shares_pids() and state_of(pid) in ("T", "t")
         return False
 
     def _turning(self, now_ns: int) -> snapshot.Turning:
-        """What telemetry knows of the wheels. A reading that has become old says nothing of now."""
+        """Telemetry's knowledge about the wheels. A reading that is too old says nothing about now."""
         if (found := self._value("wheels")) is None:
             return snapshot.Turning()
         does, by, unexpected, count, since_ns, read_ns, *values = found
@@ -358,7 +359,7 @@ class StateReader(SeenRun):
         return snapshot.Scale(capped, of_wheels, of_turn, tuple(wrong), tuple(remarks))
 
     def _by_mount(self, values: list[float]) -> snapshot.Wheels | None:
-        """Turns by wire id as radians by wheel; None where a wheel is not reported."""
+        """Turns by wire id as radians by wheel; None if a wheel is not reported."""
         if not values or any(value != value for value in values):  # NaN
             return None
         return snapshot.Wheels(values[at] * scale + 0.0 for at, scale in self._mounted if at < len(values))
@@ -371,7 +372,7 @@ class StateReader(SeenRun):
 
 
 def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
-    """A value with the fields of a record, and with what is known besides; times come in s."""
+    """A value with the fields of a record, plus the known ones; times are converted to s."""
     for name, value in record.items():
         stem, _, unit = name.rpartition("_")
         if unit in UNITS:
@@ -382,7 +383,7 @@ def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
 
 
 def _left_s(at_ns: int, now_ns: int) -> float | None:
-    """Seconds until then; None: never, which 0 stands for."""
+    """Seconds until then; None: never (a 0 in the record)."""
     return max(0, at_ns - now_ns) / 1e9 if at_ns else None
 
 

@@ -1,4 +1,4 @@
-"""Steps: what a person does, in order, for the wheels to move. One table, for a terminal and for the page. Pure."""
+"""Steps: what a person must do, in order, until the wheels move. One table for terminals and for the page. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from failstop.messages.layout import GATE
 
 
 class Purpose(Enum):
-    """The purpose of a step."""
+    """What a step is for."""
 
     HEED = "see to the cause of the stop"
     POWER = "make sure that the wheels stand"
@@ -24,7 +24,7 @@ class Purpose(Enum):
 
 
 REFUSED_WITHOUT = {Purpose.RESET: (Purpose.MEND,), Purpose.ENABLE: (Purpose.MEND, Purpose.ALLOW, Purpose.RESET)}
-"""Of a request: the steps without which the service refuses it."""
+"""For each request: the steps without which the service refuses it."""
 POWER = "turn the robot's POWER SWITCH off"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
 LET_GO = "let go of the stick, then push it again"
@@ -36,9 +36,9 @@ class Step(NamedTuple):
 
     purpose: Purpose
     typed: str
-    """For a terminal, commands in backquotes."""
+    """The text for a terminal, commands in backquotes."""
     clause: str | None = None
-    """For the page, by its buttons; empty: the page has nothing to say of it; None: as for a terminal."""
+    """The text for the page, by its buttons; empty if the page has nothing to say; None: the same as for a terminal."""
 
     @property
     def pressed(self) -> str:
@@ -49,19 +49,20 @@ class Step(NamedTuple):
 NO_SERVICE = Step(
     Purpose.MEND, "start the service", "if the wheels turn: turn the robot's power switch off. Then start the service"
 )
-"""Where no service runs, and so no state tells of the robot."""
+"""The step when no service is running, so that no state describes the robot."""
 HERE = {"reset": "hold RESET", "attend": "press ATTEND", "enable": "hold ENABLE"}
-"""How a paired device does it, by the page's buttons."""
+"""How a paired device does it, with the page's buttons."""
 ELSEWHERE = {
     "reset": "reset it with a paired device or failstop reset",
     "attend": "with a paired device or failstop attend",
     "enable": "enable motion with a paired device or failstop enable,",
 }
-"""How everybody else comes by it: their page has no such buttons."""
+"""How everyone else gets it done, because their page has no such buttons."""
 
 
 def _for_the_gate(state: State) -> tuple[str, str]:
-    """The wait while the gate is down, for both. It hears resets, so the supervisor starts it again by itself."""
+    """The wait while the gate is down, for both. The supervisor starts it again by itself, because resets go through
+    it."""
     gate = state.processes.get(GATE)
     left_s = (gate.starts_in_s if gate else None) or 0.0
     wait = f"wait {left_s:.0f} s for the {GATE}" if left_s >= 1 else f"wait for the {GATE}"
@@ -70,7 +71,7 @@ def _for_the_gate(state: State) -> tuple[str, str]:
 
 def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[object, Step]]]:
     """When each step is needed. The rows of one group exclude each other: the first that holds counts. `told`: the
-    reader has just been told of the interlock; `how`: HERE or ELSEWHERE."""
+    reader already knows about the interlock; `how`: HERE or ELSEWHERE."""
     named = {process.state: process.pid for process in state.processes.values()}
     dead, suspended, down = "dead" in named, named.get("suspended"), verdict.down(state)
     doubt, waits, path = verdict.doubt(state), state.waiting_for, state.device.path
@@ -126,7 +127,7 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
 
 
 def todo(state: State, how: Mapping[str, str] = HERE, *, told: bool = False) -> list[Step]:
-    """Every step, in order; none while the wheels move. `told`: the reader has just been told of the interlock."""
+    """Every step, in order; none while the wheels move. `told`: the reader already knows about the interlock."""
     if state.block is None and state.moving:
         return []
     found = [next((step for needed, step in group if needed), None) for group in _table(state, told, how)]
@@ -137,7 +138,7 @@ def todo(state: State, how: Mapping[str, str] = HERE, *, told: bool = False) -> 
 
 
 def typed(state: State, *, told: bool = False) -> list[str]:
-    """The steps for a terminal, short: without what the cause of a stop asks for."""
+    """The steps for a terminal, in short: without the remedy for a stop's cause."""
     return [step.typed for step in todo(state, told=told) if step.purpose is not Purpose.HEED]
 
 
@@ -147,7 +148,7 @@ def line(state: State) -> str:
 
 
 def pressed(state: State, how: Mapping[str, str] = HERE) -> str:
-    """The first step on the page; empty where there is none."""
+    """The first step on the page; empty if there is none."""
     found = [step for step in todo(state, how=how) if step.pressed]
     sure = found and found[0].purpose in (Purpose.MEND, Purpose.POWER)
     if verdict.unanswered(state) and not sure:
@@ -161,6 +162,6 @@ def before(state: State, goal: Purpose) -> list[Step]:
 
 
 def after_refusal(state: State, goal: Purpose, *, told: bool = False) -> str:
-    """The remedy when a reset or an enable was refused, in a line; empty when the state names nothing that keeps it
-    from being done, so that nobody is sent to ask for the same again. `told`: the reason is the interlock's own."""
+    """The remedy when a reset or an enable was refused, in one line; empty if the state names nothing that stands in
+    the way, so that nobody is told to ask for the same again. `told`: the reason is the interlock's own."""
     return ", then ".join(typed(state, told=told)) if before(state, goal) else ""

@@ -1,5 +1,5 @@
-"""Verdict: in a word what the wheels do, and what holds them; and what the events of a run tell that its state does
-not. Pure; events are given oldest first."""
+"""Verdict: in one word what the wheels do and what holds them; and what a run's events add to its state. Pure; events
+are given oldest first."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ from failstop.messages.layout import GATE
 from failstop.policy import causes, proofs
 
 COMMANDED = "COMMANDED TO DRIVE"
-"""In the place of DRIVING, while the board reports that it obeys zero speed."""
+"""Shown instead of DRIVING while the board reports that it obeys zero speed."""
 NO_SERVICE = "NO SERVICE"
-"""The word where no service runs."""
+"""The word when no service is running."""
 NEVER_ANSWERED = proofs.LINKS_IN_WORDS[proofs.LINK_UNPROVEN]
 LINKS = proofs.LINKS_IN_WORDS
 """The proof by each state of the link, in words."""
 UNHEEDED_S = 0.5
-"""A board that reports zero speed for as long amid motion does not obey: its reports come every 100 ms at least, and an
-adapter may hold a command back."""
+"""A board that reports zero speed for this long during motion does not obey: its reports come every 100 ms at least,
+and an adapter may hold a command back."""
 STALE_S = 0.5
-"""A decision of the gate older than this is no news of the wheels: it publishes every 80 ms."""
+"""An older decision of the gate says nothing about the wheels: it publishes every 80 ms."""
 LATE_BEAT_S = 0.3
-"""A beat older than this is worth a look; the slowest process beats every 100 ms."""
+"""An older beat is worth a look; the slowest process beats every 100 ms."""
 BATTERY_LOW_V = 10.5
-"""Three lithium cells at 3.5 V: little is left."""
+"""Three lithium cells at 3.5 V: almost empty."""
 CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop", "driver_gone"))
-"""Kinds of events that change whether motion is enabled, or may."""
+"""Kinds of events that change whether motion is, or may be, enabled."""
 LEFT_OFF = frozenset(("driver_silent", "driver_gone"))
-"""Those that tell of a driver that left the wheels turning."""
+"""Kinds of events about a driver that left the wheels turning."""
 SINCE = CHANGES | LEFT_OFF | {"driver_ended", "stop_again"}
 
 
 def unreached(state: State) -> str:
-    """Why what is written to the board is not known to reach it; empty when there is no reason to think so."""
+    """Why bytes for the board may not reach it; empty if there is no reason to think so."""
     if state.device.state != "open":
         return f"the port {state.device.path} is {state.device.state}, so no stop reaches the board"
     if state.device.link == "deaf":
@@ -76,27 +76,26 @@ def reached(state: State) -> str:
 
 
 def row(state: State) -> wheels.Row:
-    """What may be said of the wheels."""
+    """What may be said about the wheels."""
     return wheels.row(state, unreached(state))
 
 
 def doubt(state: State) -> str:
-    """Why the wheels may turn though they were told to stop, or that they do; empty when there is no reason to think
-    so."""
+    """Why the wheels turn, or may turn, although they were told to stop; empty if there is no reason to think so."""
     found = row(state)
     return ", and ".join(filter(None, (found.text, unreached(state)))) if found.alarm else ""
 
 
 def unseen(state: State) -> str:
-    """What the word alone does not say of the wheels: that they still turn, or that nobody sees what they do; empty
-    when the word says it all, and when the wheels are in doubt."""
+    """What the word alone does not say about the wheels: that they still turn, or that nothing shows what they do.
+    Empty if the word says it all, and if the wheels are in doubt."""
     found = row(state)
     return "" if found.alarm else found.text
 
 
 def unproven(state: State) -> str:
-    """Why nothing proves what the wheels are said to do; empty when the board's answers do, when the wheels are in
-    doubt, and of a board that answers nothing by its nature."""
+    """Why nothing proves what the wheels are said to do. Empty if the board's answers do, if the wheels are in doubt,
+    and for a board that answers nothing by design."""
     if doubt(state):
         return ""
     never = state.device.state == "open" and state.device.link == "unproven"
@@ -104,8 +103,8 @@ def unproven(state: State) -> str:
 
 
 def unheeded(state: State) -> str:
-    """How long the board has said that it obeys zero speed although motion is commanded; empty when it does not say
-    so, or not for long enough to be sure."""
+    """How long the board has reported that it obeys zero speed although motion is commanded. Empty if it does not, or
+    not for long enough to be sure."""
     for_s = state.device.unheeded_s
     if not state.moving or for_s is None or for_s < UNHEEDED_S:
         return ""
@@ -113,21 +112,21 @@ def unheeded(state: State) -> str:
 
 
 def word(state: State) -> str:
-    """A word on the wheels."""
+    """One word about the wheels."""
     found = row(state).word
     return STANDING if found == STOPPED and not state.blocked else found
 
 
 def proven_word(state: State) -> str:
-    """The word; where nothing proves it, with that."""
+    """The word; if nothing proves it, it says so."""
     why = unproven(state)
     found = COMMANDED if unheeded(state) else word(state)
     return f"{found}, unproven: {why}" if why else found
 
 
 def large_word(state: State) -> str:
-    """The word for a screen that is read at arm's length: whether the robot may begin to move counts more there than
-    what holds it, and of a stop it says no more than is proved."""
+    """The word for a screen read at arm's length. There it counts more whether the robot may begin to move than what
+    holds it, and about a stop it says no more than is proved."""
     found = row(state)
     if found.alarm:
         return found.large
@@ -136,7 +135,7 @@ def large_word(state: State) -> str:
 
 
 def _stopped(state: State, seen: str) -> str:
-    """As much as is proved of the last stop: that the kernel has its bytes is no proof that the board obeys."""
+    """What is proved about the last stop. That the kernel has its bytes does not prove that the board obeys."""
     stop = state.last_stop
     if stop is None:
         return WHEELS_MAY_TURN if state.cause else seen
@@ -146,13 +145,13 @@ def _stopped(state: State, seen: str) -> str:
 
 
 def unanswered(state: State) -> bool:
-    """True while a stop may not have reached the board, or has been written to one that has never answered."""
+    """True while a stop may not have reached the board, or was written to a board that has never answered."""
     word = large_word(state)
     return word == WHEELS_MAY_TURN or (word == WRITTEN and state.device.link == "unproven")
 
 
 def headline(state: State) -> str:
-    """A line on the wheels and why they do it."""
+    """One line about the wheels, and why."""
     if state.cause:
         return f"stop latched: {state.cause}"
     if state.block:
@@ -167,8 +166,8 @@ def down(state: State) -> list[str]:
 
 
 def absence(process: Process, ended: str = "") -> str:
-    """Why a process does not work, and until when, as the end of a sentence about it; `ended`: how the one
-    before it ended, as a clause."""
+    """Why a process does not work, and until when, as the end of a sentence about it; `ended`: how the one before it
+    ended, as a clause."""
     how = "died too often and is down" if process.state == "down" else f"is {process.state}"
     if process.state == "down" and process.starts_in_s is None:
         how += " until a reset"
@@ -177,7 +176,8 @@ def absence(process: Process, ended: str = "") -> str:
 
 
 def no_answer(state: State) -> str:
-    """Why the gate answers no request, with the remedy; empty while it runs, since then the state has no reason."""
+    """Why the gate answers no request, with the remedy; empty while it is running, because then the state has no
+    reason."""
     gate = state.processes[GATE]
     if gate.state == "running":
         return ""
@@ -187,25 +187,25 @@ def no_answer(state: State) -> str:
 
 
 def newest(events: Sequence[Event], kinds: Collection[str]) -> Event | None:
-    """The last event that is of one of these kinds."""
+    """The last event of one of these kinds."""
     return next((event for event in reversed(events) if event.kind in kinds), None)
 
 
 def left_off(events: Sequence[Event]) -> Event | None:
-    """The driver that left the wheels turning, if nothing was told since that would be news of motion."""
+    """The driver that left the wheels turning, if no later event is about motion."""
     last = newest(events, SINCE)
     return last if last and last.kind in LEFT_OFF else None
 
 
 def death(state: State, events: Sequence[Event]) -> Event | None:
-    """The death of a driver that motion is disabled for, if nothing has changed that since."""
+    """The driver's death that motion is disabled for, if nothing has changed that since."""
     last = newest(events, CHANGES)
     return last if last and last.kind == "driver_gone" and state.block is Block.DISABLED else None
 
 
 def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
-    """How the predecessor of each process ended, as a clause. What its exit status does not say is that it hung, and
-    that the supervisor killed it for that."""
+    """How the process before each one ended, as a clause. An exit status can't say that it hung and that the supervisor
+    killed it for that."""
     fenced = {event.fields["pid"] for event in events if event.kind == "fenced"}
     died = {event.fields["process"]: event.fields["pid"] for event in events if event.kind == "died"}
     found = {}
@@ -218,6 +218,7 @@ def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
 
 
 def before(events: Sequence[Event]) -> str:
-    """The end of the run before this one, if that was not in order, and the command that tells its story; or empty."""
+    """The end of the run before this one, if that did not end cleanly, and the command that shows its story; else
+    empty."""
     told = next((it.fields for it in events if it.kind == "incident" and it.fields.get("run") == "before"), None)
     return f"{told['reason']} (`failstop incident show {told['id']}`)" if told else ""

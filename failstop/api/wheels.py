@@ -1,7 +1,6 @@
-"""Wheels: what a screen may say of them, by one table: what they are told, and what is seen of them. Pure.
-
-`State.turning` is the only source of what the wheels do. The cause of a latched stop says why the robot was stopped,
-and nothing about its wheels: they may turn again hours after they were seen still.
+"""Wheels: what a screen may say about them, by one table of what they are told and what is observed. Pure.
+`State.turning` is the only source for what the wheels do. The cause of a latched stop says why the robot was stopped,
+but nothing about its wheels, which may turn again hours after they were seen still.
 """
 
 from __future__ import annotations
@@ -23,18 +22,18 @@ STANDING = "STANDING"
 STOPPED = "STOPPED"
 """The wheels are told zero and are seen still."""
 STOPPING = "STOPPING"
-"""They are told zero and still move, for no longer than the setting still.after_s allows."""
+"""The wheels are told zero and still move, but no longer than the setting still.after_s allows."""
 TOLD_TO_STOP = "TOLD TO STOP"
-"""They are told zero, and nobody sees whether they obey."""
+"""The wheels are told zero, and nothing shows whether they obey."""
 TURNING = "TURNING"
-"""The board reports that they turn although they are told zero."""
+"""The board reports that the wheels turn although they are told zero."""
 MOVED = "MOVED"
 """The IMU feels the robot move although its wheels are told zero: it moves by itself, or somebody moves it."""
 MAY_TURN = "MAY TURN"
-"""A stop that is not known to reach the wheels is none: nobody must rely on it."""
+"""A stop may not have reached the wheels, so nobody must rely on it."""
 MOVING, CAN_MOVE, WRITTEN, WHEELS_MAY_TURN = "MOVING", "CAN MOVE", "STOP WRITTEN", "WHEELS MAY TURN"
 WHEELS_TURN, ROBOT_MOVES = "WHEELS TURN", "ROBOT MOVES"
-"""Large words, along with STOPPED, STOPPING and TOLD TO STOP."""
+"""Large words, in addition to STOPPED, STOPPING and TOLD TO STOP."""
 
 
 class Told(enum.Enum):
@@ -43,11 +42,11 @@ class Told(enum.Enum):
     ZERO = "zero"
     MOTION = "motion"
     NOBODY_KNOWS = "nobody knows"
-    """What is written to the board may not reach it."""
+    """Bytes for the board may not reach it."""
 
 
 class Seen(enum.Enum):
-    """What is seen of the wheels."""
+    """What is observed about the wheels."""
 
     TURN = "they turn"
     TURN_ON = "they turn although they were told zero for longer than they may"
@@ -64,13 +63,13 @@ class Row(NamedTuple):
 
     word: str
     large: str
-    """For a screen that is read at arm's length."""
+    """For a screen read at arm's length."""
     text: str = ""
-    """A clause that a screen adds to the word; empty: the word says it all."""
+    """A clause that a screen adds to the word; empty if the word says it all."""
     alarm: bool = False
-    """The wheels turn, or may, although nobody wants that."""
+    """The wheels turn, or may turn, although nobody wants that."""
     unless: str = ""
-    """Who else may turn them, for the advice to use the power switch."""
+    """What else may turn them, for the advice to use the power switch."""
 
 
 _UNKNOWN = "the wheels are told zero, and what they do is not known now"
@@ -94,8 +93,8 @@ TABLE: dict[tuple[Told, Seen], Row] = {
     (Told.NOBODY_KNOWS, Seen.TURN_ON): Row(TURNING, WHEELS_TURN, _TURN_ON, True),
     (Told.NOBODY_KNOWS, Seen.MOVE_ON): Row(MOVED, ROBOT_MOVES, _MOVE_ON, True),
 }
-"""Every pair, and what may be said then. A board that reports nothing on a robot without an IMU is no alarm: it is
-UNSEEN, and the screens say that."""
+"""What may be said for each pair. A board that reports nothing, on a robot without an IMU, is no alarm: it is UNSEEN,
+and the screens say that."""
 
 SEEN = {
     Seen.TURN: "the wheels turn",
@@ -107,13 +106,13 @@ SEEN = {
     Seen.UNREAD: "not known",
     Seen.UNSEEN: "not known: nothing reports what the wheels do",
 }
-"""Each in words."""
+"""Each observation in words."""
 SAYS = {"wheels": "by the board's reports", "IMU": "by the IMU"}
-"""What says so, by `Turning.by`."""
+"""The observer in words, by `Turning.by`."""
 
 
 def seen(state: State) -> Seen:
-    """What is seen of the wheels."""
+    """What is observed about the wheels."""
     known = state.turning
     if known.does == "still":
         return Seen.STILL
@@ -127,23 +126,23 @@ def seen(state: State) -> Seen:
 
 
 def told(state: State, unreached: str) -> Told:
-    """What the wheels are told. `unreached`: why nothing is known to reach the board; empty: it does."""
+    """What the wheels are told. `unreached`: why bytes may not reach the board; empty if they do."""
     if unreached:
         return Told.NOBODY_KNOWS
     return Told.MOTION if state.moving else Told.ZERO
 
 
 def row(state: State, unreached: str) -> Row:
-    """What may be said of the wheels; `unreached` as above."""
+    """What may be said about the wheels; `unreached`: why bytes may not reach the board; empty if they do."""
     return TABLE[told(state, unreached), seen(state)]
 
 
 def now(state: State) -> str:
-    """What is seen, with the speeds that the board reports, what says so, and the age of the reading."""
+    """What is observed, with the speeds that the board reports, the observer, and the age of the reading."""
     known, found = state.turning, seen(state)
     text = SEEN[found]
     if found is Seen.STILL and known.by == "IMU":
-        # It feels neither wheels that turn in the air nor a robot that goes slowly.
+        # The IMU feels neither wheels that turn in the air nor a robot that goes slowly.
         return f"the IMU feels no movement ({words.span(known.age_s or 0.0)} ago)"
     if found in (Seen.TURN, Seen.TURN_ON, Seen.TURNED) and (how := speeds(state)):
         text += f": {how}"
@@ -157,7 +156,7 @@ def now(state: State) -> str:
 
 
 def speeds(state: State) -> str:
-    """The measured speed of each wheel in turns a second, positive forward; empty: the board reports none."""
+    """The measured speed of each wheel in turns per second, positive forward; empty if the board reports none."""
     measured = state.turning.speeds_radps
     if measured is None:
         return ""

@@ -1,4 +1,4 @@
-"""Why: what holds the wheels, what proof there is, what to do - three lines. Pure."""
+"""Why: what holds the wheels, what proves it, and what to do, in three lines. Pure."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ from failstop.policy.proofs import (
 )
 
 YET_S = 2.0
-"""By then everything that will be known of a stop is known."""
+"""By then everything that can be known about a stop is known."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Why:
-    """The answer to "why do the wheels stand?"; `str` of it is the three lines."""
+    """The answer to "why are the wheels stopped?"; `str` of it is the three lines."""
 
     what: str
-    """The reason why the wheels stand, and since when; who drives, if they do not."""
+    """Why the wheels are stopped, and since when; or, while they move, which program drives."""
     proof: str
-    """The proof that they are stopped: what was written, acknowledged and observed of the last stop, and what is seen
-    of the wheels now, with the age of the reading."""
+    """The proof that they are stopped: what was written, acknowledged and observed for the last stop, and what is
+    observed now, with the age of the reading."""
     do: tuple[str, ...]
-    """Steps to take, in order, commands in backquotes; empty while they move."""
+    """Steps to take, in order, with commands in backquotes; empty while the wheels move."""
     also: tuple[str, ...]
     """Other faults."""
     since: float | None
-    """Unix time, s, from which on it holds; None: not known."""
+    """Unix time since when it holds, s; None: not known."""
 
     def __str__(self) -> str:
         return "\n".join(f"{label:<7}{text}" for label, text in self.rows())
 
     def rows(self) -> list[tuple[str, str]]:
-        """The lines with their labels; `also` as many times as there is something."""
+        """The lines with their labels; one `also` line for each other fault."""
         found = [("what", self.what), ("proof", self.proof), ("do", ", then ".join(self.do) or "nothing")]
         return [*found, *(("also", text) for text in self.also)]
 
@@ -69,11 +69,11 @@ HOLDS = {
 }
 """Each block in words: for a terminal, and as a sentence for the page."""
 WAITS = (Block.NO_SCAN, Block.NO_COMMAND)
-"""Blocks in which the wheels wait for a client: what a client sees is an answer then."""
+"""Blocks in which the wheels wait for a client, so that what a client sees may be the answer."""
 
 
 def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
-    """The whole answer; `events` of this run, oldest first, may be empty, and then less is known."""
+    """The whole answer. `events`: those of this run, oldest first; without them less is known."""
     start, began = since(state, events, now_s)
     when = "" if start is None else f" since {words.ago(start, now_s)}"
     what = f"{_holds(state)}{when}" if state.block else _free(state)
@@ -105,8 +105,8 @@ def _holds(state: State) -> str:
 
 
 def meaning(cause: Cause, reached: str = "") -> tuple[str, str]:
-    """The event, and the thing to see to before a reset, in plain words: two texts that continue a sentence.
-    `reached`: how the stop is known to have reached the wheels (`verdict.reached`)."""
+    """What happened, and what to check before a reset: two plain texts that continue a sentence. `reached`: how the
+    stop is known to have reached the wheels (`verdict.reached`)."""
     given = cause.named()
     given["role"] = ROLES.get(str(given.get("process")), "")
     given["names"] = _buttons(int(given.get("buttons", 0)))
@@ -117,7 +117,7 @@ def meaning(cause: Cause, reached: str = "") -> tuple[str, str]:
 
 
 def _buttons(pressed: int) -> str:
-    """Names of the pressed buttons, the bits that have none by number."""
+    """Names of the pressed buttons; bits without a name are given by number."""
     names = [name for name, bit in BUTTONS.items() if pressed & bit]
     names += [f"0x{1 << bit:04X}" for bit in range(16) if pressed & 1 << bit and 1 << bit not in BUTTONS.values()]
     return " and ".join(names)
@@ -149,13 +149,13 @@ def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | 
         change = verdict.newest(events, verdict.CHANGES)
         return (change.t, change.what) if change else (None, "")
     if state.block is Block.NO_COMMAND and (event := verdict.left_off(events)):
-        # It may have driven on since: that is not told of each time.
+        # It may have driven since then, because not every start is reported.
         return None, f"{event.text} ({words.ago(event.t, now_s)})"
     return None, ""
 
 
 def _proof(state: State, now_s: float) -> str:
-    """Of the stop that holds the wheels, or was last; of a command, that the board answers."""
+    """For a stop that holds the wheels, or was the last: its proof. For a command: that the board answers."""
     stop = state.last_stop
     if stop and (state.block is Block.DISABLED or stop.cause == state.cause):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
@@ -168,9 +168,9 @@ def _proof(state: State, now_s: float) -> str:
 
 
 def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | None]]:
-    """Its three proofs in words, each with whether it is one (None: there was nothing to see, as the wheels did not
-    shake before the stop either, or as this board acknowledges nothing); of a stop that was not written, that alone.
-    `link`: that of the board."""
+    """The three proofs of a stop in words, each with whether it holds (None: there was nothing to observe, because the
+    wheels did not shake before the stop either, or because this board acknowledges nothing). For a stop that was not
+    written, only that. `link`: the state of the link."""
     if stop.written_s is None:
         return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
@@ -195,8 +195,8 @@ def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | N
 
 
 def troubles(state: State, events: Sequence[Event]) -> list[str]:
-    """Other faults that keep the wheels from moving, or may; by a client's own account too, and what it sees
-    where the wheels wait for its kind."""
+    """Other faults that keep the wheels from moving, or may; also by a client's own report, and what the client sees if
+    the wheels wait for one of its kind."""
     found = []
     ends = verdict.ends(state, events)
     for name, process in state.processes.items():

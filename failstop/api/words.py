@@ -1,4 +1,4 @@
-"""Words: times, ages, velocities and the texts of others as people read them."""
+"""Words: times, ages, velocities and other programs' texts in a form for people."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from math import degrees, isfinite
 from failstop.files.instance import DEFAULT_NAME, option
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:  # the saver of incidents, which starts just after a stop, imports this module too
+if TYPE_CHECKING:  # the incident saver, which starts just after a stop, imports this module too
     from failstop.api.snapshot import State
 
 DAY_S = 86400.0
@@ -17,11 +17,11 @@ JUMP_S = 5.0
 DRIFT = 1e-3
 """Two clocks of one machine drift apart by no more than this share of the time, as long as nobody sets one."""
 NOWHERE_MPS = 0.0005
-"""Slower than this is shown as standing, as it would be rounded to."""
+"""A lower speed is shown as standing, because it would be rounded to 0."""
 
 
 def span(seconds: float) -> str:
-    """How long: 0.4 s, 12 s, 3 min, 2 h 5 min, 3 days."""
+    """A length of time: 0.4 s, 12 s, 3 min, 2 h 5 min, 3 days."""
     if not isfinite(seconds):
         return f"{seconds:g} s"
     if seconds < 9.95:
@@ -37,50 +37,52 @@ def span(seconds: float) -> str:
 
 
 def printable(text: str) -> str:
-    """A text of somebody else's on one line of a terminal: what controls a terminal or turns the direction of writing
-    is shown as its code, as `\\x1b` or `\\u202e`."""
+    """Somebody else's text on one line of a terminal: characters that control a terminal or change the direction of
+    writing are shown as codes, such as `\x1b` or `\u202e`."""
     shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return text if text.isprintable() else "".join(shown)
 
 
 def clock_jump(wall_s: float, monotonic_s: float) -> float:
-    """How far the wall clock jumped while so many seconds went by on it and on the monotonic clock; negative: back; 0:
-    no further than two clocks drift apart."""
+    """How far the wall clock jumped while these times passed on it and on the monotonic clock; negative: backward; 0:
+    no more than the two clocks drift apart."""
     jumped_s = wall_s - monotonic_s
     return jumped_s if abs(jumped_s) > max(JUMP_S, DRIFT * monotonic_s) else 0.0
 
 
 def jumped(seconds: float) -> str:
-    """A jump of the wall clock. One forward may be a machine's sleep, which the monotonic clock does not count."""
+    """A jump of the wall clock in words. A jump forward may be a machine's sleep, which the monotonic clock does not
+    count."""
     if seconds < 0:
         return f"the clock was set back by {span(-seconds)}"
     return f"the clock went forward by {span(seconds)} (it was set, or the machine slept)"
 
 
 def clock(unix_s: float, now_s: float = 0.0) -> str:
-    """Time of the day, with the date when it is more than half a day from now, or no `now_s` is given. Local time."""
+    """Local time of day, with the date if it is more than half a day from now or no `now_s` is given."""
     form = "%H:%M:%S" if abs(now_s - unix_s) < DAY_S / 2 else "%Y-%m-%d %H:%M:%S"
     return time.strftime(form, time.localtime(unix_s))
 
 
 def ago(unix_s: float, now_s: float) -> str:
-    """`14:03:22, 12 s ago`. A stamp from the future, of a clock that was set back, is just a time."""
+    """For example `14:03:22, 12 s ago`. A stamp from the future, from a clock that was set back, is shown as just a
+    time."""
     seconds = now_s - unix_s
     return f"{clock(unix_s, now_s)}, {span(seconds)} ago" if seconds >= 0 else clock(unix_s, now_s)
 
 
 AGED_S = 3.0
-"""The age of a reading is worth a word from then on: some boards report their battery once a second."""
+"""A reading of this age or more is shown with its age, because some boards report their battery once a second."""
 
 
 def aged(age_s: float | None, *, current: bool = True) -> str:
-    """`, 12 s ago`, to go behind a reading that is not of now; empty for one that is. `current`: the board still says
-    something."""
+    """For example `, 12 s ago`, to put after a reading that is not from now; empty for a fresh one. `current`: the
+    board still says something."""
     return "" if age_s is None or (age_s < AGED_S and current) else f", {span(age_s)} ago"
 
 
 def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
-    """A body velocity, the axes that are zero left out."""
+    """A body velocity, without the axes that are zero."""
     axes = (
         (vx_mps, "m/s", "forward", "backward"),
         (vy_mps, "m/s", "left", "right"),
@@ -89,18 +91,18 @@ def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
     return ", ".join(
         f"{abs(value):.2f} {unit} {other if value < 0 else one}"
         for value, unit, one, other in axes
-        if not abs(value) < NOWHERE_MPS  # a value that is no number is told of, too
+        if not abs(value) < NOWHERE_MPS  # a value that is not a number is shown too
     )
 
 
 def steering(rad: float) -> str:
-    """An angle of the steered wheels, as it is commanded."""
+    """The commanded angle of the steered wheels, in words."""
     angle = round(degrees(rad))
     return f"{abs(angle)} degrees to the {'left' if angle > 0 else 'right'}" if angle else "straight ahead"
 
 
 def took(seconds: float) -> str:
-    """A short time, to what matters of it."""
+    """A short time, with the digits that matter."""
     if seconds < 1e-4:
         return f"{seconds * 1e6:.0f} us"
     if seconds >= 1:
@@ -110,30 +112,32 @@ def took(seconds: float) -> str:
 
 
 def named(text: str, name: str) -> str:
-    """A text whose commands of failstop, in backquotes, name the service, as is needed where there are several."""
+    """The text with the service's name added to failstop commands in backquotes, which is needed if several services
+    exist."""
     import re  # the saver does not need it
 
     return re.sub(r"(?<=`)failstop (?![^`]* --name )[^`]*(?=`)", lambda found: found[0] + option(name), text)
 
 
 def plain(text: str) -> str:
-    """A text without the backquotes of its commands."""
+    """The text without the backquotes of its commands."""
     return text.replace("`", "")
 
 
 def sentence(text: str) -> str:
-    """A text for the page: plain, with a capital at its beginning and a full stop at its end."""
+    """A text for the page: plain, with a capital at its start and a full stop at its end."""
     text = plain(text).strip()
     return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '!', '?')) else '.'}"
 
 
 def of(name: str) -> str:
-    """The service, for the title of a screen; empty for the one that has the usual name."""
+    """The service's name for the title of a screen; empty for the default one."""
     return "" if name == DEFAULT_NAME else f" of {name!r}"
 
 
 def said(state: State) -> list[tuple[str, str, str]]:
-    """(who, what it sees, what is wrong by its account) of each client that says it; old words with their age."""
+    """(client, what it sees, what it says is wrong) for each client that reports something; old reports come with their
+    age."""
     found = []
     for client in state.clients:
         if client.said_s is not None:
