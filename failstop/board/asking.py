@@ -1,9 +1,9 @@
-"""Asking: whose language is spoken on an open port, found by questions that move no wheel.
+"""Asking: finds out which board is on an open port, by questions that move no wheel.
 
-A board is known by the answer to one of its questions, a board without questions by its reports. Each question goes
-behind that board's own stop, which ends whatever was cut before it. Neither is motion to any other board of failstop's,
-at its speed or at another (tests/board/test_asking.py). What a stranger makes of them nobody knows: where a board of
-the user's own may be on the port, the others are listened to, and not asked.
+A board is known by its answer to one of its questions; a board without questions, by its reports. Each question follows
+that board's own stop, which ends any frame that was cut before it. To none of failstop's other boards is the stop or
+the question motion, at any of their speeds (tests/board/test_asking.py). Nobody knows how an unknown device takes them,
+so if your own board may be on the port, failstop only listens for the others.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 ANSWER_S = 0.25
 """Longer than any of these boards takes to answer, and than the time between two of its reports."""
 QUESTIONS = 2
-"""Questions to a board: one may be lost on the line."""
+"""Questions per board, because one may be lost on the line."""
 
 WIRES = "the board's power; its cable, whose TX and RX cross; the port, by device.path; the baud rate of its firmware"
-"""For people: what is to be looked at where nothing comes."""
+"""For people: what to check if nothing is received."""
 
 ADAPTERS = {
     "0403:6001": "FT232",
@@ -37,11 +37,11 @@ ADAPTERS = {
     "1a86:55d4": "CH9102",
     "1a86:7523": "CH340",
 }
-"""Chips between USB and a serial line, by vendor:product: they are in devices of every kind."""
+"""Chips between USB and a serial line, by vendor:product. They are in devices of every kind."""
 
 
 class Unknown(Board):
-    """A board whose folder can't be used by this user: nothing is known of it, and nothing is said to it."""
+    """A board whose folder this user can't use. Nothing is known about it, and nothing is written to it."""
 
     __slots__ = ("why",)
 
@@ -53,31 +53,31 @@ class Unknown(Board):
     scale_assumed = False
 
     def __init__(self, why: str) -> None:
-        """`why`: in a line, with the remedy."""
+        """`why`: one line, with the remedy."""
         self.why = why
 
 
 class Heard(Data):
-    """A port, as one board's language has it."""
+    """A port, read in one board's language."""
 
     kind: str
     known: bool
-    """It is this board."""
+    """True if it is this board."""
     answered_ms: float | None
     reports: frozenset[int]
     """The kinds of its reports, as the interface numbers them."""
     size: int
-    """Bytes that came, in whatever language."""
+    """Bytes received, in any language."""
     after_ns: int
-    """When it was asked, after the port was opened."""
+    """How long after the port was opened it was asked."""
     firmware: str = ""
-    """Its firmware, where that differs from the usual one."""
+    """Its firmware, if that differs from the usual one."""
 
 
 def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
-    """Each turn: how long after the opening of the port, in ns, whom to ask. The first board is the wanted one. The
-    silent ones come first among the others: to ask them is to listen. `resets`: opening may have reset the board, which
-    is then deaf for its time."""
+    """For each turn: how long after the opening of the port (ns), and which board to ask. The first board is the wanted
+    one. Boards without questions come next, because for them failstop only listens. `resets`: opening may have reset
+    the board, which is then deaf for a while."""
     wanted, *others = boards
     others.sort(key=lambda kind: len(boards[kind].pings) > 0)
     for group in ([wanted], others):
@@ -87,8 +87,8 @@ def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]
 
 
 def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
-    """Ask one board after the other until one is known, which is the last of the list. The stop of the first is on its
-    way already. `strangers`: the other boards are not written to. Raises OSError when the device has gone."""
+    """Ask one board after another until one is known, which is the last in the list. The stop of the first was written
+    already. `strangers`: don't write to the other boards. Raises OSError when the device is gone."""
     found: list[Heard] = []
     for due_ns, kind in turns(boards, port.has_lines(fd)):
         time.sleep(max(0, opened_ns + due_ns - time.monotonic_ns()) / 1e9)
@@ -108,8 +108,8 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
 
 
 def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
-    """Ask a board twice at most. After how many ms it answered; None: it did not. `stop`: write the stop first. Raises
-    OSError when the device has gone."""
+    """Ask a board at most twice. Returns after how many ms it answered, or None. `stop`: write the stop first. Raises
+    OSError when the device is gone."""
     if stop:
         StopPort(tap.fd, board).burst()
     for _ in range(QUESTIONS):
@@ -120,12 +120,13 @@ def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
 
 
 def heard_ms(tap: Tap, board: Board) -> float | None:
-    """The time until the board answered a question, or, where it has none, reported that it obeys zeros, in ms."""
+    """The time in ms until the board answered a question or, if it has none, reported that it obeys zeros."""
     return tap.answered_ms(ANSWER_S) if board.pings else tap.zeros_ms(ANSWER_S)
 
 
 def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, str, str]:
-    """A board that was sought as `kind`: whether it is there (None: nobody can know), that in words, and what helps."""
+    """The result of looking for a board of this `kind`: whether it is present (None: can't be known), that in words,
+    and what helps."""
     last, deaf_ns = heard[-1], board.port.deaf_ns
     if last.known and last.kind != kind:
         remedy = f'set board.kind = "{last.kind}", or plug the other board in'

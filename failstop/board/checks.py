@@ -11,19 +11,19 @@ if TYPE_CHECKING:
 
 
 class FrameError(ValueError):
-    """A value that must not reach the board; the message names the field, the value and the allowed range."""
+    """A value that must not reach the board. The message names the field, the value and the allowed range."""
 
 
 def integer(field: str, value: int, low: int, high: int) -> int:
-    """The value, if it is an integer from low to high, else FrameError; a bool is no integer here."""
+    """The value, if it is an integer from low to high, else FrameError. A bool does not count as an integer."""
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
         raise FrameError(f"{field} is {value!r}, must be an integer from {low} to {high}")
     return value
 
 
 def number(field: str, value: float, low: float, high: float, unit: str) -> float:
-    """The value as a float, if from low to high, else FrameError; NaN and bool are no numbers. Minus zero becomes
-    zero."""
+    """The value as a float, if it is from low to high, else FrameError. NaN and bool are not numbers. Minus zero
+    becomes zero."""
     real = isinstance(value, (int, float)) and not isinstance(value, bool)
     # The chained comparison is false for NaN.
     if not real or not low <= value <= high:
@@ -32,7 +32,7 @@ def number(field: str, value: float, low: float, high: float, unit: str) -> floa
 
 
 def counted(field: str, values: Sequence[object], low: int, high: int) -> int:
-    """How many values there are, if from low to high, else FrameError."""
+    """The number of values, if it is from low to high, else FrameError."""
     try:
         count = len(values)
     except TypeError:

@@ -1,4 +1,4 @@
-"""Described: a board that a Wire describes, as failstop drives it: without a gamepad or keys."""
+"""Described: a Board made from the description in a Wire, without a gamepad or keys."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ if TYPE_CHECKING:
     from failstop.board.wire import Wire
 
 MOST_SAMPLES = 10_000
-"""Of one feed(): a reader that never ends would hold telemetry up."""
+"""Samples from one feed(): a reader that never ends would hold telemetry up."""
 MOST_VALUE = 0x7FFFFFFF
 MOST_LOAD = 1.27
-"""A servo's load is kept in percent, in a byte; Feetech's says up to 1.023."""
+"""A servo's load is kept in percent, in a byte; Feetech's loads go up to 1.023."""
 _ROUNDING = 1.0 + 2.0**-40
 _GRAVITY = 9.80665
 
 
 class Samples(Hearing):
-    """The samples of its reader."""
+    """The samples of the description's reader."""
 
     __slots__ = ("_reader", "_wire")
 
@@ -54,7 +54,7 @@ class Samples(Hearing):
         self._reader = wire.reader()
 
     def feed(self, chunk: bytes) -> list[Said]:
-        """All that the samples say that these bytes complete, and which pings they answer."""
+        """Everything reported in the samples that these bytes complete, and which pings they answer."""
         found: list[Said] = []
         try:
             for sample in islice(self._reader.feed(chunk), MOST_SAMPLES):
@@ -62,13 +62,13 @@ class Samples(Hearing):
                 questions = enumerate(self._wire.questions)
                 if answers := tuple([index for index, question in questions if question.answered_by(sample)]):
                     found.append((HEARD_PONG, answers))
-        except Exception as error:  # of the reader of your own board: a report must not end the process
+        except Exception as error:  # an error in the reader of your own board must not end the process
             found += plausible.odd("reader", error)
             self.reset()
         return found
 
     def reset(self) -> None:
-        """Begin with a new reader."""
+        """Start again with a new reader."""
         self._reader = self._wire.reader()
 
 
@@ -81,7 +81,7 @@ def _said(sample: Sample) -> list[Said]:
 
 
 def _plausible(sample: Sample) -> list[Said]:
-    """What a sample says. Raises one of IMPOSSIBLE."""
+    """The contents of a sample. Raises one of IMPOSSIBLE."""
     if isinstance(sample, Wheels):
         return [(HEARD_WHEELS, (_wheels(sample.speeds, 0), _wheels(sample.positions, 0)))]
     if isinstance(sample, Obeyed):
@@ -125,7 +125,7 @@ def _health(row: tuple[int, float, int]) -> tuple[int, float, int]:
 
 
 class Described(Board):
-    """As many speeds as the wire's motion has, in its unit."""
+    """A board with as many speeds as the wire's motion has, in its unit."""
 
     __slots__ = (
         "_motion", "_wire", "acknowledged_by", "after_ns", "arm", "arming", "burst", "commanders", "echo_ns",
@@ -136,7 +136,7 @@ class Described(Board):
     usb_alone = False
 
     def __init__(self, wire: Wire, per_rps: float, diameter_m: float) -> None:
-        """`per_rps`: a speed of one turn a second, in its unit; `diameter_m`: of a wheel."""
+        """`per_rps`: one turn per second, in the board's unit; `diameter_m`: the diameter of a wheel."""
         (write,) = wire.stop.writes
         self._wire, self._motion, self.per_rps = wire, wire.motion, per_rps
         self.scale_assumed = False
@@ -161,7 +161,7 @@ class Described(Board):
         self.step_rps = wire.motion.step / per_rps
 
     def hearing(self) -> Hearing:
-        """Its reader's samples."""
+        """The samples of the description's reader."""
         return Samples(self._wire)
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
@@ -171,31 +171,31 @@ class Described(Board):
         return self._motion.frame(tuple([max(-limit, min(speed * self.per_rps, limit)) for speed in every]), limit)
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """The wire's check, with the limit in its unit."""
+        """The wire's check, with the limit in the board's unit."""
         return self._motion.check(frame, self._limit(max_rps))
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
-        """Of all of its wheels."""
+        """The speeds of all wheels."""
         found = self._motion.speeds(frame)
         return None if found is None else tuple([speed / self.per_rps for speed in found])
 
     def commanded(self, frame: bytes) -> Sequence[float] | None:
-        """Of a motion frame or a stop, where the board reports its command and is asked nothing."""
+        """The speeds of a motion frame or a stop, if the board reports its command and has no pings."""
         if not self.echo_ns or self.pings:
             return None
         return (0.0,) * self.wheels if frame == self.burst else self._motion.speeds(frame)
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """By the wire's own marks."""
+        """The frame with the wire's own mark."""
         return self._motion.marked(frame, turn) if self._motion.marked else frame
 
     def _limit(self, max_rps: float) -> float:
         return min(max_rps * self.per_rps * _ROUNDING, self._motion.limit)
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
-        """It has none."""
+        """Empty: it has none."""
         return b""
 
     def check_aux(self, frame: bytes) -> str:
-        """It is sent nothing but motion, stops and its questions."""
+        """Always refused: the board is sent only motion, stops and its questions."""
         return "this board takes nothing but motion"

@@ -1,4 +1,4 @@
-"""Facts: what the settings need to know of a kind of board before a Board is made; facts.py of each folder has them."""
+"""Facts: what the settings need to know about a kind of board before a Board is made. Each folder has a facts.py."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ if TYPE_CHECKING:
 
 
 class ArmFacts(Data):
-    """An arm's servos on that board."""
+    """The servos of an arm on that board."""
 
     highest: int
-    """The last of a servo's pulses, which are counted from 0."""
+    """The highest of a servo's pulses, which are counted from 0."""
     turn: int
-    """Pulses of a whole turn."""
+    """Pulses in a whole turn."""
     wheels: tuple[int, ...] = ()
-    """Ids of servos on the same bus that turn the wheels, so no joint may have them."""
+    """Ids of servos on the same bus that turn the wheels, so that no joint may use them."""
     joint: Mapping[str, float] = {}
-    """Defaults of a joint's settings, where the board has other ones than most."""
+    """Defaults of a joint's settings that differ from the usual ones."""
 
 
 class SteeringServo(Data):
-    """The servo of a steered base, as the settings have it."""
+    """The servo of a steered base, from the settings."""
 
     kind: str
     """"pwm" or "bus"."""
@@ -31,7 +31,7 @@ class SteeringServo(Data):
     centre: int
     """Its pulses for straight ahead."""
     per_rad: float
-    """Pulses more for a radian to the left; negative: fewer."""
+    """Pulses added for one radian to the left; negative: subtracted."""
     most_rad: float
     """The largest angle to each side."""
 
@@ -44,8 +44,8 @@ class Facts(Data):
     imu: bool
     """The board has an IMU."""
     arm: ArmFacts | None = None
-    """None: the board has no servos for an arm."""
+    """None if the board has no servos for an arm."""
     steers: bool = False
     """The board can turn the servo of a steered base."""
     defaults: Mapping[str, float] = {}
-    """Defaults of settings by their keys, where the board has other ones than most."""
+    """Defaults of settings, by key, that differ from the usual ones."""

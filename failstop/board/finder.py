@@ -1,10 +1,10 @@
-"""Finding the board again after its port was lost: which of the serial ports that are there is the board.
+"""Finder: after the port was lost, finds out which of the present serial ports is the board.
 
-The path of the settings does not say: a hub that resets may hand the board's number, or its link, to a look-alike. So
-the board is known by what its USB device reports, and by the socket that it is plugged into where that is not enough.
-CHOICES is the policy.
+The path in the settings is not enough, because a hub that resets may give the board's number, or its link, to a
+look-alike. So the board is recognised by what its USB device reports and, if that is not enough, by the socket it is
+plugged into. CHOICES is the policy.
 
-A tty whose descriptor somebody holds over an unplug keeps its number, so that the board comes back as another one.
+If a process keeps a tty open over an unplug, its number stays in use, so the board comes back with another one.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from failstop.board.wire import Port
 
 SEARCH_EVERY_NS = 10_000_000
-"""How often sysfs is searched, which takes some 0.1 ms."""
+"""How often sysfs is searched, which takes about 0.1 ms."""
 USB_DEPTH = 6
-"""A tty is so many directories below its USB device at most."""
+"""A tty is at most this many directories below its USB device."""
 SERIAL_NODES = ("ttyACM", "ttyUSB")
 
 
@@ -35,15 +35,15 @@ class Device:
         self.vendor = vendor
         self.product = product
         self.serial = serial
-        """Empty if the device has none. Many adapters have none, and some makers give all of theirs the same."""
+        """Empty if the device has none. Many adapters have none, and some makers give all of theirs the same one."""
         self.part = part
-        """The port among several of one device: the USB interface, and the number in it."""
+        """The port among several on one device: the USB interface, and the port's number in it."""
         self.place = place
         """The socket: the bus and the number of the port on each hub, such as 1-1.2."""
 
     @property
     def what(self) -> tuple[str, ...]:
-        """The words of the device about itself: the same in every socket."""
+        """The device's own description, which is the same in every socket."""
         return self.vendor, self.product, self.serial, self.part
 
     @property
@@ -62,8 +62,8 @@ class Device:
 
 
 def identity(device: str, like: Device | None = None) -> Device | None:
-    """The USB device above a tty's `device` link in sysfs. None if there is none, as for a pty or a serial pin, and if
-    it has another vendor or product than `like`."""
+    """The USB device above a tty's `device` link in sysfs. None if there is none, as for a pty or a serial pin, or if
+    its vendor or product differs from that of `like`."""
     folder = whole = os.path.realpath(device)
     for _ in range(USB_DEPTH):
         if vendor := _line(f"{folder}/idVendor"):
@@ -72,19 +72,19 @@ def identity(device: str, like: Device | None = None) -> Device | None:
                 return None
             interface = whole[len(folder) + 1 :].partition("/")[0].partition(":")[2]
             part = f"{interface} {_line(f'{whole}/port_number')}".rstrip()
-            # The kernel answers this under the device's lock, so it may take long while that device is being reset.
+            # The kernel answers this under the device's lock, so it may take long while the device is being reset.
             return Device(vendor, product, _line(f"{folder}/serial"), part, os.path.basename(folder))
         folder = os.path.dirname(folder)
     return None
 
 
 def of_number(number: int, sysfs: str = "/sys") -> Device | None:
-    """The USB device of a character device's number. None: it has none."""
+    """The USB device of a character device's number; None if it has none."""
     return identity(f"{sysfs}/dev/char/{os.major(number)}:{os.minor(number)}/device")
 
 
 def usb_ports(like: Device | None, sysfs: str = "/sys") -> dict[str, Device]:
-    """Every serial port on USB that is there, by its path; those alone that share vendor and product with `like`."""
+    """Every serial port on USB, by its path; only those with the vendor and product of `like`, if it is given."""
     try:
         names = os.listdir(f"{sysfs}/class/tty")
     except OSError:
@@ -94,8 +94,8 @@ def usb_ports(like: Device | None, sysfs: str = "/sys") -> dict[str, Device]:
 
 
 def look_alikes(own: Device | None, sysfs: str = "/sys") -> tuple[dict[str, Device], bool]:
-    """The other serial ports with a device's vendor and product, by their paths; and whether one of them has the same
-    serial number too, or none if it has none."""
+    """The other serial ports with a device's vendor and product, by path; and whether one of them also has the same
+    serial number, or also has none."""
     others = {path: device for path, device in usb_ports(own, sysfs).items() if own and device != own}
     return others, any(own and device.what == own.what for device in others.values())
 
@@ -109,14 +109,15 @@ def _line(path: str) -> str:
 
 
 class Search:
-    """The facts that CHOICES decides on: the board as it was known last, and the devices that are there now."""
+    """The facts that CHOICES decides on: the board as it was last known, and the devices present now."""
 
     __slots__ = ("at_path", "board", "devices", "neighbours")
 
     def __init__(
         self, board: Device, neighbours: Iterable[Device], devices: Iterable[Device], at_path: Device | None
     ) -> None:
-        """`neighbours`: other devices that were there while the board was; `at_path`: the one at the settings' path."""
+        """`neighbours`: other devices that were present while the board was; `at_path`: the device at the settings'
+        path."""
         self.board = board
         self.neighbours = frozenset(neighbours)
         self.devices = frozenset(devices)
@@ -143,14 +144,14 @@ class Search:
 
 
 CHOICES: tuple[tuple[Callable[[Search], list[Device]], bool], ...] = (
-    # the devices that this row is about                          it is the board for sure
-    (Search.in_place, True),  # itself, in the socket where it was
+    # the devices that this row is about                          whether it is the board for sure
+    (Search.in_place, True),  # the same device, in the socket where it was
     (Search.with_its_serial, True),  # its serial number, in another socket
     (Search.without_serial, False),  # no serial numbers: one like it, in another socket
     (Search.in_its_stead, False),  # a spare: one of the same kind at the path, in the socket where the board was
 )
-"""The device to take for the board: the first row that has any decides. If it has more than one, nobody can say which
-of them is the board, and none is taken. A device that is not sure is believed once it answers as the board does."""
+"""The device to take for the board: the first row that finds any decides. If it finds more than one, nobody can say
+which is the board, so none is taken. A device that is not sure is believed once it answers as the board does."""
 
 
 def pick(search: Search) -> tuple[Device | None, bool]:
@@ -162,46 +163,46 @@ def pick(search: Search) -> tuple[Device | None, bool]:
 
 
 class Finder:
-    """Where to open the port of one board. `at` is the path where it was opened last."""
+    """Finds the port of one board. `at` is the path where it was last opened."""
 
     __slots__ = ("_board", "_held", "_line", "_look_at_ns", "_neighbours", "_path", "_sysfs", "at", "sure")
 
     def __init__(self, path: str, line: Port, sysfs: str = "/sys") -> None:
-        """`path`: the board's, of the settings."""
+        """`path`: the board's path in the settings."""
         self._line = line
         self._path = path
         self._sysfs = sysfs
         self._board: Device | None = None
-        """The board as it was known last."""
+        """The board as it was last known."""
         self._held: Device | None = None
         """The device that was opened last."""
         self._neighbours: frozenset[Device] = frozenset()
         self._look_at_ns = 0
         self.at = path
         self.sure = True
-        """False while the device that is open was taken for the board because there was none better."""
+        """False while the open device was taken for the board only because no better one was found."""
 
     def learn(self, descriptor: int) -> None:
-        """Take the device that is open for the board, as at the start of a run."""
+        """Take the open device for the board, as at the start of a run."""
         self._board = self._held = self._of_number(os.fstat(descriptor).st_rdev)
 
     @property
     def settled(self) -> bool:
-        """True while the device that is open is the one that was known as the board, where that was."""
+        """True while the open device is the known board, if one was known."""
         return self._held == self._board
 
     def believe(self) -> None:
-        """The device that is open is the board: it has answered as the board does."""
+        """Record that the open device is the board, because it has answered as the board does."""
         self.sure, self._board, self._neighbours = True, self._held, frozenset()
 
     def look_around(self) -> None:
-        """Remember the other devices while the board is there: after a loss they are not the board."""
+        """Remember the other devices while the board is present: after a loss they are not the board."""
         if self.settled and self._board and self._board in (there := frozenset(self._devices().values())):
             self._neighbours = there - {self._board}
 
     def open(self, now_ns: int) -> int:
-        """Open the board's port where it is, exclusively; -1 while it can't be had. Never raises."""
-        if self._board is None:  # nothing but its path is known of it
+        """Open the board's port wherever it is, exclusively; -1 if that fails. Never raises."""
+        if self._board is None:  # only its path is known
             return self._open(self._path, None, sure=True)
         at_path = self._at_path()
         if at_path == self._board:
@@ -215,7 +216,7 @@ class Finder:
         return self._open(path, device, sure=sure) if path else -1
 
     def misplaced(self) -> bool:
-        """True if the board is there for sure, and is not the device that is open."""
+        """True if the board is present for sure, and is not the open device."""
         if self.settled or self._board is None:
             return False
         device, sure = pick(Search(self._board, self._neighbours, self._devices().values(), self._at_path()))
@@ -226,7 +227,7 @@ class Finder:
         if descriptor < 0:
             return -1
         self._held = self._of_number(os.fstat(descriptor).st_rdev)
-        if device and self._held != device:  # the number has become another's meanwhile
+        if device and self._held != device:  # another device has got the number meanwhile
             port.close_port(descriptor)
             return -1
         self.at, self.sure = path, sure
@@ -243,6 +244,6 @@ class Finder:
             return None
 
     def _devices(self) -> dict[str, Device]:
-        """Those that are like the board; the one that the settings' path leads to is found there first."""
+        """The devices that are like the board, by path; the device at the settings' path comes under that path."""
         at_path = self._at_path()
         return ({self._path: at_path} if at_path else {}) | usb_ports(self._board, self._sysfs)

@@ -1,12 +1,12 @@
-"""Handled: up to which write the board has certainly handled what was written to it. Pure.
+"""Handled: up to which write the board has certainly handled the bytes written to it. Pure.
 
-No answer on these wires says which question it belongs to, and no echo says which frame. But the board handles frames
-in the order in which they were written, and whatever was lost on the way, what comes back is in that order too. So of
-all places at which the answers fit into what was written, the earliest is never later than the true one. That place is
-what counts: a delay can't make an old answer prove a new stop.
+An answer does not say which question it belongs to, nor an echo which frame. But the board handles frames in the order
+in which they were written, and its answers come back in that order too, whatever was lost on the way. So among all the
+places where the answers fit the writes, the earliest is never later than the true one. That place is what counts: then
+no delay can make an old answer prove a new stop.
 
-After a loss the earliest place lags behind the true one, and a stop may then be acknowledged late or not at all. It
-catches up soon where what is written follows no regular order (schedule.Pings, Motion.marked).
+After a loss the earliest place lags behind the true one, so a stop may be acknowledged late or not at all. It catches
+up soon if the writes follow no regular order (schedule.Pings, Motion.marked).
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from failstop.board.interface import Value
 
 COMMANDED = 255
-"""In the place of a ping's index: what was written is a command."""
+"""Stands in place of a ping's index: a command was written."""
 GIVEN_UP_NS = 10_000_000_000
-"""A question that was not answered for as long never will be. Every stop proof rests on this: a line that holds bytes
-back for longer, there and back together, may make a late answer look like an early one."""
+"""A question that was not answered for this long never will be. Every proof of a stop rests on this: on a line that
+holds bytes back for longer, there and back together, a late answer could look like an early one."""
 COMMANDS_KEPT = 512
 ONE_STOP_NS = 20_000_000
-"""Stops of several writers within this time are one stop: each answers the same cause."""
+"""Stops of several writers within this time are one stop, because all answer the same cause."""
 MARGIN_NS = 100_000_000
-"""A board's own watchdog may be early by as much."""
+"""A board's own watchdog may be early by this much."""
 
 
 class Answers:
@@ -40,12 +40,12 @@ class Answers:
         self._open: deque[tuple[int, int]] = deque()
 
     def asked(self, index: int, asked_ns: int) -> None:
-        """The question of this index is about to be written."""
+        """Record that the question with this index is about to be written."""
         self._open.append((index, asked_ns))
 
     def answered(self, indices: Sequence[int], came_ns: int) -> int:
-        """When the earliest question was asked that this can be the answer to; 0: none can. `indices`: those that are
-        answered like this. All before it are closed: what was not answered in its turn was lost."""
+        """When the earliest question was asked that this can be the answer to; 0 if none can. `indices`: the questions
+        that have this answer. All earlier ones are closed: they were lost."""
         while self._open and came_ns - self._open[0][1] > GIVEN_UP_NS:
             self._open.popleft()
         for at, (index, asked_ns) in enumerate(self._open):
@@ -59,33 +59,33 @@ class Answers:
 
 
 class Echo:
-    """Commands that the board may still say it obeys, for a board that is asked nothing.
+    """Commands that the board may still report as obeyed, for a board without pings.
 
-    An echo of zeros proves a stop only when the echo of motion came before it: a board whose command wire is broken
-    says zero too. It also says so when its own watchdog has acted, so the motion must be younger than that.
+    An echo of zeros proves a stop only if the echo of motion came before it, because a board with a broken command wire
+    reports zero too. The board also reports zero when its own watchdog has acted, so the motion must be younger than
+    that.
     """
 
     def __init__(self, fades_ns: int) -> None:
-        """`fades_ns`: so long after the last frame its watchdog sets the command to zero; 0: it has none."""
+        """`fades_ns`: how long after the last frame its watchdog sets the command to zero; 0: it has none."""
         self._fades_ns = max(1, fades_ns - MARGIN_NS) if fades_ns else 0
         self._open: deque[tuple[tuple[float, ...], int]] = deque(maxlen=COMMANDS_KEPT)
         self._written: tuple[float, ...] | None = None
         self._obeyed: tuple[float, ...] | None = None
         self._moved_ns = 0
-        """When the motion was written that it said last to obey; 0: it does not say that it moves."""
+        """When the motion that it last reported as obeyed was written; 0 if it does not report motion."""
         self.faded_ns = 0
-        """When the motion was written after which it heard nothing more, so that its own watchdog set the command to
-        zero; 0: it does not say zero, or for another reason."""
+        """When the last motion it heard was written, if its own watchdog has set the command to zero since; else 0."""
 
     def wrote(self, speeds: Sequence[float], written_ns: int) -> None:
-        """A command was written; of equal ones in a row the first counts."""
+        """Record that a command was written; of equal ones in a row the first counts."""
         if (written := tuple(speeds)) != self._written:
             self._written = written
             self._open.append((written, written_ns))
 
     def obeyed(self, speeds: Sequence[float], came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """When the stop was written that this report proves; 0: it proves none. `others_ns`: when other processes have
-        written a stop last."""
+        """When the stop that this report proves was written; 0 if it proves none. `others_ns`: when other processes
+        last wrote a stop."""
         if (obeyed := tuple(speeds)) == self._obeyed:
             return 0
         self._obeyed = obeyed
@@ -110,7 +110,7 @@ class Echo:
         return latest_ns
 
     def _earliest(self, speeds: tuple[float, ...], came_ns: int) -> tuple[int, int]:
-        """The place of the earliest such command, and when it was written; zeros: there is none."""
+        """The place of the earliest such command, and when it was written; zeros if there is none."""
         for at, (written, written_ns) in enumerate(self._open):
             if written_ns > came_ns:
                 break
@@ -124,24 +124,24 @@ class Echo:
 
 
 class Handled:
-    """Follows how much a board has handled, by all that it says: wrote() everything that was written, then heard()."""
+    """Follows how much a board has handled, by everything it reports. Call wrote() for each write, then heard()."""
 
     def __init__(self, board: Board, since_ns: int = 0) -> None:
-        """`since_ns`: what was written until then is known to be handled."""
+        """`since_ns`: everything written until then is known to be handled."""
         self._board, self._since_ns = board, since_ns
         self._answers, self._echo = Answers(), Echo(board.fades_ns)
         self._by_echo = board.echo_ns > 0
         self._zeros = False
         self.asked_ns = 0
-        """When the newest question was written that is known to be answered."""
+        """When the newest question that is known to be answered was written."""
 
     @property
     def faded_ns(self) -> int:
-        """As in Echo."""
+        """See Echo."""
         return self._echo.faded_ns
 
     def wrote(self, index: int, speeds: Sequence[float], written_ns: int) -> None:
-        """The ping of this index is about to be written, or, where the index is COMMANDED, these speeds."""
+        """Record that the ping with this index, or (index COMMANDED) these speeds, are about to be written."""
         if written_ns <= self._since_ns:
             return
         if index == COMMANDED:
@@ -150,8 +150,8 @@ class Handled:
             self._answers.asked(index, written_ns)
 
     def heard(self, kind: int, said: Value, came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Returns the time of a write (ns): by what the board has said at `came_ns` it has handled everything up to
-        there, and obeys a stop among it. 0: nothing new is proved. `others_ns`: as in Echo."""
+        """Takes what the board reported at `came_ns` and returns the time of a write (ns): the board has handled
+        everything up to there, and obeys a stop among it. 0: nothing new is proved. `others_ns`: see Echo."""
         if kind == HEARD_PONG:
             if not (asked_ns := self._answers.answered(said, came_ns)):
                 return 0

@@ -1,7 +1,7 @@
-"""Interface: the things that failstop needs of a motor board. One value is handed to each process at its start.
+"""Interface: everything that failstop needs from a motor board. Each process gets one Board at its start.
 
 described.py makes a Board from a description (wire.py). A board with a gamepad or keys is a class of its own in its
-folder, and an arm is one optional part of a board (ServoBus).
+folder. An arm is one optional part of a board (ServoBus).
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
     Value = tuple[Any, ...]
     Said = tuple[int, Value]
-    """A kind, and what is said of it."""
+    """The kind of a report, and its value."""
 
 PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW = range(3)
-"""The writers of stops, as the rows of `repeats_ns`; whoever writes without a service has the last one's."""
+"""The writers of stops, as the rows of `repeats_ns`. A program that writes without a service has the last row."""
 HEARD_IMU, HEARD_BATTERY, HEARD_PAD, HEARD_KEY, HEARD_SERVO, HEARD_PONG, HEARD_WHEELS, HEARD_OBEYED, HEARD_HEALTH = (
     range(9)
 )
 HEARD_ODD, HEARD_RESTARTED, HEARD_FIRMWARE = 9, 10, 11
-"""The kinds of what a board says, as a Hearing tells them."""
+"""The kinds of reports, as a Hearing returns them."""
 BUTTONS = {
     "L2": 0x0001,
     "R2": 0x0002,
@@ -40,46 +40,46 @@ BUTTONS = {
     "L1": 0x4000,
     "R1": 0x8000,
 }
-"""The buttons of a gamepad, a bit each."""
+"""The buttons of a gamepad, one bit each."""
 BY_ANSWER, BY_ECHO = "answer", "echo"
-"""Proofs that a stop was parsed: the answer to a ping behind it, or the report of the command that is obeyed."""
+"""Proofs that a stop was parsed: the answer to a ping after it, or the report of the command that is obeyed."""
 BY_IMU, BY_WHEELS = "IMU", "wheels"
-"""The proofs that the wheels stand: the IMU's, or the board's reports of their speeds or positions."""
+"""Proofs that the wheels are at rest: by the IMU, or by the board's reports of their speeds or positions."""
 
 
 class WheelReports(Data):
-    """How to read the reports of the wheels (HEARD_WHEELS) of one board, in this robot's units."""
+    """How to read one board's reports about the wheels (HEARD_WHEELS), in this robot's units."""
 
     every_ns: int
     """The longest time between two reports of a healthy board in a running service, ns; 0: it reports nothing."""
     speed_per_rps: float
-    """One turn a second in the unit of the reported speeds; 0: it reports none."""
+    """One turn per second in the unit of the reported speeds; 0: it reports none."""
     position_per_turn: float
-    """How much a position grows in one turn of its wheel; 0: positions tell no more than rest."""
+    """How much a position grows in one turn of its wheel; 0: positions only show rest."""
     wraps: float
     """Positions are counted modulo this; 0: they never wrap."""
     holds_speed: bool
-    """The board holds the speed that it was told; False: it sets a voltage."""
+    """True if the board holds the commanded speed; False if it sets a voltage."""
     own_scale: bool
-    """The reports do not depend on the setting board.per_rps."""
+    """True if the reports do not depend on the setting board.per_rps."""
     position_step: float = 0.0
-    """Positions are whole multiples of this, cut towards zero; 0: too fine to matter."""
+    """Positions are whole multiples of this, truncated towards zero; 0: too fine to matter."""
 
 
 UNKNOWN_EVERY_NS = 1_000_000_000
-"""For a board whose description does not say how often it reports."""
+"""Used for a board whose description does not say how often it reports."""
 NO_WHEEL_REPORTS = WheelReports(0, 0.0, 0.0, 0.0, holds_speed=False, own_scale=False)
 
 
 class Hearing:
-    """Bytes from the board, in; what they say, out: pairs of a kind and its value.
+    """Takes bytes from the board, and returns reports: pairs of a kind and its value.
 
-    HEARD_IMU: acceleration x y z in g, turn rate x y z in degrees a second. HEARD_BATTERY: mV, 0 for no battery.
+    HEARD_IMU: acceleration x y z in g, turn rate x y z in degrees per second. HEARD_BATTERY: mV, 0 for no battery.
     HEARD_PAD: the gamepad's buttons as in BUTTONS, hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY: id and event.
-    HEARD_SERVO: id, what was asked, its answer. HEARD_PONG: the indices of the pings that it may answer. HEARD_WHEELS:
+    HEARD_SERVO: id, the question, its answer. HEARD_PONG: the indices of the pings that it may answer. HEARD_WHEELS:
     (speeds, positions), each empty if the board does not report it. HEARD_OBEYED: the speeds of the command that it
-    follows now. HEARD_HEALTH: of each servo its id, its load (-1 to 1) and its temperature in degrees Celsius.
-    HEARD_ODD: what a report was about, and its value as text; the value is impossible, so it counts as not reported.
+    follows now. HEARD_HEALTH: for each servo its id, its load (-1 to 1) and its temperature in degrees Celsius.
+    HEARD_ODD: the name of a reported value that is impossible, and the value as text; it counts as not reported.
     HEARD_RESTARTED: the text that the board sends when it starts. HEARD_FIRMWARE: the name of a firmware that differs
     from the usual one, once.
     """
@@ -87,28 +87,29 @@ class Hearing:
     __slots__ = ()
 
     def feed(self, chunk: bytes) -> list[Said]:
-        """All that these bytes complete, in order. Never raises."""
+        """All reports that these bytes complete, in order. Never raises."""
         raise NotImplementedError
 
     def reset(self) -> None:
-        """Forget what is not complete, as after the port was reopened."""
+        """Forget an incomplete report, for example after the port was reopened."""
         raise NotImplementedError
 
 
 class ServoBus:
-    """The servos of an arm, as failstop speaks to them: their ids are 1 to 253, their positions pulses
-    (ArmFacts of facts.py). What can be asked of a servo is in servos.py."""
+    """The servos of an arm, as failstop talks to them: their ids are 1 to 253, their positions pulses (ArmFacts in
+    facts.py). servos.py lists what a servo can be asked."""
 
     __slots__ = ()
 
     beside_wheels: bool
-    """The arm may move while the wheels may turn: no stop waits for a servo."""
+    """True if the arm may move while the wheels may turn, because no stop waits for a servo."""
     holds_by_goal: bool
-    """A servo goes on to its last goal, which a stop leaves as it is: a few degrees ahead in a stream of moves. If it
-    lags behind, it is sent where it was read."""
+    """True if a servo moves on to its last goal, which a stop does not change; in a stream of moves that is a few
+    degrees ahead. If the servo lags behind, it is sent to where it was read."""
 
     def stops(self, servos: Sequence[int]) -> bytes:
-        """What stops these servos, written behind the burst in the same write; empty if a stop leaves them alone."""
+        """The frames that stop these servos, written after the burst in the same write; empty if a stop leaves them
+        alone."""
         raise NotImplementedError
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
@@ -120,109 +121,109 @@ class ServoBus:
         raise NotImplementedError
 
     def look(self, servos: Sequence[int]) -> bytes:
-        """The frame that asks a few servos for their positions at once, also while they move; empty if the board has no
-        such frame. Raises FrameError."""
+        """The frame that asks a few servos for their positions at once, even while they move; empty if the board has
+        none. Raises FrameError."""
         raise NotImplementedError
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
-        """The frame that switches the torque of a servo that is `at` these pulses. Raises FrameError."""
+        """The frame that switches the torque of a servo whose position is `at`. Raises FrameError."""
         raise NotImplementedError
 
     def command(self, frame: bytes) -> int:
-        """The command of a frame that has passed check(), one of those in servos.py."""
+        """The command in a frame that has passed check(), one of those in servos.py."""
         raise NotImplementedError
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """Why these bytes must not be written as a frame for an arm with these servos; "" if they may. A frame that
-        passes holds the board's receiver for no longer than servos.HELD_NS, unless it asks a question."""
+        """Why these bytes must not be written as a frame for an arm with these servos; "" if they may. Unless it is a
+        question, a frame that passes holds the board's receiver for no longer than servos.HELD_NS."""
         raise NotImplementedError
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
-        """Where a frame sends servos: (id, pulses, ns that the move takes; 0: as fast as the servo can) each. Empty for
-        other bytes. Never raises."""
+        """Where a frame sends servos: (id, pulses, duration of the move in ns; 0: as fast as the servo can) each. Empty
+        for other bytes. Never raises."""
         raise NotImplementedError
 
     def held_ns(self, frame: bytes) -> int:
-        """How long a frame that has passed check() holds the receiver at most."""
+        """The longest time that a frame which has passed check() holds the receiver."""
         raise NotImplementedError
 
 
 class Board:
-    """The board's language, as far as failstop speaks it: constants and pure functions."""
+    """The board's language as failstop uses it: constants and pure functions."""
 
     __slots__ = ()
 
     name: str
-    """For people: which board it is, as "an Arduino with ..."."""
+    """For people: the name of the board, such as "an Arduino with ..."."""
     port: Port
-    """How its serial port is set up, and how long it is deaf then."""
+    """How its serial port is set up, and how long the board is deaf after that."""
     idle_ns: int
-    """How long the line has to be silent after a write before anything but a stop may be written; 0: no time."""
+    """How long the line must be silent after a write before anything but a stop may be written; 0: not at all."""
     after_ns: int
-    """How long the line has to be silent behind a stop, even before the next stop; 0: stops may touch."""
+    """How long the line must be silent after a stop, even before the next stop; 0: stops may touch."""
     repeats_ns: tuple[tuple[int, ...], ...]
     """A row for each writer (PORT_OWNER_ROW ...): how long after a stop it is written again. Writers that can't see
-    each other's bytes have different times, so that no two of them touch twice in a row."""
+    each other's bytes have different times, so that no two touch twice in a row."""
     stop: bytes
-    """The frame that sets every wheel to zero: the very bytes of motor_speeds with zeros."""
+    """The frame that sets every wheel to zero: exactly the bytes of motor_speeds for zeros."""
     burst: bytes
     """One write that stops the wheels whatever state the board's receiver is in."""
     first_stop: bytes
-    """The beginning of the burst, up to its first stop frame; all of it where it is one stop."""
+    """The start of the burst, up to its first stop frame; the whole burst if it is one stop."""
     refresh: bytes
-    """The stop that is written five times a second while stopped, for a board that restarts or wakes."""
+    """The stop that is written five times a second while stopped, for a board that restarts or wakes up."""
     pings: tuple[bytes, ...]
-    """Frames, layout.PINGS at most, that move nothing and are answered, in order with all others; all different, so
-    that an answer says which of them it answers. Or none."""
+    """Frames, layout.PINGS at most, that move nothing and are answered, in order with all others. All differ, so that
+    an answer says which ping it answers. May be empty."""
     ping_ns: int
-    """The longest time between two pings that the board's own proofs need; 0: any."""
+    """The longest time between two pings that the board's proofs need; 0: any."""
     echo_ns: int
-    """A command of zeros that the board says it obeys was written this long before at least; 0: it says nothing of
-    it."""
+    """When the board reports that it obeys zeros, the command was written at least this long before; 0: it does not
+    report it."""
     silent_ns: int
-    """Its reports of its wheels, or of its IMU, never pause for so long unless it restarts; 0: it reports nothing."""
+    """Its reports about its wheels, or its IMU, never pause for this long unless it restarts; 0: it reports nothing."""
     arming: bytes
-    """The frame that sets its own watchdog, which a restart undoes: it is written before the first motion of each
-    enable. Empty: there is none."""
+    """The frame that sets its own watchdog, which a restart undoes. It is written before the first motion after each
+    enable. Empty if there is none."""
     fades_ns: int
-    """So long after the last frame its own watchdog has it report zeros; 0: it has none, or reports no command."""
+    """How long after the last frame its own watchdog makes it report zeros; 0: it has none, or reports no command."""
     acknowledged_by: str
-    """BY_ANSWER or BY_ECHO; empty: it acknowledges nothing."""
+    """BY_ANSWER or BY_ECHO; empty if it acknowledges nothing."""
     observed_by: str
     """BY_IMU or BY_WHEELS."""
     per_rps: float
-    """One turn a second of a wheel in the unit of its motion."""
+    """One turn per second of a wheel in the unit of its motion."""
     scale_assumed: bool = False
     """Nobody knows that `per_rps` is right: it depends on this robot's motors and encoders and the board's reports
     share it, or a person wrote it, and the setting board.per_rps_confirmed is not the same number."""
     reports: WheelReports
-    """What it says of its wheels, and how to read it."""
+    """What it reports about its wheels, and how to read it."""
     wheels: int
-    """How many speeds a frame sets, at most box.MOST_SPEEDS: their wire ids are counted from 0."""
+    """How many speeds a frame sets, at most box.MOST_SPEEDS. Their wire ids are counted from 0."""
     most_rps: float
-    """The fastest wheel that it can be told."""
+    """The highest wheel speed that it can be sent."""
     step_rps: float
-    """Speeds are told in multiples of this, rounded towards zero; 0: any speed."""
+    """Speeds are sent in multiples of this, truncated towards zero; 0: any speed."""
     usb: tuple[str, ...]
-    """Vendor:product, in hexadecimal, of USB ports of its own."""
+    """Vendor:product, in hexadecimal, of the board's own USB ports."""
     usb_alone: bool
-    """It is at a USB port of its own and nowhere else: not behind an adapter, not on serial pins."""
+    """True if it can only be on its own USB port: not behind an adapter, not on serial pins."""
     commanders: tuple[Commander, ...]
-    """Those beside failstop who can command its wheels."""
+    """What else, besides failstop, can command its wheels."""
     arm: ServoBus | None
-    """The servos of an arm, where the board has them."""
+    """The servos of an arm, if the board has them."""
 
     def hearing(self) -> Hearing:
-        """A reader of what it sends, with nothing read yet."""
+        """A new reader for its bytes."""
         raise NotImplementedError
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """The frame that sets all wheels, in rps by wire id, each within plus or minus max_rps. Raises FrameError, for
-        a speed that is not finite and for another number of them too."""
+        """The frame that sets all wheels, in rps by wire id, each within plus or minus max_rps. Raises FrameError, also
+        for a speed that is not finite or a wrong number of speeds."""
         raise NotImplementedError
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """Why these bytes must not be written as a motion frame; "" when they may. Never raises on bytes."""
+        """Why these bytes must not be written as a motion frame; "" if they may. Never raises on bytes."""
         raise NotImplementedError
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
@@ -230,17 +231,18 @@ class Board:
         raise NotImplementedError
 
     def commanded(self, frame: bytes) -> Sequence[float] | None:
-        """The speeds that the board will report when it obeys this motion frame or stop; None: it reports none, or
-        these are other bytes. Never raises."""
+        """The speeds that the board will report when it obeys this motion frame or stop; None if it reports none, or
+        for other bytes. Never raises."""
         return None
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """A motion frame that is sent again, for the `turn`th time, a trifle slower by its turn: reports of a steady
-        command could not tell whether frames still arrive. The frame itself, where no report proves anything."""
+        """A motion frame that is sent again, for the `turn`th time, made slightly slower depending on the turn, because
+        reports of a steady command could not show whether frames still arrive. The frame itself if no report proves
+        anything."""
         return frame
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
-        """The frame that sounds its buzzer; empty: it has none. Raises FrameError."""
+        """The frame that sounds its buzzer; empty if it has none. Raises FrameError."""
         raise NotImplementedError
 
     def check_aux(self, frame: bytes) -> str:

@@ -1,4 +1,5 @@
-"""Kinds: the boards that failstop knows, each by the folder that describes it: one of this room, or the user's own."""
+"""Kinds: the boards that failstop knows, each by the folder that describes it: a folder of failstop/board, or your
+own."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
     from failstop.board.wire import Wire
 
 KINDS = ("arduino", "feetech", "hoverboard", "ugv")
-"""The boards of this room that a Wire describes."""
+"""The boards in failstop/board that a Wire describes."""
 ALL_KINDS = ("rrc", *KINDS)
 """All boards of this room, the usual one first."""
 SAME_PER_RPS = 0.01
@@ -20,18 +21,18 @@ SAME_PER_RPS = 0.01
 
 
 def is_own(kind: str) -> bool:
-    """A path is a folder of the user's own, which a Wire describes."""
+    """True for a path, which names your own folder with a Wire."""
     return kind.startswith("/")
 
 
 def is_described(kind: str) -> bool:
-    """A Wire describes it."""
+    """True if a Wire describes it."""
     return kind in KINDS or is_own(kind)
 
 
 def facts_of(kind: str) -> Facts | None:
-    """What the settings need to know of one of ALL_KINDS; None for a board in a folder of your own. It imports the
-    facts of that board alone."""
+    """What the settings need to know about one of ALL_KINDS; None for a board in your own folder. Imports the facts of
+    that board only."""
     if kind not in ALL_KINDS:
         return None
     facts: Facts = __import__(f"failstop.board.{kind}.facts", fromlist=["FACTS"]).FACTS
@@ -39,8 +40,8 @@ def facts_of(kind: str) -> Facts | None:
 
 
 def wire_of(kind: str, *, tried: bool = False) -> Wire:
-    """The description of one of KINDS, or of an own board. `tried`: it was loaded before this process was started, so
-    no child tries that first (own.py). Nothing of another board is imported. Raises ValueError."""
+    """The description of one of KINDS, or of your own board. `tried`: it was loaded before this process was started, so
+    no child process tries it first (own.py). Imports nothing of other boards. Raises ValueError."""
     if is_own(kind):
         from failstop.board import own
 
@@ -52,8 +53,8 @@ def wire_of(kind: str, *, tried: bool = False) -> Wire:
 
 
 def watchdog_of(kind: str) -> tuple[float, str]:
-    """The board's own watchdog: after how long it acts, in s (0: it has none), and what it does, as wire.py words it.
-    An own board is not looked at."""
+    """The board's own watchdog: after how many s it acts (0: it has none), and what it does, in wire.py's words. Your
+    own board is not looked at."""
     if kind not in KINDS:
         return 0.0, ""
     watchdog = wire_of(kind).watchdog

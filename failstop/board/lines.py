@@ -1,4 +1,4 @@
-"""Lines: what boards share that are commanded by lines of text, and answer in lines."""
+"""Lines: shared code for boards that take commands as lines of text, and answer in lines."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
 
 
 class MotionLine:
-    """The line that sets the speeds of left and right; its methods are those that wire.Motion asks for."""
+    """The line that sets the speeds of left and right; its methods are the ones that wire.Motion needs."""
 
     def __init__(self, form: re.Pattern[bytes], write: Callable[[float, float], bytes], most: float, unit: str) -> None:
-        """`form`: has a group for each speed; `write`: makes the line, rounded towards zero; `most`: the largest speed
-        that the board takes, in its `unit`."""
+        """`form`: a pattern with a group for each speed; `write`: makes the line, truncated towards zero; `most`: the
+        largest speed that the board takes, in its `unit`."""
         self._form, self._write, self._most, self._unit = form, write, most, unit
 
     def frame(self, both: Sequence[float], limit: float) -> bytes:
@@ -23,12 +23,12 @@ class MotionLine:
         return self._write(*two_speeds(both, limit, self._most, self._unit))
 
     def speeds(self, frame: bytes) -> tuple[float, float] | None:
-        """Left and right of a motion line; None for other bytes."""
+        """Left and right in a motion line; None for other bytes."""
         found = self._form.fullmatch(frame)
         return (float(found[1]), float(found[2])) if found else None
 
     def check(self, frame: bytes, limit: float) -> str:
-        """Why these bytes must not be written as a motion line; "" when they may. Never raises on bytes."""
+        """Why these bytes must not be written as a motion line; "" if they may. Never raises on bytes."""
         found = self.speeds(frame)
         if found is None:
             return "not a motion line"
@@ -38,10 +38,10 @@ class MotionLine:
 
 
 class LineReader(Reader):
-    """The samples in the lines of a board."""
+    """The samples in the lines that a board sends."""
 
     def __init__(self, samples: Callable[[bytes], list[Sample]], longest: int) -> None:
-        """`samples`: of one line; `longest`: bytes that are kept of one that is not complete, the last ones."""
+        """`samples`: those of one line; `longest`: how many bytes of an incomplete line are kept, from its end."""
         self._samples, self._longest, self._kept = samples, longest, b""
 
     def feed(self, chunk: bytes) -> list[Sample]:

@@ -1,13 +1,13 @@
-"""Own: a board that a folder of yours describes, by a module wire.py with a Wire named WIRE. A line of it says for
-which vocabulary it was written; it is read before the module is run.
+"""Own: your own board, described by a folder with a module wire.py that has a Wire named WIRE.
 
-Its modules import each other with a dot (`from . import codec`) and failstop's as any program does. They run as root in
-every process of the service, so anyone who may write them may drive. That is why the folder, everything in it and every
-folder and link on the way to it must belong to root or to the service's user, and nobody else may write there. Only
-source is imported, and it is read through the very descriptor that was checked.
+One of its lines says for which vocabulary it was written; failstop reads that line before it runs the module. The
+modules import each other with a dot (`from . import codec`), and failstop's modules as any program does. They run as
+root in every process of the service, so anyone who may write them may drive. That is why the folder, everything in it
+and every folder and link on the way to it must belong to root or to the service's user, and nobody else may write
+there. Only source is imported, and it is read through the same descriptor that was checked.
 
-A description is a program, so it may hang or exit. Before it runs in this process, a child of this process loads it and
-asks it about itself (sound.py). If the child dies, or has not finished within LIMIT_S, the description is refused.
+A description is a program, so it may hang or exit. Before it runs in this process, a child process loads it and calls
+its functions (sound.py). If the child dies, or has not finished within LIMIT_S, the description is refused.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ if TYPE_CHECKING:
     from failstop.board.wire import Wire
 
 OWN_PACKAGE = "failstop_own_board"
-"""The name under which Python knows it."""
+"""The package name of its modules in Python."""
 SAYS = b"VOCABULARY = "
-"""The begin of the line of its wire.py that says for which vocabulary it was written."""
+"""How the line in its wire.py begins that says for which vocabulary it was written."""
 LIMIT_S = 5.0
-"""How long its modules may take to load and to answer; ours take 20 ms."""
+"""How long its modules may take to load and to answer; failstop's own take 20 ms."""
 _MOST_LINKS = 40
 _MOST_FILES = 2000
 _MOST_BYTES = 1 << 20
-"""Of one module."""
+"""Size limit of one module."""
 _COMPILED = (".so", ".pyc", ".pyd")
 _SIGKILL = 9
 _SOUND = b"\0"
-"""A child's first byte, once it is through; its complaint follows, if it has one."""
+"""A child's first byte, once it is done; its complaint follows, if it has one."""
 
 
 class OwnBoardError(ValueError):
-    """The folder can't be used; the message names it, and what to do."""
+    """The folder can't be used; the message names it, and says what to do."""
 
     def __init__(self, what: str) -> None:
         super().__init__(f"board.kind: {what}; no stop can be written to it: use the POWER SWITCH")
@@ -56,8 +56,8 @@ class OwnBoardError(ValueError):
 
 
 def wire(folder: str, *, tried: bool = False) -> Wire:
-    """The description of that board. `tried`: the process that started this one has had it loaded and asked by a child
-    already. Raises OwnBoardError."""
+    """The description of that board. `tried`: the process that started this one has already had a child process load
+    and test it. Raises OwnBoardError."""
     from failstop.board.wire import VOCABULARY, Wire
 
     _check(folder)
@@ -69,7 +69,7 @@ def wire(folder: str, *, tried: bool = False) -> Wire:
 
 
 def load(folder: str, name: str, value: str, *, tried: bool = False) -> Any:
-    """A value of a module of that folder. `tried`: as for wire(). Raises OwnBoardError."""
+    """A value from a module in that folder. `tried`: as for wire(). Raises OwnBoardError."""
     _check(folder)
     known = _modules(folder)
     if not tried and name not in known.tried:
@@ -107,17 +107,17 @@ def _check_vocabulary(folder: str, offered: str) -> None:
         raise OwnBoardError(f'{path} {written}, and {offers}: docs/dev/porting.md, "Versions"')
 
 
-# In a child first.
+# In a child process first.
 
 
 def _try(folder: str, name: str, value: str) -> None:
-    """Load and ask it in a child, which may hang or die. Raises OwnBoardError."""
+    """Load and test it in a child process, which may hang or die. Raises OwnBoardError."""
     path = os.path.join(folder, f"{name}.py")
     try:
         reader, writer = os.pipe()
         child = os.fork()
     except OSError:
-        return  # a machine without room for a child must still get its stop
+        return  # even a machine without room for a child must still write its stop
     if child == 0:
         _judge(folder, name, value, writer)
     os.close(writer)
@@ -135,7 +135,7 @@ def _try(folder: str, name: str, value: str) -> None:
 
 
 def _judge(folder: str, name: str, value: str, writer: int) -> None:
-    """The child's part. What it prints goes nowhere, and no handler of its parent's runs at its end."""
+    """The child's part. Its output is dropped, and none of its parent's exit handlers run."""
     try:
         os.setsid()
         _signal.signal(_signal.SIGALRM, _signal.SIG_DFL)
@@ -161,13 +161,13 @@ def _complaint(folder: str, found: object) -> str:
     from failstop.board.wire import Wire
 
     if not isinstance(found, Wire):
-        return ""  # wire() says so
+        return ""  # wire() reports it
     wrong = sound.wrong(found)
     return f"{folder}/wire.py: {wrong}" if wrong else ""
 
 
 def _heard(reader: int, until_s: float) -> bytes | None:
-    """The words of the child; empty when it has ended without a word; None when time is up."""
+    """The child's result; empty if it ended without one; None if time is up."""
     left_s = until_s - time.monotonic()
     if not select.select([reader], [], [], max(0.0, left_s))[0]:
         return None
@@ -175,14 +175,14 @@ def _heard(reader: int, until_s: float) -> bytes | None:
 
 
 def _ended(child: int) -> str:
-    """Kill and collect it, and what it has started; how it had ended, in words."""
+    """Kill and reap the child and everything it has started; returns how it ended, in words."""
     try:
         os.killpg(child, _SIGKILL)
     except OSError:
         _kill(child)  # it has no session of its own yet
     try:
         _, status = os.waitpid(child, 0)
-    except ChildProcessError:  # a parent that ignores its children's ends hands that on
+    except ChildProcessError:  # inherited from a parent that ignores the ends of its children
         return ""
     code = os.waitstatus_to_exitcode(status)
     return f" (signal {-code})" if code < 0 else f" (exit code {code})"
@@ -195,17 +195,17 @@ def _kill(child: int) -> None:
         return
 
 
-# From source alone, by the descriptor that was checked.
+# Only from source, through the descriptor that was checked.
 
 
 class _Modules:
-    """Finds and loads the modules of one folder. No other finder is asked for them, so that no compiled copy beside a
+    """Finds and loads the modules of one folder. No other finder is asked for them, so that no compiled copy next to a
     source, no extension and no subfolder is ever imported."""
 
     def __init__(self) -> None:
         self.folder = ""
         self.tried: set[str] = set()
-        """Modules that a child has loaded."""
+        """Modules that a child process has loaded."""
 
     def find_spec(self, name: str, _path: object = None, _target: object = None) -> ModuleSpec | None:
         package, _, module = name.partition(".")
@@ -230,7 +230,7 @@ _FINDER = _Modules()
 
 
 def _modules(folder: str) -> _Modules:
-    """The finder of the folder's modules. A process has one such board."""
+    """The finder for the folder's modules. A process has only one such board."""
     if _FINDER not in sys.meta_path:
         sys.meta_path.insert(0, _FINDER)
     if _FINDER.folder != folder or OWN_PACKAGE not in sys.modules:
@@ -266,8 +266,9 @@ def _source(path: str) -> bytes:
 
 
 def _open(path: str) -> tuple[int, os.stat_result]:
-    """A descriptor of what is at a whole path, and what it is. Each folder and link on the way is opened without
-    following anything, and checked on its own descriptor, so nobody can change it in between. Raises OwnBoardError."""
+    """A descriptor and the status of the file or folder at a full path. Each folder and link on the way is opened
+    without following links, and checked on its own descriptor, so that nobody can change it in between. Raises
+    OwnBoardError."""
     here, at, links = os.open("/", os.O_PATH | os.O_CLOEXEC), "/", 0
     left = path.split("/")[::-1]
     info = os.fstat(here)
@@ -301,7 +302,7 @@ def _open(path: str) -> tuple[int, os.stat_result]:
 
 
 def _check(folder: str) -> None:
-    """Refuse what another user may change: everything in the folder, and every place on the way to it. Raises
+    """Refuse anything that another user may change: everything in the folder, and every place on the way to it. Raises
     OwnBoardError."""
     fd, info = _open(folder)
     try:
@@ -327,7 +328,7 @@ def _check(folder: str) -> None:
 
 
 def _everything(fd: int, folder: str) -> Iterator[tuple[str, os.stat_result]]:
-    """Everything in a folder and below, each entry by its path."""
+    """Everything in a folder and below, with its path."""
     listed = os.open(".", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC, dir_fd=fd)
     try:
         for name in sorted(os.listdir(listed)):
@@ -345,8 +346,8 @@ def _everything(fd: int, folder: str) -> Iterator[tuple[str, os.stat_result]]:
 
 
 def _check_one(found: os.stat_result, path: str, *, on_the_way: bool = False) -> None:
-    """Raises OwnBoardError. A folder that anyone may write, as /tmp, may be on the way where its sticky bit is set: in
-    it nobody but its owner can take away or rename what belongs to another."""
+    """Raises OwnBoardError. A folder that anyone may write, such as /tmp, may be on the way if its sticky bit is set,
+    because then only the owner of an entry can remove or rename it."""
     if found.st_uid not in (0, os.geteuid()):
         raise OwnBoardError(f"{path} belongs to another user: sudo chown {'-h ' * _is_link(found)}root {path}")
     folder = stat.S_ISDIR(found.st_mode)

@@ -1,8 +1,8 @@
-"""Plausible: which values of a board's report a robot may have. Pure.
+"""Plausible: which values in a board's report are possible on a robot. Pure.
 
-A board may say anything: its battery is not connected, its memory is garbled, or the reader of your own board has a
-bug. A value that can't be is never passed on, clamped or taken for zero: it counts as not reported, and is HEARD_ODD,
-which the service logs once. So whatever comes after this module may rely on finite numbers of these sizes.
+A board may report anything: its battery is not connected, its memory is garbled, or the reader of your own board has a
+bug. An impossible value is never passed on, clamped or taken for zero: it counts as not reported and becomes HEARD_ODD,
+which the service logs once. So all code after this module can rely on finite numbers within these limits.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
     from failstop.board.interface import Said
 
 LEAST_V, MOST_V = 1.0, 1000.0
-"""Of a battery. Less drives no motor: a board that is fed by USB alone measures some hundredths of a volt around
-zero, so it reports no battery, and not an empty one."""
+"""Limits for a battery. A lower voltage drives no motor: a board that is powered by USB alone measures a few hundredths
+of a volt, so it reports no battery, not an empty one."""
 MOST_G, MOST_DPS = 1000.0, 100_000.0
-"""Of an IMU: some 30 times what such sensors measure."""
+"""Limits for an IMU: about 30 times what such sensors measure."""
 MOST_COUNT = 1e15
-"""Of a wheel's speed or position, in any unit: a float still tells its neighbours apart."""
+"""Limit for a wheel's speed or position, in any unit: a float can still tell neighbouring values apart."""
 MOST_REPORTED_WHEELS = 16
 MOST_HEALTH_ROWS = 16
 LONGEST_ODD_TEXT = 60
 """Characters of an odd value that are shown."""
 MOST_ODD_VALUES = 8
-"""Of several values."""
+"""How many of several values are shown."""
 IMPOSSIBLE = (TypeError, ValueError, OverflowError, AttributeError, LookupError)
-"""The errors of a value that is no number, too large a number, or missing."""
+"""The errors raised for a value that is not a number, too large, or missing."""
 
 
 def finite(value: object, most: float) -> float:
@@ -80,7 +80,7 @@ def battery_said(volts: object) -> list[Said]:
 
 
 def imu_said(sample: Iterable[object]) -> list[Said]:
-    """HEARD_IMU of acceleration x y z in g and turn rate x y z in degrees a second, or HEARD_ODD."""
+    """HEARD_IMU with acceleration x y z in g and turn rate x y z in degrees per second, or HEARD_ODD."""
     values = tuple(sample)
     try:
         found = finite_numbers(values[:3], MOST_G, 3, 3) + finite_numbers(values[3:], MOST_DPS, 3, 3)
@@ -90,15 +90,15 @@ def imu_said(sample: Iterable[object]) -> list[Said]:
 
 
 def odd(what: str, value: object) -> list[Said]:
-    """HEARD_ODD: what it is about, and the value for people."""
+    """HEARD_ODD: the name of the value, and the value for people."""
     return [(HEARD_ODD, (what, odd_text(value)))]
 
 
 def odd_text(value: object) -> str:
-    """A value in one printable line of at most LONGEST_ODD_TEXT characters, whatever it is. Never raises."""
+    """Any value in one printable line of at most LONGEST_ODD_TEXT characters. Never raises."""
     try:
         text = ", ".join(map(odd_text, value[:MOST_ODD_VALUES])) if isinstance(value, (list, tuple)) else repr(value)
-    except Exception:  # the repr of somebody else's object, or an integer of more digits than Python prints
+    except Exception:  # the repr of an unknown object, or an integer with more digits than Python prints
         text = f"a value of type {type(value).__name__}"
     line = "".join(c if c.isprintable() else "?" for c in text[: LONGEST_ODD_TEXT + 1])
     return line if len(line) <= LONGEST_ODD_TEXT else f"{line[: LONGEST_ODD_TEXT - 3]}..."

@@ -1,9 +1,9 @@
-"""Opening the board's port: exclusive or not, raw, at the board's speed and with its modem lines in its safe state.
+"""Opening the board's port: exclusive or not, raw, at the board's speed and with its modem lines in their safe state.
 
-Not pyserial: this opening runs in the supervisor's first 150 ms and in the stop tool. Measured (Python 3.11, x86-64):
-`import serial` takes 1.9 ms and 8 modules where this file takes 0.5 ms and 3, and its Serial opens five descriptors
-(two pipes beside the port, to cancel blocking calls) where this opens one. Its `exclusive` is an flock, which keeps
-nobody out who does not ask. Listing ports, where that cost does not matter, is for doctor.
+This does not use pyserial, because the port is opened in the supervisor's first 150 ms and in the stop tool. Measured
+(Python 3.11, x86-64): `import serial` takes 1.9 ms and 8 modules, this file 0.5 ms and 3; its Serial opens five
+descriptors (two pipes besides the port, to cancel blocking calls), this file one. Its `exclusive` is an flock, which
+only keeps out programs that ask for it. Listing ports, where that cost does not matter, is left to doctor.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ CLOSE_S = 0.02
 
 _OPEN_FLAGS = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
 _OTHER_SPEED = termios.B500000
-"""No board's."""
+"""A speed that no board has."""
 _CFLAG = termios.CS8 | termios.CREAD | termios.CLOCAL
 _CFLAG_MASK = _CFLAG | termios.CSIZE | termios.CSTOPB | termios.PARENB | termios.HUPCL | termios.CRTSCTS
 
@@ -88,9 +88,9 @@ def open_port(path: str, *, exclusive: bool, line: Port) -> int:
 
 
 def open_if_there(path: str, line: Port) -> int:
-    """Open a port that may be gone, exclusively; returns -1 while it can't be. Never raises, never looks users up."""
-    # A device is there before udev has given it to its group. Explaining a refused open looks users up, which may take
-    # long; here nobody reads the explanation.
+    """Open a port that may be gone, exclusively; returns -1 if that fails. Never raises, and never looks up users."""
+    # A device exists before udev has given it to its group. Explaining a refused open looks up users, which may take
+    # long, and here nobody reads the explanation.
     if not os.access(path, os.R_OK | os.W_OK):
         return -1
     try:
@@ -100,7 +100,7 @@ def open_if_there(path: str, line: Port) -> int:
 
 
 def waiting_bytes(descriptor: int) -> bytes | None:
-    """Bytes that the board has sent, up to READ_BYTES; empty when none wait, None when the device has gone."""
+    """Bytes that the board has sent, up to READ_BYTES; empty if none wait, None if the device is gone."""
     try:
         return os.read(descriptor, READ_BYTES) or None
     except BlockingIOError:
@@ -110,13 +110,13 @@ def waiting_bytes(descriptor: int) -> bytes | None:
 
 
 def unsent_bytes(descriptor: int) -> int:
-    """Bytes written to the port that the kernel has not passed on yet (TIOCOUTQ), in the driver's unit: bytes, or
-    1280 for each write under way (cdc_acm); on a pty always 0. Raises OSError."""
+    """Bytes written to the port that the kernel has not sent yet (TIOCOUTQ), in the driver's unit: bytes, or 1280 for
+    each write under way (cdc_acm); always 0 on a pty. Raises OSError."""
     return int(_INT.unpack(fcntl.ioctl(descriptor, termios.TIOCOUTQ, _ZERO))[0])
 
 
 def is_read(descriptor: int) -> bool:
-    """True while a service has the port, which reads what the board sends."""
+    """True while a service has the port, and so reads what the board sends."""
     if not _lock(descriptor):
         return True
     fcntl.flock(descriptor, fcntl.LOCK_UN)
@@ -124,8 +124,8 @@ def is_read(descriptor: int) -> bool:
 
 
 def has_lines(descriptor: int) -> bool:
-    """True where the port has modem lines: opening it raises them, whoever opens it (the kernel, before anyone can say
-    no), and may reset the board. A pty has none."""
+    """True if the port has modem lines. Every open raises them (the kernel does, before anyone can say no), which may
+    reset the board. A pty has none."""
     try:
         fcntl.ioctl(descriptor, termios.TIOCMGET, _ZERO)
     except OSError:
@@ -134,7 +134,7 @@ def has_lines(descriptor: int) -> bool:
 
 
 def set_speed(descriptor: int, line: Port) -> None:
-    """Go on at another board's speed, with the modem lines as they are: a change of them may reset the board. Raises
+    """Switch to another board's speed, leaving the modem lines unchanged, because a change may reset the board. Raises
     OSError."""
     try:
         _set_raw(descriptor, termios.tcgetattr(descriptor), getattr(termios, f"B{line.baud}"))
@@ -143,18 +143,18 @@ def set_speed(descriptor: int, line: Port) -> None:
 
 
 def close_port(descriptor: int, within_s: float = CLOSE_S) -> None:
-    """Close the port's descriptor; never raises. In the main thread it takes `within_s` at most, also where the port
-    does not drain.
+    """Close the port's descriptor; never raises. In the main thread it takes `within_s` at most, even if the port does
+    not drain.
 
-    The last close of a terminal waits for its unsent bytes (30 s on cdc_acm), and every open waits behind it. A signal
-    ends the wait; a process that just exits waits it out, since the exiting take no signals any more.
+    The last close of a terminal waits for its unsent bytes (30 s on cdc_acm), and every open waits for that close. A
+    signal ends the wait; but a process that just exits waits it out, because an exiting process takes no more signals.
     """
     try:
         before = _signal.signal(_signal.SIGALRM, _interrupt)
-    except ValueError:  # another thread than the main one
+    except ValueError:  # not the main thread
         _close(descriptor)
         return
-    # Repeated: the first may come before the close has begun to wait.
+    # repeated, because the first may come before the close has begun to wait
     timer = _signal.setitimer(_signal.ITIMER_REAL, within_s, within_s)
     try:
         _close(descriptor)
@@ -164,7 +164,7 @@ def close_port(descriptor: int, within_s: float = CLOSE_S) -> None:
 
 
 def _interrupt(_number: int, _frame: object) -> None:
-    """That the signal has come is all that is wanted of it."""
+    """Does nothing: only the interruption by the signal is wanted."""
 
 
 def _close(descriptor: int) -> None:
@@ -173,7 +173,7 @@ def _close(descriptor: int) -> None:
 
 
 def release_exclusive(descriptor: int) -> None:
-    """Let others open the port again (TIOCNXCL, and the lock). Raises OSError."""
+    """Let other processes open the port again (TIOCNXCL, and the lock). Raises OSError."""
     fcntl.ioctl(descriptor, termios.TIOCNXCL)
     fcntl.flock(descriptor, fcntl.LOCK_UN)
 
@@ -181,8 +181,9 @@ def release_exclusive(descriptor: int) -> None:
 def _prepare(path: str, descriptor: int, exclusive: bool, line: Port) -> None:
     # The file that stat() saw may have been replaced before open(); only a terminal answers this.
     before = termios.tcgetattr(descriptor)
-    # Root passes TIOCEXCL; another service of root's asks for this lock too. All duplicates share it. First, since
-    # TIOCEXCL would outlive a refusal: it stays until the last descriptor of the terminal is closed.
+    # TIOCEXCL does not keep root out, but another service of root's asks for this lock too. All duplicates share it. It
+    # comes first, because TIOCEXCL would outlive a refusal: it lasts until the last descriptor of the terminal is
+    # closed.
     alone = _lock(descriptor)
     if exclusive and not alone:
         raise PortError("busy", f"{path} is held by another process (flock): stop it first", errno.EBUSY)
@@ -192,16 +193,16 @@ def _prepare(path: str, descriptor: int, exclusive: bool, line: Port) -> None:
     elif alone:
         fcntl.flock(descriptor, fcntl.LOCK_UN)
     if alone:
-        # cdc_acm sends the line coding only when it differs from the one that it sent last.
+        # cdc_acm sends the line coding only when it differs from the one it sent last.
         _set_raw(descriptor, before, _OTHER_SPEED)
     speed = getattr(termios, f"B{line.baud}")
     _set_raw(descriptor, before, speed)
     _check_raw(path, descriptor, line.baud, speed)
-    # A port that somebody has stopped (TCOOFF), or that a ^S stopped while it was still a terminal, would keep every
-    # byte to itself. It costs 0.5 us on a pty, and waits for nothing.
+    # A port that was stopped (TCOOFF), or that a ^S stopped while it was still a terminal, would hold back every byte.
+    # This costs 0.5 us on a pty, and waits for nothing.
     termios.tcflow(descriptor, termios.TCOON)
-    # Opening raised both. What is to be on first, because DTR off while RTS is on resets some boards' processors; what
-    # is to be off at once, for the same reason.
+    # Opening raised both lines. Set the ones that must be on first, because DTR off while RTS is on resets some boards'
+    # processors; then clear the others at once, for the same reason.
     lines = ((termios.TIOCM_DTR, line.dtr), (termios.TIOCM_RTS, line.rts))
     for request, wanted in ((termios.TIOCMBIS, True), (termios.TIOCMBIC, False)):
         if bits := sum(bit for bit, on in lines if on == wanted):
@@ -209,7 +210,7 @@ def _prepare(path: str, descriptor: int, exclusive: bool, line: Port) -> None:
 
 
 def _lock(descriptor: int) -> bool:
-    """False while a service has the port: its frames must not go out at another speed."""
+    """False while a service has the port, because its frames must not be sent at another speed."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -219,7 +220,7 @@ def _lock(descriptor: int) -> bool:
 
 def _set_raw(descriptor: int, before: list[Any], speed: int) -> None:
     cc = list(before[6])
-    # VMIN 1: with 0 a read would return no bytes both when there is nothing to read and after a hang-up.
+    # VMIN 1: with 0, a read would return no bytes both when there is nothing to read and after a hang-up.
     cc[termios.VMIN], cc[termios.VTIME] = 1, 0
     cflag = before[2] & ~_CFLAG_MASK | _CFLAG
     # Not TCSADRAIN or TCSAFLUSH: both wait for output to drain, which hangs on CDC-ACM.
@@ -227,7 +228,7 @@ def _set_raw(descriptor: int, before: list[Any], speed: int) -> None:
 
 
 def _check_raw(path: str, descriptor: int, baud: int, speed: int) -> None:
-    """tcsetattr succeeds when any one of the changes could be made. Raises PortError."""
+    """Check the result, because tcsetattr succeeds if any one of the changes could be made. Raises PortError."""
     after = termios.tcgetattr(descriptor)
     took = after[:2] == [0, 0] and after[2] & _CFLAG_MASK == _CFLAG and after[3:6] == [0, speed, speed]
     if not took or after[6][termios.VMIN] != 1:

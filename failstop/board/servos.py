@@ -1,6 +1,6 @@
-"""Servos: the commands to an arm's servos, and the times that every board keeps to.
+"""Servos: the commands to an arm's servos, and the time limits that every board keeps.
 
-A servo carries out a timed move by itself, whatever has died since: so a move lasts LONGEST_MOVE_MS at most, and a long
+A servo completes a timed move by itself, whatever has died since. So a move lasts LONGEST_MOVE_MS at most, and a long
 way is a stream of such moves.
 """
 
@@ -26,16 +26,16 @@ LONGEST_MOVE_NS = LONGEST_MOVE_MS * 1_000_000
 HELD_NS = 2_000_000
 """The longest that a stop may have to wait for the servos' bus."""
 MOVE_NS = 870_000
-"""The longest that one servo's move takes on the bus of any board: ten bytes at 115200 baud."""
+"""The longest that one servo's move takes on any board's bus: ten bytes at 115200 baud."""
 SILENT_NS = 5_000_000
-"""The longest until any board gives up a question that no servo answers; an answer takes 1.2 ms."""
+"""The longest until any board gives up on a servo that does not answer; an answer takes 1.2 ms."""
 MOST_MOVES = HELD_NS // MOVE_NS
 
 
 class ServoAnswer(Sample, Data):
-    """An arm's servo, what it was asked (one of READS) and its answer: the position in pulses, the supply in mV, the
-    temperature in degrees Celsius, the torque 1 for on. A 0 is no reading, except for the torque: some boards answer so
-    if a servo did not."""
+    """An arm's servo, the question (one of READS) and the answer: position in pulses, supply in mV, temperature in
+    degrees Celsius, torque 1 for on. A 0 is no reading, except for the torque, because some boards answer 0 when a
+    servo did not answer."""
 
     servo: int
     what: int

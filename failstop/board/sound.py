@@ -1,7 +1,7 @@
-"""Sound: what is wrong with the description of a board, found out by asking it about itself before it drives anything.
+"""Sound: finds faults in the description of a board by calling its functions before it drives anything.
 
-A description is a program. It may have a check that lets every frame pass, a stop of no bytes or a scale that is NaN,
-and each of these would show first while wheels turn. Pure, as far as the description is; own.py asks it in a process
+A description is a program. Its check may let every frame pass, its stop may have no bytes, its scale may be NaN, and
+each of these faults would show only while wheels turn. Pure, as far as the description is; own.py runs it in a process
 that may hang or die.
 """
 
@@ -24,28 +24,28 @@ if TYPE_CHECKING:
     from failstop.board.wire import Motion
 
 _SIMPLE_TYPES = ("int", "bool", "str", "float", "bytes")
-"""A whole number is a float too."""
+"""Type names in annotations. An int is accepted as a float."""
 BAUD_RATES = frozenset(int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()) - {0}
 _S = 1_000_000_000
 _WRITERS = 3
 """Port owner, stopper and supervisor: each has a row of repeats."""
 MOST_QUESTIONS = 4
-"""layout.PINGS: each has a word of shared memory."""
+"""layout.PINGS, because each ping has a word of shared memory."""
 _MOST_BYTES = 1024
-"""Of one frame; the board's stop is one."""
+"""Size limit of one frame; the board's stop is one."""
 _MOST_FRAMES = 16
 _MOST_REPEATS = 32
 _DIAMETERS_M = (0.03, 0.08, 0.3)
 _NOISE = tuple(bytes((at * step * 73 + step) & 255 for at in range(61)) for step in range(1, 24))
-"""Bytes of no form."""
+"""Bytes that have no valid form."""
 
 
 class _Wrong(Exception):
-    """The first thing that was found wrong, in words."""
+    """The first fault that was found, in words."""
 
 
 def wrong(wire: Wire) -> str:
-    """The first thing that is wrong with a description; empty: nothing was found."""
+    """The first fault in a description; empty if none was found."""
     try:
         for question in (_types, _ranges, _counts, _watchdog, _proofs, _rest, _motion, _refusals, _frames, _reader):
             question(wire)
@@ -65,7 +65,7 @@ def _shown(value: object) -> str:
 
 
 def _asked(name: str, function: Callable[..., Any], *values: object) -> Any:
-    """The answer of one of its functions, which must not raise."""
+    """Call one of its functions, which must not raise."""
     try:
         return function(*values)
     except (Exception, SystemExit) as error:
@@ -73,7 +73,7 @@ def _asked(name: str, function: Callable[..., Any], *values: object) -> Any:
         raise _Wrong(f"{name}({given}) raises {type(error).__name__}: {error}") from error
 
 
-# Each field is there, and of its type.
+# Each field exists, and has its type.
 
 
 def _types(wire: Wire) -> None:
@@ -92,7 +92,7 @@ def _fields(value: Data, name: str) -> None:
 
 
 def _type(value: object, annotation: str, name: str) -> None:
-    """Of an annotation as wire.py writes it."""
+    """Check a value against an annotation as wire.py writes it."""
     annotation, optional, _ = annotation.partition(" | None")
     if optional and value is None:
         return
@@ -207,7 +207,7 @@ def _proofs(wire: Wire) -> None:
     _hold(words.ECHOED not in wire.proofs or wire.echo_ns > 0, "WIRE.proofs has ECHOED, and echo_ns is 0")
 
 
-# Its motion and its stop, in its own form.
+# Its motion and its stop have their own form.
 
 
 def _rest(wire: Wire) -> None:
@@ -252,7 +252,7 @@ def _motion(wire: Wire) -> None:
 
 
 def _refusals(wire: Wire) -> None:
-    """Refuse what must not become a frame, or pass for one."""
+    """Check that it refuses bytes that must not become a frame, or pass for one."""
     motion, nan, inf = wire.motion, float("nan"), float("inf")
     rest = motion.rest
     for asked in ((nan,) * motion.wheels, (inf,) * motion.wheels, (motion.limit * 2,) * motion.wheels,
@@ -276,7 +276,7 @@ def _refusals(wire: Wire) -> None:
 
 
 def _frames(wire: Wire) -> None:
-    """Nothing but motion moves."""
+    """Check that nothing but motion moves."""
     asks = [(f"WIRE.questions[{at}].ask", question.ask) for at, question in enumerate(wire.questions)]
     for name, frame in asks + [(f"WIRE.port.opening[{at}]", frame) for at, frame in enumerate(wire.port.opening)]:
         told = _speeds(wire.motion, frame)

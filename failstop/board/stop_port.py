@@ -1,10 +1,11 @@
-"""StopPort: a descriptor of the port that can be burst on. Whoever can stop writes through one: one policy for all.
+"""StopPort: a descriptor of the port to which a stop can be written. Every process that can stop uses one, so all of
+them follow the same policy.
 
-the kernel                what follows
-takes all of it           it is written
-takes none now (EAGAIN)   tried again at once: it refuses for want of room, but also while another is in its write
-takes a part, or none     not written; the rest goes first with the next burst, or with flush()
-knows no such device      not written; the port has gone
+    the kernel                then
+    takes all of it           it is written
+    takes none now (EAGAIN)   tried again at once: it refuses for lack of room, but also during another process's write
+    takes a part, or none     not written; the rest goes first with the next burst, or with flush()
+    knows no such device      not written; the port is gone
 """
 
 from __future__ import annotations
@@ -25,42 +26,42 @@ DRAIN_S = 0.1
 LOOK_S = 0.0005
 ALREADY = -1
 EARLY_NS = 2_000_000
-"""An early stop that is a whole one counts as on the line for this long: its loop is about to write the same."""
+"""An early stop that is whole counts as on the line for this long, because its loop is about to write the same."""
 
 
 class StopPort:
-    """-1: no port. `lost` turns true when a write finds that the device has gone, for the reason `errno`."""
+    """-1: no port. `lost` becomes true when a write finds that the device is gone; `errno` is the reason."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
-        """`servos`: those of the robot's arm. What stops them ends the same write, so it comes behind a whole burst or
-        not at all."""
+        """`servos`: the ids of the robot's arm. The frames that stop them end the same write, so they follow a whole
+        burst or are not written at all."""
         self.board = board
         self._stop = board.burst + (board.arm.stops(servos) if board.arm else b"")
         self.free_ns = 0
-        """When the line, as far as is known here, will have been silent for as long as the board needs; 0: it needs no
+        """When the line, as far as this process knows, will have been silent long enough for the board; 0: it needs no
         silence."""
         self._line_ns = 0
-        """Until then the last thing written here, a whole stop, is on the line or needs silence behind it: another stop
-        would garble both. 0: none is."""
+        """Until then the last write here, a whole stop, is on the line or needs silence after it, so another stop would
+        garble both. 0: there is none."""
         self.fd = fd
         self.lost = fd < 0
         self.errno = 0
         self.unsent = b""
         """Bytes of one burst or frame that the kernel has not accepted yet."""
         self._stop_begun = False
-        """`unsent` is the rest of a stop, and not of another frame."""
+        """True if `unsent` is the rest of a stop, and not of another frame."""
         self._writing = _thread.allocate_lock()
-        """Held by the loop while it looks whether it may write, and writes; and by a thread in early_stop()."""
+        """Held by the loop while it checks whether it may write, and writes; and by a thread in early_stop()."""
 
     def early_stop(self) -> None:
-        """Write the burst as far as its first stop frame, from the thread that has learned of a death. The loop, which
-        is woken then, writes the burst."""
+        """Write the burst as far as its first stop frame, from the thread that has learned about a death. It also wakes
+        the loop, which writes the burst."""
         with self._writing:
             if self.fd >= 0:
                 self._write_early()
 
     def _write_early(self) -> int:
-        """How much the kernel took; ALREADY where a whole stop is on the line."""
+        """How many bytes the kernel took; ALREADY if a whole stop is on the line."""
         if self._on_line():
             return ALREADY
         taken = self._write(self.board.first_stop)
@@ -69,10 +70,12 @@ class StopPort:
         return taken
 
     def burst(self) -> bool:
-        """Write the stop burst, now; True when the kernel has all of it. The rest of an earlier stop goes first; the
-        rest of any other frame is dropped, because the burst heals any cut, and so is more than one burst, or stops
-        would pile up at a port that takes nothing. If a whole stop is still on the line, that was it: a second one
-        without a gap behind it garbles both on some boards."""
+        """Write the stop burst now; True if the kernel has all of it.
+
+        The rest of an earlier stop goes first. The rest of any other frame is dropped, because the burst heals any cut,
+        and so is more than one burst, because stops would pile up at a port that takes nothing. If a whole stop is
+        still on the line, nothing is written: on some boards a second one without a gap garbles both.
+        """
         begun = self.unsent if self._stop_begun and len(self.unsent) <= len(self._stop) else b""
         with self._writing:
             if self._on_line():
@@ -80,14 +83,14 @@ class StopPort:
             return self.fd >= 0 and self._put(begun + self._stop, rest=False)
 
     def repeat(self, after_ns: tuple[int, ...]) -> None:
-        """Write the burst again at these times from now, for whoever has no loop to do so."""
+        """Write the burst again at these times from now, for a program without a loop."""
         begun_ns = time.monotonic_ns()
         for after in after_ns:
             time.sleep(max(0, begun_ns + after - time.monotonic_ns()) / 1e9)
             self.burst()
 
     def flush(self) -> bool:
-        """Go on with what the kernel did not take; True when nothing is left."""
+        """Continue with bytes that the kernel did not take; True if nothing is left."""
         with self._writing:
             return not self.unsent or self._put(self.unsent, rest=True)
 
@@ -95,7 +98,7 @@ class StopPort:
         return self._line_ns > 0 and not (self.lost or self.unsent) and time.monotonic_ns() < self._line_ns
 
     def _put(self, data: bytes, *, rest: bool) -> bool:
-        """Write what can be; `rest`: of what was begun before."""
+        """Write as much as the kernel takes; `rest`: these bytes continue an earlier write."""
         taken = self._write(data)
         self.unsent = b"" if self.lost else data[taken:]
         if not rest:
@@ -122,7 +125,7 @@ class StopPort:
         return 0
 
     def holds(self) -> bool:
-        """True while the kernel holds bytes that it has taken, of whoever; a port that can't say has gone."""
+        """True while the kernel holds bytes that it has taken, from any process. A port that can't say is gone."""
         try:
             return self.fd >= 0 and port.unsent_bytes(self.fd) > 0
         except OSError as error:
@@ -130,8 +133,8 @@ class StopPort:
             return False
 
     def drain(self, within_s: float = DRAIN_S) -> bool:
-        """Wait until what was written has left the kernel, which drops the rest when the port is closed; False: it has
-        not within that time, or the port has gone."""
+        """Wait until all written bytes have left the kernel, which drops the rest when the port is closed. False if
+        that takes longer than `within_s`, or the port is gone."""
         until_s = time.monotonic() + within_s
         while self.fd >= 0:
             if self.flush() and not self.holds() and not self.lost:
@@ -142,8 +145,8 @@ class StopPort:
         return False
 
     def adopt(self, fd: int) -> None:
-        """Let the old descriptor go at once and keep another, -1 for none. One that is kept open over a USB drop
-        renumbers the device."""
+        """Close the old descriptor at once and keep another; -1 for none. A descriptor that is kept open over a USB
+        drop renumbers the device."""
         with self._writing:
             old, self.fd = self.fd, fd
             self.lost = fd < 0
@@ -153,5 +156,5 @@ class StopPort:
             port.close_port(old)
 
     def close(self) -> None:
-        """Close the descriptor, and hold none."""
+        """Close the descriptor."""
         self.adopt(-1)

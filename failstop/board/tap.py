@@ -1,4 +1,4 @@
-"""Tap: an open port, from outside of the service: what the board says there, and its answer to a question."""
+"""Tap: an open port, used from outside the service: what the board sends, and its answer to a question."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 
 class Tap:
-    """A tap on an open port: what the board sends, decoded, with the time of its reading; and pings. It reads a
-    descriptor that is not blocking, which stays the caller's."""
+    """A tap on an open port: what the board sends, decoded, with the time when it was read; and pings. It reads a
+    non-blocking descriptor, which the caller keeps."""
 
     def __init__(self, fd: int, board: Board) -> None:
         self.fd = fd
@@ -28,16 +28,16 @@ class Tap:
         self._pings = 0
         self._answers = Answers()
         self.reports: set[int] = set()
-        """Kinds of what was said unasked."""
+        """The kinds of reports that came without a question."""
         self.firmware = ""
-        """Its firmware, where that differs from the usual one."""
+        """Its firmware, if that differs from the usual one."""
         self.size = 0
-        """Bytes that have come."""
+        """Bytes received."""
         self._flow: set[int] = set()
-        """Pings whose answer was said before they were asked: it answers nothing."""
+        """Pings whose answer came before they were asked, so that it answers nothing."""
 
     def read(self) -> list[tuple[int, int, Value]]:
-        """(time of reading, kind, value) of what has been said. Raises OSError when the device has gone."""
+        """(time of reading, kind, value) of each new report. Raises OSError when the device is gone."""
         found: list[tuple[int, int, Value]] = []
         while data := waiting_bytes(self.fd):
             now_ns = time.monotonic_ns()
@@ -53,14 +53,14 @@ class Tap:
         return found
 
     def _heard(self, timeout_s: float) -> Iterator[tuple[int, int, Value]]:
-        """(time of reading, kind, value) of all that is said until then. Raises OSError."""
+        """(time of reading, kind, value) of everything reported within the time. Raises OSError."""
         until_s = time.monotonic() + timeout_s
         while (left_s := until_s - time.monotonic()) > 0:
             select.select((self.fd,), (), (), left_s)
             yield from self.read()
 
     def listen(self, timeout_s: float) -> None:
-        """Read until the first report, or until then. Raises OSError."""
+        """Read until the first report, or until the time is over. Raises OSError."""
         for _ in self._heard(timeout_s):
             return
 
@@ -74,17 +74,18 @@ class Tap:
         return index, now_ns
 
     def lost(self) -> None:
-        """What was asked until now will not be answered, as behind a reset of the board. Raises OSError."""
+        """Give up all questions so far, for example after a reset of the board. Raises OSError."""
         self.read()
         self._answers = Answers()
 
     def answers_ns(self, indices: Value, came_ns: int) -> int:
-        """When the ping was written that this answer belongs to at the earliest (board/handled.py); 0: none was."""
+        """When the earliest ping was written that this answer can belong to (board/handled.py); 0 if none was."""
         return self._answers.answered([index for index in indices if index not in self._flow], came_ns)
 
     def answered_ms(self, timeout_s: float) -> float | None:
-        """Ask the board; after how long it answered, which is behind all that was written before. None: it did not, or
-        has no question. An answer to an earlier question counts for that one. Raises OSError."""
+        """Ask the board; returns after how long it answered, which proves that it has handled everything written
+        before. None: it did not answer, or has no question. An answer to an earlier question counts for that one.
+        Raises OSError."""
         if not self._board.pings:
             return None
         _, asked_ns = self.ping()
@@ -94,8 +95,8 @@ class Tap:
         return None
 
     def zeros_ms(self, timeout_s: float) -> float | None:
-        """After how long the board, which is asked nothing, reports that it obeys zeros; None: it does not. A board
-        that hears nothing reports them too. Raises OSError."""
+        """After how long a board without pings reports that it obeys zeros; None if it does not. A board that hears
+        nothing reports zeros too. Raises OSError."""
         begun_ns = time.monotonic_ns()
         for now_ns, kind, said in self._heard(timeout_s):
             if kind == HEARD_OBEYED and not any(said) and now_ns - begun_ns >= self._board.echo_ns:

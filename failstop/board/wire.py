@@ -1,6 +1,6 @@
-"""Wire: the vocabulary in which any motor board is described; one folder of this room describes one board with it.
+"""Wire: the vocabulary for describing any motor board; each folder in failstop/board describes one board with it.
 
-described.py makes of it what the service drives (docs/boards.md).
+described.py turns a description into the Board that the service drives (docs/boards.md).
 """
 
 from __future__ import annotations
@@ -16,37 +16,39 @@ if TYPE_CHECKING:
     from failstop.board.interface import ServoBus
 
 VOCABULARY = 1
-"""The number of this vocabulary. It is raised when a description that held would be refused, or mean another thing."""
+"""The number of this vocabulary. It is raised when a description that was valid would be refused, or mean something
+else."""
 
 ZERO = "zero"
-"""The wheels are driven to rest."""
+"""The wheels are braked to rest."""
 COAST = "coast"
 """The motors get no current, and the wheels roll on."""
 DISARM = "disarm"
-"""The wheels stop, and the board takes no motion before it was armed again."""
+"""The wheels stop, and the board takes no motion until it is armed again."""
 
 WRITTEN = "written"
 ANSWERED = "answered"
-"""Proof: a question behind the stop was answered, so the stop was parsed."""
+"""Proof: a question after the stop was answered, so the stop was parsed."""
 ECHOED = "echoed"
 """Proof: the board reports the command that it obeys, and that is zero."""
 OBSERVED = "observed"
-"""Proof: the board's reports of its wheels' speeds or positions say that they stand; without it an IMU may."""
+"""Proof: the board's reports about its wheels' speeds or positions show that they are at rest. Without them an IMU
+may."""
 
 BITS_PER_BYTE = 10
 """On the wire: a start bit, eight of data, a stop bit."""
 
 
 class Port(Data):
-    """How the board's serial port is set up, and what is lost while the board starts."""
+    """How the board's serial port is set up, and how long the board is deaf while it starts."""
 
     baud: int
     dtr: bool
     rts: bool
     deaf_ns: int
-    """How long after it was opened nothing is heard: opening resets the board."""
+    """How long the board hears nothing after the port was opened, because opening resets it."""
     opening: tuple[bytes, ...]
-    """Frames to write when it hears: they arm its own watchdog."""
+    """Frames to write once it hears; they arm its own watchdog."""
 
     @property
     def byte_ns(self) -> int:
@@ -58,7 +60,7 @@ class Write(Data):
     """One write to the port."""
 
     idle_ns: int
-    """How long the line has to be silent before its first byte."""
+    """How long the line must be silent before its first byte."""
     data: bytes
 
 
@@ -67,39 +69,39 @@ class TimedStop(Data):
 
     writes: tuple[Write, ...]
     after_ns: int
-    """How long the line has to be silent after its last byte."""
+    """How long the line must be silent after its last byte."""
     repeats_ns: tuple[tuple[int, ...], ...]
-    """A row for each writer: when it writes the stop, after it began. Writers that can't see each other's bytes have
-    different times, so that no two of them touch twice in a row. Where stops may not touch, the last repeats come after
-    0.3 s: an adapter that stalls sends everything it kept in one lump, and such a board drops the lump."""
+    """A row for each writer: when it repeats the stop, after it began. Writers that can't see each other's bytes have
+    different times, so that no two touch twice in a row. If stops may not touch, the last repeats come after 0.3 s: an
+    adapter that stalls sends everything it kept at once, and such a board drops that."""
 
 
 class Pace(Data):
-    """When anything but a stop may be written."""
+    """When anything other than a stop may be written."""
 
     idle_ns: int
-    """How long the line has to be silent before it."""
+    """How long the line must be silent before it."""
     unanswered: int | None
-    """How many frames may be on their way without the answer to them; None: any number."""
+    """How many frames may be under way without their answer; None: any number."""
 
 
 class Watchdog(Data):
     """The board's own watchdog, which stops the wheels when the host is gone: a dead kernel, a pulled cable."""
 
     after_ns: int
-    """As the board comes up."""
+    """Its time when the board comes up."""
     does: str
     """ZERO, COAST or DISARM."""
     arm: Callable[[int], bytes] | None
-    """(after_ns): the frame that sets the time; raises FrameError. None: it is what the firmware was built with."""
+    """(after_ns): the frame that sets the time; raises FrameError. None if the firmware's time is fixed."""
     set_ns: int
-    """The time that failstop sets at each opening; 0: it stays as it is."""
+    """The time that failstop sets at each opening; 0: unchanged."""
     fed_by: str
     """A sentence for people: what keeps it from acting, and what does not."""
 
     @property
     def acts_ns(self) -> int:
-        """How long after the last motion it acts in a service of failstop; 0: it has none."""
+        """How long after the last motion it acts in a running service; 0 if it has none."""
         return self.set_ns or self.after_ns
 
 
@@ -110,48 +112,47 @@ NO_WATCHDOG = Watchdog(
 
 
 class Motion(Data):
-    """Motion from the speeds of the wheels, in the board's own unit."""
+    """How speeds become motion, in the board's own unit."""
 
     wheels: int
-    """How many speeds there are: two (left and right), three or four."""
+    """How many speeds a frame has: two (left and right), three or four."""
     unit: str
     limit: float
     """The largest speed that the board takes."""
     per_rps: Callable[[float], float]
-    """(diameter in m): what one turn a second of a wheel usually is in its unit."""
+    """(diameter in m): one turn per second of a wheel in its unit, usually."""
     step: float
-    """Speeds are sent as multiples of this, rounded towards zero."""
+    """Speeds are sent as multiples of this, truncated towards zero."""
     apart: float
-    """The largest difference between two wheels that the board takes."""
+    """The largest difference between two wheels that the board accepts."""
     frame: Callable[[Sequence[float], float], bytes]
-    """(speeds, limit): the frame that sets all wheels, each within plus or minus `limit`. Raises FrameError. Zeros make
-    exactly one form, `rest`."""
+    """(speeds, limit): the frame that sets all wheels, each within plus or minus `limit`. Raises FrameError. Zeros
+    always make exactly `rest`."""
     rest: bytes
     """The frame for zeros."""
     check: Callable[[bytes, float], str]
-    """(frame, limit): why these bytes must not be written as a motion frame; "" when they may. Never raises on
-    bytes."""
+    """(frame, limit): why these bytes must not be written as a motion frame; "" if they may. Never raises on bytes."""
     speeds: Callable[[bytes], Sequence[float] | None]
-    """Those that a motion frame sets; None for other bytes. Never raises on bytes."""
+    """The speeds that a motion frame sets; None for other bytes. Never raises on bytes."""
     marked: Callable[[bytes, int], bytes] | None = None
-    """(frame, turn): a motion frame that is sent again, a step or two slower by its turn, so that the report of the
-    command that the board obeys tells which frame it was. Only a board that is asked nothing needs it."""
+    """(frame, turn): a motion frame that is sent again, made a step or two slower depending on its turn, so that the
+    board's report of the obeyed command shows which frame it was. Only a board without questions needs it."""
     scale_known: bool = False
     """True: `per_rps` is a fact of the board, the same for every robot. False: it depends on the robot's motors and
     encoders, so `per_rps` is only a guess until a turn of a wheel has confirmed it (board.per_rps_confirmed)."""
 
 
 class Sample:
-    """A report of a board, in the same few kinds for all boards."""
+    """A report, in the same few kinds for all boards."""
 
 
 class Wheels(Sample, Data):
-    """Left and right, or one for each wheel; what a board does not report is empty."""
+    """The wheels: left and right, or each one. Values that a board does not report are empty."""
 
     speeds: tuple[float, ...]
     """In the unit of its motion."""
     positions: tuple[float, ...]
-    """Odometers, in a unit of the board's own: two reports that are equal prove rest."""
+    """Odometers, in the board's own unit: two equal reports prove rest."""
 
 
 class Obeyed(Sample, Data):
@@ -161,43 +162,43 @@ class Obeyed(Sample, Data):
 
 
 class Battery(Sample, Data):
-    """Its voltage."""
+    """The battery's voltage."""
 
     volts: float
 
 
 class Health(Sample, Data):
-    """Servos, as they say of themselves: of each its id, its load (a share of the most that it gives, negative the
-    other way round) and its temperature in degrees Celsius (0: not told yet)."""
+    """What servos report about themselves: the id, load (a share of the most that the servo gives, negative in the
+    other direction) and temperature of each in degrees Celsius (0: not reported yet)."""
 
     rows: tuple[tuple[int, float, int], ...]
 
 
 class Imu(Sample, Data):
-    """Acceleration in m/s^2 and turn rate in rad/s, by the axes of the board."""
+    """Acceleration in m/s^2 and turn rate in rad/s, along the axes of the board."""
 
     accel: tuple[float, float, float]
     gyro: tuple[float, float, float]
 
 
 class Answer(Sample, Data):
-    """A line that only answers, and is never sent unasked."""
+    """A line that is only an answer, and never comes without a question."""
 
     text: str
 
 
 class Restarted(Sample, Data):
-    """It prints this only while it starts."""
+    """A text that it prints only while it starts."""
 
     text: str
     """For people, as "its boot text"."""
 
 
 class Firmware(Sample, Data):
-    """It is known by its reports as a firmware that differs from the usual one."""
+    """A firmware, recognised by its reports, that differs from the usual one."""
 
     name: str
-    """For people: whose it is, by what it is known, and what to look at with it."""
+    """For people: whose firmware it is, how it was recognised, and what to check with it."""
 
 
 class Question(Data):
@@ -210,7 +211,7 @@ class Question(Data):
 
 
 class Reader:
-    """Bytes from the board, in; samples, out. It keeps what is not complete yet."""
+    """Takes bytes from the board, and returns samples. It keeps incomplete ones."""
 
     def feed(self, chunk: bytes) -> list[Sample]:
         """The samples that these bytes complete, in order. Never raises."""
@@ -218,45 +219,46 @@ class Reader:
 
 
 class Commander(Data):
-    """Somebody beside failstop who can command the wheels."""
+    """Another program, device or person, besides failstop, that can command the wheels."""
 
     who: str
-    """For people: who, and by which way."""
+    """For people: who or what it is, and by which way it commands."""
     remedy: str
-    """For people: what keeps them from it."""
+    """For people: how to prevent it."""
     program: str = ""
-    """A part of the command line of a program on the host; empty: it is none, and nothing on the host shows it."""
+    """Part of the command line of the program on the host; empty if it is no program, and nothing on the host shows
+    it."""
     fix: str = ""
-    """The command that ends that program, where it would be started again."""
+    """The command that ends that program for good, if it would be restarted."""
 
 
 class Reports(Data):
-    """How to read what the board reports of its wheels (`Wheels`)."""
+    """How to read the board's reports about its wheels (`Wheels`)."""
 
     every_ns: int
     """The longest time between two reports of a healthy board in a running service."""
     speed_per_rps: Callable[[float, float], float] | None
-    """(one turn a second in the unit of its motion, wheel diameter in m): one turn a second in the unit of the reported
-    speeds. None: it reports no speeds."""
+    """(one turn per second in the unit of its motion, wheel diameter in m): one turn per second in the unit of the
+    reported speeds. None if it reports no speeds."""
     position_per_turn: Callable[[float, float], float] | None
-    """The same arguments: how much a position grows in one turn of its wheel. None: it reports no positions."""
+    """The same arguments: how much a position grows in one turn of its wheel. None if it reports no positions."""
     wraps: float
     """Positions are counted modulo this, from minus half of it; 0: they never wrap."""
     holds_speed: bool
-    """True: the board measures the speed and holds what it was told. False: it sets a voltage, so a wheel may turn
+    """True: the board measures the speed and holds the commanded one. False: it sets a voltage, so a wheel may turn
     faster downhill and slower uphill."""
     own_scale: bool
-    """True: the board reports in a unit of the real world, so a wrong setting board.per_rps shows. False: commands and
-    reports share that setting."""
+    """True: the board reports in a real-world unit, so a wrong setting board.per_rps shows. False: commands and reports
+    share that setting."""
     position_step: float = 0.0
-    """Positions are whole multiples of this, cut towards zero; 0: too fine to matter."""
+    """Positions are whole multiples of this, truncated towards zero; 0: too fine to matter."""
 
 
 class Wire(Data):
-    """Everything that is known of one board's language."""
+    """Everything about one board's language."""
 
     name: str
-    """For people: which board it is, as "an Arduino with ..."."""
+    """For people: the name of the board, such as "an Arduino with ..."."""
     port: Port
     stop: TimedStop
     pace: Pace
@@ -265,24 +267,26 @@ class Wire(Data):
     questions: tuple[Question, ...]
     reader: Callable[[], Reader]
     proofs: tuple[str, ...]
-    """Proofs of a stop that it can give beside WRITTEN: ANSWERED, ECHOED, OBSERVED."""
+    """The proofs of a stop that it can give besides WRITTEN: ANSWERED, ECHOED, OBSERVED."""
     ping_ns: int
-    """The longest time between two questions, where the proofs need them; 0: any."""
+    """The longest time between two questions, if the proofs need them; 0: any."""
     echo_ns: int
-    """A command of zeros that it reports as obeyed was written this long before at least; 0: it reports none."""
+    """When it reports that it obeys zeros, the command was written at least this long before; 0: it does not report
+    it."""
     usb: tuple[str, ...] = ()
-    """Vendor:product, in hexadecimal, of USB ports of its own; an adapter's say nothing of the board behind it."""
+    """Vendor:product, in hexadecimal, of the board's own USB ports; an adapter's say nothing about the board behind
+    it."""
     silent_ns: int = 0
-    """Its reports of its wheels, by itself or to questions, never pause for so long unless it restarts; one that is
-    garbled on the line must not be enough. 0: it reports nothing."""
+    """Its reports about its wheels, unasked or as answers, never pause for this long unless it restarts. One report
+    that is garbled on the line must not be enough for such a pause. 0: it reports nothing."""
     commanders: tuple[Commander, ...] = ()
     reports: Reports | None = None
-    """None: reported speeds are in the unit of its motion, and positions tell no more than rest."""
+    """None: reported speeds are in the unit of its motion, and positions only show rest."""
     arm: Callable[[Port], ServoBus] | None = None
-    """Makes the part that speaks to an arm's servos on this port. None: the board has no arm."""
+    """Makes the part that talks to an arm's servos on this port. None if the board has no arm."""
     driver: Callable[[Mapping[str, float | str]], DriverLanguage] | None = None
-    """(every setting by its whole key): what a driver program may write to the board, for the guard port (driver.py).
-    Import that module inside the function, because no process of the service needs it. None: nobody has said."""
+    """(every setting by its full key): what a driver program may write to the board, for the guard port (driver.py).
+    Import that module inside the function, because no process of the service needs it. None: not described."""
 
 
 def two_speeds(speeds: Sequence[float], limit: float, most: float, unit: str) -> tuple[float, float]:
@@ -293,7 +297,7 @@ def two_speeds(speeds: Sequence[float], limit: float, most: float, unit: str) ->
 
 
 def beyond(speeds: Sequence[float], limit: float, most: float) -> str:
-    """Why these speeds must not be commanded; "" when they may."""
+    """Why these speeds must not be commanded; "" if they may."""
     if not 0.0 <= limit <= most:
         return f"limit {limit}, must be 0 to {most:g}"
     names = ("left", "right") if len(speeds) == 2 else range(len(speeds))

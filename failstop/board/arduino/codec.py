@@ -21,19 +21,19 @@ from failstop.board.wire import Answer, Sample, Wheels
 
 STOP = b"\rm 0 0\r"
 BAUD_RATE = b"b\r"
-"""The question without any effect; answered 57600."""
+"""A question without side effects; its answer is 57600."""
 POSITIONS = b"e\r"
 LIMIT = 999.0
 UNIT = "encoder ticks per 33 ms"
 PERIODS = 30
-"""Of the speed controllers, in a second."""
+"""Periods of the speed controllers per second."""
 COUNTS = 3436
-"""Encoder counts of a wheel's turn, as diffdrive_arduino has them by default."""
+"""Encoder counts per turn of a wheel, the default of diffdrive_arduino."""
 
 _LINE = re.compile(rb"m ([+-]\d{1,3}), ([+-]\d{1,3})\r")
 _COUNTS = re.compile(r"(-?\d{1,10}) (-?\d{1,10})")
 LONGEST_ANSWER = 32
-"""Bytes: two counts of 11 characters, and more."""
+"""Bytes: two counts of 11 characters, and some more."""
 
 
 def _written(left: float, right: float) -> bytes:
@@ -45,7 +45,8 @@ REST = MOTION.frame((0.0, 0.0), 0.0)
 
 
 def answers() -> LineReader:
-    """The reader of answers: the board says nothing else. They come in the order of the lines, and carry no name."""
+    """The reader of answers, because the board says nothing else. They come in the order of the lines, and do not name
+    them."""
     return LineReader(_samples, LONGEST_ANSWER)
 
 

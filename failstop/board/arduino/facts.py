@@ -1,4 +1,4 @@
-"""An Arduino with ros_arduino_bridge before a Board is made."""
+"""The facts about an Arduino with ros_arduino_bridge that are needed before a Board is made."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""The Arduino bridge's wire: a CR before the stop, and never more unanswered lines than its buffer holds answers to.
+"""The Arduino bridge's wire: a CR before the stop, and never more unanswered lines than its buffer can hold answers to.
 
-A stop is answered by 21 bytes, three times its own, and the question for positions by 25. The firmware waits while its
-buffer of 63 bytes of answers is full; its receive buffer of 63 then drops the newest bytes: a stop, or the sign and
-space between digits. Two lines and 15 glued stops, all that three writers repeat, lose nothing
-(tests/board/test_stop_of_every_board.py).
-
-Its USB identities are those of Arduino's own Uno and Mega (boards.txt of the core for AVR); a clone has an adapter's.
+A stop is answered by 21 bytes, three times its own length, and the question for positions by 25. The firmware waits
+while its buffer of 63 bytes of answers is full. Meanwhile its receive buffer of 63 bytes drops the newest bytes: a
+stop, or the sign and space between digits. With two lines and 15 glued stops, which is everything that three writers
+repeat, nothing is lost (tests/board/test_stop_of_every_board.py). Its USB identities are those of Arduino's own Uno and
+Mega (boards.txt of the core for AVR); a clone has an adapter's.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ WIRE = Wire(
         after_ns=0,
         repeats_ns=tuple(tuple(at * _MS for at in row) for row in ((0, 23, 103), (0, 31, 113), (0, 41, 127))),
     ),
-    # An answer of 25 bytes takes as long: by then nothing is unanswered, unless the board is held up.
+    # An answer of 25 bytes takes this long, so by then nothing is unanswered unless the board is held up.
     pace=Pace(idle_ns=4_400_000, unanswered=2),
     watchdog=Watchdog(
         after_ns=2000 * _MS,
@@ -80,7 +79,7 @@ WIRE = Wire(
     ),
     reader=codec.answers,
     proofs=(ANSWERED, OBSERVED),
-    # Positions ten times a second, which is enough to navigate by.
+    # Positions ten times a second, which is enough for navigation.
     ping_ns=50 * _MS,
     echo_ns=0,
     # Every other question asks for positions. They are counters of 32 bits (`volatile long`, joshnewans 210a122,
@@ -94,7 +93,7 @@ WIRE = Wire(
         own_scale=False,
         position_step=1.0,
     ),
-    # Seven answers: a busy computer loses a few in a row. A short restart shows by its counters.
+    # Seven answers, because a busy computer may lose a few in a row. A short restart shows in its counters.
     silent_ns=700 * _MS,
     usb=(
         *("2341:0043", "2341:0001", "2a03:0043", "2341:0243"),  # Uno

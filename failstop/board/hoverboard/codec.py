@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 
 START = 0xABCD
 LIMIT = 1000.0
-"""The board clamps steer and speed to this: in its speed mode 1000 rpm, by default all of the voltage."""
+"""The board clamps steer and speed to this. In its speed mode it means 1000 rpm, by default the full voltage."""
 APART = 1000.0
-"""The largest steer: the board clamps it alone, so a wider difference would drive another way than it was asked to."""
+"""The largest steer: the board clamps it alone, so a wider difference would drive in another direction than
+commanded."""
 UNIT = "thousandths of the voltage (VLT_MODE, the default) or rpm (SPD_MODE)"
 
 _COMMAND = Struct("<HhhH")
@@ -34,8 +35,8 @@ def seal(steer: int, speed: int) -> bytes:
 def motion(both: Sequence[float], limit: float) -> bytes:
     """The frame for left and right, each within plus or minus `limit`. Raises FrameError.
 
-    Speeds become whole numbers, towards zero. The larger loses one more where their sum is odd: half a unit in the
-    mean would be rounded by the board, and a wheel at rest told to creep backward.
+    Speeds become whole numbers, truncated towards zero. If their sum is odd, the larger one is reduced by one more,
+    because the board would round half a unit in the mean, and a wheel at rest would creep backward.
     """
     left, right = (int(speed) for speed in two_speeds(both, limit, LIMIT, "units"))
     if (left + right) % 2:
@@ -59,7 +60,7 @@ def wheels(steer: int, speed: int) -> tuple[float, float]:
 
 
 def _words(frame: bytes) -> tuple[int, int] | None:
-    """Steer and speed of bytes that look like a command frame, whatever their xor is."""
+    """Steer and speed in bytes that look like a command frame, whatever their xor is."""
     if len(frame) != _COMMAND.size:
         return None
     start, steer, speed, _ = _COMMAND.unpack(frame)
@@ -72,20 +73,20 @@ def _exact(steer: int, speed: int) -> tuple[float, float]:
 
 
 def speeds(frame: bytes) -> tuple[float, float] | None:
-    """Left and right of a command frame, exact; None for other bytes."""
+    """Left and right in a command frame, exactly; None for other bytes."""
     found = _words(frame)
     return _exact(*found) if found and seal(*found) == frame else None
 
 
 MARKS = (0, 1, 0, 2)
-"""Units that a frame which is sent again and again is slower, in turn: of any three in a row the middle one may be
-lost, and the echo still says which of the others it is."""
+"""How many units slower a frame is made when it is sent again and again, in turn. Of any three in a row the middle one
+may be lost, and the echo still shows which of the others it is."""
 
 
 def marked(frame: bytes, turn: int) -> bytes:
-    """The motion frame with both wheels slower by the mark of this turn, and neither of them at rest by it: the echo of
-    a steady speed would say nothing of whether frames still arrive. A wheel that turns alone loses twice as much, since
-    the sum of both must stay even."""
+    """The motion frame with both wheels slowed by the mark of this turn, without stopping either of them, because the
+    echo of a steady speed would not show whether frames still arrive. If only one wheel turns, it is slowed by twice as
+    much, because the sum must stay even."""
     if (found := _words(frame)) is None:
         return frame
     both = [int(each) for each in _exact(*found)]
@@ -99,7 +100,7 @@ def marked(frame: bytes, turn: int) -> bytes:
 
 
 def check_motion(frame: bytes, limit: float) -> str:
-    """Why these bytes must not be written as a motion frame; "" when they may. Never raises on bytes."""
+    """Why these bytes must not be written as a motion frame; "" if they may. Never raises on bytes."""
     found = _words(frame)
     if found is None:
         return "not a command frame"
@@ -107,5 +108,5 @@ def check_motion(frame: bytes, limit: float) -> str:
         return "bad xor"
     if abs(found[0]) > APART:
         return f"steer {found[0]}, must be within {APART:g}"
-    # The exact values: what the board's clamps would hide is refused too.
+    # Check the exact values, so that values hidden by the board's clamps are refused too.
     return beyond(_exact(*found), limit, LIMIT)

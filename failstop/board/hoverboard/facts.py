@@ -1,4 +1,4 @@
-"""A hoverboard before a Board is made."""
+"""The facts about a hoverboard that are needed before a Board is made."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Feedback of hoverboard-firmware-hack-FOC: a frame of nine words every 10 ms, the last one the xor of the others.
 
-A fork has eleven words: two wheel counters stand before the battery (24955d6, which hoverboard-robotics' ROS driver is
-for). The counters wrap at a number of the fork's own, so they are not taken as positions.
+A fork has eleven words: two wheel counters come before the battery (24955d6, used by hoverboard-robotics' ROS driver).
+The counters wrap at a number specific to the fork, so they are not used as positions.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ FEEDBACK = Struct("<HhhhhhhHH")
 """Start, steer and speed that it obeys, measured speed right and left in rpm, battery in V / 100, temperature, LEDs,
 xor."""
 WITH_COUNTERS = Struct("<HhhhhhhhhHH")
-"""The same with both counters, right and left, after the speeds."""
+"""The same, with both counters, right and left, after the speeds."""
 FORK = Firmware(
     "the fork for hoverboard-robotics' ROS driver, by its feedback of 22 bytes: build it without TANK_STEERING, since "
     "failstop sends steer and speed, and note that its SPD_MODE counts in rpm"
@@ -33,7 +33,7 @@ def seal(
     *,
     counters: tuple[int, ...] = (),
 ) -> bytes:
-    """A feedback frame as the board makes it, with its LEDs off; `counters`: right and left, as the fork has them."""
+    """A feedback frame as the board makes it, with its LEDs off; `counters`: right and left, for the fork."""
     words = (START, steer, speed, right_rpm, left_rpm, *counters, centivolts, degrees, 0)
     check = 0
     for word in words:
@@ -47,8 +47,8 @@ class Feedback(Reader):
     def __init__(self) -> None:
         self._kept = b""
         self._forms = (FEEDBACK, WITH_COUNTERS)
-        """The form that came last, and the other one. That one counts only before another frame: a stray start, a frame
-        of nine words and the next start have a right xor as eleven words."""
+        """The form that came last, and the other one. The other one counts only before another frame, because a stray
+        start, a frame of nine words and the next start have a valid xor as eleven words."""
         self._told = False
 
     def feed(self, chunk: bytes) -> list[Sample]:
@@ -71,22 +71,22 @@ class Feedback(Reader):
                 found.append(FORK)
             found += _samples(form.unpack(data[at : at + form.size]))
             at += form.size
-        # Without a start, its first byte may still be the last that came.
+        # Without a start, the last byte may still be the first byte of one.
         self._kept = data[at:] if at >= 0 else data[-1:]
         return found
 
 
 def _rpm(word: int) -> float:
-    """What a word means on average. The firmware cuts a speed towards zero to sixteenths of an rpm, and rounds those
-    down to whole ones (BLDC_controller.c, commit a0751d5). Taken as it is, the right wheel, which is mounted the other
-    way round, would be 1 rpm faster than the left one on a straight way. Below 5 rpm it sends 0."""
+    """The average speed for a word. The firmware truncates a speed towards zero to sixteenths of an rpm, and rounds
+    those down to whole ones (BLDC_controller.c, commit a0751d5). Taken literally, the right wheel, which is mounted the
+    other way round, would be 1 rpm faster than the left one when driving straight. Below 5 rpm it sends 0."""
     if not word:
         return 0.0
     return word + (8 / 16 if word > 0 else 7 / 16)
 
 
 def _whole(form: Struct, frame: bytes) -> bool:
-    """Whether these bytes are a frame of that form."""
+    """True if these bytes are a frame of that form."""
     if len(frame) != form.size:
         return False
     check = 0
@@ -96,8 +96,8 @@ def _whole(form: Struct, frame: bytes) -> bool:
 
 
 def _samples(words: tuple[int, ...]) -> list[Sample]:
-    """Those of a frame of either form: the battery is the fourth word from its end."""
+    """The samples in a frame of either form: the battery is the fourth word from its end."""
     _, steer, speed, right, left, *_ = words
-    # The motors are mounted against each other: forward is negative on the right.
+    # The motors are mounted in opposite directions, so forward is negative on the right.
     speeds = (_rpm(left), -_rpm(right) + 0.0)
     return [Obeyed(wheels(steer, speed)), Wheels(speeds, ()), Battery(words[-4] / 100)]

@@ -1,17 +1,17 @@
-"""The hoverboard's wire: a stop stands alone between idle gaps, and each writer repeats it at times of its own.
+"""The hoverboard's wire: a stop stands alone between idle gaps, and each writer repeats it at its own times.
 
-The receiver looks at what came since its last look whenever the line falls idle, and takes exactly eight bytes: two
+Whenever the line falls idle, the receiver looks at what came since its last look, and takes exactly eight bytes: two
 frames without a gap are dropped together. It also looks at the end of each of its own feedback frames, every 10.1 ms,
-and drops what is half arrived then: a lone stop is lost in 6.1 %. So each writer repeats, at times of its own:
-whichever of two begins, and however much later the other one, only one pair of their early writes touches beside the
-first, and one more is lost to the feedback. The stop of one or two writers is accepted within 12 ms, that of three
-within 40 ms (tests/board/test_stop_of_every_board.py). The port owner mostly writes alone: its second write comes
-late enough that a host which holds the first back for some ms does not send both at once. Of a host that is held up
-again and again repeats reach the board in pairs, and are lost so: that is why there are some as late as 53 to 116 ms.
+and drops a half-received frame then, so a lone stop is lost in 6.1 % of cases. So each writer repeats, at its own
+times. Whichever of two writers begins, and however much later the other one, at most one pair of their early writes
+touches besides the first, and one more is lost to the feedback. The stop of one or two writers is accepted within 12
+ms, that of three within 40 ms (tests/board/test_stop_of_every_board.py). The port owner mostly writes alone: its second
+write comes so late that a host which holds the first back for a few ms does not send both at once. If a host is held up
+again and again, repeats reach the board in pairs and are lost, which is why some come as late as 53 to 116 ms.
 
-An adapter that stalls sends everything it kept in one lump, and the board drops the lump whole. So the repeats go on
-until 100 ms after the longest stall (0.3 s), which every board is judged by, at times at which no two writers touch and
-no two repeats of one writer fall on the same place in the feedback.
+An adapter that stalls sends everything it kept at once, and the board drops all of it. So the repeats go on until 100
+ms after the longest stall (0.3 s) that every board is tested with, at times at which no two writers touch and no two
+repeats of one writer fall on the same place in the feedback.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from failstop.board.driver import DriverLanguage
 
 IDLE_NS = 200_000
-"""Twice a byte's time and a little more: the receiver sees an idle line after one."""
+"""A little more than the time of two bytes: the receiver sees an idle line after one."""
 _MS = 1_000_000
 
 
@@ -90,7 +90,7 @@ WIRE = Wire(
     reader=Feedback,
     proofs=(ECHOED, OBSERVED),
     ping_ns=0,
-    # Two of its feedbacks, the stop's way, a loop of its own, and an adapter that holds bytes back for 16 ms.
+    # Two of its feedbacks, the stop's transmission, one of its loops, and an adapter that holds bytes back for 16 ms.
     echo_ns=50 * _MS,
     # Always rpm, whatever the commands mean; in its usual mode they are a voltage.
     reports=Reports(
@@ -101,7 +101,7 @@ WIRE = Wire(
         holds_speed=False,
         own_scale=True,
     ),
-    # A busy computer explains any shorter pause. A short restart shows by its echo.
+    # A busy computer explains any shorter pause. A short restart shows in its echo.
     silent_ns=600 * _MS,
     commanders=(
         Commander(

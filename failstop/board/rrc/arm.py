@@ -1,4 +1,4 @@
-"""The arm on the RRC: bus servos that the firmware speaks to, one frame after the other."""
+"""The arm on the RRC: bus servos that the firmware talks to, one frame after another."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ _SUB_COMMAND_AT = 4
 
 
 class RrcArm(ServoBus):
-    """Its frames are in servos.py of the board room."""
+    """Its frames are in rrc/servos.py."""
 
     __slots__ = ()
 
     beside_wheels = holds_by_goal = False
 
     def stops(self, servos: Sequence[int]) -> bytes:
-        """A stop for each servo. Never a write of its own: if the kernel took only a part of the burst before it, the
-        board would read it as the rest of a motor frame, as a wheel's id and speed. As the end of the burst's own write
-        it comes behind a whole burst or not at all, and the next burst heals a cut in it as in any frame."""
+        """A stop for each servo. It is never a write of its own: if the kernel took only a part of the burst before it,
+        the board would read it as the rest of a motor frame, as a wheel's id and speed. At the end of the burst's own
+        write it follows a whole burst or is not written at all, and the next burst heals a cut in it as in any
+        frame."""
         return b"".join(bus.bus_servo_stops(servos))
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
@@ -35,11 +36,11 @@ class RrcArm(ServoBus):
         return bus.bus_servo_read(servo, what)
 
     def look(self, servos: Sequence[int]) -> bytes:
-        """Empty: it asks one servo after the other, while none moves."""
+        """Empty: the board asks one servo after another, while none moves."""
         return b""
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
-        """A servo holds where it is, whatever its last goal."""
+        """The torque frame. A servo holds its present position, whatever its last goal was."""
         return bus.bus_servo_torque(servo, on)
 
     def command(self, frame: bytes) -> int:
@@ -47,13 +48,13 @@ class RrcArm(ServoBus):
         return frame[_SUB_COMMAND_AT]
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """Only the encoders' own frames pass."""
+        """Only frames that the encoders make pass."""
         return bus.check_bus(frame, servos, longest_ms)
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
-        """The servos of one frame; they take its time."""
+        """The servos of one frame; each takes the frame's time."""
         return bus.moves(frame)
 
     def held_ns(self, frame: bytes) -> int:
-        """The time that the servos' own bus takes for it."""
+        """How long the servos' own bus takes for it."""
         return bus.frame_ns(frame)

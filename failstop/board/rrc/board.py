@@ -91,7 +91,7 @@ class FrameHearing(Hearing):
         self._decoder = decoder.Decoder()
 
     def feed(self, chunk: bytes) -> list[Said]:
-        """All that the frames say that these bytes complete."""
+        """Everything reported in the frames that these bytes complete."""
         found: list[Said] = []
         for func, data in self._decoder.feed(chunk):
             if said := _SAID.get(func):
@@ -99,12 +99,12 @@ class FrameHearing(Hearing):
         return found
 
     def reset(self) -> None:
-        """Forget half a frame."""
+        """Forget an incomplete frame."""
         self._decoder.reset()
 
 
 class Rrc(Board):
-    """Constants and functions of the other modules."""
+    """The constants and functions of the other modules, as a Board."""
 
     __slots__ = ()
 
@@ -112,8 +112,8 @@ class Rrc(Board):
     port = RRC_PORT
     idle_ns = after_ns = 0
     repeats_ns = (_REPEATS_NS, _REPEATS_NS, ())
-    """Its receiver takes glued stops, so writers may have the same times. A supervisor's stop is not repeated: the
-    stopper's is."""
+    """Its receiver accepts glued stops, so writers may have the same times. A supervisor's stop is not repeated,
+    because the stopper's is."""
     stop = codec.STOP
     burst = BURST
     first_stop = BURST[:FIRST_STOP_END]
@@ -128,7 +128,7 @@ class Rrc(Board):
     acknowledged_by = BY_ANSWER
     observed_by = BY_IMU
     reports = NO_WHEEL_REPORTS
-    # It takes turns a second: its firmware knows the encoders of the motors.
+    # The unit is turns per second, because its firmware knows the encoders of the motors.
     per_rps = 1.0
     wheels = framing.WHEELS
     most_rps = codec.RPS_CEILING
@@ -162,7 +162,7 @@ class Rrc(Board):
         return codec.check_motion(frame, max_rps)
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
-        """Of a frame for four wheels, by the ids in it."""
+        """The speeds in a frame for four wheels, by the ids in it."""
         if not frame.startswith(framing.MOTOR_HEAD) or len(frame) < _SPEEDS.size:
             return None
         found = _SPEEDS.unpack_from(frame)
@@ -179,7 +179,7 @@ class Rrc(Board):
 
 
 class SteeredRrc(Rrc):
-    """The board of a base with a servo that steers: the angle comes after the speeds, and its frame after theirs."""
+    """The board of a base with a steering servo: the angle comes after the speeds, and its frame after theirs."""
 
     __slots__ = ("_steering",)
 
@@ -187,7 +187,7 @@ class SteeredRrc(Rrc):
         self._steering = steering
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """Both frames; wheels at rest are not steered, so that the frame is the stop."""
+        """Both frames. Wheels at rest are not steered, so that the frame is the stop."""
         *speeds, angle_rad = rps
         motor = codec.motor_speeds(speeds, max_rps)
         return motor if motor == self.stop else motor + self._steering.frame(angle_rad)
@@ -204,5 +204,5 @@ BOARD = Rrc()
 
 
 def board(_diameter_m: float, _per_rps: float, steering: SteeringServo | None) -> Board:
-    """Its speeds are turns a second already."""
+    """Its speeds are in turns per second already."""
     return SteeredRrc(Steering(steering)) if steering else BOARD

@@ -1,8 +1,9 @@
-"""Frames that move the wheels, the ping and the buzzer, and their checks before the wire; servos.py has an arm's.
+"""Frames that move the wheels, the ping and the buzzer, and their checks before they are written; servos.py has an
+arm's frames.
 
-The board answers no motor frame and its motor handler checks nothing: ids out of range write out of bounds, the count
-is not held against the length, NaN is a speed (firmware source). So every value is checked here: an encoder either
-returns a frame the board handles as meant, or raises FrameError.
+The board answers no motor frame, and its motor handler checks nothing: ids out of range write out of bounds, the count
+is not compared with the length, NaN is accepted as a speed (firmware source). So every value is checked here: an
+encoder either returns a frame that the board handles as intended, or raises FrameError.
 """
 
 from __future__ import annotations
@@ -18,15 +19,16 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-# Above any wheel there is: a limit beyond this is a mistake in the limit, and would switch the check off.
+# Faster than any wheel. A limit above this is a mistake, and would switch the check off.
 RPS_CEILING = 1000.0
 PWM_SERVOS = 4
 
-# A speed equal to the limit may round up by half a unit in the last place when it becomes a float32.
+# A speed equal to the limit may be rounded up by half a unit in the last place when it becomes a float32.
 _ROUNDING = 1.0 + 2.0**-23
 _SMALLEST_F32 = 2.0**-149
 
-# Head, func and len as one word, sub-command and count as another: fewer objects to make and compare per frame.
+# Head, func and len as one word, sub-command and count as another, so that fewer objects are made and compared per
+# frame.
 _WHEELS4 = Struct("<IHBfBfBfBfB")
 _WHEELS4_WORD = 0x160355AA
 _WHEELS4_COUNT = 0x0401
@@ -39,12 +41,12 @@ _BUZZER_HEAD = HEAD + bytes((BUZZER, _BUZZER.size))
 
 
 def speed_limit(max_rps: float) -> float:
-    """A limit in rps. Raises FrameError for one that is none."""
+    """A limit in rps. Raises FrameError for an invalid one."""
     return checks.number("max_rps", max_rps, 0.0, RPS_CEILING, "rps")
 
 
 def wheel_speed(wheel: int, rps: float, limit: float) -> float:
-    """A wheel's speed in rps. Raises FrameError for one beyond the limit."""
+    """A wheel's speed in rps. Raises FrameError if it exceeds the limit."""
     return checks.number(f"speed of wheel {wheel}", rps, -limit, limit, "rps")
 
 
@@ -84,8 +86,8 @@ def _complete_free(body: bytes) -> bytes:
 
 
 def _one_unit_smaller(body: bytes, at: int) -> bytes:
-    """The frame's func, len and data with the last speed that is not zero and begins until `at` made smaller; empty
-    when there is none, and so nothing that could move a wheel."""
+    """The frame's func, len and data with one speed made smaller: the last one that is not zero and begins before `at`.
+    Empty if there is none, and so nothing that could move a wheel."""
     for start in reversed(_FLOATS):
         if start <= at:
             bits = int.from_bytes(body[start : start + 4], "little")
@@ -124,7 +126,7 @@ STOP = motor_speeds((0.0, 0.0, 0.0, 0.0), 0.0)
 
 
 def pwm_servo_read(servo: int) -> bytes:
-    """Ask for a PWM servo's pulse (id 1 to 4): the ping. The board answers from its memory, with no servo connected."""
+    """Ask for a PWM servo's pulse (id 1 to 4): the ping. The board answers from its memory, even without a servo."""
     return frame(PWM_SERVO, bytes((0x05, checks.integer("servo id", servo, 1, PWM_SERVOS))))
 
 
@@ -140,7 +142,7 @@ def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
     checks.integer("repeat", repeat, 1, 65_535)
     lowest, highest = _TONES
     near = (*range(freq_hz, max(lowest, freq_hz - _DETUNED) - 1, -1), *range(freq_hz + 1, highest + 1)[:_DETUNED])
-    # Each cut excludes one value of the tone's low byte at most, so that one of so many is left.
+    # Each cut excludes at most one value of the tone's low byte, so one of this many is left.
     data = (_BUZZER.pack(tone, on_ms, off_ms, repeat) for tone in near)
     return frame(BUZZER, next(each for each in data if not framing.zeros_complete(BUZZER, each)))
 

@@ -1,7 +1,7 @@
-"""Frames from the controller board: the incremental decoder and a parser for each kind (vendor protocol description).
+"""Frames from the controller board: the incremental decoder, and a parser for each kind (vendor protocol description).
 
-The parsers take the data of one frame and return None for data of the wrong length or content: telemetry goes on, and
-what makes no sense is not passed on.
+A parser takes the data of one frame and returns None for data of the wrong length or content, so that telemetry goes on
+and nonsense is not passed on.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ KEY_EVENTS = {
     0x80: "triple",
 }
 
-# The longest data the board is known to send is 36 bytes (SBUS). A length beyond this is noise: to wait for 255 bytes
-# would hold back telemetry for 80 ms.
+# The longest data that the board is known to send is 36 bytes (SBUS). A longer length is noise: waiting for 255 bytes
+# would hold telemetry back for 80 ms.
 LONGEST = 64
 
 
@@ -37,7 +37,7 @@ _I8 = Struct("<b")
 _READ_POSITION = 0x05
 _PINGED_SERVOS = 4
 
-# The form of the value in a servo's reply, by function and sub-command.
+# The format of the value in a servo's reply, by function and sub-command.
 _VALUES = {
     (PWM_SERVO, _READ_POSITION): _U16,
     (PWM_SERVO, 0x09): _I8,
@@ -65,12 +65,12 @@ class Decoder:
         self.skipped_bytes = 0
 
     def reset(self) -> None:
-        """Forget a partial frame, as after the port was reopened; the counters stay."""
+        """Forget an incomplete frame, for example after the port was reopened; the counters stay."""
         self.skipped_bytes += len(self._pending)
         self._pending = b""
 
     def feed(self, chunk: bytes) -> list[tuple[int, bytes]]:
-        """Take in bytes; return (func, data) of each frame completed, in order."""
+        """Add bytes; returns (func, data) for each frame that they complete, in order."""
         stream = self._pending + chunk
         end = len(stream)
         found: list[tuple[int, bytes]] = []
@@ -91,7 +91,7 @@ class Decoder:
             after = at + 5 + length
             if after > end:
                 break
-            # With its CRC taken in, a good frame leaves zero.
+            # Over a good frame with its CRC, the CRC is zero.
             if crc8(stream[at + 2 : after]):
                 self.crc_errors += 1
                 at = self._reject(at)
@@ -108,7 +108,7 @@ class Decoder:
 
 
 def battery_mv(data: bytes) -> int | None:
-    """Of SYS: the battery's voltage in mV."""
+    """SYS: the battery's voltage in mV."""
     if len(data) != _BATTERY.size or data[0] != 0x04:
         return None
     millivolts: int = _BATTERY.unpack(data)[1]

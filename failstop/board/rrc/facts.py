@@ -1,4 +1,5 @@
-"""The RRC before a Board is made: four motors, an IMU, bus servos of 240 degrees in 1000 pulses."""
+"""The facts about the RRC that are needed before a Board is made: four motors, an IMU, bus servos with 240 degrees in
+1000 pulses."""
 
 from __future__ import annotations
 

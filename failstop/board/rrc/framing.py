@@ -18,10 +18,10 @@ HEAD = b"\xaa\x55"
 WHEELS = 4
 MAX_DATA = 255
 
-# Functions the board takes from the host, motion apart.
+# Functions that the host sends to the board, except motion.
 AUX_FUNCS = (SYS, LED, BUZZER, PWM_SERVO, BUS_SERVO, OLED, RGB)
 
-# A receiver that is out of step takes this for the start of a motor frame wherever it stands.
+# A receiver that is out of step takes this for the start of a motor frame, wherever it appears.
 MOTOR_HEAD = b"\xaa\x55\x03"
 
 
@@ -47,14 +47,14 @@ def crc8(data: Iterable[int], crc: int = 0) -> int:
 
 
 def seal(func: int, data: bytes) -> bytes:
-    """Put head, function, length and CRC around data, unchecked: for this room's own encoders."""
+    """Put head, function, length and CRC around data, without checks; for this folder's own encoders."""
     body = bytes((func, len(data))) + data
     return HEAD + body + bytes((crc8(body),))
 
 
 def zeros_complete(func: int, data: bytes, least: int = 0) -> int:
-    """After how many bytes of data, `least` at least, a cut of this frame would be completed by zeros, with zeros for
-    the rest; 0: after none. Zeros leave a CRC of zero as it is, and the next one passes as the CRC."""
+    """After how many bytes of data (`least` or more) a cut of this frame would be completed by zeros; 0: after none.
+    Zeros leave a CRC of zero unchanged, and the next zero passes as the CRC."""
     crc = crc8((func, len(data)))
     for end, byte in enumerate(data):
         if not crc and end >= least:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
 EVERY_SERVO = 254
-"""Addresses all of them; not used on a robot before a stand has proved it."""
+"""The address of all servos. Don't use it on a robot before it was tested on a stand."""
 HIGHEST_POSITION = 1000
 PULSES_PER_RAD = 1500 / tau
 """A pulse is 0.24 degrees."""
@@ -50,7 +50,8 @@ _MOVES_AT = 4
 
 
 def bus_ns(func: int, data: bytes) -> int:
-    """How long a frame holds the receiver at most, by what it says: the count is not checked by the firmware."""
+    """The longest that a frame holds the receiver, computed from its content, because the firmware does not check the
+    count."""
     if func != BUS_SERVO or not data:
         return 0
     if data[0] == SERVO_MOVE:
@@ -61,7 +62,7 @@ def bus_ns(func: int, data: bytes) -> int:
 
 
 def frame_ns(frame: bytes) -> int:
-    """The time that a whole frame takes on the bus, in ns."""
+    """How long a whole frame takes on the bus, in ns."""
     return bus_ns(frame[2], frame[4:-1])
 
 
@@ -72,8 +73,9 @@ def _id(servo: int, highest: int = HIGHEST_ID) -> int:
 def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = LONGEST_MOVE_MS) -> bytes:
     """Move one or two bus servos: (id 1 to 253, position 0 to 1000) each, in duration_ms (1 to longest_ms).
 
-    The move may last some milliseconds more, or less where more is too long: no frame is made that the zeros of the
-    stop burst could complete, were it cut short, since its last servo would be sent to another place, or one of id 0.
+    The move may last a few milliseconds longer, or less if longer is too long, so that no frame is made that the zeros
+    of the stop burst could complete if it were cut short: its last servo, or one with id 0, would be sent to another
+    place.
     """
     checks.integer("duration_ms", duration_ms, 1, longest_ms)
     data = bytes((checks.counted("moves", positions, 1, MOST_MOVES),))
@@ -89,9 +91,10 @@ def bus_servo_move(positions: Sequence[tuple[int, int]], duration_ms: int, longe
 
 
 def bus_servo_stop(servos: Sequence[int]) -> bytes:
-    """Stop up to three bus servos (ids 1 to 253, or EVERY_SERVO) where they are; their torque stays.
+    """Stop up to three bus servos (ids 1 to 253, or EVERY_SERVO) where they are; their torque stays on.
 
-    A stop has nothing to vary: zeros may complete one that was cut. It then stops fewer of these, and a servo 0.
+    A stop has no value that could be varied, so zeros may complete one that was cut. It then stops fewer of these
+    servos, and a servo 0.
     """
     count = checks.counted("servos", servos, 1, MOST_STOPS)
     ids = bytes([_id(servo, EVERY_SERVO) for servo in servos])
@@ -100,12 +103,12 @@ def bus_servo_stop(servos: Sequence[int]) -> bytes:
 
 
 def bus_servo_stops(servos: Sequence[int]) -> tuple[bytes, ...]:
-    """As many frames as it takes to stop all of these."""
+    """As many frames as are needed to stop all of these."""
     return tuple(bus_servo_stop(servos[at : at + MOST_STOPS]) for at in range(0, len(servos), MOST_STOPS))
 
 
 def bus_servo_read(servo: int, what: int) -> bytes:
-    """Ask a bus servo for its POSITION (0 to 1000 in range), SUPPLY (mV), TEMPERATURE (degrees Celsius) or TORQUE (1:
+    """Ask a bus servo for its POSITION (usually 0 to 1000), SUPPLY (mV), TEMPERATURE (degrees Celsius) or TORQUE (1:
     on)."""
     if what not in READS:
         raise FrameError(f"what is {what!r}, must be one of {READS}")
@@ -113,7 +116,7 @@ def bus_servo_read(servo: int, what: int) -> bytes:
 
 
 def bus_servo_torque(servo: int, on: bool) -> bytes:
-    """Switch a bus servo's torque: 0C is on and 0B is off (the vendor's SDK has the two the wrong way round)."""
+    """Switch a bus servo's torque: 0C is on and 0B is off (the vendor's SDK swaps them)."""
     if not isinstance(on, bool):
         raise FrameError(f"on is {on!r}, must be True or False")
     return frame(BUS_SERVO, bytes((TORQUE_ON if on else TORQUE_OFF, _id(servo))))
@@ -157,7 +160,7 @@ def check_bus(frame: bytes, servos: Collection[int], longest_ms: int) -> str:
 
 
 def moves(frame: bytes) -> list[tuple[int, int, int]]:
-    """(id, position, ns that it takes) of each servo that a frame moves; empty for other bytes. Never raises."""
+    """(id, position, duration in ns) of each servo that a frame moves; empty for other bytes. Never raises."""
     data = frame[4:-1]
     if frame[:3] != HEAD + bytes((BUS_SERVO,)) or not data or data[0] != SERVO_MOVE or _move_fault(data, 0xFFFF):
         return []
@@ -166,7 +169,7 @@ def moves(frame: bytes) -> list[tuple[int, int, int]]:
 
 
 def _move_fault(data: bytes, longest_ms: int) -> str:
-    """The fault in the data of a move, its servos aside; "" when there is none."""
+    """The fault in the data of a move, apart from its servos; "" if there is none."""
     if len(data) <= _MOVES_AT or len(data) != _MOVES_AT + 3 * data[3]:
         return "a count that is not its data's"
     duration_ms: int = _U16.unpack_from(data, 1)[0]
@@ -180,7 +183,7 @@ def _move_fault(data: bytes, longest_ms: int) -> str:
 
 
 def _zeros_complete(data: bytes) -> str:
-    """Why zeros would make another move of this one where it was cut, of another position or of a servo 0; "" when they
-    would not. Cut before its first servo it is a move of none."""
+    """Why zeros would turn a cut of this move into another one, to another position or of a servo 0; "" if they would
+    not. If it is cut before its first servo, it is a move of none."""
     end = framing.zeros_complete(BUS_SERVO, data, _MOVES_AT)
     return f"another move if cut after {end} bytes of data" if end else ""

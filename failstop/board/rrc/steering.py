@@ -1,8 +1,8 @@
-"""Steering: the frame that turns the servo of a steered base, and the check of it before the wire.
+"""Steering: the frame that turns the servo of a steered base, and its check before it is written.
 
-It goes out in one write with the motor frame before it: steering is motion, admitted and refused as motion is. A stop
-has no such frame, and leaves the wheels turned as they are. The frame for a bus servo holds the board's receiver for
-MOVE_NS: a stop right behind it comes so much later.
+It is part of the same write as the motor frame before it, because steering is motion: it is admitted and refused as
+motion is. A stop has no such frame, and leaves the wheels at their angle. The frame for a bus servo holds the board's
+receiver for MOVE_NS, so a stop right after it is that much later.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 
 PWM, BUS = "pwm", "bus"
 STEER = 3
-"""Sub-command: one PWM servo. That for many takes the pulse for the time (firmware source), and is not used."""
+"""Sub-command for one PWM servo. The one for several takes the pulse for the time (firmware source), and is not
+used."""
 TAKES_MS = 20
-"""The servo's time for a way: as long as until the next frame."""
+"""The servo's time for a move, which is the time until the next frame."""
 LONGEST_WAY_MS = 28
 _PWM_DATA, _BUS_DATA = Struct("<BHBH"), Struct("<BHBBH")
 _PWM_HEAD = HEAD + bytes((PWM_SERVO, _PWM_DATA.size))
@@ -37,24 +38,24 @@ class Steering:
     def __init__(self, servo: SteeringServo) -> None:
         self.servo = servo
         self._limit = servo.most_rad * (1 + 2.0**-40)
-        """The largest angle, and what arithmetic may add to it."""
+        """The largest angle, plus rounding errors."""
 
     def frame(self, angle_rad: float) -> bytes:
-        """The frame for this angle to the left. Raises FrameError for one beyond the largest.
+        """The frame for this angle to the left. Raises FrameError for a larger angle than allowed.
 
-        The servo's time may be some milliseconds longer: no frame is made that the zeros of the stop burst could
-        complete, were it cut short.
+        The servo's time may be a few milliseconds longer, so that no frame is made that the zeros of the stop burst
+        could complete if it were cut short.
         """
         checks.number("steering angle", angle_rad, -self._limit, self._limit, "rad")
         pulses = self.servo.centre + round(angle_rad * self.servo.per_rad)
         if self.servo.kind == BUS:
             return servos.bus_servo_move(((self.servo.id, pulses),), TAKES_MS, LONGEST_WAY_MS)
-        # Each cut excludes one of these times at most, so that one of so many is left.
+        # Each cut excludes at most one of these times, so one of this many is left.
         every = (_PWM_DATA.pack(STEER, ms, self.servo.id, pulses) for ms in range(TAKES_MS, LONGEST_WAY_MS + 1))
         return framing.seal(PWM_SERVO, next(data for data in every if not framing.zeros_complete(PWM_SERVO, data)))
 
     def check(self, frame: bytes) -> str:
-        """Why these bytes must not be written to steer; "" when they may. Never raises on bytes."""
+        """Why these bytes must not be written to steer; "" if they may. Never raises on bytes."""
         if self.servo.kind == BUS:
             if not frame.startswith(_BUS_HEAD):
                 return "not a steering frame"
