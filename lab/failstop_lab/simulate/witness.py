@@ -1,9 +1,9 @@
-"""Witness: judges a run by what the simulated board executes, against what was done to the machine and asked by
-programs. The bars are the first board's; at another one a stop may take Traits.late_ns more, by its own line and loop.
+"""Witness: judges a run by the frames that the simulated board executes. It knows which faults happened to the machine
+and what programs asked for, and it never asks the service.
 
-It never asks the service. Something that must stop the wheels has a bar, and once its time is over no frame may turn
-them before a program asks for motion again. Nobody can stop wheels that no process reaches, so a bar begins again when
-one does.
+Each reason to stop has a bar (Deadline): once its time is over, no frame may turn the wheels before a program asks for
+motion again. Nobody can stop wheels that no process reaches, so the bar begins again when one does. The bars are the
+first board's; another board may take Traits.late_ns longer, because of its own line and loop.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ CLAIMS = {
     "shared memory is seen in the order of the litmus tests": ("MOVE-1", "MOVE-2", "CAUSE-1", "PROOF-1"),
     "no entry of a ring is passed over": ("ASK-1",),
 }
-"""The claims (lab/case/claims.py) that each rule carries by which a run is judged."""
+"""The rules by which a run is judged, and the claims (lab/case/claims.py) that each rule supports."""
 SERVICE_PROCESSES = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
 PORT_WRITERS = ("supervisor", "port_owner", "stopper")
 DEATH_NS = 8 * MS
-"""From a death to the stop at the board: a burst that is on the wire before it, its own bytes, and the steps of those
-who write it."""
+"""From a death to the stop at the board: a burst that is on the wire before it, its own bytes, and the steps of the
+processes that write it."""
 RESUMED_NS = 3 * MS
-"""A port owner that was held up past its last look has written its one frame within so long of going on."""
+"""A port owner that was held up after its last look writes its one frame within this time of going on."""
 REPEAT_NS = 20 * MS
 """From a stop to its first repeat."""
 ASKED_NS = 4 * MS
@@ -67,68 +67,141 @@ ZEROS_NS = 250 * MS
 SLACK_RPS = 1e-3
 
 
+class Phase(Enum):
+    """What a deadline waits for."""
+
+    UNREACHED = auto()
+    """A process that reaches the wheels: until there is one, the bar begins again and again."""
+    BAR = auto()
+    """The bar of the first board."""
+    OWN_TIME = auto()
+    """The time that this board's own line and loop may add, because the wheels still turned at the end of the bar."""
+    ZEROS = auto()
+    """The zeros after a stop, because a pause has moved the repeats, whose times are chosen against the board's own
+    loop, so the board may have lost them."""
+
+
+class Deadline:
+    """One reason to stop, and its time. It ends with a verdict, or when a program asks for motion."""
+
+    def __init__(self, witness: Witness, why: str, within_ns: int, by: str) -> None:
+        """`within_ns`: the bar; `by`: the process that notices, if it is not one of the PORT_WRITERS."""
+        self._witness, self._machine, self._board = witness, witness.machine, witness.board
+        self._why, self._within_ns, self._by = why, within_ns, by
+        self._asked = witness.asked_for_motion
+        self._phase = Phase.BAR
+        self._begun_ns = self._paused_ns = self._own_ns = 0
+
+    def begin(self, phase: Phase, *, after_ns: int = 0, left_ns: int | None = None) -> None:
+        """Begin a phase after this time. `left_ns`: how much of it is left, if not all."""
+        self._phase, self._begun_ns = phase, self._machine.now_ns
+        self._paused_ns, self._own_ns = self._witness.all_paused_ns(self._by), self._witness.own_ns()
+        if left_ns is None:
+            left_ns = self._own_ns if phase is Phase.OWN_TIME else self._within_ns
+        self._machine.at(self._begun_ns + max(0, after_ns) + left_ns, self._due)
+
+    def _due(self) -> None:
+        if self._witness.asked_for_motion != self._asked:
+            return
+        now_ns, again_ns = self._machine.now_ns, self._begins_again_ns()
+        if again_ns is not None:
+            self.begin(Phase.BAR, after_ns=again_ns - now_ns)
+        elif more_ns := self._witness.all_paused_ns(self._by) - self._paused_ns:
+            self.begin(self._phase, left_ns=more_ns)
+        else:
+            self._board.catch_up()
+            reached = self._witness.reached()
+            if self._phase is Phase.UNREACHED or not reached:
+                self.begin(Phase.BAR if reached else Phase.UNREACHED, after_ns=self._witness.wire_ns - now_ns)
+            else:
+                self._end_phase()
+
+    def _begins_again_ns(self) -> int | None:
+        """When the bar begins again, because the port has kept bytes or refused a stop since; None: it does not."""
+        port = self._board.port
+        if port and port.drained_ns > self._begun_ns:
+            return self._witness.wire_ns  # the board reads only now what the port had kept
+        if port and port.took_again_ns + REPEAT_NS > self._begun_ns:
+            return port.took_again_ns + REPEAT_NS  # a refused stop is written again with the first repeat
+        return None
+
+    def _end_phase(self) -> None:
+        """Call when the time of the phase is over and a process reaches the wheels."""
+        may_be_late = self._own_ns > 0 and any(self._board.model.wheels)
+        if may_be_late and self._phase is Phase.BAR:
+            self.begin(Phase.OWN_TIME)
+        elif may_be_late and self._phase is Phase.OWN_TIME and self._repeats_were_moved():
+            self.begin(Phase.ZEROS, left_ns=ZEROS_NS)
+        else:
+            self._witness.must_be_still(self._why, self._within_ns + self._own_ns)
+
+    def _repeats_were_moved(self) -> bool:
+        return self._witness.late_until_ns() + ADAPTER_BAR_NS > self._machine.now_ns
+
+
 class Witness:
-    """Of one run. `violations` says what was wrong, each once; `story` what happened, with its time."""
+    """The judge of one run. `violations` lists each fault once; `story` says what happened, and when."""
 
     def __init__(self, robot: Robot) -> None:
-        self._robot, self._machine, self._board = robot, robot.machine, robot.board
+        self._robot, self.machine, self.board = robot, robot.machine, robot.board
         self._traits, language = robot.board.traits, robot.board.traits.language
         self._first_stop, self._byte_ns = language.first_stop, language.port.byte_ns
         self._fuses = is_described(self._traits.kind) and model_of(self._traits.kind).fuses
         self._shortest_ns = len(language.stop) * self._byte_ns
-        """On the wire: no frame of motion is shorter than that of zeros."""
+        """Time on the wire of the shortest motion frame, which is the one of zeros."""
         self.violations: list[str] = []
         self.causes: list[str] = []
-        """Those that the supervisor raised the epoch for, in order."""
+        """The causes that the supervisor raised the epoch for, in order."""
         self.story: list[tuple[int, str]] = []
         self.moved_ns = 0
-        """When the wheels were told to turn last."""
+        """When the wheels were last told to turn."""
         self.hears_ns = 0
-        """When a board that was deaf has heard one of the zeros that are repeated."""
+        """When a board that was deaf has heard one of the repeated zeros."""
         self.orderly = False
-        """The service ends as it was told to: its processes die for that."""
+        """True while the service ends because it was asked to, so that its processes may die."""
         self._forbidden = "no program has asked for motion yet"
-        """Why no frame may turn the wheels now; empty: one may."""
+        """Why no frame may turn the wheels now; empty if one may."""
         self.asked_for_motion = 0
-        """So often a program has asked for motion."""
+        """How often a program has asked for motion."""
         self._asking = False
         """A program has asked and has no answer yet."""
         self._asked_ns = 0
-        """When a program asked for motion last."""
+        """When a program last asked for motion."""
         self._stopper_paused_ns = (0, 0)
-        """From when until when a thread of the stopper has paused last."""
+        """The begin and end of the last pause of a thread of the stopper."""
         self._fastest_rps = 0.0
-        """The speed that programs have asked for since they asked for motion last."""
-        self._wire_ns = 0
-        """When the board will have read all that was written to it."""
+        """The fastest speed that programs have commanded since they last asked for motion."""
+        self.wire_ns = 0
+        """When the board will have read everything written to it."""
         self._old_ns = 0
-        """When it will have read what was written before a program was granted motion last, or what a port had kept
-        that did not drain."""
+        """When it will have read everything from before motion was last granted, and everything that a port which did
+        not drain had kept."""
         self._stops: dict[bool, tuple[int, int]] = {}
-        """Of the port owner's own threads, and of others: from when on so many more frames may turn the wheels, before
-        a program asks for motion again."""
+        """Early stops by threads of the port owner (True) and of others: when the stop is over, and how many frames may
+        still turn the wheels after it, before a program asks for motion again."""
         self._late_ns: dict[str, int] = {}
-        """Until then a thread of each process may pause."""
+        """Until when a thread of each process may pause."""
         self._paused_ns = Counter[str]()
-        """For so long, all in all, threads of each process have paused: a bar is as much longer."""
+        """How long threads of each process have paused in total; a bar is longer by that time."""
         self._cut_ns = 0
-        """When half of a write was on the wire last."""
+        """When half of a write was last on the wire."""
         self._fenced_ns = 0
         """Until then the stop for one that was fenced may be on its way."""
         self._waits = ""
         """Why a program has to pause before it may turn the wheels; empty: none has."""
         self._late = False
-        """The one frame that may follow a stop which came while the port owner was held up has come."""
+        """True once the one frame has come that may follow a stop which was written while the port owner was held
+        up."""
         robot.machine.told = self._told
-        self._board.on_frame = self._frame
-        self._board.on_bytes = self._written
+        self.board.on_frame = self._frame
+        self.board.on_bytes = self._written
 
     def tell(self, text: str) -> None:
-        """One more step of the story."""
-        self.story.append((self._machine.now_ns, text))
+        """Add a step to the story."""
+        self.story.append((self.machine.now_ns, text))
 
     def wrong(self, text: str) -> None:
-        """A violation."""
+        """Add a violation."""
         if text not in self.violations:
             self.violations.append(text)
         self.tell(f"WRONG: {text}")
@@ -137,9 +210,9 @@ class Witness:
 
     def asks_for_motion(self) -> None:
         """A program calls enable()."""
-        self._board.catch_up()
+        self.board.catch_up()
         self.asked_for_motion += 1
-        self._asking, self._asked_ns = True, self._machine.now_ns
+        self._asking, self._asked_ns = True, self.machine.now_ns
         self._forbidden, self._late = "", False
         self._stops = {}
         self.tell("a program asks for motion")
@@ -149,26 +222,26 @@ class Witness:
             self.asks_for_motion()
 
     def is_granted(self) -> None:
-        """enable() has returned: what moves from now on was asked for from now on, but where another program drove."""
-        self._board.catch_up()
+        """enable() has returned, so speeds count from now on, unless another program was driving."""
+        self.board.catch_up()
         self._asking = False
-        self._old_ns = max(self._old_ns, self._wire_ns)
-        if not any(self._board.model.wheels):
+        self._old_ns = max(self._old_ns, self.wire_ns)
+        if not any(self.board.model.wheels):
             self._fastest_rps = 0.0
 
     def asks_for(self, rps: float) -> None:
-        """A program commands this speed of the wheels."""
+        """A program commands this wheel speed."""
         self._fastest_rps = max(self._fastest_rps, rps)
 
     def _written(self, data: bytes) -> None:
-        """Bytes for the board, of whoever runs. What is stopped early, beside a port owner that may be about to write,
-        lets one frame through (S2 of docs/dev/model.md); a thread of the port owner's own, none. What its loop stops
-        for may be over by itself."""
-        begun_ns = max(self._wire_ns, self._machine.now_ns)
-        self._wire_ns = begun_ns + len(data) * self._byte_ns
-        if self._board.port and self._board.port.drained_ns == self._machine.now_ns:
-            self._old_ns = self._wire_ns
-        thread = self._machine.current
+        """Bytes for the board, written by the running thread. After an early stop by another process, the port owner
+        may be about to write one frame (S2 of docs/dev/model.md); after one by its own thread, none. A stop by its
+        loop is not early, and its reason may be over by itself."""
+        begun_ns = max(self.wire_ns, self.machine.now_ns)
+        self.wire_ns = begun_ns + len(data) * self._byte_ns
+        if self.board.port and self.board.port.drained_ns == self.machine.now_ns:
+            self._old_ns = self.wire_ns
+        thread = self.machine.current
         if thread is None or self._asking or not data.startswith(self._first_stop):
             return
         own = thread.process.name == "port_owner"
@@ -179,10 +252,10 @@ class Witness:
         self._stops.setdefault(own, (begun_ns + len(self._first_stop) * self._byte_ns, 0 if own else 1))
 
     def _repeats_late(self) -> bool:
-        """Whether the stopper, which writes now, had looked for the last time before a program asked for motion: what
-        it repeats is a stop from before that."""
+        """Whether the stopper, which writes now, last looked before a program asked for motion, so that it repeats a
+        stop from before that."""
         begun_ns, ended_ns = self._stopper_paused_ns
-        return begun_ns <= self._asked_ns and self._machine.now_ns < ended_ns + RESUMED_NS
+        return begun_ns <= self._asked_ns and self.machine.now_ns < ended_ns + RESUMED_NS
 
     def must_stop(self, why: str, within_ns: int, by: str = "", moot: Callable[[], bool] = lambda: False) -> None:
         """From `within_ns` on the wheels stand, until a program asks for motion again. What is on the wire before it
@@ -192,10 +265,18 @@ class Witness:
         after_ns = max(self._wire_ns, self._late_until_ns(by)) - self._machine.now_ns
         self._judge_in(within_ns, why, self.asked_for_motion, reached=True, after_ns=after_ns, by=by, moot=moot)
 
-    def _late_until_ns(self, by: str = "") -> int:
+    def must_be_still(self, why: str, within_ns: int) -> None:
+        """The deadline is over: from now on no frame may turn the wheels, and they are still."""
+        self._forbidden = self._forbidden or why
+        if any(self.board.model.wheels):
+            self.wrong(f"the wheels turn {within_ns / MS:g} ms after: {why}")
+
+    def late_until_ns(self, by: str = "") -> int:
+        """Until when a thread of a process that writes to the board, or of `by`, may pause."""
         return max(self._late_ns.get(name, 0) for name in (*PORT_WRITERS, by))
 
-    def _all_paused_ns(self, by: str) -> int:
+    def all_paused_ns(self, by: str) -> int:
+        """How long threads of these processes have paused, all in all."""
         return sum(self._paused_ns[name] for name in (*PORT_WRITERS, by))
 
     def _judge_in(
@@ -280,19 +361,19 @@ class Witness:
 
     def _own_ns(self) -> int:
         """How much later than the first board this one may obey, from now on."""
-        late_ns, port = self._traits.late_ns, self._board.port
+        late_ns, port = self._traits.late_ns, self.board.port
         if not late_ns or port is None or not port.drained_ns:
             return late_ns
-        return max(late_ns, port.drained_ns + ADAPTER_BAR_NS - self._machine.now_ns)
+        return max(late_ns, port.drained_ns + ADAPTER_BAR_NS - self.machine.now_ns)
 
     def reached(self) -> bool:
-        """True while a process of the service runs that has the board's port, which takes bytes; and no process is held
-        up for less than others need to notice it."""
-        port = self._board.port
+        """True while a running process of the service has the board's port, the port takes bytes, and every process
+        that is held up has been so for long enough that others noticed."""
+        port = self.board.port
         living = (each for each in self._living() if not each.held_until_ns)
-        if port is None or not port.drains or port.refuses or self._board.model.deaf or self._unnoticed():
+        if port is None or not port.drains or port.refuses or self.board.model.deaf or self._unnoticed():
             return False
-        if self._machine.now_ns < max(self.hears_ns, self._late_until_ns(), self._fenced_ns):
+        if self.machine.now_ns < max(self.hears_ns, self.late_until_ns(), self._fenced_ns):
             return False
         return any(_has(each, port) for each in living if each.name in PORT_WRITERS)
 
@@ -300,17 +381,17 @@ class Witness:
         held = [each for each in self._living() if each.held_until_ns]
         names = {each.name for each in held}
         if names >= {"supervisor", "port_owner"}:
-            # The stopper has an eye on the port owner alone, and that is enough.
+            # The stopper watches only the port owner, which is enough.
             bars = {**HANG_BAR_NS, "port_owner": STOPPER_NS, "supervisor": 0}
         else:
             bars = HANG_BAR_NS
-        # A process that was held up judges nobody by the time before it went on.
+        # A process that was held up does not count the time before it went on.
         watching_ns = max((each.resumed_ns for each in self._living() if each.name in PORT_WRITERS), default=0)
         noticed_ns = [max(each.held_since_ns, watching_ns) + bars.get(each.name, 0) for each in held]
-        return any(self._machine.now_ns < at_ns for at_ns in noticed_ns)
+        return any(self.machine.now_ns < at_ns for at_ns in noticed_ns)
 
     def _living(self) -> list[Process]:
-        return [each for each in self._machine.processes.values() if not each.dead]
+        return [each for each in self.machine.processes.values() if not each.dead]
 
     def _frame(self, frame: Frame) -> None:
         if frame.func != MOTOR:
@@ -320,7 +401,7 @@ class Witness:
             if self._forbidden and not self._was_on_its_way():
                 self.wrong(f"a frame turns the wheels after: {self._forbidden}")
             for own, (stop_ns, more) in self._stops.items():
-                # One that was written behind the stop has all of its bytes behind it.
+                # A frame that was written after the stop has all of its bytes after it.
                 if frame.executed_ns >= stop_ns + self._shortest_ns:
                     self._stops[own] = stop_ns, more - 1
                     if more < 1:
@@ -332,12 +413,13 @@ class Witness:
             self.wrong(f"a frame writes outside of the motors: {frame.wild}")
 
     def _may_be_fused(self) -> bool:
-        """Whether this frame may be of pieces of two: at some boards one such passes the check, with any speed."""
-        return self._fuses and self._machine.now_ns < self._cut_ns + self._traits.late_ns
+        """Whether this frame may consist of pieces of two. On some boards such a frame passes the check, with any
+        speed."""
+        return self._fuses and self.machine.now_ns < self._cut_ns + self._traits.late_ns
 
     def _was_on_its_way(self) -> bool:
-        """A port owner that was held up past its last look may still write that one frame (S2 of docs/dev/model.md),
-        and then stops: the one frame counts, a second one does not."""
+        """Allow the one frame of a port owner that was held up after its last look (S2 of docs/dev/model.md), which
+        stops after it. A second frame is not allowed."""
         why, self._forbidden = self._forbidden, ""
         if self._late or not self._resumed():
             self._forbidden = why
@@ -347,9 +429,9 @@ class Witness:
         return True
 
     def _resumed(self) -> bool:
-        """Whether a port owner was let go on just now."""
+        """Whether a held-up port owner was released just now."""
         owner = self._robot.named("port_owner")
-        return owner is not None and 0 < self._machine.now_ns - owner.resumed_ns < RESUMED_NS + self._traits.late_ns
+        return owner is not None and 0 < self.machine.now_ns - owner.resumed_ns < RESUMED_NS + self._traits.late_ns
 
     # Events of the machine.
 
@@ -359,7 +441,7 @@ class Witness:
         elif kind == "died":
             self.tell(f"{process.name} (pid {process.pid}) dies: {what}")
             if process.held_until_ns:
-                self._fenced_ns = self._machine.now_ns + DEATH_NS
+                self._fenced_ns = self.machine.now_ns + DEATH_NS
             if process.name in SERVICE_PROCESSES and not self.orderly and not _is_left_over(process):
                 self.must_stop(f"{process.name} is dead", DEATH_NS)
         elif process.name in SERVICE_PROCESSES:
@@ -375,33 +457,33 @@ class Witness:
         if process.name not in SERVICE_PROCESSES and self._waits == self._forbidden:
             self._forbidden = self._waits = ""
         if self._asking and process.name not in SERVICE_PROCESSES:
-            self._machine.at(self._machine.now_ns + ns, self._asks_still)
-        if ns > HANG_BAR_NS.get(process.name, ns) and any(self._board.model.wheels) and not self._asking:
+            self.machine.at(self.machine.now_ns + ns, self._asks_still)
+        if ns > HANG_BAR_NS.get(process.name, ns) and any(self.board.model.wheels) and not self._asking:
             self.must_stop(f"{process.name} is silent", HANG_BAR_NS[process.name])
         else:
             self.tell(f"{process.name} is held up for {ns / MS:g} ms")
 
     def late(self, process: Process, ns: int) -> None:
-        """A thread of a process pauses for so long."""
+        """A thread of a process pauses for this time."""
         name = process.name
         self._paused_ns[name] += ns
-        self._late_ns[name] = max(self._late_ns.get(name, 0), self._machine.now_ns + ns)
+        self._late_ns[name] = max(self._late_ns.get(name, 0), self.machine.now_ns + ns)
         if name == "stopper":
-            self._stopper_paused_ns = self._machine.now_ns, self._machine.now_ns + ns
+            self._stopper_paused_ns = self.machine.now_ns, self.machine.now_ns + ns
 
     def cut(self, told: str) -> None:
         """Half of a write is on the wire."""
         self.tell(told)
-        self._cut_ns = self._machine.now_ns
+        self._cut_ns = self.machine.now_ns
 
     def asked(self) -> None:
-        """Somebody's bytes came to the stop pipe."""
+        """Bytes came to the stop pipe."""
         self.must_stop("a stop was asked for", ASKED_NS)
 
 
 def _is_left_over(process: Process) -> bool:
-    """True for a process whose supervisor has died before it: that death was the one to stop for, and by now the next
-    run of the service may drive."""
+    """True for a process whose supervisor died before it: that death was the one to stop for, and the next run of the
+    service may be driving by now."""
     return process.name != "supervisor" and (process.parent is None or process.parent.dead)
 
 
