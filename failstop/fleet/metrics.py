@@ -131,140 +131,156 @@ def _servos(at: int) -> Read:
     return lambda state: _each("servo", {name: float(told[at]) for name, told in state.servos.items()})
 
 
-def _rows() -> Iterator[Family]:
-    def row(name: str, kind: str, doc: str, read: Read, *labels: str) -> Family:
-        return Family(f"{NAMESPACE}_{name}", kind, doc, labels, read)
-
-    yield row("up", GAUGE, "1 while the service answers; the only one that is there when it does not", lambda _: ())
-    yield row(
-        "build_info", GAUGE, "Always 1; the version is the exporter's",
-        lambda state: [((("service", state.name), ("version", VERSION)), 1.0)], "service", "version",
-    )  # fmt: skip
-    yield row("motion_enabled", GAUGE, "1 while motion is enabled", lambda state: _one(state.enabled))
-    yield row("moving", GAUGE, "1 while a velocity is commanded", lambda state: _one(state.moving))
-    yield row(
-        "wheels_may_turn", GAUGE,
-        "1 while a stop is not known to reach the wheels, or they are seen to turn although they are told zero",
-        lambda state: _one(bool(verdict.doubt(state))),
-    )  # fmt: skip
-    yield row(
-        "wheels_state", GAUGE, "1 for what is seen of the wheels: still, turning, or unknown",
-        lambda state: _states("state", records.WHEELS_DO, state.turning.does), "state",
-    )  # fmt: skip
-    yield row(
-        "wheels_seen_by", GAUGE, "1 for what sees it: the board's reports (wheels), or the IMU; all 0: nothing does",
-        lambda state: _each("source", {name: name == state.turning.by for name in records.WHEELS_BY if name}), "source",
-    )  # fmt: skip
-    yield row(
-        "wheels_unexpected", GAUGE, "1 while they turn although they were told zero for longer than still.after_s",
-        lambda state: _one(state.turning.unexpected),
-    )  # fmt: skip
-    yield row(
-        "wheels_reading_age_seconds", GAUGE, "Age of the newest reading of the wheels; missing: there was none",
-        lambda state: _one(state.turning.age_s),
-    )  # fmt: skip
-    yield row(
-        "wheel_speed_radians_per_second", GAUGE, "Measured, positive forward; missing: the board reports none",
-        _wheel_speeds, "wheel",
-    )  # fmt: skip
-    yield row("stop_latched", GAUGE, "1 while a stop is latched", lambda state: _one(state.cause is not None))
-    yield row(
-        "stop_latched_cause", GAUGE, "1 for the cause that is latched (docs/reference/causes.md)",
-        lambda state: [((("cause", state.cause.kind.name),), 1.0)] if state.cause else [], "cause",
-    )  # fmt: skip
-    yield row("blocked", GAUGE, "1 for the reason why the wheels may not turn; all 0: they may", _blocked, "reason")
-    yield row(
-        "stops_total", COUNTER, "Stops since the service was started, those of its start included; no reset counts",
-        lambda state: _one(state.epoch),
-    )  # fmt: skip
-    yield row(
-        "last_stop_info", GAUGE, "Always 1; why the robot was stopped last, and who noticed it",
-        _stop_cause, "cause", "noticed_by",
-    )  # fmt: skip
-    yield row("last_stop_timestamp_seconds", GAUGE, "When that was, Unix time", _stop("t"))
-    yield row(
-        "last_stop_written_seconds", GAUGE, "From its cause to its bytes in the kernel; missing: NOT written",
-        _stop("written_s"),
-    )  # fmt: skip
-    yield row(
-        "last_stop_acknowledged_seconds", GAUGE, "From its cause to the board's answer; missing: none came",
-        _stop("acknowledged_s"),
-    )  # fmt: skip
-    yield row(
-        "last_stop_observed_seconds", GAUGE,
-        "From its cause to wheels that the IMU calls still; 0: nothing shook before it either; missing: not seen",
-        _stop("observed_s"),
-    )  # fmt: skip
-    yield row(
-        "velocity_meters_per_second", GAUGE, "Commanded now, x forward, y left",
-        lambda state: _each("axis", {"x": state.body_vel[0], "y": state.body_vel[1]}), "axis",
-    )  # fmt: skip
-    yield row(
-        "turn_radians_per_second", GAUGE, "Commanded now, counter-clockwise", lambda state: _one(state.body_vel[2])
-    )
-    yield row(
-        "port_state", GAUGE, "1 for what the port to the board is",
-        lambda state: _states("state", records.PORT_STATES, state.device.state), "state",
-    )  # fmt: skip
-    yield row(
-        "link_state", GAUGE, "1 for what the board's answers prove",
-        lambda state: _states("state", LINKS, state.device.link), "state",
-    )  # fmt: skip
-    yield row(
-        "speed_limit_ratio", GAUGE, "The share of the settings' speeds that drivers may use",
-        lambda state: _one(state.speed_limit),
-    )  # fmt: skip
-    yield row(
-        "battery_volts", GAUGE, "The battery's voltage",
-        lambda state: _one(state.battery_v),
-    )  # fmt: skip
-    yield row(
-        "battery_charger_plugged", GAUGE, "1 while the charger is plugged in; missing: the board does not say",
-        lambda state: _one({"plugged": 1.0, "unplugged": 0.0}.get(state.plugged)),
-    )  # fmt: skip
-    yield row(
-        "reading_age_seconds", GAUGE, "Age of the newest of each reading, and of anything that the board said",
-        _ages, "reading",
-    )  # fmt: skip
-    yield row("decision_age_seconds", GAUGE, "Age of the gate's decision", lambda state: _one(state.age_s))
-    yield row(
-        "scan_age_seconds", GAUGE, "Since the obstacle sensor delivered; missing: never",
-        lambda state: _one(state.scan_age_s),
-    )  # fmt: skip
-    yield row("clients", GAUGE, "Programs that hold a client slot", lambda state: _one(len(state.clients)))
-    yield row("process_state", GAUGE, "1 for what each process is", _process_states, "process", "state")
-    yield row("process_restarts_total", COUNTER, "Restarts of each process", _processes("restarts"), "process")
-    yield row("process_heartbeat_age_seconds", GAUGE, "Since the last heartbeat of each", _living("age_s"), "process")
-    yield row(
-        "process_longest_turn_seconds", GAUGE, "The longest time between two turns of its loop since its start",
-        _living("worst_s"), "process",
-    )  # fmt: skip
-    yield row(
-        "process_realtime", GAUGE, "1 with real-time rights, without which stops come later",
-        _processes("realtime"), "process",
-    )  # fmt: skip
-    yield row(
-        "starved_total", COUNTER, "How often the machine did not run a process in time while motion was disabled",
-        lambda state: _one(state.starved_times),
-    )  # fmt: skip
-    yield row(
-        "arm_moving", GAUGE, "1 while the arm moves; missing without an arm",
-        lambda state: _one(state.arm.moving if state.arm else None),
-    )  # fmt: skip
-    yield row(
-        "arm_joint_temperature_celsius", GAUGE, "Of each servo, as it was read last", _joints("temperature_c"), "joint"
-    )
-    yield row("arm_joint_supply_volts", GAUGE, "Of each servo, likewise", _joints("supply_v"), "joint")
-    yield row(
-        "servo_temperature_celsius", GAUGE, "Of each servo of a bus, wheels' and joints'", _servos(1), "servo",
-    )  # fmt: skip
-    yield row(
-        "servo_load_ratio", GAUGE, "Share of the most that each gives, signed", _servos(0), "servo",
-    )  # fmt: skip
+def _row(name: str, kind: str, doc: str, read: Read, *labels: str) -> Family:
+    return Family(f"{NAMESPACE}_{name}", kind, doc, labels, read)
 
 
 LINKS = (LINK_UNPROVEN, LINK_ALIVE, LINK_DEAF, LINK_SILENT, LINK_UNHEARD, LINK_UNASKED)
-FAMILIES = tuple(_rows())
+SERVICE = (
+    _row("up", GAUGE, "1 while the service answers; the only one that is there when it does not", lambda _: ()),
+    _row(
+        "build_info", GAUGE, "Always 1; the version is the exporter's",
+        lambda state: [((("service", state.name), ("version", VERSION)), 1.0)], "service", "version",
+    ),
+)  # fmt: skip
+"""The service itself."""
+WHEELS = (
+    _row("motion_enabled", GAUGE, "1 while motion is enabled", lambda state: _one(state.enabled)),
+    _row("moving", GAUGE, "1 while a velocity is commanded", lambda state: _one(state.moving)),
+    _row(
+        "wheels_may_turn", GAUGE,
+        "1 while a stop is not known to reach the wheels, or they are seen to turn although they are told zero",
+        lambda state: _one(bool(verdict.doubt(state))),
+    ),
+    _row(
+        "wheels_state", GAUGE, "1 for what is seen of the wheels: still, turning, or unknown",
+        lambda state: _states("state", records.WHEELS_DO, state.turning.does), "state",
+    ),
+    _row(
+        "wheels_seen_by", GAUGE, "1 for what sees it: the board's reports (wheels), or the IMU; all 0: nothing does",
+        lambda state: _each("source", {name: name == state.turning.by for name in records.WHEELS_BY if name}), "source",
+    ),
+    _row(
+        "wheels_unexpected", GAUGE, "1 while they turn although they were told zero for longer than still.after_s",
+        lambda state: _one(state.turning.unexpected),
+    ),
+    _row(
+        "wheels_reading_age_seconds", GAUGE, "Age of the newest reading of the wheels; missing: there was none",
+        lambda state: _one(state.turning.age_s),
+    ),
+    _row(
+        "wheel_speed_radians_per_second", GAUGE, "Measured, positive forward; missing: the board reports none",
+        _wheel_speeds, "wheel",
+    ),
+)  # fmt: skip
+"""Motion, and what is known about the wheels."""
+STOPS = (
+    _row("stop_latched", GAUGE, "1 while a stop is latched", lambda state: _one(state.cause is not None)),
+    _row(
+        "stop_latched_cause", GAUGE, "1 for the cause that is latched (docs/reference/causes.md)",
+        lambda state: [((("cause", state.cause.kind.name),), 1.0)] if state.cause else [], "cause",
+    ),
+    _row("blocked", GAUGE, "1 for the reason why the wheels may not turn; all 0: they may", _blocked, "reason"),
+    _row(
+        "stops_total", COUNTER, "Stops since the service was started, those of its start included; no reset counts",
+        lambda state: _one(state.epoch),
+    ),
+    _row(
+        "last_stop_info", GAUGE, "Always 1; why the robot was stopped last, and who noticed it",
+        _stop_cause, "cause", "noticed_by",
+    ),
+    _row("last_stop_timestamp_seconds", GAUGE, "When that was, Unix time", _stop("t")),
+    _row(
+        "last_stop_written_seconds", GAUGE, "From its cause to its bytes in the kernel; missing: NOT written",
+        _stop("written_s"),
+    ),
+    _row(
+        "last_stop_acknowledged_seconds", GAUGE, "From its cause to the board's answer; missing: none came",
+        _stop("acknowledged_s"),
+    ),
+    _row(
+        "last_stop_observed_seconds", GAUGE,
+        "From its cause to wheels that the IMU calls still; 0: nothing shook before it either; missing: not seen",
+        _stop("observed_s"),
+    ),
+)  # fmt: skip
+"""The latch and the last stop."""
+BOARD = (
+    _row(
+        "velocity_meters_per_second", GAUGE, "Commanded now, x forward, y left",
+        lambda state: _each("axis", {"x": state.body_vel[0], "y": state.body_vel[1]}), "axis",
+    ),
+    _row(
+        "turn_radians_per_second", GAUGE, "Commanded now, counter-clockwise", lambda state: _one(state.body_vel[2])
+    ),
+    _row(
+        "port_state", GAUGE, "1 for what the port to the board is",
+        lambda state: _states("state", records.PORT_STATES, state.device.state), "state",
+    ),
+    _row(
+        "link_state", GAUGE, "1 for what the board's answers prove",
+        lambda state: _states("state", LINKS, state.device.link), "state",
+    ),
+    _row(
+        "speed_limit_ratio", GAUGE, "The share of the settings' speeds that drivers may use",
+        lambda state: _one(state.speed_limit),
+    ),
+    _row(
+        "battery_volts", GAUGE, "The battery's voltage",
+        lambda state: _one(state.battery_v),
+    ),
+    _row(
+        "battery_charger_plugged", GAUGE, "1 while the charger is plugged in; missing: the board does not say",
+        lambda state: _one({"plugged": 1.0, "unplugged": 0.0}.get(state.plugged)),
+    ),
+    _row(
+        "reading_age_seconds", GAUGE, "Age of the newest of each reading, and of anything that the board said",
+        _ages, "reading",
+    ),
+)  # fmt: skip
+"""The commanded velocity, the port and the board."""
+PROCESSES = (
+    _row("decision_age_seconds", GAUGE, "Age of the gate's decision", lambda state: _one(state.age_s)),
+    _row(
+        "scan_age_seconds", GAUGE, "Since the obstacle sensor delivered; missing: never",
+        lambda state: _one(state.scan_age_s),
+    ),
+    _row("clients", GAUGE, "Programs that hold a client slot", lambda state: _one(len(state.clients))),
+    _row("process_state", GAUGE, "1 for what each process is", _process_states, "process", "state"),
+    _row("process_restarts_total", COUNTER, "Restarts of each process", _processes("restarts"), "process"),
+    _row("process_heartbeat_age_seconds", GAUGE, "Since the last heartbeat of each", _living("age_s"), "process"),
+    _row(
+        "process_longest_turn_seconds", GAUGE, "The longest time between two turns of its loop since its start",
+        _living("worst_s"), "process",
+    ),
+    _row(
+        "process_realtime", GAUGE, "1 with real-time rights, without which stops come later",
+        _processes("realtime"), "process",
+    ),
+    _row(
+        "starved_total", COUNTER, "How often the machine did not run a process in time while motion was disabled",
+        lambda state: _one(state.starved_times),
+    ),
+)  # fmt: skip
+"""The gate, its clients, and every process."""
+SERVOS = (
+    _row(
+        "arm_moving", GAUGE, "1 while the arm moves; missing without an arm",
+        lambda state: _one(state.arm.moving if state.arm else None),
+    ),
+    _row(
+        "arm_joint_temperature_celsius", GAUGE, "Of each servo, as it was read last", _joints("temperature_c"), "joint"
+    ),
+    _row("arm_joint_supply_volts", GAUGE, "Of each servo, likewise", _joints("supply_v"), "joint"),
+    _row(
+        "servo_temperature_celsius", GAUGE, "Of each servo of a bus, wheels' and joints'", _servos(1), "servo",
+    ),
+    _row(
+        "servo_load_ratio", GAUGE, "Share of the most that each gives, signed", _servos(0), "servo",
+    ),
+)  # fmt: skip
+"""The arm, and the servos of a bus."""
+FAMILIES = (*SERVICE, *WHEELS, *STOPS, *BOARD, *PROCESSES, *SERVOS)
 UP = FAMILIES[0]
 
 
