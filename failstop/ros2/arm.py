@@ -1,7 +1,7 @@
-"""The arm's face: goals, poses, hold and release, each asked of the service by a thread of its own.
+"""The arm in ROS 2: goals, poses, hold and release. A thread of its own sends each request to the service.
 
-An answer of the arm's takes seconds. The executor has one thread, and the bridge's interlock and commands go through
-it, so nothing here waits in it: a job runs beside it, and whoever asked is answered when it has ended.
+The arm takes seconds to answer. The executor has only one thread, which also serves the bridge's interlock and
+commands, so nothing here may wait in it: a job runs next to it, and the caller gets the answer when the job has ended.
 """
 
 from __future__ import annotations
@@ -43,51 +43,62 @@ class ArmFace:
         stamps: Stamps,
         waited_ns: Callable[[], int],
     ) -> None:
-        """`link`: of the executor's thread, for what is done at once; `waited_ns`: how long the message at hand has
-        waited for its callback."""
+        """`link`: the executor's connection, for requests that take no time; `waited_ns`: how long the current message
+        has waited for its callback."""
         self._node = node
         self._link = link
         self._shared = shared
         self._stamps = stamps
         self._asking = RobotLink(link.name)
-        """Of the jobs: one client moves the arm, however many of its jobs have ended."""
+        """The connection of the jobs, which all move the arm as one client."""
         self._newest = 0
-        """Of what was asked for: a job that has not begun when a later one is asked for does nothing."""
+        """The number of the newest request. A job that has not begun when a later request comes does nothing."""
         self._holds: list[Job] = []
-        """For the action, whose end they are to be."""
+        """Holds that must end with the arm held, or else latch a stop."""
         self._goal_job: Job | None = None
         self._sender: Unwatched | None = None
-        """The sender of the topic's goal that the arm is on its way to; None: it is held already."""
+        """The sender of the topic's goal that the arm is moving to; None once the arm is held."""
         self._way_job: Job | None = None
-        """Of the action's goal."""
+        """The job of the action's goal."""
         self._waited_ns = waited_ns
         self.goal_timeout_s = 0.5
         """A goal older than this starts nothing (arm.goal_timeout_s)."""
         self.unwatched_s = 3.0
-        """A goal of the topic takes this long at most (arm.unwatched_s)."""
+        """The longest that a goal of the topic may take (arm.unwatched_s)."""
         self._turned_ns = monotonic_ns()
         self._since_ns = 0
-        """Goals that came before this may have lain in the kernel while this node did not run, for `_away_ns`."""
+        """Goals from before this time may have waited in the kernel for `_away_ns`, while this node did not run."""
         self._away_ns = 0
         self._busy_ns = 0
         self._asking_stop = Asking()
         kind = type_of(ARM_BUSY.type)
         self._busy, self._message = node.create_publisher(kind, ARM_BUSY.name, qos(ARM_BUSY.qos)), kind()
-        self._topic = ""
+        self._topic = self._subscribe(qos(ARM_GOAL.qos))
+        """The full name of the topic of goals; empty if it can't be subscribed to."""
+        self._offer_services(group)
+        self._action = self._offer_action(group)
+
+    def _subscribe(self, qos: Any) -> str:
         try:
-            goal = node.create_subscription(type_of(ARM_GOAL.type), ARM_GOAL.name, self._goal, qos(ARM_GOAL.qos))
-            self._topic = goal.topic_name
+            goal = self._node.create_subscription(type_of(ARM_GOAL.type), ARM_GOAL.name, self._goal, qos)
         except FailstopError as error:
-            node.get_logger().warning(f"{ARM_GOAL.name} is not heard: {error}")
+            self._node.get_logger().warning(f"{ARM_GOAL.name} is not heard: {error}")
+            return ""
+        return str(goal.topic_name)
+
+    def _offer_services(self, group: Any) -> None:
         acts = (_read, lambda robot: robot.arm.pose("drive"), lambda robot: robot.arm.pose("tuck"), _hold, _release)
         for service, act in zip(ARM_SERVICES, acts, strict=True):
-            node.create_service(type_of(service.type), service.name, self._answerer(act), callback_group=group())
-        self._action: TrajectoryFace | None = None
+            self._node.create_service(type_of(service.type), service.name, self._answerer(act), callback_group=group())
+
+    def _offer_action(self, group: Any) -> TrajectoryFace | None:
+        """The action; None if this ROS lacks its type."""
         try:
-            self._action = TrajectoryFace(node, group, shared, self.go, self.hold_way, lambda: self.goal_timeout_s)
+            return TrajectoryFace(self._node, group, self._shared, self.go, self.hold_way, lambda: self.goal_timeout_s)
         except FailstopError as error:
-            shared.lacks = (f"{ARM_ACTION.name} is not offered: {error}",)
-            node.get_logger().info(shared.lacks[0])
+            self._shared.lacks = (f"{ARM_ACTION.name} is not offered: {error}",)
+            self._node.get_logger().info(self._shared.lacks[0])
+            return None
 
     def give_up(self) -> int:
         """Drop requests that have not begun. Returns the number of the new one."""
@@ -95,7 +106,7 @@ class ArmFace:
         return self._newest
 
     def begin(self, act: Callable[[Robot], Any]) -> Job:
-        """Ask the service for what takes time, in the place of what was asked for before."""
+        """Send the service a request that takes time, which replaces the one before."""
         if act in (_read, _release):
             return Job(self._asking, act)
         number = self.give_up()
@@ -105,11 +116,11 @@ class ArmFace:
                 raise Refused("a later request took its place")
             return act(robot)
 
-        # Of the executor's client, whose enable a stop or a disable may follow: a hold must not wait for a job.
+        # A hold goes through the executor's connection at once, because it must not wait for a job.
         return Job(self._link, act, at_once=True) if act is _hold else Job(self._asking, newest)
 
     def go(self, path: Way, told: Callable[[str], None]) -> Job:
-        """The action's goal, which two are not at once. Raises Refused."""
+        """Move to the action's goal, one at a time. Raises Refused."""
         if old := self._old():
             raise Refused(old)
         if cause := self.rivals():
@@ -123,7 +134,7 @@ class ArmFace:
         return any(job and not job() for job in (self._goal_job, self._way_job))
 
     def hold_way(self) -> None:
-        """Hold the arm, if the action moves it still."""
+        """Hold the arm, if the action still moves it."""
         if self._way_job and not self._way_job():
             self._hold_now()
 
@@ -144,7 +155,8 @@ class ArmFace:
         return answer
 
     def follow(self, now_ns: int) -> None:
-        """With every turn of the watch: whether it moves, who else sends goals, and how the last goal ended."""
+        """Call with every turn of the watch: publish whether the arm moves, look for other senders of goals, and log
+        how the last goal ended."""
         self._turned(now_ns)
         if now_ns - self._busy_ns >= BUSY_NS:
             self._busy_ns = now_ns
@@ -165,14 +177,14 @@ class ArmFace:
                 self._node.get_logger().warning(f"{ARM_GOAL.name}: {words.refused(error)}")
 
     def _turned(self, now_ns: int) -> None:
-        """This node runs. Whoever was held up for longer than a goal counts takes what it finds for old: how long that
-        has lain in the kernel nobody knows."""
+        """Record that this node runs. If it was held up for longer than a goal's timeout, the goals it finds count as
+        old, because nobody knows how long they have waited in the kernel."""
         if now_ns - self._turned_ns > self.goal_timeout_s * 1e9:
             self._since_ns, self._away_ns = now_ns + FRESH_NS, now_ns - self._turned_ns
         self._turned_ns = now_ns
 
     def _old(self, waited_ns: int = 0) -> str:
-        """Why the goal at hand, which is known to have waited so long, starts nothing; empty: it is young enough."""
+        """Why the current goal, which has waited at least `waited_ns`, starts nothing; empty if it is young enough."""
         now_ns = monotonic_ns()
         self._turned(now_ns)
         if now_ns - waited_ns < self._since_ns:
@@ -180,7 +192,7 @@ class ArmFace:
         return words.waited(waited_ns / 1e9) if waited_ns > self.goal_timeout_s * 1e9 else ""
 
     def _watch_sender(self, now_ns: int) -> None:
-        """Hold the arm for a goal of the topic whose sender can't be seen to live."""
+        """Hold the arm if the sender of the topic's goal is not seen to be alive."""
         if self._sender is None or self._goal_job is None or self._goal_job():
             self._sender = None
         elif gone := self._sender.look(self._node.count_publishers(self._topic), now_ns):
@@ -189,8 +201,7 @@ class ArmFace:
             self._hold_now()
 
     def rivals(self) -> str:
-        """The cause of the stop while more than one node publishes goals, which is asked for here; empty: there is one
-        at most."""
+        """If more than one node publishes goals, ask for a stop and return its cause; else empty."""
         cause = ""
         if self._topic and self._node.count_publishers(self._topic) > 1:
             cause = rivals(ARM_GOAL.name, sorted(publishers(self._node, self._topic)))
@@ -208,7 +219,7 @@ class ArmFace:
             self._node.get_logger().warning(f"{ARM_GOAL.name}: {words.refused(error)}")
 
     def _late(self, stamp: Any) -> str:
-        """Why a goal is refused for its stamp; empty: it is not."""
+        """Why a goal is refused for its stamp; empty if it is not."""
         who = names(publishers(self._node, self._topic))
         return self._stamps.late(ARM_GOAL.name, who, stamp, self.goal_timeout_s, monotonic_ns())
 
@@ -228,7 +239,7 @@ class ArmFace:
         self._goal_job = self.begin(lambda robot: robot.arm.move(path))
 
     def close(self) -> None:
-        """Give its connection back: what it moved is held."""
+        """Close the connection, which holds the arm if it was moving."""
         self._asking.close()
         if self._action:
             self._action.close()
