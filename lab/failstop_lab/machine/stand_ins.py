@@ -1,5 +1,5 @@
-"""Stand-ins for the few modules of the service that speak with the kernel below Python (futexes, rights, starvation),
-and for the one that loads modules of the user's own."""
+"""Stand-ins for the few modules of the service that call the kernel without Python's modules (futexes, rights,
+starvation), and for the module that loads your own board."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NUMBER = OWNER_DIED - 1
 
 
 class FutexWord:
-    """A futex's word of a file, as the kernel sees it: every process that maps it waits at the same place."""
+    """A futex's word in a file, as the kernel sees it: every process that maps the file waits at the same place."""
 
     def __init__(self, node: Regular, offset: int) -> None:
         self.node, self.offset = node, offset
@@ -38,7 +38,7 @@ class FutexWord:
         self.node.put(value.to_bytes(4, "little"), self.offset)
 
     def owner_died(self, number: int) -> None:
-        """The robust list of a dying thread."""
+        """Handle the word as the robust list of a dying thread: mark it and wake one waiter."""
         value = self.value()
         if value & NUMBER == number:
             self.put(value & WAITERS | OWNER_DIED)
@@ -51,75 +51,78 @@ class FutexWord:
             thread.process.machine.wake(thread)
 
 
+class FutexStandIn:
+    """failstop.shm.futex.Futex on a simulated machine, which `calls` asks."""
+
+    calls: Calls
+
+    def __init__(self, fd: int, offset: int, *, write: bool) -> None:
+        node = self.calls.opened(self.calls.process("mmap", fd), fd).node
+        assert isinstance(node, Regular)
+        words = node.__dict__.setdefault("words", {})
+        self._words: dict[int, FutexWord] = words
+        self._node, self._offset = node, offset
+        self._mine = self._word(0)
+
+    def detach(self) -> None:
+        self.calls.process("dup")
+
+    def _word(self, line: int) -> FutexWord:
+        at = self._offset + line * LINE_BYTES
+        return self._words.setdefault(at, FutexWord(self._node, at))
+
+    def hold(self, lines: int = 1) -> object:
+        self.calls.process("set_robust_list")
+        thread = self.calls.machine.caller()
+        for line in range(lines):
+            word = self._word(line)
+            word.put(thread.number | WAITERS)
+            thread.robust.append(word)
+        return thread
+
+    def held(self) -> bool:
+        self.calls.process("pread")
+        return bool(self._mine.value() & NUMBER)
+
+    def told(self) -> bool:
+        self.calls.process("pread")
+        return bool(self._mine.value() & OWNER_DIED)
+
+    def wait_for_death(self, wanted: Callable[[], bool] = lambda: True) -> bool:
+        self.calls.process("futex_wait")
+        value = held = self._mine.value()
+        while wanted():
+            if value != held or not held & NUMBER:
+                return bool(value & OWNER_DIED)
+            self._mine.waiting.append(self.calls.machine.caller())
+            self.calls.machine.block()
+            value = self._mine.value()
+        self.wake()
+        return False
+
+    def wake(self) -> None:
+        self.calls.process("futex_wake")
+        self._mine.wake(1 << 30)
+
+    def close(self) -> None:
+        self.calls.process("munmap")
+
+
 def make_futex(calls: Calls) -> ModuleType:
     """failstop.shm.futex."""
-    machine = calls.machine
-
-    class Futex:
-        """As failstop.shm.futex.Futex."""
-
-        def __init__(self, fd: int, offset: int, *, write: bool) -> None:
-            node = calls.opened(calls.process("mmap", fd), fd).node
-            assert isinstance(node, Regular)
-            words = node.__dict__.setdefault("words", {})
-            self._words: dict[int, FutexWord] = words
-            self._node, self._offset = node, offset
-            self._mine = self._word(0)
-
-        def detach(self) -> None:
-            calls.process("dup")
-
-        def _word(self, line: int) -> FutexWord:
-            at = self._offset + line * LINE_BYTES
-            return self._words.setdefault(at, FutexWord(self._node, at))
-
-        def hold(self, lines: int = 1) -> object:
-            calls.process("set_robust_list")
-            thread = machine.caller()
-            for line in range(lines):
-                word = self._word(line)
-                word.put(thread.number | WAITERS)
-                thread.robust.append(word)
-            return thread
-
-        def held(self) -> bool:
-            calls.process("pread")
-            return bool(self._mine.value() & NUMBER)
-
-        def told(self) -> bool:
-            calls.process("pread")
-            return bool(self._mine.value() & OWNER_DIED)
-
-        def wait_for_death(self, wanted: Callable[[], bool] = lambda: True) -> bool:
-            calls.process("futex_wait")
-            value = held = self._mine.value()
-            while wanted():
-                if value != held or not held & NUMBER:
-                    return bool(value & OWNER_DIED)
-                self._mine.waiting.append(machine.caller())
-                machine.block()
-                value = self._mine.value()
-            self.wake()
-            return False
-
-        def wake(self) -> None:
-            calls.process("futex_wake")
-            self._mine.wake(1 << 30)
-
-        def close(self) -> None:
-            calls.process("munmap")
 
     def let_go() -> None:
         calls.process("set_robust_list")
-        machine.caller().robust = []
+        calls.machine.caller().robust = []
 
+    futex = type("Futex", (FutexStandIn,), {"calls": calls})
     return Module(
-        "failstop.shm.futex", calls, Futex=Futex, PER_BLOCK=PER_BLOCK, BLOCKS=BLOCKS, let_go=let_go, proven=lambda: True
+        "failstop.shm.futex", calls, Futex=futex, PER_BLOCK=PER_BLOCK, BLOCKS=BLOCKS, let_go=let_go, proven=lambda: True
     )
 
 
 def make_rights(calls: Calls) -> ModuleType:
-    """failstop.procs.rights: every right is granted, but for what the machine refuses."""
+    """failstop.procs.rights: every right is granted, except the ones that the machine refuses."""
 
     def die_with_parent(parent: int) -> None:
         process = calls.process("prctl")
@@ -152,7 +155,7 @@ def make_rights(calls: Calls) -> ModuleType:
 
 
 def make_starved(calls: Calls) -> ModuleType:
-    """failstop.procs.starved: the machine knows whom it did not run."""
+    """failstop.procs.starved: the machine knows which processes it did not run."""
 
     def look(pid: int, heart: object, deadline_ns: int, bell: object) -> bool:
         calls.process("stat")
@@ -164,10 +167,10 @@ def make_starved(calls: Calls) -> ModuleType:
 
 
 def make_thread_state(calls: Calls) -> ModuleType:
-    """failstop.shm.thread_state: the machine knows what it runs."""
+    """failstop.shm.thread_state: the machine knows which threads it runs."""
 
     def state_of(pid: int) -> str:
-        """The letter that /proc has."""
+        """The letter that /proc would have."""
         process = calls.machine.processes.get(pid)
         if process is None or process.dead:
             return "Z"
@@ -178,7 +181,7 @@ def make_thread_state(calls: Calls) -> ModuleType:
 
 
 def make_own(calls: Calls) -> ModuleType:
-    """failstop.board.own: the folder lies on the real machine, and its modules ask none."""
+    """failstop.board.own: the folder is on the real machine, and its modules make no system calls."""
     return Module(
         "failstop.board.own",
         calls,
@@ -195,7 +198,7 @@ def make_helpers(calls: Calls) -> ModuleType:
 
 
 def stand_ins(calls: Calls) -> dict[str, ModuleType]:
-    """By the name of the module that each stands in for."""
+    """Every stand-in, by the name of the module that it replaces."""
     return {
         "failstop.shm.futex": make_futex(calls),
         "failstop.procs.rights": make_rights(calls),

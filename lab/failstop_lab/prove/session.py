@@ -1,5 +1,5 @@
-"""A session on the stand: alone with the board, from the robot's character to the last run, and out by way of wheels at
-rest."""
+"""A session on the stand, with the board to itself: it measures the robot's character, makes every run, and ends with
+the wheels at rest."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import contextlib
 import os
 import random
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 
 from failstop.api.errors import FailstopError, NoService, Refused
@@ -31,13 +31,13 @@ from failstop_lab.sim.client import SimBoardError
 from failstop_lab.trial import TrialError
 
 TAKES = 3
-"""Of a row, where the machine spoils it."""
+"""How often a row is run at most, if the machine spoils it."""
 COMES_TO_REST_S = 1.5
-"""Before the robot is characterized again."""
+"""Time to come to rest before the robot is characterized again."""
 NOT_SEEN_AT_REST = "the wheels were not seen to come to rest: if they turn, use the POWER SWITCH"
 
 Runs = Iterable[tuple[Path, Turning, random.Random]]
-"""The plan, and the part of it that is left to chance."""
+"""The plan, with the random numbers for each run."""
 
 
 def session(
@@ -53,10 +53,14 @@ def session(
     keep_all: bool = True,
     width: int = report.NAME,
 ) -> Evidence:
-    """Characterize the robot at `velocities`, if there are any, and make the runs, saying rows as they come. Ends at
-    the first wheel that turns on. `stand` is entered here; `ask`: tells a person to press a button; `watcher`: tells
-    one who watches the wheels; `tool`: which command this is; `keep_all`: the samples of the runs that passed, too;
-    `width`: of the paths' names."""
+    """Characterize the robot at `velocities`, if there are any, and make the runs, reporting rows as they come. It ends
+    at the first wheel that does not stop. `stand` is entered here; `ask`: tells a person to press a button; `watcher`:
+    asks the person who watches the wheels; `tool`: which command this is; `keep_all`: keep the samples of passed runs
+    too; `width`: of the paths' names."""
+
+    def tell(result: Result) -> None:
+        say(report.row(result, style.paint, width))
+
     begun = stand.held.mark()
     evidence = Evidence(stand.device, stand.board is not None, False, tool=tool, means=stand.means, user=stand.user)
     try:
@@ -68,23 +72,11 @@ def session(
             if velocities:
                 evidence.character = _characterize(stand, velocities, quick=quick, say=say)
             say("\n".join([*report.character_lines(evidence), "", report.head(width)]))
-            # The settings give a lease, or the service's rights do: a bar is never of another one.
-            lease_s = evidence.lease_s if evidence.lease_s != stand.settings[LEASE] else 0.0
-            for path, velocity, chance in runs:
-                asks = watcher if path.kind == FROZEN else ask
-                take = partial(_take, stand, evidence.character, path.leased(lease_s), velocity, asks, chance)
-                result = until_valid(take, lambda invalid: say(report.row(invalid, style.paint, width)))
+            for result in _results(stand, evidence, runs, ask, watcher, tell):
                 if result.verdict == "PASS" and not keep_all:
                     result.samples = []
                 evidence.results.append(result)
-                say(report.row(result, style.paint, width))
-                if result.runaway:
-                    evidence.ended = NOT_SEEN_AT_REST
-                    _alarm(NOT_SEEN_AT_REST)
-                    break
-                if result.over:
-                    evidence.ended = result.over
-                    break
+                tell(result)
     except KeyboardInterrupt:
         evidence.ended = report.INTERRUPTED
     except (TrialError, SimBoardError, FailstopError, OSError) as error:
@@ -96,8 +88,33 @@ def session(
     return evidence
 
 
+def _results(
+    stand: ProveStand,
+    evidence: Evidence,
+    runs: Runs,
+    ask: Ask | None,
+    watcher: Ask | None,
+    spoiled: Callable[[Result], None],
+) -> Iterator[Result]:
+    """The result of each run, up to the first one that ends the session. `spoiled`: reports a spoiled result."""
+    # The lease comes from the settings or from the service's rights, so every bar is for the lease in use.
+    lease_s = evidence.lease_s if evidence.lease_s != stand.settings[LEASE] else 0.0
+    for path, velocity, chance in runs:
+        asks = watcher if path.kind == FROZEN else ask
+        take = partial(_take, stand, evidence.character, path.leased(lease_s), velocity, asks, chance)
+        result = until_valid(take, spoiled)
+        yield result
+        if result.runaway:
+            evidence.ended = NOT_SEEN_AT_REST
+            _alarm(NOT_SEEN_AT_REST)
+            return
+        if result.over:
+            evidence.ended = result.over
+            return
+
+
 def until_valid(take: Callable[[], Result], spoiled: Callable[[Result], None]) -> Result:
-    """The result of a row, which is taken again where the machine spoils it. `spoiled`: tells of one that it did."""
+    """The result of a row, which is run again if the machine spoils it. `spoiled`: reports a spoiled result."""
     again: list[str] = []
     while (result := take()).verdict == "INVALID" and not result.over and len(again) + 1 < TAKES:
         spoiled(result)
@@ -119,7 +136,7 @@ def _take(
 def _characterize(
     stand: ProveStand, velocities: Sequence[Turning], *, quick: bool, say: Callable[[str], None]
 ) -> Sight:
-    """Measured again where the machine spoils it."""
+    """The robot's character, measured again if the machine spoils it."""
     for left in reversed(range(TAKES)):
         begun = stand.held.mark()
         try:
@@ -137,25 +154,25 @@ def _characterize(
 
 
 def check_free(device: str, *names: str, system: System | None = None) -> None:
-    """Nobody else drives this board, a service of one of these names least of all. Raises Refused with the command that
-    ends whoever does."""
+    """Check that no other program drives this board, above all no service with one of these names. Raises Refused with
+    the command that ends it."""
     system = system or System()
     node = system.node(device)
     for name in names:
         with contextlib.suppress(NoService):
             served = Robot(name).state.device.path
-            # A simulated board is nobody else's. On a robot the service may be between two openings of this very port.
+            # Nobody else uses a simulated board. On a robot, the service may be between two openings of this port.
             if not (node and node.pseudo and served and os.path.realpath(served) != node.resolved):
                 running = system.service(name)
                 end = running.end() if running else f"sudo systemctl stop {unit_of(name)}"
                 raise Refused(f"the service {name!r} runs, and this test kills what it runs: {end}")
     if node is None:
-        return  # the run says it, with the devices that are there
+        return  # the run reports it, with the devices that exist
     holders, _ = system.holders(node.resolved)
     for holder in holders:
         raise Refused(f"{holder} has {device} open: {holder.end()}")
 
 
 def _alarm(text: str) -> None:
-    """At once, before anything is wound up."""
+    """Warn at once, before anything is shut down."""
     print(style.paint(f"\a{text}", style.FAIL), file=sys.stderr, flush=True)
