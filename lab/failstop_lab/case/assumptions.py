@@ -117,7 +117,8 @@ ASSUMPTIONS = (
     ),
     Assumption(
         "EQUAL", "A run that the simulation leaves out is the same as one that it plays, to the last call and its"
-        " time.", "simulation", "A fault at a call that no run has played.", "tests/lab/machine/test_equal.py", EACH,
+        " time.", "simulation", "A fault at a call that no run has played.",
+        "tests/lab/machine/test_equivalents.py", EACH,
     ),
     Assumption(
         "WEAK", "Where shared memory is drawn as weak, stores are late and loads early as AArch64 permits it.",

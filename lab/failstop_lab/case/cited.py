@@ -18,7 +18,7 @@ from types import ModuleType
 from failstop_lab.case import asserted
 from failstop_lab.faults import arm_table, report, table
 from failstop_lab.faults.fault import CLAIMS_OF, FAULT_CLASSES
-from failstop_lab.simulate import marks, witness
+from failstop_lab.simulate import coverage, witness
 
 TEST, ASSERTION, FAULTS, MODEL, LITMUS = "tests", "assertion", "faults", "model", "litmus tests"
 SIMULATION, MARK, BENCH = "simulation", "simulation marks", "bench"
@@ -142,9 +142,9 @@ def _simulation() -> Iterator[Citation]:
 
 def of_marks() -> Iterator[Citation]:
     """Each mark that a campaign must reach."""
-    for name in marks.names():
-        if name not in marks.NOT_TRIED:
-            yield Citation(MARK, name, marks.claims_of(name), "")
+    for name in coverage.names():
+        if name not in coverage.NOT_TRIED:
+            yield Citation(MARK, name, coverage.claims_of(name), "")
 
 
 def of_bench(root: Path) -> Iterator[Citation]:

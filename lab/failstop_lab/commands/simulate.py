@@ -26,7 +26,7 @@ failstop simulate --board ugv     # another board, or a folder of your own
 failstop simulate --scenario replug --call 1041 --fault dies
 failstop simulate --seeds 60      # faults and orders by chance, a minute long
 failstop simulate --seed 537      # one of them again
-failstop simulate --tape FILE     # a failure, by the tape that was printed
+failstop simulate --decisions FILE    # a failure again, from the decisions that it printed
 failstop simulate --controls      # parts of the protocol are taken out
 """
 CONTROL_S = 60.0
@@ -48,7 +48,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--fault", metavar="NAME", help="with --call: the fault")
     add("--seeds", type=float, metavar="SECONDS", help="runs that are drawn, for so much time of each processor")
     add("--seed", type=int, metavar="N", help="this run alone, as a story; with --seeds: the first one")
-    add("--tape", metavar="TAPE", help="this tape alone, as it was printed, or a file with it")
+    add("--decisions", metavar="FILE", help="one run, from the decisions that a failure printed: a file, or the text")
     add("--day", action="store_true", help="with --seeds: the first seed is the date")
     add(
         "--controls",
@@ -66,7 +66,7 @@ def main(arguments: Namespace) -> int:
     """Run the campaign; exit code 1 when anything was wrong, or a mark was not reached by all scenarios together."""
     try:
         from failstop_lab.boards.traits import traits_of
-        from failstop_lab.simulate import campaign, marks
+        from failstop_lab.simulate import campaign, coverage
         from failstop_lab.simulate.for_seeds import for_seeds_of, play_of
         from failstop_lab.simulate.scenarios import scenarios_of
     except ModuleNotFoundError as error:
@@ -89,8 +89,8 @@ def main(arguments: Namespace) -> int:
     if arguments.controls:
         return _controls(board, arguments.jobs, arguments.controls, arguments.page)
     chosen = names if arguments.scenario else None
-    if arguments.tape is not None:
-        return _tape(arguments.tape, chosen, board)
+    if arguments.decisions is not None:
+        return _decided(arguments.decisions, chosen, board)
     if arguments.seeds is not None:
         today = int(time.strftime("%Y%m%d")) * SEEDS_A_DAY if arguments.day else 0
         return _seeds(arguments.seed or today, arguments.seeds, arguments.jobs, chosen, board)
@@ -109,7 +109,7 @@ def main(arguments: Namespace) -> int:
     return _report(
         total,
         time.monotonic() - begun_s,
-        marks.missing(total.marks, traits) if whole else [],
+        coverage.missing(total.marks, traits) if whole else [],
         told_marks=arguments.marks,
     )
 
@@ -176,7 +176,7 @@ def _seed(number: int, names: list[str] | None, board: str) -> int:
     return int(bool(run.violations))
 
 
-def _tape(told: str, names: list[str] | None, board: str) -> int:
+def _decided(told: str, names: list[str] | None, board: str) -> int:
     from failstop_lab.simulate.seeds import Nursery, commit
 
     if not told.lstrip().startswith("{"):
@@ -185,19 +185,19 @@ def _tape(told: str, names: list[str] | None, board: str) -> int:
                 told = file.read()
         except OSError as error:
             raise FailstopError(
-                f"{told} can't be read: {error.strerror}; give the tape itself, or a file with it"
+                f"{told} can't be read: {error.strerror}; give the decisions that were printed, or a file with them"
             ) from None
     try:
-        tape = json.loads(told)
-        draws = {str(label): int(value) for label, value in tape["draws"].items()}
+        decisions = json.loads(told)
+        draws = {str(label): int(value) for label, value in decisions["draws"].items()}
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
         raise FailstopError(
-            "this is no tape: take all between the quotes that `failstop simulate` has printed"
+            "these are no decisions: copy everything between the quotes that `failstop simulate` printed"
         ) from None
     run = Nursery(names, board=board).run(0, draws)
     print(run.text())
-    if tape.get("commit") != commit():
-        print(f"the tape is of commit {tape.get('commit')}, this is {commit()}: its places may be others here")
+    if decisions.get("commit") != commit():
+        print(f"the decisions are from commit {decisions.get('commit')}, and this is {commit()}: they may not fit")
     return int(bool(run.violations))
 
 
@@ -215,7 +215,7 @@ def _report(total: Result, took_s: float, missing: list[str], *, told_marks: boo
     for name in missing:
         print(f"not reached: {name}")
     rate = total.runs / max(total.used_s, 1e-9)
-    counts = f"{total.runs} runs at {total.calls} calls, and {total.equal} that are the same as one of them"
+    counts = f"{total.runs} runs at {total.calls} calls, and {total.equivalent} that are the same as one of them"
     times = f"{took_s:.0f} s, {total.used_s:.0f} s of a processor ({rate:.0f} a second of it)"
     print(f"\n{counts}: {len(total.wrong)} wrong, in {times}")
     return int(bool(total.wrong or missing))

@@ -2,8 +2,8 @@
 happen there; the fork goes on with the fault and is judged.
 
 A fork of this process is a copy of the whole simulated machine, so a run costs only what comes after its fault. Clock
-readings are no places for a fault: what happens at one is seen by nobody before the next call. Calls that only their
-own process can see (faults.INTERNAL) are places for their own refusals alone, but where every call is tried.
+readings get no fault, because nobody can see what happened at one before the next call. Calls that only their own
+process can see (faults.INTERNAL) get only their own refusals, unless every call is tried.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from failstop.policy.layouts import BOARDS
 from failstop_lab.machine.loading import Patches
 from failstop_lab.machine.process import Thread
 from failstop_lab.machine.robot import MS
-from failstop_lab.simulate.equal import IS_HELD, Equal
+from failstop_lab.simulate.call_sites import BEFORE, CallSites
+from failstop_lab.simulate.equivalents import IS_HELD, Equivalents
+from failstop_lab.simulate.events import GROUP_OF
 from failstop_lab.simulate.faults import INTERNAL, faults, line_of
 from failstop_lab.simulate.for_seeds import play_of
-from failstop_lab.simulate.kinds import GROUP_OF
-from failstop_lab.simulate.places import BEFORE, Places
 from failstop_lab.simulate.scenarios import DRIVEN
 from failstop_lab.simulate.stage import Continuation, Stage
 
@@ -82,8 +82,8 @@ class Result:
     """The result of a campaign."""
 
     runs: int = 0
-    equal: int = 0
-    """Runs that were not played, since each is the same as one that was (equal.py)."""
+    equivalent: int = 0
+    """Runs that were not played, since each is the same as one that was (equivalents.py)."""
     used_s: float = 0.0
     """Of a processor."""
     calls: int = 0
@@ -100,7 +100,7 @@ class Result:
     def merge(self, other: Result) -> None:
         """The result of another share."""
         self.runs += other.runs
-        self.equal += other.equal
+        self.equivalent += other.equivalent
         self.used_s += other.used_s
         self.calls += other.calls
         self.wrong += other.wrong
@@ -151,14 +151,14 @@ class Explorer:
         """Every fault of the plan. The scenario is run once before, and what it has loaded is loaded before a fork."""
         plan = self._plan
         before = self._new_stage()
-        found = Places(before)
+        sites = CallSites(before)
         before.run()
-        self._before = found.before
+        self._before = sites.before
         self.stage = self._new_stage()
         for name in before.robot.loader.loaded():
             self.stage.robot.loader.load(name)
         before.machine.end()
-        self._equal = Equal(self.stage)
+        self._equivalents = Equivalents(self.stage)
         self.stage.branch = self._branch
         self.stage.machine.at_seam = self._only if plan.only else self._fork_here
         gc.collect()
@@ -209,7 +209,7 @@ class Explorer:
     def _judged(self) -> JudgedRun:
         run, witness = self.run, self.stage.witness
         run.violations, run.causes, run.story = witness.violations, witness.causes, witness.story
-        run.marks = dict(self.stage.marks.counts)
+        run.marks = dict(self.stage.coverage.counts)
         run.branched = self._branched
         run.why_asked = self.stage.machine.starved_looks > self._looks
         return run
@@ -235,8 +235,8 @@ class Explorer:
                 continue
             if plan.most and call in INTERNAL and group != "refused":
                 continue
-            if self._equal.tried(fault, thread):
-                self.result.equal += 1
+            if self._equivalents.tried(fault, thread):
+                self.result.equivalent += 1
                 continue
             reader, writer = os.pipe()
             child = os.fork()
@@ -274,9 +274,9 @@ class Explorer:
         for each in runs:
             self.result.add(each)
         if not runs[-1].branched:
-            self.result.equal += max(0, len(self._plan.branches) - 1)
+            self.result.equivalent += max(0, len(self._plan.branches) - 1)
         if runs[-1].fault == IS_HELD:
-            self._equal.why_asked = any(run.why_asked for run in runs)
+            self._equivalents.why_asked = any(run.why_asked for run in runs)
         if self._plan.first and any(run.violations for run in runs):
             self.stage.machine.at_seam = None
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from failstop.policy.layouts import BOARDS
 from failstop_lab.machine.loading import Patches
-from failstop_lab.simulate.equal import IS_HELD
+from failstop_lab.simulate.equivalents import IS_HELD
 
 ADMISSION_MODULE = "failstop.procs.port_owner.admission"
 PORT_OWNER_MODULE = "failstop.procs.port_owner.main"

@@ -1,4 +1,4 @@
-"""Schedule: what a tape makes of a run: which faults, where, and in which order threads run and stores are seen.
+"""Schedule: turns decisions into a run: which faults, where, and in which order threads run and stores are seen.
 
 A run is a chain of scenarios, the rounds, on one service. In each, events come at calls of the system and at loads and
 stores of shared memory, some few of them apart; after each the faults are off, and a program must be able to drive
@@ -20,10 +20,10 @@ from failstop_lab.machine.epoll import Epoll
 from failstop_lab.machine.memory import MET_NS, WeakMachine
 from failstop_lab.machine.process import Process, Thread
 from failstop_lab.machine.robot import MS
-from failstop_lab.simulate.faults import faults, line_of
-from failstop_lab.simulate.kinds import (
+from failstop_lab.simulate.decisions import Decisions
+from failstop_lab.simulate.events import (
     BOARD_DEAF,
-    DRAWN_KINDS,
+    DRAWN_EVENTS,
     EARLIER,
     GROUP_OF,
     GROUPS,
@@ -41,9 +41,9 @@ from failstop_lab.simulate.kinds import (
     SEEN_NS,
     SHORT_NS,
 )
-from failstop_lab.simulate.pressing import PLACES, Pressing
+from failstop_lab.simulate.faults import faults, line_of
+from failstop_lab.simulate.hot_records import RECORDS, HotRecords
 from failstop_lab.simulate.stage import Stage
-from failstop_lab.simulate.tape import Tape
 from failstop_lab.simulate.witness import PORT_WRITERS, SERVICE_PROCESSES, ZEROS_NS
 
 WEIGHTS = {"port_owner": 1.0, "supervisor": 0.6, "stopper": 0.6, "gate": 0.5, "telemetry": 0.3}
@@ -81,17 +81,21 @@ class Event:
 
 
 class Schedule:
-    """The seam of a run. `groups`: the kinds of events that may be on; empty: all. `places`: the records to press on,
-    as numbers of PLACES."""
+    """The seam of a run. `groups`: the groups of events that may be on; empty: all. `records`: the numbers in RECORDS
+    of the records that may be hot."""
 
     def __init__(
-        self, stage: Stage, tape: Tape, groups: tuple[str, ...] = (), places: Collection[int] = range(len(PLACES))
+        self,
+        stage: Stage,
+        decisions: Decisions,
+        groups: tuple[str, ...] = (),
+        records: Collection[int] = range(len(RECORDS)),
     ) -> None:
         machine = stage.machine
         assert isinstance(machine, WeakMachine)
-        self._stage, self._tape, self._machine = stage, tape, machine
-        self._free = tape.fixed is None
-        dice = tape.dice
+        self._stage, self._decisions, self._machine = stage, decisions, machine
+        self._free = decisions.fixed is None
+        dice = decisions.dice
         self._on = {group for group in groups or GROUPS if groups or dice.random() < ON}
         self._most_gap = GAPS[0] * (GAPS[1] / GAPS[0]) ** dice.random()
         self._at_rare = AT_RARE[0] * (AT_RARE[1] / AT_RARE[0]) ** dice.random()
@@ -101,9 +105,9 @@ class Schedule:
         """At its next call or access an event comes."""
         self._far = 0
         """So many more calls lie between."""
-        self._marked_for: Collection[str] = DRAWN_KINDS
+        self._marked_for: Collection[str] = DRAWN_EVENTS
         """One of these."""
-        self._pressing = Pressing(tape.dice, machine, places)
+        self._hot = HotRecords(decisions.dice, machine, records)
         self.events: list[Event] = []
         self.calls = 0
         self._round = 0
@@ -138,7 +142,7 @@ class Schedule:
 
     def begin(self, number: int) -> None:
         """A round, of this number."""
-        machine, tape = self._machine, self._tape
+        machine, decisions = self._machine, self._decisions
         for pid in [pid for pid, each in machine.processes.items() if each.dead and each.code is not None]:
             if machine.processes[pid].reaped or machine.processes[pid].parent is None:
                 del machine.processes[pid]
@@ -148,14 +152,16 @@ class Schedule:
             if not process.dead:
                 self._give_name(process)
         self._here = {}
-        if tape.fixed is not None:
-            self._here = {each[len(prefix) :]: value for each, value in tape.fixed.items() if each.startswith(prefix)}
-        machine.order = tape.draw(f"{prefix}order", ORDERS, 0.5 * ("order" in self._on or not self._free))
+        if decisions.fixed is not None:
+            self._here = {
+                each[len(prefix) :]: value for each, value in decisions.fixed.items() if each.startswith(prefix)
+            }
+        machine.order = decisions.draw(f"{prefix}order", ORDERS, 0.5 * ("order" in self._on or not self._free))
         self._stage.hang_up_ns = self._late_hang_up(f"{prefix}hang-up")
         self._due = self._gap()
         if self._free:
-            self._pressing.begin(memory=not self._on.isdisjoint(MEMORY), others=not self._on.issubset(MEMORY))
-            self._due = 1 << 62 if self._pressing.alone else self._due
+            self._hot.begin(memory=not self._on.isdisjoint(MEMORY), others=not self._on.issubset(MEMORY))
+            self._due = 1 << 62 if self._hot.alone else self._due
         machine.at_seam = self._at
 
     def end(self) -> None:
@@ -164,19 +170,19 @@ class Schedule:
         self._machine.calm()
 
     def kind(self, event: Event) -> str:
-        """Its kind, of DRAWN_KINDS."""
-        return DRAWN_KINDS[(self._tape.drawn[event.label] - 1) // MEASURES]
+        """Its kind, of DRAWN_EVENTS."""
+        return DRAWN_EVENTS[(self._decisions.drawn[event.label] - 1) // MEASURES]
 
     def digest(self) -> int:
         """Of all that the board was told, when, and of the number of calls."""
         return crc32(f"{self._machine.now_ns} {self.calls}".encode(), self._crc)
 
     def _gap(self) -> int:
-        return int(self._most_gap ** self._tape.dice.random()) if self._free else 1 << 62
+        return int(self._most_gap ** self._decisions.dice.random()) if self._free else 1 << 62
 
     def _late_hang_up(self, label: str) -> Callable[[Epoll], int]:
         """How much later one process is woken by the loss of the port."""
-        value = self._tape.draw(label, 1 + len(PORT_WRITERS) * MEASURES, 0.3)
+        value = self._decisions.draw(label, 1 + len(PORT_WRITERS) * MEASURES, 0.3)
         if not value:
             return lambda epoll: 0
         name, ns = PORT_WRITERS[(value - 1) // MEASURES], 10 * SHORT_NS[(value - 1) % MEASURES]
@@ -205,28 +211,28 @@ class Schedule:
             self._due -= 1
             at_word = call in ("load", "store")
             if (thread is self._marked and self._is_far()) or (
-                call == "store" and not self._pressing.alone and self._is_rare(thread, about[1])
+                call == "store" and not self._hot.alone and self._is_rare(thread, about[1])
             ):
-                kinds, self._marked, self._marked_for = self._marked_for, None, DRAWN_KINDS
+                kinds, self._marked, self._marked_for = self._marked_for, None, DRAWN_EVENTS
                 self._come(thread, call, about, key, kinds)
-            elif at_word and self._pressing.comes(call, about[0], about[1]):
+            elif at_word and self._hot.comes(call, about[0], about[1]):
                 # Here, or at the call behind it, where a store may be late, or another load older than this one.
-                if self._tape.dice.random() < 0.5:
+                if self._decisions.dice.random() < 0.5:
                     self._come(thread, call, about, key, LOOKS if call == "load" else MEETS)
                 else:
                     self._marked, self._marked_for = thread, self._kinds_behind(thread, call)
                     self._far = 0
-                    while self._far < FARTHEST and self._tape.dice.random() < FARTHER:
+                    while self._far < FARTHEST and self._decisions.dice.random() < FARTHER:
                         self._far += 1
             elif self._due <= 0:
                 self._due = self._gap()
-                if self._tape.dice.random() < WEIGHTS.get(process.name, 0.2):
+                if self._decisions.dice.random() < WEIGHTS.get(process.name, 0.2):
                     self._come(thread, call, about, key)
         elif self._here:
             place = self._label(key)
             if value := self._here.get(place):
                 kinds = dict(self._possible(thread, call, about))
-                if act := kinds.get(DRAWN_KINDS[(value - 1) // MEASURES]):
+                if act := kinds.get(DRAWN_EVENTS[(value - 1) // MEASURES]):
                     self._happen(f"{self._round} {place}", value, act, thread, call, about)
 
     def _label(self, place: Place) -> str:
@@ -236,18 +242,18 @@ class Schedule:
 
     def _is_rare(self, thread: Thread, at: int) -> bool:
         """Whether an event comes at this store; at the call behind it one comes as often."""
-        place, dice = (thread.process.name, at), self._tape.dice
+        place, dice = (thread.process.name, at), self._decisions.dice
         count = self._stored[place] = self._stored.get(place, 0) + 1
-        if self._pressing.alone or dice.random() * count >= self._at_rare:
+        if self._hot.alone or dice.random() * count >= self._at_rare:
             return False
         if dice.random() < 0.5:
             return True
-        self._marked, self._marked_for, self._far = thread, DRAWN_KINDS, 0
+        self._marked, self._marked_for, self._far = thread, DRAWN_EVENTS, 0
         return False
 
     def _kinds_behind(self, thread: Thread, call: str) -> Collection[str]:
         """The kinds of events behind an access: behind a load a store that was made before it may be late as well."""
-        is_late = call == "store" or (self._machine.view(thread).since and self._tape.dice.random() < 0.5)
+        is_late = call == "store" or (self._machine.view(thread).since and self._decisions.dice.random() < 0.5)
         return LATES if is_late else LOOKS
 
     def _is_far(self) -> bool:
@@ -258,17 +264,17 @@ class Schedule:
     def _mark(self, thread: Thread) -> None:
         """It has seen that a store is late: what comes next is worth an event, as often as not of its own loads."""
         self._marked, self._far = thread, 0
-        self._marked_for = LOOKS if self._tape.dice.random() < 0.5 else DRAWN_KINDS
+        self._marked_for = LOOKS if self._decisions.dice.random() < 0.5 else DRAWN_EVENTS
 
     def _come(
-        self, thread: Thread, call: str, about: tuple[Any, ...], place: Place, kinds: Collection[str] = DRAWN_KINDS
+        self, thread: Thread, call: str, about: tuple[Any, ...], place: Place, kinds: Collection[str] = DRAWN_EVENTS
     ) -> None:
         """An event of one of these kinds, if any is on that may happen here."""
-        dice = self._tape.dice
+        dice = self._decisions.dice
         groups = dict[str, Kinds]()
         for kind, act in self._possible(thread, call, about):
             group = GROUP_OF[kind]
-            if kind in LOOKS and call != "load" and kinds is DRAWN_KINDS:
+            if kind in LOOKS and call != "load" and kinds is DRAWN_EVENTS:
                 continue  # it comes where something is to be seen alone: a call says little of the loads behind it
             if group in self._on and kind in kinds and (self._heavy or group in LIGHT):
                 groups.setdefault(group, {})[kind] = act
@@ -277,15 +283,15 @@ class Schedule:
         group = dice.choice(list(groups))
         self._heavy -= group not in LIGHT
         kind = dice.choice(list(groups[group]))
-        least = 0 if kinds is DRAWN_KINDS else MEASURES // 2  # to be met there takes its time
-        value = 1 + DRAWN_KINDS.index(kind) * MEASURES + dice.randrange(least, MEASURES)
+        least = 0 if kinds is DRAWN_EVENTS else MEASURES // 2  # to be met there takes its time
+        value = 1 + DRAWN_EVENTS.index(kind) * MEASURES + dice.randrange(least, MEASURES)
         self._happen(f"{self._round} {self._label(place)}", value, groups[group][kind], thread, call, about)
 
     def _happen(self, label: str, value: int, act: Act, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
-        self._tape.put(label, value)
+        self._decisions.put(label, value)
         where = f"{thread.process.name} {call}{self._record(call, about)} {line_of(call, about)}"
         self.events.append(Event(label, "", where))
-        self._say(DRAWN_KINDS[(value - 1) // MEASURES])
+        self._say(DRAWN_EVENTS[(value - 1) // MEASURES])
         act((value - 1) % MEASURES)
 
     def _say(self, text: str) -> None:
@@ -301,7 +307,7 @@ class Schedule:
         if call not in ("load", "store"):
             return ""
         node, at, _ = about
-        segment = self._pressing.segments.name(node)
+        segment = self._hot.segments.name(node)
         spec = layout.SEGMENT_BY_NAME.get(segment)
         if spec is None:
             return " of a segment"

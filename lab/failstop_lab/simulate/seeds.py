@@ -29,13 +29,13 @@ from failstop_lab.machine.loading import HOME, Patches
 from failstop_lab.machine.memory import WeakMachine
 from failstop_lab.machine.robot import MS
 from failstop_lab.simulate.campaign import of_board
+from failstop_lab.simulate.decisions import Decisions, Draws, shrunk
+from failstop_lab.simulate.events import GROUP_OF
 from failstop_lab.simulate.for_seeds import for_seeds_of, play_of
-from failstop_lab.simulate.kinds import GROUP_OF
-from failstop_lab.simulate.pressing import PLACES, Met
+from failstop_lab.simulate.hot_records import RECORDS, StoredRecords
 from failstop_lab.simulate.scenarios import scenarios_of
 from failstop_lab.simulate.schedule import Event, Schedule
 from failstop_lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
-from failstop_lab.simulate.tape import Draws, Tape, shrunk
 
 WARM_NS = 300 * MS
 """After so long, and once the board hears, the service is ready, and a scenario begins."""
@@ -48,7 +48,7 @@ OTHERS = 0.5
 ROUNDS = 12
 """So many scenarios a run."""
 EVERY_TWICE = 100
-"""One of so many runs is made twice, the second time by its tape."""
+"""Every so many runs, one is made twice, the second time from its decisions."""
 RUN_S = 60
 """A run that takes a processor for longer has gone astray."""
 EVENT_WORDS = 2
@@ -62,7 +62,7 @@ COLD = 0.1
 
 @dataclass
 class Seeded:
-    """The judged run of a seed, or of a tape."""
+    """The judged run of a seed, or of given decisions."""
 
     seed: int
     rounds: list[str] = field(default_factory=list)
@@ -79,8 +79,8 @@ class Seeded:
     options: str = ""
     """Those of the command that runs it again."""
 
-    def tape(self) -> str:
-        """The tape as it is printed, and played again."""
+    def decisions(self) -> str:
+        """The decisions, as they are printed and played again."""
         return json.dumps({"commit": commit(), "draws": self.draws}, separators=(",", ":"))
 
     def text(self) -> str:
@@ -90,7 +90,7 @@ class Seeded:
         lines += [f"  {text}" for text in self.violations]
         lines += [f"{number:>4}. {event.fault}, at {event.where}" for number, event in enumerate(self.events, 1)]
         lines += [f"{(t_ns - begin_ns) / MS:10.3f} ms  {text}" for t_ns, text in self.story]
-        return "\n".join((*lines, f"again: failstop simulate{self.options} --tape '{self.tape()}'"))
+        return "\n".join((*lines, f"again: failstop simulate{self.options} --decisions '{self.decisions()}'"))
 
 
 @functools.cache
@@ -170,8 +170,8 @@ class Nursery:
         self._patches, self._warm_ns = patches, WARM_NS + traits.deaf_ns
         self._groups, self._rounds = groups, rounds
         self._stages: dict[str, tuple[Stage, int]] = {}
-        self._places: dict[str, list[int]] = {}
-        """The records that its scenarios store (pressing.py)."""
+        self._records: dict[str, list[int]] = {}
+        """The numbers of the records that its scenarios store (hot_records.py), by their settings."""
 
     def _warm(self, key: str) -> tuple[Stage, int]:
         """The stage on which the service with these settings runs, and how many files it had made by then."""
@@ -187,18 +187,18 @@ class Nursery:
 
     def run(self, seed: int, fixed: Draws | None = None) -> Seeded:
         """One run, in a fork. `fixed`: with these draws alone."""
-        tape = Tape(seed, fixed)
-        key = list(self._alike)[tape.draw("settings", len(self._alike), SPECIAL)]
+        decisions = Decisions(seed, fixed)
+        key = list(self._alike)[decisions.draw("settings", len(self._alike), SPECIAL)]
         names = self._alike[key]
-        cold = play_of(names[0]) in FROM_THE_START and bool(tape.draw("start", 2, COLD))
+        cold = play_of(names[0]) in FROM_THE_START and bool(decisions.draw("start", 2, COLD))
         if not cold:
             stage, _ = self._warm(key)
-            if key not in self._places:
+            if key not in self._records:
                 needed = _forked(lambda: self._needed(key))
-                self._places[key] = needed["places"]
+                self._records[key] = needed["records"]
                 for module in needed["modules"]:
                     stage.robot.loader.load(module)
-        found = _forked(lambda: self._judged(key, tape, cold=cold))
+        found = _forked(lambda: self._judged(key, decisions, cold=cold))
         found["events"] = [Event(*event) for event in found["events"]]
         return Seeded(seed, options=self._options, **found)
 
@@ -214,19 +214,19 @@ class Nursery:
         stage = self._stage(key, cold=False)
         machine = stage.machine
         assert isinstance(machine, WeakMachine)
-        met = Met(machine)
+        stored = StoredRecords(machine)
         for name in self._alike[key]:
             stage.take(play_of(name))
             stage.play(must_end=False)
         stage.prove_alive()
-        return {"modules": stage.robot.loader.loaded(), "places": sorted(met.places)}
+        return {"modules": stage.robot.loader.loaded(), "records": sorted(stored.records)}
 
-    def _judged(self, key: str, tape: Tape, *, cold: bool) -> dict[str, Any]:
+    def _judged(self, key: str, decisions: Decisions, *, cold: bool) -> dict[str, Any]:
         stage, names = self._stage(key, cold=cold), self._alike[key]
-        schedule = Schedule(stage, tape, self._groups, self._places.get(key) or range(len(PLACES)))
+        schedule = Schedule(stage, decisions, self._groups, self._records.get(key) or range(len(RECORDS)))
         witness, rounds = stage.witness, list[str]()
-        for number in range(1 + tape.draw("skipped", self._rounds, 0.0), 1 + self._rounds):
-            name = names[tape.draw(f"{number} scenario", len(names), OTHERS)]
+        for number in range(1 + decisions.draw("skipped", self._rounds, 0.0), 1 + self._rounds):
+            name = names[decisions.draw(f"{number} scenario", len(names), OTHERS)]
             rounds.append(f"{number} {name}")
             witness.tell(f"round {number}: {name}")
             stage.take(play_of(name))
@@ -241,10 +241,10 @@ class Nursery:
         return {
             "rounds": rounds,
             "events": [(each.label, each.fault, each.where) for each in schedule.events] if witness.violations else [],
-            "draws": tape.drawn,
+            "draws": decisions.drawn,
             "violations": witness.violations,
             "story": witness.story if witness.violations else [],
-            "marks": stage.marks.counts,
+            "marks": stage.coverage.counts,
             "digest": schedule.digest(),
             "groups": Counter(GROUP_OF[schedule.kind(each)] for each in schedule.events),
         }
@@ -315,7 +315,7 @@ def seeds(
         if found.runs % EVERY_TWICE == 0 and not run.violations:
             found.twice += 1
             if nursery.run(seed, run.draws).digest != run.digest:
-                run.violations.append("the same tape is another run")
+                run.violations.append("the same decisions made another run")
         found.add(run)
         if run.violations and len(found.wrong) <= MOST_SHRUNK:
             found.found_s = found.found_s or used_s() - begun_s

@@ -20,7 +20,7 @@ from failstop_lab.machine.mapped import Mapped
 from failstop_lab.machine.memory import WeakMachine
 from failstop_lab.machine.process import Process, Thread
 from failstop_lab.machine.robot import COMMAND_EVERY_S, MS, Robot
-from failstop_lab.simulate import marks
+from failstop_lab.simulate import coverage
 from failstop_lab.simulate.order import Order, watch_looks, watch_rings
 from failstop_lab.simulate.witness import ANY_REPORTS, ASKED_NS, BACK_NS, COMPARED, TRUE_REPORTS, ZEROS_NS, Witness
 
@@ -82,8 +82,8 @@ class Stage:
         self.ready_s = (READY_NS + self.traits.deaf_ns) / 1e9
         """Within so long a service whose processes all live is ready."""
         self.witness = Witness(self.robot)
-        self.marks = marks.Marks()
-        marks.watch(self.robot.loader, self.marks, self.witness)
+        self.coverage = coverage.Coverage()
+        coverage.watch(self.robot.loader, self.coverage, self.witness)
         if isinstance(self.machine, WeakMachine):
             watch_looks(self.robot.loader, Order(self.machine, self.witness))
             watch_rings(self.robot.loader, self.witness)

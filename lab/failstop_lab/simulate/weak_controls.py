@@ -7,7 +7,7 @@ import itertools
 
 from failstop_lab.machine.loading import Patches
 from failstop_lab.simulate.controls import PORT_OWNER_MODULE, STOPPER_MODULE, SUPERVISOR_MODULE, Mutant
-from failstop_lab.simulate.kinds import MEMORY
+from failstop_lab.simulate.events import MEMORY
 
 LATCH_MODULE, MONITOR_MODULE = "failstop.supervisor.latch", "failstop.supervisor.monitor"
 GATE_MODULE, REQUESTS_MODULE = "failstop.procs.gate.main", "failstop.procs.gate.requests"

@@ -18,7 +18,7 @@ from failstop_lab.case.hazards import HAZARDS
 from failstop_lab.faults import arm_table, table
 from failstop_lab.pages.case import claims_table
 from failstop_lab.pages.made import ROOT
-from failstop_lab.simulate import marks
+from failstop_lab.simulate import coverage
 
 SAFETY = ROOT / "docs/safety.md"
 
@@ -52,7 +52,7 @@ def test_a_citation_of_no_claim_is_a_gap(cited: list[Citation], tmp_path: Path) 
 
 
 def test_a_mark_that_cites_nothing_is_a_gap(cited: list[Citation], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(marks, "NOT_TRIED", marks.NOT_TRIED.keys() - {"cause mute"})
+    monkeypatch.setattr(coverage, "NOT_TRIED", coverage.NOT_TRIED.keys() - {"cause mute"})
     assert list(gaps(CLAIMS, HAZARDS, ASSUMPTIONS, [*cited, *of_marks()])) == [
         "simulation marks, cause mute: cites no claim: name one, or say that it carries none"
     ]
@@ -70,9 +70,9 @@ def test_a_row_of_the_bench_that_cites_nothing_is_a_gap(cited: list[Citation], t
 
 
 def test_each_line_of_claims_fits_a_mark_or_a_row_of_the_bench() -> None:
-    names = list(marks.names())
-    assert marks.NOT_TRIED.keys() <= set(names)
-    assert [line for line, _ in marks.CLAIMS if not any(re.fullmatch(line, name) for name in names)] == []
+    names = list(coverage.names())
+    assert coverage.NOT_TRIED.keys() <= set(names)
+    assert [line for line, _ in coverage.CLAIMS if not any(re.fullmatch(line, name) for name in names)] == []
     told, page = script(ROOT / "bench/claims.py"), (ROOT / "docs/reference/measured.md").read_text("utf-8")
     lines = [line for line, _ in told.CLAIMS] + list(told.CARRY_NONE)
     assert [line for line in lines if not re.search(rf"(?m)^\| ({line})", page)] == []

@@ -10,7 +10,7 @@ import pytest
 
 from failstop.policy.layouts import BOARDS
 from failstop_lab.boards.traits import traits_of
-from failstop_lab.simulate import campaign, marks
+from failstop_lab.simulate import campaign, coverage
 from failstop_lab.simulate.campaign import Plan
 from failstop_lab.simulate.controls import CONTROLS, Mutant
 from failstop_lab.simulate.scenarios import SCENARIOS, scenarios_of
@@ -70,7 +70,7 @@ def test_a_scenario_misses_what_is_taken_out(row: str) -> None:
 
 
 def test_what_was_not_reached_is_told() -> None:
-    missing = marks.missing({"cause died": 1}, traits_of(BOARDS[0]))
+    missing = coverage.missing({"cause died": 1}, traits_of(BOARDS[0]))
     assert "cause hangs" in missing
     assert "cause died" not in missing
-    assert not marks.NOT_TRIED.keys() & set(missing)
+    assert not coverage.NOT_TRIED.keys() & set(missing)

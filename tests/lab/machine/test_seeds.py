@@ -1,4 +1,4 @@
-"""Seeds: a run that is drawn is the same again by its tape, and what fails is told by the draws that it needs."""
+"""Seeds: the decisions of a run reproduce it, and a failure is reported with the draws that it needs."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from failstop_lab.machine.memory import WeakMachine
 from failstop_lab.simulate import control_runs, controls, seeds
 from failstop_lab.simulate.control_runs import BOTH
 from failstop_lab.simulate.controls import CONTROLS
-from failstop_lab.simulate.kinds import DRAWN_KINDS, GROUPS
-from failstop_lab.simulate.pressing import PLACES, Pressing
+from failstop_lab.simulate.decisions import Decisions, Draws, shrunk
+from failstop_lab.simulate.events import DRAWN_EVENTS, GROUPS
+from failstop_lab.simulate.hot_records import RECORDS, HotRecords
 from failstop_lab.simulate.seeds import Nursery, Seeded
-from failstop_lab.simulate.tape import Draws, Tape, shrunk
 
 OWN_STOP = next(each for each in CONTROLS if each.row == "own stop does not refuse motion")
 MOST_DRAWS = 6
@@ -27,9 +27,9 @@ HEADS = (control_runs.COLUMNS[0], "row")
 
 def test_a_tape_gives_again_what_was_drawn_and_nothing_else() -> None:
     labels = [f"event {number}" for number in range(20)]
-    drawn = Tape(7)
+    drawn = Decisions(7)
     values = {label: drawn.draw(label, 1000, 0.9) for label in labels}
-    again = Tape(8, drawn.drawn)
+    again = Decisions(8, drawn.drawn)
     assert {label: again.draw(label, 1000, 0.9) for label in labels} == values
     assert again.drawn == drawn.drawn
     assert again.draw("another", 1000) == 0
@@ -38,7 +38,7 @@ def test_a_tape_gives_again_what_was_drawn_and_nothing_else() -> None:
 
 @pytest.mark.parametrize("value", [-1, 3, 10**400])
 def test_a_draw_that_cannot_be_is_nothing_odd(value: int) -> None:
-    assert Tape(0, {"a": value}).draw("a", 3) == 0
+    assert Decisions(0, {"a": value}).draw("a", 3) == 0
 
 
 @pytest.mark.parametrize(
@@ -55,9 +55,9 @@ def test_a_draw_that_cannot_be_is_nothing_odd(value: int) -> None:
     ],
 )
 def test_a_file_that_is_no_tape_is_told(made_up: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "tape").write_bytes(made_up)
-    assert main(["simulate", "--tape", str(tmp_path / "tape")]) == 1
-    assert "this is no tape: take all between the quotes" in capsys.readouterr().err
+    (tmp_path / "decisions").write_bytes(made_up)
+    assert main(["simulate", "--decisions", str(tmp_path / "decisions")]) == 1
+    assert "these are no decisions: copy everything between the quotes" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("needed", [{"a"}, {"c", "j"}, {"a", "e", "h"}, set()])
@@ -71,11 +71,11 @@ def test_what_is_shrunk_keeps_the_draws_that_are_needed(needed: set[str]) -> Non
 
 
 def test_every_kind_has_a_number_of_its_own() -> None:
-    assert len(set(DRAWN_KINDS)) == len(DRAWN_KINDS) == sum(map(len, GROUPS.values()))
+    assert len(set(DRAWN_EVENTS)) == len(DRAWN_EVENTS) == sum(map(len, GROUPS.values()))
 
 
 @pytest.mark.slow
-def test_a_seed_is_the_same_run_again_by_its_tape() -> None:
+def test_a_seed_is_the_same_run_again_by_its_decisions() -> None:
     nursery = Nursery(["gate_dies"], rounds=2)
     run = nursery.run(0)
     again = nursery.run(100, run.draws)
@@ -91,8 +91,8 @@ def test_a_failure_keeps_only_the_draws_that_it_needs() -> None:
     run = found.wrong[0]
     assert run.violations
     assert len(run.draws) <= MOST_DRAWS
-    assert "again: failstop simulate --scenario supervisor_dies --tape" in run.text()
-    assert json.loads(run.tape())["draws"] == run.draws
+    assert "again: failstop simulate --scenario supervisor_dies --decisions" in run.text()
+    assert json.loads(run.decisions())["draws"] == run.draws
 
 
 @pytest.mark.slow
@@ -114,14 +114,14 @@ def test_the_page_of_controls_has_each_of_them_and_no_other() -> None:
 def test_a_round_presses_on_records_that_are_there_and_seldomer_in_time() -> None:
     machine = WeakMachine()
     segment = machine.root.folder("/dev/shm")
-    epoch = PLACES[0]
+    epoch = RECORDS[0]
     segment.put(f"failstop.1.{epoch[0]}", file := Regular())
-    pressing = Pressing(Random(1), machine, [0])
-    pressing.begin(memory=True, others=True)
-    assert 1 <= sum(pressing.comes("load", file, epoch[1].start) for _ in range(1000)) < 600
-    assert not any(pressing.comes("load", file, epoch[1].stop) for _ in range(100))
-    pressing.begin(memory=False, others=True)
-    assert not any(pressing.comes("load", file, epoch[1].start) for _ in range(100))
+    hot = HotRecords(Random(1), machine, [0])
+    hot.begin(memory=True, others=True)
+    assert 1 <= sum(hot.comes("load", file, epoch[1].start) for _ in range(1000)) < 600
+    assert not any(hot.comes("load", file, epoch[1].stop) for _ in range(100))
+    hot.begin(memory=False, others=True)
+    assert not any(hot.comes("load", file, epoch[1].start) for _ in range(100))
 
 
 def test_a_campaign_counts_its_faults() -> None:

@@ -1,7 +1,7 @@
-"""Places: the calls of an unfaulted run, by the lines of code that make them.
+"""Call sites: the system calls of a run without faults, by the lines of code that make them.
 
-A call of the port owner's in a turn that keeps the wheels turning is another place than the same call in another turn:
-what happens before such a frame is what the stop protocol is about.
+A call of the port owner in a turn that keeps the wheels turning counts as another site than the same call in another
+turn, because the stop protocol is about the time before such a frame.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ from failstop_lab.machine.process import Thread
 from failstop_lab.simulate.faults import line_of
 from failstop_lab.simulate.stage import Stage
 
-Where = dict[str, list[int]]
-"""The places, each with the numbers of its calls."""
+Sites = dict[str, list[int]]
+"""The call sites, each with the numbers of its calls."""
 BEFORE = " before a frame"
 
 
-class Places:
-    """Writes the places down while a stage runs."""
+class CallSites:
+    """Records the call sites while a stage runs."""
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
         self._count = 0
         self._lines: list[tuple[int, str]] = []
         self._turns: dict[int, list[int]] = {}
-        """Of each thread of the port owner: the numbers of its calls since it waited last."""
+        """For each thread of the port owner: the numbers of its calls since it last waited."""
         self.before: set[int] = set()
-        """The numbers of calls in turns that write a frame, up to that."""
+        """The numbers of calls in turns that write a frame, up to that frame."""
         stage.machine.at_seam = self._at
 
     def _at(self, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
@@ -48,9 +48,9 @@ class Places:
         board = self._stage.robot.board
         return any(board.model.wheels) and any(board.traits.language.speeds(data) or ())
 
-    def where(self) -> Where:
-        """All of them."""
-        found: Where = {}
+    def sites(self) -> Sites:
+        """All call sites."""
+        found: Sites = {}
         for number, line in self._lines:
             found.setdefault(line + BEFORE * (number in self.before), []).append(number)
         return found

@@ -1,7 +1,7 @@
-"""Tape: everything that is drawn for a run, by labels; 0 is nothing odd, and what has no label on a tape is 0.
+"""Decisions: every choice of a run, drawn under a label. 0 means that nothing odd happens, and a missing label means 0.
 
-A run draws from a seed and writes its tape, or is played from one. So a run is the same again by its tape alone,
-whatever has drawn it, and a failure keeps as few draws as it needs (shrunk).
+A run draws its decisions from a seed and records them, or is played from recorded ones. So decisions alone reproduce a
+run, and a failure can be reduced to as few draws as it needs (shrunk).
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from collections.abc import Callable, Mapping
 Draws = dict[str, int]
 
 
-class Tape:
-    """Of a seed, or with these draws."""
+class Decisions:
+    """Draws from a seed, or plays the draws in `fixed`."""
 
     def __init__(self, seed: int, fixed: Mapping[str, int] | None = None) -> None:
         self.fixed = fixed
         self.dice = random.Random(seed)
-        """For where a draw is worth its while: nothing else may hang on it."""
+        """Chooses where to draw. Nothing else may depend on it."""
         self.drawn: Draws = {}
-        """All draws but zeros."""
+        """All draws except zeros."""
 
     def draw(self, label: str, n: int, often: float = 1.0) -> int:
-        """A number below `n`; `often`: for how many seeds it is more than 0."""
+        """A number below `n`; `often`: the probability that it is more than 0."""
         if self.fixed is not None:
             value = self.fixed.get(label, 0)
             value = value if 0 <= value < n else 0
@@ -32,15 +32,15 @@ class Tape:
         return self.put(label, value)
 
     def put(self, label: str, value: int) -> int:
-        """Draw this."""
+        """Record this value as drawn."""
         if value:
             self.drawn[label] = value
         return value
 
 
 def shrunk(draws: Draws, fails: Callable[[Draws], Draws | None], most: int = 250) -> Draws:
-    """The draws that a failure needs (delta debugging): parts of them are left out, in halves first and one by one at
-    last. `fails`: the draws that a run with these has used, if it fails. At most `most` runs."""
+    """The draws that a failure needs (delta debugging): parts of them are left out, first halves and in the end single
+    draws. `fails`: runs with these draws, and returns the draws that it used if it fails. At most `most` runs."""
     parts = 2
     while draws:
         labels, size = list(draws), -(-len(draws) // parts)

@@ -1,4 +1,4 @@
-"""Kinds: the events that a run may draw, in groups of which each is on in some of the runs, and their measures."""
+"""Events: the kinds of events that a run may draw, and their measures. Each group of kinds is on in some runs."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from failstop_lab.simulate.witness import SERVICE_PROCESSES
 
 MEASURES = 16
 SHORT_NS = [round(1_000 * 10 ** (step * 4 / (MEASURES - 1))) for step in range(MEASURES)]
-"""For so long a thread pauses, 1 us to 10 ms."""
+"""How long a thread pauses: 1 us to 10 ms."""
 SEEN_NS = [round(300_000 * 80 ** (step / (MEASURES - 1))) for step in range(MEASURES)]
-"""For so long it pauses where memory is seen in another order, 0.3 to 24 ms: a tick of all who look without a bell."""
+"""How long it pauses when memory is seen in another order: 0.3 to 24 ms, a tick of every process that looks without a
+bell."""
 HELD_FOR_NS = [round(20 * MS * 75 ** (step / (MEASURES - 1))) for step in range(MEASURES)]
-"""For so long a process is held up, or a board gone: 20 ms to 1.5 s."""
+"""How long a process is held up, or a board gone: 20 ms to 1.5 s."""
 PAUSES = "a thread pauses"
 LATER = dict(
     zip(
@@ -81,6 +82,6 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 MEMORY = ("memory", "races", "torn")
 LIGHT = ("pauses", "order", *MEMORY)
-DRAWN_KINDS = tuple(itertools.chain.from_iterable(GROUPS.values()))
-"""A tape has their numbers: a new one comes last."""
+DRAWN_EVENTS = tuple(itertools.chain.from_iterable(GROUPS.values()))
+"""Recorded decisions have their numbers, so a new kind comes last."""
 GROUP_OF = {kind: group for group, kinds in GROUPS.items() for kind in kinds}

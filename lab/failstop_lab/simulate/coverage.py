@@ -1,6 +1,6 @@
-"""Marks: what a campaign of simulated runs must have reached at least once: each cause, each answer of the admission
-table, each change of a process's state. A mark that no run has reached was not tried, and the campaign says so. A claim
-is tried by simulation as far as the marks that cite it are reached."""
+"""Coverage: the marks that a campaign of simulated runs must reach at least once: each cause, each answer of the
+admission table, each change of a process's state. The campaign names the marks that no run reached, and fails. The
+simulation supports a claim only as far as the marks that cite it are reached."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ NOT_TRIED = {
     "state fenced beats": "a beat between the kill and the end",
     "state dead beats": "a beat between the end and its notice",
 }
-"""Marks that no scenario reaches, and why; the tests with real processes do."""
+"""Marks that no scenario reaches, and why; tests with real processes reach them."""
 CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("cause died", ("DEATH-1", "SEVERAL-1")),
     ("cause (hangs|starved|held_up|supervisor_suspended)", ("HANG-1",)),
@@ -63,7 +63,7 @@ CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("state waiting given up", ("RETURN-1",)),
     ("state [a-z]+ (started|runs|reaped|recalled)", ("RETURN-1",)),
 )
-"""The claims (lab/case/claims.py) that a mark carries, by the first pattern that fits its name."""
+"""The claims (lab/case/claims.py) that a mark supports, by the first pattern that matches its name."""
 OF_PARTS = {
     "cause key": HAS_KEYS,
     "cause deaf": SHOWS_DEAF,
@@ -73,13 +73,13 @@ OF_PARTS = {
     "cause restarted": HAS_REPORTS,
     "admission hangs": HAS_ARM,
 }
-"""Marks that a campaign reaches at a board which has this part alone (lab/boards/traits.py). A lease runs out
-between the look at it and a frame where frames wait for the servos' bus."""
+"""Marks that a campaign reaches only at a board that has this part (lab/boards/traits.py). For example, a lease can run
+out between its check and a frame only if frames wait for the servos' bus."""
 ADMISSION = ("write", "drop", "burst", "request", "bad frame", "hangs")
 
 
-class Marks:
-    """How often each was reached."""
+class Coverage:
+    """How often each mark was reached."""
 
     def __init__(self) -> None:
         self.counts: dict[str, int] = {}
@@ -88,22 +88,22 @@ class Marks:
         self.counts[name] = self.counts.get(name, 0) + 1
 
 
-def watch(loader: Loader, marks: Marks, witness: Witness) -> None:
-    """Have the modules of one machine say what they reach. They decide as without it. An invariant of the core that did
-    not hold makes a run wrong, although the robot has stopped for it."""
-    _watch_causes(loader, marks, witness)
-    _watch_admission(loader, marks)
+def watch(loader: Loader, coverage: Coverage, witness: Witness) -> None:
+    """Make the modules of one machine record the marks that they reach, without changing what they do. A broken
+    invariant of the core makes a run wrong, although the robot stops for it."""
+    _watch_causes(loader, coverage, witness)
+    _watch_admission(loader, coverage)
     _watch_invariants(loader, witness)
-    _watch_states(loader, marks, witness)
+    _watch_states(loader, coverage, witness)
 
 
-def _watch_causes(loader: Loader, marks: Marks, witness: Witness) -> None:
+def _watch_causes(loader: Loader, coverage: Coverage, witness: Witness) -> None:
     epochs = loader.load("failstop.supervisor.latch").Epochs
     raise_for = epochs.raise_for
 
     def told(self: Any, stops: list[Any], now_ns: int) -> None:
         for stop in stops:
-            marks.reach(f"cause {stop.cause.kind.name}")
+            coverage.reach(f"cause {stop.cause.kind.name}")
             witness.causes.append(str(stop.cause))
             witness.tell(f"the supervisor stops: {stop.cause}")
         raise_for(self, stops, now_ns)
@@ -111,14 +111,14 @@ def _watch_causes(loader: Loader, marks: Marks, witness: Witness) -> None:
     epochs.raise_for = told
 
 
-def _watch_admission(loader: Loader, marks: Marks) -> None:
+def _watch_admission(loader: Loader, coverage: Coverage) -> None:
     module = loader.load("failstop.procs.port_owner.admission")
     names = {module.ADMIT: "write", module.DROP: "drop", module.STAND_STILL: "burst", module.STOP_ASKED: "request"}
     decide = module.Admission.decide
 
     def told(self: Any, *arguments: Any, **words: Any) -> Any:
         found = decide(self, *arguments, **words)
-        marks.reach(f"admission {names[found] if isinstance(found, int) else found.kind.name}")
+        coverage.reach(f"admission {names[found] if isinstance(found, int) else found.kind.name}")
         return found
 
     module.Admission.decide = told
@@ -138,12 +138,12 @@ def _watch_invariants(loader: Loader, witness: Witness) -> None:
     admission.impossible, admission.follow = noted(admission.impossible), noted(admission.follow)
 
 
-def _watch_states(loader: Loader, marks: Marks, witness: Witness) -> None:
+def _watch_states(loader: Loader, coverage: Coverage, witness: Witness) -> None:
     module = loader.load("failstop.supervisor.children")
     on = module.Child.on
 
     def told(self: Any, event: str) -> None:
-        marks.reach(f"state {self.state} {event}")
+        coverage.reach(f"state {self.state} {event}")
         on(self, event)
         if self.defects:
             witness.wrong(str(self.defects[-1]))
@@ -152,7 +152,7 @@ def _watch_states(loader: Loader, marks: Marks, witness: Witness) -> None:
 
 
 def names() -> Iterator[str]:
-    """Every mark, of what the modules of the service declare."""
+    """Every mark, from the declarations in the service's modules."""
     loader = Loader(Machine())
     module = loader.load("failstop.supervisor.children")
     yield from (f"cause {name}" for name in loader.load("failstop.policy.causes").CAUSE_BY_NAME)
@@ -162,11 +162,11 @@ def names() -> Iterator[str]:
 
 
 def claims_of(name: str) -> tuple[str, ...]:
-    """The claims that a mark carries; none: no pattern of CLAIMS fits."""
+    """The claims that a mark supports; empty if no pattern of CLAIMS matches."""
     return next((claims for pattern, claims in CLAIMS if re.fullmatch(pattern, name)), ())
 
 
 def missing(counts: Mapping[str, int], traits: Traits) -> list[str]:
-    """The marks that were not reached, of those that a board can reach."""
+    """The marks that this board can reach and that were not reached."""
     beyond = NOT_TRIED.keys() | {name for name, part in OF_PARTS.items() if part not in traits.parts}
     return [name for name in names() if not counts.get(name) and name not in beyond]

@@ -9,7 +9,7 @@ import pytest
 
 from failstop_lab.machine.kernel import STEP_NS
 from failstop_lab.machine.process import Thread
-from failstop_lab.simulate.equal import ASKS, IS_HELD, IS_STARVED, SLEEPS, Equal
+from failstop_lab.simulate.equivalents import ASKS, IS_HELD, IS_STARVED, SLEEPS, Equivalents
 from failstop_lab.simulate.faults import INTERNAL, faults
 from failstop_lab.simulate.scenarios import DRIVEN, SCENARIOS
 from failstop_lab.simulate.stage import Continuation, Stage
@@ -23,13 +23,13 @@ Calls = list[tuple[str, str, int]]
 def pairs(fault: str) -> list[tuple[int, int]]:
     """The calls of an unfaulted run that are told equal, each with the one that it equals."""
     stage = Stage(SCENARIOS[SCENARIO])
-    equal, found, number, last = Equal(stage), [], 0, 0
+    equivalents, found, number, last = Equivalents(stage), [], 0, 0
 
     def look(thread: Thread, call: str, about: tuple[Any, ...]) -> None:
         nonlocal number, last
         number += 1
         if stage.explored and fault in dict(faults(stage, thread, call, about)):
-            if equal.tried(fault, thread):
+            if equivalents.tried(fault, thread):
                 found.append((last, number))
             else:
                 last = number

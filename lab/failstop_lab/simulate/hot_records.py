@@ -1,7 +1,8 @@
-"""Pressing: a few records of shared memory in each round at which events of memory come far more often than elsewhere.
+"""Hot records: in each round, a few records of shared memory where events of memory are far more frequent than
+elsewhere.
 
-Two accesses whose order matters are met by chance once in some thousand rounds. Each round draws some of all records
-that a process acts on, and those that order.py judges more often.
+By chance alone, two accesses whose order matters would meet once in some thousand rounds. Each round draws some of the
+records that a process acts on, and more often those that order.py judges.
 """
 
 from __future__ import annotations
@@ -16,17 +17,17 @@ from failstop_lab.machine.process import Thread
 from failstop_lab.simulate.order import NAMED, shared_path
 
 MOST_RECORDS = 8
-"""At most so many in a round, and one at least."""
+"""The most hot records in a round; there is at least one."""
 OFTEN = (0.3, 0.95)
-"""Between these is how often an event comes at a store, or at a load, of one of them."""
+"""The range of the probability of an event at a store, or a load, of a hot record."""
 SELDOMER, SELDOM = 0.5, 0.5
-"""After each event at a record the next one there is so much less often, but never below that for all of them together:
-some are accessed at every turn."""
+"""After each event at a record the probability there falls by this factor, but for all hot records together never below
+the second number, because some are accessed at every turn."""
 ALONE, MEMORY_ALONE = 0.6, 0.9
-"""In so many rounds nothing else comes: what needs a certain moment is not moved by other events. The second where
-memory alone is odd."""
+"""The share of rounds without other events, which could move the moment that a failure needs. The second is for runs in
+which only memory is odd."""
 READ_BY_NO_PROCESS = ("everyone", "clients", "its successor, clients")
-"""Readers of records that decide nothing (messages/layout.py), but for the beats."""
+"""Readers (messages/layout.py) that decide nothing by a record, except by the beats."""
 BEAT = "beat_ns"
 
 
@@ -34,8 +35,8 @@ def _begin(segment: str, name: str) -> int:
     return layout.SEGMENT_BY_NAME[segment].offsets[name]
 
 
-def _places() -> list[tuple[str, range]]:
-    """Records that other processes act on, each by its segment and its place; numbered ones are one place."""
+def _records() -> list[tuple[str, range]]:
+    """The segment and the byte range of each record that other processes act on; numbered records are one range."""
     found: dict[tuple[str, str], range] = {}
     for spec in layout.SEGMENTS:
         for name, record in spec.records.items() if spec.mode == layout.PUBLIC else ():
@@ -45,15 +46,15 @@ def _places() -> list[tuple[str, range]]:
     return [(segment, place) for (segment, _), place in found.items()]
 
 
-PLACES = _places()
+RECORDS = _records()
 JUDGED = {
     number
-    for number, (segment, place) in enumerate(PLACES)
+    for number, (segment, place) in enumerate(RECORDS)
     if any(each[0] == segment and _begin(*each) in place for each in (name.split(".", 1) for name in NAMED))
 }
-"""Those whose order order.py judges."""
+"""The records whose order order.py judges."""
 JUDGED_TOO = 2
-"""So many times more than others they are drawn."""
+"""How many more times these are drawn than others."""
 
 
 class Segments:
@@ -62,53 +63,55 @@ class Segments:
     def __init__(self, machine: WeakMachine) -> None:
         self._machine = machine
         self._names: dict[int, str] = {}
-        """By a file's number."""
+        """The names by the number of the file."""
 
     def name(self, node: Any) -> str:
-        """Empty: the file is none."""
+        """The name of the segment in this file; empty if it is none."""
         if node.number not in self._names:
             self._names[node.number] = shared_path(self._machine, node).rpartition(".")[2]
         return self._names[node.number]
 
-    def places(self, node: Any, at: int) -> list[int]:
-        """An access by its number in PLACES: one or none."""
+    def records(self, node: Any, at: int) -> list[int]:
+        """The numbers in RECORDS of the record at this place: one or none."""
         segment = self.name(node)
-        return [number for number, (name, place) in enumerate(PLACES) if name == segment and at in place]
+        return [number for number, (name, place) in enumerate(RECORDS) if name == segment and at in place]
 
 
-class Met:
-    """The records that are stored in a run that nothing happens in: others are nothing to press on."""
+class StoredRecords:
+    """The records that a run without events stores, because only those can be hot."""
 
     def __init__(self, machine: WeakMachine) -> None:
         self._segments = Segments(machine)
-        self.places: set[int] = set()
+        self.records: set[int] = set()
         machine.at_seam = self._at
 
     def _at(self, thread: Thread, call: str, about: tuple[Any, ...]) -> None:
         if call == "store":
-            self.places.update(self._segments.places(about[0], about[1]))
+            self.records.update(self._segments.records(about[0], about[1]))
 
 
-class Pressing:
-    """The records that the rounds of a run press on, out of these."""
+class HotRecords:
+    """The hot records of each round of a run, chosen from `records`."""
 
-    def __init__(self, dice: Random, machine: WeakMachine, places: Collection[int]) -> None:
+    def __init__(self, dice: Random, machine: WeakMachine, records: Collection[int]) -> None:
         self._dice, self.segments = dice, Segments(machine)
-        here = sorted(places)
-        self._places = [PLACES[number] for number in (*here, *(JUDGED_TOO * [each for each in here if each in JUDGED]))]
+        here = sorted(records)
+        self._records = [
+            RECORDS[number] for number in (*here, *(JUDGED_TOO * [each for each in here if each in JUDGED]))
+        ]
         self._here: list[list[Any]] = []
-        """The segment, the place in it, and how often an event comes there now, by the access."""
+        """The segment, the byte range in it, and the present probability of an event there, by the access."""
         self.alone = False
-        """Nothing comes in this round but there."""
+        """True if this round has events at hot records only."""
 
     def begin(self, *, memory: bool, others: bool) -> None:
-        """Another round. `memory`: there are events that come here; `others`: there are more."""
+        """Begin a round. `memory`: events of memory are on; `others`: other events are on too."""
         dice = self._dice
         often = OFTEN[0] * (OFTEN[1] / OFTEN[0]) ** dice.random()
         self._here = (
             [
                 [*place, {"load": often, "store": often}]
-                for place in dice.sample(self._places, dice.randint(1, min(MOST_RECORDS, len(self._places))))
+                for place in dice.sample(self._records, dice.randint(1, min(MOST_RECORDS, len(self._records))))
             ]
             if memory
             else []
@@ -116,7 +119,7 @@ class Pressing:
         self.alone = memory and dice.random() < (ALONE if others else MEMORY_ALONE)
 
     def comes(self, access: str, node: Any, at: int) -> bool:
-        """Whether an event comes at this access, or behind it."""
+        """Whether an event comes at this access, or after it."""
         segment = self.segments.name(node)
         for each in self._here:
             if segment == each[0] and at in each[1]:

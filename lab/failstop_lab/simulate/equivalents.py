@@ -1,5 +1,6 @@
-"""Equal runs: a fault at one call that is the same at another, since nothing on the machine can tell the two apart.
-Such a run is counted and not played. Each rule is exact: tests/lab/machine/test_equal.py plays both of a sample."""
+"""Equivalents: a fault at one call that is the same as at another, because nothing on the machine can tell them apart.
+Such a run is counted but not played. The rules are exact: tests/lab/machine/test_equivalents.py plays both of a
+sample."""
 
 from __future__ import annotations
 
@@ -11,23 +12,23 @@ from failstop_lab.simulate.stage import Stage
 SLEEPS, ASKS, IS_HELD, IS_STARVED = "machine sleeps", "somebody asks for a stop", "held", "starved"
 
 
-class Equal:
-    """The faults that were tried last, and what could have noticed each of them since.
+class Equivalents:
+    """The faults that were tried last, and everything that could have noticed each of them since.
 
     - The machine sleeps: a look at a clock that goes on meanwhile.
-    - Somebody asks for a stop: a look at the stop pipe, another thread that goes on, or other news for who waits, which
-      would come in another order.
-    - A process is starved: as it is held at the same call, but for who asks why it is silent.
+    - Somebody asks for a stop: a look at the stop pipe, another thread that goes on, or other news for a waiting
+      thread, which would come in another order.
+    - A process is starved: the same as held at the same call, except for a process that asks why it is silent.
     """
 
     def __init__(self, stage: Stage) -> None:
         self._stage, self._machine = stage, stage.machine
         self._noticed: dict[str, tuple[object, ...]] = {}
         self.why_asked = True
-        """In the run of the process that was held last somebody asked why it is silent."""
+        """In the run with the last held process, another process asked why it is silent."""
 
     def tried(self, fault: str, thread: Thread) -> bool:
-        """Whether this fault at this call is one that was tried before."""
+        """Whether this fault at this call was tried before."""
         if fault == IS_STARVED:
             return not self.why_asked
         noticed = self._noticed_by(fault, thread)
