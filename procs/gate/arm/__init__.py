@@ -1,1 +1,1 @@
-"""The arm's room within the gate: pure decisions with explicit time. core.py ties it together."""
+"""The arm's part of the gate: pure decisions with explicit time. core.py ties them together."""

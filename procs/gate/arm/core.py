@@ -1,8 +1,9 @@
-"""The arm's decisions. Pure: the time and the news are arguments, frames for the servos and texts are results.
+"""The arm's decisions. Pure: time and news are arguments; frames for the servos and texts are results.
 
-The arm moves only while motion is disabled and nothing is latched: a stop and an enable take it from whoever moves it.
-Its way is streamed, each joint a move of arm.period_s after the other, a few servos a frame, so that an arm whose gate
-dies stands when its last move ends. What was stopped on its way is read before it moves again.
+The arm moves only while motion is disabled and nothing is latched: a stop or an enable takes it from the client that
+moves it. Its way is streamed: each joint gets one move of arm.period_s after another, a few servos per frame, so that
+the arm stops at the end of its last move if the gate dies. A joint that was stopped on its way is read before it moves
+again.
 """
 
 from __future__ import annotations
@@ -19,20 +20,20 @@ from failstop.procs.gate.arm.stream import Space, Stream
 
 ENDED = "the goals before it were ended: pause first"
 SERVICE = 0
-"""The session of the service's own trajectories: to the drive pose, to the tuck pose."""
+"""The session of the service's own trajectories: to the drive pose and to the tuck pose."""
 TORQUE_APART_NS = 4_000_000
-"""Between two frames that switch a torque on or off."""
+"""Time between two frames that switch a torque on or off."""
 STEPS_APART_NS = 1_000_000
-"""Between two steps at least: a step that leaves something to be done at once must not keep the gate awake."""
+"""The shortest time between two steps: a step that leaves more work must not keep the gate awake."""
 NEAR = 0.5
-"""Pulses from its end at which a trajectory is there: as near as a frame can say."""
+"""How close to its end, in pulses, a trajectory counts as finished: as close as a frame can express."""
 LOST_NS = 2_000_000_000
-"""A trajectory that is not there so long after its time has lost its way."""
+"""A trajectory that is not finished this long after its time has failed."""
 FIND_NS = 4_000_000_000
 
 
 class ArmCore:
-    """The arm as the gate knows it: its joints, the goal that it follows, the next question to the servos."""
+    """The arm as the gate knows it: its joints, the goal that it follows, and the next question to the servos."""
 
     def __init__(self, settings: Settings, bus: ServoBus, now_ns: int) -> None:
         self._bus = bus
@@ -48,20 +49,20 @@ class ArmCore:
         self._trajectory: Trajectory | None = None
         self._goal: Goal | None = None
         self._ended: dict[int, int] = {}
-        """The last goal of each session whose stream a stop or an enable has ended, and that goes on all the same."""
+        """The last goal of each session whose stream was ended by a stop or an enable, and that keeps sending."""
         self._torque_ns = 0
-        """When the servos' bus is free of the last torque."""
+        """When the servos' bus is free of the last torque command."""
         self.due_ns = now_ns
-        """When to step again, without any news. Set by each step alone, and later than it."""
+        """When to step again without any news. Each step sets it, to a later time than its own."""
         self._left: dict[Joint, float] = {}
-        """The last goals of servos that go on to them (ServoBus.holds_by_goal), and are not yet known to be there."""
+        """The last goals of servos that move on to them (ServoBus.holds_by_goal), and are not known to be there yet."""
         self.letting_go: list[Joint] = []
-        """Joints whose torque is still to be switched off."""
+        """Joints whose torque must still be switched off."""
         self.active_ns = 0
-        """When it was last moved, or asked to; 0: never, or let go since."""
+        """When the arm was last moved, or asked to move; 0: never, or its torque was switched off since."""
         self.released = False
         self.refused = ""
-        """The reason why the last goal of a stream was not taken."""
+        """Why the last goal of a stream was not accepted."""
 
     @property
     def trajectory(self) -> Trajectory | None:
@@ -70,26 +71,26 @@ class ArmCore:
 
     @property
     def followed(self) -> Trajectory | Goal | None:
-        """The goal that it follows of all those that were asked for."""
+        """The goal that the arm follows, out of all that were requested."""
         return self.trajectory or self._goal
 
     def publisher(self, session: int, now_ns: int) -> str:
-        """Another client whose goal counts now; empty when there is none."""
+        """Another client whose goal counts now; empty if there is none."""
         if (trajectory := self.trajectory) and trajectory.session not in (SERVICE, session):
             return trajectory.who
         goal = self._goal
         return goal.who if goal and goal.session != session and self._fresh(goal, now_ns) else ""
 
     def moved_by(self, session: int) -> bool:
-        """True when a goal of this session is followed, or would be."""
+        """True when the arm follows a goal of this session, or would."""
         return any(asked and asked.session == session for asked in (self.trajectory, self._goal))
 
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
         return now_ns - goal.t_ns <= self._timeout_ns
 
     def take(self, goal: Goal, closed: str, now_ns: int) -> None:
-        """A goal of a stream; `refused` says why it is not taken. That of another publisher is the shell's to look
-        for. `closed`: why the arm takes none now; empty when it does."""
+        """Accept a goal of a stream, or set `refused` to the reason why not. The shell looks for other publishers.
+        `closed`: why the arm accepts none now; empty if it does."""
         goal.t_ns = min(goal.t_ns, now_ns)
         check = too_far if goal.mode == goals.FOLLOW else goals.too_fast
         self.refused = self._shut(goal, closed) or check(goal.ends)
@@ -106,8 +107,8 @@ class ArmCore:
         self.active_ns, self.released = now_ns, False
 
     def _shut(self, goal: Goal, closed: str) -> str:
-        """Why no goal of its stream counts now. One that goes on through a stop and a reset must not move the arm by
-        that reset: whoever holds a key has to let go of it first."""
+        """Why no goal of this stream counts now. A stream that goes on through a stop and a reset must not move the arm
+        because of the reset: a person who holds a key must let go of it first."""
         ended_ns = self._ended.pop(goal.session, None)
         if not closed and (ended_ns is None or goal.t_ns - ended_ns > self._timeout_ns):
             return ""
@@ -118,18 +119,20 @@ class ArmCore:
         self._ended.pop(session, None)
 
     def execute(self, trajectory: Trajectory, now_ns: int, why: str = "preempted") -> bool:
-        """Begin a trajectory; whoever moved the arm before moves it no more, and is told why. As drop()."""
+        """Begin a trajectory. The client that moved the arm before loses it, and gets `why`. Returns the same as
+        drop()."""
         was = self.drop(why)
         self._trajectory = trajectory
         trajectory.since_ns = now_ns
         for joint in trajectory.joints:
-            joint.misses = 0  # silent servos are asked again
+            joint.misses = 0  # ask silent servos again
         self._reader.hurry(now_ns)
         self.active_ns, self.released = now_ns, False
         return was
 
     def pose(self, purpose: str, session: int, who: str) -> Trajectory | None:
-        """The way to a pose of the settings, drive or tuck, which execute() begins; None: no joint is part of it."""
+        """The way to a pose of the settings, drive or tuck, to be started by execute(); None if no joint is part of
+        it."""
         ends = self._ends(purpose)
         return Trajectory(purpose, session, who, list(ends), [(0.0, ends)], self._pose_speed) if ends else None
 
@@ -137,7 +140,8 @@ class ArmCore:
         return {joint: float(end) for joint in self.joints if (end := getattr(joint, purpose)) >= 0}
 
     def drop(self, why: str, cause: Cause | None = None) -> bool:
-        """Forget every goal; True: a stop is to be written, as the arm may still move. `cause`: of a latched stop."""
+        """Forget every goal. True: a stop must be written, because the arm may still move. `cause`: the cause of a
+        latched stop."""
         was = self.streaming()
         if trajectory := self.trajectory:
             trajectory.finish(why, dropped=True)
@@ -147,8 +151,8 @@ class ArmCore:
         return was
 
     def stop(self, why: str, cause: Cause | None = None, but: int | None = None) -> None:
-        """As drop(), for a stop that is written in any case: it ends what was let go of, too, and the streams of all
-        sessions but one, which count again after a pause."""
+        """Like drop(), for a stop that is written in any case. It also ends moves that were let go of, and the streams
+        of all sessions but one, which count again after a pause."""
         if self._goal and self._goal.session != but:
             self._ended[self._goal.session] = self._goal.t_ns
         self.letting_go.clear()
@@ -160,12 +164,12 @@ class ArmCore:
         self._stream.end()
 
     def forget(self) -> None:
-        """Nobody reads from here on: where the joints are must be read again before they move."""
+        """Nobody reads the servos from now on, so the positions must be read again before the joints move."""
         for joint in self.joints:
             joint.forget()
 
     def release(self, now_ns: int) -> None:
-        """Let go: every torque is switched off, one after the other."""
+        """Switch every torque off, one after another."""
         self.drop("released")
         self.forget()
         for joint in self.joints:
@@ -175,12 +179,12 @@ class ArmCore:
         self.letting_go, self._torque_ns = self.joints.copy(), now_ns + TORQUE_APART_NS
 
     def streaming(self) -> bool:
-        """A servo may be on its way."""
+        """True while a servo may be moving."""
         return self._stream.on
 
     def step(self, now_ns: int) -> tuple[bytes, bool]:
-        """Go on: the frame to send now, if one is due, and True when the arm is to be held first: a goal was not
-        renewed. One frame a step: what a stop would have to wait for is bounded."""
+        """Continue: returns the frame to send now, if one is due, and True if the arm must be held first because a goal
+        was not renewed. One frame per step limits how long a stop may have to wait."""
         found = self._go_on(now_ns)
         self.due_ns = max(self._next_ns(), now_ns + STEPS_APART_NS)
         return found
@@ -210,8 +214,8 @@ class ArmCore:
         return self._bus.read(question[0].servo, question[1]) if question else b"", hold
 
     def _hold_back(self, now_ns: int) -> bytes:
-        """Send joints that lag behind the last goals of a stream that ended to where they are: all of them at once, in
-        as many frames, since nothing is read while one moves."""
+        """Send joints that lag behind the last goals of an ended stream to where they are: all at once, in as many
+        frames as needed, because nothing is read while a joint moves."""
         if any(not (joint.known or joint.silent) for joint in self._left):
             return b""
         behind = {joint: goal for joint, goal in self._left.items() if abs(joint.position - goal) > AGREE}
@@ -226,7 +230,7 @@ class ArmCore:
         return [joint for joint in self._space.wanted(joints) if not joint.known]
 
     def _free_ns(self) -> int:
-        """When the servos' bus is free of the last question and the last torque."""
+        """When the servos' bus is free of the last question and the last torque command."""
         return max(self._torque_ns, self._reader.free_ns())
 
     def _to_stream(self) -> list[Joint]:
@@ -235,7 +239,7 @@ class ArmCore:
         return list(self.followed.ends) if self.followed else []
 
     def _next_ns(self) -> int:
-        """When there is something to do next, by what the arm waits for now; in the past: at once."""
+        """When there is something to do next, given what the arm waits for now; a time in the past: at once."""
         if self.letting_go:
             return self._torque_ns
         if self._stream.on:
@@ -244,19 +248,19 @@ class ArmCore:
         return self._free_ns() if joints and not self._unknown(joints) else self._reader.due_ns()
 
     def _end_stale(self, now_ns: int) -> bool:
-        """A goal that was not renewed is forgotten; True when the arm was moved by it."""
+        """Forget a goal that was not renewed; True if it was moving the arm."""
         if self._goal is None or self._fresh(self._goal, now_ns):
             return False
         self._goal = None
         return not self.trajectory and self.drop("not renewed")
 
     def _follow_trajectory(self, now_ns: int) -> list[Joint]:
-        """Bring the trajectory on by a phase, when one is over; returns the joints whose position it waits for."""
+        """Bring the trajectory to its next phase when one is over; returns the joints whose position it waits for."""
         trajectory = self.trajectory
         if trajectory is None:
             return []
         silent = [joint for joint in trajectory.joints if joint.silent]
-        # All are asked before the answer is that some are silent: it tells a cable from an arm that is not there.
+        # Ask all servos before reporting that some are silent, because that tells a bad cable from a missing arm.
         asked = all(joint.known or joint in silent for joint in trajectory.joints)
         if silent and (asked or trajectory.phase != goals.FINDING):
             servos = _listed("servo", [str(joint.servo) for joint in silent])
@@ -289,14 +293,14 @@ class ArmCore:
             trajectory.finish("it did not get there in time")
 
     def _check_end(self, trajectory: Trajectory, now_ns: int) -> list[Joint]:
-        """Read back: each joint twice since it stands."""
+        """Check the end by reading each joint twice since it stopped."""
         if unread := [joint for joint in trajectory.joints if joint.measured_ns < trajectory.since_ns]:
             return _read_first(trajectory, unread, now_ns)
         trajectory.finish(self.off(trajectory.ends))
         return []
 
     def off(self, ends: dict[Joint, float]) -> str:
-        """The joint that was not read where it should be, and by how much; empty: each is there."""
+        """The joint that was not read where it should be, and by how much; empty if all are in place."""
         for joint, end in ends.items():
             if joint.measured is None or abs(joint.measured - end) > self.tolerance:
                 by = "was not read" if joint.measured is None else f"is {abs(joint.measured - end):.0f} pulses off"
@@ -304,7 +308,7 @@ class ArmCore:
         return ""
 
     def _load(self, joints: list[Joint], now_ns: int) -> bytes:
-        """Switch on a torque that is not known to be on, one after the other."""
+        """Switch on one torque that is not known to be on; call again for the next."""
         if now_ns < self._free_ns():
             return b""
         joint = next(joint for joint in joints if not joint.loaded)
@@ -319,7 +323,7 @@ class ArmCore:
         return self._bus.torque(self.letting_go.pop(0).servo, False, 0)
 
     def _begin(self, joints: list[Joint], now_ns: int) -> None:
-        """Begin to stream: from here on each of these joints is sent a move every period."""
+        """Begin to stream: from now on each of these joints gets a move every period."""
         if trajectory := self.trajectory:
             if fault := trajectory.begin(now_ns):
                 trajectory.finish(fault)
@@ -329,7 +333,7 @@ class ArmCore:
         self._stream.begin(joints, now_ns)
 
     def _move(self, followed: Trajectory | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:
-        """The moves that are due, as step(). A trajectory that would hit something ends; a goal waits."""
+        """The moves that are due, as in step(). A trajectory that would hit something ends; a goal waits."""
         frame, hit = self._stream.move(followed, now_ns)
         if hit and isinstance(followed, Trajectory):
             followed.finish(hit)
@@ -340,7 +344,7 @@ class ArmCore:
         return frame, hold
 
     def _look(self, now_ns: int) -> bytes:
-        """Ask where joints on their way are; a board that can't tell has no frame for that."""
+        """Ask where moving joints are, if the board has a frame for that."""
         joints = self._reader.look(now_ns)
         return self._bus.look([joint.servo for joint in joints]) if joints else b""
 
@@ -349,12 +353,12 @@ class ArmCore:
             self._reader.seen(servo, value, t_ns)
             return
         if (joint := self._reader.answer(servo, what, value, t_ns)) and not self._stream.on:
-            # A servo turned beyond what a move can say is as near as one can.
+            # If a servo is turned beyond the range of a move, go as close as possible.
             joint.position = float(max(0, min(joint.measured or 0, joint.highest)))
             joint.known = True
 
     def pose_name(self) -> str:
-        """The pose that it was read to be in, drive or tuck; empty: another, or not known."""
+        """The pose that the arm was read to be in, drive or tuck; empty if it is another one, or not known."""
         for purpose in (goals.DRIVE, goals.TUCK):
             judged = self.judged(purpose)
             if judged and all(joint.known for joint in judged) and not self.off(judged):
@@ -362,16 +366,16 @@ class ArmCore:
         return ""
 
     def judged(self, purpose: str) -> dict[Joint, float]:
-        """Where the joints that are judged are to be in a pose of the settings."""
+        """Where the checked joints must be in a pose of the settings."""
         return {joint: end for joint, end in self._ends(purpose).items() if joint.judged}
 
     def why_not(self) -> str:
-        """Why the last goal of a stream was not taken, or is not followed further."""
+        """Why the last goal of a stream was not accepted, or is not followed any further."""
         return self.refused or self._stream.blocked
 
 
 def _read_first(trajectory: Trajectory, joints: list[Joint], now_ns: int) -> list[Joint]:
-    """These must be read before the trajectory goes on, within FIND_NS."""
+    """The joints that must be read before the trajectory goes on, within FIND_NS."""
     if now_ns - trajectory.since_ns > FIND_NS:
         trajectory.finish(f"{_named(joints)}: where it is can't be read")
     return joints

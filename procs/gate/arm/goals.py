@@ -1,7 +1,7 @@
-"""Goals: what the arm is asked to do, and for whom. Pure.
+"""Goals: what clients ask the arm to do. Pure.
 
-A trajectory has an end, which is read back. Follow and jog are goals that a client renews, and that count for
-the settings' arm.goal_timeout_s, the newest of them, while there is no trajectory.
+A trajectory has an end, which is read back. Follow and jog are goals that a client renews; while there is no
+trajectory, the newest one counts for the settings' arm.goal_timeout_s.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ SETTLING = "settling"
 CHECKING = "reading back where it is"
 
 Waypoint = tuple[float, dict[Joint, float]]
-"""When (s from the begin), and the pulses of each joint of the goal."""
+"""When (s from the start), and the pulses of each joint of the goal."""
 
 
 class Goal(Data):
-    """Follow or jog: a target of each joint, in pulses or pulses/s."""
+    """Follow or jog: a target for each joint, in pulses or pulses/s."""
 
     mode: str
     session: int
@@ -48,15 +48,15 @@ class Goal(Data):
 
 
 class Trajectory:
-    """A trajectory, a pose among them: where each joint is to be when, until its end is read back."""
+    """A trajectory (a pose is one too): where each joint must be at which time, until its end is read back."""
 
     mode = TRAJECTORY
 
     def __init__(
         self, purpose: str, session: int, who: str, joints: list[Joint], rows: list[Waypoint], share: float = 1.0
     ) -> None:
-        """`rows`: where to be when; where it begins is found out first. `share`: of each joint's speed. A first row
-        without a time, 0, is reached as fast as that share allows."""
+        """`rows`: where the joints must be at which time; where they begin is read first. `share`: the share of each
+        joint's speed. A first row with time 0 is reached as fast as that share allows."""
         self.purpose = purpose
         self.session = session
         self.who = who
@@ -67,27 +67,27 @@ class Trajectory:
         self.since_ns = 0
         self.begun_ns = 0
         self.done = self.dropped = False
-        """Over; over because somebody took the arm."""
+        """Over; over because another client took the arm."""
         self.outcome = ""
         self.stopped_for: Cause | None = None
-        """The latched cause that has ended it; None: another reason has."""
+        """The latched cause that has ended it; None if something else has."""
 
     @property
     def ends(self) -> dict[Joint, float]:
-        """Where each joint is to be at the end; empty: it only reads where they are."""
+        """Where each joint must be at the end; empty if the trajectory only reads where they are."""
         return self._rows[-1][1] if self._rows else {}
 
     @property
     def length_s(self) -> float:
-        """The time that it takes, once it has begun."""
+        """How long it takes, once it has begun."""
         return self._rows[-1][0]
 
     def begin(self, now_ns: int) -> str:
-        """All of its joints are known: it begins where they are. Returns why it can't."""
+        """Begin where the joints are, once all are known. Returns why it can't."""
         start = {joint: joint.position for joint in self.joints}
         t_s, first = self._rows[0]
         if not t_s:
-            # Until the slowest joint is there, ramps left to follow.
+            # The time that the slowest joint needs; following adds the ramps.
             t_s = max(0.1, *(abs(end - start[joint]) / (joint.speed * self.share) for joint, end in first.items()))
         self._rows = [(0.0, start), (t_s, first), *self._rows[1:]]
         self.begun_ns = now_ns
@@ -106,7 +106,7 @@ class Trajectory:
         return max(0.0, self.length_s - (now_ns - self.begun_ns) * 1e-9) if self.begun_ns else 0.0
 
     def finish(self, outcome: str = "", *, dropped: bool = False) -> None:
-        """It is over: there, or why not."""
+        """End it: with success, or with the reason why not."""
         self.done, self.outcome, self.dropped = True, outcome, dropped
 
     def progress(self, now_ns: int) -> str:
@@ -115,7 +115,7 @@ class Trajectory:
 
 
 def too_fast(rates: dict[Joint, float]) -> str:
-    """A joint that may not turn at that rate, with its limit; empty: each may."""
+    """A joint that may not turn at that rate, with its limit; empty if all may."""
     for joint, rate in rates.items():
         most = joint.speed_radps
         if not isfinite(rate) or abs(rate) > most * 1.000001:
@@ -124,7 +124,7 @@ def too_fast(rates: dict[Joint, float]) -> str:
 
 
 def too_fast_between(rows: list[Waypoint]) -> str:
-    """A joint that would be asked for more than its speed between two rows of a trajectory, and when."""
+    """A joint that would need more than its speed between two rows of a trajectory, and when."""
     for (t0, begin), (t1, end) in pairwise(rows):
         if t1 <= t0:
             return f"the times do not go up: {t0:g} s, then {t1:g} s"

@@ -1,8 +1,8 @@
-"""Reader: asks the servos one question at a time, and says what of the answers may be believed. Pure.
+"""Reader: asks the servos one question at a time, and decides which answers can be believed. Pure.
 
-The firmware compares no answer with its question: one that comes late is taken for that of the next question, which
-then succeeds with 0. So after a question without an answer the next one counts for nothing, nor does any 0; a position
-counts when two in a row agree.
+The firmware does not match answers with questions: a late answer is taken for that of the next question, which then
+succeeds with 0. So after an unanswered question the next answer does not count, nor does any 0, and a position counts
+when two readings in a row agree.
 """
 
 from __future__ import annotations
@@ -11,27 +11,28 @@ from failstop.board.servos import LONGEST_MOVE_NS, POSITION, SILENT_NS, SUPPLY, 
 from failstop.policy.joints import MOST_MISSES, Joint
 
 FRAME_JITTER_NS = 3_000_000
-"""By how much the port owner may come later to one frame than to the next, on a busy machine: what is too near to the
-frame before it is dropped there, and would count as a question without an answer."""
+"""How much longer the port owner may take for one frame than for the next, on a busy machine. A frame that arrives too
+close to the one before is dropped there, and would count as an unanswered question."""
 QUIET_NS = LONGEST_MOVE_NS + 4 * FRAME_JITTER_NS
-"""After the last move: the port owner lets no question pass before every servo stands."""
+"""Time after the last move: the port owner passes no question before every servo has stopped."""
 APART_NS = SILENT_NS + FRAME_JITTER_NS
-"""Between two questions: the port owner lets none pass while an earlier one may still hold the receiver."""
+"""Time between two questions: the port owner passes none while an earlier one may still hold the receiver."""
 WAIT_NS = 40_000_000
-"""An answer takes some milliseconds through board, port owner and telemetry; later than this none comes."""
+"""An answer takes a few milliseconds through board, port owner and telemetry; after this time none comes."""
 IDLE_NS = 150_000_000
-"""Between two questions that nobody waits for."""
+"""Time between two questions that nobody waits for."""
 AGREE = 5
-"""Pulses by which two readings of a servo that stands may differ."""
+"""How many pulses two readings of a resting servo may differ."""
 LOOKS_APART_NS = 16_000_000
-"""Between two looks at joints on their way, where the board takes such questions: each of six has 30 a second."""
+"""Time between two looks at moving joints, if the board has such questions: each of six joints is read 30 times a
+second."""
 LOOKED = 3
-"""Joints in a look."""
+"""Joints per look."""
 _OTHERS = (TEMPERATURE, TORQUE, SUPPLY)
 
 
 class ServoReader:
-    """The question that is out, and the next one."""
+    """The open question, and the next one."""
 
     def __init__(self, joints: list[Joint], now_ns: int) -> None:
         self._joints = joints
@@ -43,10 +44,10 @@ class ServoReader:
         self._turn = 0
         self._idle = self._looked = 0
         self.look_ns = now_ns
-        """When joints on their way may be looked at again."""
+        """When moving joints may be looked at again."""
 
     def look(self, now_ns: int) -> list[Joint]:
-        """The joints of the next look; empty: none is due."""
+        """The joints of the next look; empty if none is due."""
         if now_ns < self.look_ns:
             return []
         self.look_ns, at = now_ns + LOOKS_APART_NS, self._looked
@@ -54,24 +55,24 @@ class ServoReader:
         return self._joints[at : at + LOOKED]
 
     def seen(self, servo: int, value: int, t_ns: int) -> None:
-        """A position of a joint on its way: one reading is enough, as nothing is sent by it."""
+        """Record the position of a moving joint. One reading is enough, because nothing is commanded from it."""
         for joint in self._joints:
             if joint.servo == servo:
                 joint.measured, joint.measured_ns, joint.misses = value, t_ns, 0
 
     def moved(self, now_ns: int) -> None:
-        """A servo was sent somewhere: no question before it stands."""
+        """Record that a servo was sent somewhere: no question until it has stopped."""
         self._quiet_ns = now_ns + QUIET_NS
 
     def free_ns(self) -> int:
-        """When the receiver is free of the last question for certain: before that the port owner lets nothing pass."""
+        """When the receiver is certainly free of the last question; before that the port owner passes nothing."""
         return self._asked_ns + APART_NS if self._asked_ns else 0
 
     def due_ns(self) -> int:
         return self._asked_ns + WAIT_NS if self._asked else max(self._next_ns, self._quiet_ns)
 
     def ask(self, wanted: list[Joint], now_ns: int) -> tuple[Joint, int] | None:
-        """The question to ask now; None: none is due. `wanted`: whose position somebody waits for."""
+        """The question to ask now; None if none is due. `wanted`: the joints whose position a trajectory waits for."""
         if self._asked and now_ns >= self._asked_ns + WAIT_NS:
             self._missed(self._asked[0])
         if self._asked or now_ns < self._next_ns or now_ns < self._quiet_ns:
@@ -79,7 +80,7 @@ class ServoReader:
         self._turn += 1
         if wanted:
             joint, what = wanted[self._turn % len(wanted)], POSITION
-            if joint.unpaired is None:  # its second reading at once
+            if joint.unpaired is None:  # the second reading, at once
                 self._turn -= 1
         else:
             joint, what = self._idly()
@@ -88,18 +89,18 @@ class ServoReader:
         return self._asked
 
     def _idly(self) -> tuple[Joint, int]:
-        """Positions twice in a row, and now and then one of the rest."""
+        """Positions twice in a row, and now and then another value."""
         step, self._idle = self._idle, self._idle + 1
         joint = self._joints[step // 3 % len(self._joints)]
         return joint, POSITION if step % 3 < 2 else _OTHERS[step // 3 // len(self._joints) % len(_OTHERS)]
 
     def hurry(self, now_ns: int) -> None:
-        """Somebody waits from now on: an idle pause ends."""
+        """A trajectory waits from now on, so end the idle pause."""
         if not self._asked:
             self._next_ns = min(self._next_ns, max(now_ns, self._asked_ns + APART_NS))
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> Joint | None:
-        """An answer of the board; returns whose position is known by it, if one is."""
+        """Record an answer from the board; returns the joint whose position it makes known, if any."""
         if self._asked is None or (self._asked[0].servo, self._asked[1]) != (servo, what):
             return None
         joint = self._asked[0]
@@ -110,7 +111,7 @@ class ServoReader:
         if self._distrust:
             self._distrust = False
             if value:
-                joint.misses = 0  # the value may be another question's, but something answers
+                joint.misses = 0  # the value may belong to another question, but something answers
             return None
         if what == TORQUE:
             joint.loaded = value > 0

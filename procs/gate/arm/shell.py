@@ -1,6 +1,6 @@
 """The arm's part of the gate's loop: clients' goals and requests in, frames and replies out.
 
-A request that takes time has more than one reply: how far it is (records.UNDER_WAY), and in the end DONE or REFUSED.
+A request that takes time gets more than one reply: its progress (records.UNDER_WAY), and in the end DONE or REFUSED.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from failstop.procs.gate.rings import Frames
 
 NOT_IN_POSE = "arm is not in the drive pose"
 TELL_NS = 200_000_000
-"""How often who waits is told how far it is."""
+"""How often a waiting client hears about the progress."""
 BOX_NS = 100_000_000
-"""How often the black box is told what it is to do, while it does anything."""
+"""How often the black box gets the arm's goal while the arm is active."""
 GOAL_MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
 LONGEST_S = 600.0
 PAD_PUBLISHER = -1
-"""The gamepad's session: no client's."""
+"""The gamepad's session number, which no client has."""
 
 
 class Waiter(Data):
-    """A client that waits for the end of a trajectory, and whether it wants motion to be enabled then."""
+    """A client that waits for the end of a trajectory, and whether it then wants motion enabled."""
 
     request: Request
     trajectory: Trajectory
@@ -70,14 +70,14 @@ class Arm:
         self._tuck_after_ns, self._notice_s = settings.ns("arm.auto_tuck_s"), settings["arm.tuck_notice_s"]
         self._tuck_announced = False
         self._tucking: Trajectory | None = None
-        """Its way, until people have been told how it ended."""
+        """The way to the tuck pose, until people were told how it ended."""
         self._hot_c, self._low_mv = int(settings["arm.hot_c"]), int(settings["arm.low_mv"])
         self._told: dict[str, str] = {}
-        """The last news of each joint for people."""
+        """The last note about each joint."""
 
     def hear(self, closed: str, now_ns: int) -> Cause | None:
-        """Answers of the servos, and the gamepad; returns the cause to stop for. `closed`, here and below: why the arm
-        takes no goal now; empty when it does."""
+        """Hear the servos' answers and the gamepad; returns the cause to stop for. `closed`, here and below: why the
+        arm accepts no goal now; empty if it does."""
         while entry := self._answers.next():
             self.core.answer(*records.SERVO.unpack(entry[2]), entry[1])
         return self._follow_pad(closed, now_ns)
@@ -95,7 +95,8 @@ class Arm:
         self._keep(now_ns)
 
     def _keep(self, now_ns: int) -> None:
-        """For the black box: what it is to do, at each change of mode and mover, and ten times a second meanwhile."""
+        """Record the arm's goal in the black box: at each change of mode and mover, and ten times a second in
+        between."""
         followed = self.core.followed
         what = (followed.mode, followed.who) if followed else ("", "")
         if what != self._boxed or (followed and now_ns - self._boxed_ns >= BOX_NS):
@@ -104,7 +105,7 @@ class Arm:
             self._box.put(box.pack_arm(*what, [(joint.servo, end) for joint, end in ends]), now_ns)
 
     def client_gone(self, session: int, now_ns: int) -> None:
-        """A client has left or died: what it moved is held, what it waited for is given up."""
+        """A client has left or died: hold what it moved, and give up what it waited for."""
         self.core.pause(session)
         if self.core.moved_by(session):
             self.core.drop("its client has gone")
@@ -119,7 +120,7 @@ class Arm:
     def goal(
         self, slot: Slot, t_ns: int, mode: int, values: dict[int, float], closed: str, now_ns: int
     ) -> Cause | None:
-        """A new goal of a stream; returns the cause to stop for."""
+        """Accept a new goal of a stream; returns the cause to stop for."""
         if mode not in GOAL_MODES or not set(values) <= set(self._by_servo):
             self.core.refused = f"a goal of {slot.who()} for joints that the arm does not have"
             return None
@@ -127,7 +128,7 @@ class Arm:
         return self._take(Goal(GOAL_MODES[mode], slot.session, slot.who(), t_ns, ends), closed, now_ns)
 
     def _take(self, goal: Goal, closed: str, now_ns: int) -> Cause | None:
-        """A second publisher of goals latches; while the arm takes no goals there is no first."""
+        """A second publisher of goals latches a stop; while the arm accepts no goals, there is no first one."""
         if rival := self._rival(goal.session, goal.who, now_ns):
             return rival
         self.core.take(goal, closed, now_ns)
@@ -138,7 +139,7 @@ class Arm:
         return causes.TWO_MOVE_THE_ARM(other, who) if other else None
 
     def _follow_pad(self, closed: str, now_ns: int) -> Cause | None:
-        """The gamepad in its joint mode is a publisher like any other. A joint that it lets go of is held."""
+        """Treat the gamepad in its joint mode like any other publisher. A joint that it lets go of is held."""
         entry = self._pad.read()
         if entry is None or entry[0] == self._pad_seq:
             return None
@@ -157,13 +158,13 @@ class Arm:
         return None
 
     def hold(self, request: Request, now_ns: int) -> Reply:
-        """A client's request to stop the arm where it is."""
+        """Carry out a client's request to stop the arm where it is."""
         self.core.stop(f"held by {request.who}", but=request.session)
         self._frames.stop(now_ns)
         return Reply(records.DONE, "arm held")
 
     def move(self, request: Request, now_ns: int) -> Reply | Cause:
-        """Act on any other request about the arm; returns what becomes of it, or the cause to stop for."""
+        """Act on any other request about the arm; returns the reply, or the cause to stop for."""
         if rival := self._rival(request.session, request.who, now_ns):
             return rival
         if request.verb == records.ARM_RELEASE:
@@ -180,7 +181,7 @@ class Arm:
         return self._execute(Waiter(request, trajectory), "preempted", now_ns)
 
     def _trajectory(self, request: Request) -> Trajectory | str:
-        """The way that is asked for, or why there is none."""
+        """The requested trajectory, or why there is none."""
         if request.verb in (records.ARM_DRIVE, records.ARM_TUCK):
             purpose = goals.DRIVE if request.verb == records.ARM_DRIVE else goals.TUCK
             return self.core.pose(purpose, request.session, request.who) or f"the settings have no {purpose} pose"
@@ -201,7 +202,7 @@ class Arm:
         return goals.too_fast_between(way) or Trajectory(goals.MOVE, request.session, request.who, joints, way, share)
 
     def _execute(self, waiter: Waiter, why: str, now_ns: int) -> Reply:
-        """Begin a trajectory for who waits; `why`: what whoever moved the arm before is told."""
+        """Begin a trajectory for a waiting client; `why`: the text for the client that moved the arm before."""
         if self.core.execute(waiter.trajectory, now_ns, why):
             self._frames.stop(now_ns)
         self.answer_waiter(now_ns)
@@ -209,8 +210,8 @@ class Arm:
         return Reply(records.UNDER_WAY, waiter.trajectory.progress(now_ns))
 
     def answer_waiter(self, now_ns: int) -> Request | None:
-        """Tell the client that waits how far it is, and how it ended; returns its request to enable motion, when the
-        arm was read to be in its drive pose for it."""
+        """Tell the waiting client about the progress and the end. Returns its request to enable motion once the arm was
+        read to be in its drive pose."""
         waiter = self._waiter
         if waiter is None:
             return None
@@ -233,8 +234,8 @@ class Arm:
         return None
 
     def enable(self, request: Request, now_ns: int) -> Reply | None:
-        """To the drive pose; answer_waiter() returns this request, if that is what was read back. None: the settings
-        have no drive pose, so the arm stands where it is, or goes on beside the wheels; motion may be enabled now."""
+        """Go to the drive pose; answer_waiter() returns this request once that was read back. None: the settings have
+        no drive pose, so the arm stays where it is, or goes on while the wheels move, and motion may be enabled now."""
         if self.core.letting_go:
             return refused("the arm is being released: ask again in a moment")
         waiter = self._waiter
@@ -251,7 +252,7 @@ class Arm:
         return reply
 
     def _out_of_pose(self, trajectory: Trajectory) -> str:
-        """Why motion may not be enabled at the end of the way to the drive pose: what was read back decides."""
+        """Why motion may not be enabled at the end of the way to the drive pose; the readings decide."""
         core = self.core
         absent = all(joint.silent for joint in core.joints if joint.drive >= 0)
         if absent and core.ignore_absent:
@@ -260,7 +261,7 @@ class Arm:
         return f'{fault}; without the arm: arm.absent = "ignore"' if fault and absent else fault
 
     def _follow_tuck(self, closed: str, now_ns: int) -> None:
-        """An arm that is left alone tucks itself; it is not left alone while it moves, or may not."""
+        """Tuck an arm that is left alone. It is not left alone while it moves, or may not move."""
         core = self.core
         if self._tucking and self._tucking.done:
             if self._tucking.outcome and not self._tucking.dropped:
@@ -274,7 +275,7 @@ class Arm:
         elif not (trajectory := core.pose(goals.TUCK, SERVICE, "auto-tuck")):
             return
         elif not core.off(trajectory.ends):
-            core.active_ns = 0  # it is there
+            core.active_ns = 0  # it is tucked
         elif not self._tuck_announced:
             self._tuck_announced = True
             self._tell(f"the arm was left alone: it goes to its tuck pose in {self._notice_s:g} s")
@@ -284,7 +285,7 @@ class Arm:
             self._tucking = trajectory
 
     def _tuck_left_s(self, now_ns: int) -> float | None:
-        """Until it tucks itself; None: it does not, since it was not used, or it is switched off."""
+        """Time until it tucks itself; None if it does not, because it was not used or its torque is off."""
         active_ns = self.core.active_ns
         return max(0.0, (active_ns + self._tuck_after_ns - now_ns) * 1e-9) if self._tucks and active_ns else None
 
@@ -292,7 +293,7 @@ class Arm:
         self._notes.append(Note("arm", text, level=level))
 
     def _tell_joints(self) -> None:
-        """Tell of a servo's fault, once, and that it is well again."""
+        """Report a servo's fault once, and report when it is over."""
         for joint in self.core.joints:
             text = ""
             if joint.silent:
@@ -308,7 +309,7 @@ class Arm:
                 )
 
     def state(self, closed: str, now_ns: int) -> dict[str, object]:
-        """Its part of the gate's state: what people and programs are told."""
+        """The arm's part of the gate's state, for people and programs."""
         core = self.core
         trajectory, followed = core.trajectory, core.followed
         left_s, pose = self._tuck_left_s(now_ns), core.pose_name()

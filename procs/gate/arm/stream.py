@@ -1,6 +1,6 @@
-"""Stream: the moves of the joints that are on their way, one of each joint every arm.period_s. Pure.
+"""Stream: the moves of the moving joints, one for each joint every arm.period_s. Pure.
 
-A frame holds a few servos' moves, and the frames of one period are spread over it.
+A frame holds the moves of a few servos, and the frames of one period are spread over it.
 """
 
 from __future__ import annotations
@@ -16,30 +16,33 @@ from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Trajectory
 
 MOVES_APART_NS = MOST_MOVES * MOVE_NS
-"""Between two frames of moves that are both late: the port owner drops what a stop would wait for too long."""
+"""Time between two frames of moves that are both late, because the port owner drops frames that a stop would wait for
+too long."""
 
 
 class Space:
-    """May the joints go on to where they are to be next, or would the arm hit something? What is looked at is where
-    each move ends, before it is sent: a servo that is sent no further move stands where the last one ended, which was
-    looked at before. A touch that is there already, by the model, may become less."""
+    """Checks whether the joints may go on to their next positions, or the arm would hit something.
+
+    It checks the end of each move before the move is sent: a servo that gets no further move stops where the last one
+    ended, which was checked before. Parts that touch already, by the model, may move apart.
+    """
 
     def __init__(self, settings: Settings, joints: list[Joint]) -> None:
         self._joints = joints
         self._model = Model(settings) if settings.on("arm.collision") else None
-        """None: nothing is looked at."""
+        """None if nothing is checked."""
         self._gap_m = inf
 
     def wanted(self, joints: list[Joint]) -> list[Joint]:
-        """Joints whose place must be known before these move; silent ones count where they were last."""
+        """Joints whose position must be known before these move; silent ones count where they were last."""
         return [joint for joint in self._joints if not joint.silent or joint in joints] if self._model else joints
 
     def begin(self) -> None:
-        """The joints stand where they are, whatever they touch."""
+        """Start from where the joints are, whatever they touch."""
         self._gap_m = self._nearest()[0]
 
     def hit(self) -> str:
-        """The thing that the arm would hit where its joints are to be; empty: nothing. Then they go on from there."""
+        """What the arm would hit at the joints' next positions; empty if nothing. Then the joints go on from there."""
         gap_m, name, other = self._nearest()
         if gap_m < min(0.0, self._gap_m):
             return would_hit(name, other)
@@ -53,7 +56,7 @@ class Space:
 
 
 class Stream:
-    """Joints on their way, and when each is to be sent its next move."""
+    """Moving joints, and when each gets its next move."""
 
     def __init__(self, settings: Settings, bus: ServoBus, space: Space) -> None:
         self._bus = bus
@@ -61,11 +64,11 @@ class Stream:
         self._move_ms = round(settings["arm.period_s"] * 1000)
         self._space = space
         self._schedule: list[tuple[int, list[Joint]]] = []
-        """When the joints of each frame are due, the next first; empty: no servo is on its way."""
+        """When the joints of each frame are due, the next first; empty if no servo is moving."""
         self._apart_ns = 0
         """When the servos' bus is free of the last move."""
         self._blocked: dict[Joint, str] = {}
-        """Why the joints of a frame, by its first, do not go on toward the goal."""
+        """Why the joints of a frame, by the first of them, do not go on toward the goal."""
 
     @property
     def on(self) -> bool:
@@ -77,16 +80,16 @@ class Stream:
 
     @property
     def blocked(self) -> str:
-        """Why a joint does not go on toward the goal; empty when all do."""
+        """Why a joint does not go on toward the goal; empty if all do."""
         return next(filter(None, self._blocked.values()), "")
 
     @property
     def due_ns(self) -> int:
-        """When the next move is due, of a stream that is on."""
+        """When the next move is due while a stream is on."""
         return max(self._schedule[0][0], self._apart_ns)
 
     def begin(self, joints: list[Joint], now_ns: int) -> None:
-        """Each of these joints, where it stands now, is sent a move every period from here on."""
+        """Give each of these joints, starting where it is now, a move every period from now on."""
         self._space.begin()
         self._blocked.clear()
         groups = [joints[at : at + MOST_MOVES] for at in range(0, len(joints), MOST_MOVES)]
@@ -96,17 +99,17 @@ class Stream:
             joint.stepped_ns = 0
 
     def end(self) -> None:
-        """No further move is sent: where these joints are must be read again."""
+        """Send no further move; the positions of these joints must be read again."""
         for joint in self.joints:
             joint.forget()
         self._schedule = []
 
     def move(self, followed: Goal | Trajectory, now_ns: int) -> tuple[bytes, str]:
-        """The frame of the moves that are due, toward what is followed. Where the arm would hit something its joints
+        """The frame with the moves that are due, toward the followed goal. If the arm would hit something, its joints
         stay where they are, and the text says what."""
         due_ns, group = self._schedule[0]
         self._apart_ns = now_ns + MOVES_APART_NS
-        # From when it was due, so that a late wake-up shifts one frame and not all that follow.
+        # Count from when it was due, so that a late wake-up shifts one frame and not all that follow.
         again_ns = due_ns + self._period_ns
         self._schedule = [*self._schedule[1:], (again_ns if again_ns > now_ns else now_ns + self._period_ns, group)]
         before = [joint.position for joint in group]
@@ -120,7 +123,7 @@ class Stream:
         return self._bus.move(moves, self._move_ms), hit
 
     def _advance(self, group: list[Joint], followed: Goal | Trajectory, now_ns: int) -> None:
-        """Each joint on to where it is to be at the end of its next move; one that no goal names slows down."""
+        """Move each joint on to where it must be at the end of its next move; a joint that no goal names slows down."""
         targets = followed.targets(now_ns + self._period_ns)
         for joint in group:
             elapsed_ns = min(now_ns - joint.stepped_ns, LONGEST_MOVE_NS) if joint.stepped_ns else self._period_ns
