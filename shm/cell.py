@@ -1,15 +1,16 @@
-"""Cells: everything in shared memory that is wider than one word, and how a segment's bytes are reached.
+"""Cells: all values in shared memory that are wider than one word, and how a segment's bytes are accessed.
 
     crc32 u32 | length u32 | seq u64 | t_mono_ns u64 | payload[length]
 
-The CRC covers all that follows it and is seeded with the record's name and the run's incarnation, so bytes of another
+The CRC covers everything after it and is seeded with the record's name and the run's incarnation, so bytes of another
 record, or of a dead run, never pass as this one's.
 
 Writing: (1) build the whole cell privately, (2) a barrier, (3) store it with ONE slice assignment.
 Reading: (1) take ONE slice copy, (2) check the private copy, (3) use nothing but that copy.
 
-Integrity then needs no memory ordering: whatever mixture of old and new bytes a reader or a death in mid-write leaves,
-the CRC of the private copy decides. `struct.pack_into` on shared memory is never used: a reader would see its zeros.
+Integrity then needs no memory ordering: whatever mixture of old and new bytes a reader sees, even after a death in the
+middle of a write, the CRC of the private copy decides. `struct.pack_into` is never used on shared memory, because a
+reader would see its zeros.
 
 A Latest is two cells, written in turn: the newest whole value counts. A Ring is a stream of entries.
 """
@@ -182,8 +183,8 @@ class LatestWriter(_Writer):
 
 class RingWriter(_Writer):
     """Appends entries in order, for any number of readers. There is no shared head or tail, no reader state in shared
-    memory and no lock: entry `n` lives in cell `n % cells`. Whoever sees an entry sees what its writer stored before
-    it, and the entries before it among that: a barrier is between."""
+    memory and no lock: entry `n` is in cell `n % cells`. A reader that sees an entry also sees everything that its
+    writer stored before it, including earlier entries, because there is a barrier in between."""
 
     def put_all(self, data: bytes, t_ns: int | None = None) -> None:
         """Publish bytes of any length, split into entries."""

@@ -1,11 +1,12 @@
-"""Robust futexes: the kernel's earliest word of a death.
+"""Robust futexes: the kernel's earliest news of a death.
 
-A robust list names words of shared memory that hold the number of a thread. When that thread dies the kernel marks them
-and wakes one who waits there, and only then takes the memory of the process down, which a pidfd, a pipe's end, the
-release of a lock and SIGCHLD all wait for: 2 ms for 10 MB, 45 ms for 500 MB. So each word has one watcher. A watcher
-changes nothing, and the late word (lifeline.py) does not depend on this one.
+A robust list names words of shared memory that hold the number of a thread. When the thread dies, the kernel marks the
+words and wakes one waiter for each. Only then does it free the process's memory, which a pidfd, a pipe's end, the
+release of a lock and SIGCHLD all wait for: 2 ms for 10 MB, 45 ms for 500 MB. Because one waiter is woken, each word has
+one watcher. A watcher changes nothing, and the late news (lifeline.py) does not depend on this.
 
-The list is the thread's own, not the C library's, which lets only the thread that locked a mutex unlock it.
+The list is the thread's own and not the C library's, because with that one only the thread that locked a mutex may
+unlock it.
 
 Source: Linux, Documentation/locking/robust-futex-ABI.rst; set_robust_list(2), futex(2).
 """

@@ -23,9 +23,10 @@ from failstop.supervisor.run import Run
 def start(words: dict[str, str]) -> int:
     """Run the service; returns the exit code."""
     rights.name_process("fs:supervisor")
-    # A parent may have left signals ignored or blocked, and exec hands that on: without SIGCHLD no child can be
-    # collected, and a blocked signal can't end the service. SIGHUP stays ignored where it is: a user of nohup wants
-    # that. SIGCONT is asked for (main.py), and lets a process go on all the same: a handler might run too late.
+    # A parent may have left signals ignored or blocked, and exec passes that on. Without SIGCHLD no child can be
+    # reaped, and a blocked signal can't end the service. SIGHUP stays ignored if it is, because a user of nohup wants
+    # that. SIGCONT is blocked and polled (main.py), because a handler might run too late; it continues the process
+    # even so.
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_SETMASK, (signal.SIGCONT,))
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])

@@ -108,7 +108,7 @@ class Proof:
                 self.wheels = WHEELS_UNSTILL
                 return True
         elif not self._was_still or (late and still_ns > self.stop.t_ns):
-            # A window may begin before the cause: the wheels were turning all the same.
+            # A window may begin before the cause: the wheels were turning then.
             self.observed_ns = max(LEAST_NS, still_ns - self.stop.t_ns)
         elif judged_ns - self.stop.t_ns >= JUDGED_AFTER_NS:
             self.observed_ns = 0

@@ -426,7 +426,7 @@ class State:
     device: Device
     """The port of the board."""
     processes: dict[str, Process]
-    """By name."""
+    """The processes by name."""
     starved: Starved | None
     """None if the machine has run every process in time for ten minutes."""
     clients: tuple[Client, ...]

@@ -108,7 +108,7 @@ class Watchdog(Data):
 NO_WATCHDOG = Watchdog(
     after_ns=0, does=ZERO, arm=None, set_ns=0, fed_by="it has none: it keeps its last speed for ever"
 )
-"""Of a board without one."""
+"""For a board without a watchdog."""
 
 
 class Motion(Data):

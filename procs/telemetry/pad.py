@@ -1,4 +1,4 @@
-"""The gamepad: buttons that stop, the modes, the sticks, the hold that asks for a reset, what the buzzer says of it.
+"""The gamepad: buttons that stop, the modes, the sticks, the hold that asks for a reset, and the buzzer's sounds.
 Pure.
 
 locked --MODE--> drive --MODE--> locked ...     with a lockout between two changes

@@ -1,15 +1,17 @@
-"""Lines of ros_arduino_bridge: a letter, arguments between spaces, and a CR; an answer line to each.
+"""Lines of ros_arduino_bridge: a letter, arguments between spaces, and a CR; each line gets an answer line.
 
-Firmware source, joshnewans 210a122 and hbrobotics a960c8a. There is no check in a line, so form has to do its work:
+Firmware source: joshnewans 210a122 and hbrobotics a960c8a. A line has no checksum, so its form must protect it:
 
-- The stop begins with a CR. It ends whatever was cut before; without it the stop would be taken for digits of the cut
-  line, which is then executed.
+- The stop begins with a CR, which ends any line that was cut before. Without it, the stop would be read as more digits
+  of the cut line, which would then be executed.
 - Both speeds carry their sign, and a comma ends the first one. The firmware's atoi ends at either, so neither two glued
-  lines nor two speeds whose space was lost fuse their digits into a larger speed: three bytes must be lost for that. A
-  letter in the place of the comma could become the command.
-- Speeds have three digits at most: a cut line with a whole one behind it fits the firmware's 16 bytes an argument.
+  lines nor two speeds whose space was lost can join their digits into a larger speed: three bytes must be lost for
+  that. A letter in place of the comma could become the command.
+- Speeds have at most three digits, so that a cut line with a whole one after it fits the firmware's 16 bytes per
+  argument.
 
-A lost digit makes a wheel slower. A lost minus turns it the other way round, as fast: no form of this line prevents it.
+A lost digit makes a wheel slower. A lost minus makes it turn the other way at the same speed; no form of this line can
+prevent that.
 """
 
 from __future__ import annotations

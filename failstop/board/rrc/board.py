@@ -76,9 +76,9 @@ _SAID: dict[int, Callable[[bytes], list[Said]]] = {
 """Reports by the function of their frames; empty for a frame that makes no sense.
 
 The answer to a ping names the servo, and so the ping. A client that reads the same servo's position gets the same
-answer, which counts as well: it proves no less that the board hears. But it may answer a question from before the ping,
-by the time that a question takes on the wire (0.1 ms), and it takes the place of the answer before it if the supervisor
-has not seen that yet.
+answer, which counts too, because it also proves that the board hears. But it may answer a question that was asked up to
+0.1 ms before the ping (the time of a question on the wire), and it replaces the answer before it if the supervisor has
+not seen that one yet.
 """
 
 

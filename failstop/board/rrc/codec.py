@@ -54,8 +54,8 @@ def motor_speeds(rps: Sequence[float], max_rps: float) -> bytes:
     """The 27-byte frame that sets all four wheels: speeds in rps for wire ids 0 to 3 (motors 1 to 4), each within
     plus or minus max_rps. Minus zero is sent as zero, so that four zeros are always exactly STOP.
 
-    A speed may be sent smaller by a unit or a few in the last place of its float32: no frame is made that the zeros of
-    the stop burst could complete, were it cut short (see _complete_free).
+    A speed may be sent smaller by one or a few units in the last place of its float32, so that no frame is made that
+    the zeros of the stop burst could complete if it were cut short (see _complete_free).
     """
     try:
         a, b, c, d = rps
@@ -73,9 +73,10 @@ _FLOATS = (5, 10, 15, 20)
 def _complete_free(body: bytes) -> bytes:
     """Put head and CRC around func, len and data of a four-wheel frame, so that no cut of it moves a wheel.
 
-    Zeros leave a CRC of zero as it is, so a frame that is cut where its CRC so far is zero is completed by the zeros of
-    the burst, and executed, with the speeds sent until there: once in 256 cuts. Then the last speed sent until there
-    is made smaller by one unit in its last place, which changes the CRC, and the frame looked at again.
+    Zeros leave a CRC of zero unchanged. So if a frame is cut where its CRC so far is zero (once in 256 cuts), the zeros
+    of the burst complete it, and the board executes it with the speeds sent so far. To prevent that, the last speed
+    before such a place is made smaller by one unit in its last place, which changes the CRC, and the frame is checked
+    again.
     """
     crc = 0
     for at, byte in enumerate(body):
@@ -97,9 +98,9 @@ def _one_unit_smaller(body: bytes, at: int) -> bytes:
 
 
 def check_motion(frame: bytes, max_rps: float) -> str:
-    """Why these bytes must not be written as a motion frame, in a few words; "" when they may.
+    """Why these bytes must not be written as a motion frame, in a few words; "" if they may.
 
-    Accepted is the 27-byte frame for all four wheels, ids 0 to 3 in order, right CRC, every speed finite and within
+    It accepts only the 27-byte frame for all four wheels, ids 0 to 3 in order, right CRC, every speed finite and within
     plus or minus max_rps (rps, 0 to RPS_CEILING; rounding to float32 is allowed for). Never raises on bytes.
     """
     if len(frame) != _WHEELS4.size:
@@ -107,7 +108,7 @@ def check_motion(frame: bytes, max_rps: float) -> str:
     word, count, *entries, _ = _WHEELS4.unpack(frame)
     if word != _WHEELS4_WORD or count != _WHEELS4_COUNT:
         return "not a motor frame"
-    # There is no final xor, so taking in its own CRC leaves zero.
+    # There is no final xor, so the CRC over a frame with its own CRC is zero.
     if crc8(frame[2:]):
         return "bad crc"
     ids, speeds = tuple(entries[::2]), entries[1::2]
@@ -133,8 +134,8 @@ def pwm_servo_read(servo: int) -> bytes:
 def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
     """Sound the buzzer `repeat` times. off_ms of 0 is refused: it left a buzzer sounding forever.
 
-    The tone may be some hertz lower, or higher at the low end: no frame is made that the zeros of the stop burst could
-    complete, were it cut short, since its off time would be 0.
+    The tone may be a few hertz lower, or higher at the low end, so that no frame is made that the zeros of the stop
+    burst could complete if it were cut short, because its off time would be 0.
     """
     checks.integer("freq_hz", freq_hz, *_TONES)
     checks.integer("on_ms", on_ms, 1, 65_535)
@@ -148,11 +149,11 @@ def buzzer(freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
 
 
 def check_aux(frame: bytes) -> str:
-    """Why these bytes must not be written as a frame that is not motion, in a few words; "" when they may.
+    """Why these bytes must not be written as a frame that is not motion, in a few words; "" if they may.
 
-    Accepted is exactly one buzzer frame of the right length and CRC, without the start of a motor frame anywhere in it,
-    and which the zeros of the stop burst complete nowhere: whole or cut, it moves nothing. Handlers of other functions
-    go through lists without looking where they end, and could change a wheel's set point. Never raises on bytes.
+    It accepts only one buzzer frame with the right length and CRC, which contains no start of a motor frame and which
+    the zeros of the stop burst can't complete at any cut: whole or cut, it moves nothing. The firmware's handlers of
+    other functions read lists past their end, and could change a wheel's set point. Never raises on bytes.
     """
     if len(frame) != len(_BUZZER_HEAD) + _BUZZER.size + 1 or not frame.startswith(_BUZZER_HEAD):
         return "not a buzzer's frame"

@@ -49,10 +49,10 @@ _VALUES = {
 
 
 class Decoder:
-    """Takes bytes in pieces of any size, gives frames; holds at most one frame's worth between calls.
+    """Turns bytes, in pieces of any size, into frames; keeps at most one frame's worth between calls.
 
-    After a wrong CRC or an impossible head it looks for the next head from inside the rejected bytes, so that garbage
-    costs no whole frame behind it (the board's own receiver does not do that). `frames` counts good frames,
+    After a wrong CRC or an impossible head it looks for the next head inside the rejected bytes, so that garbage does
+    not cost the whole frame after it (the board's own receiver does not do that). `frames` counts good frames,
     `crc_errors` frames that failed their CRC, `skipped_bytes` bytes that were part of no good frame.
     """
 

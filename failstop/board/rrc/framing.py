@@ -1,6 +1,6 @@
 """Framing: the parts that all frames to and from the controller board share: functions, head and CRC.
 
-A frame is `AA 55 | func u8 | len u8 | data[len] | crc8`, little-endian; `len` counts the data alone and the CRC
+A frame is `AA 55 | func u8 | len u8 | data[len] | crc8`, little-endian; `len` counts only the data, and the CRC
 covers func, len and data (vendor protocol description).
 """
 

@@ -1,11 +1,11 @@
-"""Frames to the bus servos, an arm's, and their check before the wire.
+"""Frames to the bus servos of an arm, and their check before they are written.
 
-The firmware carries out a servo's frame inside its receive task: until the servos' own bus (115200 baud) has taken it,
-every later frame waits, a stop too. So no frame is made, and none is let pass, that holds the receiver for longer than
-HELD_NS, but for the questions, which nobody asks while a wheel may turn. And a servo carries out a timed move by
-itself, whatever has died since: so a move lasts LONGEST_MOVE_MS at most, and a long way is a stream of such moves.
+The firmware handles a servo's frame inside its receive task, so every later frame, even a stop, waits until the servos'
+own bus (115200 baud) has taken it. So no frame is made or let pass that holds the receiver for longer than HELD_NS,
+except questions, which nobody asks while a wheel may turn. A servo also completes a timed move by itself, whatever has
+died since, so a move lasts LONGEST_MOVE_MS at most, and a long way is a stream of such moves.
 
-What writes a servo's flash or id (firmware source: 10, 20, 24, 30, 34, 38) has no encoder here and does not pass.
+Commands that write a servo's flash or id (firmware source: 10, 20, 24, 30, 34, 38) have no encoder and are refused.
 """
 
 from __future__ import annotations
