@@ -51,7 +51,8 @@ SHARED_MODULES = frozenset(
         *(f"policy.{each}" for each in ("capsules", "causes", "joints", "kinematics", "layouts")),
         *(f"policy.{each}" for each in ("processes", "proofs", "robots")),
         *("policy.setting", "policy.settings"),
-        *(f"board.{each}" for each in ("burst", "codec", "decoder", "framing", "lines", "servos", "wire")),
+        *(f"board.{each}" for each in ("checks", "facts", "lines", "servos", "wire")),
+        *(f"board.rrc.{each}" for each in ("burst", "codec", "decoder", "framing")),
     )
 )
 """Modules that ask no machine and import none that does: each machine has this process's own, which are loaded once."""
