@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from functools import partial
+from enum import Enum, auto
 
 from failstop.board.kinds import is_described
 from failstop.board.rrc.framing import MOTOR
@@ -84,10 +84,11 @@ class Phase(Enum):
 class Deadline:
     """One reason to stop, and its time. It ends with a verdict, or when a program asks for motion."""
 
-    def __init__(self, witness: Witness, why: str, within_ns: int, by: str) -> None:
-        """`within_ns`: the bar; `by`: the process that notices, if it is not one of the PORT_WRITERS."""
+    def __init__(self, witness: Witness, why: str, within_ns: int, by: str, moot: Callable[[], bool]) -> None:
+        """`within_ns`: the bar; `by`: the process that notices, if it is not one of the PORT_WRITERS; `moot`: whether
+        nobody could notice, so there is no verdict."""
         self._witness, self._machine, self._board = witness, witness.machine, witness.board
-        self._why, self._within_ns, self._by = why, within_ns, by
+        self._why, self._within_ns, self._by, self._moot = why, within_ns, by, moot
         self._asked = witness.asked_for_motion
         self._phase = Phase.BAR
         self._begun_ns = self._paused_ns = self._own_ns = 0
@@ -101,7 +102,7 @@ class Deadline:
         self._machine.at(self._begun_ns + max(0, after_ns) + left_ns, self._due)
 
     def _due(self) -> None:
-        if self._witness.asked_for_motion != self._asked:
+        if self._witness.asked_for_motion != self._asked or self._moot():
             return
         now_ns, again_ns = self._machine.now_ns, self._begins_again_ns()
         if again_ns is not None:
@@ -127,7 +128,7 @@ class Deadline:
 
     def _end_phase(self) -> None:
         """Call when the time of the phase is over and a process reaches the wheels."""
-        may_be_late = self._own_ns > 0 and any(self._board.model.wheels)
+        may_be_late = self._own_ns > 0 and any(self._board.model.driven)
         if may_be_late and self._phase is Phase.BAR:
             self.begin(Phase.OWN_TIME)
         elif may_be_late and self._phase is Phase.OWN_TIME and self._repeats_were_moved():
@@ -186,7 +187,7 @@ class Witness:
         self._cut_ns = 0
         """When half of a write was last on the wire."""
         self._fenced_ns = 0
-        """Until then the stop for one that was fenced may be on its way."""
+        """Until when the stop for a fenced process may be on its way."""
         self._waits = ""
         """Why a program has to pause before it may turn the wheels; empty: none has."""
         self._late = False
@@ -258,17 +259,17 @@ class Witness:
         return begun_ns <= self._asked_ns and self.machine.now_ns < ended_ns + RESUMED_NS
 
     def must_stop(self, why: str, within_ns: int, by: str = "", moot: Callable[[], bool] = lambda: False) -> None:
-        """From `within_ns` on the wheels stand, until a program asks for motion again. What is on the wire before it
-        goes first, and a thread that pauses goes on first, of who writes to the board or of `by`, who notices. `moot`:
-        whether nobody could notice."""
+        """The wheels must be still within `within_ns`, until a program asks for motion again. Bytes that are on the
+        wire go first, and so does a paused thread of a process that writes to the board, or of `by`, which notices.
+        `moot`: whether nobody could notice."""
         self.tell(why)
-        after_ns = max(self._wire_ns, self._late_until_ns(by)) - self._machine.now_ns
-        self._judge_in(within_ns, why, self.asked_for_motion, reached=True, after_ns=after_ns, by=by, moot=moot)
+        after_ns = max(self.wire_ns, self.late_until_ns(by)) - self.machine.now_ns
+        Deadline(self, why, within_ns, by, moot).begin(Phase.BAR, after_ns=after_ns)
 
     def must_be_still(self, why: str, within_ns: int) -> None:
         """The deadline is over: from now on no frame may turn the wheels, and they are still."""
         self._forbidden = self._forbidden or why
-        if any(self.board.model.wheels):
+        if any(self.board.model.driven):
             self.wrong(f"the wheels turn {within_ns / MS:g} ms after: {why}")
 
     def late_until_ns(self, by: str = "") -> int:
@@ -278,58 +279,6 @@ class Witness:
     def all_paused_ns(self, by: str) -> int:
         """How long threads of these processes have paused, all in all."""
         return sum(self._paused_ns[name] for name in (*PORT_WRITERS, by))
-
-    def _judge_in(
-        self,
-        within_ns: int,
-        why: str,
-        asked: int,
-        *,
-        reached: bool,
-        after_ns: int = 0,
-        late: bool = False,
-        left_ns: int | None = None,
-        zeros: bool = False,
-        by: str = "",
-        moot: Callable[[], bool] = lambda: False,
-    ) -> None:
-        """`late`: the wheels turned when they were looked at last, and the board's own line and loop may be why.
-        `left_ns`: how much of the bar is left, if not all. `zeros`: the repeats of a stop, whose times are chosen
-        against the board's own loop, were moved by a pause, so it may have lost them: the zeros behind them count."""
-        begun_ns, paused_ns = self._machine.now_ns, self._all_paused_ns(by)
-        again = partial(self._judge_in, within_ns, why, asked, by=by, moot=moot)
-
-        def due() -> None:
-            if self.asked_for_motion != asked or moot():
-                return
-            now_ns, port = self._machine.now_ns, self._board.port
-            if port and port.drained_ns > begun_ns:
-                # The board reads only now what the port had kept.
-                again(reached=True, after_ns=self._wire_ns - now_ns)
-                return
-            if port and port.took_again_ns + REPEAT_NS > begun_ns:
-                # A stop that it refused is written again with the first repeat.
-                again(reached=True, after_ns=port.took_again_ns + REPEAT_NS - now_ns)
-                return
-            if more_ns := self._all_paused_ns(by) - paused_ns:
-                again(reached=reached, late=late, left_ns=more_ns, zeros=zeros)
-                return
-            self._board.catch_up()
-            turn = any(self._board.model.driven)
-            if not (reached and self.reached()):
-                again(reached=self.reached(), after_ns=self._wire_ns - now_ns)
-            elif turn and own_ns and not late:
-                again(reached=True, late=True)
-            elif turn and own_ns and not zeros and self._late_until_ns() + ADAPTER_BAR_NS > now_ns:
-                again(reached=True, late=True, left_ns=ZEROS_NS, zeros=True)
-            else:
-                self._forbidden = self._forbidden or why
-                if turn:
-                    self.wrong(f"the wheels turn {(within_ns + own_ns) / MS:g} ms after: {why}")
-
-        own_ns = self._own_ns()
-        bar_ns = left_ns if left_ns is not None else own_ns if late else within_ns
-        self._machine.at(self._machine.now_ns + max(0, after_ns) + bar_ns, due)
 
     def must_refuse(self, why: str, within_ns: int) -> None:
         """From `within_ns` on no program may turn the wheels, until it asks for motion again. Whether they turn by
@@ -341,25 +290,25 @@ class Witness:
             if self.asked_for_motion == asked and not moot():
                 self._forbidden = self._forbidden or why
 
-        self._machine.at(self._machine.now_ns + within_ns, due)
+        self.machine.at(self.machine.now_ns + within_ns, due)
 
     def blindness(self, by: str) -> Callable[[], bool]:
         """Whether from now on there was ever a time in which it, one of the three above, could notice nothing."""
-        begun_ns, paused_ns = self._machine.now_ns, self._paused_ns[by]
+        begun_ns, paused_ns = self.machine.now_ns, self._paused_ns[by]
         return lambda: self._paused_ns[by] != paused_ns or self._late_ns.get(by, 0) > begun_ns
 
     def blind(self, ns: int, what: tuple[str, ...] = (ANY_REPORTS, TRUE_REPORTS, COMPARED)) -> None:
         """For so long these notice nothing: the board's reports are not what they should be, or nobody reads them."""
         for by in what:
             self._paused_ns[by] += ns
-            self._late_ns[by] = max(self._late_ns.get(by, 0), self._machine.now_ns + ns)
+            self._late_ns[by] = max(self._late_ns.get(by, 0), self.machine.now_ns + ns)
 
     def must_wait(self, why: str) -> None:
         """No program may turn the wheels, until one asks for motion or a program is held up, which is a pause."""
         self._forbidden = self._forbidden or why
         self._waits = why
 
-    def _own_ns(self) -> int:
+    def own_ns(self) -> int:
         """How much later than the first board this one may obey, from now on."""
         late_ns, port = self._traits.late_ns, self.board.port
         if not late_ns or port is None or not port.drained_ns:
@@ -448,10 +397,10 @@ class Witness:
             self.tell(f"{process.name} (pid {process.pid}) starts")
 
     def held(self, process: Process, ns: int) -> None:
-        """A process is not run for so long. Wheels that stand need no stop for it; nor do those of a program before the
-        one that asks for motion, whose answer may come behind that. A program that is held up in enable() may send its
-        request only then."""
-        self._board.catch_up()
+        """A process does not run for this time. That needs no stop while the wheels are stopped, nor while a program
+        asks for motion, because its answer may come after it. A program that is held up in enable() may send its
+        request only when it goes on."""
+        self.board.catch_up()
         if process.name == "telemetry":
             self.blind(ns + SEES_AGAIN_NS, (COMPARED,))
         if process.name not in SERVICE_PROCESSES and self._waits == self._forbidden:

@@ -18,7 +18,7 @@ class Scene:
 
     def __init__(self, own_ns: int = 0) -> None:
         self.port = SimpleNamespace(drained_ns=0, took_again_ns=-REPEAT_NS)
-        self.board = SimpleNamespace(port=self.port, model=SimpleNamespace(wheels=[1.0]), catch_up=lambda: None)
+        self.board = SimpleNamespace(port=self.port, model=SimpleNamespace(driven=[1.0]), catch_up=lambda: None)
         self.machine = SimpleNamespace(now_ns=0, at=self._at)
         self.asked_for_motion = self.wire_ns = self.paused_ns = 0
         self.late_ns = -ADAPTER_BAR_NS
@@ -26,7 +26,7 @@ class Scene:
         self.verdicts: list[int] = []
         self._own_ns = own_ns
         self._due: tuple[int, Callable[[], None]] | None = None
-        Deadline(cast(Witness, self), "a reason", BAR_NS, "").begin(Phase.BAR)
+        Deadline(cast(Witness, self), "a reason", BAR_NS, "", lambda: False).begin(Phase.BAR)
 
     def own_ns(self) -> int:
         return self._own_ns
@@ -117,7 +117,7 @@ def test_wheels_of_another_board_that_still_turn_get_its_own_time() -> None:
 
 def test_wheels_of_another_board_that_are_still_get_a_verdict_at_once() -> None:
     scene = Scene(OWN_NS)
-    cast(Any, scene.board.model).wheels = [0.0]
+    cast(Any, scene.board.model).driven = [0.0]
     assert scene.all_steps() == [BAR_NS]
 
 
