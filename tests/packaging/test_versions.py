@@ -28,9 +28,13 @@ esac
 """An interpreter of 3.10 whose tests end with the codes that are written there, the last file's first."""
 
 
-@pytest.fixture(scope="module")
-def versions() -> ModuleType:
-    return script(PROGRAM)
+@pytest.fixture
+def versions(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
+    """packaging/versions.py, which finds nothing that `make interpreter` has unpacked here."""
+    monkeypatch.syspath_prepend(str(PROGRAM.parent))
+    program: Any = script(PROGRAM)
+    monkeypatch.setattr(program.interpreter, "ROOT", tmp_path)
+    return program
 
 
 def interpreter(path: Path, version: str, code: int = 0) -> str:
@@ -53,6 +57,35 @@ def test_the_first_that_works(versions: ModuleType, tmp_path: Path) -> None:
     assert versions.find("3.10", {**environment, "PYENV_ROOT": str(tmp_path / "elsewhere")}) == other
 
 
+def test_an_unpacked_interpreter_is_found(versions: Any, tmp_path: Path) -> None:
+    environment = {"PATH": f"{tmp_path}/bin", "HOME": str(tmp_path)}
+    unpacked = interpreter(tmp_path / "build/pythons/3.14/usr/bin/python3.14", "3.14")
+    assert versions.find("3.14", environment) == unpacked
+    assert versions.find("3.13", environment) is None
+
+
+@pytest.mark.parametrize(
+    ("here", "whole", "chosen"),
+    [
+        (["3.10", "3.12", "3.14"], False, ["3.10", "3.14"]),
+        (["3.10", "3.12", "3.14"], True, ["3.10", "3.12", "3.14"]),
+        (["3.11"], False, ["3.11"]),
+        ([], True, []),
+    ],
+)
+def test_the_oldest_and_the_newest_here_are_tried(
+    versions: Any, here: list[str], whole: bool, chosen: list[str], tmp_path: Path, monkeypatch: Any, capsys: Any
+) -> None:
+    monkeypatch.setattr(versions, "find", lambda version, _: version if version in here else None)
+    monkeypatch.setattr(versions, "tried", lambda version, _, __: (True, f"python {version}: good"))
+    assert versions.main(tmp_path, whole) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0].split()[1] for line in lines] == list(versions.VERSIONS)
+    assert [line.split()[1].rstrip(":") for line in lines if line.endswith(": good")] == chosen
+    [of_3_14] = [line for line in lines if line.startswith("python 3.14: ")]
+    assert of_3_14.endswith("next: make interpreter PYTHON_VERSION=3.14") == ("3.14" not in here)
+
+
 @pytest.mark.parametrize(("codes", "said"), [("0", "good"), ("1 0", "good"), ("1 1", "FAILED"), ("2", "FAILED")])
 def test_what_fails_beside_others_is_tried_again_alone_and_told(
     versions: Any, codes: str, said: str, tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
@@ -69,7 +102,8 @@ def test_what_fails_beside_others_is_tried_again_alone_and_told(
     out = capsys.readouterr().out
     assert (code, f"python 3.10: {said}, " in out) == (said == "FAILED", True)
     assert code == 0 or out.startswith("what pytest said\n")
-    assert out.endswith("python 3.13: none here (on the path, of pyenv, of uv): not tried\n")
+    absent = "python 3.13: not tried, because none was found (on the path, of pyenv, of uv)"
+    assert f"\n{absent}; next: make interpreter PYTHON_VERSION=3.13\n" in out
     assert not list(tmp_path.glob("code*"))
 
 
@@ -103,3 +137,7 @@ def test_what_has_no_wheel_is_named(wheels: Any, monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(wheels.subprocess, "run", lambda command, **_: Done(command))
     assert wheels.missing(["numpy>=1.24", "msgpack>=1.1"], "3.12", "aarch64", "/tmp") == ["numpy>=1.24"]
+
+
+def test_every_python_is_tried_and_asked_for(versions: Any, wheels: Any) -> None:
+    assert versions.VERSIONS == wheels.PYTHONS

@@ -185,7 +185,8 @@ def test_a_list_of_any_depth_is_refused_in_one_line() -> None:
     deep: list[object] = []
     for _ in range(50_000):
         deep = [deep]
-    with pytest.raises(SettingError, match=r"scan\.gate = list beyond all bounds"):
+    # Before Python 3.14 its text is more than the interpreter allows.
+    with pytest.raises(SettingError, match=r"^scan\.gate = (list beyond all bounds|\[+\.\.\.): [^\n]*$"):
         config.checked({"scan.gate": deep})
 
 

@@ -212,7 +212,10 @@ def test_a_run_takes_nothing_from_one_that_lives(scene: Scene) -> None:
 
 
 def test_a_segment_that_is_taken_away_during_the_start_is_named(ended: Scene) -> None:
-    ended.refuse("open", FileNotFoundError(errno.ENOENT, "gone"), lambda path, *_: path.endswith(f".{layout.GATE}"))
+    def attaches(path: str, flags: int) -> bool:
+        return path.endswith(f".{layout.GATE}") and not flags & os.O_CREAT
+
+    ended.refuse("open", FileNotFoundError(errno.ENOENT, "gone"), attaches)
     error = ended.load("failstop.messages.segments").AttachError
     with pytest.raises(error, match=r"^shared memory gate was there and can't be opened: try again"):
         ended.new_run()

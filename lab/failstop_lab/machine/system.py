@@ -44,7 +44,7 @@ class Sys(Module):
     """The module `sys`: a search path and arguments of each process."""
 
     def __init__(self, calls: Calls, system: Os) -> None:
-        plain = {name: getattr(sys, name) for name in ("version_info", "flags", "byteorder", "platform")}
+        plain = {name: getattr(sys, name) for name in ("version_info", "abiflags", "flags", "byteorder", "platform")}
         super().__init__("sys", calls, executable="/usr/bin/python3", **plain)
         self.stdout, self.stderr = StandardStream(system, 1), StandardStream(system, 2)
 
