@@ -189,7 +189,7 @@ def _vibration(axes: Axes, incident: Incident) -> None:
     rates = np.array([sample.rate_radps[:2] for sample in incident.imu], dtype=float)
     firsts = np.searchsorted(times, times - WINDOW_NS, side="right")
     spread = [
-        rates[first : at + 1].std(axis=0).max() * 1e3 if at + 1 - first >= LEAST_SAMPLES else nan
+        np.max(rates[first : at + 1].std(axis=0)) * 1e3 if at + 1 - first >= LEAST_SAMPLES else nan
         for at, first in enumerate(firsts)
     ]
     at_ms, values = broken([incident.ms(sample.t_ns) for sample in incident.imu], spread)
