@@ -212,15 +212,17 @@ $(VENV)/ros2/.installed: pyproject.toml
 	@touch $@
 
 # The robot for LeRobot with the real LeRobot of the package index, which brings PyTorch: gigabytes, where the index has none that is for
-# processors alone. LEROBOT: the Python of an environment that has it already, with failstop's own dependencies and pip.
+# processors alone. LEROBOT: the Python of an environment that has it already, with failstop's own dependencies and pip. LEROBOT_VERSION:
+# another than the newest one that was tried, which needs Python 3.12 (make lerobot PYTHON=python3.12 VENV=.venv312).
 LEROBOT ?= $(VENV)/lerobot/bin/python
+LEROBOT_VERSION ?= $(shell $(BIN)/python -c 'import sys; print("0.6.1" if sys.version_info >= (3, 12) else "0.4.4")')
 lerobot: $(VENV)/.dev $(LEROBOT)
 	FAILSTOP_LEROBOT=$(abspath $(LEROBOT)) $(BIN)/pytest --numprocesses 0 tests/integrations/lerobot
 
 $(VENV)/lerobot/bin/python:
-	@echo "installing LeRobot into $(VENV)/lerobot ..."
-	@$(PYTHON) -m venv $(VENV)/lerobot
-	@$(VENV)/lerobot/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) . 'lerobot[lekiwi]==0.4.4' || \
+	@echo "installing LeRobot $(LEROBOT_VERSION) into $(VENV)/lerobot ..."
+	@$(BIN)/python -m venv $(VENV)/lerobot
+	@$(VENV)/lerobot/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) . 'lerobot[lekiwi,core-scripts]==$(LEROBOT_VERSION)' || \
 	  { rm -rf $(VENV)/lerobot; exit 1; }
 
 # The operator's page in a real browser, Debian's chromium, and under attack. Needs root where there is no chromium yet.

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from lerobot.cameras import CameraConfig
 from lerobot.robots import RobotConfig
+from lerobot.robots.lekiwi import LeKiwiConfig
 
 from lerobot_robot_failstop.keys import KEYS
 
@@ -32,8 +33,9 @@ class FailstopConfig(RobotConfig):  # type: ignore[misc]
     """A latched stop ends the run (raise: RobotStopped), or the actions go on without effect until the reset (wait)."""
     at_end: str = "hold"
     """End of the arm by disconnect(): hold it, park it (tuck pose, then torque off), or release it at once."""
-    use_degrees: bool = False
-    """Joints in degrees instead of -100 to 100, as LeKiwi's setting of that name; the gripper is 0 to 100 always."""
+    use_degrees: bool = LeKiwiConfig.use_degrees
+    """Joints in degrees instead of -100 to 100; the gripper is 0 to 100 always. The default is that of LeKiwi in the
+    LeRobot that is installed (degrees since 0.6.0), because datasets and policies do not say which unit they have."""
     teleop_keys: dict[str, str] = field(default_factory=lambda: dict(KEYS))
     """The key of each of LeKiwi's acts of driving."""
     cameras: dict[str, CameraConfig] = field(default_factory=dict)

@@ -10,7 +10,7 @@ import pytest
 
 from failstop_lab.faults.arm import ArmTrial
 
-from .scene import HERE, PLUGIN, LeRobot, robot_with_an_arm
+from .scene import HERE, PLUGIN, VERSIONS, LeRobot, robot_with_an_arm
 
 sys.path[:0] = [str(HERE / "standin"), str(PLUGIN)]
 
@@ -18,6 +18,13 @@ sys.path[:0] = [str(HERE / "standin"), str(PLUGIN)]
 @pytest.fixture(scope="module", params=["stand-in", "real"])
 def lerobot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> LeRobot:
     return LeRobot(request.param, tmp_path_factory.mktemp("lerobot"))
+
+
+@pytest.fixture(scope="module", params=[*VERSIONS, "real"])
+def every_lerobot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> LeRobot:
+    """The stand-in in each version whose facts are recorded, and the real one."""
+    folder = tmp_path_factory.mktemp("lerobot")
+    return LeRobot("real", folder) if request.param == "real" else LeRobot("stand-in", folder, request.param)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
-"""Facts of a LeRobot, as JSON: a fact's name says what it is. Never imported by a test. With the real one, in
-this folder: `HF_LEROBOT_HOME=/tmp/home python facts_seen.py > facts.json` renews what is recorded."""
+"""Facts of a LeRobot, as JSON: a fact's name says what it is. Never imported by a test. With a real one, in this
+folder: `HF_LEROBOT_HOME=/tmp/home python facts_seen.py`. facts.json has the facts of the oldest version, and what
+differs in newer ones."""
 
 from __future__ import annotations
 
@@ -120,7 +121,7 @@ def kiwi() -> dict[str, Any]:
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         found = {"robots": robots(Path(folder)), "devices": devices()}
-    if importlib.util.find_spec("lerobot.robots.lekiwi"):
+    if importlib.util.find_spec("lerobot.motors.feetech"):
         found["kiwi"] = kiwi()
     sys.stdout.write(json.dumps(found, indent=1) + "\n")
 

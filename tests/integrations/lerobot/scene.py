@@ -30,8 +30,9 @@ PLUGIN = ROOT / "integrations" / "lerobot"
 PAGE = ROOT / "docs" / "lekiwi.md"
 REQUIRED = "FAILSTOP_LEROBOT"
 """The Python of an environment with the real LeRobot: `make lerobot` sets it. Without it the stand-in is tried."""
-FACTS: dict[str, Any] = json.loads((HERE / "facts.json").read_text())
-KIWI: dict[str, Any] = FACTS["kiwi"]
+RECORDED: dict[str, dict[str, dict[str, Any]]] = json.loads((HERE / "facts.json").read_text())
+"""The facts of the oldest LeRobot that the plugin is for, and what differs in each newer one that was seen."""
+VERSIONS = tuple(RECORDED)
 JOINTS = {"shoulder_pan": "base", "shoulder_lift": "shoulder", "elbow_flex": "elbow"}
 JOINTS |= {"wrist_flex": "wrist", "wrist_roll": "roll", "gripper": "gripper"}
 """LeKiwi's joints by the names of the simulated robot's settings."""
@@ -56,10 +57,28 @@ SETTINGS: dict[str, object] = {
 _numbers = itertools.count()
 
 
+def facts(version: str) -> dict[str, dict[str, Any]]:
+    """The facts of the newest recorded version that is not newer than this one."""
+    found: dict[str, dict[str, Any]] = {}
+    for recorded, differences in RECORDED.items():
+        if ordered(recorded) <= ordered(version):
+            found = {about: {**found.get(about, {}), **rows} for about, rows in {**found, **differences}.items()}
+    return found
+
+
+def ordered(version: str) -> tuple[int, ...]:
+    """A version as versions compare."""
+    return tuple(map(int, version.split(".")))
+
+
+KIWI = facts(VERSIONS[0])["kiwi"]
+
+
 class LeRobot:
     """One of the two: its Python, and an environment with the plugin and homes of its own."""
 
-    def __init__(self, kind: str, folder: Path) -> None:
+    def __init__(self, kind: str, folder: Path, version: str = VERSIONS[0]) -> None:
+        """`version`: of the stand-in; the real one has its own."""
         self.python = sys.executable
         path = [str(HERE / "standin"), str(PLUGIN), *CHECKOUT]
         if kind == "real":
@@ -75,7 +94,12 @@ class LeRobot:
             "HF_HOME": str(folder / "hf"),
             "HF_LEROBOT_HOME": str(self.home),
             "HF_HUB_OFFLINE": "1",
+            "STANDIN": version,
         }
+        self.version = version
+        if kind == "real":
+            self.version = self.run("-c", "import lerobot; print(lerobot.__version__)").strip()
+        self.facts = facts(self.version)
         calibrations = self.home / KIWI["calibration folder"]
         calibrations.mkdir(parents=True)
         (calibrations / "kiwi.json").write_text(json.dumps(CALIBRATION))

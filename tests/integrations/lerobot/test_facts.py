@@ -13,17 +13,24 @@ from lerobot_robot_failstop.config_failstop import JOINTS
 from lerobot_robot_failstop.keys import KEYS, level_after, velocity
 from lerobot_robot_failstop.units import Reach, Unit, number, position
 
-from .scene import FACTS, HERE, KIWI, LeRobot
+from .scene import HERE, KIWI, LeRobot
 
 UNITS = {"range_m100_100": Unit.SHARE, "range_0_100": Unit.GRIP, "degrees": Unit.DEGREES}
 TURN = 4096
 """Positions of a turn of LeKiwi's servos."""
 
 
-def test_lerobot_is_as_recorded(lerobot: LeRobot) -> None:
-    seen: dict[str, Any] = json.loads(lerobot.run(str(HERE / "facts_seen.py")))
-    assert seen == {about: FACTS[about] for about in seen}
+def test_lerobot_is_as_recorded(every_lerobot: LeRobot) -> None:
+    seen: dict[str, Any] = json.loads(every_lerobot.run(str(HERE / "facts_seen.py")))
+    assert seen == {about: every_lerobot.facts[about] for about in seen}
     assert {"robots", "devices"} <= set(seen)
+
+
+def test_a_joint_s_number_is_in_the_unit_of_that_lerobot_s_lekiwi(every_lerobot: LeRobot) -> None:
+    """A dataset does not say which unit it has, so a wrong default would move the arm to other places."""
+    program = "from lerobot_robot_failstop import FailstopConfig; print(FailstopConfig(id='units').use_degrees)"
+    degrees = every_lerobot.facts["kiwi"]["norm modes"]["arm_shoulder_pan"] == "degrees"
+    assert every_lerobot.run("-c", program).split() == [str(degrees)]
 
 
 def test_the_plugin_has_lekiwi_s_names() -> None:
