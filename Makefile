@@ -235,12 +235,14 @@ deb: $(VENV)/.installed
 	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]'
 	@$(BIN)/python packaging/deb/build.py
 
-# Everything of a release, in dist/VERSION (CONTRIBUTING.md): of the last commit, and equal to the byte whoever builds it.
+# Everything of a release, in dist/VERSION (CONTRIBUTING.md): of the last commit, and equal to the byte whoever builds it. HOMEPAGE: the address
+# of the repository, which the packages name, and to which the links of the page on an index lead.
 VERSION ?=
+HOMEPAGE ?=
 release: $(VENV)/.installed
 	@[ -n "$(VERSION)" ] || { echo "which version? make release VERSION=0.2.0"; exit 1; }
 	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]'
-	@$(BIN)/python packaging/release.py $(VERSION)
+	@$(BIN)/python packaging/release.py $(VERSION) $(if $(HOMEPAGE),--homepage $(HOMEPAGE))
 
 # The same release built twice, as two builders with other folders, umasks, locales, time zones and hash seeds: equal, or the first difference.
 reproduce: $(VENV)/.installed

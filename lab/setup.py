@@ -13,6 +13,7 @@ setup(
     version=VERSION,
     description="failstop's laboratory: simulated boards, demo, faults, stand test.",
     license="MIT",
+    license_files=["LICENSE"],
     python_requires=">=3.10,<3.15",
     packages=find_packages(include=["failstop_lab", "failstop_lab.*"]),
     install_requires=[f"failstop=={VERSION}"],

@@ -62,6 +62,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("version")
     parser.add_argument("--out", type=Path, help="the directory for it (default: dist/VERSION)")
     parser.add_argument("--wheels", type=Path, help="keep the wheels of others here, and take those that are there")
+    parser.add_argument("--homepage", default="", help="the address of the repository, for links that work on an index")
     parser.add_argument("--twice", action="store_true", help="build it in two places, as two builders, and compare")
     arguments = parser.parse_args(words)
     out = arguments.out or ROOT / "dist" / arguments.version
@@ -71,7 +72,7 @@ def main(words: Sequence[str] | None = None) -> int:
                 made = twice(arguments.version, Path(folder), arguments.wheels or Path(folder, "wheels"))
                 print(f"built twice, equal to the byte: {len(made)} files")
                 return 0
-            made = release(arguments.version, out, Path(folder), arguments.wheels)
+            made = release(arguments.version, out, Path(folder), arguments.wheels, arguments.homepage)
     except (ReleaseError, subprocess.CalledProcessError) as error:
         print(f"failstop: {error}", file=sys.stderr)
         return 1
@@ -79,8 +80,10 @@ def main(words: Sequence[str] | None = None) -> int:
     return 0
 
 
-def release(version: str, out: Path, folder: Path, wheels: Path | None = None) -> list[Path]:
-    """Every file of the release, in `out`, which is emptied first; `folder` is to work in. Raises ReleaseError."""
+def release(version: str, out: Path, folder: Path, wheels: Path | None = None, homepage: str = "") -> list[Path]:
+    """Every file of the release, in `out`, which is emptied first; `folder` is to work in. `homepage`: the address of
+    the repository; without one the packages name none, and their long description has the README's own links. Raises
+    ReleaseError."""
     if not VERSION.fullmatch(version):
         raise ReleaseError(f"{version} is no version: it has three numbers, as 0.2.0, and rc1 behind them for a trial")
     os.umask(0o022)
@@ -88,6 +91,8 @@ def release(version: str, out: Path, folder: Path, wheels: Path | None = None) -
     os.environ["SOURCE_DATE_EPOCH"] = environ["SOURCE_DATE_EPOCH"]
     source = folder / "source"
     stage(version, source)
+    if homepage:
+        addressed(source, homepage.rstrip("/"), version)
     told = notes((source / "CHANGELOG.md").read_text(), version)
     lasting(version, (source / public.PLACE).read_text(), told)
     shutil.rmtree(out, ignore_errors=True)
@@ -162,6 +167,40 @@ def stage(version: str, source: Path) -> None:
         if not path.is_symlink():
             path.chmod(EXECUTABLE if path.is_dir() or path.stat().st_mode & 0o100 else PLAIN)
             os.utime(path, (moment, moment))
+
+
+def addressed(source: Path, homepage: str, version: str) -> None:
+    """Name the repository in the metadata of every package, and lead the links of the long description there: an index
+    shows it without the files around it. Raises ReleaseError for an address that is none."""
+    if not re.fullmatch(r"https://[^\s/]+/\S+", homepage):
+        raise ReleaseError(
+            f"--homepage {homepage} is no address of a repository, such as https://example.org/me/failstop"
+        )
+    tree_at, raw_at = f"{homepage}/blob/v{version}", f"{homepage}/raw/v{version}"
+    pages = {"Homepage": homepage, "Documentation": f"{tree_at}/docs/README.md", "Changelog": f"{tree_at}/CHANGELOG.md"}
+    urls = {**pages, "Issues": f"{homepage}/issues"}
+    table = "".join(f'{name} = "{url}"\n' for name, url in urls.items())
+    for project in ("pyproject.toml", "integrations/lerobot/pyproject.toml"):
+        change(source / project, r"(?m)^\[tool\.setuptools\]", f"[project.urls]\n{table}\n[tool.setuptools]")
+    change(source / "lab/setup.py", r'(?m)^    license="MIT",', f'    license="MIT",\n    project_urls={urls!r},')
+    for control in ("failstop", "failstop-lab"):
+        change(source / f"packaging/deb/{control}.control", "(?m)^Description:", f"Homepage: {homepage}\nDescription:")
+    for readme in ("README.md", "integrations/lerobot/README.md"):
+        path = source / readme
+        path.write_text(absolute(path.read_text(), os.path.dirname(readme), tree_at, raw_at))
+
+
+def absolute(text: str, folder: str, tree_at: str, raw_at: str) -> str:
+    """A page of this folder with its relative links below these addresses, those of pictures below `raw_at`."""
+
+    def led(found: re.Match[str]) -> str:
+        path, mark, part = found["path"].partition("#")
+        if not path or "://" in path or path.startswith("mailto:"):
+            return found[0]
+        inside = os.path.normpath(os.path.join(folder, path))
+        return f"{found['before']}{raw_at if found['picture'] else tree_at}/{inside}{mark}{part})"
+
+    return re.sub(r"(?P<before>(?P<picture>!?)\[[^\]]*\]\()(?P<path>[^)\s]+)\)", led, text)
 
 
 def change(path: Path, pattern: str, new: str, *, needed: bool = True) -> None:

@@ -18,6 +18,8 @@ from collections.abc import Callable, Collection, Iterator
 from importlib.metadata import Distribution
 from pathlib import Path
 
+import licences
+
 import failstop
 import failstop_lab
 from failstop.version import VERSION
@@ -29,6 +31,8 @@ SITE = f"lib/{PYTHON}/site-packages"
 LEFT_OUT = frozenset({"__pycache__", "tests", "test", "distutils", "f2py", "include", "_examples"})
 """Folders of the packages that a service has no use for: numpy's tests are a fifth of its size, and what builds
 extensions a quarter of its modules."""
+LICENCE = Path(__file__).resolve().parents[2] / "LICENSE"
+DIST_INFO = ".dist-info"
 STUBS = ".pyi"
 """The end of a file's name that type checkers read alone: each file makes an upgrade, and so the service's absence,
 longer."""
@@ -157,6 +161,7 @@ def _own() -> Iterator[Entry]:
     told = f"{SITE}/failstop-{VERSION}.dist-info"
     yield Entry(f"{told}/METADATA", f"Metadata-Version: 2.1\nName: failstop\nVersion: {VERSION}\n")
     yield Entry(f"{told}/INSTALLER", "dpkg\n")
+    yield Entry(f"{told}/licenses/LICENSE", LICENCE.read_text())
 
 
 def _files(distribution: Distribution) -> Iterator[Entry]:
@@ -165,11 +170,21 @@ def _files(distribution: Distribution) -> Iterator[Entry]:
             f"which files belong to the Python package {distribution.name} is not recorded (it is not pip's): "
             "build with an environment that pip has made"
         )
+    texts = 0
     for file in distribution.files:
         source = str(file.locate())
         outside = file.parts[0] == ".." or file.is_absolute()
-        if not outside and not LEFT_OUT.intersection(file.parts) and file.suffix != STUBS and os.path.isfile(source):
+        licence = file.parts[0].endswith(DIST_INFO) and bool(licences.TEXTS.search(file.parts[-1]))
+        wanted = licence or (not LEFT_OUT.intersection(file.parts) and file.suffix != STUBS)
+        if not outside and wanted and os.path.isfile(source):
+            texts += licence
             yield _copied(str(file), source)
+    if not texts:
+        name = distribution.name.lower()
+        if name not in licences.LACKING:
+            raise BuildError(f"{name} {distribution.version} has no text of its licence: give it one in licences.py")
+        folder = next(file.parts[0] for file in distribution.files if file.parts[0].endswith(DIST_INFO))
+        yield Entry(f"{SITE}/{folder}/licenses/LICENSE", licences.LACKING[name])
 
 
 def _copied(inside: str, source: str) -> Entry:

@@ -13,6 +13,7 @@ import pytest
 
 from tests.support.amounts import LONG
 from tests.support.deb import release, sbom, tree
+from tests.support.pages import ROOT
 
 
 def test_a_version_that_is_none_and_a_changelog_without_it_are_named(tmp_path: Path) -> None:
@@ -27,6 +28,43 @@ def test_the_notes_are_the_changelog_s_part() -> None:
     changes = "# Changes\n\nWhat.\n\n## 0.2.0\n\n**Added**\n\n- new\n\n## 0.1.0\n\n- old\n"
     assert release.notes(changes, "0.2.0") == "# failstop 0.2.0\n\n**Added**\n\n- new\n"
     assert release.notes(changes, "0.1.0") == "# failstop 0.1.0\n\n- old\n"
+
+
+HOME = "https://example.org/me/failstop"
+
+
+def test_the_links_of_the_long_description_lead_to_the_release() -> None:
+    page = "[a](docs/a.md#x) ![p](docs/p.png) [b](https://x.org/y) [c](#here) [d](LICENSE)"
+    assert release.absolute(page, "", f"{HOME}/blob/v1.0.0", f"{HOME}/raw/v1.0.0") == (
+        f"[a]({HOME}/blob/v1.0.0/docs/a.md#x) ![p]({HOME}/raw/v1.0.0/docs/p.png) [b](https://x.org/y) [c](#here)"
+        f" [d]({HOME}/blob/v1.0.0/LICENSE)"
+    )
+    assert release.absolute("[a](../../docs/a.md)", "integrations/lerobot", HOME, HOME) == f"[a]({HOME}/docs/a.md)"
+
+
+def test_every_package_names_the_repository(tmp_path: Path) -> None:
+    named = [
+        *("pyproject.toml", "README.md", "lab/setup.py", "integrations/lerobot/pyproject.toml"),
+        *("integrations/lerobot/README.md", "packaging/deb/failstop.control", "packaging/deb/failstop-lab.control"),
+    ]
+    for name in named:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text((ROOT / name).read_text())
+    with pytest.raises(release.ReleaseError, match="--homepage nowhere is no address"):
+        release.addressed(tmp_path, "nowhere", "0.2.0")
+    release.addressed(tmp_path, HOME, "0.2.0")
+    for name in named:
+        assert HOME in (tmp_path / name).read_text(), name
+    linked = re.findall(r"\]\(([^)\s]+)\)", (tmp_path / "README.md").read_text())
+    assert [link for link in linked if not link.startswith(("https://", "http://", "#"))] == []
+    inside = [link.partition("/v0.2.0/")[2].partition("#")[0] for link in linked if link.startswith(HOME)]
+    assert len(inside) > 20
+    assert [path for path in inside if not (ROOT / path).exists()] == []
+
+
+def test_every_wheel_of_ours_has_the_licence() -> None:
+    for folder in ("lab", "integrations/lerobot"):
+        assert (ROOT / folder / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
 
 
 def wheel(path: Path, order: int, mode: int) -> Path:

@@ -103,6 +103,29 @@ def test_what_an_extra_needs_comes_along_where_it_is_asked_for() -> None:
         tree.running(("web",), lacking("tornado"))
 
 
+def test_every_package_comes_with_the_text_of_its_licence() -> None:
+    texts: dict[str, list[str]] = {}
+    for entry in tree.running(("web", "fleet")):
+        top, _, inside = entry.path.removeprefix(f"{tree.SITE}/").partition("/")
+        if top.endswith(".dist-info"):
+            found = texts.setdefault(top.partition("-")[0], [])
+            if "LICEN" in inside.upper() or "COPYING" in inside.upper():
+                found.append(entry.text or Path(entry.source).read_text())
+    assert {"failstop", "numpy", "pyserial", "tornado"} <= set(texts)
+    assert [name for name, found in texts.items() if not any(len(text) > 500 for text in found)] == []
+    assert "Chris Liechti" in texts["pyserial"][0]
+    # numpy has a folder of headers, which is left out, and below its licences one of the same name.
+    assert any("divide" in text for text in texts["numpy"])
+
+
+def test_a_package_without_the_text_of_its_licence_is_refused() -> None:
+    files = [metadata.PackagePath("x-1.dist-info/METADATA")]
+    files[0].dist = SimpleNamespace(locate_file=lambda path: "/nowhere")  # type: ignore[attr-defined]
+    alone = SimpleNamespace(name="x", version="1", requires=["x"], files=files)
+    with pytest.raises(tree.BuildError, match=r"^x 1 has no text of its licence: .* licences\.py$"):
+        tree.running(find=lambda _: alone)
+
+
 def test_a_package_that_is_not_pip_s_is_refused() -> None:
     with pytest.raises(tree.BuildError, match="which files belong to the Python package x is not recorded"):
         tree.running(find=lambda _: SimpleNamespace(name="x", requires=["x"], files=None))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
+import time
 
 from failstop.cli import main as cli
 from failstop.files import root
@@ -62,10 +64,11 @@ SEE_ALSO = "The pages in docs/ of the source: quickstart.md, robot.md, safety.md
 
 
 def page() -> str:
-    """The whole page, for man(7) macros."""
+    """The whole page, for man(7) macros. Its date is SOURCE_DATE_EPOCH's where that is set, else today."""
+    day = time.strftime("%Y-%m-%d", time.gmtime(int(os.environ.get("SOURCE_DATE_EPOCH", time.time()))))
     lines = [
         '.\\" Generated: lab/failstop_lab/pages/man.py',
-        f'.TH FAILSTOP 1 "" "failstop {VERSION}" "User Commands"',
+        f'.TH FAILSTOP 1 "{day}" "failstop {VERSION}" "User Commands"',
         ".nh",
         ".ad l",
         ".SH NAME",

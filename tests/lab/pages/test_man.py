@@ -33,6 +33,11 @@ def test_man_takes_the_page_without_a_warning(tmp_path: Path) -> None:
             assert flags <= {word.rstrip(",") for word in words}, parser.prog
 
 
+def test_the_page_has_the_date_of_its_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    assert '\n.TH FAILSTOP 1 "2023-11-14" ' in man.page()
+
+
 def test_the_page_has_the_parts_of_a_man_page() -> None:
     text = man.page()
     sections = re.findall(r"^\.SH (.*)$", text, re.MULTILINE)
