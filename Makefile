@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The laboratory too (lab/). compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
 EDITABLE := --config-settings editable_mode=compat --editable lab --editable
 
-.PHONY: demo test quick versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech
+.PHONY: demo test quick tried versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -151,6 +151,11 @@ vm: $(VENV)/.dev
 TESTS ?=
 vm-arm64: $(VENV)/.dev
 	@$(BIN)/python -m tests.vm.arm64 $(TESTS)
+
+# What was tried where (docs/reference/tried.md): tries ROWS here, and keeps what came of it. Without ROWS it lists them.
+ROWS ?=
+tried: $(VENV)/.dev
+	@BIN=$(BIN) LEROBOT=$(LEROBOT) ROS=$(ROS) $(BIN)/python packaging/tried.py $(ROWS)
 
 # What is made from tables of the code: tests compare each with its table.
 docs: $(VENV)/.dev

@@ -120,7 +120,7 @@ def test_every_package_comes_with_the_text_of_its_licence() -> None:
 
 def test_a_package_without_the_text_of_its_licence_is_refused() -> None:
     files = [metadata.PackagePath("x-1.dist-info/METADATA")]
-    files[0].dist = SimpleNamespace(locate_file=lambda path: "/nowhere")  # type: ignore[attr-defined]
+    files[0].dist = SimpleNamespace(locate_file=lambda path: "/nowhere")  # type: ignore[assignment]
     alone = SimpleNamespace(name="x", version="1", requires=["x"], files=files)
     with pytest.raises(tree.BuildError, match=r"^x 1 has no text of its licence: .* licences\.py$"):
         tree.running(find=lambda _: alone)

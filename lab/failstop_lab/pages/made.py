@@ -21,6 +21,7 @@ from failstop_lab.pages import (
     ros_changes,
     settings,
     speed,
+    tried,
 )
 from failstop_lab.pages.marked import renewed
 
@@ -49,6 +50,7 @@ FILES: dict[str, Callable[[str], str]] = {
     "docs/safety.md": lambda text: renewed(text, "claims", case.claims_table(ROOT)),
     "docs/reference/evidence.md": lambda _: case.evidence_page(ROOT),
     "docs/reference/assumptions.md": lambda _: case.assumptions_page(),
+    "docs/reference/tried.md": lambda _: tried.page(),
     "docs/journal.md": lambda text: renewed(text, "kinds", catalog.table()),
     "docs/ros2.md": lambda text: renewed(text, "contract", ros2.text()),
     "failstop/ros2/packages/failstop_msgs/CHANGELOG.rst": lambda _: _ros_changes("failstop_msgs"),

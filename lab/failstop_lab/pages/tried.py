@@ -1,0 +1,52 @@
+"""docs/reference/tried.md: what was tried where. `make tried` tries it again and keeps the result in tried.json."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+FILE = Path(__file__).with_name("tried.json")
+FIELDS = ("what", "with", "machine", "result", "day", "commit", "row")
+HEAD = """\
+# What was tried where
+
+`make tried ROWS="versions lerobot"` tries these rows on your machine and renews them here, so each row says what a real
+run printed, on which day and at which commit. A row that is not here was never tried. Every board was a simulated one:
+no robot was at hand.
+
+| what | with | on | result | when, at which commit | again |
+|---|---|---|---|---|---|
+"""
+Record = dict[str, str]
+
+
+def records(path: Path = FILE) -> list[Record]:
+    """What was tried. Raises ValueError for a record that says too little."""
+    found: list[Record] = json.loads(path.read_text("utf-8"))
+    for record in found:
+        if tuple(record) != FIELDS or not all(record.values()):
+            raise ValueError(f"{path.name}: {record.get('what')}: each record needs {', '.join(FIELDS)}, in this order")
+    return found
+
+
+def kept(new: list[Record], path: Path = FILE) -> None:
+    """Keep new records, in the place of older ones of the same thing with the same version of it."""
+    fresh = {(record["what"], record["with"]): record for record in new}
+    old = {(record["what"], record["with"]): record for record in records(path)}
+    rows = sorted((old | fresh).items(), key=lambda row: (row[0][0], natural(row[0][1])))
+    path.write_text(json.dumps([record for _, record in rows], indent=1) + "\n", "utf-8")
+
+
+def natural(text: str) -> list[tuple[int, str]]:
+    """A text as people sort it: 3.9 before 3.10."""
+    parts = "".join(c if c.isdigit() else f"\0{c}\0" for c in text).split("\0")
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts if part]
+
+
+def page() -> str:
+    """The whole page."""
+    lines = [
+        f"| {r['what']} | {r['with']} | {r['machine']} | {r['result']} | {r['day']}, {r['commit']} | `{r['row']}` |"
+        for r in records()
+    ]
+    return HEAD + "\n".join(lines) + "\n"

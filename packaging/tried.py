@@ -1,0 +1,117 @@
+"""`make tried ROWS="versions lerobot"`: try these, and keep what came of it for docs/reference/tried.md.
+
+A run that fails is kept too, as a failure. Without ROWS it lists what there is.
+"""
+
+from __future__ import annotations
+
+import platform
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+from failstop_lab.pages import tried
+
+ROOT = Path(__file__).resolve().parents[1]
+TOTALS = re.compile(r"^=*\s*((?:\d+ (?:failed|passed|skipped|error|errors|xfailed)(?:, )?)+)", re.MULTILINE)
+"""pytest's last line: how many passed, failed and were skipped."""
+VERSION = re.compile(r"^python (3\.\d+): (good|FAILED)", re.MULTILINE)
+"""A line of `make versions` for each Python that it tried."""
+
+
+class Row(NamedTuple):
+    """Something to try."""
+
+    what: str
+    command: tuple[str, ...]
+    """Words for make."""
+    probe: str
+    """A shell command that prints the version of what it is tried with."""
+
+
+ASK = "import sys; print('Python', *sys.version.split()[:1])"
+ASK_LEROBOT = "import lerobot, sys; print('LeRobot', lerobot.__version__, 'on Python', *sys.version.split()[:1])"
+ROWS = {
+    "versions": Row("quick tests", ("versions", "ALL=yes"), ""),
+    "test": Row("all tests", ("test",), f'"$BIN"/python -c "{ASK}"'),
+    "lerobot": Row("robot for LeRobot", ("lerobot",), f'"$LEROBOT" -c "{ASK_LEROBOT}"'),
+    "ros2": Row("bridge to ROS 2", ("ros2",), '. "$ROS" && echo "ROS 2 $ROS_DISTRO"'),
+    "web": Row("operator's page, also under attack", ("web",), "chromium --version | head -n 1"),
+    "fleet": Row("fleet", ("fleet",), "PATH=$PATH:/usr/sbin mosquitto -h | head -n 1"),
+    "package-test": Row("life of the Debian packages", ("package-test",), '. /etc/os-release && echo "$PRETTY_NAME"'),
+    "reproduce": Row("a release built twice", ("reproduce", "VERSION=0.9.0"), f'"$BIN"/python -c "{ASK}"'),
+    "vm": Row("USB, boot and sleep of a stock Debian", ("vm",), "qemu-system-x86_64 --version | head -n 1"),
+    "vm-arm64": Row("shared memory and a demo on ARM", ("vm-arm64",), "qemu-system-aarch64 --version | head -n 1"),
+}
+
+
+def machine(release: Path = Path("/etc/os-release")) -> str:
+    """This one, in words."""
+    text = release.read_text() if release.exists() else ""
+    named = re.search(r'^PRETTY_NAME="?([^"\n]*)', text, re.MULTILINE)
+    return f"{named[1] if named else platform.system()}, {platform.machine()}"
+
+
+def results(row: Row, output: str, code: int, version: str) -> dict[str, str]:
+    """What came of a run, by what it was tried with."""
+    if each := VERSION.findall(output):
+        return {f"Python {python}": "passed" if verdict == "good" else "FAILED" for python, verdict in each}
+    totals = [found.strip(" ,") for found in TOTALS.findall(output)]
+    counted = "; ".join(totals) or ("passed" if code == 0 else "stopped early")
+    return {version: counted if code == 0 else f"FAILED ({counted})"}
+
+
+def said(*words: str) -> str:
+    """What a command prints, without the end of the line; empty where it can't run."""
+    try:
+        done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    except OSError:
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""
+
+
+def attempt(name: str) -> list[tried.Record]:
+    """Try a row, showing what it prints; its records."""
+    row = ROWS[name]
+    print(f"== {name}: make {' '.join(row.command)}", flush=True)
+    lines = []
+    with subprocess.Popen(
+        ("make", *row.command), cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as run:
+        assert run.stdout
+        for line in run.stdout:
+            sys.stdout.write(line)
+            lines.append(line)
+    version = said("sh", "-c", row.probe) if row.probe else ""
+    dirty = "+" if said("git", "status", "--porcelain", "--untracked-files=no") else ""
+    commit = said("git", "rev-parse", "--short=8", "HEAD") + dirty
+    day = time.strftime("%Y-%m-%d", time.gmtime())
+    again = f"make tried ROWS={name}"
+    return [
+        dict(zip(tried.FIELDS, (row.what, one, machine(), result, day, commit, again), strict=True))
+        for one, result in results(row, "".join(lines), run.returncode, version or "version not known").items()
+    ]
+
+
+def main(names: list[str]) -> int:
+    """Try these rows and keep their records; exit code 1 where one failed."""
+    if unknown := [name for name in names if name not in ROWS]:
+        print(f"no row {unknown[0]!r}: there are {', '.join(ROWS)}", file=sys.stderr)
+        return 2
+    if not names:
+        print("which rows?", *(f"  {name}: {row.what}" for name, row in ROWS.items()), sep="\n")
+        return 0
+    failed = False
+    for name in names:
+        found = attempt(name)
+        tried.kept(found)
+        failed |= any("FAILED" in record["result"] for record in found)
+    (ROOT / "docs/reference/tried.md").write_text(tried.page(), "utf-8")
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

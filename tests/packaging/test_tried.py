@@ -1,0 +1,63 @@
+"""What was tried where: a run becomes a record, and the page has every record."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from failstop_lab.pages import tried as page
+from tests.support.commands import script
+from tests.support.pages import ROOT
+
+PASSED = "....\n=========== 2 failed, 5325 passed, 3 skipped in 265.20s (0:04:25) ==========\n12 passed in 4.1s\n"
+
+
+@pytest.fixture(scope="module")
+def tried() -> Any:
+    return script(ROOT / "packaging/tried.py")
+
+
+def record(what: str, version: str, result: str = "passed") -> dict[str, str]:
+    return dict(zip(page.FIELDS, (what, version, "Debian", result, "2026-11-28", "abc", "make x"), strict=True))
+
+
+def test_a_run_s_result_is_what_pytest_counted(tried: Any) -> None:
+    row = tried.ROWS["test"]
+    counted = "2 failed, 5325 passed, 3 skipped; 12 passed"
+    assert tried.results(row, PASSED, 0, "Python 3.14.8") == {"Python 3.14.8": counted}
+    assert tried.results(row, PASSED, 2, "Python 3.14.8") == {"Python 3.14.8": f"FAILED ({counted})"}
+    assert tried.results(row, "no such thing", 2, "x") == {"x": "FAILED (stopped early)"}
+
+
+def test_every_python_of_make_versions_is_a_record_and_one_that_is_not_here_is_none(tried: Any) -> None:
+    output = "python 3.10: good, 80 s\npython 3.11: not tried; ALL=yes tries it\npython 3.14: FAILED, 3 s\n"
+    assert tried.results(tried.ROWS["versions"], output, 1, "") == {"Python 3.10": "passed", "Python 3.14": "FAILED"}
+
+
+def test_a_new_record_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "tried.json"
+    path.write_text("[]")
+    page.kept([record("tests", "Python 3.9"), record("tests", "Python 3.10", "FAILED"), record("a", "x")], path)
+    page.kept([record("tests", "Python 3.10")], path)
+    assert [(row["what"], row["with"], row["result"]) for row in page.records(path)] == [
+        ("a", "x", "passed"),
+        ("tests", "Python 3.9", "passed"),
+        ("tests", "Python 3.10", "passed"),
+    ]
+    path.write_text(json.dumps([{**record("a", "x"), "day": ""}]))
+    with pytest.raises(ValueError, match=r"tried\.json: a: each record needs what, with"):
+        page.records(path)
+
+
+def test_an_unknown_row_is_named_and_nothing_is_tried(tried: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tried.main(["nothing"]) == 2
+    assert "no row 'nothing': there are versions, test," in capsys.readouterr().err
+
+
+def test_every_row_is_a_target_of_make(tried: Any) -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    for row in tried.ROWS.values():
+        assert f"\n{row.command[0]}: " in makefile
