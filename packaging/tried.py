@@ -73,7 +73,7 @@ def said(*words: str) -> str:
     return done.stdout.strip() if done.returncode == 0 else ""
 
 
-def attempt(name: str) -> list[tried.Record]:
+def attempt(name: str) -> list[tried.Attempt]:
     """Try a row, showing what it prints; its records."""
     row = ROWS[name]
     print(f"== {name}: make {' '.join(row.command)}", flush=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 FILE = Path(__file__).with_name("tried.json")
 FIELDS = ("what", "with", "machine", "result", "day", "commit", "row")
-HEAD = """\
+OPENING = """\
 # What was tried where
 
 `make tried ROWS="versions lerobot"` tries these rows on your machine and renews them here, so each row says what a real
@@ -17,19 +17,19 @@ no robot was at hand.
 | what | with | on | result | when, at which commit | again |
 |---|---|---|---|---|---|
 """
-Record = dict[str, str]
+Attempt = dict[str, str]
 
 
-def records(path: Path = FILE) -> list[Record]:
+def records(path: Path = FILE) -> list[Attempt]:
     """What was tried. Raises ValueError for a record that says too little."""
-    found: list[Record] = json.loads(path.read_text("utf-8"))
+    found: list[Attempt] = json.loads(path.read_text("utf-8"))
     for record in found:
         if tuple(record) != FIELDS or not all(record.values()):
             raise ValueError(f"{path.name}: {record.get('what')}: each record needs {', '.join(FIELDS)}, in this order")
     return found
 
 
-def kept(new: list[Record], path: Path = FILE) -> None:
+def kept(new: list[Attempt], path: Path = FILE) -> None:
     """Keep new records, in the place of older ones of the same thing with the same version of it."""
     fresh = {(record["what"], record["with"]): record for record in new}
     old = {(record["what"], record["with"]): record for record in records(path)}
@@ -49,4 +49,4 @@ def page() -> str:
         f"| {r['what']} | {r['with']} | {r['machine']} | {r['result']} | {r['day']}, {r['commit']} | `{r['row']}` |"
         for r in records()
     ]
-    return HEAD + "\n".join(lines) + "\n"
+    return OPENING + "\n".join(lines) + "\n"
