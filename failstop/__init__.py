@@ -36,9 +36,9 @@ __all__ = [
 
 if "t" in sys.abiflags:
     raise ImportError(
-        f"failstop needs the standard build of Python, and {sys.executable} is the free-threaded one: nobody has"
-        f" checked yet in which order its processes see shared memory there; next: use python{sys.version_info[0]}."
-        f"{sys.version_info[1]} without the t"
+        "failstop needs the standard build of Python, and this is the free-threaded one: nobody has checked yet in"
+        f" which order its processes see shared memory there; next: use python"
+        f"{sys.version_info[0]}.{sys.version_info[1]} without the t"
     )
 
 _HOMES = ("errors", "snapshot", "events", "robot", "why")

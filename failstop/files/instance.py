@@ -167,7 +167,8 @@ def current_run(runtime_dir: str) -> tuple[int, int]:
         return int(os.pread(fd, RUN_DIGITS, 0), 16), os.fstat(fd).st_uid
     except place.Untrusted as error:
         raise InstanceError(str(error.strerror)) from None
-    except (OSError, ValueError):
+    except (OSError, ValueError) as error:
+        _unseen(error, run_path(runtime_dir))
         raise no_service(os.path.basename(runtime_dir)) from None
     finally:
         if fd >= 0:
@@ -195,9 +196,15 @@ def open_stop(name: str) -> tuple[str, int]:
             return path, place.opened(stop_path(path), os.O_WRONLY, pipe=True)
         except place.Untrusted as error:
             doubts.append(f"; {error.strerror}")
-        except OSError:
-            continue
+        except OSError as error:
+            _unseen(error, stop_path(path))
     raise no_service(name, "".join(doubts))
+
+
+def _unseen(error: Exception, path: str) -> None:
+    """Raise InstanceError where this process has no descriptor left to look: a service may be running."""
+    if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
+        raise InstanceError(f"{path} can't be opened: {error.strerror}") from error
 
 
 def no_service(name: str, doubts: str = "") -> NoService:

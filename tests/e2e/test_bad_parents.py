@@ -15,9 +15,11 @@ from tests.support.shared_trial import IMU_HZ
 OPEN = 1100
 OTHERS = 13
 """Descriptors that the supervisor has now and then (rights.DESCRIPTORS): 5 of a dead run's, 2 for each of 4 savers."""
-LOW = """
+STACK = 65536 if sys.version_info < (3, 14) else 102400
+"""Bytes of stack with which Python itself still starts, and which are fewer than the service needs."""
+LOW = f"""
 import resource
-for which, soft in ((resource.RLIMIT_STACK, 65536), (resource.RLIMIT_NOFILE, 24)):
+for which, soft in ((resource.RLIMIT_STACK, {STACK}), (resource.RLIMIT_NOFILE, 24)):
     resource.setrlimit(which, (soft, resource.getrlimit(which)[1]))
 """
 PARENTS = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 
@@ -26,4 +27,5 @@ def last_line(program: str) -> str:
 def test_a_remark_needs_no_memory_that_is_not_there() -> None:
     assert 300 < int(last_line(PROGRAM)) < 500
     by_packb = PROGRAM.replace("#\n", "msgpack.packb('x')\n")
-    assert "MemoryError" in last_line(by_packb), "what is avoided"
+    # Python 3.14 may lack the memory even to say it.
+    assert re.match("MemoryError|lost sys.stderr$", last_line(by_packb)), "what is avoided"
