@@ -188,7 +188,10 @@ def test_a_service_and_those_that_ask_it_run_none_of_its_modules(folder: Folder,
 
 def asked(url: str) -> bytes:
     """The answer of the page; nothing while it has not made it."""
-    with contextlib.suppress(urllib.error.HTTPError), urllib.request.urlopen(url, timeout=ENDS_S) as answer:
-        found: bytes = answer.read()
-        return found
-    return b""
+    try:
+        with urllib.request.urlopen(url, timeout=ENDS_S) as answer:
+            found: bytes = answer.read()
+            return found
+    except urllib.error.HTTPError as error:
+        error.close()
+        return b""

@@ -20,6 +20,7 @@ class Stubborn(Service):
 
 def test_what_does_not_end_leaves_nothing_of_the_rest_behind() -> None:
     trial = Trial(f"trial-end-{os.getpid()}")
+    trial.service.close()
     trial.service = Stubborn(trial.name, trial.link, trial.state)
     trial.__enter__()
     board = trial.board.pid
