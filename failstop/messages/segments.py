@@ -51,14 +51,11 @@ def path_of(memory: str, segment: str, folder: str = SHM) -> str:
 def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
     """Create a segment of this run. Only the run's supervisor does this, and it holds the lock on its own segment as
     long as it lives. Raises AttachError, and then leaves nothing behind."""
-    import posix_ipc  # imported here and in unlink() only, so that attaching does not load it
-
     spec, path = SEGMENT_BY_NAME[name], path_of(memory, name)
     try:
-        shared = posix_ipc.SharedMemory(path.removeprefix(SHM), posix_ipc.O_CREX, mode=0o600)
-    except (posix_ipc.Error, OSError) as error:
+        fd = _make(path)
+    except OSError as error:
         raise AttachError("damaged", f"{path} can't be made: {error}") from None
-    fd: int = shared.fd
     try:
         if name == SUPERVISOR:
             claim.acquire(fd, 0)
@@ -79,13 +76,25 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
     return Segment(spec, incarnation, fd=fd)
 
 
+def _make(path: str) -> int:
+    """A new shared memory object, as its descriptor. Without posix-ipc, which has no wheel for Python 3.14, this makes
+    the call that shm_open() of glibc makes. Raises OSError."""
+    try:
+        import posix_ipc  # here alone: a process that attaches loads nothing for it
+    except ModuleNotFoundError:
+        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, 0o600)
+    try:
+        fd: int = posix_ipc.SharedMemory(path.removeprefix(SHM), posix_ipc.O_CREX, mode=0o600).fd
+    except posix_ipc.Error as error:
+        raise OSError(str(error)) from None
+    return fd
+
+
 def unlink(memory: str, name: str) -> None:
     """Remove a segment's name. A name that is gone already, or is another user's, is fine, because nobody needs it
     again."""
-    import posix_ipc
-
-    with contextlib.suppress(posix_ipc.Error, OSError):
-        posix_ipc.unlink_shared_memory(path_of(memory, name).removeprefix(SHM))
+    with contextlib.suppress(OSError):
+        os.unlink(path_of(memory, name))
 
 
 def unlink_all(memory: str) -> None:

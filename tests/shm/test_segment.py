@@ -6,6 +6,7 @@ import errno
 import itertools
 import os
 import stat
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -34,6 +35,22 @@ def test_attach_finds_what_was_created(name: str, of: str) -> None:
         found.close()
     assert os.stat(path_of(name, of)).st_size == SEGMENT_BY_NAME[of].size
     made.close()
+
+
+@pytest.mark.parametrize("lacking", [False, True], ids=["posix-ipc", "no posix-ipc"])
+def test_segments_are_made_alike_where_posix_ipc_has_no_wheel(
+    name: str, lacking: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if lacking:
+        monkeypatch.setitem(sys.modules, "posix_ipc", None)
+    of = SERVICE[0]
+    made = segments.create(name, of, RUN)
+    assert stat.S_IMODE(os.stat(path_of(name, of)).st_mode) == SEGMENT_BY_NAME[of].mode
+    with pytest.raises(segments.AttachError, match="can't be made"):
+        segments.create(name, of, RUN)
+    made.close()
+    segments.unlink(name, of)
+    assert not os.path.exists(path_of(name, of))
 
 
 @pytest.mark.parametrize(("own", "gid", "group"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
