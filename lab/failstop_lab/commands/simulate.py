@@ -26,7 +26,7 @@ failstop simulate --board ugv     # another board, or a folder of your own
 failstop simulate --scenario replug --call 1041 --fault dies
 failstop simulate --seeds 60      # faults and orders by chance, a minute long
 failstop simulate --seed 537      # one of them again
-failstop simulate --decisions FILE    # a failure again, from the decisions that it printed
+failstop simulate --decisions FILE  # a failure again, from what it printed
 failstop simulate --controls      # parts of the protocol are taken out
 """
 CONTROL_S = 60.0
