@@ -7,8 +7,12 @@ import sys
 
 from failstop.files import durable, root
 from failstop.policy.setting import SettingError, shortened, shown
-from failstop.policy.settings import Settings
+from failstop.policy.settings import Settings, is_setting
 from failstop.version import renewed
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 MOST_BYTES = 65536
 """Nine times a file that sets everything and explains it."""
@@ -45,7 +49,18 @@ def checked(changed: dict[str, object], path: str | None = None) -> Settings:
             raise SettingError(f"{MODE_BUTTON} = {found}: allowed is exactly one bit, 0x0001, 0x0002 ... 0x8000")
         return Settings(changed)
     except SettingError as error:
-        raise SettingError(f"{path}: {error}" if path else str(error)) from None
+        raise SettingError(f"{path}: {misplaced(path, changed, is_setting) or error}" if path else str(error)) from None
+
+
+def misplaced(path: str, found: dict[str, object], known: Callable[[str], bool]) -> str:
+    """The lines of a file that stand below the wrong [table], and where they belong; empty: none does. `found`: what it
+    sets, by whole key; `known`: whether there is such a setting."""
+    from failstop.policy import placing
+
+    try:
+        return placing.misplaced(_text(path), found, known)
+    except (OSError, ValueError):
+        return ""
 
 
 def read(path: str | None) -> dict[str, object]:
@@ -53,6 +68,7 @@ def read(path: str | None) -> dict[str, object]:
     whatever is at that path and in it."""
     if not path:
         return {}
+    text = ""
     try:
         # Only a run with a file pays for the parser.
         if sys.version_info >= (3, 11):
@@ -60,7 +76,8 @@ def read(path: str | None) -> dict[str, object]:
         else:
             import tomli as tomllib
 
-        found = _flat("", tomllib.loads(_text(path)))
+        text = _text(path)
+        found = _flat("", tomllib.loads(text))
         if len(values := dict(found)) < len(found):
             raise SettingError("a setting is there by its old name and by its new one: leave the old one out")
         return values
@@ -71,7 +88,11 @@ def read(path: str | None) -> dict[str, object]:
     except RecursionError:
         problem = "it is nested too deeply"
     except Exception as error:  # the stop tool reads it too, and no file may keep a stop from being written
+        from failstop.policy import placing
+
         problem = shortened(str(error) or type(error).__name__)
+        if twice := placing.twice(text, problem):
+            raise SettingError(f"configuration {path} is not TOML: {twice}") from None
     raise SettingError(f"configuration {path} is not TOML: {problem}; `failstop config --example` prints one that is")
 
 

@@ -112,7 +112,13 @@ def load(path: str | None, changed: dict[str, object] | None = None) -> FleetSet
     """Those of a file (none: of the installed one, if there is one) with `changed` over them. Raises SettingError."""
     if path is None and os.path.exists(installed := root.at(PLACE)):
         path = installed
-    return FleetSettings({**config.read(path), **(changed or {})})
+    found = config.read(path)
+    try:
+        return FleetSettings({**found, **(changed or {})})
+    except SettingError as error:
+        if path and (where := config.misplaced(path, found, BY_KEY.__contains__)):
+            raise SettingError(f"{path}: {where}") from None
+        raise error
 
 
 def robots(found: FleetSettings) -> frozenset[str] | None:
@@ -149,15 +155,19 @@ def unreadable(key: str, path: str, error: OSError, credential: str) -> FleetErr
 
 
 def example() -> str:
-    """A complete file, every value its default."""
-    lines, table = ["# The robot in its fleet: docs/fleet.md. Every value here is the default."], ""
+    """A complete file: every default, commented out, so that a setting can be added at the end too."""
+    lines = [
+        "# The robot in its fleet: docs/fleet.md. Each line shows a default. To set another value, take the # away, or",
+        "# add a line of your own with the whole name, anywhere.",
+    ]
+    table = ""
     for row in DECLARED:
-        head, _, key = row.key.partition(".")
+        head = row.key.partition(".")[0]
         if head != table:
             table = head
-            lines += ["", f"[{table}]"]
+            lines.append("")
         value = f'"{row.default}"' if isinstance(row.default, str) else f"{row.default}"
-        lines.append(f"{key} = {value}  # {row.doc}")
+        lines.append(f"#{row.key} = {value}  # {row.doc}")
     return "\n".join(lines) + "\n"
 
 

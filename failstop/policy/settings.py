@@ -429,6 +429,12 @@ def declaration(key: str) -> Setting:
     return found[0]
 
 
+def is_setting(key: str) -> bool:
+    """Whether there is a setting of this whole key, a named table's too."""
+    family, _, rest = key.partition(".")
+    return key in BY_KEY or any(setting.key == rest.partition(".")[2] for setting in FAMILIES.get(family, ()))
+
+
 def _unknown(key: str) -> SettingError:
     # Imported only after a mistake, because it costs more than this file.
     from difflib import get_close_matches

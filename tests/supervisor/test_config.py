@@ -86,6 +86,63 @@ def test_broken_toml_names_the_file(file: Path, text: str | bytes) -> None:
     assert "\n" not in message
 
 
+TABLES = '# mine\n[device]\npath = "/dev/x"\n[board]\n#kind = "rrc"\n[arm]\nhot_c = 60\n'
+ABOVE = TABLES.replace("[device]", "{}[device]")
+
+
+@pytest.mark.parametrize(
+    ("before", "told", "after"),
+    [
+        (
+            TABLES + "scan.gate = 'off'\n",
+            "line 8, `scan.gate`, stands below `[arm]`, so it would set arm.scan.gate: "
+            "move it above line 2, the first [table]",
+            ABOVE.format("scan.gate = 'off'\n"),
+        ),
+        (
+            TABLES + "board.kind = 'ugv'\n",
+            "line 8, `board.kind`, stands below `[arm]`, so it would set arm.board.kind: "
+            "write it as `kind = ...` below `[board]` (line 4)",
+            TABLES.replace("[board]\n", "[board]\nkind = 'ugv'\n"),
+        ),
+        (
+            TABLES + "[joints.pan]\nservo = 1\nsources.page.priority = 5\n",
+            "line 10, `sources.page.priority`, stands below `[joints.pan]`, so it would set "
+            "joints.pan.sources.page.priority: move it above line 2, the first [table]",
+            ABOVE.format("sources.page.priority = 5\n") + "[joints.pan]\nservo = 1\n",
+        ),
+        (
+            "device.path = '/dev/x'\ndevice.path = '/dev/y'\n",
+            "line 2 sets device.path, which line 1 has set: keep one of them",
+            "device.path = '/dev/y'\n",
+        ),
+        (
+            TABLES + "[device]\n#path = 1\n",
+            "line 8 begins [device], as line 2 has: put its settings below that line",
+            TABLES,
+        ),
+        (
+            "gate.lease_s = 0.1\n[gate]\nrefresh_s = 0.3\n",
+            "line 2 begins [gate], and line 1 sets gate.lease_s outside it: write that as `lease_s = ...` below [gate]",
+            "[gate]\nlease_s = 0.1\nrefresh_s = 0.3\n",
+        ),
+    ],
+)  # fmt: skip
+def test_a_line_in_the_wrong_place_is_told_where_it_belongs_and_is_right_there(
+    file: Path, before: str, told: str, after: str
+) -> None:
+    assert refusal(file, before).endswith(f": {told}")
+    file.write_text(after)
+    config.load(str(file))
+
+
+def test_of_many_misplaced_lines_the_first_are_named_and_the_rest_counted(file: Path) -> None:
+    lines = "".join(f"wheels.sign_{number} = 1\n" for number in (1, 2, 3, 4)) + "web.port = 1\n"
+    message = refusal(file, TABLES + lines)
+    assert message.count("stands below `[arm]`") == 4
+    assert message.endswith("; and 1 more")
+
+
 @pytest.mark.parametrize(
     ("content", "problem"),
     [

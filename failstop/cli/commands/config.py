@@ -55,11 +55,10 @@ GROUPS = {
 
 HEAD = """\
 # Every setting of failstop, with its default, unit and allowed range. Generated: `failstop config --example`.
-# A line that begins with # and no space is a default (## of another layout): take the # away to change it. What stays
-# commented out follows the installed version. `failstop config --check FILE` reads it as `failstop run --config` will.
+# A line that begins with # and no space is a default (## of another layout). To change one, take the # away, or add the
+# line at the end of this file: each has its whole name, so it may stand anywhere. What stays commented out follows the
+# installed version. `failstop config --check FILE` reads the file as `failstop run --config` will.
 """
-ALWAYS_SET = ("device.path",)
-"""Settings that the example sets although they have a default: no two robots need be alike in them."""
 
 SAMPLES: dict[str, dict[str, dict[str, float | str]]] = {
     "sources": {"teleop": {"priority": 10, "timeout_s": 0.3}},
@@ -79,7 +78,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--within", metavar="M", type=float, help="only the speed at which the robot stands within M")
     other = parser.add_mutually_exclusive_group()
     other.add_argument("--check", metavar="FILE", help="only say whether this file is right (exit code 0) or not (1)")
-    whole = "a TOML file with every setting and what it means, all but device.path commented out"
+    whole = "a TOML file with every setting and what it means, all commented out"
     other.add_argument("--example", action="store_true", help=whole)
 
 
@@ -155,8 +154,8 @@ def table(found: dict[str, dict[str, float | str]]) -> list[style.Line]:
 
 
 def example() -> str:
-    """A complete configuration: every default, all but ALWAYS_SET commented out so that they do not outlive the version
-    they are of; what is only a sample is commented out as well."""
+    """A complete configuration: every default, commented out so that none outlives its version, and samples. It has no
+    [table], because a line that somebody adds below one would be that table's."""
     parts = [HEAD]
     for group, what in GROUPS.items():
         declared = {
@@ -169,19 +168,19 @@ def example() -> str:
             # Its timeout is left out: a copy of the command timeout would hide a change of that one.
             first = f"sources.{FIRST_SOURCE}"
             parts.append(_toml(first, {"priority": Settings().flat()[f"{first}.priority"]}, "#") + "\n")
-        for name, values in SAMPLES.get(group, {}).items():
-            parts.append(indent(_toml(f"{group}.{name}", values, ""), "# "))
+        samples = SAMPLES.get(group, {}).items()
+        parts.append("\n".join(indent(_toml(f"{group}.{name}", values, ""), "# ") for name, values in samples))
     return "".join(parts)
 
 
 def _toml(name: str, values: dict[str, float | str], mark: str) -> str:
     marks = {key: mark + "#" * (mark == "#" and f"{name}.{key}" not in Settings().flat()) for key in values}
-    lines = [f"{'##' * ({*marks.values()} == {'##'})}[{name}]"]
+    lines = []
     for key, value in values.items():
         setting = declaration(f"{name}.{key}")
         what = "" if setting.allowed or not isinstance(setting.default, str) else "text, "
         lines.append(f"# {setting.doc[0].upper()}{setting.doc[1:]} [{what}{setting.range()}]")
-        lines.append(f"{'' if setting.key in ALWAYS_SET else marks[key]}{key} = {literal(setting, value)}")
+        lines.append(f"{marks[key]}{name}.{key} = {literal(setting, value)}")
     return "\n".join(lines) + "\n"
 
 

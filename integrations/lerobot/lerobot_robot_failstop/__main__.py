@@ -1,4 +1,4 @@
-"""`python -m lerobot_robot_failstop CALIBRATION.json`: failstop's settings for LeKiwi, with the [joints] of LeRobot's
+"""`python -m lerobot_robot_failstop CALIBRATION.json`: failstop's settings for LeKiwi, with the joints of LeRobot's
 calibration file."""
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ scan.gate = "off"   # LeKiwi has no obstacle sensor
 
 
 def tables(calibration: Any) -> str:
-    """The tables of the settings. Raises ValueError for what is no calibration of an arm."""
+    """The joints' settings, each line with its whole name, so that it may stand anywhere in a file. Raises ValueError
+    for what is no calibration of an arm."""
     rows = calibration if isinstance(calibration, dict) else {}
     found = []
     for name in JOINTS:
@@ -29,11 +30,11 @@ def tables(calibration: Any) -> str:
         low, high = row["range_min"], row["range_max"]
         if low >= high:
             raise ValueError(f"arm_{name} has a range from {low} to {high}: calibrate it again")
+        values = {"servo": row["id"], "zero": (low + high) // 2, "low": low, "high": high}
         offset = row.get("homing_offset")
-        last = f"offset = {offset}\n" if isinstance(offset, int) and offset else ""
-        found.append(
-            f"[joints.{name}]\nservo = {row['id']}\nzero = {(low + high) // 2}\nlow = {low}\nhigh = {high}\n{last}"
-        )
+        if type(offset) is int and offset:
+            values["offset"] = offset
+        found.append("".join(f"joints.{name}.{key} = {value}\n" for key, value in values.items()))
     return "\n".join(found)
 
 

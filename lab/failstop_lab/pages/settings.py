@@ -25,11 +25,13 @@ def page() -> str:
     lines = [
         "# Settings",
         "",
-        "Generated from the declarations (`make docs`). One TOML file holds them, in",
-        "tables named as the part before the dot; `failstop run --config FILE` reads it once and refuses what is",
-        "unknown, out of range or contradictory, naming the key, the value and what is allowed. `failstop config`",
+        "Generated from the declarations (`make docs`). One TOML file holds the settings, a line for each with its",
+        'whole name, for example `device.path = "/dev/ttyUSB0"`. You may add lines anywhere, also at the end. If you',
+        "group lines below a `[table]`, each line there loses the table's name (`[device]`, then `path = ...`), and",
+        "whole names belong above the first table. `failstop run --config FILE` reads the file once and refuses what",
+        "is unknown, out of range or contradictory, naming the key, the value and what is allowed. `failstop config`",
         "prints every value with its origin, `failstop config --check FILE` checks a file, `failstop config --example`",
-        "writes one with every setting in it, all but `device.path` commented out.",
+        "writes one with every setting in it, all commented out.",
     ]
     for group, what in GROUPS.items():
         found = [(setting.key, setting) for setting in DECLARED if setting.key.partition(".")[0] == group]

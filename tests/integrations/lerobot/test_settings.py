@@ -10,6 +10,7 @@ import pytest
 from lerobot_robot_failstop.__main__ import main
 
 from failstop import config
+from failstop.cli.commands.config import example
 
 from .scene import CALIBRATION, RANGES
 
@@ -62,3 +63,15 @@ def test_what_is_no_calibration_is_refused(
     assert main([str(file)]) == 1
     assert told in capsys.readouterr().err
     assert main([]) == 2
+
+
+def test_they_can_be_added_at_the_end_of_the_shipped_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As docs/lekiwi.md says, by `tee -a`; and a line more after them."""
+    file = tmp_path / "kiwi.json"
+    file.write_text(json.dumps(CALIBRATION))
+    assert main([str(file)]) == 0
+    settings = tmp_path / "failstop.toml"
+    settings.write_text(example() + capsys.readouterr().out + 'device.path = "/dev/ttyACM1"\n')
+    found = config.load(str(settings))
+    assert (found.text("board.kind"), found.text("device.path")) == ("feetech", "/dev/ttyACM1")
+    assert len(found.named["joints"]) == 6

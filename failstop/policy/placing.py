@@ -1,0 +1,106 @@
+"""Where a line of a settings file belongs, in words for the person who wrote it: the line that TOML counts to another
+table, and the setting that is there twice. Imported for a mistake only."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+
+from failstop.data import Data
+from failstop.policy.setting import shortened
+
+HEADER = re.compile(r"\s*\[+\s*([^]#]+?)\s*\]")
+LINE = re.compile(r"\s*([\w.\-\"' \t]+?)\s*=")
+AT_LINE = re.compile(r"\(at line (\d+),")
+MOST_NAMED = 4
+"""Misplaced lines that one message names."""
+TWICE = ("Cannot overwrite", "Cannot declare", "Cannot redefine", "Cannot mutate")
+"""How Python's parser begins when a key or a table is there twice."""
+
+
+class Line(Data):
+    """A line that begins a table (`name` is empty) or sets something."""
+
+    number: int
+    table: str
+    name: str
+
+    @property
+    def whole(self) -> str:
+        """The key of the setting as TOML reads it."""
+        return ".".join(filter(None, (self.table, self.name)))
+
+
+def outline(text: str) -> list[Line]:
+    """The lines that begin a table or set something. It reads line by line, so a text of several lines may look like
+    settings: good enough for a message."""
+    found = []
+    table = ""
+    for number, line in enumerate(text.split("\n"), 1):
+        if header := HEADER.match(line):
+            table = _bare(header[1])
+            found.append(Line(number, table, ""))
+        elif setting := LINE.match(line):
+            found.append(Line(number, table, _bare(setting[1])))
+    return found
+
+
+def _bare(name: str) -> str:
+    return re.sub(r"[\s\"']", "", name)
+
+
+def meant(key: str, known: Callable[[str], bool]) -> str:
+    """The setting that somebody wrote with its whole name below a [table]: `board.kind` for `arm.board.kind`. Empty
+    where the key is a setting itself, or holds none."""
+    if known(key):
+        return ""
+    parts = key.split(".")
+    return next((rest for at in range(1, len(parts) - 1) if known(rest := ".".join(parts[at:]))), "")
+
+
+def misplaced(text: str, keys: Iterable[str], known: Callable[[str], bool]) -> str:
+    """Which lines stand below the wrong [table], and where they belong; empty: none does. `keys`: what the file sets,
+    by whole key; `known`: whether there is such a setting."""
+    lines = outline(text)
+    tables = {line.table: line.number for line in reversed(lines) if not line.name}
+    whole = {line.whole: line for line in lines if line.name}
+    found = []
+    for key in keys:
+        if setting := meant(key, known):
+            line = whole.get(key)
+            place = f"line {line.number}, " if line else ""
+            table = line.table if line else key.removesuffix(f".{setting}")
+            own, _, last = setting.rpartition(".")
+            if own in tables:
+                where = f"write it as `{last} = ...` below `[{own}]` (line {tables[own]})"
+            else:
+                first = min(tables.values(), default=1)
+                where = f"move it above line {first}, the first [table]"
+            found.append(f"{place}`{setting}`, stands below `[{table}]`, so it would set {key}: {where}")
+    more = f"; and {len(found) - MOST_NAMED} more" if len(found) > MOST_NAMED else ""
+    return "; ".join(found[:MOST_NAMED]) + more
+
+
+def twice(text: str, problem: str) -> str:
+    """What is in the file twice, where the parser's `problem` says that something is; empty: nothing that is found."""
+    if not problem.startswith(TWICE):
+        return ""
+    at = AT_LINE.search(problem)
+    lines = [line for line in outline(text) if not at or line.number <= int(at[1])]
+    if not lines:
+        return ""
+    *before, second = lines
+    key = shortened(second.whole)
+    if second.name:
+        first = next((line for line in before if line.name and line.whole == second.whole), None)
+        return f"line {second.number} sets {key}, which line {first.number} has set: keep one of them" if first else ""
+    for line in before:
+        if not line.name and line.table == second.table:
+            return f"line {second.number} begins [{key}], as line {line.number} has: put its settings below that line"
+        if line.name and line.table != second.table and line.whole.startswith(f"{second.table}."):
+            rest = shortened(line.whole[len(second.table) + 1 :])
+            return (
+                f"line {second.number} begins [{key}], and line {line.number} sets {shortened(line.whole)} outside it: "
+                f"write that as `{rest} = ...` below [{key}]"
+            )
+    return ""
