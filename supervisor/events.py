@@ -29,7 +29,7 @@ MOST_EVENTS_WAITING = 256
 EVENT_CUTS = ((280, 280), (200, 60), (120, 24))
 """As packing.NOTE_CUTS."""
 EVENT_BYTES = layout.SEGMENT_BY_NAME[layout.SUPERVISOR].records["events"].capacity
-ASKED = frozenset((causes.REQUESTED.name, causes.PIPED.name, causes.FLEET.name))
+ASKED = frozenset(kind.name for kind in (*causes.SIGNED, causes.PIPED, causes.FLEET))
 AGAIN = frozenset(("stop_again", "stop_also"))
 """Events that anyone can cause without end. A stop can only be latched again after a reset."""
 MINUTE_NS = 60_000_000_000

@@ -68,8 +68,11 @@ def unread(fd: int) -> int:
     return int.from_bytes(fcntl.ioctl(fd, termios.FIONREAD, bytes(4)), "little")
 
 
-def send_stop(name: str, why: object, who: object = "") -> None:
-    """Ask for a latched stop. Every local user may.
+def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
+    """Ask for a latched stop: every local user may. The service shows `stop request: REASON (says it is WHO, pid N)`,
+    because a pipe does not tell its reader who wrote. A reason of more than records.ASKED_BYTES is cut. What an object
+    says of itself follows as a request of its own, unless it takes longer than OWN_WORDS_S. `row`: the name of the
+    cause that the reason is of, one of causes.SIGNED, whose remedy is shown.
 
     The service shows `stop request: REASON (says it is WHO, pid N)`, because a pipe does not tell its reader who wrote.
     A reason longer than records.ASKED_BYTES is cut. If the reason is an object, its own text follows in a second
@@ -79,7 +82,7 @@ def send_stop(name: str, why: object, who: object = "") -> None:
     try:
         words, whole = reason.plain(why)
         asks = reason.plain(who)[0]
-        bell.send(fd, records.asking(words, asks, os.getpid()))
+        bell.send(fd, records.asking(words, asks, os.getpid(), row))
         if not whole:
             _say_more(fd, why, asks)
     except OSError as error:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from failstop.api import host, verdict, words
 from failstop.api.snapshot import Block, State
 from failstop.messages.layout import GATE
+from failstop.policy import causes
 
 
 class Purpose(Enum):
@@ -76,7 +77,7 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
     dead, suspended, down = "dead" in named, named.get("suspended"), verdict.down(state)
     doubt, waits, path = verdict.doubt(state), state.waiting_for, state.device.path
     unless = f", unless {verdict.row(state).unless}" if verdict.row(state).unless else ""
-    remedy = state.cause.kind.first(verdict.reached(state)) if state.cause else ""
+    remedy = causes.remedied(state.cause, verdict.reached(state)) if state.cause else ""
     heed = "" if dead else f"{remedy}; then {how['reset']}"
     start = host.start(state.name) if dead else ""
     go_on = f"let the suspended service go on (`fg` in its terminal, or `kill -CONT {suspended}`)"

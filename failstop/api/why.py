@@ -9,7 +9,7 @@ from failstop.api import steps, verdict, wheels, words
 from failstop.api.events import Event
 from failstop.api.snapshot import Block, State, Stop
 from failstop.board.interface import BUTTONS
-from failstop.policy.causes import PORT_SHARED, Cause, filled
+from failstop.policy.causes import PORT_SHARED, Cause, filled, remedied
 from failstop.policy.processes import ROLES
 from failstop.policy.proofs import (
     ACKNOWLEDGED_BY,
@@ -113,7 +113,7 @@ def meaning(cause: Cause, reached: str = "") -> tuple[str, str]:
     what, doubt = filled(cause.kind.what, given), cause.kind.doubt
     if doubt:
         what += f"; {reached}" if reached else f", {doubt}"
-    return what, cause.kind.first(reached)
+    return what, remedied(cause, reached)
 
 
 def _buttons(pressed: int) -> str:

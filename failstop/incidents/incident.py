@@ -191,8 +191,7 @@ class Incident:
     @property
     def why(self) -> str:
         """The reason without who asked for it."""
-        asked = self.cause.kind is causes.REQUESTED
-        return str(causes.PIPED(self.cause.named()["words"])) if asked else self.reason
+        return causes.unsigned(self.cause) if self.cause.kind in causes.SIGNED else self.reason
 
     @property
     def left(self) -> bool:

@@ -133,13 +133,15 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def asking(words: str, who: str = "", pid: int = 0) -> bytes:
-    """The line for the stop pipe: the reason, cut to ASKED_BYTES, and the asker's name and pid, separated by tabs."""
+def asking(words: str, who: str = "", pid: int = 0, row: str = "") -> bytes:
+    """The line for the stop pipe: why, in words that are cut to ASKED_BYTES, and who asks, with tabs between them.
+    `row`: the name of the cause that the words are of, where a client knows one."""
     text, name = (" ".join(given.split()) for given in (words, who))
     kept = cut(text, ASKED_BYTES)
     if len(kept) < len(text.encode("utf-8", "replace")):
         kept = cut(text, ASKED_BYTES - len(LEFT_OUT)) + LEFT_OUT
-    return kept + (b"\t%s\t%d" % (cut(name, WHO_BYTES), pid) if name else b"") + b"\n"
+    sender = b"\t%s\t%d" % (cut(name, WHO_BYTES), pid) if name else b""
+    return kept + sender + (b"\t" + row.encode() if sender and row else b"") + b"\n"
 
 
 def cut(text: str, room: int) -> bytes:

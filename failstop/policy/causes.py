@@ -5,8 +5,8 @@ A cause travels as the number of its row with its arguments (`pack`) from the pr
 reports it; its text is made at the end (`str`). In a template, text in brackets is left out when its arguments are
 empty. Every cause latches.
 
-`what` continues "stopped since ...", with the same arguments plus `role` of the process and `names` of the buttons.
-`remedy` continues "first ..." and takes no arguments (`Kind.first`).
+`what` continues "stopped since ...", with the same arguments, and `role` of the process and `names` of the buttons;
+`remedy` continues "first ..." (`Kind.first`), and may name what is to be changed (ADVISED).
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ NEW_RUN = "a new start of the service"
 CLIENTS = "gate"
 """The process that notices what clients do."""
 NUMBER_BYTES = 2
+LAST_NODES = ("collision_monitor", "velocity_smoother", "twist_mux")
+"""ROS nodes that are made to be the last before a base. The first of these that is there is the one."""
 _TYPES = {"": str, "d": int, "X": int, "f": float}
 
 _TELL = "report it with its incident (`failstop incident list`), as it is a defect, or memory that somebody damaged"
@@ -161,23 +163,55 @@ def requested(line: bytes) -> Cause:
     the line, and a pipe does not tell its reader who did. So the name is the asker's own claim."""
     text = line.decode("utf-8", "replace")
     words, _, rest = text.partition("\t")
-    who, _, pid = rest.partition("\t")
-    if who and pid.isascii() and pid.isdigit() and len(pid) <= LONGEST_PID:
+    who, _, rest = rest.partition("\t")
+    pid, _, name = rest.partition("\t")
+    row = next((kind for kind in SIGNED if kind.name == name), None) if name else REQUESTED
+    if row and who and pid.isascii() and pid.isdigit() and len(pid) <= LONGEST_PID:
         if who.startswith(records.FLEET_PREFIX):
             return FLEET(_quoted(words), _quoted(who.removeprefix(records.FLEET_PREFIX)))
-        return REQUESTED(_quoted(words), _quoted(who), int(pid))
+        return row(_quoted(words), _quoted(who), int(pid))
     return PIPED(_quoted(text))
 
 
 def _quoted(text: str) -> str:
-    """A text made safe to put between quotation marks, which it could otherwise end."""
-    return printable(text).replace('"', "'")
+    """Somebody's words as they can stand between quotation marks: they end where these do. Without backquotes, which
+    mark our own commands."""
+    return printable(text).replace('"', "'").replace("`", "'")
+
+
+def unsigned(cause: Cause) -> str:
+    """The text of a cause without who asked for it."""
+    return str(cause).rpartition(BY)[0] if cause.kind in SIGNED else str(cause)
+
+
+def bare(cause: Cause) -> str:
+    """Of a stop that was asked for, the words alone."""
+    return unsigned(cause).removeprefix(f"{PIPED.template.partition('[')[0]}: ")
+
+
+def remedied(cause: Cause, reached: str = "") -> str:
+    """What people do first, with the names of this case. `reached`: as for Kind.first()."""
+    return cause.kind.first(reached).format_map({name: advise(cause) for name, advise in ADVISED.items()})
+
+
+def _to_remap(cause: Cause) -> str:
+    """The nodes that must publish something else, so that one remains."""
+    words = str(cause.named().get("words", ""))
+    nodes = [node.rpartition(" (")[0] if node.endswith(" times)") else node for node in words.split(", ")]
+    last = next((node for name in LAST_NODES for node in nodes if node.rpartition("/")[2] == name), "")
+    return ", ".join(node for node in nodes if node != last) if last and len(nodes) > 1 else f"all but one of {words}"
+
+
+ADVISED = {"others": _to_remap}
+"""What a remedy may name, by the word that stands for it there."""
+BY = " (says it is "
+"""What follows the words in the text of a stop that was asked for."""
 
 
 def completed(latched: Cause, later: Cause) -> bool:
-    """Whether a later stop fills in what the latched cause lacked: both are from one program, which had said at first
-    that something was not known yet. It happens once, because nothing is missing afterwards."""
-    if not latched.kind is later.kind is REQUESTED:
+    """Whether a later stop tells what the cause of the latched one lacked: both of one program, which
+    said at first that something is not known yet. It happens once, as nothing is lacking then."""
+    if latched.kind is not later.kind or latched.kind not in SIGNED:
         return False
     (words, *who), (more, *same) = latched.arguments, later.arguments
     return who == same and NOT_KNOWN in str(words) and NOT_KNOWN not in str(more)
@@ -272,7 +306,7 @@ RUNAWAY = Kind(
 NOT_FINITE = Kind(
     13, "not_finite", "command from {who} is not finite", CLIENTS,
     "{who} commanded a velocity that is not a number",
-    "mend that program, a division by zero for one, before it drives again",
+    "fix that program, for example a division by zero, before it drives again",
 )  # fmt: skip
 TWO_PUBLISHERS = Kind(
     14, "two_publishers", "multiple {source} publishers: {who}, {rival}", CLIENTS,
@@ -296,6 +330,43 @@ PIPED = Kind(
     18, "piped", "stop request[: {words}]", "port_owner",
     'somebody wrote to the stop pipe[: "{words}"]',
     "make sure that whatever it was for is over",
+)  # fmt: skip
+ROS_PUBLISHERS = Kind(
+    46, "ros_publishers", "stop request: multiple cmd_vel publishers: {words} (says it is {who}, pid {pid:d})",
+    "port_owner",
+    'a program that says it is {who} (pid {pid}) asked for a stop: "multiple cmd_vel publishers: {words}"',
+    "remap cmd_vel of {others}: for a node of Nav2 to cmd_vel_nav, for another node to an input of twist_mux "
+    "(docs/ros2.md, Nav2), and start it again; a node that was killed counts for up to 20 s",
+)  # fmt: skip
+ROS_ARM_PUBLISHERS = Kind(
+    47, "ros_arm_publishers", "stop request: multiple arm/goal publishers: {words} (says it is {who}, pid {pid:d})",
+    "port_owner",
+    'a program that says it is {who} (pid {pid}) asked for a stop: "multiple arm/goal publishers: {words}"',
+    "end all but one of these nodes, since one at a time moves the arm; a node that was killed counts for up to 20 s",
+)  # fmt: skip
+ROS_STRANGER = Kind(
+    48, "ros_stranger", "stop request: stranger on cmd_vel: {words} (says it is {who}, pid {pid:d})", "port_owner",
+    'a program that says it is {who} (pid {pid}) asked for a stop: "stranger on cmd_vel: {words}"',
+    "end that node, or add its name to allowed_publishers of the bridge and start the bridge again",
+)  # fmt: skip
+ROS_NOT_FINITE = Kind(
+    49, "ros_not_finite", "stop request: command from {words} is not finite (says it is {who}, pid {pid:d})",
+    "port_owner",
+    'a program that says it is {who} (pid {pid}) asked for a stop: "command from {words} is not finite"',
+    "fix that node, for example a division by zero, before it drives again",
+)  # fmt: skip
+ROS_ARM_NOT_HELD = Kind(
+    50, "ros_arm_not_held", "stop request: the arm could not be held: {words} (says it is {who}, pid {pid:d})",
+    "port_owner",
+    'a program that says it is {who} (pid {pid}) asked for a stop: "the arm could not be held: {words}"',
+    "look at the arm, which may have gone on to its goal, and at `failstop status`",
+)  # fmt: skip
+ROS_NO_ANSWER = Kind(
+    51, "ros_no_answer", "stop request: no answer from the gate in {words}: wheels stopped "
+    "(says it is {who}, pid {pid:d})", "port_owner",
+    'a program that says it is {who} (pid {pid}) asked for a stop: '
+    '"no answer from the gate in {words}: wheels stopped"',
+    _BUSY,
 )  # fmt: skip
 FLEET = Kind(
     24, "fleet", "stop request[: {words}] (says it is the fleet, for {who})", "port_owner",
@@ -354,6 +425,16 @@ TWO_MOVE_THE_ARM = Kind(
 
 BY_NUMBER = {kind.number: kind for kind in tuple(globals().values()) if isinstance(kind, Kind)}
 CAUSE_BY_NAME = {kind.name: kind for kind in BY_NUMBER.values()}
+SIGNED = (
+    REQUESTED,
+    ROS_PUBLISHERS,
+    ROS_ARM_PUBLISHERS,
+    ROS_STRANGER,
+    ROS_NOT_FINITE,
+    ROS_ARM_NOT_HELD,
+    ROS_NO_ANSWER,
+)
+"""Rows of a stop that a program asked for by the stop pipe, which says who it is: words, who, pid."""
 
 
 class Reply(Data):

@@ -13,9 +13,10 @@ from typing import Any
 
 from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
+from failstop.policy import causes
 from failstop.ros2 import report, words
 from failstop.ros2.alive import Unwatched
-from failstop.ros2.commanders import FRESH_NS, Asking, names, rivals
+from failstop.ros2.commanders import FRESH_NS, Asking, names, reason, rivals
 from failstop.ros2.contract import ARM_ACTION, ARM_BUSY, ARM_GOAL, ARM_SERVICES
 from failstop.ros2.fill import fill, type_of
 from failstop.ros2.graph import latch, publishers
@@ -168,7 +169,7 @@ class ArmFace:
             try:
                 job.result()
             except FailstopError as error:
-                latch(self._node, self._link, f"the arm could not be held: {error}")
+                latch(self._node, self._link, reason(causes.ROS_ARM_NOT_HELD, str(error)))
         if self._goal_job and self._goal_job():
             job, self._goal_job = self._goal_job, None
             try:
@@ -204,7 +205,7 @@ class ArmFace:
         """If more than one node publishes goals, ask for a stop and return its cause; else empty."""
         cause = ""
         if self._topic and self._node.count_publishers(self._topic) > 1:
-            cause = rivals(ARM_GOAL.name, sorted(publishers(self._node, self._topic)))
+            cause = rivals(causes.ROS_ARM_PUBLISHERS, sorted(publishers(self._node, self._topic)))
         state = self._shared.state
         if self._asking_stop.due(cause, state is not None and state.estop is not None, monotonic_ns()):
             latch(self._node, self._link, cause)

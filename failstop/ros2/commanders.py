@@ -12,7 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from failstop.policy.causes import NOT_KNOWN
+from failstop.policy import causes
+from failstop.policy.causes import NOT_KNOWN, Kind
 
 FRESH_NS = 100_000_000
 """How long a look at the graph, or a sensor's word, is good for."""
@@ -87,9 +88,24 @@ class Asking:
         return True
 
 
-def rivals(topic: str, publishers: Sequence[Publisher]) -> str:
-    """The cause of a stop for several publishers of a topic."""
-    return f"multiple {topic} publishers: {names(publishers)} ({DEAD_ONE})"
+class Reason(str):
+    """Why the bridge asks for a stop, in words. `row`: the cause; `given`: its own words, which are sent."""
+
+    __slots__ = ("given", "row")
+    row: Kind
+    given: str
+
+
+def reason(row: Kind, given: str, more: str = "") -> Reason:
+    """A reason; `more`: a remark for the log and for who is refused."""
+    made = Reason(causes.bare(row(given, "", 0)) + more)
+    made.row, made.given = row, given
+    return made
+
+
+def rivals(row: Kind, publishers: Sequence[Publisher]) -> Reason:
+    """The reason of a stop for several publishers of a topic."""
+    return reason(row, names(publishers), f" ({DEAD_ONE})")
 
 
 def names(publishers: Sequence[Publisher]) -> str:
@@ -146,9 +162,10 @@ class Commanders:
     def cause(self, now_ns: int) -> str:
         """Why a stop is to be latched now; empty: there is no reason."""
         if self.count > 1:
-            return rivals("cmd_vel", self.publishers)
+            return rivals(causes.ROS_PUBLISHERS, self.publishers)
         if strangers := self._strangers(now_ns):
-            return f"stranger on cmd_vel: {', '.join(strangers)} (allowed: {', '.join(sorted(self._allowed))})"
+            allowed = ", ".join(sorted(self._allowed))
+            return reason(causes.ROS_STRANGER, f"{', '.join(strangers)} (allowed: {allowed})")
         return ""
 
     def due(self, cause: str, latched: bool, now_ns: int) -> bool:

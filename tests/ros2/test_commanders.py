@@ -246,8 +246,8 @@ def test_clocks_that_drift_apart_refuse_nothing() -> None:
 
 def test_a_stop_is_asked_for_once_more_when_the_names_are_known() -> None:
     asking = Asking()
-    nameless = rivals("arm/goal", [NAV, Publisher("", TWIST)])
-    known = rivals("arm/goal", [NAV, JOY])
+    nameless = rivals(causes.ROS_ARM_PUBLISHERS, [NAV, Publisher("", TWIST)])
+    known = rivals(causes.ROS_ARM_PUBLISHERS, [NAV, JOY])
     assert asking.due(nameless, False, S)
     assert not asking.due(nameless, True, S + STOP_AGAIN_NS)
     assert asking.due(known, True, S + STOP_AGAIN_NS + 1)
@@ -255,11 +255,12 @@ def test_a_stop_is_asked_for_once_more_when_the_names_are_known() -> None:
     assert not asking.due(nameless, True, 2 * S), "a third is not named anew"
     assert not asking.due("", False, 3 * S)
     assert asking.due(nameless, False, 3 * S + 1)
-    latched, later = causes.REQUESTED(nameless, "ros2", 77), causes.REQUESTED(known, "ros2", 77)
+    latched, later = (causes.ROS_ARM_PUBLISHERS(each.given, "ros2", 77) for each in (nameless, known))
     assert causes.completed(latched, later)
     assert not causes.completed(later, latched)
     assert not causes.completed(later, later), "once"
-    assert not causes.completed(latched, causes.REQUESTED(known, "ros2", 78)), "another program's"
+    assert not causes.completed(latched, causes.ROS_ARM_PUBLISHERS(known.given, "ros2", 78)), "another program's"
+    assert not causes.completed(latched, causes.ROS_PUBLISHERS(known.given, "ros2", 77)), "of another topic"
     assert not causes.completed(latched, causes.PIPED(known))
     assert not causes.completed(causes.PIPED(nameless), later)
 

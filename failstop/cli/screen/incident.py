@@ -70,7 +70,7 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
     ago = f", {words.span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
     by = (head["stop"] or {}).get("noticed_by") or {ns: who for ns, who, _ in incident.stops}.get(incident.cause_ns)
     noticed = f"by the {named(by)}" if by else memory.NOT_KNOWN
-    if incident.cause.kind is causes.REQUESTED:
+    if incident.cause.kind in causes.SIGNED:
         asked = incident.cause.named()
         noticed += f"; the asker says it is {asked['who']} (pid {asked['pid']})"
     rows = [

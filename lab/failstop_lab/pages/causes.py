@@ -44,8 +44,8 @@ def page() -> str:
 
 def _row(kind: Kind) -> str:
     words = {name: _Word(name.upper() if of is str else "N") for name, of in kind.parameters}
-    words |= {name: _Word(name.upper()) for name in ("role", "names")}
+    words |= {name: _Word(name.upper()) for name in ("role", "names", *causes.ADVISED)}
     noticed_by = ", ".join(name.replace("_", " ") for name in kind.noticed_by.split()) or ANY_READER
     text, what = (template.format_map(words) for template in (kind.template, kind.what))
     what += f", {kind.doubt}" if kind.doubt else ""
-    return f"| `{text}` | `{kind.name}` | {what} | {kind.first()} | {noticed_by} | {kind.cleared_by} |"
+    return f"| `{text}` | `{kind.name}` | {what} | {kind.first().format_map(words)} | {noticed_by} | {kind.cleared_by} |"

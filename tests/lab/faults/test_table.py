@@ -73,6 +73,7 @@ NO_FAULT = {
     causes.UNSTILL,  # comes after the stop of another row
     causes.NOT_HEARD,  # only on a machine that starves the service (tests/supervisor/test_monitor.py)
     causes.FLEET,  # as PIPED, by a publisher (tests/fleet/test_publish.py)
+    *(row for row in causes.SIGNED if row is not causes.REQUESTED),  # as REQUESTED, by the ROS bridge (tests/ros2)
     *(causes.REMOVED, causes.STOPPING, causes.ALL_DIED, causes.SILENT),  # with them the run ends, or nobody is to latch
 }
 """Causes that no row latches."""
