@@ -32,6 +32,7 @@ EVENT_KINDS = (
     EventKind("unstill", "critical", "f71aa7ca3afa4b01a9932952acebe386", "reason"),
     EventKind("wheels_turn", "warning", "4f0a6f3c1d5b4a0e9c3f7b2d8e6a1c95", "state by"),
     EventKind("wheel_stands", "warning", "b7d2c9e84a1f4d63a05e9b7c3f8216da", "wheel told seen"),
+    EventKind("servo", "warning", "c424c5a469244cf0bdea4313ae820f45", "part wrong"),
     EventKind("died", "error", "1e64f97a9f8242b9bbd9dac4d3533ca8", "process pid how"),
     EventKind("restarting", "notice", "839c001330c04363ace8f58dd80349f3", "process wait_s"),
     EventKind("down", "critical", "d425ec3582c843a999835f153362effe", "process"),

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from failstop.api import host, verdict, words
 from failstop.api.snapshot import Block, State
 from failstop.messages.layout import GATE
-from failstop.policy import causes
+from failstop.policy import causes, servos
 
 
 class Purpose(Enum):
@@ -85,6 +85,7 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
     attend, press = "have somebody attend (`failstop attend`, or the page)", f"somebody has to attend: {how['attend']}"
     complains = ", ".join(client.name for client in state.clients if client.wrong)
     idle = state.block is Block.NO_COMMAND
+    dumb = next((part for part, text in state.servos_wrong.items() if servos.WRONG[servos.MISSING] in text), "")
     held, silent = (found.who if (found := state.source_that(name)) else "" for name in ("held", "silent"))
     off, interlock = not state.enabled and not dead, f"see to the interlock ({state.unmet})"
     return [
@@ -95,6 +96,7 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
             (state.device.state != "open", Step(Purpose.MEND, f"plug the board in ({path})", lost)),
             (doubt, Step(Purpose.POWER, f"{POWER} and on{unless}", f"{POWER} and on again{unless}")),
             (GATE in down, Step(Purpose.MEND, *_for_the_gate(state))),
+            (dumb, Step(Purpose.ALLOW, f"look at the {dumb}: its plug on the bus, its power and its id")),
             (waits and not down, Step(Purpose.ALLOW, f"wait for {waits}")),
         ],
         [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", how["reset"]))],

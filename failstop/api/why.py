@@ -206,6 +206,7 @@ def troubles(state: State, events: Sequence[Event]) -> list[str]:
         unknown = f"{verdict.NEVER_ANSWERED}, so no stop is known to reach the wheels"
         found.append(f"{unknown}: see to its power and its cable; {PORT_SHARED}")
     found += [text for text in (state.scale.capped, *state.scale.wrong) if text]
+    found += [f"{part}: {text}" for part, text in state.servos_wrong.items()]
     if state.starved:
         found.append(f"{state.starved} (`failstop doctor` says what helps)")
     if not all(process.early_news for process in state.processes.values() if process.pid):

@@ -23,10 +23,15 @@ if TYPE_CHECKING:
 ANSWER_S = 0.25
 """Longer than any of these boards takes to answer, and than the time between two of its reports."""
 QUESTIONS = 2
-"""Questions per board, because one may be lost on the line."""
+"""Questions to a board: one may be lost on the line."""
+MORE_QUESTIONS = 2
+"""And so many more if bytes come that answer none: they may be of a part of the board."""
 
 WIRES = "the board's power; its cable, whose TX and RX cross; the port, by device.path; the baud rate of its firmware"
 """For people: what to check if nothing is received."""
+
+SERVO = "that servo's plug on the bus, its power and its id"
+"""For people: what is to be looked at where a servo does not answer."""
 
 ADAPTERS = {
     "0403:6001": "FT232",
@@ -71,7 +76,9 @@ class Heard(Data):
     after_ns: int
     """How long after the port was opened it was asked."""
     firmware: str = ""
-    """Its firmware, if that differs from the usual one."""
+    """Its firmware, where that differs from the usual one."""
+    missing: tuple[int, ...] = ()
+    """It is this board, but for servos that do not answer while others do."""
 
 
 def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
@@ -101,18 +108,21 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
         if silent:
             tap.listen(ANSWER_S)
         known = bool(tap.reports) if silent else answered_ms is not None
-        found.append(Heard(kind, known, answered_ms, frozenset(tap.reports), tap.size, after_ns, tap.firmware))
-        if known:
+        parts = frozenset(tap.reports), tap.size, after_ns, tap.firmware, tap.missing
+        found.append(Heard(kind, known, answered_ms, *parts))
+        if known or tap.missing:
             break
     return found
 
 
 def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
-    """Ask a board at most twice. Returns after how many ms it answered, or None. `stop`: write the stop first. Raises
-    OSError when the device is gone."""
+    """Ask a board twice, and again if bytes come that answer nothing. After how many ms it answered; None: it did not.
+    `stop`: write the stop first. Raises OSError when the device has gone."""
     if stop:
         StopPort(tap.fd, board).burst()
-    for _ in range(QUESTIONS):
+    for turn in range(QUESTIONS + MORE_QUESTIONS):
+        if turn >= QUESTIONS and (tap.missing or not tap.size):
+            break
         time.sleep((len(board.burst) * board.port.byte_ns + board.idle_ns) / 1e9)
         if (answered_ms := heard_ms(tap, board)) is not None:
             return answered_ms
@@ -128,6 +138,10 @@ def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, s
     """The result of looking for a board of this `kind`: whether it is present (None: can't be known), that in words,
     and what helps."""
     last, deaf_ns = heard[-1], board.port.deaf_ns
+    if last.missing:
+        which = " and ".join(f"servo {servo}" for servo in last.missing)
+        it = f"it is {last.kind}" if last.kind == kind else f"it is {last.kind}, and board.kind is {kind}"
+        return False, f"{it}; {which} does not answer while others do", SERVO
     if last.known and last.kind != kind:
         remedy = f'set board.kind = "{last.kind}", or plug the other board in'
         return False, f"the board that answers is {last.kind}, and board.kind is {kind}", remedy

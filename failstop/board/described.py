@@ -119,9 +119,10 @@ def _wheels(values: Sequence[float], least: int) -> tuple[float, ...]:
     return plausible.finite_numbers(values, plausible.MOST_COUNT, least, plausible.MOST_REPORTED_WHEELS)
 
 
-def _health(row: tuple[int, float, int]) -> tuple[int, float, int]:
+def _health(row: Sequence[float]) -> tuple[int, float, int, int]:
     servo, at_c = plausible.whole_number(row[0], 0, 255), plausible.whole_number(row[2], 0, 255)
-    return servo, plausible.finite(row[1], MOST_LOAD), at_c
+    wrong = plausible.whole_number(row[3], 0, 255) if len(row) > 3 else 0
+    return servo, plausible.finite(row[1], MOST_LOAD), at_c, wrong
 
 
 class Described(Board):

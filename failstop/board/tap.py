@@ -7,8 +7,9 @@ import select
 import time
 
 from failstop.board.handled import Answers
-from failstop.board.interface import HEARD_FIRMWARE, HEARD_OBEYED, HEARD_PONG, Board
+from failstop.board.interface import HEARD_FIRMWARE, HEARD_HEALTH, HEARD_OBEYED, HEARD_PONG, Board
 from failstop.board.port import waiting_bytes
+from failstop.board.wire import MISSING
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -30,7 +31,9 @@ class Tap:
         self.reports: set[int] = set()
         """The kinds of reports that came without a question."""
         self.firmware = ""
-        """Its firmware, if that differs from the usual one."""
+        """Its firmware, where that differs from the usual one."""
+        self.missing: tuple[int, ...] = ()
+        """Servos that answer nothing while others do."""
         self.size = 0
         """Bytes received."""
         self._flow: set[int] = set()
@@ -45,6 +48,8 @@ class Tap:
             self.size += len(data)
             self.reports |= {kind for kind, _ in said} - {HEARD_PONG, HEARD_FIRMWARE}
             self.firmware = next((value[0] for kind, value in said if kind == HEARD_FIRMWARE), self.firmware)
+            for health in [value for kind, value in said if kind == HEARD_HEALTH]:
+                self.missing = tuple(servo for servo, _, _, wrong in health if wrong & MISSING)
             answered = {index for kind, indices in said if kind == HEARD_PONG for index in indices}
             self._flow |= {index for index in answered if index >= self._pings}
             found += [(now_ns, *each) for each in said]

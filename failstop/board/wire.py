@@ -167,11 +167,17 @@ class Battery(Sample, Data):
     volts: float
 
 
-class Health(Sample, Data):
-    """What servos report about themselves: the id, load (a share of the most that the servo gives, negative in the
-    other direction) and temperature of each in degrees Celsius (0: not reported yet)."""
+VOLTAGE, SENSOR, OVERHEAT, OVERCURRENT, OVERLOAD, MISSING = 1, 2, 4, 8, 32, 128
+"""What is wrong with a servo, as bits. The first five are the error byte of a Feetech servo's answer (ERRBIT_* of
+feetech-servo-sdk 1.0.0); MISSING: it answers nothing while others do."""
 
-    rows: tuple[tuple[int, float, int], ...]
+
+class Health(Sample, Data):
+    """Servos, as they say of themselves: of each its id, its load (a share of the most that it gives, negative the
+    other way round), its temperature in degrees Celsius (0: not told yet), and what is wrong with it (VOLTAGE and so
+    on; may be left out)."""
+
+    rows: tuple[tuple[int, float, int] | tuple[int, float, int, int], ...]
 
 
 class Imu(Sample, Data):

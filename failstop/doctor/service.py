@@ -67,6 +67,7 @@ def running(look: Look) -> list[Finding]:
         found += warn(text, "", 'set board.imu = "off" for a robot without one') if state.device.imu else off
     wrong = [f"the arm: {text}" for text in (state.arm.wrong if state.arm else ())]
     wrong += servos.hot(state.servos, look.told)
+    wrong += [f"{part}: {text}" for part, text in state.servos_wrong.items()]
     return found + [row for text in wrong for row in warn(text, f"failstop status --name {look.name}")]
 
 

@@ -163,7 +163,7 @@ SEGMENTS = (
             _latest("wheels", records.WHEELS_SEEN, "gate, supervisor, clients"),  # what is known of them now
             _latest("scale", 1024, "clients"),  # measured over told: wheels, turn, what is wrong, remarks (msgpack)
             _latest("battery", records.BATTERY, "clients"),
-            _latest("health", records.HEALTH, "clients"),
+            _latest("health", records.HEALTH, "supervisor, gate, clients"),
             _latest("bias", records.BIAS, "its successor, clients"),
             _latest("odometry", records.ODOMETRY, "its successor, clients"),
             _latest("pad", records.PAD, "clients"),

@@ -6,6 +6,7 @@ Payloads with a variable shape (state, process table, the stop that people read)
 from __future__ import annotations
 
 import struct
+from itertools import islice
 
 from failstop.data import Data
 
@@ -227,14 +228,15 @@ def _unpack_answer(data: bytes) -> tuple[int | None]:
     return (value if answered else None,)
 
 
-def _pack_health(*rows: tuple[int, float, int]) -> bytes:
-    return b"".join(_SERVO_HEALTH.pack(servo, round(100 * load), at_c) for servo, load, at_c in rows[:MOST_SERVOS])
+def _pack_health(*rows: tuple[int, float, int, int]) -> bytes:
+    packed = (_SERVO_HEALTH.pack(servo, round(100 * load), at_c, wrong) for servo, load, at_c, wrong in rows)
+    return b"".join(islice(packed, MOST_SERVOS))
 
 
-def _unpack_health(data: bytes) -> tuple[tuple[int, float, int], ...]:
+def _unpack_health(data: bytes) -> tuple[tuple[int, float, int, int], ...]:
     if len(data) % _SERVO_HEALTH.size:
         raise ValueError(f"servos in {len(data)} bytes")
-    return tuple((servo, percent / 100, at_c) for servo, percent, at_c in _SERVO_HEALTH.iter_unpack(data))
+    return tuple((servo, percent / 100, *rest) for servo, percent, *rest in _SERVO_HEALTH.iter_unpack(data))
 
 
 def _unpack_doubles(data: bytes) -> tuple[tuple[float, ...]]:
@@ -243,7 +245,7 @@ def _unpack_doubles(data: bytes) -> tuple[tuple[float, ...]]:
     return (tuple([number for (number,) in _DOUBLE.iter_unpack(data)]),)
 
 
-_SERVO_HEALTH = struct.Struct("<BbB")
+_SERVO_HEALTH = struct.Struct("<BbBB")
 _LENGTH = struct.Struct("<H")
 _ANSWER = struct.Struct("<?i")
 _VALUE = struct.Struct("<Bd")
@@ -372,10 +374,10 @@ turned (NaN: not reported)."""
 OLD_READING_NS = 500_000_000
 """An older reading of the wheels says nothing about now."""
 BATTERY: Payload[int, int] = Payload("<IB")
-"""The battery's voltage in mV, and whether the charger is plugged in: an index of PLUGGED."""
-HEALTH = Shape("<", Tail(_pack_health, _unpack_health, MOST_SERVOS * 3))
-"""What servos report about themselves: the id, load (-1 to 1, sent in percent) and temperature of each (degrees
-Celsius; 0: not reported yet)."""
+"""The battery's mV, and whether the charger is plugged in: an index of PLUGGED."""
+HEALTH = Shape("<", Tail(_pack_health, _unpack_health, MOST_SERVOS * _SERVO_HEALTH.size))
+"""Servos, as they say of themselves: of each its id, load (-1 to 1, told in percent) and temperature (degrees Celsius;
+0: not told yet)."""
 PAD: Payload[int, int, int, int, int, int, int] = Payload("<HB4bB")
 """The gamepad's last frame: a bit per button, the hat, axes lx, ly, rx, ry from -128 to 127; an index of PAD_MODES."""
 PAD_COMMAND: Payload[float, float, float] = Payload("<3d")

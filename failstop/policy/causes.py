@@ -303,6 +303,11 @@ RUNAWAY = Kind(
     "the board reported that the {wheel} wheel turned {seen:.2f} turns a second when it was told {told:.2f}",
     "look at that wheel's motor, encoder and wiring, at wheels.sign_* and board.per_rps, and at the slope it stands on",
 )  # fmt: skip
+WHEEL_MISSING = Kind(
+    52, "wheel_missing", "wheel lost: {wheel} does not answer", "telemetry",
+    "the {wheel} answered nothing while another wheel's servo did, so the robot would have turned without it",
+    "look at that servo's plug on the bus, its power and its id; if its wheel turns, use the POWER SWITCH",
+)  # fmt: skip
 NOT_FINITE = Kind(
     13, "not_finite", "command from {who} is not finite", CLIENTS,
     "{who} commanded a velocity that is not a number",

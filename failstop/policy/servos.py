@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from failstop.board.kinds import facts_of
+from failstop.board.wire import MISSING, OVERCURRENT, OVERHEAT, OVERLOAD, SENSOR, VOLTAGE
 from failstop.policy.layouts import WHEEL_NAMES
 from failstop.policy.settings import Settings
 
@@ -13,14 +14,57 @@ if TYPE_CHECKING:
     Health = Mapping[str, tuple[float, int]]
 
 
-def by_part(rows: Iterable[tuple[int, float, int]], settings: Settings) -> dict[str, tuple[float, int]]:
-    """Load and temperature of each servo that turns a wheel or a joint, by a name such as `rear wheel (servo 8)`.
-    `rows`: each id with both values (records.HEALTH)."""
+def by_part(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> dict[str, tuple[float, int]]:
+    """Load and temperature of each servo that turns a wheel or a joint and answers, as in `rear wheel (servo 8)`.
+    `rows`: the ids with both (records.HEALTH)."""
+    parts = _parts(settings)
+    answer = ((servo, load, at_c) for servo, load, at_c, bits in rows if not bits & MISSING)
+    return {parts[servo]: (load, at_c) for servo, load, at_c in answer if servo in parts}
+
+
+def _wheels(settings: Settings) -> tuple[int, ...]:
+    """The servos of the wheels, where each wheel has one on the bus."""
     facts = facts_of(settings.text("board.kind"))
-    wheels = facts.arm.wheels if facts and facts.arm else ()
+    return facts.arm.wheels if facts and facts.arm else ()
+
+
+def _parts(settings: Settings) -> dict[int, str]:
+    """The part that each servo turns, by its id."""
+    wheels = _wheels(settings)
     parts = {servo: f"{name} wheel" for servo, name in zip(wheels, WHEEL_NAMES.get(len(wheels), ()), strict=False)}
     parts |= {int(table["servo"]): f"joint {name}" for name, table in settings.named["joints"].items()}
-    return {f"{parts[servo]} (servo {servo})": (load, at_c) for servo, load, at_c in rows if servo in parts}
+    return {servo: f"{part} (servo {servo})" for servo, part in parts.items()}
+
+
+WRONG = {
+    VOLTAGE: "its supply voltage is out of range",
+    SENSOR: "its position sensor fails",
+    OVERHEAT: "it is too hot",
+    OVERCURRENT: "it takes too much current",
+    OVERLOAD: "it is overloaded",
+    MISSING: "it does not answer",
+}
+"""What is wrong with a servo, by the bits of board/wire.py."""
+
+
+def wrong(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> dict[str, str]:
+    """What is wrong with each servo that reports an error, or does not answer, by the part that it turns."""
+    parts = _parts(settings)
+    found = {parts.get(servo, f"servo {servo}"): bits for servo, _, _, bits in rows if bits}
+    return {part: " and ".join(text for bit, text in WRONG.items() if bits & bit) for part, bits in found.items()}
+
+
+def missing_wheel(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:
+    """The first wheel whose servo does not answer while another wheel's does, as in `rear wheel (servo 8)`; empty: none
+    is known."""
+    wheels = _wheels(settings)
+    return next((_parts(settings)[servo] for servo, _, _, bits in rows if bits & MISSING and servo in wheels), "")
+
+
+def waited_for(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:
+    """What motion waits for while a wheel's servo does not answer; empty: for nothing."""
+    wheel = missing_wheel(rows, settings)
+    return f"the {wheel}, which does not answer" if wheel else ""
 
 
 def summary(servos: Health) -> str:

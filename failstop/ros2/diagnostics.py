@@ -121,7 +121,11 @@ def _battery(state: State) -> StatusMessage:
 def _servos(state: State) -> Iterator[StatusMessage]:
     level = OK if state.is_current(state.ages.servos_s) else STALE
     for name, (load, temperature_c) in state.servos.items():
-        yield _status(name, level, f"{temperature_c} degrees C", temperature_c=temperature_c, load=load)
+        wrong = state.servos_wrong.get(name, "")
+        text = f"{temperature_c} degrees C{f': {wrong}' if wrong else ''}"
+        yield _status(name, max(level, WARN if wrong else OK), text, temperature_c=temperature_c, load=load)
+    for name in state.servos_wrong.keys() - state.servos.keys():
+        yield _status(name, ERROR, state.servos_wrong[name])
 
 
 def _rights(state: State) -> StatusMessage:

@@ -42,7 +42,7 @@ def step(talk: Talk, path: str) -> str:
             known, text, remedy = asking.told_of(heard, first, boards[first])
             kind = heard[-1].kind if heard[-1].known else first if known is None else ""
             if not kind:
-                sought = text if wanted else f"no board that failstop knows answers at {path}"
+                sought = text if wanted or heard[-1].missing else f"no board that failstop knows answers at {path}"
                 talk.draft.forget("board", "port")
                 raise Left(f"{sought}; look at {remedy}")
             if wanted and kind != wanted:

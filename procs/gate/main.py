@@ -9,7 +9,7 @@ from time import monotonic_ns
 from failstop.files import instance, place
 from failstop.messages import layout, records
 from failstop.messages.packing import Note, pack
-from failstop.policy import causes, kinematics, scale
+from failstop.policy import causes, kinematics, scale, servos
 from failstop.policy.causes import Cause, Reply, refused
 from failstop.policy.proofs import WAITS_FOR
 from failstop.policy.settings import PAD_SOURCE
@@ -120,6 +120,7 @@ class Gate:
         self._pad_command = telemetry.latest_reader("pad_command")
         self._pad_seq = newest_number(self._pad_command)
         self._pad_requests = telemetry.ring_reader("pad_requests")
+        self._health, self._settings = telemetry.latest_reader("health"), context.settings
         self._turning = TurningWatch(telemetry.latest_reader("wheels"), context.settings.ns("still.after_s"))
         self._client_bell = context.fd("client_bell")
         self.loop.listen(context.bell("bell"), context.early.bell)
@@ -328,6 +329,8 @@ class Gate:
             return ""
         link = self._link.read()
         waits_for = WAITS_FOR.get(link[2].decode()) if link else None
+        if health := self._health.read():
+            waits_for = waits_for or servos.waited_for(records.HEALTH.unpack(health[2]), self._settings)
         return waits_for or "a process or the port is not up yet, see `failstop status`"
 
     def _enable(self, request: Request, now_ns: int) -> Reply:

@@ -12,7 +12,7 @@ from failstop.board import interface
 from failstop.files.root import state_directory
 from failstop.messages import box, records
 from failstop.messages.packing import NO_FIELDS, Fields, Note, pack
-from failstop.policy import causes
+from failstop.policy import causes, servos
 from failstop.policy.causes import Cause
 from failstop.policy.layouts import WHEEL_NAMES
 from failstop.policy.processes import HANG_NS
@@ -124,6 +124,10 @@ class Telemetry:
         self.loop = Loop()
         self._board = context.board
         self._hearing = self._board.hearing()
+        self._settings = settings
+        self._servos_told: dict[str, str] = {}
+        """What is wrong with which part, as people were told."""
+        self._wheel_missing = ""
         self._stop_key = int(settings["key.stop"])
         self._pad = Pad(settings)
         self._pad_mode = records.PAD_MODES[self._pad.mode]
@@ -511,6 +515,15 @@ class Telemetry:
 
     def _on_health(self, rows: interface.Value, t_ns: int) -> None:
         self._latest["health"].write(records.HEALTH.pack(*rows), t_ns)
+        wrong, told = servos.wrong(rows, self._settings), self._servos_told
+        self._servos_told = wrong
+        for part in [part for part in {**told, **wrong} if told.get(part) != wrong.get(part)]:
+            text, level = wrong.get(part, "nothing is wrong any more"), "" if part in wrong else "notice"
+            self._note("servo", f"{part}: {text}", {"part": part, "wrong": wrong.get(part, "")}, level=level)
+        wheel = servos.missing_wheel(rows, self._settings)
+        if wheel and wheel != self._wheel_missing and self._gate.enabled:
+            self._raise(causes.WHEEL_MISSING(wheel))
+        self._wheel_missing = wheel
 
     def _on_odd(self, said: interface.Value, t_ns: int) -> None:
         what, value = said

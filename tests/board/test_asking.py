@@ -13,10 +13,12 @@ import pytest
 
 from failstop.board.asking import Heard, told_of, turns
 from failstop.board.described import Described
+from failstop.board.feetech import codec
 from failstop.board.interface import HEARD_WHEELS, Board
 from failstop.board.kinds import board_of, is_described, wire_of
 from failstop.board.wire import Wire
 from failstop.policy.layouts import BOARDS
+from failstop_lab.boards.feetech import Bus
 from failstop_lab.boards.hoverboard import Hoverboard
 from failstop_lab.boards.live import LiveModel
 from failstop_lab.machine.robot import DEVICE, Robot
@@ -138,6 +140,20 @@ def test_the_hoverboard_fork_with_22_bytes_of_feedback_is_known_and_named() -> N
     assert known
     assert "its firmware is the fork for hoverboard-robotics' ROS driver, by its feedback of 22 bytes" in text
     assert There("hoverboard", own_speed=True).asked("hoverboard")[-1].firmware == ""
+
+
+@pytest.mark.parametrize("wanted", ["feetech", "rrc"])
+@pytest.mark.parametrize("missing", codec.WHEELS)
+def test_a_bus_on_which_one_wheel_does_not_answer_is_known_and_the_servo_named(missing: int, wanted: str) -> None:
+    on = There("feetech", own_speed=True)
+    assert isinstance(on.model, LiveModel)
+    assert isinstance(on.model.receiver, Bus)
+    on.model.receiver.silent.add(missing)
+    known, text, remedy = told_of(on.asked(wanted), wanted, boards(wanted)[wanted])
+    it = "it is feetech" if wanted == "feetech" else "it is feetech, and board.kind is rrc"
+    assert (known, text) == (False, f"{it}; servo {missing} does not answer while others do")
+    assert remedy == "that servo's plug on the bus, its power and its id"
+    assert not on.turned()
 
 
 @every_board

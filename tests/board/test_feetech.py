@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 from typing import Any
 
 import pytest
@@ -11,8 +12,23 @@ from failstop.board import servos
 from failstop.board.feetech import codec
 from failstop.board.feetech.wire import ANSWERS_NS
 from failstop.board.kinds import wire_of
-from failstop.board.wire import Battery, Health, Wheels
+from failstop.board.wire import (
+    MISSING,
+    OVERCURRENT,
+    OVERHEAT,
+    OVERLOAD,
+    SENSOR,
+    VOLTAGE,
+    Answer,
+    Battery,
+    Health,
+    Sample,
+    Wheels,
+)
 from failstop.messages import records
+from failstop.policy import causes
+from failstop.policy import servos as policy_servos
+from failstop.policy.settings import Settings
 from failstop_lab.boards.feetech import DELAY_NS, LONGEST_DELAY_NS, Bus
 from failstop_lab.boards.line import arrivals, play, stop_writes
 from tests.support.simulated import Simulated
@@ -64,7 +80,7 @@ def test_no_answer_is_taken_from_other_bytes() -> None:
         garbled = [bytearray(answer) for answer in answers]
         garbled[at][rng.randrange(len(garbled[at]))] ^= 1 << bit
         assert not any(isinstance(each, Wheels) for each in codec.Replies().feed(b"".join(map(bytes, garbled))))
-    assert not codec.Replies().feed(b"".join(answers[::-1]))
+    assert not any(isinstance(each, (Wheels, Answer)) for each in codec.Replies().feed(b"".join(answers[::-1])))
 
 
 @pytest.fixture(scope="module")
@@ -117,12 +133,89 @@ def test_servos_tell_of_their_load_temperature_and_supply_once_a_second() -> Non
     answers = b"".join(codec.packet(id_, 0, wheel(118 + id_, load, 30 + id_)) for id_, load in loads.items())
     told = [sample for _ in range(codec.TOLD_EVERY + 1) for sample in reader.feed(answers)]
     health = [sample for sample in told if isinstance(sample, Health)]
-    assert [sample.rows for sample in health] == [((3, -0.25, 41), (7, 0.1, 37), (8, -1.0, 38), (9, 0.0, 39))] * 2
+    rows = (3, -0.25, 41, 0), (7, 0.1, 37, 0), (8, -1.0, 38, 0), (9, 0.0, 39, 0)
+    assert [sample.rows for sample in health] == [rows] * 2
     assert [sample.volts for sample in told if isinstance(sample, Battery)] == [12.5, 12.5]
 
 
 def test_health_is_told_in_whole_percent() -> None:
-    rows = ((3, -0.25, 41), (8, 1.023, 0))
-    assert records.HEALTH.unpack(records.HEALTH.pack(*rows)) == ((3, -0.25, 41), (8, 1.02, 0))
-    with pytest.raises(ValueError, match="servos in 4 bytes"):
-        records.HEALTH.unpack(bytes(4))
+    rows = ((3, -0.25, 41, 32), (8, 1.023, 0, 0))
+    assert records.HEALTH.unpack(records.HEALTH.pack(*rows)) == ((3, -0.25, 41, 32), (8, 1.02, 0, 0))
+    with pytest.raises(ValueError, match="servos in 5 bytes"):
+        records.HEALTH.unpack(bytes(5))
+    many = [(id_, 0.0, 20, 0) for id_ in range(records.MOST_SERVOS + 3)]
+    assert records.HEALTH.unpack(records.HEALTH.pack(*many)) == tuple(many[: records.MOST_SERVOS])
+
+
+def wrongs(samples: list[Sample]) -> list[dict[int, int]]:
+    """What each report of the servos' health says is wrong."""
+    reports = [sample.rows for sample in samples if isinstance(sample, Health)]
+    return [{servo: row[0] for servo, _, _, *row in rows if row and row[0]} for rows in reports]
+
+
+@pytest.mark.parametrize("missing", [(7,), (8,), (9,), (7, 8), (7, 9), (8, 9)])
+def test_a_wheel_that_answers_nothing_while_another_does_is_missing_until_it_answers(missing: tuple[int, ...]) -> None:
+    reader = codec.Replies()
+    answer = {id_: codec.packet(id_, 0, wheel(118, 0, 30)) for id_ in codec.WHEELS}
+    others = b"".join(data for id_, data in answer.items() if id_ not in missing)
+    assert wrongs(reader.feed(b"".join(answer.values()))) == [{}]
+    assert wrongs(reader.feed(others)) == [], "it may have been garbled on the line"
+    assert wrongs(reader.feed(3 * others))[-1] == dict.fromkeys(missing, MISSING)
+    told = wrongs(reader.feed(2 * b"".join(answer.values())))
+    assert told[-1] == {}
+
+
+def test_the_error_byte_of_an_answer_is_told_at_once_and_when_it_is_over() -> None:
+    reader = codec.Replies()
+    whole = [codec.packet(id_, 0, wheel(118, 0, 30)) for id_ in codec.WHEELS]
+    assert wrongs(reader.feed(b"".join(whole))) == [{}]
+    bad = codec.packet(8, OVERLOAD | OVERHEAT, wheel(118, 0, 80))
+    assert wrongs(reader.feed(whole[0] + bad + whole[2])) == [{8: OVERLOAD | OVERHEAT}]
+    assert wrongs(reader.feed(whole[0] + bad + whole[2])) == []
+    assert wrongs(reader.feed(b"".join(whole))) == [{}]
+    joint = codec.packet(3, VOLTAGE | 128, bytes(8))
+    assert wrongs(reader.feed(joint)) == [{3: VOLTAGE}], "the eighth bit is no servo's"
+
+
+@pytest.mark.parametrize("missing", codec.WHEELS)
+def test_a_base_whose_wheel_does_not_answer_is_not_enabled_and_says_which(missing: int) -> None:
+    simulated = Simulated(kind="feetech")
+    bus = bus_of(simulated)
+    bus.silent.add(missing)
+    simulated.wait(3.0)
+    name = f"{('left', 'rear', 'right')[missing - 7]} wheel (servo {missing})"
+    state = simulated.robot.state
+    assert state.servos_wrong == {name: "it does not answer"}
+    assert name not in state.servos
+    with pytest.raises(simulated.failstop.Refused, match=re.escape(f"{name}, which does not answer; next: look at")):
+        simulated.robot.enable()
+    told = " ".join(simulated.command("why")[1].split())
+    assert f"also {name}: it does not answer" in told
+    assert f"do look at the {name}: its plug on the bus, its power and its id, then" in told
+    assert f"{name}: it does not answer" in " ".join(simulated.command("status")[1].split())
+    bus.silent.discard(missing)
+    simulated.wait(2.0)
+    assert simulated.robot.state.servos_wrong == {}
+    simulated.enable()
+
+
+def test_a_wheel_that_stops_answering_while_the_robot_drives_stops_it_by_name() -> None:
+    simulated = Simulated(kind="feetech")
+    simulated.enable()
+    simulated.drive(0.5)
+    assert any(bus_of(simulated).wheels)
+    bus_of(simulated).silent.add(8)
+    simulated.drive(0.6)
+    assert str(simulated.robot.state.cause) == str(causes.WHEEL_MISSING("rear wheel (servo 8)"))
+    assert not any(bus_of(simulated).wheels)
+
+
+def test_what_is_wrong_with_a_servo_has_one_meaning_everywhere() -> None:
+    bits = (VOLTAGE, SENSOR, OVERHEAT, OVERCURRENT, OVERLOAD, MISSING)
+    assert tuple(policy_servos.WRONG) == bits
+    assert policy_servos.MISSING == MISSING
+    rows = ((8, 0.0, 0, OVERHEAT | OVERLOAD), (3, 0.1, 30, 0), (77, 0.0, 0, VOLTAGE))
+    assert policy_servos.wrong(rows, Settings({"board.kind": "feetech"})) == {
+        "rear wheel (servo 8)": "it is too hot and it is overloaded",
+        "servo 77": "its supply voltage is out of range",
+    }

@@ -118,6 +118,7 @@ def reports(number: float) -> Iterator[wire_words.Sample]:
         yield from (wire_words.Battery(value), wire_words.Wheels((value,), (value, 0.0)), wire_words.Obeyed((value,)))
         yield from (wire_words.Imu((value, value, value), (0.0, value, 0.0)), ServoAnswer(value, value, value))  # type: ignore[arg-type]
         yield from (wire_words.Health(((value, value, value),)), wire_words.Health(((1, value, 20),)))  # type: ignore[arg-type]
+        yield wire_words.Health(((1, 0.0, 20, value),))  # type: ignore[arg-type]
 
 
 def recorded(what: int, value: tuple[Any, ...]) -> None:

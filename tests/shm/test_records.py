@@ -23,7 +23,7 @@ U8 = st.integers(0, 255)
 I8 = st.integers(-128, 127)
 SPEED = st.floats(allow_nan=False)
 TOP = 2**64 - 1
-SERVO = st.tuples(U8, st.integers(-102, 102).map(lambda percent: percent / 100), U8)
+SERVO = st.tuples(U8, st.integers(-102, 102).map(lambda percent: percent / 100), U8, U8)
 CAUSE = st.binary(max_size=causes.ARGUMENTS_BYTES + 2)
 """A packed one; what is in it is no matter of the records."""
 
@@ -213,8 +213,8 @@ def test_every_payload_is_under_test() -> None:
 def test_half_a_servo_or_number_is_damage() -> None:
     with pytest.raises(ValueError, match=r"^numbers in 12 bytes$"):
         records.WROTE.unpack(bytes(13))
-    with pytest.raises(ValueError, match=r"^servos in 4 bytes$"):
-        records.HEALTH.unpack(bytes(4))
+    with pytest.raises(ValueError, match=r"^servos in 5 bytes$"):
+        records.HEALTH.unpack(bytes(5))
 
 
 def test_a_shape_takes_its_numbers_and_its_tail_and_nothing_else() -> None:

@@ -11,7 +11,7 @@ from struct import Struct
 
 from failstop.board.checks import counted, number
 from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE, ServoAnswer
-from failstop.board.wire import Answer, Battery, Health, Obeyed, Reader, Sample, Wheels, beyond
+from failstop.board.wire import MISSING, Answer, Battery, Health, Obeyed, Reader, Sample, Wheels, beyond
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -38,6 +38,10 @@ READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 8), SUPPLY: (62, 3), TEMPERA
 position come load and temperature."""
 TOLD_EVERY = 10
 """Answers of the wheels for one report of the supply and the servos' health: about one a second."""
+
+MISSES = 2
+"""Questions in a row that a wheel left unanswered while another one answered: it is missing then. The answer of one
+may be garbled on the line."""
 
 LONGEST_REPLY = 64
 _SIGN = 0x8000
@@ -140,6 +144,13 @@ class Replies(Reader):
         self._kept = b""
         self._wheels: list[bytes] = []
         self._health: dict[int, tuple[float, int]] = {}
+        self._errors: dict[int, int] = {}
+        """The error byte of the newest answer of each servo."""
+        self._misses = dict.fromkeys(WHEELS, 0)
+        self._last, self._size = len(WHEELS) - 1, 0
+        """Which wheel answered last, by its place in WHEELS, and how much."""
+        self._told: dict[int, int] = {}
+        """What was wrong with which servo in the newest report."""
         self._answers = 0
 
     def feed(self, chunk: bytes) -> list[Sample]:
@@ -157,17 +168,47 @@ class Replies(Reader):
             if sum(data[at + 2 : end]) & 0xFF != 0xFF:
                 at += 1
                 continue
-            found += self._heard(servo, data[at + 5 : end - 1])
+            found += self._heard(servo, data[at + 4], data[at + 5 : end - 1])
             at = end
         # Without a head, its first byte may still be the last that came.
         self._kept = data[at:] if at >= 0 else data[-1:]
         return found
 
-    def _heard(self, servo: int, data: bytes) -> list[Sample]:
-        if servo not in WHEELS or len(data) not in SIZES:
-            if len(data) == READS[POSITION][1]:
-                self._health[servo] = _health(data[4:])
-            return _of_the_arm(servo, data)
+    def _heard(self, servo: int, error: int, data: bytes) -> list[Sample]:
+        wheel = servo in WHEELS and len(data) in SIZES
+        if wheel or _of_the_arm(servo, data):
+            self._errors[servo] = error & ~MISSING
+        if wheel:
+            self._count_misses(WHEELS.index(servo), len(data))
+        found = self._wheel(servo, data) if wheel else _of_the_arm(servo, data)
+        if not wheel and len(data) == READS[POSITION][1]:
+            self._health[servo] = _health(data[4:])
+        due = any(isinstance(sample, Answer) for sample in found) and self._answers % TOLD_EVERY == 1
+        if due or self._wrong() != self._told:
+            self._told = self._wrong()
+            found.append(Health(self._rows()))
+        return found
+
+    def _count_misses(self, at: int, size: int) -> None:
+        """A wheel has answered. Those are passed over that are between it and the last one that answered: they answer
+        in the order of WHEELS."""
+        same = at > self._last and size == self._size
+        passed = range(self._last + 1, at) if same else (*range(self._last + 1, len(WHEELS)), *range(at))
+        for other in passed:
+            self._misses[WHEELS[other]] += 1
+        self._misses[WHEELS[at]] = 0
+        self._last, self._size = at, size
+
+    def _wrong(self) -> dict[int, int]:
+        """What is wrong with each servo that has something wrong."""
+        missing = {wheel: MISSING for wheel, misses in self._misses.items() if misses >= MISSES}
+        return {servo: error for servo, error in self._errors.items() if error} | missing
+
+    def _rows(self) -> tuple[tuple[int, float, int, int], ...]:
+        known = {servo: self._health.get(servo, (0.0, 0)) for servo in (*self._health, *self._told)}
+        return tuple((servo, *told, self._told.get(servo, 0)) for servo, told in known.items())
+
+    def _wheel(self, servo: int, data: bytes) -> list[Sample]:
         due = WHEELS[len(self._wheels)]
         if servo != due or any(len(data) != len(other) for other in self._wheels):
             self._wheels = []
@@ -181,7 +222,6 @@ class Replies(Reader):
         self._wheels = []
         found = [Wheels(tuple(map(signed, now)), ()), Obeyed(tuple(map(signed, goals))), Answer(str(len(data)))]
         if self._answers % TOLD_EVERY == 0:
-            health = tuple((servo, *told) for servo, told in self._health.items())
-            found += [Battery(min(decivolts) / 10), Health(health)]
+            found.append(Battery(min(decivolts) / 10))
         self._answers += 1
         return found

@@ -60,6 +60,12 @@ TEXTS = {
         "stalled, or its motor or its encoder is unplugged. The robot is not stopped for that.\n"
         "Next: look at that wheel, its cable and its encoder",
     ),
+    "servo": (
+        "@FAILSTOP_PART@: @FAILSTOP_WRONG@",
+        "A servo of the bus reports an error, or does not answer while others do. Motion can't be enabled while a\n"
+        "wheel's servo does not answer, because that wheel would stand while the others turn.\n"
+        "Next: look at that servo's plug, its power, its id and what blocks it, then failstop status",
+    ),
     "died": (
         "@FAILSTOP_PROCESS@ died",
         "Process @FAILSTOP_PID@ @FAILSTOP_HOW@. Its death was a stop cause; how it died is known only now.\n"

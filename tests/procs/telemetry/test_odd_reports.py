@@ -166,6 +166,7 @@ SAMPLES: dict[str, Callable[[Any, Any], object]] = {
     "a servo": lambda wire, value: wire.Health(((value, 0.0, 20),)),
     "a load": lambda wire, value: wire.Health(((1, value, 20),)),
     "a temperature": lambda wire, value: wire.Health(((1, 0.0, value),)),
+    "a servo's error": lambda wire, value: wire.Health(((1, 0.0, 20, value),)),
     "all servos": lambda wire, value: wire.Health(value),
     "no voltage": lambda wire, value: wire.Battery(),
     "no vectors": lambda wire, value: wire.Imu(),
