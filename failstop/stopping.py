@@ -38,17 +38,18 @@ def stop(
     wait: Callable[[PortError], float],
     say: Callable[[str], None],
     otherwise: Callable[[PortError], bool] = lambda _: False,
+    named_by: int = 0,
 ) -> float:
-    """Write the burst; returns how many seconds it took. `wait` returns for how many seconds to retry, and is called
-    only after the first failure, because the answer may be in a file. `otherwise` is called after each failure; True:
-    another way has sent a stop. Raises the last PortError."""
+    """Write the burst; returns after how many seconds. `wait` says for how many to try, and is asked when the first try
+    has failed: the answer may be in a file. `otherwise`: called after each try that has failed; True: a stop is out by
+    another way. `named_by`: as for open_port(). Raises PortError, the last one met."""
     start_s = time.monotonic()
     wait_s = -1.0
     warned = False
     while True:
         waited_s = time.monotonic() - start_s
         try:
-            write(path, board)
+            write(path, board, named_by=named_by)
         except PortError as error:
             if otherwise(error):
                 return waited_s
@@ -63,10 +64,10 @@ def stop(
             return waited_s
 
 
-def write(path: str, board: Board, servos: tuple[int, ...] = ()) -> None:
-    """Open the port without taking it from anyone, write the whole burst, then the frames that stop an arm with these
-    servos, wait until they are drained, close. Raises PortError."""
-    stop_port = StopPort(open_port(path, exclusive=False, line=board.port), board, servos)
+def write(path: str, board: Board, servos: tuple[int, ...] = (), *, named_by: int = 0) -> None:
+    """Open without taking the port from anyone, write the whole burst, and behind it what stops an arm with these
+    servos, see it drained, close. `named_by`: as for open_port(). Raises PortError."""
+    stop_port = StopPort(open_port(path, exclusive=False, line=board.port, named_by=named_by), board, servos)
     try:
         stop_port.burst()
         stop_port.repeat(board.repeats_ns[SUPERVISOR_ROW])
@@ -78,9 +79,10 @@ def write(path: str, board: Board, servos: tuple[int, ...] = ()) -> None:
         stop_port.close()
 
 
-def answered(path: str, board: Board, *, patient: bool) -> bool | None:
-    """Whether the board answers at a port where its stop was written. None: unknown, because the board answers nothing
-    by design, or a service reads the port. `patient`: wait for a board that opening its port resets. Never raises."""
+def answered(path: str, board: Board, *, patient: bool, named_by: int = 0) -> bool | None:
+    """Whether the board answers at a port where its stop was written; None: that can't be known, because it answers
+    nothing by its nature, or a service reads the port. `patient`: a board that opening its port resets is waited for.
+    Never raises."""
     if not (board.pings or board.echo_ns):
         return None
     # Imported after the stop, which needs neither.
@@ -88,7 +90,7 @@ def answered(path: str, board: Board, *, patient: bool) -> bool | None:
     from failstop.board.tap import Tap
 
     try:
-        fd = open_port(path, exclusive=False, line=board.port)
+        fd = open_port(path, exclusive=False, line=board.port, named_by=named_by)
     except PortError:
         return False
     try:

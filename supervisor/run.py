@@ -122,12 +122,12 @@ class Run:
         self.own.latest_writer("rules").write(pack(rules))
         self.own.latest_writer("settings").write(pack(self.settings.flat()))
 
-    def publish(self) -> None:
-        """Publish the run's name, because everything that clients read exists now. Keep how the run was started. Raises
-        OSError."""
+    def publish(self, stop: str = "") -> None:
+        """Let the run be found by its name: all that clients read is there. Keep how it was started, and the `stop` of
+        your own board, as board/kept.py has it. Raises OSError."""
         device = os.path.abspath(self.settings.text("device.path"))
         kind = self.settings.text("board.kind")
-        instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind))
+        instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind, stop))
         self.published = instance.publish_run(self.runtime_dir, self.incarnation)
         self.named["the name of the run"] = self.published
         for run in self._dead:

@@ -79,6 +79,13 @@ def port_of(name: str) -> str:
     return ""
 
 
+def owner_of(name: str) -> int | None:
+    """The user of a service; None when that can't be known."""
+    with contextlib.suppress(instance.NoService, instance.InstanceError):
+        return instance.current_run(instance.find(name))[1]
+    return None
+
+
 def same(port: str, device: str) -> bool:
     """True if two paths are the same port; compared by name only if the port is missing."""
     with contextlib.suppress(OSError):

@@ -61,22 +61,19 @@ class PortError(Exception):
         self.errno = number
 
 
-def open_port(path: str, *, exclusive: bool, line: Port) -> int:
+def open_port(path: str, *, exclusive: bool, line: Port, named_by: int = 0) -> int:
     """Open the board's port and return its descriptor: non-blocking, close-on-exec, raw, 8N1, as `line` says.
 
     A read with nothing to read raises BlockingIOError; a read of no bytes is a hang-up. With `exclusive`, further
     opens by unprivileged processes fail until every duplicate of the descriptor is closed or release_exclusive() is
     called. Unless a service has the port, the driver is made to tell the board's USB chip the speed, whatever it thinks
     that the chip knows: after a bus reset (a sleep of the machine, for one) the chip has forgotten it. Nothing but a
-    character device is ever opened, and nothing is written. Raises PortError.
+    character device is ever opened, and nothing is written. `named_by`: the user whose file names this path; root opens
+    it with no more than that user's rights. Raises PortError.
     """
     descriptor = -1
     try:
-        mode = os.stat(path).st_mode
-        if not stat.S_ISCHR(mode):
-            what = _FILE_KINDS.get(stat.S_IFMT(mode), "something else")
-            raise PortError("not-a-tty", f"{path} is {what}, not a serial port: name the board's device with --device")
-        descriptor = os.open(path, _OPEN_FLAGS)
+        descriptor = _opened(path, named_by)
         _prepare(path, descriptor, exclusive, line)
     except BaseException as error:
         if descriptor >= 0:
@@ -85,6 +82,18 @@ def open_port(path: str, *, exclusive: bool, line: Port) -> int:
             raise _explain(path, OSError(*error.args)) from None
         raise
     return descriptor
+
+
+def _opened(path: str, named_by: int) -> int:
+    if named_by and not os.geteuid():
+        from failstop.board import named
+
+        return named.opened(path, named_by, _OPEN_FLAGS)
+    mode = os.stat(path).st_mode
+    if not stat.S_ISCHR(mode):
+        what = _FILE_KINDS.get(stat.S_IFMT(mode), "something else")
+        raise PortError("not-a-tty", f"{path} is {what}, not a serial port: name the board's device with --device")
+    return os.open(path, _OPEN_FLAGS)
 
 
 def open_if_there(path: str, line: Port) -> int:

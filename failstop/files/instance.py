@@ -14,6 +14,8 @@ DEFAULT_NAME = "failstop"
 _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
 RUN_DIGITS = 16
 SHARED = "/dev/shm/failstop"
+STOP = "stop "
+"""The begin of the word of a last run that holds a board's stop."""
 LAST_BYTES = 65536
 """Longer than the longest paths of port and settings file, quoted for a shell."""
 
@@ -27,7 +29,11 @@ class Last(Data):
     """The command line that starts it again."""
     servos: tuple[int, ...] = ()
     board: str = ""
-    """The kind of its board; empty if not known."""
+    """The kind of its board; empty: not known."""
+    stop: str = ""
+    """The stop of an own board (board/kept.py); empty: the kind says it."""
+    owner: int = 0
+    """The user whose file says so, who may have written anything into it."""
 
 
 class InstanceError(Exception):
@@ -95,31 +101,33 @@ def publish_run(runtime_dir: str, incarnation: int) -> int:
 
 
 def remember(runtime_dir: str, last: Last) -> None:
-    """Keep how this run was started, for after its end. Raises OSError."""
-    words = last.device, last.command, last.board, *map(str, last.servos)
+    """Keep how this run was started, for when it has ended. Raises OSError."""
+    words = last.device, last.command, last.board, f"{STOP}{last.stop}", *map(str, last.servos)
     os.close(_put(runtime_dir, last_path(runtime_dir), b"\0".join(map(os.fsencode, words))))
 
 
 def last(name: str) -> Last:
-    """How the last run of this name was started, as far as this user may see it. Raises nothing."""
-    found: list[tuple[int, list[str]]] = []
-    # An impossible name; a file that is missing, or can't be trusted.
+    """How the last run of this name was started, as far as this user can see one. Raises nothing."""
+    found: list[tuple[int, int, list[str]]] = []
+    # A name that can't be one; a file that is not there, or not to be trusted.
     with contextlib.suppress(InstanceError):
         for path in map(last_path, places(name)):
             with contextlib.suppress(OSError):
                 found.append(_read(path))
     try:
-        device, command, board, *servos = max(found)[1]
-        return Last(device, command if command.isprintable() else "", tuple(map(int, servos)), board)
+        _, owner, (device, command, board, *rest) = max(found)
+        stop = rest.pop(0).removeprefix(STOP) if rest and rest[0].startswith(STOP) else ""
+        return Last(device, command if command.isprintable() else "", tuple(map(int, rest)), board, stop, owner)
     except ValueError:  # nothing was found, or nonsense
         return Last()
 
 
-def _read(path: str) -> tuple[int, list[str]]:
-    """When a file was written (Unix time, ns), and the words in it. Raises OSError."""
+def _read(path: str) -> tuple[int, int, list[str]]:
+    """When a file was written (Unix time, ns), whose it is, and the words in it. Raises OSError."""
     fd = place.opened(path, os.O_RDONLY)
     try:
-        return os.fstat(fd).st_mtime_ns, os.fsdecode(os.read(fd, LAST_BYTES)).split("\0")
+        info = os.fstat(fd)
+        return info.st_mtime_ns, info.st_uid, os.fsdecode(os.read(fd, LAST_BYTES)).split("\0")
     finally:
         os.close(fd)
 

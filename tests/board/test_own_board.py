@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from failstop import config
-from failstop.board import own, wire
+from failstop.board import kept, own, wire
 from failstop.board.kinds import board_of, wire_of
 from failstop.board.own import OwnBoardError
 from failstop.board.wire import VOCABULARY
@@ -30,6 +30,7 @@ from failstop_lab.trial import Trial
 from tests.support import commands
 from tests.support.boards import own_folder
 from tests.support.pages import ROOT
+from tests.support.simulated import Simulated
 
 
 @pytest.fixture
@@ -267,7 +268,15 @@ def test_a_command_tells_of_it_in_a_line(words: tuple[str, ...], tmp_path: Path)
     assert "no stop can be written to it: use the POWER SWITCH" in line
 
 
-HELD = {1: "cb7b13fe50551498"}
+@pytest.mark.starts
+def test_a_service_keeps_the_stop_of_an_own_board_and_of_no_other(folder: str) -> None:
+    """So that `failstop stop` can write it without running the description."""
+    for kind in (folder, "arduino"):
+        found = Simulated(kind=kind).load("failstop.files.instance").last("failstop")
+        assert (found.board, found.stop) == (kind, kept.text(board_of(kind, 0.08, 0.0)) if kind == folder else "")
+
+
+HELD = {1: "464ac5a532f41919"}
 """Of each vocabulary the words and samples that it offers, shortened. A sample more asks nothing of a description that
 there is: then this is renewed, and the number stays."""
 

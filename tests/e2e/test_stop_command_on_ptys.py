@@ -14,9 +14,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from failstop import instances, stopping
+from failstop import config, instances, stopping
 from failstop.api import ask
-from failstop.board import asking
+from failstop.board import asking, kept
 from failstop.board.interface import SUPERVISOR_ROW, Board
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
@@ -29,6 +29,8 @@ from failstop.policy.halted import MAY_TURN
 from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import Settings
 from tests.support.amounts import amount
+from tests.support.boards import own_folder
+from tests.support.children import NOBODY
 from tests.support.commands import FAILSTOP
 
 
@@ -90,7 +92,7 @@ def test_a_service_that_was_just_starting_is_asked_once_it_listens(
     tries: list[str] = []
     asked: list[str] = []
 
-    def busy(path: str, board: Board, servos: tuple[int, ...] = ()) -> None:
+    def busy(path: str, board: Board, servos: tuple[int, ...] = (), *, named_by: int = 0) -> None:
         tries.append(path)
         raise PortError("busy", f"{path} is held")
 
@@ -207,3 +209,71 @@ def test_nobody_to_tell_it_to_is_no_reason_not_to_stop(stderr: str, board: tuple
     sent = f"failstop: stop frame sent (after 0.0 s), directly to {link}\n{unanswered(link)}"
     assert (done.stderr or "").endswith(sent * (to != full))
     gets(master, BURST)
+
+
+# Your own board, and files of other users.
+
+BREAKS = {
+    "a syntax error": lambda wire: wire.write_text("WIRE = (\n"),
+    "another vocabulary": lambda wire: wire.write_text(wire.read_text().replace("VOCABULARY = 1", "VOCABULARY = 9")),
+    "another user's": lambda wire: os.chown(wire, NOBODY, NOBODY),
+    "an end of the process": lambda wire: wire.write_text("VOCABULARY = 1\nimport os\nos._exit(3)\n"),
+    "gone": lambda wire: wire.unlink(),
+}
+
+
+@pytest.mark.parametrize("broken", BREAKS)
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a file to another user")
+def test_the_stop_of_an_own_board_is_written_whatever_became_of_its_description(
+    broken: str, board: tuple[str, int], tmp_path: Path
+) -> None:
+    link, master = board
+    folder = own_folder(tmp_path / "tank")
+    own = board_of(folder, 0.08, 0.0)
+    kind = instance.Last(link, "failstop run", (), folder, kept.text(own))
+    instance.remember(instances.make_runtime_dir("failstop"), kind)
+    BREAKS[broken](Path(folder, "wire.py"))
+    done = subprocess.run([*FAILSTOP, "stop", "hand near"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert came(master, len(own.burst)).startswith(own.burst)
+    assert "is not known, because its description can't be used" in done.stdout
+
+
+def test_a_kept_stop_that_is_nonsense_is_none() -> None:
+    good = kept.text(board_of("arduino", 0.08, 0.0)).split(" ")
+    assert kept.read(" ".join(good)) is not None
+    for at, wrong in ((0, "-1"), (0, "x"), (3, "9" * 20), (5, "1,x"), (5, ",".join("1" * 9)), (6, "0g"), (6, "")):
+        assert kept.read(" ".join([*good[:at], wrong, *good[at + 1 :]])) is None, (at, wrong)
+    for other in ("", "stop", " ".join(good[:-1]), " ".join([*good, "00"])):
+        assert kept.read(other) is None
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root drops to another user")
+def test_a_port_that_another_user_s_file_names_and_that_is_not_theirs_is_not_written(
+    board: tuple[str, int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Root's stop goes to the port of root's own settings."""
+    link, master = board
+    other, theirs = pty.openpty()
+    os.chmod(os.ttyname(theirs), 0o600)
+    where = instances.make_runtime_dir("failstop")
+    instance.remember(where, instance.Last(os.ttyname(theirs), "failstop run", (), "rrc"))
+    for path in (where, instance.last_path(where)):
+        os.chown(path, NOBODY, NOBODY)
+    settings = Path(config.installed("failstop"))
+    settings.parent.mkdir(parents=True)
+    settings.write_text(f'device.path = "{link}"\n')
+    assert cli.main(["stop"]) == 1
+    gets(master, BURST)
+    assert f"so it went to {link}: is this the board?" in capsys.readouterr().err
+    settings.unlink()
+    assert cli.main(["stop", "--wait", "0"]) == 1
+    said = capsys.readouterr().err
+    assert f"{os.ttyname(theirs)} is named by a file of nobody (uid {NOBODY}), and is not theirs to open: name" in said
+    os.set_blocking(other, False)
+    with pytest.raises(BlockingIOError):
+        os.read(other, 1)
+    assert cli.main(["stop", "--device", os.ttyname(theirs)]) == 1, "a person who names it may"
+    gets(other, BURST)
+    os.close(other)
+    os.close(theirs)

@@ -12,13 +12,14 @@ from math import inf
 
 from failstop import config, instances, stopping
 from failstop.api.errors import FailstopError
-from failstop.board.kinds import board_of
+from failstop.board import kept
+from failstop.board.kinds import board_of, is_own
 from failstop.board.port import PortError
 from failstop.board.servos import HIGHEST_ID
 from failstop.cli import standard
 from failstop.cli.commands import add_name
 from failstop.data import Data
-from failstop.files import instance
+from failstop.files import instance, place
 from failstop.policy.halted import MAY_TURN
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import BY_KEY, MOST_OF_A_FAMILY
@@ -146,7 +147,7 @@ def _ask(order: Order, names: list[str], device: str) -> Outcome:
                 target.complain()
                 return int(target.unproved)
             why_not.append(problem)
-            target.known = target.known or ask.port_of(name)
+            target.learn(ask.port_of(name), ask.owner_of(name))
         target.asked.append(name)
     return "; ".join(filter(None, why_not))
 
@@ -162,7 +163,7 @@ def _write_to_port(order: Order) -> Outcome:
         if error.kind == "busy":
             by_service.extend(_ask_late_service(order))
             return bool(by_service)
-        return error.kind == "absent" and target.wrote_instead()
+        return (error.kind == "absent" or target.is_not_theirs(error)) and target.wrote_instead()
 
     try:
         after_s = target.stop(otherwise=otherwise)
@@ -235,32 +236,61 @@ class Target:
         self._config = arguments.config
         self._problems: list[str] = []
         """Faults of the file that are not told yet."""
+        self._file_owner = 0
         self._unknown = False
         """The file may have named a port: it can't be read, or its port is none."""
-        self.known = ""
-        """The port of a service that runs, by its own word."""
+        self._known = ("", 0)
+        """The port of a service that runs, by its own word, and the service's user."""
         self.asked: list[str] = []
         """Services that were asked, and are not known to have stopped."""
         self.unproved = False
         """A service has stopped, and something speaks against it that the wheels have."""
-        self._instead = ""
-        """The port that was written to in the place of the last run's, which is not there."""
+        self._instead = ("", 0)
+        """The port that was written to in the place of the last run's, which is not there, and who names that."""
+        self._stopped = False
+        """A stop is written: from then on the description of your own board may be run, to ask the board."""
 
     def wanted(self) -> str:
         """The port that the user has named, by an option or by a file; empty: none."""
         return str(self._given.get(DEVICE) or (self._file.get(DEVICE) if self._config else None) or "")
 
+    def learn(self, device: str, owner: int | None) -> None:
+        """A service that runs has this port, by its own word; `owner`: its user."""
+        if device and owner is not None and not self._known[0]:
+            self._known = device, owner
+
     def device(self) -> str:
         """The port to write to."""
-        return self._instead or self.wanted() or self.known or self._last.device or self._guess()
+        return self._chosen()[0]
+
+    def _chosen(self) -> tuple[str, int]:
+        """The port to write to, and the user whose file names it: 0 for root's files, and for an option."""
+        if self._instead[0]:
+            return self._instead
+        if named := self._given.get(DEVICE):
+            return str(named), 0
+        if self._config and DEVICE in self._file:
+            return self._guess()
+        if self._known[0]:
+            return self._known
+        return (self._last.device, self._last.owner) if self._last.device else self._guess()
 
     def board(self) -> Board:
-        """The board at the port: of the last run's kind, where it is that run's, else of the file's."""
+        """The board at the port: of the last run's kind, where it is that run's, else of the file's. Of your own board
+        nothing is run before the stop is out, if the last run has kept its stop."""
         last = self._last.board if self._last.device == self.device() else ""
         kind = str(self._file.get(KIND, DEFAULTS[KIND]))
         with contextlib.suppress(SettingError):
             kind = str(BY_KEY[KIND].check(last))
-        return board_of(kind, 1.0, 0.0)
+        known = kept.read(self._last.stop) if is_own(kind) and kind == self._last.board else None
+        if known and not self._stopped:
+            return known
+        try:
+            return board_of(kind, 1.0, 0.0)
+        except ValueError:
+            if known:
+                return known
+            raise
 
     def told(self) -> str:
         """The port for people, with the reason for its choice."""
@@ -268,11 +298,11 @@ class Target:
         return f"{self.device()}{of}"
 
     def _is_last(self) -> bool:
-        return bool(self._last.device) and not (self.wanted() or self.known or self._instead)
+        return bool(self._last.device) and not (self.wanted() or self._known[0] or self._instead[0])
 
-    def _guess(self) -> str:
-        """The port where nothing else says which."""
-        return str(self._file.get(DEVICE, DEFAULTS[DEVICE]))
+    def _guess(self) -> tuple[str, int]:
+        """The port where nothing else says which, and the user whose file names it."""
+        return (str(self._file[DEVICE]), self._file_owner) if DEVICE in self._file else (str(DEFAULTS[DEVICE]), 0)
 
     @cached_property
     def _last(self) -> instance.Last:
@@ -293,9 +323,11 @@ class Target:
         table: dict[str, Any] = {}
         try:
             table = config.read(path) if self._config or os.path.exists(path) else {}
+            self._file_owner = os.stat(path).st_uid if table else 0
         except SettingError as error:
             self._problems.append(str(error))
             self._unknown = True
+        self._unknown |= any(key.endswith(f".{DEVICE}") for key in table)  # below another [table]
         for key in (key for key in DEFAULTS if key in table):
             try:
                 table[key] = BY_KEY[key].check(table[key])
@@ -324,11 +356,14 @@ class Target:
             return elsewhere
 
         try:
-            after_s = stopping.stop(self.device(), self.board(), wait_s, standard.say, another)
-            if elsewhere and not self._instead:
+            device, owner = self._chosen()
+            after_s = stopping.stop(device, self.board(), wait_s, standard.say, another, owner)
+            if elsewhere and not self._instead[0]:
                 return after_s
+            self._stopped = True
             if servos := self._servos():  # the wheels come first
-                stopping.write(self.device(), self.board(), servos)
+                device, owner = self._chosen()
+                stopping.write(device, self.board(), servos, named_by=owner)
         except KeyboardInterrupt:
             standard.say(f"ended before a stop was known to be written to {self.device()}: {MAY_TURN}")
             raise
@@ -340,20 +375,27 @@ class Target:
         """True when a stop went to the port where a board is looked for without a last run: that run's is not there,
         and a replug may have given the board another."""
         other = self._guess()
-        if not self._is_last() or other == self._last.device:
+        if not self._is_last() or other[0] == self._last.device:
             return False
         try:
-            stopping.write(other, self.board())
+            stopping.write(other[0], self.board(), named_by=other[1])
         except PortError:
             return False
         self._instead = other
         return True
 
+    def is_not_theirs(self, error: PortError) -> bool:
+        """True when the user whose file names the port could not have opened it."""
+        return bool(self._chosen()[1]) and not os.geteuid() and error.kind in ("permission", "not-a-tty")
+
     def unheard(self, *, patient: bool) -> bool:
         """True if the board could answer and does not, which is printed; so is its answer. `patient`: as in
         stopping.answered()."""
-        device, board = self.device(), self.board()
-        heard = stopping.answered(device, board, patient=patient)
+        (device, owner), board = self._chosen(), self.board()
+        if isinstance(board, kept.Kept):
+            standard.tell("whether the board has heard it is not known, because its description can't be used")
+            return False
+        heard = stopping.answered(device, board, patient=patient, named_by=owner)
         if heard:
             how = "answers" if board.pings else "reports that it obeys zero speed"
             standard.tell(f"the board at {device} {how}")
@@ -375,13 +417,13 @@ class Target:
 
     def doubtful(self) -> bool:
         """True, and said, when the port that was written to is a mere guess."""
-        if self._instead:
+        if self._instead[0]:
             gone = f"{self._last.device} of the last run is not there"
-            standard.say(f"{gone}, so it went to {self._instead}: is this the board? Name it with --device")
+            standard.say(f"{gone}, so it went to {self._instead[0]}: is this the board? Name it with --device")
             return True
         if self._is_last():
             return False
-        if self.wanted() or self.known or DEVICE in self._file:
+        if self.wanted() or self._known[0] or DEVICE in self._file:
             return False
         if not self._unknown and self._name == instance.DEFAULT_NAME:
             return False
@@ -390,14 +432,18 @@ class Target:
 
     def explained(self, error: PortError) -> str:
         """Why no stop was written, and what to do: with the name of the process that holds the port, if it is found."""
-        if error.kind == "absent" and self._is_last() and self._guess() != self._last.device:
-            return f"{error} (it was the last run's; {self._guess()} is not there either); {MAY_TURN}"
+        device, owner = self._chosen()
+        if error.kind == "absent" and self._is_last() and self._guess()[0] != self._last.device:
+            return f"{error} (it was the last run's; {self._guess()[0]} is not there either); {MAY_TURN}"
+        if self.is_not_theirs(error):
+            what = "is no serial port" if error.kind == "not-a-tty" else "is not theirs to open"
+            named = f"{device} is named by a file of {place.user(owner)}, and {what}"
+            return f"{named}: name the board's port with --device; {MAY_TURN}"
         if error.kind != "busy":
             return f"{error}; {MAY_TURN}"
         # Only here: it looks at every process.
         from failstop.doctor.system import System
 
-        device = self.device()
         holders, _ = System().holders(device)
         who = dict.fromkeys(f"the service {it.instance!r}" if it.instance else str(it) for it in holders)
         asked = f"; asked in vain: {', '.join(self.asked)}" if self.asked else ""

@@ -1,0 +1,61 @@
+"""Kept: the stop of an own board as plain numbers and bytes. The service keeps it in its runtime directory, so that
+`failstop stop` can write it without running the description, which is somebody's program, and may be broken by now."""
+
+from __future__ import annotations
+
+from failstop.board.interface import Board
+from failstop.board.wire import Port
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+FIELDS = 7
+MOST_BYTES = 4096
+"""Of a burst."""
+MOST_REPEATS = 8
+MOST_NS = 2_000_000_000
+"""Of each time."""
+
+
+def text(board: Board) -> str:
+    """The stop of a board, in one line for read(). Every writer's repeats are those of the last row."""
+    port = board.port
+    numbers = (port.baud, int(port.dtr), int(port.rts), board.idle_ns, board.after_ns)
+    repeats = ",".join(map(str, board.repeats_ns[-1]))
+    return " ".join((*map(str, numbers), repeats or "-", board.burst.hex()))
+
+
+def read(kept: str) -> Kept | None:
+    """The stop that text() made a line of; None for any other line."""
+    words = kept.split(" ")
+    try:
+        baud, dtr, rts, idle_ns, after_ns = map(int, words[:5])
+        repeats = () if words[5] == "-" else tuple(map(int, words[5].split(",")))
+        burst = bytes.fromhex(words[6])
+    except (ValueError, IndexError):
+        return None
+    times = (idle_ns, after_ns, *repeats)
+    fits = len(words) == FIELDS and 0 < len(burst) <= MOST_BYTES and len(repeats) <= MOST_REPEATS
+    if not fits or not all(0 <= ns <= MOST_NS for ns in times) or baud <= 0:
+        return None
+    return Kept(Port(baud=baud, dtr=bool(dtr), rts=bool(rts), deaf_ns=0, opening=()), idle_ns, after_ns, repeats, burst)
+
+
+class Kept(Board):
+    """A board of which nothing but its stop is known: it is asked nothing."""
+
+    __slots__ = ("after_ns", "burst", "first_stop", "idle_ns", "port", "repeats_ns", "stop")
+
+    pings = ()
+    echo_ns = 0
+    name = "your own board"
+
+    def __init__(self, port: Port, idle_ns: int, after_ns: int, repeats_ns: tuple[int, ...], burst: bytes) -> None:
+        self.port, self.idle_ns, self.after_ns = port, idle_ns, after_ns
+        self.repeats_ns = (repeats_ns,) * 3
+        self.burst = self.first_stop = self.stop = burst
+
+    def burst_with(self, servos: Sequence[int]) -> bytes:
+        """The stop: an own board has no servos."""
+        return self.burst

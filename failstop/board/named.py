@@ -1,0 +1,80 @@
+"""Named: opening a serial port whose path another user has named, with that user's rights and no more.
+
+A file that belongs to somebody else may name any path: root's own devices, a device whose opening alone does something,
+a file system that never answers. So root looks the path up as that user, takes nothing but a terminal that this user
+may read and write, and then opens that very node. As root again, because a service that holds the port exclusively must
+not keep root's stop out.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+
+_PTS = range(136, 144)
+_BY_NUMBER = (4, 166, 188, 204, *_PTS)
+"""Majors of terminals where the system says nothing of a device's class: UARTs, USB, the Pi's pins, ptys."""
+_NO_BOARD = 5
+"""/dev/tty, /dev/console and /dev/ptmx."""
+PASSWD, GROUP = "/etc/passwd", "/etc/group"
+
+
+def opened(path: str, uid: int, flags: int) -> int:
+    """Open a terminal that the user `uid` may read and write; needs root. Raises OSError."""
+    gid, groups = _groups(uid)
+    before = os.getegid(), os.getgroups()
+    os.setgroups(groups)
+    os.setegid(gid)
+    os.seteuid(uid)
+    try:
+        node = os.open(path, os.O_PATH | os.O_CLOEXEC)
+    finally:
+        os.seteuid(0)
+        os.setegid(before[0])
+        os.setgroups(before[1])
+    try:
+        found = os.fstat(node)
+        if not stat.S_ISCHR(found.st_mode) or not _is_terminal(found.st_rdev):
+            raise OSError(errno.ENOTTY, os.strerror(errno.ENOTTY), path)
+        if not _may(found, uid, {gid, *groups}):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)
+        return os.open(f"/proc/self/fd/{node}", flags)
+    finally:
+        os.close(node)
+
+
+def _is_terminal(device: int) -> bool:
+    number = os.major(device)
+    if number in _PTS or number == _NO_BOARD:
+        return number != _NO_BOARD
+    try:
+        return os.path.basename(os.readlink(f"/sys/dev/char/{number}:{os.minor(device)}/subsystem")) == "tty"
+    except OSError:
+        return number in _BY_NUMBER
+
+
+def _may(found: os.stat_result, uid: int, groups: set[int]) -> bool:
+    """Whether a user may read and write a node, by its mode."""
+    shift = 6 if found.st_uid == uid else 3 if found.st_gid in groups else 0
+    return found.st_mode >> shift & 0o6 == 0o6
+
+
+def _groups(uid: int) -> tuple[int, list[int]]:
+    """The user's own group, and the others. By the files alone: a directory service that does not answer must not hold
+    a stop up."""
+    name, gid = "", 65534
+    for fields in _rows(PASSWD, 4):
+        if fields[2] == str(uid):
+            name, gid = fields[0], int(fields[3])
+            break
+    return gid, [int(fields[2]) for fields in _rows(GROUP, 4) if name and name in fields[3].split(",")]
+
+
+def _rows(path: str, least: int) -> list[list[str]]:
+    try:
+        with open(path, encoding="utf-8", errors="replace") as file:
+            rows = [line.rstrip("\n").split(":") for line in file]
+    except OSError:
+        return []
+    return [row for row in rows if len(row) >= least and row[2].isdigit()]
