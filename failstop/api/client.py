@@ -84,7 +84,7 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
         asks = reason.plain(who)[0]
         bell.send(fd, records.asking(words, asks, os.getpid(), row))
         if not whole:
-            _say_more(fd, why, asks)
+            _say_more(os.dup(fd), why, asks)
     except OSError as error:
         path = instance.stop_path(directory)
         raise NoService(f"the stop pipe {path} can't be written ({error.strerror}): use `failstop stop`") from None
@@ -93,10 +93,24 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
 
 
 def _say_more(fd: int, why: object, who: str) -> None:
-    """Send the object's own text once the first request was read, because the service reports only the first of several
-    that it reads at once. Text that comes too late is dropped: it would stop the robot again after a reset."""
-    until_s = time.monotonic() + OWN_WORDS_S
-    with contextlib.suppress(Exception):
+    """Have the object's own words sent, and wait for that, OWN_WORDS_S at most. A thread of its own asks the object,
+    because its code may never return. `fd`: of the stop pipe, closed at its end."""
+    # Only a reason that has a code of its own needs it.
+    from threading import Thread
+
+    asking = Thread(target=_own_words, args=(fd, why, who, time.monotonic() + OWN_WORDS_S), daemon=True)
+    try:
+        asking.start()
+    except RuntimeError:  # no more threads, or the interpreter ends: the stop itself is out
+        os.close(fd)
+    else:
+        asking.join(OWN_WORDS_S)
+
+
+def _own_words(fd: int, why: object, who: str, until_s: float) -> None:
+    """Send the object's own words, once the first request is read: of several that are read at once only the first
+    is told of. Words that come late would be a stop after somebody's reset."""
+    with contextlib.suppress(BaseException), contextlib.closing(os.fdopen(fd, "wb", buffering=0)):
         words = reason.own(why)
         while unread(fd) and time.monotonic() < until_s:
             time.sleep(OWN_WORDS_S / 100)

@@ -211,12 +211,13 @@ class AsyncRobot(Calls):
         return self
 
     async def __aexit__(self, *raised: object) -> None:
+        in_order = not isinstance(raised[1], Exception)
         try:
-            if self._enabled and self._disable_on_exit and self._connected:
-                with contextlib.suppress(FailstopError):
+            with contextlib.suppress(FailstopError):
+                if self._takes_back(in_order=in_order):
                     await self._answered(records.DISABLE)
         finally:
-            self._close(in_order=not isinstance(raised[1], Exception))
+            self._end(in_order=in_order)
 
     def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = FIRST_SOURCE) -> Answer:
         """Like Robot.drive, but it never waits: the answer is the gate's last decision, which is about the command

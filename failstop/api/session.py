@@ -122,18 +122,27 @@ class Session:
 
     def _close(self, *, in_order: bool) -> None:
         try:
-            connected = self._connected
-            if self._enabled and self._disable_on_exit and connected:
-                # Close even if disabling fails; closing stops the wheels too.
-                with contextlib.suppress(FailstopError):
-                    # The gate answers the death of a driver, and reports whose it was.
-                    if in_order or not connected.drove or self.settings["gate.driver_death"] == "stay":
-                        sleep_through(self._asking(records.DISABLE))
+            # A failure to disable keeps nobody from closing; the wheels stop by that too.
+            with contextlib.suppress(FailstopError):
+                if self._takes_back(in_order=in_order):
+                    sleep_through(self._asking(records.DISABLE))
         finally:
-            with self._lock:
-                self._closed = True
-                self._leave(in_order=in_order)
-                self._run = None
+            self._end(in_order=in_order)
+
+    def _takes_back(self, *, in_order: bool) -> bool:
+        """Whether this Robot disables at its end the motion that it enabled. The death of a driver is for the gate to
+        answer, which tells people whose it was. Raises FailstopError."""
+        connected = self._connected
+        if not (self._enabled and self._disable_on_exit and connected):
+            return False
+        return in_order or not connected.drove or self.settings["gate.driver_death"] == "stay"
+
+    def _end(self, *, in_order: bool) -> None:
+        """Give the client slot back, for good."""
+        with self._lock:
+            self._closed = True
+            self._leave(in_order=in_order)
+            self._run = None
 
     def _leave(self, *, in_order: bool = True) -> None:
         connected, self._connected = self._connected, None

@@ -28,9 +28,10 @@ CONNECT_S = 3.0
 """How long a connection may take."""
 FIRST_WAIT_S = 0.5
 LONGEST_WAIT_S = 5.0
+"""Between two attempts; from the first to the longest each wait is twice the one before."""
 SPREAD = 0.2
-"""Between two attempts: doubling, and up to this share shorter or longer, so that a broker that comes back is not
-overrun by all robots at once."""
+"""Each wait is up to this share shorter or longer, so that a broker that comes back is not overrun by all robots at
+once."""
 LONGEST_PAUSE_S = (1 + SPREAD) * LONGEST_WAIT_S + CONNECT_S
 """After so long a client that can reach the broker is connected again."""
 NOT_YET = "not connected yet"

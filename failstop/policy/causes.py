@@ -28,6 +28,7 @@ LONGEST_PID = 10
 NOT_KNOWN = "not known yet"
 """Stands for a name that is not known yet. The asker completes its cause by asking once more."""
 A_RESET = "a reset"
+SECOND_ROBOT = "a second Robot in the same program"
 NEW_RUN = "a new start of the service"
 CLIENTS = "gate"
 """The process that notices what clients do."""
@@ -208,6 +209,13 @@ BY = " (says it is "
 """What follows the words in the text of a stop that was asked for."""
 
 
+def rival_of(who: str, other: str) -> str:
+    """A second client as the rival of `who`; both are a name and a pid. Two clients of one process are two Robots in
+    one program, and not two programs."""
+    pid = who.rpartition(" (pid ")[1:]
+    return SECOND_ROBOT if any(pid) and pid == other.rpartition(" (pid ")[1:] else other
+
+
 def completed(latched: Cause, later: Cause) -> bool:
     """Whether a later stop tells what the cause of the latched one lacked: both of one program, which
     said at first that something is not known yet. It happens once, as nothing is lacking then."""
@@ -316,7 +324,8 @@ NOT_FINITE = Kind(
 TWO_PUBLISHERS = Kind(
     14, "two_publishers", "multiple {source} publishers: {who}, {rival}", CLIENTS,
     "{who} and {rival} both commanded as {source}",
-    "end one of them, or give it a source of its own in the settings ([sources.NAME])",
+    "end one of them (in one program use one Robot for all), or give it a source of its own in the settings "
+    "(sources.NAME.priority)",
 )  # fmt: skip
 BUTTON = Kind(
     15, "button", "gamepad button 0x{buttons:04X}", "telemetry",

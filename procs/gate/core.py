@@ -131,7 +131,7 @@ class GateCore:
             return None
         rival = self.sources.rival(command, now_ns)
         if rival is not None:
-            return causes.TWO_PUBLISHERS(command.source, rival.who, command.who)
+            return causes.TWO_PUBLISHERS(command.source, rival.who, causes.rival_of(rival.who, command.who))
         self.sources.put(command, now_ns)
         if command.session != PAD_SESSION:
             self._drivers[command.session] = command

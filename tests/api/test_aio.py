@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 import time
 
@@ -112,6 +113,38 @@ def test_nothing_that_holds_the_wheels_makes_the_loop_wait(trial: Trial, monkeyp
     assert asyncio.run(drives()) == [Block.DISABLED, Block.NO_SCAN, None, Block.LATCHED]
     monkeypatch.undo()
     assert not trial.robot.state.enabled
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_gate_that_is_silent_does_not_make_the_loop_wait_at_the_end(
+    trial: Trial, monkeypatch: pytest.MonkeyPatch, fails: bool
+) -> None:
+    slept: list[float] = []
+    turns = 0
+
+    async def counts() -> None:
+        nonlocal turns
+        while True:
+            turns += 1
+            await asyncio.sleep(0)
+
+    async def drives() -> None:
+        nonlocal turns
+        async with Robot.connect(trial.name, answer_s=0.2) as robot:
+            await robot.enable()
+            counting = asyncio.create_task(counts())
+            monkeypatch.setattr("failstop.api.client.Client.answer", lambda *_: None)
+            monkeypatch.setattr(time, "sleep", slept.append)
+            if fails:
+                raise KeyError("of the program")
+        counting.cancel()
+
+    with pytest.raises(KeyError) if fails else contextlib.nullcontext():
+        asyncio.run(drives())
+    monkeypatch.undo()
+    assert slept == []
+    assert turns > 10
+    trial.robot.disable()
 
 
 async def _ask(robot: AsyncRobot) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import threading
 from enum import Enum
 
 import pytest
@@ -139,9 +140,27 @@ def test_the_stop_is_out_before_an_object_is_asked_for_its_words(trial: Trial) -
             latched.append(trial.robot.wait_for("latched", 5.0).cause)
             raise SystemExit
 
-    with pytest.raises(SystemExit):
-        trial.robot.estop(Waits())
+    trial.robot.estop(Waits())
+    wait_for("its words to be asked for", lambda: latched)
     assert [str(cause).partition(" (")[0] for cause in latched] == ["stop request: Waits"]
+
+
+def test_an_object_that_never_gives_its_words_holds_nobody_up(trial: Trial) -> None:
+    over, ended = threading.Event(), threading.Event()
+
+    class Hangs:
+        def __str__(self) -> str:
+            over.wait(20.0)
+            ended.set()
+            return "too late"
+
+    log = EventLog(trial.name)
+    trial.robot.estop(Hangs())
+    assert not ended.is_set()
+    over.set()
+    assert ended.wait(5.0)
+    assert str(trial.robot.wait_for("latched", 5.0).cause).startswith("stop request: Hangs (")
+    assert not any("too late" in event.text for event in log.read())
 
 
 def test_words_that_come_late_are_no_second_stop(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:

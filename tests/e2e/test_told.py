@@ -115,7 +115,7 @@ def test_a_second_publisher_is_shown_with_the_first(simulated: Simulated) -> Non
         simulated.drive(0.2)
         simulated.stops(sent_ns, 21)
         found = simulated.json("status")
-    who = f"trial (pid {simulated.pid}), rival (pid {simulated.pid})"
+    who = f"trial (pid {simulated.pid}), a second Robot in the same program"
     latched(found, f"multiple cmd_vel publishers: {who}")
     assert {client["name"] for client in found["clients"]} == {"trial", "rival"}
 

@@ -136,7 +136,7 @@ class Arm:
 
     def _rival(self, session: int, who: str, now_ns: int) -> Cause | None:
         other = self.core.publisher(session, now_ns)
-        return causes.TWO_MOVE_THE_ARM(other, who) if other else None
+        return causes.TWO_MOVE_THE_ARM(other, causes.rival_of(other, who)) if other else None
 
     def _follow_pad(self, closed: str, now_ns: int) -> Cause | None:
         """Treat the gamepad in its joint mode like any other publisher. A joint that it lets go of is held."""
