@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
+from failstop import config
 from lerobot_robot_failstop.config_failstop import JOINTS
 
 WANTED = ("id", "range_min", "range_max")
@@ -18,18 +20,27 @@ scan.gate = "off"   # LeKiwi has no obstacle sensor
 """
 
 
+HIGHEST = 4095
+"""The last step of a servo's turn."""
+FULL_TURN = "wrist_roll"
+"""The joint that LeRobot gives the whole turn."""
+WIDEST, NARROWEST = 3500, 100
+"""Steps of any other joint of LeKiwi's arm: its links meet before it has made so many, and it moves by more than so few
+when its ends are recorded."""
+
+
 def tables(calibration: Any) -> str:
     """The joints' settings, each line with its whole name, so that it may stand anywhere in a file. Raises ValueError
-    for what is no calibration of an arm."""
+    for what is no calibration of an arm, or can't be right."""
     rows = calibration if isinstance(calibration, dict) else {}
     found = []
     for name in JOINTS:
         row = rows.get(f"arm_{name}")
-        if not isinstance(row, dict) or not all(isinstance(row.get(key), int) for key in WANTED):
+        if not isinstance(row, dict) or not all(type(row.get(key)) is int for key in WANTED):
             raise ValueError(f"no arm_{name} with {', '.join(WANTED)}: is it LeKiwi's calibration?")
         low, high = row["range_min"], row["range_max"]
-        if low >= high:
-            raise ValueError(f"arm_{name} has a range from {low} to {high}: calibrate it again")
+        if wrong := _wrong(name, low, high):
+            raise ValueError(f"arm_{name} has a range from {low} to {high}: {wrong}")
         values = {"servo": row["id"], "zero": (low + high) // 2, "low": low, "high": high}
         offset = row.get("homing_offset")
         if type(offset) is int and offset:
@@ -38,14 +49,43 @@ def tables(calibration: Any) -> str:
     return "\n".join(found)
 
 
+def _wrong(name: str, low: int, high: int) -> str:
+    """Why a joint's range can't be right, and what to do; empty: it can."""
+    if low >= high:
+        return "calibrate it again"
+    if low < 0 or high > HIGHEST:
+        return f"a servo has the steps 0 to {HIGHEST}: calibrate it again"
+    if high - low < NARROWEST:
+        return f"{high - low} steps are no joint's range: calibrate it again, and move every joint from end to end"
+    if high - low > WIDEST and name != FULL_TURN:
+        return (
+            f"{high - low} of {HIGHEST + 1} steps are more than this joint can turn, so its servo's zero lies within "
+            "its range: calibrate it again, with the arm in the middle of its ranges when LeRobot asks for that"
+        )
+    return ""
+
+
+def _check(made: str) -> None:
+    """Have failstop look at the settings before anybody appends them. Raises ValueError."""
+    with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as file:
+        file.write(made)
+        file.flush()
+        try:
+            config.load(file.name)
+        except ValueError as error:
+            raise ValueError(str(error).removeprefix(f"{file.name}: ")) from None
+
+
 def main(words: list[str]) -> int:
     """Print them, or say on stderr why not. Returns the exit code."""
     if len(words) != 1:
         sys.stderr.write("usage: python -m lerobot_robot_failstop CALIBRATION.json\n")
         return 2
     try:
-        sys.stdout.write(HEAD + tables(json.loads(Path(words[0]).read_text("utf-8"))))
-    except (OSError, ValueError) as error:
+        made = HEAD + tables(json.loads(Path(words[0]).read_text("utf-8")))
+        _check(made)
+        sys.stdout.write(made)
+    except (OSError, ValueError, RecursionError) as error:
         sys.stderr.write(f"{words[0]}: {error}\n")
         return 1
     return 0
