@@ -210,7 +210,13 @@ def advice(*, realtime: bool, managed: bool) -> str:
     `managed`: a service manager started it."""
     if realtime:
         return GRANTED
-    command = UNIT.format(unit=own_unit()) if managed else CONTAINER if in_container() else SHELL
+    # Imported for a refusal only.
+    from failstop.supervisor import refused
+
+    unit = own_unit() if managed else ""
+    if by_group := refused.advice(unit=unit, container=in_container()):
+        return by_group
+    command = UNIT.format(unit=unit) if managed else CONTAINER if in_container() else SHELL
     return f"give it real-time rights: {command}"
 
 

@@ -56,7 +56,12 @@ def rights(look: Look) -> list[Finding]:
 
 def _grant(look: Look) -> tuple[str, str]:
     """The command that gives the service its rights, and what is to be done besides."""
-    if look.unit.get("MainPID") == look.pid:
+    managed = look.unit.get("MainPID") == look.pid
+    lacks = not look.state or not all(row.realtime for row in look.state.processes.values())
+    unit = unit_of(look.name) if look.state and managed else ""
+    if by_group := look.system.refused(look.pid, unit) if lacks else "":
+        return "", by_group
+    if managed:
         lines = "LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]; in a container the host decides"
         return f"sudo systemctl edit {unit_of(look.name)}", lines
     return "", f"give it real-time rights: {status.CONTAINER if look.system.contained() else status.SHELL}"

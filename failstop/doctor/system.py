@@ -27,7 +27,7 @@ from failstop.files import instance as files_instance
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.procs import rights
 from failstop.shm import futex
-from failstop.supervisor import status
+from failstop.supervisor import refused, status
 
 SHM = "/dev/shm"
 PSEUDO_MAJORS = range(136, 144)
@@ -263,6 +263,10 @@ class System:
     def realtime(self, priority: int = 1) -> AbstractContextManager[bool]:
         """Whether this process gets real-time priority; it has it within."""
         return rights.realtime(priority)
+
+    def refused(self, pid: str, unit: str) -> str:
+        """Why a process is refused real-time priority that its limits allow, and what helps; empty: they don't."""
+        return refused.advice(pid, unit=unit, container=self.contained())
 
     def ticks(self, seconds: float = TICKS_S) -> tuple[bool, list[int]]:
         """How late this process is woken, ns, each time; at the gate's priority (True) if it is given that."""

@@ -406,6 +406,14 @@ def test_ticks_in_numbers() -> None:
     assert text == "woken late at ordinary priority: median 50 us, 99 % 99 us, worst 100 us of 101"
 
 
+def test_what_refuses_rights_that_are_granted_already_is_told_in_the_place_of_them() -> None:
+    for changed in ({"service": NOBODY, "realtime": False}, {"service": serving(processes=UNRIGHTED)}):
+        [(_, fix, advice)] = said(look(**changed, refused="its control group"), "rights")
+        assert (fix, advice) == ("", "its control group")
+    unlocked = look(service=serving(processes=UNLOCKED), refused="its control group")
+    assert "its control group" not in str(said(unlocked, "rights")), "it has real-time priority"
+
+
 @pytest.mark.parametrize(("contained", "remedy"), [(False, "prlimit --pid $$ --rtprio"), (True, "--cap-add SYS_NICE")])
 @pytest.mark.parametrize(
     "changed", [{"service": NOBODY, "realtime": False}, {"service": serving(processes=UNRIGHTED), "unit": {}}]

@@ -1,0 +1,113 @@
+"""Refused: why the kernel gives a process no real-time priority although its limits and capabilities allow it, and what
+helps. That is its control group (RT_GROUP_SCHED), or a filter of system calls.
+
+A kernel that is built with RT_GROUP_SCHED gives each group of the controller cpu a time for real-time processes, and a
+new group has none. On cgroup v1 root can give it some; on cgroup v2 there is no file for that.
+"""
+
+from __future__ import annotations
+
+import os
+
+from failstop.policy.processes import SUPERVISOR_PRIORITY
+
+PROC, GROUPS, BOOT = "/proc", "/sys/fs/cgroup", "/boot"
+OPTION = "CONFIG_RT_GROUP_SCHED="
+SYS_NICE = 23
+"""The bit of CAP_SYS_NICE."""
+FIRST_USERS = ["0", "0", "4294967295"]
+"""The map of the user namespace in which capabilities count for this."""
+RUNTIME = "cpu.rt_runtime_us"
+RUNTIME_US = 950000
+"""As the root group has it."""
+
+ALLOWED = "its limits allow real-time priority, but"
+NO_TIME = f"{ALLOWED} its control group has no time for it (RT_GROUP_SCHED)"
+SHELL_V1 = NO_TIME + ": `sudo sh -c '{writes}'`, then start it again in the same shell"
+UNIT_V1 = NO_TIME + ": `sudo systemctl edit {unit}`, with ExecStartPre=+/bin/sh -c '{writes}' under [Service]"
+CONTAINER_V1 = (
+    f"{NO_TIME}: start Docker's daemon with `--cpu-rt-runtime={RUNTIME_US}`, and the container with that option too"
+)
+V2 = (
+    f"{NO_TIME}, and cgroup v2 can give it none: start the kernel with `rt_group_sched=0` (Linux 6.16 or newer), or use a "
+    f"kernel without {OPTION.rstrip('=')}"
+)
+FILTER = (
+    f"{ALLOWED} the kernel refuses it: look at RestrictRealtime= of its unit, or the seccomp filter of its container"
+)
+
+
+def advice(pid: int | str = "self", *, unit: str = "", container: bool = False, priority: int = 0) -> str:
+    """Why a process that has no real-time priority was refused it, and what helps; empty: its limits and capabilities
+    don't allow it. `unit`: the systemd unit that starts it. Never raises."""
+    if not _allowed(pid, priority or SUPERVISOR_PRIORITY):
+        return ""
+    for line in _lines(f"{PROC}/{pid}/cgroup"):
+        number, _, rest = line.partition(":")
+        controllers, _, group = rest.partition(":")
+        if "cpu" in controllers.split(",") and _word(_runtime(group)) == "0":
+            return _v1(group, unit, container=container)
+        if number == "0" and group not in ("", "/") and _of_v2(group):
+            return V2
+    return FILTER
+
+
+def _allowed(pid: int | str, priority: int) -> bool:
+    """Whether the limits or the capabilities of a process allow it this priority."""
+    for line in _lines(f"{PROC}/{pid}/limits"):
+        if line.startswith("Max realtime priority"):
+            soft = line.split()[3]
+            if soft == "unlimited" or (soft.isdigit() and int(soft) >= priority):
+                return True
+    held = next((line.split()[1] for line in _lines(f"{PROC}/{pid}/status") if line.startswith("CapEff:")), "0")
+    users = [line.split() for line in _lines(f"{PROC}/{pid}/uid_map")]
+    return users == [FIRST_USERS] and int(held, 16) >> SYS_NICE & 1 == 1
+
+
+def _v1(group: str, unit: str, *, container: bool) -> str:
+    if container and not unit:
+        return CONTAINER_V1
+    parts = group.strip("/").split("/")
+    # From the top: no group gets more than the one above it has.
+    above = ["/" + "/".join(parts[: at + 1]) for at in range(len(parts))]
+    writes = "; ".join(f"echo {RUNTIME_US} > {_runtime(each)}" for each in above if _word(_runtime(each)) == "0")
+    return UNIT_V1.format(unit=unit, writes=writes) if unit else SHELL_V1.format(writes=writes)
+
+
+def _runtime(group: str) -> str:
+    return f"{GROUPS}/cpu{group.rstrip('/')}/{RUNTIME}"
+
+
+def _of_v2(group: str) -> bool:
+    """Whether a group of cgroup v2 has a share of the cpu of its own, on a kernel that schedules so."""
+    controllers = f"{GROUPS}{group}/cgroup.controllers"
+    return "cpu" in _word(controllers).split() and _configured()
+
+
+def _configured() -> bool:
+    """Whether the kernel is built with RT_GROUP_SCHED, as far as it says so."""
+    return f"{OPTION}y" in (*_lines(f"{BOOT}/config-{os.uname().release}"), *_unpacked(f"{PROC}/config.gz"))
+
+
+def _unpacked(path: str) -> list[str]:
+    if not os.path.exists(path):
+        return []
+    import gzip
+
+    try:
+        with gzip.open(path, "rt", encoding="ascii", errors="replace") as file:
+            return file.read().splitlines()
+    except (OSError, EOFError):
+        return []
+
+
+def _word(path: str) -> str:
+    return "".join(_lines(path)).strip()
+
+
+def _lines(path: str) -> list[str]:
+    try:
+        with open(path, encoding="utf-8", errors="replace") as file:
+            return file.read().splitlines()
+    except OSError:
+        return []

@@ -1,0 +1,158 @@
+"""Real-time rights that are granted and refused all the same: by the control group, by a filter of system calls."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from failstop.supervisor import refused, status
+
+LIMITS = (
+    "Limit                     Soft Limit           Hard Limit           Units\nMax realtime priority     {0}   {0}\n"
+)
+ALL, NONE = "000001ffffffffff", "0000000000000000"
+FIRST, CONTAINED = "         0          0 4294967295\n", "         0     100000      65536\n"
+
+
+class Machine:
+    """The files of a process and of its control groups."""
+
+    def __init__(self, at: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._at = at
+        for name in ("PROC", "GROUPS", "BOOT"):
+            (at / name).mkdir()
+            monkeypatch.setattr(refused, name, str(at / name))
+        self.process()
+
+    def write(self, where: str, path: str, text: str) -> Path:
+        file = self._at / where / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+        return file
+
+    def process(self, rtprio: str = "0", caps: str = ALL, users: str = FIRST) -> None:
+        self.write("PROC", "7/limits", LIMITS.format(rtprio))
+        self.write("PROC", "7/status", f"Name:\tfs\nCapEff:\t{caps}\n")
+        self.write("PROC", "7/uid_map", users)
+
+    def v1(self, group: str, *runtimes: str) -> None:
+        """In this group of cgroup v1, whose groups from the top have these times."""
+        self.write("PROC", "7/cgroup", f"9:name=systemd:/\n4:cpu,cpuacct:{group}\n0::/\n")
+        parts = group.strip("/").split("/")
+        for at, runtime in enumerate(runtimes):
+            self.write("GROUPS", "/".join(("cpu", *parts[: at + 1], refused.RUNTIME)), f"{runtime}\n")
+
+    def v2(self, group: str, controllers: str = "cpu memory", config: str = "y") -> None:
+        self.write("PROC", "7/cgroup", f"0::{group}\n")
+        self.write("GROUPS", f"{group.strip('/')}/cgroup.controllers", f"{controllers}\n")
+        self.write("BOOT", f"config-{os.uname().release}", f"CONFIG_X=y\n{refused.OPTION}{config}\n")
+
+
+@pytest.fixture
+def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
+    return Machine(tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("rtprio", "caps", "users", "allowed"),
+    [
+        ("0", NONE, FIRST, False),
+        ("39", NONE, FIRST, False),
+        ("40", NONE, FIRST, True),
+        ("unlimited", NONE, CONTAINED, True),
+        ("0", ALL, FIRST, True),
+        ("0", "0000000000800000", FIRST, True),
+        ("0", "000001ffff7fffff", FIRST, False),
+        ("0", ALL, CONTAINED, False),
+    ],
+)
+def test_what_is_not_granted_is_another_s_advice(
+    machine: Machine, rtprio: str, caps: str, users: str, allowed: bool
+) -> None:
+    machine.v1("/robot", "0")
+    machine.process(rtprio, caps, users)
+    assert bool(refused.advice("7", priority=40)) is allowed
+
+
+def test_on_cgroup_v1_each_group_from_the_top_gets_time(machine: Machine, tmp_path: Path) -> None:
+    machine.v1("/system.slice/failstop.service", "0", "0")
+    cpu = tmp_path / "GROUPS" / "cpu"
+    said = refused.advice("7")
+    writes = (
+        f"echo 950000 > {cpu}/system.slice/cpu.rt_runtime_us; "
+        f"echo 950000 > {cpu}/system.slice/failstop.service/cpu.rt_runtime_us"
+    )
+    assert "(RT_GROUP_SCHED)" in said
+    assert f"`sudo sh -c '{writes}'`, then start it again in the same shell" in said
+    unit = refused.advice("7", unit="failstop.service")
+    assert f"`sudo systemctl edit failstop.service`, with ExecStartPre=+/bin/sh -c '{writes}' under" in unit
+    assert "--cpu-rt-runtime=950000" in refused.advice("7", container=True)
+    machine.v1("/system.slice/failstop.service", "950000", "0")
+    assert "system.slice/cpu.rt_runtime_us" not in refused.advice("7"), "it has some"
+    machine.v1("/system.slice/failstop.service", "950000", "950000")
+    assert refused.advice("7") == refused.FILTER
+
+
+@pytest.mark.parametrize(
+    ("group", "controllers", "config", "told"),
+    [
+        ("/system.slice/failstop.service", "cpu memory", "y", refused.V2),
+        ("/system.slice/failstop.service", "cpu memory", "n", refused.FILTER),
+        ("/system.slice/failstop.service", "cpuset memory", "y", refused.FILTER),
+        ("/", "cpu memory", "y", refused.FILTER),
+    ],
+)
+def test_on_cgroup_v2_no_group_can_have_any(
+    machine: Machine, group: str, controllers: str, config: str, told: str
+) -> None:
+    machine.v2(group, controllers, config)
+    assert refused.advice("7") == told
+
+
+def test_files_that_cannot_be_read_are_no_reason(machine: Machine) -> None:
+    assert refused.advice("8") == ""
+    machine.process("nonsense", "0")
+    assert refused.advice("7") == ""
+
+
+REAL = Path("/sys/fs/cgroup/cpu")
+RUNS = """
+import os, sys
+from failstop.procs import rights
+from failstop.supervisor import status
+with rights.realtime(40) as granted:
+    print(status.advice(realtime=granted, managed=False))
+"""
+
+
+@pytest.mark.skipif(
+    os.geteuid() != 0 or not (REAL / refused.RUNTIME).exists(), reason="needs root, and a kernel that schedules so"
+)
+@pytest.mark.starts
+def test_a_group_of_this_kernel_refuses_and_the_command_that_is_told_helps() -> None:
+    """Followed to the letter, but for sudo."""
+    outer = REAL / f"failstop-test-{os.getpid()}"
+    inner = outer / "inner"
+
+    def join() -> None:
+        (inner / "cgroup.procs").write_text(str(os.getpid()))
+
+    def said() -> str:
+        words = [sys.executable, "-c", RUNS]
+        return subprocess.run(words, preexec_fn=join, capture_output=True, text=True, check=True).stdout
+
+    outer.mkdir()
+    inner.mkdir()
+    try:
+        found = re.search(r"`sudo sh -c '(.*?)'`", told := said())
+        assert found, told
+        subprocess.run(["sh", "-c", found[1]], check=True)
+        assert said().strip() == status.GRANTED
+    finally:
+        inner.rmdir()
+        outer.rmdir()
