@@ -29,12 +29,10 @@ CONTAINER_V1 = (
     f"{NO_TIME}: start Docker's daemon with `--cpu-rt-runtime={RUNTIME_US}`, and the container with that option too"
 )
 V2 = (
-    f"{NO_TIME}, and cgroup v2 can give it none: start the kernel with `rt_group_sched=0` (Linux 6.16 or newer), or use a "
-    f"kernel without {OPTION.rstrip('=')}"
+    f"{NO_TIME}, and cgroup v2 can give it none: start the kernel with `rt_group_sched=0` (Linux 6.16 on), or use "
+    f"a kernel without {OPTION.rstrip('=')}"
 )
-FILTER = (
-    f"{ALLOWED} the kernel refuses it: look at RestrictRealtime= of its unit, or the seccomp filter of its container"
-)
+FILTER = f"{ALLOWED} the kernel refuses it: look at RestrictRealtime= of its unit, or at its container's seccomp filter"
 
 
 def advice(pid: int | str = "self", *, unit: str = "", container: bool = False, priority: int = 0) -> str:
