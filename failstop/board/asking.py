@@ -42,7 +42,9 @@ ADAPTERS = {
     "1a86:55d4": "CH9102",
     "1a86:7523": "CH340",
 }
-"""Chips between USB and a serial line, by vendor:product. They are in devices of every kind."""
+"""Chips between USB and a serial line, by vendor:product: they are in devices of every kind."""
+DRIVERS = {"FT": "ftdi_sio", "PL": "pl2303", "CP": "cp210x", "CH34": "ch341"}
+"""The kernel's module for a chip whose name begins so; for every other one it is cdc_acm."""
 
 
 class Unknown(Board):

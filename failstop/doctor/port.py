@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 
-from failstop.board.asking import ADAPTERS
+from failstop.board.asking import ADAPTERS, DRIVERS
 from failstop.board.kinds import board_of
 from failstop.board.wire import Commander
 from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
@@ -13,6 +13,7 @@ from failstop.doctor.system import Holder, System
 from failstop.policy.layouts import BOARDS
 
 RULE = ("", "the Debian package brings a rule for udev that sees to it (docs/install.md; without dpkg docs/service.md)")
+BRLTTY = "brltty"
 LINK = "/dev/failstop"
 """The board's name by the udev rule of the Debian package: a replug may change its number, and not this."""
 BY_ID = "/dev/serial/by-id/"
@@ -34,6 +35,8 @@ def present(look: Look) -> list[Finding]:
         candidates = [(path, what) for path, what in look.system.ports(own) if what != NO_DESCRIPTION]
         there = "here there is " + ", ".join(f"{path} ({what})" for path, what in candidates)
         text = f"no device {device} ({origin}); {there if candidates else 'there is no USB serial device at all'}"
+        if not candidates and (found := taken(look.system)):
+            return fail(f"no device {device} ({origin}); {found[0].text}", found[0].fix, found[0].advice)
         if board := next((path for path, what in candidates if any(usb in what for usb in own)), None):
             return fail(text, f"failstop doctor --device {board}", f"then set device.path to {board}")
         return fail(text, "sudo dmesg | tail", "plug the board in, and see whether the kernel saw it come")
@@ -49,6 +52,25 @@ def present(look: Look) -> list[Finding]:
         return warn(text, "", advice)
     behind = "" if node.resolved == node.path else f", which is {node.resolved}"
     return ok(f"{device}{behind} ({origin})")
+
+
+def taken(system: System) -> list[Finding]:
+    """A board's chip that is plugged in and has no serial port, because something else has taken it."""
+    chips = {**{usb: "a board's own port" for kind in BOARDS for usb in board_of(kind, 1.0, 0.0).usb}, **ADAPTERS}
+    for usb in system.portless(chips):
+        what = f"USB {usb} ({chips[usb]}) is plugged in and has no port"
+        if BRLTTY in _running(system):
+            text = f"{what}, because brltty has taken it for a braille display"
+            return fail(text, "sudo apt purge brltty", "then unplug the board and plug it in again")
+        module = next((module for chip, module in DRIVERS.items() if chips[usb].startswith(chip)), "cdc_acm")
+        advice = "if there is no such module, the kernel was built without the driver for this chip"
+        return fail(f"{what}, because no driver has taken it", f"sudo modprobe {module}", advice)
+    return []
+
+
+def _running(system: System) -> set[str | None]:
+    """The names of all processes."""
+    return {system.read(f"/proc/{pid}/comm") for pid in system.names("/proc")}
 
 
 def identity(look: Look) -> list[Finding]:
@@ -161,12 +183,16 @@ def _known(look: Look, holder: Holder) -> Commander | None:
 def grabbers(look: Look) -> list[Finding]:
     """No program that opens serial ports by itself is near."""
     found = []
-    names = {look.system.read(f"/proc/{pid}/comm") for pid in look.system.names("/proc")}
+    names = _running(look.system)
     left_alone = look.node and (look.node.modem_ignored or look.node.pseudo)
     if "ModemManager" in names and not left_alone:
         text = "ModemManager runs and is not told to leave the port alone: it opens it and writes to the board"
-        found += fail(text, *RULE)
-    if "brltty" in names:
-        found += warn("brltty runs: it takes serial adapters of 1a86 for itself", "sudo apt purge brltty")
+        ours = look.usb_id in ADAPTERS or look.usb_id in look.board.usb
+        found += fail(text, *(RULE if ours or look.node is None else ("sudo systemctl disable --now ModemManager", "")))
+    if BRLTTY in names:
+        text = (
+            "brltty runs: it takes USB serial adapters (CH340, CP210x, FTDI) for braille displays, and their port goes"
+        )
+        found += warn(text, "sudo apt purge brltty")
     told = "ModemManager runs and is told to leave this port alone"
     return found or ok(told if "ModemManager" in names else "neither ModemManager nor brltty runs")

@@ -127,6 +127,18 @@ class System:
             found.append((usb not in own, not usb, str(port.device), what))
         return [(path, what) for _, _, path, what in sorted(found)]
 
+    def portless(self, chips: Collection[str]) -> list[str]:
+        """The identities, of these, of the USB devices that have no serial port."""
+        folder = self.path("/sys/bus/usb/devices")
+        ports = [os.path.realpath(self.path(f"/sys/class/tty/{name}/device")) for name in self.names("/sys/class/tty")]
+        found = []
+        for name in self.names("/sys/bus/usb/devices"):
+            usb = ":".join(self.read(f"/sys/bus/usb/devices/{name}/{half}") or "" for half in ("idVendor", "idProduct"))
+            below = f"{os.path.realpath(f'{folder}/{name}')}/"
+            if usb in chips and not any(port.startswith(below) for port in ports):
+                found.append(usb)
+        return sorted(found)
+
     def path(self, path: str) -> str:
         """Where an absolute path of the system is."""
         return os.path.join(self.root, path.lstrip("/"))

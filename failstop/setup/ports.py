@@ -11,7 +11,7 @@ from failstop.board import asking, port
 from failstop.board.finder import look_alikes, of_number
 from failstop.board.kinds import board_of
 from failstop.doctor.look import FAIL, OK, SKIP, Finding, Look, fail
-from failstop.doctor.port import LINK, NO_DESCRIPTION, grabbers, held, permission, talkers
+from failstop.doctor.port import LINK, NO_DESCRIPTION, grabbers, held, permission, taken, talkers
 from failstop.doctor.system import System
 from failstop.policy.layouts import BOARDS
 from failstop.setup.rig import RIG
@@ -94,7 +94,7 @@ def choose(talk: Talk, system: System) -> str:
         talk.say(f"{number}  {path}   {what}")
     if not found and not talk.known("port"):
         talk.warn("There is no serial port here.", "plug the board in; `sudo dmesg | tail` says whether it came")
-        for row in pins(system):
+        for row in (*taken(system), *pins(system)):
             _say(talk, row)
 
     def check(answer: str) -> str:

@@ -32,7 +32,7 @@ TICKS = (True, [20_000] * 500)
 FILES = {f"{PROCESSORS}/cpu0/cpufreq/scaling_governor": "performance"}
 KERNEL: dict[str, Any] = {"room": 1 << 30, "early_news": True, "ticks": TICKS, "contained": False}
 KERNEL |= {"services": [], "ports": [], "no_room": "", "writable": True, "environ": {"STATE_DIRECTORY": "/state"}}
-KERNEL |= {"account": 998, "refused": ""}
+KERNEL |= {"account": 998, "refused": "", "portless": []}
 """Results of the functions of System, whatever they are asked."""
 SAYS: dict[str, str | None] = {"busctl": "b true\n", "systemctl": ""}
 """The output of a command."""

@@ -238,3 +238,19 @@ def test_a_burst_that_is_not_written_is_told() -> None:
     assert (found.level, found.fix) == (FAIL, "failstop doctor")
     assert found.text.startswith("no stop was written: /dev/pts/")
     assert "POWER SWITCH" in found.advice
+
+
+def test_a_usb_chip_without_a_port_is_found(tmp_path: Path) -> None:
+    for name, usb in (("1-1", "10c4:ea60"), ("1-2", "0403:6001"), ("1-3", "1d6b:0002"), ("1-1.4", "1a86:7523")):
+        for half, value in zip(("idVendor", "idProduct"), usb.split(":"), strict=True):
+            write(tmp_path, f"/sys/devices/usb1/{name}/{half}", f"{value}\n")
+        (tmp_path / "sys/bus/usb/devices").mkdir(parents=True, exist_ok=True)
+        (tmp_path / "sys/bus/usb/devices" / name).symlink_to(tmp_path / "sys/devices/usb1" / name)
+    port = tmp_path / "sys/devices/usb1/1-1.4/1-1.4:1.0/ttyUSB0"
+    port.mkdir(parents=True)
+    (tmp_path / "sys/class/tty/ttyUSB0").mkdir(parents=True)
+    (tmp_path / "sys/class/tty/ttyUSB0/device").symlink_to(port)
+    system = System(str(tmp_path))
+    assert system.portless(["10c4:ea60", "0403:6001", "1a86:7523"]) == ["0403:6001", "10c4:ea60"]
+    assert system.portless(["1a86:7523"]) == []
+    assert System(str(tmp_path / "nothing")).portless(["1a86:7523"]) == []

@@ -337,6 +337,39 @@ def test_a_device_that_is_not_there(devices: list[tuple[str, str]], says: str) -
     assert finding.fix
 
 
+@pytest.mark.parametrize(
+    ("usb", "files", "says", "fix"),
+    [
+        (
+            "10c4:ea60",
+            on("brltty"),
+            "USB 10c4:ea60 (CP210x) is plugged in and has no port, because brltty",
+            "purge brltty",
+        ),
+        ("0403:6001", on("brltty"), "USB 0403:6001 (FT232) is plugged in", "sudo apt purge brltty"),
+        ("10c4:ea60", {}, "because no driver has taken it", "sudo modprobe cp210x"),
+        ("0403:6015", {}, "because no driver has taken it", "sudo modprobe ftdi_sio"),
+        ("1a86:7523", {}, "because no driver has taken it", "sudo modprobe ch341"),
+        ("1a86:55d4", {}, "because no driver has taken it", "sudo modprobe cdc_acm"),
+        ("2341:0043", {}, "because no driver has taken it", "sudo modprobe cdc_acm"),
+    ],
+)
+def test_a_chip_that_is_plugged_in_without_a_port_is_named(
+    usb: str, files: dict[str, str | None], says: str, fix: str
+) -> None:
+    changed = look(node=None, ports=[("/dev/ttyS0", "n/a")], portless=[usb], files=files)
+    [finding] = [finding for name, finding in examine(changed) if name == "port"]
+    assert says in finding.text
+    assert fix in finding.fix
+    assert "no USB serial device at all" not in finding.text
+
+
+def test_a_port_that_our_rule_does_not_know_is_kept_from_modemmanager_by_a_command() -> None:
+    changed = look(files=on("ModemManager"), node=but(NODE, modem_ignored=False), usb_id="dead:beef")
+    [(_, fix, _)] = said(changed, "grabbers")
+    assert fix == "sudo systemctl disable --now ModemManager"
+
+
 @pytest.mark.parametrize(("check", "given", "level", "says"), CASES)
 def test_what_is_wrong_is_found(check: str, given: Look, level: str, says: str) -> None:
     found = [finding for name, finding in examine(given) if name == check and finding.level == level]

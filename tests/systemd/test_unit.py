@@ -13,9 +13,12 @@ from pathlib import Path
 import pytest
 
 from failstop.api import ask
+from failstop.board.asking import ADAPTERS
+from failstop.board.kinds import board_of
 from failstop.board.rrc.board import BOARD
 from failstop.cli.commands import stop
 from failstop.files.root import SYSTEM_BASE
+from failstop.policy.layouts import BOARDS
 from failstop.policy.processes import PROCESSES
 from failstop.policy.settings import BY_KEY, Settings
 from failstop.procs.peer import LEAVE_AFTER_NS
@@ -234,12 +237,28 @@ def test_udev_rules_are_well_formed_and_for_this_board() -> None:
     assert f'ATTRS{{idVendor}}=="{vendor}", ATTRS{{idProduct}}=="{product}", GROUP="dialout", MODE="0660"' in users
     assert 'TAG+="systemd"' in users
     device = next(rule for rule in rules if "power/control" in rule)
-    assert f'ATTR{{idVendor}}=="{vendor}", ATTR{{idProduct}}=="{product}|7523"' in device
-    assert 'ENV{ID_MM_DEVICE_IGNORE}="1", ATTR{power/control}="on"' in device
+    assert 'ENV{FAILSTOP_PORT}=="1", ENV{ID_MM_DEVICE_IGNORE}="1", ATTR{power/control}="on"' in device
+    assert 'ENV{FAILSTOP_PORT}=="1", ENV{BRLTTY_BRAILLE_DRIVER}=="?*"' in next(
+        rule for rule in rules if "BRLTTY" in rule
+    )
     assert "dev-failstop.device" in UNIT["WantedBy"]
     jumps = [value for rule in rules for key, _, value in RULE.findall(rule) if key in ("GOTO", "LABEL")]
     assert len(jumps) == 2
     assert len(set(jumps)) == 1
+
+
+@pytest.mark.parametrize("sets", ['ENV{FAILSTOP_PORT}="1"', 'ENV{ID_MM_PORT_IGNORE}="1"'])
+def test_the_rules_are_for_every_port_that_a_board_may_be_at(sets: str) -> None:
+    """Others leave it alone: ModemManager looks at the device and at the port, brltty at the device."""
+    named = set()
+    for rule in (SYSTEMD / "failstop.udev").read_text().splitlines():
+        if rule.endswith(sets):
+            keys = {key.partition("{")[2].rstrip("}"): value for key, op, value in RULE.findall(rule) if op == "=="}
+            named |= {f"{keys['idVendor']}:{product}" for product in keys["idProduct"].split("|")}
+    assert named == {*ADAPTERS, *(usb for kind in BOARDS for usb in board_of(kind, 1.0, 0.0).usb)}
+    vendors = {usb.partition(":")[0] for usb in named}
+    postinst = (SYSTEMD.parent / "packaging/deb/postinst").read_text()
+    assert set(re.findall(r"for vendor in ([\w ]+);", postinst)[0].split()) == vendors
 
 
 @pytest.mark.parametrize(("chips", "named"), [(["1a86/55d4"], True), (["1a86/55d4", "1546/1a8"], True),
