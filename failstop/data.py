@@ -36,7 +36,7 @@ class Data:
         missing = [name for name in rest if name not in named and not hasattr(type(self), name)]
         unknown = [name for name in named if name not in fields]
         twice = [name for name in by_place if name in named]
-        for what, names in (("lacks", missing), ("has no field", unknown), ("has two values for", twice)):
+        for what, names in (("has no field", unknown), ("has two values for", twice), ("lacks", missing)):
             if names:
                 raise TypeError(f"{type(self).__name__} {what} {', '.join(names)}")
         if len(values) > len(fields):

@@ -59,7 +59,7 @@ def _found(run: Run, port: OwnPort, notify: Notify) -> Supervisor:
     because a client reads them as soon as it finds the name. Raises whatever Run raises, and leaves nothing behind."""
     try:
         supervisor = Supervisor(run, port, notify)
-        run.publish(kept.text(port.board) if is_own(run.settings.text("board.kind")) else "")
+        run.publish(kept.pack_stop(port.board) if is_own(run.settings.text("board.kind")) else "")
     except BaseException:
         run.remove()
         raise

@@ -11,7 +11,7 @@ import os
 
 from failstop.policy.processes import SUPERVISOR_PRIORITY
 
-PROC, GROUPS, BOOT = "/proc", "/sys/fs/cgroup", "/boot"
+PROC, GROUP_FOLDER, BOOT = "/proc", "/sys/fs/cgroup", "/boot"
 OPTION = "CONFIG_RT_GROUP_SCHED="
 SYS_NICE = 23
 """The bit of CAP_SYS_NICE."""
@@ -35,7 +35,7 @@ V2 = (
 FILTER = f"{ALLOWED} the kernel refuses it: look at RestrictRealtime= of its unit, or at its container's seccomp filter"
 
 
-def advice(pid: int | str = "self", *, unit: str = "", container: bool = False, priority: int = 0) -> str:
+def advice_if_allowed(pid: int | str = "self", *, unit: str = "", container: bool = False, priority: int = 0) -> str:
     """Why a process that has no real-time priority was refused it, and what helps; empty: its limits and capabilities
     don't allow it. `unit`: the systemd unit that starts it. Never raises."""
     if not _allowed(pid, priority or SUPERVISOR_PRIORITY):
@@ -73,30 +73,19 @@ def _v1(group: str, unit: str, *, container: bool) -> str:
 
 
 def _runtime(group: str) -> str:
-    return f"{GROUPS}/cpu{group.rstrip('/')}/{RUNTIME}"
+    return f"{GROUP_FOLDER}/cpu{group.rstrip('/')}/{RUNTIME}"
 
 
 def _of_v2(group: str) -> bool:
     """Whether a group of cgroup v2 has a share of the cpu of its own, on a kernel that schedules so."""
-    controllers = f"{GROUPS}{group}/cgroup.controllers"
+    controllers = f"{GROUP_FOLDER}{group}/cgroup.controllers"
     return "cpu" in _word(controllers).split() and _configured()
 
 
 def _configured() -> bool:
-    """Whether the kernel is built with RT_GROUP_SCHED, as far as it says so."""
-    return f"{OPTION}y" in (*_lines(f"{BOOT}/config-{os.uname().release}"), *_unpacked(f"{PROC}/config.gz"))
-
-
-def _unpacked(path: str) -> list[str]:
-    if not os.path.exists(path):
-        return []
-    import gzip
-
-    try:
-        with gzip.open(path, "rt", encoding="ascii", errors="replace") as file:
-            return file.read().splitlines()
-    except (OSError, EOFError):
-        return []
+    """Whether the kernel may be built with RT_GROUP_SCHED: False only if its configuration can be read and says no."""
+    lines = _lines(f"{BOOT}/config-{os.uname().release}")
+    return not lines or f"{OPTION}y" in lines
 
 
 def _word(path: str) -> str:

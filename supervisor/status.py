@@ -214,7 +214,7 @@ def advice(*, realtime: bool, managed: bool) -> str:
     from failstop.supervisor import refused
 
     unit = own_unit() if managed else ""
-    if by_group := refused.advice(unit=unit, container=in_container()):
+    if by_group := refused.advice_if_allowed(unit=unit, container=in_container()):
         return by_group
     command = UNIT.format(unit=unit) if managed else CONTAINER if in_container() else SHELL
     return f"give it real-time rights: {command}"

@@ -224,7 +224,7 @@ class StateReader(SeenRun):
             stands_within_m=distance.furthest(self._declared, decided["limit"] / 100)[0],
             enabled_ns=decided.get("enabled_ns", 0),
             servos=servos.by_part(rows, self._declared) if (rows := self._value("health")) else {},
-            servos_wrong=servos.wrong(rows, self._declared) if rows else {},
+            servos_wrong=servos.servo_faults(rows, self._declared) if rows else {},
             ages=ages,
             battery_ns=battery_ns,
         )

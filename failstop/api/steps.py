@@ -85,7 +85,7 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
     attend, press = "have somebody attend (`failstop attend`, or the page)", f"somebody has to attend: {how['attend']}"
     complains = ", ".join(client.name for client in state.clients if client.wrong)
     idle = state.block is Block.NO_COMMAND
-    dumb = next((part for part, text in state.servos_wrong.items() if servos.WRONG[servos.MISSING] in text), "")
+    dumb = next((part for part, text in state.servos_wrong.items() if servos.SILENT_SERVO in text), "")
     held, silent = (found.who if (found := state.source_that(name)) else "" for name in ("held", "silent"))
     off, interlock = not state.enabled and not dead, f"see to the interlock ({state.unmet})"
     return [

@@ -30,7 +30,7 @@ MORE_QUESTIONS = 2
 WIRES = "the board's power; its cable, whose TX and RX cross; the port, by device.path; the baud rate of its firmware"
 """For people: what to check if nothing is received."""
 
-SERVO = "that servo's plug on the bus, its power and its id"
+SERVO_PLACES = "that servo's plug on the bus, its power and its id"
 """For people: what is to be looked at where a servo does not answer."""
 
 ADAPTERS = {
@@ -143,7 +143,7 @@ def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, s
     if last.missing:
         which = " and ".join(f"servo {servo}" for servo in last.missing)
         it = f"it is {last.kind}" if last.kind == kind else f"it is {last.kind}, and board.kind is {kind}"
-        return False, f"{it}; {which} does not answer while others do", SERVO
+        return False, f"{it}; {which} does not answer while others do", SERVO_PLACES
     if last.known and last.kind != kind:
         remedy = f'set board.kind = "{last.kind}", or plug the other board in'
         return False, f"the board that answers is {last.kind}, and board.kind is {kind}", remedy

@@ -78,10 +78,10 @@ class Hearing:
     HEARD_PAD: the gamepad's buttons as in BUTTONS, hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY: id and event.
     HEARD_SERVO: id, the question, its answer. HEARD_PONG: the indices of the pings that it may answer. HEARD_WHEELS:
     (speeds, positions), each empty if the board does not report it. HEARD_OBEYED: the speeds of the command that it
-    follows now. HEARD_HEALTH: of each servo its id, its load (-1 to 1), its temperature in degrees Celsius, and
-    what is wrong with it (wire.py). HEARD_ODD: what a report was about, and its value as text; the value is impossible, so it counts as not reported.
-    HEARD_RESTARTED: the text that the board sends when it starts. HEARD_FIRMWARE: the name of a firmware that differs
-    from the usual one, once.
+    follows now. HEARD_HEALTH: of each servo its id, its load (-1 to 1), its temperature in degrees Celsius, and what is
+    wrong with it (wire.py). HEARD_ODD: what a report was about, and its value as text; the value is impossible, so it
+    counts as not reported. HEARD_RESTARTED: the text that the board sends when it starts. HEARD_FIRMWARE: the name of a
+    firmware that differs from the usual one, once.
     """
 
     __slots__ = ()

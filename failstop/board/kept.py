@@ -6,28 +6,24 @@ from __future__ import annotations
 from failstop.board.interface import Board
 from failstop.board.wire import Port
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
 FIELDS = 7
-MOST_BYTES = 4096
+LONGEST_BURST = 4096
 """Of a burst."""
 MOST_REPEATS = 8
 MOST_NS = 2_000_000_000
 """Of each time."""
 
 
-def text(board: Board) -> str:
-    """The stop of a board, in one line for read(). Every writer's repeats are those of the last row."""
+def pack_stop(board: Board) -> str:
+    """The stop of a board, in one line for unpack_stop(). Every writer's repeats are those of the last row."""
     port = board.port
     numbers = (port.baud, int(port.dtr), int(port.rts), board.idle_ns, board.after_ns)
     repeats = ",".join(map(str, board.repeats_ns[-1]))
     return " ".join((*map(str, numbers), repeats or "-", board.burst.hex()))
 
 
-def read(kept: str) -> Kept | None:
-    """The stop that text() made a line of; None for any other line."""
+def unpack_stop(kept: str) -> Kept | None:
+    """The stop that pack_stop() made a line of; None for any other line."""
     words = kept.split(" ")
     try:
         baud, dtr, rts, idle_ns, after_ns = map(int, words[:5])
@@ -36,7 +32,7 @@ def read(kept: str) -> Kept | None:
     except (ValueError, IndexError):
         return None
     times = (idle_ns, after_ns, *repeats)
-    fits = len(words) == FIELDS and 0 < len(burst) <= MOST_BYTES and len(repeats) <= MOST_REPEATS
+    fits = len(words) == FIELDS and 0 < len(burst) <= LONGEST_BURST and len(repeats) <= MOST_REPEATS
     if not fits or not all(0 <= ns <= MOST_NS for ns in times) or baud <= 0:
         return None
     return Kept(Port(baud=baud, dtr=bool(dtr), rts=bool(rts), deaf_ns=0, opening=()), idle_ns, after_ns, repeats, burst)
@@ -49,13 +45,10 @@ class Kept(Board):
 
     pings = ()
     echo_ns = 0
+    arm = None
     name = "your own board"
 
     def __init__(self, port: Port, idle_ns: int, after_ns: int, repeats_ns: tuple[int, ...], burst: bytes) -> None:
         self.port, self.idle_ns, self.after_ns = port, idle_ns, after_ns
         self.repeats_ns = (repeats_ns,) * 3
         self.burst = self.first_stop = self.stop = burst
-
-    def burst_with(self, servos: Sequence[int]) -> bytes:
-        """The stop: an own board has no servos."""
-        return self.burst

@@ -17,10 +17,10 @@ _BY_NUMBER = (4, 166, 188, 204, *_PTS)
 """Majors of terminals where the system says nothing of a device's class: UARTs, USB, the Pi's pins, ptys."""
 _NO_BOARD = 5
 """/dev/tty, /dev/console and /dev/ptmx."""
-PASSWD, GROUP = "/etc/passwd", "/etc/group"
+PASSWD_FILE, GROUP_FILE = "/etc/passwd", "/etc/group"
 
 
-def opened(path: str, uid: int, flags: int) -> int:
+def open_named(path: str, uid: int, flags: int) -> int:
     """Open a terminal that the user `uid` may read and write; needs root. Raises OSError."""
     gid, groups = _groups(uid)
     before = os.getegid(), os.getgroups()
@@ -64,11 +64,11 @@ def _groups(uid: int) -> tuple[int, list[int]]:
     """The user's own group, and the others. By the files alone: a directory service that does not answer must not hold
     a stop up."""
     name, gid = "", 65534
-    for fields in _rows(PASSWD, 4):
+    for fields in _rows(PASSWD_FILE, 4):
         if fields[2] == str(uid):
             name, gid = fields[0], int(fields[3])
             break
-    return gid, [int(fields[2]) for fields in _rows(GROUP, 4) if name and name in fields[3].split(",")]
+    return gid, [int(fields[2]) for fields in _rows(GROUP_FILE, 4) if name and name in fields[3].split(",")]
 
 
 def _rows(path: str, least: int) -> list[list[str]]:

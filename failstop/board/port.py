@@ -88,7 +88,7 @@ def _opened(path: str, named_by: int) -> int:
     if named_by and not os.geteuid():
         from failstop.board import named
 
-        return named.opened(path, named_by, _OPEN_FLAGS)
+        return named.open_named(path, named_by, _OPEN_FLAGS)
     mode = os.stat(path).st_mode
     if not stat.S_ISCHR(mode):
         what = _FILE_KINDS.get(stat.S_IFMT(mode), "something else")

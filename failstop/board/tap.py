@@ -9,7 +9,7 @@ import time
 from failstop.board.handled import Answers
 from failstop.board.interface import HEARD_FIRMWARE, HEARD_HEALTH, HEARD_OBEYED, HEARD_PONG, Board
 from failstop.board.port import waiting_bytes
-from failstop.board.wire import MISSING
+from failstop.board.wire import SERVO_MISSING
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Tap:
             self.reports |= {kind for kind, _ in said} - {HEARD_PONG, HEARD_FIRMWARE}
             self.firmware = next((value[0] for kind, value in said if kind == HEARD_FIRMWARE), self.firmware)
             for health in [value for kind, value in said if kind == HEARD_HEALTH]:
-                self.missing = tuple(servo for servo, _, _, wrong in health if wrong & MISSING)
+                self.missing = tuple(servo for servo, _, _, wrong in health if wrong & SERVO_MISSING)
             answered = {index for kind, indices in said if kind == HEARD_PONG for index in indices}
             self._flow |= {index for index in answered if index >= self._pings}
             found += [(now_ns, *each) for each in said]

@@ -167,15 +167,14 @@ class Battery(Sample, Data):
     volts: float
 
 
-VOLTAGE, SENSOR, OVERHEAT, OVERCURRENT, OVERLOAD, MISSING = 1, 2, 4, 8, 32, 128
-"""What is wrong with a servo, as bits. The first five are the error byte of a Feetech servo's answer (ERRBIT_* of
-feetech-servo-sdk 1.0.0); MISSING: it answers nothing while others do."""
+SERVO_VOLTAGE, SERVO_SENSOR, SERVO_HEAT, SERVO_CURRENT, SERVO_LOAD, SERVO_MISSING = 1, 2, 4, 8, 32, 128
+"""What is wrong with a servo, as bits. SERVO_MISSING: it answers nothing while others do."""
 
 
 class Health(Sample, Data):
     """Servos, as they say of themselves: of each its id, its load (a share of the most that it gives, negative the
-    other way round), its temperature in degrees Celsius (0: not told yet), and what is wrong with it (VOLTAGE and so
-    on; may be left out)."""
+    other way round), its temperature in degrees Celsius (0: not told yet), and what is wrong with it (SERVO_VOLTAGE and
+    the others; may be left out)."""
 
     rows: tuple[tuple[int, float, int] | tuple[int, float, int, int], ...]
 

@@ -278,7 +278,7 @@ class System:
 
     def refused(self, pid: str, unit: str) -> str:
         """Why a process is refused real-time priority that its limits allow, and what helps; empty: they don't."""
-        return refused.advice(pid, unit=unit, container=self.contained())
+        return refused.advice_if_allowed(pid, unit=unit, container=self.contained())
 
     def ticks(self, seconds: float = TICKS_S) -> tuple[bool, list[int]]:
         """How late this process is woken, ns, each time; at the gate's priority (True) if it is given that."""

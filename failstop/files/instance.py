@@ -14,7 +14,7 @@ DEFAULT_NAME = "failstop"
 _ALLOWED = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
 RUN_DIGITS = 16
 SHARED = "/dev/shm/failstop"
-STOP = "stop "
+STOP_FIELD = "stop "
 """The begin of the word of a last run that holds a board's stop."""
 LAST_BYTES = 65536
 """Longer than the longest paths of port and settings file, quoted for a shell."""
@@ -102,7 +102,7 @@ def publish_run(runtime_dir: str, incarnation: int) -> int:
 
 def remember(runtime_dir: str, last: Last) -> None:
     """Keep how this run was started, for when it has ended. Raises OSError."""
-    words = last.device, last.command, last.board, f"{STOP}{last.stop}", *map(str, last.servos)
+    words = last.device, last.command, last.board, f"{STOP_FIELD}{last.stop}", *map(str, last.servos)
     os.close(_put(runtime_dir, last_path(runtime_dir), b"\0".join(map(os.fsencode, words))))
 
 
@@ -116,7 +116,7 @@ def last(name: str) -> Last:
                 found.append(_read(path))
     try:
         _, owner, (device, command, board, *rest) = max(found)
-        stop = rest.pop(0).removeprefix(STOP) if rest and rest[0].startswith(STOP) else ""
+        stop = rest.pop(0).removeprefix(STOP_FIELD) if rest and rest[0].startswith(STOP_FIELD) else ""
         return Last(device, command if command.isprintable() else "", tuple(map(int, rest)), board, stop, owner)
     except ValueError:  # nothing was found, or nonsense
         return Last()

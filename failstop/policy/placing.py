@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable
 from failstop.data import Data
 from failstop.policy.setting import shortened
 
-HEADER = re.compile(r"\s*\[+\s*([^]#]+?)\s*\]")
-LINE = re.compile(r"\s*([\w.\-\"' \t]+?)\s*=")
+TABLE_LINE = re.compile(r"\s*\[+\s*([^]#]+?)\s*\]")
+SETTING_LINE = re.compile(r"\s*([\w.\-\"' \t]+?)\s*=")
 AT_LINE = re.compile(r"\(at line (\d+),")
 MOST_NAMED = 4
 """Misplaced lines that one message names."""
@@ -18,7 +18,7 @@ TWICE = ("Cannot overwrite", "Cannot declare", "Cannot redefine", "Cannot mutate
 """How Python's parser begins when a key or a table is there twice."""
 
 
-class Line(Data):
+class FileLine(Data):
     """A line that begins a table (`name` is empty) or sets something."""
 
     number: int
@@ -31,17 +31,17 @@ class Line(Data):
         return ".".join(filter(None, (self.table, self.name)))
 
 
-def outline(text: str) -> list[Line]:
+def outline(text: str) -> list[FileLine]:
     """The lines that begin a table or set something. It reads line by line, so a text of several lines may look like
     settings: good enough for a message."""
     found = []
     table = ""
     for number, line in enumerate(text.split("\n"), 1):
-        if header := HEADER.match(line):
+        if header := TABLE_LINE.match(line):
             table = _bare(header[1])
-            found.append(Line(number, table, ""))
-        elif setting := LINE.match(line):
-            found.append(Line(number, table, _bare(setting[1])))
+            found.append(FileLine(number, table, ""))
+        elif setting := SETTING_LINE.match(line):
+            found.append(FileLine(number, table, _bare(setting[1])))
     return found
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from failstop.board.kinds import facts_of
-from failstop.board.wire import MISSING, OVERCURRENT, OVERHEAT, OVERLOAD, SENSOR, VOLTAGE
+from failstop.board.wire import SERVO_CURRENT, SERVO_HEAT, SERVO_LOAD, SERVO_MISSING, SERVO_SENSOR, SERVO_VOLTAGE
 from failstop.policy.layouts import WHEEL_NAMES
 from failstop.policy.settings import Settings
 
@@ -18,7 +18,7 @@ def by_part(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> 
     """Load and temperature of each servo that turns a wheel or a joint and answers, as in `rear wheel (servo 8)`.
     `rows`: the ids with both (records.HEALTH)."""
     parts = _parts(settings)
-    answer = ((servo, load, at_c) for servo, load, at_c, bits in rows if not bits & MISSING)
+    answer = ((servo, load, at_c) for servo, load, at_c, bits in rows if not bits & SERVO_MISSING)
     return {parts[servo]: (load, at_c) for servo, load, at_c in answer if servo in parts}
 
 
@@ -36,18 +36,19 @@ def _parts(settings: Settings) -> dict[int, str]:
     return {servo: f"{part} (servo {servo})" for servo, part in parts.items()}
 
 
+SILENT_SERVO = "it does not answer"
 WRONG = {
-    VOLTAGE: "its supply voltage is out of range",
-    SENSOR: "its position sensor fails",
-    OVERHEAT: "it is too hot",
-    OVERCURRENT: "it takes too much current",
-    OVERLOAD: "it is overloaded",
-    MISSING: "it does not answer",
+    SERVO_VOLTAGE: "its supply voltage is out of range",
+    SERVO_SENSOR: "its position sensor fails",
+    SERVO_HEAT: "it is too hot",
+    SERVO_CURRENT: "it takes too much current",
+    SERVO_LOAD: "it is overloaded",
+    SERVO_MISSING: SILENT_SERVO,
 }
 """What is wrong with a servo, by the bits of board/wire.py."""
 
 
-def wrong(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> dict[str, str]:
+def servo_faults(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> dict[str, str]:
     """What is wrong with each servo that reports an error, or does not answer, by the part that it turns."""
     parts = _parts(settings)
     found = {parts.get(servo, f"servo {servo}"): bits for servo, _, _, bits in rows if bits}
@@ -58,7 +59,7 @@ def missing_wheel(rows: Iterable[tuple[int, float, int, int]], settings: Setting
     """The first wheel whose servo does not answer while another wheel's does, as in `rear wheel (servo 8)`; empty: none
     is known."""
     wheels = _wheels(settings)
-    return next((_parts(settings)[servo] for servo, _, _, bits in rows if bits & MISSING and servo in wheels), "")
+    return next((_parts(settings)[servo] for servo, _, _, bits in rows if bits & SERVO_MISSING and servo in wheels), "")
 
 
 def waited_for(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:

@@ -515,7 +515,7 @@ class Telemetry:
 
     def _on_health(self, rows: interface.Value, t_ns: int) -> None:
         self._latest["health"].write(records.HEALTH.pack(*rows), t_ns)
-        wrong, told = servos.wrong(rows, self._settings), self._servos_told
+        wrong, told = servos.servo_faults(rows, self._settings), self._servos_told
         self._servos_told = wrong
         for part in [part for part in {**told, **wrong} if told.get(part) != wrong.get(part)]:
             text, level = wrong.get(part, "nothing is wrong any more"), "" if part in wrong else "notice"

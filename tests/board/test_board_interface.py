@@ -35,7 +35,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 # What the rooms may import of the board. The gate and telemetry never see the port. What can be asked of a
 # servo, and what its bus takes, is no more this board's than the servos are.
 KNOWN = {
-    "supervisor": {"finder", "port", "stop_port", "interface", "kinds"},
+    "supervisor": {"finder", "port", "stop_port", "interface", "kinds", "kept"},
     "procs": {"stop_port", "interface", "kinds"},
     "procs/gate/arm": {"interface", "servos"},
     "procs/port_owner": {"port", "stop_port", "interface", "servos", "handled"},

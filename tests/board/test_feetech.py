@@ -13,12 +13,12 @@ from failstop.board.feetech import codec
 from failstop.board.feetech.wire import ANSWERS_NS
 from failstop.board.kinds import wire_of
 from failstop.board.wire import (
-    MISSING,
-    OVERCURRENT,
-    OVERHEAT,
-    OVERLOAD,
-    SENSOR,
-    VOLTAGE,
+    SERVO_CURRENT,
+    SERVO_HEAT,
+    SERVO_LOAD,
+    SERVO_MISSING,
+    SERVO_SENSOR,
+    SERVO_VOLTAGE,
     Answer,
     Battery,
     Health,
@@ -160,7 +160,7 @@ def test_a_wheel_that_answers_nothing_while_another_does_is_missing_until_it_ans
     others = b"".join(data for id_, data in answer.items() if id_ not in missing)
     assert wrongs(reader.feed(b"".join(answer.values()))) == [{}]
     assert wrongs(reader.feed(others)) == [], "it may have been garbled on the line"
-    assert wrongs(reader.feed(3 * others))[-1] == dict.fromkeys(missing, MISSING)
+    assert wrongs(reader.feed(3 * others))[-1] == dict.fromkeys(missing, SERVO_MISSING)
     told = wrongs(reader.feed(2 * b"".join(answer.values())))
     assert told[-1] == {}
 
@@ -169,12 +169,12 @@ def test_the_error_byte_of_an_answer_is_told_at_once_and_when_it_is_over() -> No
     reader = codec.Replies()
     whole = [codec.packet(id_, 0, wheel(118, 0, 30)) for id_ in codec.WHEELS]
     assert wrongs(reader.feed(b"".join(whole))) == [{}]
-    bad = codec.packet(8, OVERLOAD | OVERHEAT, wheel(118, 0, 80))
-    assert wrongs(reader.feed(whole[0] + bad + whole[2])) == [{8: OVERLOAD | OVERHEAT}]
+    bad = codec.packet(8, SERVO_LOAD | SERVO_HEAT, wheel(118, 0, 80))
+    assert wrongs(reader.feed(whole[0] + bad + whole[2])) == [{8: SERVO_LOAD | SERVO_HEAT}]
     assert wrongs(reader.feed(whole[0] + bad + whole[2])) == []
     assert wrongs(reader.feed(b"".join(whole))) == [{}]
-    joint = codec.packet(3, VOLTAGE | 128, bytes(8))
-    assert wrongs(reader.feed(joint)) == [{3: VOLTAGE}], "the eighth bit is no servo's"
+    joint = codec.packet(3, SERVO_VOLTAGE | 128, bytes(8))
+    assert wrongs(reader.feed(joint)) == [{3: SERVO_VOLTAGE}], "the eighth bit is no servo's"
 
 
 @pytest.mark.parametrize("missing", codec.WHEELS)
@@ -211,11 +211,16 @@ def test_a_wheel_that_stops_answering_while_the_robot_drives_stops_it_by_name() 
 
 
 def test_what_is_wrong_with_a_servo_has_one_meaning_everywhere() -> None:
-    bits = (VOLTAGE, SENSOR, OVERHEAT, OVERCURRENT, OVERLOAD, MISSING)
-    assert tuple(policy_servos.WRONG) == bits
-    assert policy_servos.MISSING == MISSING
-    rows = ((8, 0.0, 0, OVERHEAT | OVERLOAD), (3, 0.1, 30, 0), (77, 0.0, 0, VOLTAGE))
-    assert policy_servos.wrong(rows, Settings({"board.kind": "feetech"})) == {
+    assert tuple(policy_servos.WRONG) == (
+        SERVO_VOLTAGE,
+        SERVO_SENSOR,
+        SERVO_HEAT,
+        SERVO_CURRENT,
+        SERVO_LOAD,
+        SERVO_MISSING,
+    )
+    rows = ((8, 0.0, 0, SERVO_HEAT | SERVO_LOAD), (3, 0.1, 30, 0), (77, 0.0, 0, SERVO_VOLTAGE))
+    assert policy_servos.servo_faults(rows, Settings({"board.kind": "feetech"})) == {
         "rear wheel (servo 8)": "it is too hot and it is overloaded",
         "servo 77": "its supply voltage is out of range",
     }

@@ -14,6 +14,7 @@ import pytest
 
 from failstop.board import named
 from failstop.board.port import PortError, open_port
+from failstop.board.rrc.board import BOARD
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root has another user's rights")
 NOBODY, OPERATORS = 65534, 54321
@@ -45,7 +46,7 @@ def test_a_terminal_of_the_user_s_own_is_opened_also_while_a_service_holds_it(te
     held = os.open(terminal, FLAGS)
     fcntl.ioctl(held, termios.TIOCEXCL)
     for _ in range(2):
-        os.close(open_port(terminal, exclusive=False, named_by=NOBODY))
+        os.close(open_port(terminal, exclusive=False, line=BOARD.port, named_by=NOBODY))
     os.close(held)
     assert (os.geteuid(), os.getegid()) == (0, 0)
 
@@ -56,10 +57,10 @@ def test_a_terminal_that_is_not_theirs_is_not(terminal: str, open_place: Path) -
     groups = os.getgroups()
     for path in (terminal, str(link)):
         with pytest.raises(PermissionError):
-            named.opened(path, NOBODY, FLAGS)
+            named.open_named(path, NOBODY, FLAGS)
         with pytest.raises(PortError, match="no permission"):
-            open_port(path, exclusive=False, named_by=NOBODY)
-    os.close(open_port(terminal, exclusive=False))
+            open_port(path, exclusive=False, line=BOARD.port, named_by=NOBODY)
+    os.close(open_port(terminal, exclusive=False, line=BOARD.port))
     assert (os.geteuid(), os.getegid(), os.getgroups()) == (0, 0, groups)
 
 
@@ -68,15 +69,15 @@ def test_their_groups_count(member: bool, terminal: str, tmp_path: Path, monkeyp
     passwd, group = tmp_path / "passwd", tmp_path / "group"
     passwd.write_text(f"nonsense\nrobot:x:{NOBODY}:{NOBODY}::/:/bin/sh\n")
     group.write_text(f"ports:x:{OPERATORS}:ann,{'robot' if member else 'robo'}\n")
-    monkeypatch.setattr(named, "PASSWD", str(passwd))
-    monkeypatch.setattr(named, "GROUP", str(group))
+    monkeypatch.setattr(named, "PASSWD_FILE", str(passwd))
+    monkeypatch.setattr(named, "GROUP_FILE", str(group))
     os.chown(terminal, 0, OPERATORS)
     os.chmod(terminal, 0o660)
     if member:
-        os.close(named.opened(terminal, NOBODY, FLAGS))
+        os.close(named.open_named(terminal, NOBODY, FLAGS))
     else:
         with pytest.raises(PermissionError):
-            named.opened(terminal, NOBODY, FLAGS)
+            named.open_named(terminal, NOBODY, FLAGS)
 
 
 @pytest.mark.parametrize("what", ["file", "fifo", "folder", "/dev/null", "/dev/ptmx", "/dev/tty"])
@@ -87,7 +88,7 @@ def test_what_is_no_terminal_of_a_board_is_never_opened(what: str, open_place: P
         makes[what](Path(path))
         os.chmod(path, 0o777)
     with pytest.raises(OSError, match=r"ioctl|Inappropriate"):
-        named.opened(path, NOBODY, FLAGS)
+        named.open_named(path, NOBODY, FLAGS)
 
 
 def test_a_folder_that_they_may_not_enter_hides_what_is_in_it(terminal: str, tmp_path: Path) -> None:
@@ -96,4 +97,4 @@ def test_a_folder_that_they_may_not_enter_hides_what_is_in_it(terminal: str, tmp
     closed.mkdir(mode=0o700)
     (closed / "board").symlink_to(terminal)
     with pytest.raises(PermissionError):
-        named.opened(str(closed / "board"), NOBODY, FLAGS)
+        named.open_named(str(closed / "board"), NOBODY, FLAGS)

@@ -230,7 +230,7 @@ def test_the_stop_of_an_own_board_is_written_whatever_became_of_its_description(
     link, master = board
     folder = own_folder(tmp_path / "tank")
     own = board_of(folder, 0.08, 0.0)
-    kind = instance.Last(link, "failstop run", (), folder, kept.text(own))
+    kind = instance.Last(link, "failstop run", (), folder, kept.pack_stop(own))
     instance.remember(instances.make_runtime_dir("failstop"), kind)
     BREAKS[broken](Path(folder, "wire.py"))
     done = subprocess.run([*FAILSTOP, "stop", "hand near"], capture_output=True, text=True, check=False)
@@ -240,12 +240,12 @@ def test_the_stop_of_an_own_board_is_written_whatever_became_of_its_description(
 
 
 def test_a_kept_stop_that_is_nonsense_is_none() -> None:
-    good = kept.text(board_of("arduino", 0.08, 0.0)).split(" ")
-    assert kept.read(" ".join(good)) is not None
+    good = kept.pack_stop(board_of("arduino", 0.08, 0.0)).split(" ")
+    assert kept.unpack_stop(" ".join(good)) is not None
     for at, wrong in ((0, "-1"), (0, "x"), (3, "9" * 20), (5, "1,x"), (5, ",".join("1" * 9)), (6, "0g"), (6, "")):
-        assert kept.read(" ".join([*good[:at], wrong, *good[at + 1 :]])) is None, (at, wrong)
+        assert kept.unpack_stop(" ".join([*good[:at], wrong, *good[at + 1 :]])) is None, (at, wrong)
     for other in ("", "stop", " ".join(good[:-1]), " ".join([*good, "00"])):
-        assert kept.read(other) is None
+        assert kept.unpack_stop(other) is None
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root drops to another user")

@@ -22,7 +22,7 @@ class Machine:
 
     def __init__(self, at: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self._at = at
-        for name in ("PROC", "GROUPS", "BOOT"):
+        for name in ("PROC", "GROUP_FOLDER", "BOOT"):
             (at / name).mkdir()
             monkeypatch.setattr(refused, name, str(at / name))
         self.process()
@@ -43,11 +43,11 @@ class Machine:
         self.write("PROC", "7/cgroup", f"9:name=systemd:/\n4:cpu,cpuacct:{group}\n0::/\n")
         parts = group.strip("/").split("/")
         for at, runtime in enumerate(runtimes):
-            self.write("GROUPS", "/".join(("cpu", *parts[: at + 1], refused.RUNTIME)), f"{runtime}\n")
+            self.write("GROUP_FOLDER", "/".join(("cpu", *parts[: at + 1], refused.RUNTIME)), f"{runtime}\n")
 
     def v2(self, group: str, controllers: str = "cpu memory", config: str = "y") -> None:
         self.write("PROC", "7/cgroup", f"0::{group}\n")
-        self.write("GROUPS", f"{group.strip('/')}/cgroup.controllers", f"{controllers}\n")
+        self.write("GROUP_FOLDER", f"{group.strip('/')}/cgroup.controllers", f"{controllers}\n")
         self.write("BOOT", f"config-{os.uname().release}", f"CONFIG_X=y\n{refused.OPTION}{config}\n")
 
 
@@ -74,26 +74,26 @@ def test_what_is_not_granted_is_another_s_advice(
 ) -> None:
     machine.v1("/robot", "0")
     machine.process(rtprio, caps, users)
-    assert bool(refused.advice("7", priority=40)) is allowed
+    assert bool(refused.advice_if_allowed("7", priority=40)) is allowed
 
 
 def test_on_cgroup_v1_each_group_from_the_top_gets_time(machine: Machine, tmp_path: Path) -> None:
     machine.v1("/system.slice/failstop.service", "0", "0")
-    cpu = tmp_path / "GROUPS" / "cpu"
-    said = refused.advice("7")
+    cpu = tmp_path / "GROUP_FOLDER" / "cpu"
+    said = refused.advice_if_allowed("7")
     writes = (
         f"echo 950000 > {cpu}/system.slice/cpu.rt_runtime_us; "
         f"echo 950000 > {cpu}/system.slice/failstop.service/cpu.rt_runtime_us"
     )
     assert "(RT_GROUP_SCHED)" in said
     assert f"`sudo sh -c '{writes}'`, then start it again in the same shell" in said
-    unit = refused.advice("7", unit="failstop.service")
+    unit = refused.advice_if_allowed("7", unit="failstop.service")
     assert f"`sudo systemctl edit failstop.service`, with ExecStartPre=+/bin/sh -c '{writes}' under" in unit
-    assert "--cpu-rt-runtime=950000" in refused.advice("7", container=True)
+    assert "--cpu-rt-runtime=950000" in refused.advice_if_allowed("7", container=True)
     machine.v1("/system.slice/failstop.service", "950000", "0")
-    assert "system.slice/cpu.rt_runtime_us" not in refused.advice("7"), "it has some"
+    assert "system.slice/cpu.rt_runtime_us" not in refused.advice_if_allowed("7"), "it has some"
     machine.v1("/system.slice/failstop.service", "950000", "950000")
-    assert refused.advice("7") == refused.FILTER
+    assert refused.advice_if_allowed("7") == refused.FILTER
 
 
 @pytest.mark.parametrize(
@@ -109,13 +109,13 @@ def test_on_cgroup_v2_no_group_can_have_any(
     machine: Machine, group: str, controllers: str, config: str, told: str
 ) -> None:
     machine.v2(group, controllers, config)
-    assert refused.advice("7") == told
+    assert refused.advice_if_allowed("7") == told
 
 
 def test_files_that_cannot_be_read_are_no_reason(machine: Machine) -> None:
-    assert refused.advice("8") == ""
+    assert refused.advice_if_allowed("8") == ""
     machine.process("nonsense", "0")
-    assert refused.advice("7") == ""
+    assert refused.advice_if_allowed("7") == ""
 
 
 REAL = Path("/sys/fs/cgroup/cpu")
@@ -124,7 +124,7 @@ import os, sys
 from failstop.procs import rights
 from failstop.supervisor import refused
 with rights.realtime(40) as granted:
-    print("granted" if granted else refused.advice())
+    print("granted" if granted else refused.advice_if_allowed())
 """
 
 

@@ -1,7 +1,8 @@
 """Packets of Feetech's STS servos: `FF FF | id | length | instruction | data | check`, little-endian.
 
 `length` counts the instruction, the data and the check, which is the inverted sum of everything behind the head. A
-servo answers with the same form, its error bits in the place of the instruction. Speeds have their sign in bit 15
+servo answers with the same form, its error bits in the place of the instruction (ERRBIT_* of feetech-servo-sdk 1.0.0,
+which wire.py has too). Speeds have their sign in bit 15
 (Feetech's memory table; feetech-servo-sdk 1.0.0 makes the same bytes).
 """
 
@@ -11,7 +12,7 @@ from struct import Struct
 
 from failstop.board.checks import counted, number
 from failstop.board.servos import POSITION, SUPPLY, TEMPERATURE, TORQUE, ServoAnswer
-from failstop.board.wire import MISSING, Answer, Battery, Health, Obeyed, Reader, Sample, Wheels, beyond
+from failstop.board.wire import SERVO_MISSING, Answer, Battery, Health, Obeyed, Reader, Sample, Wheels, beyond
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -177,7 +178,7 @@ class Replies(Reader):
     def _heard(self, servo: int, error: int, data: bytes) -> list[Sample]:
         wheel = servo in WHEELS and len(data) in SIZES
         if wheel or _of_the_arm(servo, data):
-            self._errors[servo] = error & ~MISSING
+            self._errors[servo] = error & ~SERVO_MISSING
         if wheel:
             self._count_misses(WHEELS.index(servo), len(data))
         found = self._wheel(servo, data) if wheel else _of_the_arm(servo, data)
@@ -201,7 +202,7 @@ class Replies(Reader):
 
     def _wrong(self) -> dict[int, int]:
         """What is wrong with each servo that has something wrong."""
-        missing = {wheel: MISSING for wheel, misses in self._misses.items() if misses >= MISSES}
+        missing = {wheel: SERVO_MISSING for wheel, misses in self._misses.items() if misses >= MISSES}
         return {servo: error for servo, error in self._errors.items() if error} | missing
 
     def _rows(self) -> tuple[tuple[int, float, int, int], ...]:

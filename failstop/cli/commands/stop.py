@@ -282,7 +282,7 @@ class Target:
         kind = str(self._file.get(KIND, DEFAULTS[KIND]))
         with contextlib.suppress(SettingError):
             kind = str(BY_KEY[KIND].check(last))
-        known = kept.read(self._last.stop) if is_own(kind) and kind == self._last.board else None
+        known = kept.unpack_stop(self._last.stop) if is_own(kind) and kind == self._last.board else None
         if known and not self._stopped:
             return known
         try:
