@@ -8,7 +8,7 @@ import os
 import signal
 
 from failstop.board import kept
-from failstop.board.kinds import board_of, is_own
+from failstop.board.kinds import board_of
 from failstop.files.instance import InstanceError
 from failstop.messages.segments import AttachError
 from failstop.notify import Notify, Outbox
@@ -59,7 +59,7 @@ def _found(run: Run, port: OwnPort, notify: Notify) -> Supervisor:
     because a client reads them as soon as it finds the name. Raises whatever Run raises, and leaves nothing behind."""
     try:
         supervisor = Supervisor(run, port, notify)
-        run.publish(kept.pack_stop(port.board) if is_own(run.settings.text("board.kind")) else "")
+        run.publish(kept.pack_stop(port.board))
     except BaseException:
         run.remove()
         raise

@@ -15,6 +15,11 @@ def checked_board(settings: Settings, path: str | None) -> Board:
     """The board that the settings of this file name. Raises SettingError (the board can't do what the settings ask) or
     OwnBoardError."""
     board, kind = board_of(*settings.board()), settings.text("board.kind")
+    if (baud := int(settings["board.baud"])) and (baud < usual_baud(kind) or board.port.baud != baud):
+        usual = usual_baud(kind)
+        why = "a stop would take longer than its repeats allow" if baud < usual else "its firmware has no other"
+        text = f"board.baud = {baud}: board.kind {kind} has {usual}, and {why}"
+        raise SettingError(f"{path or 'settings'}: {text}: set 0, or build the firmware for {usual} or more")
     if board.wheels != settings.speeds:
         layout = settings.text("wheels.layout")
         text = f"board.kind {kind} takes {board.wheels} speeds, and wheels.layout {layout} has {settings.speeds} wheels"
@@ -27,6 +32,11 @@ def checked_board(settings: Settings, path: str | None) -> Board:
         text = f"the board's smallest speed of a wheel is {slowest:.2g} m/s, and the limits are {fastest * turn_m:.2g}"
         raise SettingError(f"{path or 'settings'}: {text}: raise [limits], or see board.per_rps")
     return board
+
+
+def usual_baud(kind: str) -> int:
+    """The baud rate that such boards usually have."""
+    return board_of(kind, 1.0, 0.0).port.baud
 
 
 def slowest_mps(settings: Settings) -> float:

@@ -79,6 +79,8 @@ class Heard(Data):
     """How long after the port was opened it was asked."""
     firmware: str = ""
     """Its firmware, where that differs from the usual one."""
+    other_baud: int = 0
+    """The baud rate at which it was asked, if that is another than the board has by its settings."""
     missing: tuple[int, ...] = ()
     """It is this board, but for servos that do not answer while others do."""
 
@@ -96,13 +98,16 @@ def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]
 
 
 def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
-    """Ask one board after another until one is known, which is the last in the list. The stop of the first was written
-    already. `strangers`: don't write to the other boards. Raises OSError when the device is gone."""
+    """Ask one board after the other until one is known, which is the last of the list. The stop of the first is on its
+    way already. Then at the other baud rates that a board may have. `strangers`: the other boards are not written to.
+    Raises OSError when the device has gone."""
     found: list[Heard] = []
-    for due_ns, kind in turns(boards, port.has_lines(fd)):
+    usual = [(due_ns, kind, boards[kind].port.baud) for due_ns, kind in turns(boards, port.has_lines(fd))]
+    others = [(0, kind, baud) for kind, board in boards.items() for baud in board.other_bauds]
+    for due_ns, kind, baud in usual + others:
         time.sleep(max(0, opened_ns + due_ns - time.monotonic_ns()) / 1e9)
         board, first = boards[kind], not found
-        port.set_speed(fd, board.port)
+        port.set_speed(fd, board.port.at(baud))
         silent = not board.pings or (strangers and kind != next(iter(boards)))
         after_ns = time.monotonic_ns() - opened_ns
         tap = Tap(fd, board)
@@ -110,7 +115,7 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
         if silent:
             tap.listen(ANSWER_S)
         known = bool(tap.reports) if silent else answered_ms is not None
-        parts = frozenset(tap.reports), tap.size, after_ns, tap.firmware, tap.missing
+        parts = frozenset(tap.reports), tap.size, after_ns, tap.firmware, baud * (baud != board.port.baud), tap.missing
         found.append(Heard(kind, known, answered_ms, *parts))
         if known or tap.missing:
             break
@@ -145,8 +150,12 @@ def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, s
         it = f"it is {last.kind}" if last.kind == kind else f"it is {last.kind}, and board.kind is {kind}"
         return False, f"{it}; {which} does not answer while others do", SERVO_PLACES
     if last.known and last.kind != kind:
-        remedy = f'set board.kind = "{last.kind}", or plug the other board in'
+        rate = f" and board.baud = {last.other_baud}" if last.other_baud else ""
+        remedy = f'set board.kind = "{last.kind}"{rate}, or plug the other board in'
         return False, f"the board that answers is {last.kind}, and board.kind is {kind}", remedy
+    if last.known and last.other_baud:
+        text = f"it answers as {kind} does, at {last.other_baud} baud, and the settings have {board.port.baud}"
+        return False, text, f"set board.baud = {last.other_baud}"
     if last.known:
         reset = f"; opening the port reset it: deaf for {deaf_ns / 1e9:g} s"
         opened = reset if last.after_ns >= deaf_ns else ", and opening the port did not reset it"

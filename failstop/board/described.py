@@ -130,18 +130,20 @@ class Described(Board):
 
     __slots__ = (
         "_motion", "_wire", "acknowledged_by", "after_ns", "arm", "arming", "burst", "commanders", "echo_ns",
-        "fades_ns", "first_stop", "idle_ns", "most_rps", "name", "observed_by", "per_rps", "ping_ns", "pings", "port",
+        "fades_ns", "first_stop", "idle_ns", "most_rps", "name", "observed_by", "other_bauds", "per_rps",
+        "ping_ns", "pings", "port",
         "refresh", "repeats_ns", "reports", "scale_assumed", "silent_ns", "step_rps", "stop", "usb", "wheels",
     )  # fmt: skip
 
     usb_alone = False
 
-    def __init__(self, wire: Wire, per_rps: float, diameter_m: float) -> None:
-        """`per_rps`: one turn per second, in the board's unit; `diameter_m`: the diameter of a wheel."""
+    def __init__(self, wire: Wire, per_rps: float, diameter_m: float, baud: int = 0) -> None:
+        """`per_rps`: a speed of one turn a second, in its unit; `diameter_m`: of a wheel; `baud`: 0: as usual."""
         (write,) = wire.stop.writes
         self._wire, self._motion, self.per_rps = wire, wire.motion, per_rps
         self.scale_assumed = False
-        self.name, self.port = wire.name, wire.port
+        self.name, self.port = wire.name, wire.port.at(baud) if baud else wire.port
+        self.other_bauds = tuple(each for each in (wire.port.baud, *wire.other_bauds) if each != self.port.baud)
         self.idle_ns = max(wire.stop.after_ns, wire.pace.idle_ns)
         self.after_ns = wire.stop.after_ns
         self.repeats_ns = tuple(row[1:] for row in wire.stop.repeats_ns)
@@ -156,7 +158,7 @@ class Described(Board):
         self.observed_by = BY_WHEELS if OBSERVED in wire.proofs else BY_IMU
         self.reports = _reports(wire, per_rps, diameter_m)
         self.usb, self.commanders = wire.usb, wire.commanders
-        self.arm = wire.arm(wire.port) if wire.arm else None
+        self.arm = wire.arm(self.port) if wire.arm else None
         self.wheels = wire.motion.wheels
         self.most_rps = min(wire.motion.limit, wire.motion.apart / 2) / per_rps
         self.step_rps = wire.motion.step / per_rps

@@ -67,18 +67,19 @@ def board_of(
     per_rps: float,
     steering: SteeringServo | None = None,
     confirmed_per_rps: float = 0.0,
+    baud: int = 0,
     *,
     tried: bool = False,
 ) -> Board:
     """The board of the setting board.kind. `per_rps`: a wheel's speed of one turn a second in its own unit; 0: as such
     boards usually have it; `steering`: the servo of a steered base, None: there is none; `confirmed_per_rps`: the
-    `per_rps` that a turn of a wheel has confirmed, 0: none; `tried`: as for wire_of(). Nothing of another board is
-    imported. Raises OwnBoardError, a ValueError."""
+    `per_rps` that a turn of a wheel has confirmed, 0: none; `baud`: that its firmware is built with, 0: as usual;
+    `tried`: as for wire_of(). Nothing of another board is imported. Raises OwnBoardError, a ValueError."""
     if is_described(kind):
         from failstop.board.described import Described
 
         wire = wire_of(kind, tried=tried)
-        made = Described(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m)
+        made = Described(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m, baud)
         made.scale_assumed = _assumed(wire, made, diameter_m, confirmed_per_rps)
         return made
     board: Board = __import__(f"failstop.board.{kind}.board", fromlist=["board"]).board(diameter_m, per_rps, steering)

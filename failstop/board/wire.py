@@ -50,6 +50,10 @@ class Port(Data):
     opening: tuple[bytes, ...]
     """Frames to write once it hears; they arm its own watchdog."""
 
+    def at(self, baud: int) -> Port:
+        """The same port at another baud rate."""
+        return Port(baud=baud, dtr=self.dtr, rts=self.rts, deaf_ns=self.deaf_ns, opening=self.opening)
+
     @property
     def byte_ns(self) -> int:
         """How long a byte takes on the wire."""
@@ -276,8 +280,9 @@ class Wire(Data):
     ping_ns: int
     """The longest time between two questions, if the proofs need them; 0: any."""
     echo_ns: int
-    """When it reports that it obeys zeros, the command was written at least this long before; 0: it does not report
-    it."""
+    """A command of zeros that it reports as obeyed was written this long before at least; 0: it reports none."""
+    other_bauds: tuple[int, ...] = ()
+    """Baud rates that its firmware is often built with, besides that of `port`: doctor and setup try these too."""
     usb: tuple[str, ...] = ()
     """Vendor:product, in hexadecimal, of the board's own USB ports; an adapter's say nothing about the board behind
     it."""

@@ -31,7 +31,7 @@ class Last(Data):
     board: str = ""
     """The kind of its board; empty: not known."""
     stop: str = ""
-    """The stop of an own board (board/kept.py); empty: the kind says it."""
+    """The board's stop and baud rate (board/kept.py); empty: not known."""
     owner: int = 0
     """The user whose file says so, who may have written anything into it."""
 

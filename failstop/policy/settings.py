@@ -29,6 +29,7 @@ def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | t
 
 
 SWITCH = ("on", "off")
+BAUDS = (0, 57600, 115200, 230400, 460800, 500000, 921600, 1000000)
 DEATHS = ("disable", "latch", "stay")
 ANSWERS_TO_SILENCE = ("wait", "disable", "latch")
 TURNS = ("none", "yaw", "pitch", "roll")
@@ -43,6 +44,7 @@ DECLARED = (
         f"the robot, of those with the board {BOARDS[0]}: its sizes",
         tuple(robots.EVERY_ROBOT),
     ),
+    _word("board.baud", 0, "the baud rate that its firmware is built with; 0: as usual for this board", BAUDS),
     Setting("board.per_rps", 0.0, "", 0.0, 10000.0, "a wheel's turn a second in the board's own unit; 0: as usual"),
     Setting(
         "board.per_rps_confirmed",
@@ -355,10 +357,10 @@ class Settings:
             for name, own in self.named["interlocks"].items()
         }
 
-    def board(self) -> tuple[str, float, float, SteeringServo | None, float]:
+    def board(self) -> tuple[str, float, float, SteeringServo | None, float, int]:
         """What board_of() of failstop/board/kinds.py takes: the kind of the board, the wheels' diameter in m, a wheel's
-        turn a second in the board's own unit (0: as usual), the servo of a steered base, and the turn a second that a
-        turn of a wheel has confirmed (0: none)."""
+        turn a second in the board's own unit (0: as usual), the servo of a steered base, the turn a second that a turn
+        of a wheel has confirmed (0: none), and the baud rate (0: as usual)."""
         steering = None
         if self.text("wheels.layout") == layouts.ACKERMANN:
             steering = SteeringServo(
@@ -369,7 +371,8 @@ class Settings:
                 most_rad=radians(self["steering.most_deg"]),
             )
         scale = self["board.per_rps"], self["board.per_rps_confirmed"]
-        return self.text("board.kind"), self["wheels.diameter_m"], scale[0], steering, scale[1]
+        baud = int(self["board.baud"])
+        return self.text("board.kind"), self["wheels.diameter_m"], scale[0], steering, scale[1], baud
 
     @property
     def speeds(self) -> int:

@@ -26,8 +26,8 @@ def kind_check(answer: str) -> str:
     raise NotAnAnswer(f"type {', '.join(BOARDS)}, or the path of a folder of your own")
 
 
-def step(talk: Talk, path: str) -> str:
-    """The second step: the board's kind. Raises Left."""
+def step(talk: Talk, path: str) -> tuple[str, int]:
+    """The second step: the board's kind, and its baud rate, if that is not the usual one (0: it is). Raises Left."""
     talk.step(2, "The board")
     wanted = talk.given.get("board") or talk.draft.answers.get("board", "")
     if wanted:
@@ -48,8 +48,9 @@ def step(talk: Talk, path: str) -> str:
             if wanted and kind != wanted:
                 talk.draft.forget("board")
                 raise Left(f"{text}: give --board {kind}, or plug the other board in")
-            board = boards[kind]
-            talk.say(f"It is {board.name} ({kind}).")
+            baud = heard[-1].other_baud if heard[-1].known else 0
+            board = board_of(kind, 1.0, 0.0, baud=baud)
+            talk.say(f"It is {board.name} ({kind}){f', at {baud} baud' if baud else ''}.")
             if heard[-1].firmware:
                 talk.say(f"Its firmware is {heard[-1].firmware}.")
             talk.draft.keep("board", kind)
@@ -58,7 +59,7 @@ def step(talk: Talk, path: str) -> str:
         raise Left(f"{path} went away ({error.strerror}): is the plug in?") from None
     except (PortError, ValueError) as error:
         raise Left(str(error) if os.path.exists(path) else f"{path} went away: is the plug in?") from None
-    return kind
+    return kind, baud
 
 
 def _live(talk: Talk, fd: int, board: Board) -> None:

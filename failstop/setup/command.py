@@ -91,9 +91,10 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
     )
     _take_up(talk)
     device = ports.step(talk, System())
-    kind = boards.step(talk, device)
+    kind, baud = boards.step(talk, device)
     robot, values, known = _robot(talk, kind)
-    halt = Halt(device, board_of(kind, 1.0, 0.0), lambda text: talk.say(text, style.FAIL))
+    values = {**values, **({"board.baud": baud} if baud else {})}
+    halt = Halt(device, board_of(kind, 1.0, 0.0, baud=baud), lambda text: talk.say(text, style.FAIL))
     halts.append(halt)
     wheels = Trial(talk, device, values, halt).step()
     chosen = sizes.step(talk, {**values, **wheels}, known=known)

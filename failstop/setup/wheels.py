@@ -186,7 +186,7 @@ class Trial:
     def _turn(self, id_: int) -> None:
         rim = rim_mps(self._rps, self._diameter_m)
         values, velocity = alone(self._kind, self._speeds, id_, rim, self._diameter_m)
-        values |= {key: value for key, value in self._values.items() if key in SCALE}
+        values |= {key: value for key, value in self._values.items() if key in (*SCALE, "board.baud")}
         self._talk.say(f"The wheel of id {id_} turns for {SECONDS:g} s, alone ...", style.DIM)
         with Rig(self._device, values, self._halt) as rig:
             rig.drive(velocity, SECONDS)

@@ -142,6 +142,31 @@ def test_the_hoverboard_fork_with_22_bytes_of_feedback_is_known_and_named() -> N
     assert There("hoverboard", own_speed=True).asked("hoverboard")[-1].firmware == ""
 
 
+@pytest.mark.parametrize("wanted", BOARDS)
+def test_a_board_whose_firmware_has_another_baud_rate_is_found_at_it(wanted: str) -> None:
+    on = There("arduino", own_speed=True)
+    on.baud = 115_200
+    heard = on.asked(wanted)
+    assert (heard[-1].kind, heard[-1].known, heard[-1].other_baud) == ("arduino", True, 115_200)
+    known, text, remedy = told_of(heard, wanted, boards(wanted)[wanted])
+    assert not known
+    if wanted == "arduino":
+        assert text == "it answers as arduino does, at 115200 baud, and the settings have 57600"
+        assert remedy == "set board.baud = 115200"
+    else:
+        assert remedy.startswith('set board.kind = "arduino" and board.baud = 115200')
+    assert not on.turned()
+
+
+def test_a_board_at_the_rate_of_its_settings_is_known_and_at_the_usual_one_found() -> None:
+    at_115200 = {**boards("arduino"), "arduino": board_of("arduino", 0.08, 0.0, baud=115_200)}
+    for baud, known, advice in ((115_200, True, ""), (57_600, False, "set board.baud = 57600")):
+        on = There("arduino", own_speed=True)
+        on.baud = baud
+        found = told_of(on.asked("arduino", at_115200), "arduino", at_115200["arduino"])
+        assert (found[0], found[2]) == (known, advice)
+
+
 @pytest.mark.parametrize("wanted", ["feetech", "rrc"])
 @pytest.mark.parametrize("missing", codec.WHEELS)
 def test_a_bus_on_which_one_wheel_does_not_answer_is_known_and_the_servo_named(missing: int, wanted: str) -> None:

@@ -269,11 +269,13 @@ def test_a_command_tells_of_it_in_a_line(words: tuple[str, ...], tmp_path: Path)
 
 
 @pytest.mark.starts
-def test_a_service_keeps_the_stop_of_an_own_board_and_of_no_other(folder: str) -> None:
-    """So that `failstop stop` can write it without running the description."""
-    for kind in (folder, "arduino"):
-        found = Simulated(kind=kind).load("failstop.files.instance").last("failstop")
-        assert (found.board, found.stop) == (kind, kept.pack_stop(board_of(kind, 0.08, 0.0)) if kind == folder else "")
+def test_a_service_keeps_the_stop_of_its_board(folder: str) -> None:
+    """So that `failstop stop` can write it without running an own board's description, and at the right baud rate."""
+    for kind, baud in ((folder, 0), ("arduino", 115_200)):
+        made = Simulated({"board.baud": baud}, kind=kind)
+        found = made.load("failstop.files.instance").last("failstop")
+        board = board_of(kind, 0.08, 0.0, baud=baud)
+        assert (found.board, found.stop) == (kind, kept.pack_stop(board))
 
 
 HELD = {1: "464ac5a532f41919"}

@@ -44,8 +44,10 @@ every_board = pytest.mark.parametrize("kind", EVERY_KIND)
 class Trial:
     """One board that drives and is stopped."""
 
-    def __init__(self, kind: str, stop: TimedStop | None = None) -> None:
+    def __init__(self, kind: str, stop: TimedStop | None = None, baud: int = 0) -> None:
+        """`baud`: of the board's firmware; 0: as usual."""
         self.wire: Wire = wire_of(kind)
+        self.byte_ns = self.wire.port.at(baud or self.wire.port.baud).byte_ns
         self.model: ReceiverModel = model_of(kind)
         self.stop = stop or self.wire.stop
         self.fastest = self.wire.motion.apart / 2
@@ -81,7 +83,7 @@ class Trial:
         The board drives. The stops of the writers, (index, when each begins), follow `before` without a gap; `late` is
         what others write meanwhile. -1: they were not stopped.
         """
-        byte_ns = self.wire.port.byte_ns
+        byte_ns = self.byte_ns
         writes = [(0, self.motion[0]), (BEGIN_NS - len(before) * byte_ns, before), *late]
         for writer, begin_ns in writers:
             writes += stop_writes(self.stop, writer, begin_ns, byte_ns)
@@ -136,6 +138,18 @@ def test_one_writer_stops_the_wheels_after_every_cut(kind: str) -> None:
     for before, writer in zip(trial.cuts() * len(writers), cycle(writers), strict=False):
         stopped_ns = trial.stopped_ns(trial.model.any_state(rng), before, [(writer, BEGIN_NS)])
         assert 0 <= stopped_ns <= BAR_NS, (before, writer)
+
+
+@pytest.mark.parametrize(("kind", "baud"), [(kind, baud) for kind in EVERY_KIND for baud in wire_of(kind).other_bauds])
+def test_a_stop_holds_at_the_other_baud_rates_of_a_board(kind: str, baud: int) -> None:
+    """After every cut, of one writer and of three that do not see each other."""
+    trial = Trial(kind, baud=baud)
+    rng = random.Random(kind)
+    every = [(writer, BEGIN_NS + rng.randrange(3_000_000)) for writer in range(len(trial.stop.repeats_ns))]
+    for before in trial.cuts():
+        for writers in ([(0, BEGIN_NS)], every):
+            stopped_ns = trial.stopped_ns(trial.model.any_state(rng), before, writers)
+            assert 0 <= stopped_ns <= BAR_NS, (before, writers)
 
 
 @pytest.mark.claim("BOARD-2")

@@ -6,6 +6,7 @@ import os
 import pty
 import signal
 import subprocess
+import termios
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -111,7 +112,7 @@ def test_a_service_that_was_just_starting_is_asked_once_it_listens(
 
 
 def test_the_setting_is_declared_once() -> None:
-    assert stop.DEFAULTS == {"device.path": "/dev/ttyACM0", "stop.wait_s": 30.0, "board.kind": "rrc"}
+    assert stop.DEFAULTS == {"device.path": "/dev/ttyACM0", "stop.wait_s": 30.0, "board.kind": "rrc", "board.baud": 0}
 
 
 @pytest.mark.parametrize("named", [True, False], ids=["port named", "port of the file"])
@@ -237,6 +238,22 @@ def test_the_stop_of_an_own_board_is_written_whatever_became_of_its_description(
     assert (done.returncode, done.stderr) == (0, "")
     assert came(master, len(own.burst)).startswith(own.burst)
     assert "is not known, because its description can't be used" in done.stdout
+
+
+@pytest.mark.parametrize("by", ["the last run", "the file"])
+def test_the_stop_goes_out_at_the_baud_rate_of_the_board(by: str, board: tuple[str, int], file: Path) -> None:
+    link, master = board
+    arduino = board_of("arduino", 0.08, 0.0, baud=115_200)
+    if by == "the last run":
+        run = instance.Last(link, "failstop run", (), "arduino", kept.pack_stop(arduino))
+        instance.remember(instances.make_runtime_dir("failstop"), run)
+        words = []
+    else:
+        file.write_text(f'device.path = "{link}"\nboard.kind = "arduino"\nboard.baud = 115200\n')
+        words = ["--config", str(file)]
+    assert cli.main(["stop", *words]) == 1, "nothing answers"
+    assert termios.tcgetattr(master)[4:6] == [termios.B115200] * 2
+    assert came(master, len(arduino.burst)).startswith(arduino.burst)
 
 
 def test_a_kept_stop_that_is_nonsense_is_none() -> None:

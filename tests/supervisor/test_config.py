@@ -398,6 +398,27 @@ def test_what_a_board_does_not_take_is_refused_with_the_file_it_is_in(path: str 
         assert str(error.value) == f"{path or 'settings'}: {text}"
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('board.kind = "arduino"\nboard.baud = 115200\n', ""),
+        ('board.kind = "arduino"\nboard.baud = 57600\n', ""),
+        ('board.kind = "hoverboard"\nboard.baud = 57600\n', "a stop would take longer than its repeats allow"),
+        ("board.baud = 115200\n", "board.kind rrc has 1000000, and a stop would take longer"),
+        ("board.baud = 1000000\n", ""),
+        ("board.baud = 9600\n", "board.baud = 9600: allowed is 0 or 57600 or 115200 or"),
+    ],
+)
+def test_a_baud_rate_is_one_that_the_board_s_stop_is_made_for(
+    file: Path, text: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file.write_text(text)
+    code, out, err = run(capsys, "config", "--check", str(file))
+    assert code == bool(told)
+    assert told in err
+    assert bool(out) is not bool(told)
+
+
 @pytest.mark.parametrize("words", [["config", "--check"], ["config", "--config"], ["run", "--config"]])
 @pytest.mark.parametrize(
     ("text", "message"),

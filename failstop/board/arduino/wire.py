@@ -95,6 +95,8 @@ WIRE = Wire(
     ),
     # Seven answers, because a busy computer may lose a few in a row. A short restart shows in its counters.
     silent_ns=700 * _MS,
+    # The sketch of ros_arduino_bridge has 57600; about half of the robots that publish their files have changed it.
+    other_bauds=(115_200,),
     usb=(
         *("2341:0043", "2341:0001", "2a03:0043", "2341:0243"),  # Uno
         *("2341:0010", "2341:0042", "2a03:0010", "2a03:0042", "2341:0210", "2341:0242"),  # Mega

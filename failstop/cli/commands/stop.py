@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 DEVICE = "device.path"
 WAIT = "stop.wait_s"
 KIND = "board.kind"
-DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT, KIND)}
+BAUD = "board.baud"
+DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT, KIND, BAUD)}
 
 END_SERVICE_S = 12.0
 """With --end-service everything is through by then: below the unit's TimeoutStopSec, at which systemd would kill this
@@ -57,7 +58,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     device, wait_s = DEFAULTS[DEVICE], DEFAULTS[WAIT]
     parser.add_argument("reason", nargs="*", help="why; shown by `failstop status` and in the journal")
     add_name(parser)
-    parser.add_argument("--config", metavar="FILE", help=f"TOML file, of which {DEVICE}, {KIND} and {WAIT} are used")
+    parser.add_argument(
+        "--config", metavar="FILE", help=f"TOML file, of which {DEVICE}, {KIND}, {BAUD} and {WAIT} are used"
+    )
     parser.add_argument(
         "--device", metavar="PATH", help=f"the board's port (default: the last run's, else {DEVICE}, else {device})"
     )
@@ -282,11 +285,12 @@ class Target:
         kind = str(self._file.get(KIND, DEFAULTS[KIND]))
         with contextlib.suppress(SettingError):
             kind = str(BY_KEY[KIND].check(last))
-        known = kept.unpack_stop(self._last.stop) if is_own(kind) and kind == self._last.board else None
-        if known and not self._stopped:
+        known = kept.unpack_stop(self._last.stop) if kind == self._last.board else None
+        if known and is_own(kind) and not self._stopped:
             return known
+        baud = known.port.baud if known and last else int(self._file.get(BAUD, DEFAULTS[BAUD]))
         try:
-            return board_of(kind, 1.0, 0.0)
+            return board_of(kind, 1.0, 0.0, baud=baud)
         except ValueError:
             if known:
                 return known

@@ -15,6 +15,7 @@ from failstop.board.port import PortError
 from failstop.cli import style
 from failstop.policy.halted import OF_CTRL_C, Halted
 from failstop.policy.layouts import BOARDS
+from failstop.policy.settings import BAUDS
 from failstop.setup.ending import interruptible
 from failstop_lab.probe import judge, ros2, serial
 from failstop_lab.probe.card import Card, Row
@@ -50,6 +51,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_board(by_port, None, "the board's kind: {}")
     add = by_port.add_argument
     add("--port", required=True, metavar="PATH", help="the board's port")
+    add("--baud", type=int, default=0, metavar="RATE", help="of its firmware (default: as usual for this board)")
     add("--frame", metavar="TEXT", help=r"what your driver sends, as text with \n or 0x.. (default: slow wheels)")
     add = by_ros.add_argument
     add("--cmd-vel", default="/cmd_vel", metavar="TOPIC", help="where it takes velocities (default: %(default)s)")
@@ -138,13 +140,15 @@ def _frame(text: str) -> bytes:
 def _serial(arguments: Namespace) -> tuple[Card, int]:
     if not arguments.board:
         raise FailstopError(f"which board? give --board: {', '.join(BOARDS)}, or a folder of your own")
-    board = board_of(arguments.board, DIAMETER_M, 0.0)
+    if arguments.baud not in BAUDS:
+        raise FailstopError(f"--baud {arguments.baud}: it is one of {', '.join(map(str, BAUDS[1:]))}")
+    board = board_of(arguments.board, DIAMETER_M, 0.0, baud=arguments.baud)
     sent = _frame(arguments.frame) if arguments.frame else serial.frame_of(board)
     names = _rows(arguments.rows, serial.ROWS)
     if not os.path.exists(arguments.port):
         raise FailstopError(f"no port {arguments.port}: plug the board in; `failstop doctor --quick` lists ports")
     check_free(arguments.port)
-    if doubt := serial.check_kind(arguments.port, arguments.board):
+    if doubt := serial.check_kind(arguments.port, arguments.board, arguments.baud):
         _say(f"Not known to be {arguments.board}: {doubt}.")
     _consent(arguments, len(names) + 1)
     driver = arguments.driver or f"a throw-away process, one frame every {serial.PERIOD_S:g} s"

@@ -96,7 +96,7 @@ class SerialProbe:
         return self._watcher.pid if self._watcher else 0
 
     def __enter__(self) -> SerialProbe:
-        words = helpers.python("failstop_lab.probe.watcher", self._path, self._kind)
+        words = helpers.python("failstop_lab.probe.watcher", self._path, self._kind, str(self._board.port.baud))
         self._watcher = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
         )
@@ -347,10 +347,11 @@ class SerialProbe:
             self._driver = None
 
 
-def check_kind(path: str, kind: str) -> str:
+def check_kind(path: str, kind: str, baud: int = 0) -> str:
     """Ask the board what it is, behind a stop; no wheel turns by that. Returns what there is to doubt. Raises
-    FailstopError where another board answers: frames that it does not know would make a card of nothing."""
-    boards = {each: board_of(each, 1.0, 0.0) for each in dict.fromkeys((kind, *BOARDS))}
+    FailstopError where another board answers, or this one at another baud rate: frames that it does not know would make
+    a card of nothing."""
+    boards = {each: board_of(each, 1.0, 0.0, baud=baud * (each == kind)) for each in dict.fromkeys((kind, *BOARDS))}
     try:
         with contextlib.closing(OwnPort.open_and_stop(path, boards[kind])) as own:
             heard = asking.seek(own.fd, boards, time.monotonic_ns(), strangers=is_own(kind))
@@ -359,6 +360,8 @@ def check_kind(path: str, kind: str) -> str:
     if heard[-1].known and heard[-1].kind != kind:
         found = heard[-1].kind
         raise FailstopError(f"the board that answers is {found}, not {kind}: give --board {found}, or plug {kind} in")
+    if heard[-1].known and heard[-1].other_baud:
+        raise FailstopError(f"{kind} answers at {heard[-1].other_baud} baud: give --baud {heard[-1].other_baud}")
     known, text, _ = asking.told_of(heard, kind, boards[kind])
     return "" if known else text
 

@@ -1,12 +1,12 @@
 """Watcher: a process of its own that stops the wheels when the probe is done, falls silent, or is killed.
 
-`python -m failstop_lab.probe.watcher PORT KIND`: standard input is its lifeline. Each line is `drive PID` (this process
-drives now), `stop`, or `here`; it answers the first two with a line: `done`, `late` if it had to end the driving by
-itself, or `unwritten` if no stop could be written. When nothing has come for SILENT_S while something drives, it kills
-that and writes the board's stop. It does the same when standard input ends, and then waits for a port that is unplugged
-until it has taken the stop. It has a session of its own, so Ctrl-C and a closed terminal do not reach it. The watcher
-itself may hang or die: the probe waits for its answers only for a while, and then writes the stop itself. publisher.py
-has a watcher for ROS 2.
+`python -m failstop_lab.probe.watcher PORT KIND BAUD`: standard input is its lifeline. Each line is `drive PID` (this
+process drives now), `stop`, or `here`; it answers the first two with a line: `done`, `late` if it had to end the
+driving by itself, or `unwritten` if no stop could be written. When nothing has come for SILENT_S while something
+drives, it kills that and writes the board's stop. It does the same when standard input ends, and then waits for a port
+that is unplugged until it has taken the stop. It has a session of its own, so Ctrl-C and a closed terminal do not reach
+it. The watcher itself may hang or die: the probe waits for its answers only for a while, and then writes the stop
+itself. publisher.py has a watcher for ROS 2.
 """
 
 from __future__ import annotations
@@ -148,9 +148,9 @@ def _no_wait(_: PortError) -> float:
     return 0.0
 
 
-def halting(path: str, kind: str) -> Callable[[float], bool]:
+def halting(path: str, kind: str, baud: str) -> Callable[[float], bool]:
     """Return what writes the stop of a board of this kind to this port, several times because one may be lost."""
-    board = board_of(kind, 1.0, 0.0)
+    board = board_of(kind, 1.0, 0.0, baud=int(baud))
 
     def halt(wait_s: float) -> bool:
         written, wait = False, lambda _: wait_s
