@@ -359,7 +359,7 @@ ROS_ARM_PUBLISHERS = Kind(
     "end all but one of these nodes, since one at a time moves the arm; a node that was killed counts for up to 20 s",
 )  # fmt: skip
 ROS_STRANGER = Kind(
-    48, "ros_stranger", "stop request: stranger on cmd_vel: {words} (says it is {who}, pid {pid:d})", "port_owner",
+    53, "ros_stranger", "stop request: stranger on cmd_vel: {words} (says it is {who}, pid {pid:d})", "port_owner",
     'a program that says it is {who} (pid {pid}) asked for a stop: "stranger on cmd_vel: {words}"',
     "end that node, or add its name to allowed_publishers of the bridge and start the bridge again",
 )  # fmt: skip

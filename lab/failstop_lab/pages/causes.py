@@ -48,4 +48,6 @@ def _row(kind: Kind) -> str:
     noticed_by = ", ".join(name.replace("_", " ") for name in kind.noticed_by.split()) or ANY_READER
     text, what = (template.format_map(words) for template in (kind.template, kind.what))
     what += f", {kind.doubt}" if kind.doubt else ""
-    return f"| `{text}` | `{kind.name}` | {what} | {kind.first().format_map(words)} | {noticed_by} | {kind.cleared_by} |"
+    return (
+        f"| `{text}` | `{kind.name}` | {what} | {kind.first().format_map(words)} | {noticed_by} | {kind.cleared_by} |"
+    )
