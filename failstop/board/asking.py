@@ -103,7 +103,8 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
     Raises OSError when the device has gone."""
     found: list[Heard] = []
     usual = [(due_ns, kind, boards[kind].port.baud) for due_ns, kind in turns(boards, port.has_lines(fd))]
-    others = [(0, kind, baud) for kind, board in boards.items() for baud in board.other_bauds]
+    # Of a board that a Wire describes; others have one rate.
+    others = [(0, kind, baud) for kind, board in boards.items() for baud in getattr(board, "other_bauds", ())]
     for due_ns, kind, baud in usual + others:
         time.sleep(max(0, opened_ns + due_ns - time.monotonic_ns()) / 1e9)
         board, first = boards[kind], not found

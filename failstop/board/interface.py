@@ -157,8 +157,6 @@ class Board:
     """For people: the name of the board, such as "an Arduino with ..."."""
     port: Port
     """How its serial port is set up, and how long it is deaf then."""
-    other_bauds: tuple[int, ...] = ()
-    """Baud rates at which such a board may answer instead."""
     idle_ns: int
     """How long the line must be silent after a write before anything but a stop may be written; 0: not at all."""
     after_ns: int

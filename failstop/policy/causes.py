@@ -212,8 +212,9 @@ BY = " (says it is "
 def rival_of(who: str, other: str) -> str:
     """A second client as the rival of `who`; both are a name and a pid. Two clients of one process are two Robots in
     one program, and not two programs."""
-    pid = who.rpartition(" (pid ")[1:]
-    return SECOND_ROBOT if any(pid) and pid == other.rpartition(" (pid ")[1:] else other
+    pid = who.rpartition(" (pid ")[2]
+    known = pid.endswith(")") and pid != "0)"  # 0: of another pid namespace
+    return SECOND_ROBOT if known and pid == other.rpartition(" (pid ")[2] else other
 
 
 def completed(latched: Cause, later: Cause) -> bool:

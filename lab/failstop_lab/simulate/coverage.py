@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from failstop.policy import causes
 from failstop_lab.boards.traits import HAS_ARM, HAS_KEYS, HAS_REPORTS, HAS_WHEEL_REPORTS, SHOWS_DEAF, Traits
 from failstop_lab.machine.kernel import Machine
 from failstop_lab.machine.loading import Loader
@@ -18,6 +19,8 @@ NOT_TRIED = {
     "cause bad_frame": "nor does a gate that sends nonsense",
     "admission bad frame": "nor does a gate that sends nonsense",
     "admission burst": "a zero frame that is too old comes of a gate and a port owner that are both held up",
+    "cause wheel_missing": "every wheel of the simulated board answers here",
+    **{f"cause {row.name}": "no ROS bridge asks" for row in causes.SIGNED if row is not causes.REQUESTED},
     "cause not_heard": "a second without an answer, and a process that is held up within it: two faults",
     "cause defect": "nothing happens to a process that cannot happen",
     "cause battery": "its voltage takes seconds to show",
@@ -47,11 +50,11 @@ CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("cause suspended", ("TIME-1",)),
     ("cause removed", ("ASK-2",)),
     ("cause device_lost", ("PORT-1",)),
-    ("cause (stuck|deaf|not_heard|restarted)", ("BOARD-1",)),
+    ("cause (stuck|deaf|not_heard|restarted|wheel_missing)", ("BOARD-1",)),
     ("cause board_silent", ("SILENCE-1",)),
     ("cause (runaway|unstill)", ("RUNAWAY-1",)),
     ("cause (not_finite|two_publishers|driver_died|driver_silent)", ("CLIENT-1",)),
-    ("cause (key|requested|piped)", ("ASK-1",)),
+    ("cause (key|requested|piped|ros_.*)", ("ASK-1",)),
     ("cause stopping", ("END-1",)),
     ("admission write", ("MOVE-1", "RETURN-1")),
     ("admission drop", ("MOVE-1", "MOVE-2")),

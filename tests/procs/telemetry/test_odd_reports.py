@@ -168,8 +168,8 @@ SAMPLES: dict[str, Callable[[Any, Any], object]] = {
     "a temperature": lambda wire, value: wire.Health(((1, 0.0, value),)),
     "a servo's error": lambda wire, value: wire.Health(((1, 0.0, 20, value),)),
     "all servos": lambda wire, value: wire.Health(value),
-    "no voltage": lambda wire, value: wire.Battery(),
-    "no vectors": lambda wire, value: wire.Imu(),
+    "no voltage": lambda wire, value: object.__new__(wire.Battery),
+    "no vectors": lambda wire, value: object.__new__(wire.Imu),
 }
 
 
