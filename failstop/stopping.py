@@ -40,9 +40,9 @@ def stop(
     otherwise: Callable[[PortError], bool] = lambda _: False,
     named_by: int = 0,
 ) -> float:
-    """Write the burst; returns after how many seconds. `wait` says for how many to try, and is asked when the first try
-    has failed: the answer may be in a file. `otherwise`: called after each try that has failed; True: a stop is out by
-    another way. `named_by`: as for open_port(). Raises PortError, the last one met."""
+    """Write the burst; returns how many seconds it took. `wait` returns for how many seconds to retry, and is called
+    only after the first failure, because the answer may be in a file. `otherwise` is called after each failure; True:
+    another way has sent a stop. `named_by`: as for open_port(). Raises the last PortError."""
     start_s = time.monotonic()
     wait_s = -1.0
     warned = False
@@ -65,8 +65,8 @@ def stop(
 
 
 def write(path: str, board: Board, servos: tuple[int, ...] = (), *, named_by: int = 0) -> None:
-    """Open without taking the port from anyone, write the whole burst, and behind it what stops an arm with these
-    servos, see it drained, close. `named_by`: as for open_port(). Raises PortError."""
+    """Open the port without taking it from anyone, write the whole burst, then the frames that stop an arm with these
+    servos, wait until they are drained, close. `named_by`: as for open_port(). Raises PortError."""
     stop_port = StopPort(open_port(path, exclusive=False, line=board.port, named_by=named_by), board, servos)
     try:
         stop_port.burst()
@@ -80,9 +80,9 @@ def write(path: str, board: Board, servos: tuple[int, ...] = (), *, named_by: in
 
 
 def answered(path: str, board: Board, *, patient: bool, named_by: int = 0) -> bool | None:
-    """Whether the board answers at a port where its stop was written; None: that can't be known, because it answers
-    nothing by its nature, or a service reads the port. `patient`: a board that opening its port resets is waited for.
-    Never raises."""
+    """Whether the board answers at a port where its stop was written. None: unknown, because the board answers nothing
+    by design, or a service reads the port. `patient`: wait for a board that opening its port resets. `named_by`: as for
+    open_port(). Never raises."""
     if not (board.pings or board.echo_ns):
         return None
     # Imported after the stop, which needs neither.

@@ -123,8 +123,8 @@ class Run:
         self.own.latest_writer("settings").write(pack(self.settings.flat()))
 
     def publish(self, stop: str = "") -> None:
-        """Let the run be found by its name: all that clients read is there. Keep how it was started, and the board's
-        `stop`, as board/kept.py has it. Raises OSError."""
+        """Publish the run's name, because everything that clients read exists now. Keep how the run was started, and
+        the board's `stop`, as in board/kept.py. Raises OSError."""
         device = os.path.abspath(self.settings.text("device.path"))
         kind = self.settings.text("board.kind")
         instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind, stop))

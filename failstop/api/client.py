@@ -69,14 +69,12 @@ def unread(fd: int) -> int:
 
 
 def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
-    """Ask for a latched stop: every local user may. The service shows `stop request: REASON (says it is WHO, pid N)`,
-    because a pipe does not tell its reader who wrote. A reason of more than records.ASKED_BYTES is cut. What an object
-    says of itself follows as a request of its own, unless it takes longer than OWN_WORDS_S. `row`: the name of the
-    cause that the reason is of, one of causes.SIGNED, whose remedy is shown.
+    """Ask for a latched stop. Every local user may.
 
     The service shows `stop request: REASON (says it is WHO, pid N)`, because a pipe does not tell its reader who wrote.
     A reason longer than records.ASKED_BYTES is cut. If the reason is an object, its own text follows in a second
-    request, unless it takes longer than OWN_WORDS_S. Never blocks on the service. Raises NoService, FailstopError.
+    request, unless it takes longer than OWN_WORDS_S. `row`: the name of the cause that the reason belongs to, one of
+    causes.SIGNED, whose remedy is shown. Never blocks on the service. Raises NoService, FailstopError.
     """
     directory, fd = _there(instance.open_stop, name)
     try:
@@ -93,9 +91,9 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
 
 
 def _say_more(fd: int, why: object, who: str) -> None:
-    """Have the object's own words sent, and wait for that, OWN_WORDS_S at most. A thread of its own asks the object,
-    because its code may never return. `fd`: of the stop pipe, closed at its end."""
-    # Only a reason that has a code of its own needs it.
+    """Have the object's own text sent, and wait for that, at most OWN_WORDS_S. A thread of its own asks the object,
+    because its code may never return. `fd`: the stop pipe, closed at its end."""
+    # Only a reason that has code of its own needs it.
     from threading import Thread
 
     asking = Thread(target=_own_words, args=(fd, why, who, time.monotonic() + OWN_WORDS_S), daemon=True)
@@ -108,8 +106,8 @@ def _say_more(fd: int, why: object, who: str) -> None:
 
 
 def _own_words(fd: int, why: object, who: str, until_s: float) -> None:
-    """Send the object's own words, once the first request is read: of several that are read at once only the first
-    is told of. Words that come late would be a stop after somebody's reset."""
+    """Send the object's own text once the first request was read, because the service reports only the first of several
+    that it reads at once. Text that comes too late is dropped: it would stop the robot again after a reset."""
     with contextlib.suppress(BaseException), contextlib.closing(os.fdopen(fd, "wb", buffering=0)):
         words = reason.own(why)
         while unread(fd) and time.monotonic() < until_s:

@@ -122,7 +122,7 @@ class Session:
 
     def _close(self, *, in_order: bool) -> None:
         try:
-            # A failure to disable keeps nobody from closing; the wheels stop by that too.
+            # Close even if disabling fails; closing stops the wheels too.
             with contextlib.suppress(FailstopError):
                 if self._takes_back(in_order=in_order):
                     sleep_through(self._asking(records.DISABLE))
@@ -130,8 +130,8 @@ class Session:
             self._end(in_order=in_order)
 
     def _takes_back(self, *, in_order: bool) -> bool:
-        """Whether this Robot disables at its end the motion that it enabled. The death of a driver is for the gate to
-        answer, which tells people whose it was. Raises FailstopError."""
+        """Whether this Robot disables at its end the motion that it enabled. The gate answers the death of a driver,
+        and reports whose it was. Raises FailstopError."""
         connected = self._connected
         if not (self._enabled and self._disable_on_exit and connected):
             return False

@@ -477,9 +477,10 @@ class State:
     """When motion was enabled (CLOCK_MONOTONIC, ns); 0 while it is not. It differs after a disable and an enable,
     however quickly one follows the other."""
     servos: dict[str, tuple[float, int]] = dataclasses.field(default_factory=dict)
-    """By the part that each turns: load (a share of the most that it gives, signed) and temperature in degrees C."""
+    """Load (a share of the most that it gives, signed) and temperature in degrees C of each servo, by the part that it
+    turns."""
     servos_wrong: dict[str, str] = dataclasses.field(default_factory=dict)
-    """Of each servo that does not answer or reports an error what is wrong, by the part that it turns."""
+    """What is wrong with each servo that does not answer or reports an error, by the part that it turns."""
     ages: Ages = Ages()
     """How old the readings are."""
     battery_ns: int = 0

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 ANSWER_S = 0.25
 """Longer than any of these boards takes to answer, and than the time between two of its reports."""
 QUESTIONS = 2
-"""Questions to a board: one may be lost on the line."""
+"""Questions per board, because one may be lost on the line."""
 MORE_QUESTIONS = 2
-"""And so many more if bytes come that answer none: they may be of a part of the board."""
+"""As many more if bytes come that answer none: they may be from a part of the board."""
 
 WIRES = "the board's power; its cable, whose TX and RX cross; the port, by device.path; the baud rate of its firmware"
 """For people: what to check if nothing is received."""
@@ -42,7 +42,7 @@ ADAPTERS = {
     "1a86:55d4": "CH9102",
     "1a86:7523": "CH340",
 }
-"""Chips between USB and a serial line, by vendor:product: they are in devices of every kind."""
+"""Chips between USB and a serial line, by vendor:product. They are in devices of every kind."""
 DRIVERS = {"FT": "ftdi_sio", "PL": "pl2303", "CP": "cp210x", "CH34": "ch341"}
 """The kernel's module for a chip whose name begins so; for every other one it is cdc_acm."""
 
@@ -78,11 +78,11 @@ class Heard(Data):
     after_ns: int
     """How long after the port was opened it was asked."""
     firmware: str = ""
-    """Its firmware, where that differs from the usual one."""
+    """Its firmware, if that differs from the usual one."""
     other_baud: int = 0
-    """The baud rate at which it was asked, if that is another than the board has by its settings."""
+    """The baud rate at which it was asked, if it differs from the board's by the settings."""
     missing: tuple[int, ...] = ()
-    """It is this board, but for servos that do not answer while others do."""
+    """The servos that do not answer while others of this board do."""
 
 
 def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
@@ -98,9 +98,9 @@ def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]
 
 
 def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
-    """Ask one board after the other until one is known, which is the last of the list. The stop of the first is on its
-    way already. Then at the other baud rates that a board may have. `strangers`: the other boards are not written to.
-    Raises OSError when the device has gone."""
+    """Ask one board after another until one is known, which is the last in the list. The stop of the first was written
+    already. Then ask at the other baud rates that a board may have. `strangers`: don't write to the other boards.
+    Raises OSError when the device is gone."""
     found: list[Heard] = []
     usual = [(due_ns, kind, boards[kind].port.baud) for due_ns, kind in turns(boards, port.has_lines(fd))]
     # Of a board that a Wire describes; others have one rate.
@@ -124,8 +124,8 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
 
 
 def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
-    """Ask a board twice, and again if bytes come that answer nothing. After how many ms it answered; None: it did not.
-    `stop`: write the stop first. Raises OSError when the device has gone."""
+    """Ask a board twice, and again if bytes come that answer nothing. Returns after how many ms it answered, or None.
+    `stop`: write the stop first. Raises OSError when the device is gone."""
     if stop:
         StopPort(tap.fd, board).burst()
     for turn in range(QUESTIONS + MORE_QUESTIONS):

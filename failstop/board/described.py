@@ -138,7 +138,8 @@ class Described(Board):
     usb_alone = False
 
     def __init__(self, wire: Wire, per_rps: float, diameter_m: float, baud: int = 0) -> None:
-        """`per_rps`: a speed of one turn a second, in its unit; `diameter_m`: of a wheel; `baud`: 0: as usual."""
+        """`per_rps`: one turn per second, in the board's unit; `diameter_m`: the diameter of a wheel; `baud`: the
+        baud rate, 0: the usual one."""
         (write,) = wire.stop.writes
         self._wire, self._motion, self.per_rps = wire, wire.motion, per_rps
         self.scale_assumed = False

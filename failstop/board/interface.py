@@ -78,8 +78,8 @@ class Hearing:
     HEARD_PAD: the gamepad's buttons as in BUTTONS, hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY: id and event.
     HEARD_SERVO: id, the question, its answer. HEARD_PONG: the indices of the pings that it may answer. HEARD_WHEELS:
     (speeds, positions), each empty if the board does not report it. HEARD_OBEYED: the speeds of the command that it
-    follows now. HEARD_HEALTH: of each servo its id, its load (-1 to 1), its temperature in degrees Celsius, and what is
-    wrong with it (wire.py). HEARD_ODD: what a report was about, and its value as text; the value is impossible, so it
+    follows now. HEARD_HEALTH: for each servo its id, its load (-1 to 1), its temperature in degrees Celsius, and what
+    is wrong with it (wire.py). HEARD_ODD: the name of a reported value that is impossible, and the value as text; it
     counts as not reported. HEARD_RESTARTED: the text that the board sends when it starts. HEARD_FIRMWARE: the name of a
     firmware that differs from the usual one, once.
     """
@@ -156,7 +156,7 @@ class Board:
     name: str
     """For people: the name of the board, such as "an Arduino with ..."."""
     port: Port
-    """How its serial port is set up, and how long it is deaf then."""
+    """How its serial port is set up, and how long the board is deaf after that."""
     idle_ns: int
     """How long the line must be silent after a write before anything but a stop may be written; 0: not at all."""
     after_ns: int

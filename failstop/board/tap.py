@@ -31,7 +31,7 @@ class Tap:
         self.reports: set[int] = set()
         """The kinds of reports that came without a question."""
         self.firmware = ""
-        """Its firmware, where that differs from the usual one."""
+        """Its firmware, if that differs from the usual one."""
         self.missing: tuple[int, ...] = ()
         """Servos that answer nothing while others do."""
         self.size = 0

@@ -176,9 +176,9 @@ SERVO_VOLTAGE, SERVO_SENSOR, SERVO_HEAT, SERVO_CURRENT, SERVO_LOAD, SERVO_MISSIN
 
 
 class Health(Sample, Data):
-    """Servos, as they say of themselves: of each its id, its load (a share of the most that it gives, negative the
-    other way round), its temperature in degrees Celsius (0: not told yet), and what is wrong with it (SERVO_VOLTAGE and
-    the others; may be left out)."""
+    """What servos report about themselves: the id, load (a share of the most that the servo gives, negative in the
+    other direction) and temperature of each in degrees Celsius (0: not reported yet), and what is wrong with it
+    (SERVO_VOLTAGE and the others; may be left out)."""
 
     rows: tuple[tuple[int, float, int] | tuple[int, float, int, int], ...]
 
@@ -280,7 +280,8 @@ class Wire(Data):
     ping_ns: int
     """The longest time between two questions, if the proofs need them; 0: any."""
     echo_ns: int
-    """A command of zeros that it reports as obeyed was written this long before at least; 0: it reports none."""
+    """When it reports that it obeys zeros, the command was written at least this long before; 0: it does not report
+    it."""
     other_bauds: tuple[int, ...] = ()
     """Baud rates that its firmware is often built with, besides that of `port`: doctor and setup try these too."""
     usb: tuple[str, ...] = ()

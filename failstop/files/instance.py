@@ -29,9 +29,9 @@ class Last(Data):
     """The command line that starts it again."""
     servos: tuple[int, ...] = ()
     board: str = ""
-    """The kind of its board; empty: not known."""
+    """The kind of its board; empty if not known."""
     stop: str = ""
-    """The board's stop and baud rate (board/kept.py); empty: not known."""
+    """The board's stop and baud rate (board/kept.py); empty if not known."""
     owner: int = 0
     """The user whose file says so, who may have written anything into it."""
 
@@ -101,15 +101,15 @@ def publish_run(runtime_dir: str, incarnation: int) -> int:
 
 
 def remember(runtime_dir: str, last: Last) -> None:
-    """Keep how this run was started, for when it has ended. Raises OSError."""
+    """Keep how this run was started, for after its end. Raises OSError."""
     words = last.device, last.command, last.board, f"{STOP_FIELD}{last.stop}", *map(str, last.servos)
     os.close(_put(runtime_dir, last_path(runtime_dir), b"\0".join(map(os.fsencode, words))))
 
 
 def last(name: str) -> Last:
-    """How the last run of this name was started, as far as this user can see one. Raises nothing."""
+    """How the last run of this name was started, as far as this user may see it. Raises nothing."""
     found: list[tuple[int, int, list[str]]] = []
-    # A name that can't be one; a file that is not there, or not to be trusted.
+    # An impossible name; a file that is missing, or can't be trusted.
     with contextlib.suppress(InstanceError):
         for path in map(last_path, places(name)):
             with contextlib.suppress(OSError):

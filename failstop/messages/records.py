@@ -135,8 +135,8 @@ def printable(text: str) -> str:
 
 
 def asking(words: str, who: str = "", pid: int = 0, row: str = "") -> bytes:
-    """The line for the stop pipe: why, in words that are cut to ASKED_BYTES, and who asks, with tabs between them.
-    `row`: the name of the cause that the words are of, where a client knows one."""
+    """The line for the stop pipe: the reason, cut to ASKED_BYTES, the asker's name and pid, separated by tabs. `row`:
+    the name of the cause that the reason belongs to, if the client knows one."""
     text, name = (" ".join(given.split()) for given in (words, who))
     kept = cut(text, ASKED_BYTES)
     if len(kept) < len(text.encode("utf-8", "replace")):
@@ -374,10 +374,10 @@ turned (NaN: not reported)."""
 OLD_READING_NS = 500_000_000
 """An older reading of the wheels says nothing about now."""
 BATTERY: Payload[int, int] = Payload("<IB")
-"""The battery's mV, and whether the charger is plugged in: an index of PLUGGED."""
+"""The battery's voltage in mV, and whether the charger is plugged in: an index of PLUGGED."""
 HEALTH = Shape("<", Tail(_pack_health, _unpack_health, MOST_SERVOS * _SERVO_HEALTH.size))
-"""Servos, as they say of themselves: of each its id, load (-1 to 1, told in percent) and temperature (degrees Celsius;
-0: not told yet)."""
+"""What servos report about themselves: the id, load (-1 to 1, sent in percent), temperature (degrees Celsius; 0: not
+reported yet) and errors of each."""
 PAD: Payload[int, int, int, int, int, int, int] = Payload("<HB4bB")
 """The gamepad's last frame: a bit per button, the hat, axes lx, ly, rx, ry from -128 to 127; an index of PAD_MODES."""
 PAD_COMMAND: Payload[float, float, float] = Payload("<3d")

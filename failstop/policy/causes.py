@@ -5,8 +5,8 @@ A cause travels as the number of its row with its arguments (`pack`) from the pr
 reports it; its text is made at the end (`str`). In a template, text in brackets is left out when its arguments are
 empty. Every cause latches.
 
-`what` continues "stopped since ...", with the same arguments, and `role` of the process and `names` of the buttons;
-`remedy` continues "first ..." (`Kind.first`), and may name what is to be changed (ADVISED).
+`what` continues "stopped since ...", with the same arguments plus `role` of the process and `names` of the buttons.
+`remedy` continues "first ..." (`Kind.first`), and may name what has to be changed (ADVISED).
 """
 
 from __future__ import annotations
@@ -175,8 +175,8 @@ def requested(line: bytes) -> Cause:
 
 
 def _quoted(text: str) -> str:
-    """Somebody's words as they can stand between quotation marks: they end where these do. Without backquotes, which
-    mark our own commands."""
+    """A text made safe to put between quotation marks, which it could otherwise end, and without backquotes, which mark
+    failstop's own commands."""
     return printable(text).replace('"', "'").replace("`", "'")
 
 
@@ -218,8 +218,8 @@ def rival_of(who: str, other: str) -> str:
 
 
 def completed(latched: Cause, later: Cause) -> bool:
-    """Whether a later stop tells what the cause of the latched one lacked: both of one program, which
-    said at first that something is not known yet. It happens once, as nothing is lacking then."""
+    """Whether a later stop fills in what the latched cause lacked: both are from one program, which had said at first
+    that something was not known yet. It happens once, because nothing is missing afterwards."""
     if latched.kind is not later.kind or latched.kind not in SIGNED:
         return False
     (words, *who), (more, *same) = latched.arguments, later.arguments

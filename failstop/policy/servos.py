@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 
 def by_part(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> dict[str, tuple[float, int]]:
-    """Load and temperature of each servo that turns a wheel or a joint and answers, as in `rear wheel (servo 8)`.
-    `rows`: the ids with both (records.HEALTH)."""
+    """Load and temperature of each servo that answers and turns a wheel or a joint, by a name such as `rear wheel
+    (servo 8)`. `rows`: each id with its values (records.HEALTH)."""
     parts = _parts(settings)
     answer = ((servo, load, at_c) for servo, load, at_c, bits in rows if not bits & SERVO_MISSING)
     return {parts[servo]: (load, at_c) for servo, load, at_c in answer if servo in parts}
