@@ -3,7 +3,9 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 # The laboratory too (lab/). compat: a path entry instead of an import hook, which a folder named failstop beside a user's program would shadow.
-EDITABLE := --config-settings editable_mode=compat --editable lab --editable
+EDITABLE := --config-settings editable_mode=compat --editable
+# Behind failstop itself, which it needs: pip looks for what a requirement needs among those before it.
+LAB := --editable lab
 
 .PHONY: demo test quick tried versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech
 
@@ -46,7 +48,7 @@ campaigns: $(VENV)/.dev fuzz
 SECONDS ?= 60
 TARGETS ?=
 fuzz: $(VENV)/.dev
-	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,fuzz]'
+	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,fuzz]' $(LAB)
 	$(BIN)/python -m tests.fuzz.run --seconds $(SECONDS) $(TARGETS)
 
 # While one writes: lint, and every test that starts no process and is not slow (tests/support/starting.py).
@@ -95,7 +97,7 @@ lint: $(VENV)/.dev
 	$(BIN)/mypy integrations/lerobot
 
 bench: $(VENV)/.dev
-	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,bench]'
+	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,bench]' $(LAB)
 	$(BIN)/python -m bench
 
 soak: $(VENV)/.dev
@@ -173,13 +175,13 @@ $(PYODIDE): Makefile
 
 # The pages as a site, in build/site; a link that leads nowhere is an error.
 site: $(VENV)/.dev browser
-	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,docs]'
+	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,docs]' $(LAB)
 	$(BIN)/zensical build --clean --strict
 	cp build/browser/index.html build/site/touch/robot.html
 
 # The pictures of terminals that README and docs show, of what the commands print now.
 screens: $(VENV)/.dev
-	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,docs]'
+	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,docs]' $(LAB)
 	$(BIN)/python -m bench.screens
 
 # What a fleet needs a broker for: the tests on a real one, every known way to a false count, a thousand robots, and a flood. Installs mosquitto
@@ -199,7 +201,7 @@ feetech: $(VENV)/feetech/.installed
 
 $(VENV)/feetech/.installed: pyproject.toml | $(VENV)/bin/python
 	@$(BIN)/python -m venv $(VENV)/feetech
-	@$(VENV)/feetech/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) . 'feetech-servo-sdk==1.0.0' 'rustypot==1.13.1'
+	@$(VENV)/feetech/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) . $(LAB) 'feetech-servo-sdk==1.0.0' 'rustypot==1.13.1'
 	@touch $@
 
 # The bridge against a real ROS 2 (CONTRIBUTING.md says what is needed), and the stand-in beside it, which the same tests judge.
@@ -213,7 +215,7 @@ $(VENV)/ros2/.installed: pyproject.toml
 	@[ -n "$(ROS)" ] || { echo "there is no ROS 2 here (no /opt/ros/*/setup.sh): CONTRIBUTING.md says what is needed"; exit 1; }
 	@echo "installing failstop with its tests' tools for $(ROS_PYTHON) into $(VENV)/ros2 ..."
 	@$(ROS_PYTHON) -m venv --system-site-packages $(VENV)/ros2
-	@$(VENV)/ros2/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[test]' 'numpy<2'
+	@$(VENV)/ros2/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[test]' $(LAB) 'numpy<2'
 	@touch $@
 
 # The robot for LeRobot with the real LeRobot of the package index, which brings PyTorch: gigabytes, where the index has none that is for
@@ -227,7 +229,7 @@ lerobot: $(VENV)/.dev $(LEROBOT)
 $(VENV)/lerobot/bin/python:
 	@echo "installing LeRobot $(LEROBOT_VERSION) into $(VENV)/lerobot ..."
 	@$(BIN)/python -m venv $(VENV)/lerobot
-	@$(VENV)/lerobot/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) . 'lerobot[lekiwi,core-scripts]==$(LEROBOT_VERSION)' || \
+	@$(VENV)/lerobot/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) . $(LAB) 'lerobot[lekiwi,core-scripts]==$(LEROBOT_VERSION)' || \
 	  { rm -rf $(VENV)/lerobot; exit 1; }
 
 # The operator's page in a real browser, Debian's chromium, and under attack. Needs root where there is no chromium yet.
@@ -237,7 +239,7 @@ web: $(VENV)/.dev browser
 
 # What a robot is installed by (docs/install.md).
 deb: $(VENV)/.installed
-	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]'
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]' $(LAB)
 	@$(BIN)/python packaging/deb/build.py
 
 # Everything of a release, in dist/VERSION (CONTRIBUTING.md): of the last commit, and equal to the byte whoever builds it. HOMEPAGE: the address
@@ -246,13 +248,13 @@ VERSION ?=
 HOMEPAGE ?=
 release: $(VENV)/.installed
 	@[ -n "$(VERSION)" ] || { echo "which version? make release VERSION=0.2.0"; exit 1; }
-	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]'
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]' $(LAB)
 	@$(BIN)/python packaging/release.py $(VERSION) $(if $(HOMEPAGE),--homepage $(HOMEPAGE))
 
 # The same release built twice, as two builders with other folders, umasks, locales, time zones and hash seeds: equal, or the first difference.
 reproduce: $(VENV)/.installed
 	@[ -n "$(VERSION)" ] || { echo "which version? make reproduce VERSION=0.2.0"; exit 1; }
-	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]'
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]' $(LAB)
 	@$(BIN)/python packaging/release.py $(VERSION) --twice
 
 # The Debian packages by lintian, autopkgtest and piuparts, then their life in a container with a systemd: installed, upgraded from the last
@@ -263,7 +265,7 @@ LAST ?=
 package-test: $(VENV)/.installed
 	@for judge in $(JUDGES); do \
 	  command -v $$judge >/dev/null || exec apt-get install --yes --no-install-recommends $(JUDGES); done
-	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]'
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]' $(LAB)
 	@$(BIN)/python -m tests.packaging.life $(if $(VERSION),--debs dist/$(VERSION)) $(if $(LAST),--last $(LAST))
 
 # Whether it installs on ARM without a compiler: asks the package index for a wheel of each dependency.
@@ -281,10 +283,10 @@ $(VENV)/bin/python:
 
 $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 	@echo "installing failstop and its dependencies into $(VENV) ..."
-	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) .
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) . $(LAB)
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 	@echo "installing failstop with its tests' tools into $(VENV) ..."
-	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev]'
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev]' $(LAB)
 	@touch $@ $(VENV)/.installed
