@@ -21,7 +21,7 @@ def tried() -> Any:
 
 
 def record(what: str, version: str, result: str = "passed") -> dict[str, str]:
-    return dict(zip(page.FIELDS, (what, version, "Debian", result, "2026-11-28", "abc", "make x"), strict=True))
+    return dict(zip(page.IN_A_RECORD, (what, version, "Debian", result, "2026-11-28", "abc", "make x"), strict=True))
 
 
 def test_a_run_s_result_is_what_pytest_counted(tried: Any) -> None:

@@ -51,7 +51,7 @@ def test_the_packages_as_a_machine_sees_them(built: list[str]) -> None:
     own = {"./", "./opt/", "./opt/failstop", "./usr/"}
     assert tops == own | usr, "nothing below /lib, which is a link where /usr is merged"
     assert not any(row[5].endswith(".egg-link") or "__editable__" in row[5] for row in rows)
-    inside = [f"./opt/failstop/{tree.SITE}/lab/failstop_lab/", f"./opt/failstop/{tree.SITE}/lab/failstop_lab/trial.py"]
+    inside = [f"./opt/failstop/{tree.SITE}/failstop_lab/", f"./opt/failstop/{tree.SITE}/failstop_lab/trial.py"]
     other = said_of(laboratory, "--contents")
     assert all(path in other for path in inside)
     assert not any(path in listed for path in inside)

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 FILE = Path(__file__).with_name("tried.json")
-FIELDS = ("what", "with", "machine", "result", "day", "commit", "row")
+IN_A_RECORD = ("what", "with", "machine", "result", "day", "commit", "row")
 OPENING = """\
 # What was tried where
 
@@ -24,8 +24,10 @@ def records(path: Path = FILE) -> list[Attempt]:
     """What was tried. Raises ValueError for a record that says too little."""
     found: list[Attempt] = json.loads(path.read_text("utf-8"))
     for record in found:
-        if tuple(record) != FIELDS or not all(record.values()):
-            raise ValueError(f"{path.name}: {record.get('what')}: each record needs {', '.join(FIELDS)}, in this order")
+        if tuple(record) != IN_A_RECORD or not all(record.values()):
+            raise ValueError(
+                f"{path.name}: {record.get('what')}: each record needs {', '.join(IN_A_RECORD)}, in this order"
+            )
     return found
 
 
