@@ -91,7 +91,7 @@ def test_a_replayed_stop_after_a_restart(enrol: Enrol, listener: Listener, setti
     assert robot.asked == []
 
 
-@pytest.mark.parametrize(("off_s", "words"), [(-60.0, "old by 60 s"), (3600.0, "ahead by 36")])
+@pytest.mark.parametrize(("off_s", "words"), [(-60.0, "old by 60 s"), (3700.0, "ahead by 1 h 1 min")])
 def test_an_old_one_and_one_of_the_future(
     enrol: Enrol, listener: Listener, key: str, settings: FleetSettings, off_s: float, words: str
 ) -> None:
