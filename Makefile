@@ -12,11 +12,11 @@ LAB := --editable lab
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
 
-# Three at a time: most of them wait. Beside the real-time processes of two other services, on two cores, or where the host of a
+# Four at a time: most of them wait. Beside the real-time processes of two other services, on two cores, or where the host of a
 # virtual machine withholds a core, a process may miss a deadline, and then another stop comes first than a test has asked for:
 # what fails is shown, and tried again by itself. JOBS=0 is one after the other, in one process.
 # The slow files come first (tests/conftest.py), not those with many tests: a slow one that begins last is waited for by all.
-JOBS ?= 3
+JOBS ?= 4
 # Compiled copies are kept, wherever else they are not wanted: without them every process that a test starts compiles anew.
 COMPILED := env -u PYTHONDONTWRITEBYTECODE
 PYTEST := $(COMPILED) $(BIN)/pytest
