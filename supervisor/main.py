@@ -334,7 +334,7 @@ class Supervisor:
         """Publish what motion waits for, and serve the service manager."""
         link = self.monitor.link
         missing = self.status.missing(stopping=self._unanswered is not None)
-        missing = missing or (WAITS_FOR[link.state] if link.forbids else "") or self.monitor.waits_for_servo()
+        missing = missing or (WAITS_FOR[link.state] if link.forbids else "") or self.monitor.wheel_servos.waited_for()
         if self.status.publish(missing):
             self.heartbeat.state(heartbeat.BEAT_RUNNING, now_ns)
             for what, text in lacking(self._granted, self._advice, self._run.settings[LEASE]):

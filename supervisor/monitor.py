@@ -14,7 +14,7 @@ from time import monotonic_ns, time
 from failstop.board.interface import Board
 from failstop.messages import layout, records
 from failstop.messages.packing import pack
-from failstop.policy import causes, servos
+from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.policy.proofs import (
     ACKNOWLEDGED_BY,
@@ -30,6 +30,7 @@ from failstop.policy.proofs import (
     observer,
 )
 from failstop.procs.loop import MS
+from failstop.procs.wheel_servos import WheelServos
 from failstop.shm.words import Barrier
 from failstop.supervisor import starter
 from failstop.supervisor.latch import Latch
@@ -72,7 +73,7 @@ class Monitor:
         self._command_pids: list[int] = []
         """Commands that are still running, the newest last."""
         self._command_ran = False
-        self._health = telemetry.latest_reader("health")
+        self.wheel_servos = WheelServos(run.settings, telemetry.latest_reader("health"))
         self._seen_answer = self._seen_proof = 0
         self.heard = (0, 0)
         self._unheeded, self._said_word = telemetry.word("unheeded_ns"), telemetry.word("said_ns")
@@ -209,11 +210,6 @@ class Monitor:
             return []
         self._stopped_for = kind.name
         return [Stop(now_ns, layout.SUPERVISOR, kind())]
-
-    def waits_for_servo(self) -> str:
-        """The wheel that motion waits for, because its servo does not answer; empty: none."""
-        health = self._health.read()
-        return servos.waited_for(records.HEALTH.unpack(health[2]), self._run.settings) if health else ""
 
     def opened(self, written_ns: int, now_ns: int, *, sure: bool) -> None:
         """Follow a port that was opened again, perhaps with another board; the supervisor's burst on it was at

@@ -131,7 +131,3 @@ class Service:
             while entry := ring.next():
                 found.append((entry[1], bytes(entry[2])))
         return found
-
-    def close(self) -> None:
-        """The guard ends in order: the driver's end is the hang-up's to tell."""
-        self.leave(in_order=True)

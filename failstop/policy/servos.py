@@ -28,6 +28,11 @@ def _wheels(settings: Settings) -> tuple[int, ...]:
     return facts.arm.wheels if facts and facts.arm else ()
 
 
+def turn_wheels(settings: Settings) -> bool:
+    """True if servos on the bus turn the wheels."""
+    return bool(_wheels(settings))
+
+
 def _parts(settings: Settings) -> dict[int, str]:
     """The part that each servo turns, by its id."""
     wheels = _wheels(settings)

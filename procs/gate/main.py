@@ -9,7 +9,7 @@ from time import monotonic_ns
 from failstop.files import instance, place
 from failstop.messages import layout, records
 from failstop.messages.packing import Note, pack
-from failstop.policy import causes, kinematics, scale, servos
+from failstop.policy import causes, kinematics, scale
 from failstop.policy.causes import Cause, Reply, refused
 from failstop.policy.proofs import WAITS_FOR
 from failstop.policy.settings import PAD_SOURCE
@@ -25,6 +25,7 @@ from failstop.procs.gate.rings import Frames, GateBox
 from failstop.procs.gate.sources import PAD_SESSION, Command
 from failstop.procs.gate.turning import TurningWatch
 from failstop.procs.loop import MS, NEVER, READ, Loop
+from failstop.procs.wheel_servos import WheelServos
 from failstop.shm import bell
 from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.words import Barrier
@@ -120,7 +121,7 @@ class Gate:
         self._pad_command = telemetry.latest_reader("pad_command")
         self._pad_seq = newest_number(self._pad_command)
         self._pad_requests = telemetry.ring_reader("pad_requests")
-        self._health, self._settings = telemetry.latest_reader("health"), context.settings
+        self._wheel_servos = WheelServos(context.settings, telemetry.latest_reader("health"))
         self._turning = TurningWatch(telemetry.latest_reader("wheels"), context.settings.ns("still.after_s"))
         self._client_bell = context.fd("client_bell")
         self.loop.listen(context.bell("bell"), context.early.bell)
@@ -329,8 +330,7 @@ class Gate:
             return ""
         link = self._link.read()
         waits_for = WAITS_FOR.get(link[2].decode()) if link else None
-        if health := self._health.read():
-            waits_for = waits_for or servos.waited_for(records.HEALTH.unpack(health[2]), self._settings)
+        waits_for = waits_for or self._wheel_servos.waited_for()
         return waits_for or "a process or the port is not up yet, see `failstop status`"
 
     def _enable(self, request: Request, now_ns: int) -> Reply:

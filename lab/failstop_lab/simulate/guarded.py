@@ -132,7 +132,7 @@ class Guarded:
                 talk.wrote(chunk, now_ns, since_ns)
                 if command := talk.command(now_ns):
                     service.command(command)
-        service.close()
+        service.leave(in_order=True)
 
     def _read(self, port: int) -> bytes:
         found = b""

@@ -1,0 +1,25 @@
+"""Whether motion has to wait for the servo of a wheel, by telemetry's newest report about the servos."""
+
+from __future__ import annotations
+
+from failstop.messages import records
+from failstop.policy import servos
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.policy.settings import Settings
+    from failstop.shm.cell import LatestReader
+
+
+class WheelServos:
+    """The servos that turn wheels. A board without such servos costs nothing at each turn, because its reports are not
+    read."""
+
+    def __init__(self, settings: Settings, health: LatestReader) -> None:
+        self._settings = settings
+        self._health = health if servos.turn_wheels(settings) else None
+
+    def waited_for(self) -> str:
+        """The wheel that motion waits for, because its servo does not answer; empty: none."""
+        report = self._health.read() if self._health else None
+        return servos.waited_for(records.HEALTH.unpack(report[2]), self._settings) if report else ""
