@@ -13,6 +13,8 @@ from failstop_lab.sim.motors import Motors
 from failstop_lab.sim.receiver import Receiver
 from tests.support.amounts import amount
 
+from .damage import damaged, judged
+
 if TYPE_CHECKING:
     from failstop.board.driver import DriverLanguage
 
@@ -193,19 +195,7 @@ def mutated(random_: random.Random) -> bytes:
             )
         )
 
-    text = bytearray(b"".join(one() for _ in range(random_.randrange(1, 6))))
-    for _ in range(random_.randrange(4)):
-        at = random_.randrange(len(text) + 1)
-        kind = random_.randrange(4)
-        if kind == 0:
-            del text[at : at + 1]
-        elif kind == 1 and at < len(text):
-            text[at] = random_.choice((0xAA, 0x55, 3, random_.randrange(256)))
-        elif kind == 2:
-            text[at:at] = bytes((random_.choice(b"\xaa\x55\x03\x00\x01"),))
-        else:
-            text[at:at] = one()[: random_.randrange(28)]
-    return bytes(text)
+    return damaged(random_, one, (0xAA, 0x55, 3), b"\xaa\x55\x03\x00\x01", 28)
 
 
 @pytest.mark.claim("GUARD-1")
@@ -214,12 +204,5 @@ def test_nothing_moves_that_the_board_itself_would_not_move() -> None:
     random_ = random.Random(59)
     moved = 0
     for _ in range(amount(10_000, 1_000_000)):
-        chunk = mutated(random_)
-        left = iter(commanded(chunk))
-        for found in motions(chunk):
-            if any(found):
-                moved += 1
-                assert any(all(speed in (0, its) for speed, its in zip(found, own, strict=True)) for own in left), (
-                    chunk.hex()
-                )
+        moved += judged(mutated(random_), motions, commanded)
     assert moved > 5_000

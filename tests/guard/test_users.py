@@ -16,7 +16,7 @@ from failstop.api.errors import FailstopError
 from failstop.guard import pty as pty_module
 from failstop.guard.pty import Pty
 from failstop_lab.trial import wait_for
-from tests.support.children import NOBODY
+from tests.support.unprivileged import unprivileged
 
 AS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become somebody else")
 STRANGER, MEMBER = "tty", "daemon"
@@ -26,25 +26,15 @@ RATE = "30"
 
 def open_as_nobody(path: str, *groups: int) -> str:
     """What a user without rights gets who opens this path, in these groups: "open", or the name of the error."""
-    reader, writer = os.pipe()
-    child = os.fork()
-    if child == 0:
+
+    def opened() -> str:
         try:
-            os.setgroups(groups)
-            os.setresgid(NOBODY, NOBODY, NOBODY)
-            os.setresuid(NOBODY, NOBODY, NOBODY)
-            try:
-                os.close(os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
-                os.write(writer, b"open")
-            except OSError as error:
-                os.write(writer, errno.errorcode.get(error.errno or 0, "?").encode())
-        finally:
-            os._exit(0)
-    os.close(writer)
-    with os.fdopen(reader) as pipe:
-        said = pipe.read()
-    os.waitpid(child, 0)
-    return said
+            os.close(os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
+        except OSError as error:
+            return errno.errorcode.get(error.errno or 0, "?")
+        return "open"
+
+    return unprivileged(opened, groups)
 
 
 def gid_of(name: str) -> int:

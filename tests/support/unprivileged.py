@@ -5,7 +5,7 @@ from __future__ import annotations
 import grp
 import os
 import pwd
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tests.support.children import NOBODY, become
@@ -19,15 +19,15 @@ def may_reach(path: str) -> bool:
     return all(above.stat().st_mode & 0o001 for above in Path(path).absolute().parents)
 
 
-def unprivileged(work: Callable[[], str]) -> str:
-    """The result of `work` in a child process without privileges."""
+def unprivileged(work: Callable[[], str], groups: Sequence[int] = ()) -> str:
+    """The result of `work` in a child process without privileges, but in these groups."""
     reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
         try:
             os.close(reader)
             if os.geteuid() == 0:
-                become(NOBODY)
+                become(NOBODY, groups)
             os.write(writer, work().encode())
         finally:
             os._exit(0)
