@@ -94,7 +94,7 @@ ASSUMPTIONS = (
     ),
     Assumption(
         "PING", "A board that answers a question which was written behind a stop has executed the stop.", "PROOF-1",
-        "*Acknowledged* is told of a stop that was lost in between.", "tests/board/test_proofs.py", EACH,
+        "A stop that was lost in between is reported as *acknowledged*.", "tests/board/test_proofs.py", EACH,
     ),
     Assumption(
         "IMU", "Wheels that turn shake the robot more than the noise of its IMU.", "PROOF-1",

@@ -13,8 +13,8 @@ Generated from the table in failstop/policy/causes.py (`make docs`).
 and [faults.md](faults.md) says how soon the wheels are stopped for the faults behind it.
 
 Every cause latches: the wheels stay stopped until somebody resets and enables. A cause that only a new start clears
-ends the service, or is told after its end. What a row says of the POWER SWITCH holds until the board acknowledges
-the stop; then `failstop why` says that it has, and leaves the switch out.
+ends the service, or is reported after its end. What a row says about the POWER SWITCH holds until the board
+acknowledges the stop; then `failstop why` says that it has, and leaves the switch out.
 Words in capitals stand for what differs from case to case: ROLE is what
 the process does, N is a number; what is in brackets may be absent. The name is `FAILSTOP_CAUSE` in the journal.
 """
