@@ -69,7 +69,7 @@ class Pings:
         self._count = count
         self._period_ns = period_ns
         self._sent_ns = now_ns - PING_GAP_NS
-        self._quick = quick
+        self._quick = self._quick_first = quick
         self._due = due
         self._due.set(now_ns)
         self._mixed = now_ns | 1
@@ -99,6 +99,12 @@ class Pings:
         self._mixed = mixed ^ mixed << 17 & 0xFFFFFFFFFFFFFFFF
         index = (self._mixed >> 32) % self._count
         return (index + 1) % self._count if index == self.index == self._before else index
+
+    def opened(self, hears_ns: int) -> None:
+        """Another port was opened, and its board hears from `hears_ns` on. It is asked as often as a first one, because
+        its answers may count for questions that were lost with the port before."""
+        self._quick = self._quick_first
+        self.wait(hears_ns)
 
     def wait(self, until_ns: int) -> None:
         """Put the next ping off until `until_ns`, because nobody would hear an answer before."""

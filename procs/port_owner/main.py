@@ -364,15 +364,24 @@ class PortOwner:
             return
         elif impossible := self._impossible(motion[2]):
             self.stop(now_ns, impossible)
-        elif self.told.write(frame, now_ns, first=not self.admission.wheels_move):
+        else:
+            self._write_admitted(frame, now_ns)
+
+    def _write_admitted(self, frame: bytes, now_ns: int) -> None:
+        stands, turned = frame == self.board.stop, self.told.turning
+        if self.told.write(frame, now_ns, first=not self.admission.wheels_move):
             self.admission.wheels_move = True
             self._moved_ns = now_ns
             self._await_lapse()
-            self.repeats.end()
             self._requests.wake()  # from now on the next request counts at once
-        elif frame == self.board.stop:
+            if not stands:
+                self.repeats.end()
+        elif stands:
             # A stop does not wait for the next refresh, and a burst may follow bytes that are held.
             self.wire.burst()
+        if stands and turned:
+            # The board may lose it, as it may lose any stop, and the gate's next frame comes a whole refresh later.
+            self.repeats.restart(now_ns)
 
     def _impossible(self, frame_ns: int) -> Cause | None:
         """The cause of a stop if an admitted motion frame made then breaks an invariant; None: it goes out."""
@@ -401,7 +410,14 @@ class PortOwner:
 
     def _repeat(self, now_ns: int) -> None:
         self.repeats.wait(self.wire.free_ns)
-        if (due := self.repeats.take(now_ns)) == REPEAT and self.wire.burst():
+        due = self.repeats.take(now_ns)
+        if self.admission.wheels_move:
+            # Of a zero frame of the gate's, which refreshes it itself.
+            if due == REPEAT:
+                self._stop_again()
+            elif due == REFRESH:
+                self.repeats.end()
+        elif due == REPEAT and self.wire.burst():
             self._moving_word.set(0)
         elif due == REFRESH:
             self.wire.frame(self.board.refresh)

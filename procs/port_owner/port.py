@@ -97,13 +97,17 @@ class OpenPort:
         self._wire.adopt(fd)
         self._untold = self._opening
         self.hears_ns = now_ns + self._deaf_ns
-        self.pings.wait(self.hears_ns)
+        self.pings.opened(self.hears_ns)
 
     def ask(self, now_ns: int) -> None:
         """Write the next ping if it is due, and publish the time before the write, because that is what its answer
         proves."""
         pings = self.pings
         if not pings.due(now_ns):
+            return
+        if self._wire.lost:
+            # Nobody was asked, so the next board's answers must not be taken for answers to this question.
+            pings.failed(now_ns)
             return
         asked_ns = monotonic_ns()
         if self._wire.free_ns > asked_ns:

@@ -12,7 +12,9 @@ class Told:
 
     def __init__(self, context: Context, wire: PortWriter, port: OpenPort) -> None:
         self._board, self._wire, self._port = context.board, wire, port
-        self._since_word, self._turning = context.own.word("told_ns"), False
+        self._since_word = context.own.word("told_ns")
+        self.turning = False
+        """The wheels were told to turn, and to stand not since."""
         self._backlog = max((len(ping) for ping in self._board.pings), default=0)
         """A ping (70 us on the wire) is not a backlog that holds motion up."""
         self._restarts_word = context.segment("telemetry").word("restarts")
@@ -20,12 +22,12 @@ class Told:
         self._since(0)
 
     def _since(self, ns: int) -> None:
-        self._turning = ns > 0
+        self.turning = ns > 0
         self._since_word.set(ns)
 
     def stopped(self) -> None:
         """A stop was written."""
-        if self._turning:
+        if self.turning:
             self._since(0)
 
     def arm(self) -> bool:
@@ -42,7 +44,7 @@ class Told:
         self._port.commands(frame, now_ns)
         if not self._wire.frame(frame, self._backlog + (len(self._board.arming) if first else 0)):
             return False
-        if turns and not self._turning:
+        if turns and not self.turning:
             self._since(now_ns)
         return True
 

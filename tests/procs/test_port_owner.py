@@ -145,6 +145,8 @@ def test_a_frame_that_finds_the_port_busy_goes_out_or_becomes_a_burst(scene: Sce
     assert scene.forward(beep, kind=records.OTHER) == beep
     assert scene.forward(SLOWER) == b""
     assert scene.forward(codec.STOP) == BURST
+    scene.wire.port.under_way = 0
+    assert scene.turn(20 * MS) == BURST, "and again, like any stop"
 
 
 def test_its_own_stop_refuses_motion_until_a_newer_epoch(scene: Scene) -> None:

@@ -10,11 +10,14 @@ import pytest
 
 from failstop.board.interface import PORT_OWNER_ROW
 from failstop.messages import layout, records
-from failstop.procs.schedule import ZERO_EVERY_NS
+from failstop.policy.layouts import BOARDS
+from failstop.procs.schedule import PING_GAP_NS, QUICK, ZERO_EVERY_NS
 from tests.support.port_scene import TICK, Scene
 from tests.support.stage import MS
 
 MAX_RPS = 2.0
+REFRESH_NS = 183 * MS
+"""Of the gate, here, so that it falls on no repeat."""
 
 
 def made(kind: str, **given: Any) -> Scene:
@@ -23,7 +26,7 @@ def made(kind: str, **given: Any) -> Scene:
 
 
 def motion(scene: Scene) -> bytes:
-    return bytes(scene.board.motor_speeds((0.5, 0.5), MAX_RPS))
+    return bytes(scene.board.motor_speeds((0.5,) * scene.board.wheels, MAX_RPS))
 
 
 def hoverboard() -> Scene:
@@ -41,6 +44,19 @@ def waiting() -> Scene:
     scene.put(motion(scene), epoch=2)
     assert scene.turn() == b""
     return scene
+
+
+def at_rest_after_motion(kind: str) -> tuple[Scene, tuple[int, ...]]:
+    """A board that was told to turn its wheels and then a zero; and when a stop is written again. Nothing is asked
+    meanwhile."""
+    scene = made(kind)
+    scene.turn()
+    writes(scene, 6050 * MS)
+    scene.owner.port.pings.wait(scene.clock() + 6000 * MS)
+    assert motion(scene) in scene.forward(motion(scene))
+    writes(scene, 100 * MS)
+    assert scene.forward(scene.board.stop) == scene.board.stop
+    return scene, scene.board.repeats_ns[PORT_OWNER_ROW]
 
 
 def writes(scene: Scene, for_ns: int) -> list[tuple[int, bytes]]:
@@ -64,6 +80,27 @@ def test_a_stop_goes_out_at_once_and_again_at_the_port_owner_s_own_times(kind: s
     again = [at_ns for at_ns, data in writes(scene, row[-1] + 2 * ZERO_EVERY_NS) if scene.board.burst in data]
     first_zero_ns = max(ZERO_EVERY_NS, row[-1] + ZERO_EVERY_NS if row[-1] > ZERO_EVERY_NS else 0)
     assert again[: len(row) + 1] == [*row, first_zero_ns]
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_a_zero_of_the_gate_s_is_written_again_like_a_stop_because_it_may_be_lost(kind: str) -> None:
+    """A hoverboard loses one frame in sixteen, and the gate's next one comes 0.2 s later."""
+    scene, row = at_rest_after_motion(kind)
+    begun_ns, found = scene.clock(), []
+    for number in range(1, 6):
+        after_ns = scene.clock() - begun_ns
+        found += [(after_ns + at_ns, data) for at_ns, data in writes(scene, REFRESH_NS)]
+        assert scene.forward(scene.board.stop) == scene.board.stop, f"refresh {number} of the gate's"
+    assert found == [(at_ns, scene.board.burst) for at_ns in row]
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_motion_ends_the_repeats_of_a_zero(kind: str) -> None:
+    scene, row = at_rest_after_motion(kind)
+    scene.turn(row[0])
+    scene.turn(MS)
+    scene.put(motion(scene))
+    assert [data for _, data in writes(scene, row[-1])] == [motion(scene)]
 
 
 @pytest.mark.parametrize("kind", ["hoverboard", "arduino", "ugv"])
@@ -141,6 +178,8 @@ def test_a_port_that_comes_back_counts_as_open_when_its_board_hears_again(kind: 
     assert scene.port_state() == records.PORT_OPEN
     writes(scene, TICK)
     assert scene.asked == [0]
+    writes(scene, QUICK * PING_GAP_NS)
+    assert len(scene.asked) == 1 + QUICK, "answers to it may count for questions that were lost with the port before"
 
 
 def test_a_board_is_told_all_at_once_though_its_port_holds_the_first_of_it() -> None:

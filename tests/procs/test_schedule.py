@@ -83,6 +83,36 @@ def test_the_first_pings_follow_each_other_so_that_an_answer_is_heard_soon() -> 
     assert found == [0, PING_GAP_NS, 2 * PING_GAP_NS, 2 * PING_GAP_NS + PERIOD, 2 * PING_GAP_NS + 2 * PERIOD]
 
 
+def test_another_port_is_asked_as_often_as_the_first_one() -> None:
+    due = Timer()
+    pings = Pings(4, PERIOD, due, T0, quick=2)
+    for _ in range(4):
+        pings.sent(due.ns)
+    hears_ns = due.ns + 3 * PERIOD
+    pings.opened(hears_ns)
+    found = []
+    for _ in range(4):
+        found.append(due.ns - hears_ns)
+        pings.sent(due.ns)
+    assert found == [0, PING_GAP_NS, 2 * PING_GAP_NS, 2 * PING_GAP_NS + PERIOD]
+
+
+def test_a_port_that_is_gone_is_asked_nothing() -> None:
+    """Else the next board's answers would be taken for answers to these questions."""
+    scene = Scene()
+    settled(scene)
+    scene.wire.unplug()
+    scene.turn()
+    before = len(scene.kept_writes())
+    for _ in range(50):
+        scene.turn(TICK)
+    assert len(scene.kept_writes()) == before
+    scene.replug(2)
+    for _ in range(3):
+        scene.turn(PING_GAP_NS)
+    assert len(scene.kept_writes()) >= before + 2
+
+
 def settled(scene: Scene) -> int:
     """How often it has asked when the quick pings of the start are over."""
     for _ in range(60):
