@@ -260,13 +260,15 @@ class Trial:
             self._robot = None
 
     def enable(self) -> None:
-        """Reset what is latched, as soon as its stop has been carried out, and enable motion."""
+        """Reset what is latched, as soon as its stop has been carried out, and enable motion, as soon as the service
+        is ready: on a busy machine a process may miss a beat."""
         if self.robot.state.estop:
             wait_for("a reset to be taken", self.reset)
         if self._drove:  # else the enable would hold what this client commanded just now
             with contextlib.suppress(FailstopError):
                 self.robot.drive(0.0, 0.0, 0.0)
             self._drove = False
+        self.robot.wait_for("ready", self.service.ready_s)
         self.robot.enable()
 
     def reset(self) -> bool:
