@@ -33,7 +33,7 @@ def test_a_line_shows_its_slowest_row_and_counts_all(pages: Path) -> None:
     slowest_ms = max(row["p99_ms"] for row in hangs)
     tried = sum(row["count"] for row in hangs)
     assert re.search(
-        rf"supervisor hangs: the ones that drive \| \d+ ms \| {slowest_ms:.0f} ms \| {tried} \|", speed.text(pages)
+        rf"gate, port owner, supervisor\) \| \d+ ms \| {slowest_ms:.0f} ms \| {tried} \|", speed.text(pages)
     )
 
 
