@@ -122,7 +122,7 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
     try:
         guard = Guard(board, pty, _tell)
         try:
-            _tell(f"your driver opens {path} in the place of the board's port; Ctrl-C ends")
+            _tell(f"your driver opens {path} instead of the board's port; Ctrl-C ends")
             gc.freeze()
             with contextlib.suppress(OSError):  # without the right to it a busy machine answers late
                 os.setpriority(os.PRIO_PROCESS, 0, NICE)

@@ -242,7 +242,7 @@ def _guard(talk: Talk, settings: Settings, path: str, name: str) -> None:
         return
     style.show([[], [("Your own driver", style.STRONG)]])
     talk.say(
-        "A driver that was written for the bare board can keep its code. It opens the guard port in the place of "
+        "A driver that was written for the bare board can keep its code. It opens the guard port instead of "
         f"{settings.text('device.path') or 'its port'}, and the wheels stop when it dies or hangs:"
     )
     in_systemd = name == DEFAULT_NAME and path == config.installed(name) and os.path.isdir("/run/systemd/system")
