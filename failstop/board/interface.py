@@ -97,7 +97,8 @@ class Hearing:
 
 class ServoBus:
     """The servos of an arm, as failstop talks to them: their ids are 1 to 253, their positions pulses (ArmFacts in
-    facts.py). servos.py lists what a servo can be asked."""
+    facts.py). servos.py lists what a servo can be asked. Frames for servos are made only if the settings name
+    [joints]."""
 
     __slots__ = ()
 
@@ -126,7 +127,8 @@ class ServoBus:
         raise NotImplementedError
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
-        """The frame that switches the torque of a servo whose position is `at`. Raises FrameError."""
+        """The frame that switches the torque of a servo whose position is `at`. A servo that keeps its goal first gets
+        `at` as its goal. Raises FrameError."""
         raise NotImplementedError
 
     def command(self, frame: bytes) -> int:
@@ -134,8 +136,9 @@ class ServoBus:
         raise NotImplementedError
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """Why these bytes must not be written as a frame for an arm with these servos; "" if they may. Unless it is a
-        question, a frame that passes holds the board's receiver for no longer than servos.HELD_NS."""
+        """Why these bytes must not be written as a frame for an arm with these servos; "" if they may. No motion of the
+        wheels passes. Unless it is a question, a frame that passes holds the board's receiver for no longer than
+        servos.HELD_NS."""
         raise NotImplementedError
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
@@ -156,37 +159,44 @@ class Board:
     name: str
     """For people: the name of the board, such as "an Arduino with ..."."""
     port: Port
-    """How its serial port is set up, and how long the board is deaf after that."""
+    """How its serial port is set up, and how long the board is deaf after that. Nobody can enable motion before it
+    hears and has got its opening frames."""
     idle_ns: int
-    """How long the line must be silent after a write before anything but a stop may be written; 0: not at all."""
+    """How long the line must be silent after a write before anything but a stop may be written; 0: not at all. A stop
+    never waits for it."""
     after_ns: int
-    """How long the line must be silent after a stop, even before the next stop; 0: stops may touch."""
+    """How long the line must be silent after a stop, even before the next stop of the same writer; 0: stops may touch.
+    If it is not 0, a stop counts as lost until it was repeated."""
     repeats_ns: tuple[tuple[int, ...], ...]
     """A row for each writer (PORT_OWNER_ROW ...): how long after a stop it is written again. Writers that can't see
-    each other's bytes have different times, so that no two touch twice in a row."""
+    each other's bytes have different times, so that no two touch twice in a row. On a board that loses two stops that
+    touch, the repeats go on for 0.4 s, longer than an adapter stalls. Writers outlive the supervisor until then."""
     stop: bytes
     """The frame that sets every wheel to zero: exactly the bytes of motor_speeds for zeros."""
     burst: bytes
-    """One write that stops the wheels whatever state the board's receiver is in."""
+    """One write that stops the wheels whatever state the board's receiver is in, when it is repeated at the latest."""
     first_stop: bytes
-    """The start of the burst, up to its first stop frame; the whole burst if it is one stop."""
+    """The start of the burst, up to its first stop frame: it is written before anything else is done. If it is the
+    whole burst, the burst is not written again right after it."""
     refresh: bytes
     """The stop that is written five times a second while stopped, for a board that restarts or wakes up."""
     pings: tuple[bytes, ...]
     """Frames, layout.PINGS at most, that move nothing and are answered, in order with all others. All differ, so that
-    an answer says which ping it answers. May be empty."""
+    an answer says which ping it answers, and proves that the receiver was in step. May be empty: the link is then
+    `unasked`, and nobody waits for an answer."""
     ping_ns: int
     """The longest time between two pings that the board's proofs need; 0: any."""
     echo_ns: int
     """When the board reports that it obeys zeros, the command was written at least this long before; 0: it does not
-    report it."""
+    report it. A board that does acknowledges a stop by such a report, and not by an answer alone."""
     silent_ns: int
     """Its reports about its wheels, or its IMU, never pause for this long unless it restarts; 0: it reports nothing."""
     arming: bytes
     """The frame that sets its own watchdog, which a restart undoes. It is written before the first motion after each
     enable. Empty if there is none."""
     fades_ns: int
-    """How long after the last frame its own watchdog makes it report zeros; 0: it has none, or reports no command."""
+    """How long after the last frame its own watchdog makes it report zeros, which then prove no stop; 0: it has none,
+    or reports no command."""
     acknowledged_by: str
     """BY_ANSWER or BY_ECHO; empty if it acknowledges nothing."""
     observed_by: str
@@ -201,11 +211,12 @@ class Board:
     wheels: int
     """How many speeds a frame sets, at most box.MOST_SPEEDS. Their wire ids are counted from 0."""
     most_rps: float
-    """The highest wheel speed that it can be sent."""
+    """The highest wheel speed that it can be sent. The service does not start with limits beyond it."""
     step_rps: float
     """Speeds are sent in multiples of this, truncated towards zero; 0: any speed."""
     usb: tuple[str, ...]
-    """Vendor:product, in hexadecimal, of the board's own USB ports."""
+    """Vendor:product, in hexadecimal, of the board's own USB ports. The chip of an adapter says nothing about the board
+    behind it."""
     usb_alone: bool
     """True if it can only be on its own USB port: not behind an adapter, not on serial pins."""
     commanders: tuple[Commander, ...]
@@ -223,7 +234,9 @@ class Board:
         raise NotImplementedError
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """Why these bytes must not be written as a motion frame; "" if they may. Never raises on bytes."""
+        """Why these bytes must not be written as a motion frame; "" if they may. It trusts nobody and reads form,
+        checksum, ids and speeds again, so a frame with a changed bit is refused as far as its form can tell. Never
+        raises on bytes."""
         raise NotImplementedError
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:

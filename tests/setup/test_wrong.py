@@ -404,7 +404,7 @@ def test_the_guard_port_is_offered_for_a_board_that_has_one(
     settings = {"board.kind": "arduino", "device.path": "/dev/ttyACM0", "scan.gate": gate}
     finish.closing(talk(place), "/x/s.toml", "left", {}, settings)
     said = " ".join(capsys.readouterr().out.split())
-    assert "It opens the guard port in the place of /dev/ttyACM0" in said
+    assert "It opens the guard port instead of /dev/ttyACM0" in said
     assert "failstop guard --name left" in said
     assert ('scan.gate is "on"' in said) == (gate == "on")
 

@@ -9,6 +9,7 @@ from failstop.cli.commands import config
 from failstop_lab.faults import report
 from failstop_lab.pages import (
     bases,
+    board,
     case,
     catalog,
     causes,
@@ -44,6 +45,7 @@ FILES: dict[str, Callable[[str], str]] = {
     "docs/reference/settings.md": lambda _: settings.page(),
     "docs/reference/causes.md": lambda _: causes.page(),
     "docs/reference/python.md": lambda _: reference.page(),
+    "docs/reference/board.md": lambda _: board.page(),
     "docs/reference/commands.md": lambda _: commands.page(),
     "docs/reference/faults.md": report.remade,
     "docs/reference/hazards.md": lambda _: case.hazards_page(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from failstop_lab.pages.rooms import PACKAGE
 
@@ -49,8 +49,13 @@ def _classes(module: str) -> dict[str, ast.ClassDef]:
 def _class(node: ast.ClassDef, module: str) -> Iterator[str]:
     bases = [name for base in node.bases if (name := ast.unparse(base)) not in ("NamedTuple", "Exception", *PAGE_OF)]
     yield f"### {node.name}{f' ({bases[0]})' if bases else ''}\n"
-    yield f"{_flat(ast.get_docstring(node) or '')}\n"
-    rows = [*_fields(node), *sorted(_all_members(node, node.name, module), key=lambda row: row[0][0].islower())]
+    yield f"{flat(ast.get_docstring(node) or '')}\n"
+    rows = [*fields(node), *sorted(_all_members(node, node.name, module), key=lambda row: row[0][0].islower())]
+    yield from table(rows)
+
+
+def table(rows: Sequence[tuple[str, str]]) -> Iterator[str]:
+    """The lines of a table of names and what is said of each; none without rows."""
     if rows:
         yield "| | |\n|---|---|"
         yield from (
@@ -59,7 +64,7 @@ def _class(node: ast.ClassDef, module: str) -> Iterator[str]:
         yield ""
 
 
-def _fields(node: ast.ClassDef) -> Iterator[tuple[str, str]]:
+def fields(node: ast.ClassDef) -> Iterator[tuple[str, str]]:
     """Fields, and members of an enumeration, with the text that follows each."""
     for at, item in enumerate(node.body):
         name = ""
@@ -69,7 +74,7 @@ def _fields(node: ast.ClassDef) -> Iterator[tuple[str, str]]:
             name = ast.unparse(item.targets[0])
         if name and not name.startswith("_"):
             after = node.body[at + 1] if at + 1 < len(node.body) else None
-            yield name, _flat(_text(after))
+            yield name, flat(_text(after))
 
 
 def _text(node: ast.stmt | None) -> str:
@@ -80,29 +85,29 @@ def _text(node: ast.stmt | None) -> str:
 
 def _all_members(node: ast.ClassDef, name: str, module: str) -> Iterator[tuple[str, str]]:
     """Its own, then those of what it is made of. The constructor is the one that has a capital."""
-    yield from _members(node, name, vars(importlib.import_module(f"failstop.api.{module}")))
+    yield from members(node, name, vars(importlib.import_module(f"failstop.api.{module}")))
     for base in map(ast.unparse, node.bases):
         if (home := PAGE_OF.get(base)) and name != "AsyncRobot":
             yield from _all_members(_classes(home)[base], name, home)
 
 
-def _members(node: ast.ClassDef, name: str, values: dict[str, object]) -> Iterator[tuple[str, str]]:
+def members(node: ast.ClassDef, name: str, values: dict[str, object]) -> Iterator[tuple[str, str]]:
     """Methods and properties; what begins with an underscore is nobody's."""
     for item in node.body:
         if not isinstance(item, (ast.FunctionDef, ast.AsyncFunctionDef)):
             continue
         if item.name == "__init__" and (told := ast.get_docstring(item)):
-            yield f"{name}{_signature(item, values)}", _flat(told)
+            yield f"{name}{_signature(item, values)}", flat(told)
         if item.name.startswith("_"):
             continue
         marks = {ast.unparse(mark) for mark in item.decorator_list}
         before = "await " if isinstance(item, ast.AsyncFunctionDef) else ""
         returns = ast.unparse(item.returns) if item.returns else ""
         if "property" in marks:
-            yield f"{item.name}: {returns}", _flat(ast.get_docstring(item) or "")
+            yield f"{item.name}: {returns}", flat(ast.get_docstring(item) or "")
         else:
             arrow = f" -> {returns}" if returns not in ("None", "") else ""
-            yield f"{before}{item.name}{_signature(item, values)}{arrow}", _flat(ast.get_docstring(item) or "")
+            yield f"{before}{item.name}{_signature(item, values)}{arrow}", flat(ast.get_docstring(item) or "")
 
 
 def _signature(node: ast.FunctionDef | ast.AsyncFunctionDef, values: dict[str, object]) -> str:
@@ -126,5 +131,6 @@ def _value(node: ast.expr, values: dict[str, object]) -> str:
     return repr(values[node.id]) if isinstance(node, ast.Name) else ast.unparse(node)
 
 
-def _flat(text: str) -> str:
+def flat(text: str) -> str:
+    """On one line."""
     return " ".join(text.split())

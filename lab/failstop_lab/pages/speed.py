@@ -64,8 +64,8 @@ def _campaign(found: dict[str, Any], rows: dict[str, dict[str, Any]]) -> str:
     missed, after = found["missed"], found["motion_after"]
     return "\n".join(
         (
-            "Times are counted from the fault until the stop has arrived at the board. A real serial line adds the time",
-            "that the stop's bytes take, 0.6 ms at the 1 Mbaud of Hiwonder's board. Where a line sums up several",
+            "Times are counted from the fault until the stop has arrived at the board. A real serial line adds the",
+            "time that the stop's bytes take, 0.6 ms at the 1 Mbaud of Hiwonder's board. Where a line sums up several",
             "kinds of fault, it shows the slowest kind. A p99 of a few tries is close to the slowest of them.",
             "While the USB cable is out, the robot keeps going unless its board stops by itself. After you have",
             f"plugged it in again, 99 of 100 stops arrive within {_ms(rows['usb-drop']['p99_ms'])}.",
