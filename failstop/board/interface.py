@@ -170,7 +170,8 @@ class Board:
     repeats_ns: tuple[tuple[int, ...], ...]
     """A row for each writer (PORT_OWNER_ROW ...): how long after a stop it is written again. Writers that can't see
     each other's bytes have different times, so that no two touch twice in a row. On a board that loses two stops that
-    touch, the repeats go on for 0.4 s, longer than an adapter stalls. Writers outlive the supervisor until then."""
+    touch, the repeats go on for 0.4 s, longer than an adapter stalls. Writers outlive the supervisor until then. The
+    port owner repeats the gate's first zero frame after motion at the same times."""
     stop: bytes
     """The frame that sets every wheel to zero: exactly the bytes of motor_speeds for zeros."""
     burst: bytes
