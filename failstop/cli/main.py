@@ -21,37 +21,37 @@ GROUPS = {
         "disable": ("cli.commands.requests", "disable motion: the wheels stop"),
         "drive": ("cli.commands.requests", "drive for a while"),
         "teleop": ("cli.commands.teleop", "drive with the keyboard, holding keys"),
-        "attend": ("cli.commands.attend", "be the operator without whom the robot does not move"),
-        "stop": ("cli.commands.stop", "stop now: by the running service, else on the port itself"),
+        "attend": ("cli.commands.attend", "be the operator who has to be present for the robot to move"),
+        "stop": ("cli.commands.stop", "stop now: through the service or, without one, on the port itself"),
         "estop": ("cli.commands.stop", "the same as stop"),
-        "reset": ("cli.commands.requests", "clear a latched stop; enables nothing"),
-        "limit": ("cli.commands.requests", "a speed limit for every driver, in percent of the settings'"),
+        "reset": ("cli.commands.requests", "clear a latched stop; nothing moves before the next enable"),
+        "limit": ("cli.commands.requests", "limit the speed of every driver, in percent of the settings' limits"),
         "arm": ("cli.commands.arm", "the arm: where it is, move, jog, poses, hold, release"),
     },
     "look": {
         "status": ("cli.commands.status", "what the wheels do and why, processes, last stop; live with -w"),
-        "why": ("cli.commands.status", "what holds the wheels, since when, and what to do, in plain words"),
+        "why": ("cli.commands.status", "why the wheels are stopped, since when, and what to do next"),
         "events": ("cli.commands.events", "what happened: stops, deaths, requests"),
-        "incident": ("cli.commands.incident", "the black box: each stop as a story, a picture, MCAP"),
-        "metrics": ("fleet.metrics_command", "the state as Prometheus reads it, once or over HTTP"),
-        "fleet": ("fleet.command", "all robots of a broker: see them, stop them, publish this one"),
+        "incident": ("cli.commands.incident", "the minute before each latched stop: as a story, a picture, MCAP"),
+        "metrics": ("fleet.metrics_command", "the state in the format of Prometheus, once or over HTTP"),
+        "fleet": ("fleet.command", "many robots: see and stop all of them, add this one"),
     },
     "check": {
-        "setup": ("setup.command", "from a cable to a proved robot: a conversation, no editor"),
-        "demo": ("failstop_lab.commands.demo", "simulated robot: a drive, every kill, and its measured stop"),
-        "probe": ("failstop_lab.commands.probe", "does your robot stop? any base, without adopting failstop"),
-        "doctor": ("cli.commands.doctor", "what on this machine weakens the promises, and what helps"),
-        "prove": ("failstop_lab.commands.prove", "the stand test: every stop path timed on a real robot"),
+        "setup": ("setup.command", "set up a robot by answering questions, and test its stops"),
+        "demo": ("failstop_lab.commands.demo", "drive a simulated robot, kill every process, time the stops"),
+        "probe": ("failstop_lab.commands.probe", "measure whether a robot without failstop stops"),
+        "doctor": ("cli.commands.doctor", "check this machine, the port and the service; what to fix"),
+        "prove": ("failstop_lab.commands.prove", "the stand test: time every kind of stop on a real robot"),
         "chaos": ("failstop_lab.commands.chaos", "random faults on a simulated board, judged by it"),
-        "config": ("cli.commands.config", "every setting with its value and origin"),
+        "config": ("cli.commands.config", "show and check settings: values, and where they come from"),
     },
     "service": {
         "run": ("cli.commands.run", "run the service in the foreground"),
-        "simulate": ("failstop_lab.commands.simulate", "every fault on a simulated machine, judged by its board"),
-        "sim": ("failstop_lab.commands.sim", "a simulated board on a pty"),
-        "guard": ("guard.command", "keep your driver: a serial port that plays the board for it"),
-        "web": ("web.command", "the operator's page: STOP, why, and what happened, on a phone"),
-        "ros2": ("ros2.command", "the bridge to ROS 2: its nodes drive through the service"),
+        "simulate": ("failstop_lab.commands.simulate", "try every fault on a simulated machine"),
+        "sim": ("failstop_lab.commands.sim", "start a simulated board"),
+        "guard": ("guard.command", "keep your driver: open a serial port that behaves like the board"),
+        "web": ("web.command", "serve the operator's page: stop the robot from a phone"),
+        "ros2": ("ros2.command", "start the bridge to ROS 2: nodes drive through the service"),
     },
 }
 """Groups of `failstop --help`: each command with its module and its purpose."""
@@ -65,8 +65,9 @@ LOST = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EIO)
 """Errors of standard output: nobody reads it, its disk is full, its terminal has gone."""
 EXAMPLES = "examples:"
 """The first line below a command's options."""
-DESCRIPTION = """The layer that makes a robot stop.
-Whatever dies or hangs, the wheels are told to stop.
+DESCRIPTION = """Stops your robot when its software crashes or hangs.
+No robot yet? Try `failstop demo`. With a robot on a stand, begin with
+`failstop setup`.
 Exit codes: 0 done, 1 error, 2 refused, 3 no service of that name, 78 this
 Python lacks a package, 128 and the signal's number when a signal ended it
 (130: Ctrl-C; run and sim: 0)."""

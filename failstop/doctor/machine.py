@@ -68,10 +68,10 @@ def _grant(look: Look) -> tuple[str, str]:
 
 
 def early_news(look: Look) -> list[Finding]:
-    """How soon the kernel tells of a death."""
+    """How soon the kernel reports a death."""
     if look.system.early_news():
-        return ok("the kernel tells of a death before it takes the memory down")
-    text = "the kernel tells of a death late (no robust futexes): a stop after one comes 1 ms later for each 10 MB"
+        return ok("the kernel reports a death before it frees the memory")
+    text = "the kernel reports a death late (no robust futexes), so a stop after it comes 1 ms later for each 10 MB"
     return warn(text, "", "run the service on the host's own kernel: gVisor and qemu's user mode are such kernels")
 
 

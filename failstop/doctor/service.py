@@ -72,11 +72,11 @@ def running(look: Look) -> list[Finding]:
 
 
 def _not_running(look: Look) -> list[Finding]:
-    text = f"no service named {look.name!r} runs: nothing drives, and nothing would stop wheels that turn"
+    text = f"no service named {look.name!r} is running, so nothing can drive, and nothing would stop wheels that turn"
     if others := look.system.services():
         text += f" (there is {', '.join(others)})"
     if look.node is None:
-        return warn(text, "", "first see to the port")
+        return warn(text, "", "first fix the port")
     if look.unit:
         return warn(text, f"sudo systemctl start {unit_of(look.name)}")
     config = f" --config {shlex.quote(look.settings[0])}" if look.settings[0] else ""
@@ -91,7 +91,7 @@ def wheels_scale(look: Look) -> list[Finding]:
             return []
         if look.board.scale_assumed:
             return warn(scale.cap_text(scale.capped(look.told, assumed=True)), fix)
-        return ok(f"board.per_rps is {look.board.per_rps:g}, and a drive would show whether it fits")
+        return ok(f"board.per_rps is {look.board.per_rps:g}, and the next drive shows whether it fits")
     known = look.state.scale
     if known.capped:
         return warn(known.capped, fix)
@@ -112,15 +112,17 @@ def clients(look: Look) -> list[Finding]:
     found = []
     for who, sees, wrong in words.said(look.state) if look.state else ():
         found += warn(f"{who} says: {wrong}", f"failstop why --name {look.name}") if wrong else ok(f"{who}: {sees}")
-    return found or ok("no client says anything of itself")
+    return found or ok("no program reports anything about itself")
 
 
 def unit(look: Look) -> list[Finding]:
     """Its systemd unit."""
     name, found = unit_of(look.name), look.unit
     if not found:
-        text = f"systemctl shows this user no unit {name}; without one nobody starts it at boot or after a death"
-        advice = "install the Debian package, which brings it (docs/install.md); a container has its own manager for it"
+        text = f"systemctl shows no unit {name}: without one nothing starts the service at boot or after a crash"
+        advice = (
+            "install the Debian package, which has the unit (docs/install.md); in a container its runtime restarts it"
+        )
         return warn(text, "", advice)
     active, result, restarts = (found.get(key, "") for key in ("ActiveState", "Result", "NRestarts"))
     if active == "failed" or result not in ("", "success") or restarts not in ("", "0"):

@@ -185,7 +185,7 @@ def test_a_report_is_one_file_without_a_secret(
 def test_for_people(doctor: Doctor, board: SimBoard, name: str) -> None:
     _, out = doctor.said("--device", board.link, "--name", name)
     assert "ok    stop path" in out
-    assert f"no service named '{name}' runs" in out
+    assert f"no service named '{name}' is running" in out
     assert out.splitlines()[-1].endswith(" fine")
     assert "\x1b" not in out
 

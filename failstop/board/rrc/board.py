@@ -138,8 +138,8 @@ class Rrc(Board):
     arm: RrcArm = RrcArm()
     commanders = (
         Commander(
-            who="a gamepad at the board, or Bluetooth, drives it where the firmware does so without the host",
-            remedy="switch that off in the firmware, or leave nothing plugged in and paired that nobody drives with",
+            who="a gamepad at the board, or Bluetooth: with some firmware they drive without this computer",
+            remedy="switch that off in the firmware, or unplug and unpair what you don't drive with",
         ),
         Commander(
             who="the vendor's ROS node writes to the board, past every check of failstop",

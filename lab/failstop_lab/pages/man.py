@@ -72,7 +72,7 @@ def page() -> str:
         ".nh",
         ".ad l",
         ".SH NAME",
-        "failstop \\- the layer that makes a robot stop",
+        "failstop \\- stops a robot when its software crashes or hangs",
         ".SH SYNOPSIS",
         ".B failstop",
         ".I COMMAND",

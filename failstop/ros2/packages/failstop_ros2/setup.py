@@ -17,7 +17,7 @@ setup(
     zip_safe=True,
     maintainer="failstop developers",
     maintainer_email="failstop@example.org",
-    description="The bridge from ROS 2 to failstop, the layer that makes a robot stop, and its launch file.",
+    description="The bridge from ROS 2 to failstop, which stops a robot when its software fails, and its launch file.",
     license="MIT",
     entry_points={"console_scripts": [f"bridge = {NAME}.bridge:main"]},
 )
