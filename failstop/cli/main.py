@@ -40,7 +40,7 @@ GROUPS = {
         "setup": ("setup.command", "set up a robot by answering questions, and test its stops"),
         "demo": ("failstop_lab.commands.demo", "drive a simulated robot, kill every process, time the stops"),
         "probe": ("failstop_lab.commands.probe", "measure whether a robot without failstop stops"),
-        "doctor": ("cli.commands.doctor", "check this machine, the port and the service; what to fix"),
+        "doctor": ("cli.commands.doctor", "check the machine, the port and the service, and say what to fix"),
         "prove": ("failstop_lab.commands.prove", "the stand test: time every kind of stop on a real robot"),
         "chaos": ("failstop_lab.commands.chaos", "random faults on a simulated board, judged by it"),
         "config": ("cli.commands.config", "show and check settings: values, and where they come from"),

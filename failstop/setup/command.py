@@ -24,25 +24,29 @@ from failstop.setup.wheels import Trial
 
 EXAMPLES = """\
 failstop setup                         # a conversation of ten minutes
-failstop setup --port /dev/ttyUSB0     # what is given is not asked
-failstop setup --afresh                # forget what was left
+failstop setup --port /dev/ttyUSB0     # asks only what you have not given
+failstop setup --afresh                # begin again
 """
 QUESTIONS = {
     "port": "the board's port",
     "board": f"its kind: {', '.join(BOARDS)}, or the path of a folder of your own",
     "robot": "the robot's name, or other",
-    "layout": "how body velocity becomes wheel speeds, for a robot without a name",
+    "layout": "the kind of base, for example mecanum, if the robot has no name here",
     "stand": "yes: the wheels are off the ground and free",
-    "per_rps": "one turn a second of a wheel in the board's own unit, instead of a turn by hand (of an Arduino the "
-    "encoder counts of a turn, divided by 30); speeds stay capped, because no turn has confirmed it; or unknown",
-    **{f"wheel_{number - 1}": f"the wheel of id {number - 1} and its way, as fl+" for number in NUMBERS},
+    "per_rps": "the speed of one wheel turn per second in the board's own unit, instead of turning a wheel by hand (on "
+    "an Arduino: encoder counts of a turn, divided by 30); the speed stays capped, because no turn has confirmed the "
+    "number; or: unknown",
+    **{
+        f"wheel_{number - 1}": f"which wheel motor id {number - 1} turned, and which way: fl+ is front left, forward"
+        for number in NUMBERS
+    },
     "forward": "yes: every wheel turned forward",
     "turn": "yes: the robot would have turned to the left",
     **sizes.OPTIONS,
-    "prove": "yes: make the stand test without asking; no: leave it out",
-    "unproved": "yes: write the settings of a robot that is not proved",
+    "prove": "yes: make the stand test without asking; no: skip it",
+    "unproved": "yes: write the settings even if the stand test did not pass",
     "file": "where to write the settings",
-    "replace": "replace: a file that is there",
+    "replace": "replace: overwrite an existing file (the old one is kept)",
 }
 """Every question, with what its option says."""
 ROWS_SAY = "see the rows above: a loose plug, or a size that is not so"
@@ -56,7 +60,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop setup`."""
     for key, what in QUESTIONS.items():
         parser.add_argument(option(key), dest=key, metavar="ANSWER", help=what.replace("%", "%%"))
-    parser.add_argument("--afresh", action="store_true", help="forget the answers of a setup that was left")
+    parser.add_argument("--afresh", action="store_true", help="forget the answers of a setup that you left early")
     add_name(parser)
 
 
@@ -85,7 +89,7 @@ def main(arguments: Namespace) -> int:
 
 def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
     """The steps. `halts` gets what stops the wheels of the board, once it is known."""
-    style.show([[("failstop setup", style.STRONG), (": from a cable to a proved robot, in six steps", style.PLAIN)]])
+    style.show([[("failstop setup", style.STRONG), (": set up a robot and test its stops, in six steps", style.PLAIN)]])
     talk.say(
         "Ctrl-C stops the wheels and leaves; what you have said is kept. Nothing is written before you have seen it."
     )

@@ -46,8 +46,8 @@ NEVER_TURNED = "no wheel was turned"
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop probe`."""
     ways = parser.add_subparsers(dest="way", required=True, metavar="serial|ros2")
-    by_port = ways.add_parser("serial", help="a motor board at its port, by its own frames")
-    by_ros = ways.add_parser("ros2", help="whatever obeys a topic of velocities")
+    by_port = ways.add_parser("serial", help="a motor board on a serial port")
+    by_ros = ways.add_parser("ros2", help="a robot that obeys cmd_vel")
     add_board(by_port, None, "the board's kind: {}")
     add = by_port.add_argument
     add("--port", required=True, metavar="PATH", help="the board's port")
