@@ -45,7 +45,7 @@ class GyroBias:
 
     Tracking goes on averaging where the calibration ended, until that is as long as the time constant; from then on it
     follows with the time constant. A heading at rest for 8 minutes, bias constant, strayed by 0.17 degrees at the most
-    with the time constant from the start, by 0.10 like this (40 seeds; docs/reference/measured.md).
+    with the time constant from the start, by 0.10 like this (40 seeds; docs/reference/telemetry.md).
     """
 
     def __init__(self, settings: Settings) -> None:

@@ -2,7 +2,7 @@
 
 Turning wheels shake the robot, which shows in the standard deviation of gyro x and gyro y over a window. The limit
 between still and turning is close to both, so a window is quiet by chance now and then. The verdict is therefore
-"still" only when every window has been quiet for another HOLD_NS. docs/reference/measured.md has how often windows and
+"still" only when every window has been quiet for another HOLD_NS. docs/reference/telemetry.md has how often windows and
 holds of several lengths are wrong, the delay, and the effect of an IMU with another rate.
 """
 

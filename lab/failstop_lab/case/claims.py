@@ -36,181 +36,183 @@ CLAIMS = (
     ),
     Claim(
         "DEATH-1",
-        "The death of any one process of the service, in whatever step it is, stops the wheels.",
+        "If any one process of the service dies, at whatever moment, the wheels stop.",
         20.0, "from the death", ("LIFELINE", "WRITE", "RECEIVER", "RIGHTS"),
         "a kill after which the board executes no stop frame in its time",
     ),
     Claim(
         "HANG-1",
-        "A process of the service that hangs or spins stops the wheels.",
-        515.0, "from the hang; 75 where the gate or the supervisor hangs, 115 the port owner, 265 the stopper",
+        "If a process of the service hangs or spins, the wheels stop.",
+        515.0, "from the hang; 75 ms if the gate or the supervisor hangs, 115 the port owner, 265 the stopper",
         ("CLOCK", "RIGHTS", "SYSTEMD"),
         "a process that is halted for longer than its deadline, and wheels that turn on",
     ),
     Claim(
         "SEVERAL-1",
-        "Two to five processes that die or hang at once stop the wheels; where none is left that can write, the stop"
-        " tool"
-        " of systemd does.",
+        "If two to five processes die or hang at once, the wheels stop. If none is left that can write, the stop "
+        "tool that systemd starts writes the stop.",
         265.0, "from the first of the faults", ("LIFELINE", "WRITE", "SYSTEMD", "RIGHTS"),
         "any set of deaths and hangs after which no stop frame is executed",
     ),
     Claim(
         "ASK-1",
-        "Every local user may stop the robot, with any bytes in the stop pipe, and by a button or key of the board. A"
-        " service that a user starts by hand obeys that user alone.",
+        "Every local user may stop the robot, with any bytes in the stop pipe, and anyone at the board with its "
+        "button or key. A service that a user starts by hand obeys only that user.",
         10.0, "from the request", ("RIGHTS",),
         "a request that stops nothing, or a user whose request is refused",
     ),
     Claim(
         "ASK-2",
-        "A stop request is answered while the machine has no processor, memory, descriptor or disk to spare.",
-        1020.0, "from the request or the fault; 20 but where names of shared memory are taken away", ("RIGHTS",),
+        "A stop request is answered even if the machine has no processor time, memory, descriptor or disk to spare.",
+        1020.0, "from the request or the fault; 20 ms unless names of shared memory are removed", ("RIGHTS",),
         "a shortage under which a request stops nothing",
     ),
     Claim(
         "CLIENT-1",
-        "A driver that dies disables motion; one that falls silent stops the wheels by its command timeout; a"
-        " command that is"
-        " no number, or a second publisher of one source, latches a stop.",
+        "A driver that dies disables motion. A driver that falls silent stops the wheels when its command has timed "
+        "out. A command that is not a number, or a second program that commands as one source, latches a stop.",
         320.0, "from its last command; 20 from its death or an exception", ("LIFELINE", "CLOCK"),
         "a driver that has gone, and wheels that turn on its last command",
     ),
     Claim(
         "MEMORY-1",
-        "A client that damages the memory that it shares with the service moves nothing by it, and loses only itself.",
+        "A client that damages the memory that it shares with the service can't move anything by that, and only "
+        "that client loses its connection.",
         60.0, "from its last command", ("CRC",),
         "a damage that turns a wheel, keeps a stop away or ends the service",
     ),
     Claim(
         "SENSOR-1",
-        "An obstacle sensor or an interlock that falls silent stops what programs drive.",
+        "An obstacle sensor or an interlock that falls silent stops the motion that programs command.",
         525.0, "from the last delivery or assertion", ("CLOCK",),
         "a program that drives on without a valid scan or interlock",
     ),
     Claim(
         "ATTEND-1",
-        "Where an operator is required (`attend.required`), one who leaves or is not heard any more latches a stop.",
+        "If an operator is required (`attend.required`), an operator who leaves or is no longer heard latches a "
+        "stop.",
         1020.0, "from the last proof, with a lease of 1 s (`attend.lease_s`)", ("CLOCK",),
         "a robot that drives on without its operator",
     ),
     Claim(
         "PORT-1",
-        "A board that was unplugged is told to stop when it is back, before anything else is written to it.",
-        1200.0, "from its return; 20 unless the supervisor hangs meanwhile", ("PTY", "SYSTEMD"),
+        "When an unplugged board is back, it is told to stop before anything else is written to it.",
+        1200.0, "from its return; 20 ms unless the supervisor hangs meanwhile", ("PTY", "SYSTEMD"),
         "a board that is back, and turns its wheels without an enable",
     ),
     Claim(
         "BOARD-1",
-        "A board that takes no bytes, hears nothing or does not obey is told of as such, and is told to stop again"
-        " and again.",
+        "If a board takes no bytes, hears nothing or does not obey, failstop reports that and writes the stop again "
+        "and again.",
         250.0, "from when it takes or hears bytes again", ("PING", "IMU"),
         "a board that hears again and is not stopped, or a stop that is told as obeyed and is not",
     ),
     Claim(
         "RUNAWAY-1",
-        "Where the board reports what its wheels do, a wheel that turns faster than it is told, the other way, or on"
-        " although it is told zero, stops the robot.",
-        1700.0, "from when it runs away, at 0.1 m/s and the board that reports least often", ("RECEIVER", "WRITE"),
+        "If the board reports what its wheels do, a wheel that turns faster than commanded, in the other direction, "
+        "or although zero is commanded, stops the robot.",
+        1700.0, "from when it runs away, at 0.1 m/s, on the board that reports least often", ("RECEIVER", "WRITE"),
         "a wheel that is reported beyond its margin for its run-down time without slowing down, and is not stopped",
     ),
     Claim(
         "SILENCE-1",
         "When a board that reported all the time falls silent, failstop says so, and stops the wheels while motion is"
         " enabled.",
-        1000.0, "from its last report, where its reports come every 0.1 s at least", ("RECEIVER", "WRITE"),
+        1000.0, "from its last report, if its reports come at least every 0.1 s", ("RECEIVER", "WRITE"),
         "a board that says nothing for longer, while motion is enabled",
     ),
     Claim(
         "TIME-1",
-        "A machine that froze or slept has stopped the wheels as soon as it is back; steps of the wall clock stop"
-        " nothing.",
+        "If the machine froze or slept, the wheels are stopped as soon as it is back. Steps of the wall clock stop "
+        "nothing.",
         65.0, "from the thaw or waking", ("CLOCK",),
         "motion that goes on behind a sleep",
     ),
     Claim(
         "END-1",
-        "A service that is ended in order leaves the wheels stopped.",
+        "When the service is ended normally, it leaves the wheels stopped.",
         20.0, "from SIGTERM", ("WRITE",),
         "an end after which the board has another last speed than zero",
     ),
     Claim(
         "ARM-1",
-        "What stops the wheels stops the arm, with its torque on.",
-        575.0, "from the fault to the last joint at rest; 65 for deaths", ("SERVO",),
+        "A stop of the wheels also stops the arm, with its torque on.",
+        575.0, "from the fault until the last joint is at rest; 65 ms for deaths", ("SERVO",),
         "a joint that turns later than its row, or lets go",
     ),
     Claim(
         "MOVE-1",
-        "One process writes motion, and looks at the epoch again just before each frame: behind a stop that another"
-        " process"
-        " wrote comes at most the one frame that was past this look, behind its own none.",
+        "Only one process writes motion, and it checks for a stop (the epoch) just before each frame. So after a "
+        "stop by another process at most one motion frame follows, which was past that check; after a stop by the "
+        "same process none.",
         None, "motion frames after a stop: 0, or that one", ("MODEL", "WRITE", "PAIRS", "BARRIER"),
         "a second frame of motion behind a stop",
     ),
     Claim(
         "MOVE-2",
-        "Behind a latched stop nothing moves until somebody resets and enables; behind a start, a disable, a lost"
-        " interlock or"
-        " a driver's death nothing moves until somebody enables. No process does either by itself.",
+        "After a latched stop nothing moves until somebody resets and enables. After a start, a disable, a lost "
+        "interlock or a driver's death nothing moves until somebody enables. No process of failstop does either by "
+        "itself.",
         None, "motion frames before the enable: 0", ("MODEL", "PAIRS", "SIMULATED"),
         "a motion frame without an enable that a client asked for after the stop",
     ),
     Claim(
         "GUARD-1",
-        "A driver at the guard port moves nothing that the board itself would not move for it, nothing beyond the"
-        " limits, and nothing once it has died.",
+        "A driver at the guard port moves nothing that the board itself would not move for it, nothing beyond the "
+        "limits, and nothing after its death.",
         None, "motion frames while disabled or latched, of a dead driver, or beyond a limit: 0", ("PTY", "USERS"),
         "a wheel that turns by bytes which the board would refuse, or by those of a driver that has gone",
     ),
     Claim(
         "LIMIT-1",
-        "Nothing drives faster, or changes speed faster, than the settings allow, whoever commands.",
+        "Nothing drives faster, or changes speed faster, than the settings allow, whichever program commands.",
         None, "frames past a limit or a ramp: 0", ("ENCODER",),
         "a frame whose wheel speeds stand for more than a limit",
     ),
     Claim(
         "CAUSE-1",
-        "The first cause of a stop is kept until the reset, and told in words with what to do.",
+        "The first cause of a stop is kept until the reset, and shown in words, with what to do next.",
         None, "stops with another cause than the first: 0", ("PAIRS",),
         "a latched stop that names a later cause, or none",
     ),
     Claim(
         "PROOF-1",
-        "What is proved of a stop is told apart: written, acknowledged, observed. Nothing is told that was not seen.",
-        None, "proofs told and not seen: 0", ("PING", "IMU"),
+        "The three proofs of a stop are shown separately: written, acknowledged, observed. No proof is shown that "
+        "was not seen.",
+        None, "proofs shown and not seen: 0", ("PING", "IMU"),
         "a screen that shows a proof which the board has not given",
     ),
     Claim(
         "ACCESS-1",
-        "Only members of the group `failstop` may drive, reset and enable; memory and folders of anybody else are"
-        " refused.",
+        "Only members of the group `failstop` may drive, reset and enable. Everybody else is refused, and so are "
+        "their memory and folders.",
         None, "ways in for others: 0", ("USERS",),
         "a user outside of the group who moves a wheel, or takes a stop away",
     ),
     Claim(
         "BOARD-2",
-        "Each board's stop is executed from every state of its receiver, also behind cut frames and beside another"
-        " writer.",
+        "Each board's stop works from every state of its receiver, also after cut frames and next to another "
+        "writer.",
         None, "stops lost: 0; 40 ms later than at the first board by its own line and loop", ("RECEIVER", "WRITE"),
         "a state of the board's own firmware from which a burst does not stop the wheels",
     ),
     Claim(
         "WATCHDOG-1",
-        "Where a board has a watchdog of its own it is armed, fed while the service lives, and proved by silence.",
-        None, "boards that stand by themselves within what was set", ("RECEIVER",),
+        "If a board has a watchdog of its own, failstop arms it, feeds it only while the service lives, and tests "
+        "show that silence makes it stop.",
+        None, "boards that stop by themselves within the time that was set", ("RECEIVER",),
         "a board whose `status` says armed, and that drives on when everything is frozen",
     ),
     Claim(
         "DISTANCE-1",
-        "Wherever a limit is set, failstop says how far the robot goes until it stands, by the deceleration that you"
-        " measured.",
+        "Wherever a limit is set, failstop says how far the robot goes until it has stopped, from the deceleration "
+        "that you measured.",
         None, "5 % of the way of simulated wheels", ("BRAKE",),
         "two screens that say different ways, or wheels that brake as the settings say and roll further",
     ),
     Claim(
         "RETURN-1",
-        "Once nothing fails any more, a reset and an enable are granted, and the wheels turn.",
+        "When nothing fails any more, a reset and an enable are granted, and the wheels turn.",
         None, "2 s of simulated time; every run of the model ends", ("SIMULATED", "MODEL"),
         "a service that is whole and never grants motion again",
     ),
