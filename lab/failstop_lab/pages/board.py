@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from failstop_lab.pages.reference import fields, flat, members, table
 from failstop_lab.pages.rooms import PACKAGE
 
-HEAD = """# A board: reference
+PAGE_HEAD = """# A board: reference
 
 Generated from the docstrings of `failstop/board` (`make docs`). [Porting](../dev/porting.md) shows how to use it.
 Times whose name ends with `_ns` are in nanoseconds, speeds whose name ends with `_rps` in turns per second.
@@ -24,7 +24,7 @@ SECTIONS = (
 
 def page() -> str:
     """The page."""
-    parts = [HEAD]
+    parts = [PAGE_HEAD]
     for title, module, first in SECTIONS:
         found = _classes(module)
         parts.append(f"## {title}\n")
