@@ -123,9 +123,9 @@ class Scene:
         """How often systemd has restarted it by itself."""
         return int(self.box.show(UNIT, "NRestarts")["NRestarts"])
 
-    def told(self) -> str:
-        """The service's journal since start(), or begin()."""
-        return self.box.told(UNIT, self._began_s)
+    def told(self, unit: str = UNIT) -> str:
+        """The journal of the service, or of another unit, since start() or begin()."""
+        return self.box.told(unit, self._began_s)
 
     # The client that drives.
 

@@ -23,7 +23,7 @@ from failstop_lab.trial import Stopped, wait_for
 CHILDREN = [name for name in layout.PROCESS_NAMES if name != layout.SUPERVISOR]
 WHOLE_S = 30.0
 SLEEP = "failstop-sleep.service"
-LATE = "failstop-late@failstop.service"
+LATE = "failstop-late.service"
 
 
 def well(stopped: Stopped) -> None:
@@ -96,17 +96,25 @@ def test_ready_means_stopped_and_healthy_and_waits_for_the_board(shared_scene: S
 
 @pytest.mark.slow
 def test_a_restart_whose_stop_can_t_be_written_starts_it_all_the_same(shared_scene: Scene) -> None:
-    """The unit that goes on trying to stop does not take the place of the start that waits."""
+    """The unit that goes on trying to stop gives way to the start that waits. It would end the service otherwise: here it
+    fails, as it does when both ask the board at once, and its restart would stop the service."""
     scene = shared_scene
     scene.start()
     scene.begin()
-    scene.board.unplug()
+    scene.box.unit(f"{LATE}.d/fails.conf", "[Service]\nExecStart=\nExecStart=/bin/false\n")
+    scene.box.ctl("daemon-reload")
     try:
-        scene.box.ctl("restart", "--no-block", UNIT)
-        wait_for("the stop tool to give up", lambda: "Triggering OnFailure= dependencies" in scene.told(), WHOLE_S)
+        scene.board.unplug()
+        try:
+            scene.box.ctl("restart", "--no-block", UNIT)
+            wait_for("the stop tool to give up", lambda: "Triggering OnFailure= dependencies" in scene.told(), WHOLE_S)
+        finally:
+            scene.board.replug()
+        scene.wait_ready()
+        assert scene.told(LATE) == ""
     finally:
-        scene.board.replug()
-    scene.wait_ready()
+        scene.box.unit(f"{LATE}.d/fails.conf", "")
+        scene.box.ctl("daemon-reload")
     scene.board.events()
     assert not any(scene.board.wheels())
 

@@ -29,7 +29,7 @@ ONE, MANY = "failstop.service", "failstop@.service"
 BRIDGE = "failstop-ros2@.service"
 FLEET = "failstop-fleet.service"
 SLEEP = "failstop-sleep.service"
-LATE = "failstop-late@.service"
+LATE, LATE_MANY = "failstop-late.service", "failstop-late@.service"
 WEB = "failstop-web.service"
 GUARD = "failstop-guard@.service"
 EXPOSURES = {
@@ -37,6 +37,7 @@ EXPOSURES = {
     "failstop@a.service": 0.9,
     FLEET: 1.8,
     WEB: 1.9,
+    LATE: 3.8,
     "failstop-late@a.service": 3.8,
     SLEEP: 3.9,
     "failstop-ros2@a.service": 5.4,
@@ -53,7 +54,7 @@ UNIT = dict(settings(ONE))
 @pytest.fixture
 def runnable(tmp_path: Path) -> Path:
     """The units with a command that is there: an absent one is all that would be found."""
-    for name in (ONE, MANY, SLEEP, LATE, BRIDGE, FLEET, WEB, GUARD):
+    for name in (ONE, MANY, SLEEP, LATE, LATE_MANY, BRIDGE, FLEET, WEB, GUARD):
         text = (SYSTEMD / name).read_text()
         (tmp_path / name).write_text(text.replace("/opt/failstop/bin/failstop", "/bin/true"))
     return tmp_path
@@ -66,6 +67,7 @@ def runnable(tmp_path: Path) -> Path:
         ONE,
         "failstop@a.service",
         SLEEP,
+        LATE,
         "failstop-late@a.service",
         "failstop-ros2@root.service",
         "failstop-guard@root.service",
@@ -128,7 +130,7 @@ def test_the_template_differs_in_the_name_alone() -> None:
         ("the robot's wheels are told to stop\n", "the wheels of robot %i are told to stop\n"),
         ("bin/failstop run --config", "bin/failstop run --name %i --config"),
         ("/etc/failstop/failstop.toml", "/etc/failstop/%i.toml"),
-        ("failstop-late@failstop.service", "failstop-late@%i.service"),
+        ("failstop-late.service", "failstop-late@%i.service"),
         ("StateDirectory=failstop/failstop\n", "StateDirectory=failstop/%i\n"),
     ):
         assert ours in one
@@ -160,14 +162,34 @@ def test_the_drivers_of_the_device_classes_are_loaded_before(name: str) -> None:
     assert ("After", wanted) in settings(name)
 
 
-@pytest.mark.parametrize("name", [ONE, MANY])
-def test_a_stop_that_was_not_written_is_somebody_elses_until_the_service_runs_again(name: str) -> None:
-    found = settings(name)
-    late = "failstop-late@%i.service" if name == MANY else "failstop-late@failstop.service"
+def test_the_template_that_goes_on_trying_differs_in_the_name_alone() -> None:
+    one, many = ((SYSTEMD / name).read_text() for name in (LATE, LATE_MANY))
+    for ours, theirs in (
+        ("More in docs", "%i is the service's name. More in docs"),
+        ("failstop-late@.service is this file for several robots", "failstop-late.service is this file for one robot"),
+        ("the stop that the robot has", "the stop that robot %i has"),
+        ("Conflicts=failstop.service", "Conflicts=failstop@%i.service"),
+        ("stop --config /etc/failstop/failstop.toml", "stop --name %i --config /etc/failstop/%i.toml"),
+    ):
+        assert ours in one
+        one = one.replace(ours, theirs)
+    assert one == many
+
+
+@pytest.mark.parametrize(
+    ("name", "late", "service"),
+    [(ONE, LATE, ONE), (MANY, "failstop-late@%i.service", "failstop@%i.service")],
+)
+def test_a_stop_that_was_not_written_is_somebody_elses_until_the_service_runs_again(
+    name: str, late: str, service: str
+) -> None:
+    found, its = settings(name), settings(late.replace("%i", ""))
     for key in ("OnFailure", "Conflicts", "After"):
         assert (key, late) in found, "ordered, so that it has let go of the port before the service opens it"
-    command = dict(settings(LATE))["ExecStart"]
-    assert command.startswith("/opt/failstop/bin/failstop stop --name %i --config /etc/failstop/%i.toml --wait ")
+    assert ("OnFailureJobMode", "fail") in found
+    assert ("Conflicts", service) in its, "so that it does not start while a start of the service waits"
+    command = dict(its)["ExecStart"]
+    assert command.startswith("/opt/failstop/bin/failstop stop --")
     BY_KEY["stop.wait_s"].check(float(command.split()[-1]))
 
 
