@@ -140,12 +140,16 @@ class Rig:
         there_s = time.monotonic()
         until_s = there_s + READY_S + self._board.port.deaf_ns / 1e9
         while True:
-            if os.path.exists(self._device):
+            if there := os.path.exists(self._device):
                 there_s = time.monotonic()
             elif time.monotonic() - there_s >= GONE_S:
                 raise Left(f"{self._device} was unplugged before the wheels were turned: plug the board in again")
             if self._process.poll() is not None:
-                raise Left(f"the service did not start: {self._said()}")
+                if there:
+                    raise Left(f"the service did not start: {self._said()}")
+                # The service often notices an unplugged board first, and ends for it.
+                time.sleep(REPEAT_S)
+                continue
             with contextlib.suppress(FailstopError):
                 self._robot = self._robot or Robot(self.name, client="setup")
                 state = self._robot.wait_for("ready", 0.2)

@@ -341,9 +341,11 @@ def test_a_no_to_all_wheels_together_has_the_wheels_asked_again(wrong: str, plac
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("first", ["setup", "service"])
 def test_a_board_that_is_unplugged_before_the_service_is_ready_is_named(
-    place: Path, monkeypatch: pytest.MonkeyPatch
+    first: str, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """In the same words, whoever notices first."""
     port, kind = str(place / "b"), {"board.kind": KIND, "wheels.layout": "differential"}
     halt = Halt(port, board_of(KIND, 1.0, 0.0), print)
     with SimBoard(port, board=KIND) as board:
@@ -354,6 +356,9 @@ def test_a_board_that_is_unplugged_before_the_service_is_ready_is_named(
             raise FailstopError("it is not ready yet")
 
         monkeypatch.setattr(rig, "Robot", not_yet)
+        if first == "service":
+            board.unplug()  # so the service ends at its start
+            monkeypatch.setattr(rig, "GONE_S", 3.0)
         with pytest.raises(Left, match="was unplugged before the wheels were turned"), rig.Rig(port, kind, halt):
             pass
 
