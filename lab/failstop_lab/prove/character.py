@@ -78,6 +78,9 @@ def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -
     found = ByWheels(sight.longest_gap_s(stood), {})
     for velocity in velocities:
         turned = _spin(stand, velocity, SPIN_S * share)
+        # Without the angle of steered wheels, which a frame carries behind the speeds.
+        told_rps = pace.told_rps(stand.settings, velocity, stand.language)
+        commanded = [(t_ns, speeds[: len(told_rps)]) for t_ns, speeds in stand.watch.commanded]
         begun_ns, true_rps = time.monotonic_ns(), stand.board.wheels() if stand.board else ()
         stand.driver.robot.disable()
         state = stand.driver.robot.state
@@ -85,8 +88,7 @@ def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -
             # Wheels that are far too fast are stopped before they were at speed for long enough to be measured here.
             wrong = "; ".join(state.scale.wrong)
             raise WrongScale(f"at {velocity.words} {wrong}; correct it, and repeat (they were stopped: {state.cause})")
-        told_rps = pace.told_rps(stand.settings, velocity, stand.language)
-        if (ratio := pace.measured(turned, stand.language.reports, told_rps)) is not None:
+        if (ratio := pace.measured(turned, stand.language.reports, commanded)) is not None:
             found.speeds[velocity.name] = ratio
             holds, per_rps = stand.language.reports.holds_speed, stand.language.per_rps
             if wrong := scale.wheels_differ(ratio, per_rps, holds_speed=holds):

@@ -1,7 +1,8 @@
-"""Pace: how fast the wheels turned beside what they were told, by the board's raw reports. Pure."""
+"""Pace: how fast the wheels turned compared with what they were told, by the board's raw reports. Pure."""
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from statistics import median
 
@@ -10,6 +11,7 @@ from failstop.policy import kinematics, scale
 from failstop.policy.settings import Settings
 from failstop_lab.prove.sight import SeenSample
 from failstop_lab.prove.table import Turning
+from failstop_lab.prove.watch import Commanded
 
 ROUNDING = 1.0005
 """The gate's, of the fastest wheel."""
@@ -27,18 +29,25 @@ def told_rps(settings: Settings, velocity: Turning, board: Board) -> tuple[float
     return speeds[:-1] if chassis.steers else speeds
 
 
-def measured(samples: Sequence[SeenSample], reports: WheelReports, told: Sequence[float]) -> float | None:
-    """Measured speed over the told one, of the wheels that turn; None: the reports share the scale of the commands, or
-    say no speeds."""
+def measured(samples: Sequence[SeenSample], reports: WheelReports, commanded: Sequence[Commanded]) -> float | None:
+    """Measured speed over the commanded one, of the wheels that turn; None: the reports share the scale of the
+    commands, or say no speeds.
+
+    A report is compared with the frame that was in force when it came, because repeated frames of a slow speed may
+    differ by more than the speed that is looked for. Sums are compared, so a report of the frame before counts little.
+    """
     if not (reports.own_scale and reports.speed_per_rps):
         return None
-    found = [
-        speed / reports.speed_per_rps / wanted
-        for _, speeds, _ in samples
-        for speed, wanted in zip(speeds, told, strict=False)
-        if speed and abs(wanted) >= TURNS_RPS
-    ]
-    return median(found) if found else None
+    times = [t_ns for t_ns, _ in commanded]
+    sums: dict[int, tuple[float, float]] = {}
+    for t_ns, speeds, _ in samples:
+        if not (at := bisect_right(times, t_ns)):
+            continue
+        for wheel, (speed, wanted) in enumerate(zip(speeds, commanded[at - 1][1], strict=False)):
+            if speed and abs(wanted) >= TURNS_RPS:
+                seen, told = sums.get(wheel, (0.0, 0.0))
+                sums[wheel] = seen + speed / reports.speed_per_rps, told + wanted
+    return median(seen / told for seen, told in sums.values()) if sums else None
 
 
 def of_simulated(true_rps: Sequence[float], told: Sequence[float], per_rps: float) -> tuple[str, ...]:

@@ -49,6 +49,8 @@ GOES_AT_ONCE_NS = 1
 """The time of a move that says none: its servo goes as fast as it can."""
 Move = tuple[int, int, int, int]
 """(when it was made, servo, where to, ns that it takes)."""
+Commanded = tuple[int, tuple[float, ...]]
+"""(when the gate handed the frame to the port owner, each wheel's speed in it, in turns per second)."""
 Reading = tuple[int, int, int]
 """(when its answer was read, servo, where it is)."""
 
@@ -83,6 +85,9 @@ class Watch:
         """When the gate handed a stop of its own to the port owner."""
         self.buttons: list[tuple[int, int]] = []
         """(when, which) of every gamepad frame with a button pressed."""
+        self.commanded: list[Commanded] = []
+        """Every motion frame that the gate handed to the port owner. It carries whole units of the board, and when it
+        repeats a speed, perhaps a little less (Board.marked)."""
         self.moves: list[Move] = []
         """Every move of a servo that the gate handed to the port owner."""
         self.readings: list[Reading] = []
@@ -140,6 +145,7 @@ class Watch:
         heard = (self.samples, self.answers, self.obeys_zeros, self.buttons, self.readings)
         for found in (*heard, self.written, self.zeros, self.moves):
             found.clear()
+        del self.commanded[:-1]  # the newest is still in force
 
     def look(self, now_ns: int) -> None:
         """Take in what is new."""
@@ -151,6 +157,9 @@ class Watch:
             _, kind, body = records.FRAME.unpack(entry[2])
             if kind == records.WRITE_BURST or (kind == records.MOTION and body == self._board.stop):
                 self.zeros.append(entry[1])
+            if kind == records.MOTION:
+                if (speeds := self._board.speeds(body)) is not None:
+                    self.commanded.append((entry[1], tuple(speeds)))
             elif kind == records.ARM and self._board.arm:
                 moves = self._board.arm.moves(body)
                 self.moves += [(entry[1], servo, at, takes_ns or GOES_AT_ONCE_NS) for servo, at, takes_ns in moves]
