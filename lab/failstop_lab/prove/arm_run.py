@@ -146,6 +146,9 @@ class ArmRun:
         result.arm = {"joint": found.joint.name, "rate_radps": round(found.rate_radps, 4)}
         result.arm["told"], self._way = found.at(watch.moves, self._cause_ns)
         judge_written(result, watch, self._cause_ns)
+        if result.written_ms is not None:
+            # A program that is held up moves the joint less, and then it stands nearer however late the stop comes.
+            result.arm["stopped"] = found.at(watch.moves, self._cause_ns + round(result.written_ms * 1e6))[0]
         if self.stand.board:
             after = [event for event in self.stand.board.events() if event.arrival_ns >= self._cause_ns]
             stop = next((event for event in after if event.is_stop), None)

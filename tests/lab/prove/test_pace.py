@@ -39,8 +39,8 @@ def driven(per_rps: float, rps: float) -> tuple[list[Commanded], list[SeenSample
 def test_frames_that_repeat_a_slow_speed_do_not_distort_it(
     per_rps: float, rps: float, begins_ms: int, lasts_ms: int
 ) -> None:
-    """Each of these frames is 0, 1 or 2 units slower than the speed, which is up to a quarter of it. What is left is what
-    the board's reports can't show, half an rpm, and their lag."""
+    """Each of these frames is 0, 1 or 2 units slower than the speed, which is up to a quarter of it. Half an rpm is left,
+    which the board's reports can't show, and their lag."""
     commanded, samples = driven(per_rps, rps)
     begin_ns = (begins_ms + 40) * MS
     window = [sample for sample in samples if begin_ns <= sample[0] < begin_ns + lasts_ms * MS]
@@ -51,7 +51,7 @@ def test_frames_that_repeat_a_slow_speed_do_not_distort_it(
 
 
 def test_a_report_from_before_the_first_frame_says_nothing() -> None:
-    commanded, samples = driven(60.0, 1.0)
+    _, samples = driven(60.0, 1.0)
     reports = board_of("hoverboard", 0.08, 60.0).reports
     assert pace.measured(samples, reports, []) is None
     assert pace.measured(samples, reports, [(samples[-1][0] + 1, (1.0, 1.0))]) is None
