@@ -133,8 +133,9 @@ def _run(arguments: Namespace, rows: tuple[Row, ...]) -> report.Tally:
     seed = _seed(arguments)
     tally = report.Tally(rows, seed, arguments.board)
     live = style.lives(os.environ, terminal=sys.stderr.isatty())
-    print(f"seed {seed}, {len(rows)} rows", file=sys.stderr, flush=True)
     with noted() as interrupted:
+        # Here, because anyone who has read this line may press Ctrl-C.
+        print(f"seed {seed}, {len(rows)} rows", file=sys.stderr, flush=True)
         _inject(arguments, rows, tally, interrupted, live=live)
     if live:
         sys.stderr.write("\r\x1b[K")
@@ -145,6 +146,9 @@ def _inject(
     arguments: Namespace, rows: tuple[Row, ...], tally: report.Tally, interrupted: list[int], *, live: bool
 ) -> None:
     """Inject one fault after the other, until a signal of `interrupted` has come."""
+    if interrupted:
+        tally.interrupted = True
+        return
     try:
         with Scene(f"chaos-{os.getpid()}", arguments.config, arguments.board) as scene:
             for outcome in _outcomes(arguments, scene, rows, tally):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
@@ -96,6 +97,27 @@ def test_an_interrupted_campaign_tells_what_it_has(tmp_path: Path) -> None:
     assert process.returncode == 130, err
     assert " 0 not as the table says" in out
     assert "interrupted; the same again: --seed " in err
+
+
+class Impatient(io.StringIO):
+    """A terminal at which Ctrl-C is pressed as soon as the first line is there."""
+
+    def write(self, text: str) -> int:
+        before = self.getvalue()
+        written = super().write(text)
+        if "\n" in text and "\n" not in before:
+            os.kill(os.getpid(), signal.SIGINT)
+        return written
+
+
+def test_ctrl_c_right_after_the_first_line_tells_the_seed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stderr = Impatient()
+    monkeypatch.setattr("sys.stderr", stderr)
+    assert cli.main(["chaos", "--only", "kill-gate", "--seconds", "60", "--seed", "7"]) == 130
+    assert stderr.getvalue().splitlines() == ["seed 7, 1 rows", "interrupted; the same again: --seed 7"]
+    assert " 0 not as the table says" in capsys.readouterr().out
 
 
 def test_list_names_every_row(capsys: pytest.CaptureFixture[str]) -> None:
