@@ -8,6 +8,7 @@ and a board that has a watchdog of its own stops the wheels by itself.
 from __future__ import annotations
 
 import contextlib
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -94,8 +95,9 @@ class Stage:
         """How much later who waits there hears of the loss of the port."""
         self.branch: Callable[[Continuation], Continuation] = lambda rest: rest
         """Asked at the end of what many scenarios begin with: what is to come then (scenarios.py, DRIVEN)."""
-        self._drove: set[int] = set()
-        """Ids of the Robots that have commanded a speed: one that nobody refers to gives its slot back."""
+        self._drove: weakref.WeakSet[Any] = weakref.WeakSet()
+        """The Robots that have commanded a speed. Weak, because one that nobody refers to gives its slot back; and not
+        by their ids, because a new Robot may be where an old one was, by chance."""
         self._begun = False
         self._granted_ns = FOREVER_NS
         """When the last program may drive."""
@@ -137,7 +139,7 @@ class Stage:
         robot.wait_for("ready", self.ready_s)
         if robot.state.cause is not None:
             robot.reset()
-        if id(robot) in self._drove:
+        if robot in self._drove:
             robot.drive(0.0, 0.0, 0.0)  # else the enable would hold what it commanded just now
         self.witness.asks_for_motion()
         robot.enable()
@@ -150,7 +152,7 @@ class Stage:
         def asks() -> None:
             self.witness.asks_for(speed_mps * RPS_PER_MPS)
 
-        self._drove.add(id(robot))
+        self._drove.add(robot)
         asks()
         self.robot.drive(robot, seconds, (speed_mps, 0.0, 0.0), asks)
 

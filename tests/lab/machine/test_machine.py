@@ -103,6 +103,29 @@ def test_one_seed_is_one_trace_whatever_the_hashes_are() -> None:
     assert int(told.pop().split()[1]) > 1000
 
 
+def test_a_new_robot_in_the_place_of_a_freed_one_is_a_new_one() -> None:
+    """Where Python puts an object is chance, so nothing of a run may depend on it."""
+    in_its_place: list[bool] = []
+    stopped_first: list[tuple[float, ...]] = []
+
+    def play(stage: Stage) -> None:
+        while not any(in_its_place) and len(in_its_place) < 50:
+            robot = stage.connect()
+            stage.enable(robot)
+            stage.drive(robot, 0.1)
+            place = id(robot)
+            del robot
+            robot = stage.connect()
+            in_its_place.append(id(robot) == place)
+            robot.drive = lambda *velocity: stopped_first.append(velocity)
+            stage.enable(robot)
+            del robot
+
+    Stage(play).run()
+    assert in_its_place[-1], "none lay in the place of another, so this proves nothing"
+    assert stopped_first == []
+
+
 def test_stamps_are_of_the_simulated_clock() -> None:
     """Every record of the black box carries a time between the machine's start and now."""
     robot = Robot()
