@@ -30,6 +30,8 @@ SILENT_S = 5.0
 HERE, STOP_WORD, DONE_WORD, LATE_WORD, UNWRITTEN_WORD = "here", "stop", "done", "late", "unwritten"
 HERE_S = 1.0
 """Between two words of the probe's that it runs."""
+ENDS_S = 0.5
+"""How long a killed process may take to end. Then the stop is written anyway."""
 WAITS_S = 300.0
 """The longest that it tries to have the port, at its end."""
 WRITES = 5
@@ -45,12 +47,13 @@ WATCHER_UNWRITTEN = "the probe's watcher could not write the stop"
 
 
 class Watcher:
-    """The processes that drive now, and how the wheels are stopped."""
+    """The processes that drive now, and how to stop the wheels."""
 
     def __init__(self, halt: Callable[[float], bool]) -> None:
         """`halt(seconds)` writes the stop, waiting that long for a way to the wheels; False: it could not."""
         self._halt = halt
-        self._pids: list[int] = []
+        self._drivers: list[int] = []
+        """A pidfd of each process that drives."""
         self._late = False
         """The wheels were stopped without an order, since the last answer."""
 
@@ -64,7 +67,7 @@ class Watcher:
     def _obey(self) -> None:
         rest = b""
         while True:
-            if not select.select([0], [], [], SILENT_S if self._pids else None)[0]:
+            if not select.select([0], [], [], SILENT_S if self._drivers else None)[0]:
                 self._late = True
                 self.stop(0.0)
                 continue
@@ -77,18 +80,24 @@ class Watcher:
     def _take(self, line: str) -> None:
         verb, _, what = line.partition(" ")
         if verb == "drive":
-            self._pids.append(int(what))
+            with contextlib.suppress(ProcessLookupError):  # it has ended already
+                self._drivers.append(os.pidfd_open(int(what)))
         written = self.stop(0.0) if verb == STOP_WORD else True
         if verb != HERE:
             print(LATE_WORD if self._late else DONE_WORD if written else UNWRITTEN_WORD, flush=True)
             self._late = False
 
     def stop(self, wait_s: float) -> bool:
-        """Kill what drives, and write the stop; False: it could not be written."""
-        for pid in self._pids:
+        """Kill the processes that drive, and write the stop; False: it could not be written."""
+        for fd in self._drivers:
             with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
-        self._pids.clear()
+                signal.pidfd_send_signal(fd, signal.SIGKILL)
+        # A process that is killed in the middle of a write finishes that write, so it could come after the stop.
+        until_s = time.monotonic() + ENDS_S
+        for fd in self._drivers:
+            select.select([fd], [], [], max(0.0, until_s - time.monotonic()))
+            os.close(fd)
+        self._drivers.clear()
         return self._halt(wait_s)
 
 
