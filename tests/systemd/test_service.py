@@ -96,8 +96,8 @@ def test_ready_means_stopped_and_healthy_and_waits_for_the_board(shared_scene: S
 
 @pytest.mark.slow
 def test_a_restart_whose_stop_can_t_be_written_starts_it_all_the_same(shared_scene: Scene) -> None:
-    """The unit that goes on trying to stop gives way to the start that waits. It would end the service otherwise: here it
-    fails, as it does when both ask the board at once, and its restart would stop the service."""
+    """The unit that goes on trying to stop gives way to the start that waits, because both would ask the board at once.
+    Then that unit may fail, and its restart stops the service. Here it would fail in any case."""
     scene = shared_scene
     scene.start()
     scene.begin()

@@ -39,8 +39,8 @@ def driven(per_rps: float, rps: float) -> tuple[list[Commanded], list[SeenSample
 def test_frames_that_repeat_a_slow_speed_do_not_distort_it(
     per_rps: float, rps: float, begins_ms: int, lasts_ms: int
 ) -> None:
-    """Each of these frames is 0, 1 or 2 units slower than the speed, which is up to a quarter of it. Half an rpm is left,
-    which the board's reports can't show, and their lag."""
+    """Each of these frames is 0, 1 or 2 units slower than the speed, up to a quarter of it. The board's reports
+    can't show half an rpm, and they lag."""
     commanded, samples = driven(per_rps, rps)
     begin_ns = (begins_ms + 40) * MS
     window = [sample for sample in samples if begin_ns <= sample[0] < begin_ns + lasts_ms * MS]
