@@ -20,6 +20,8 @@ from failstop_lab.trial import TrialError, wait_for
 
 PERIOD_MS = 10.0
 STOP_S = 2.0
+TRIES = 5
+"""How often a trial may begin again: on a busy machine the service may stop by itself before the driver is killed."""
 
 
 class Measure:
@@ -28,14 +30,26 @@ class Measure:
     def __init__(self, scene: GuardScene, program: str, seed: int) -> None:
         self._scene, self._program = scene, program
         self._chance = random.Random(seed)
+        self.again: list[str] = []
+        """Why trials began again."""
 
     def _drives(self, hertz: str = "30", *how: str) -> Process:
-        self._scene.rest()
-        self._scene.enable()
-        driver = self._scene.driver(self._program, self._scene.path, "serial", "10", "10", hertz, *how)
-        driver.line(60.0)
-        self._scene.moves()
-        return driver
+        """A driver whose wheels turn. Raises TrialError when that takes more than TRIES."""
+        for left in reversed(range(TRIES)):
+            self._scene.rest()
+            self._scene.enable()
+            driver = self._scene.driver(self._program, self._scene.path, "serial", "10", "10", hertz, *how)
+            driver.line(60.0)
+            try:
+                self._scene.moves()
+            except TrialError:
+                if not left:
+                    raise
+                self.again.append(self._scene.trial.robot.state.estop or "motion was not enabled")
+                self._scene.end_drivers()
+            else:
+                return driver
+        raise AssertionError("TRIES is above 0")
 
     def _stops_ns(self, number: int, *how: str) -> int | None:
         """From the signal to a driver until the board has the zero; None: it never came."""
@@ -121,6 +135,8 @@ def main() -> int:
             rows += measure.faults("a driver is suspended", signal.SIGSTOP, max(1, kills // 5), 320.0)
             rows += measure.answers(arguments.seconds, 100)
             rows.append(measure.disabled(arguments.lines))
+            why = ", ".join(sorted(set(measure.again))) or "-"
+            rows.append(stats.Row("trials that began again", f"{len(measure.again)}: {why}", "-", None, {}))
     return report.end(rows, arguments.out)
 
 

@@ -201,5 +201,10 @@ class Described(Board):
         return b""
 
     def check_aux(self, frame: bytes) -> str:
-        """Always refused: the board is sent only motion, stops and its questions."""
-        return "this board takes nothing but motion"
+        """The wire's check. Motion never passes, and without a check nothing does."""
+        if not self._wire.aux or self._motion.speeds(frame) is not None:
+            return "this board takes nothing but motion"
+        try:
+            return self._wire.aux(frame)
+        except Exception as error:  # an error in the check of your own board must not end the process
+            return f"its check failed: {type(error).__name__}"

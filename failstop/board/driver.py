@@ -5,10 +5,11 @@ pseudo-terminal and plays the board, and the board's own folder says how, by a D
 what they ask for out. A language is pure: it does no I/O, it gets every time as an argument, and it never raises on
 bytes.
 
-Each of its rows is one of three things:
+Each of its rows is one of four things:
 
 - DriverMotion: the speeds of all wheels. The service decides whether they turn; no other row can move anything.
 - DriverAnswer: bytes for the driver, which the language makes from what the board said last.
+- DriverFrame: bytes for the board that move nothing, such as a light or one of its questions.
 - DriverRefusal: what the driver asked for and does not get. People read it once for each driver.
 
 So a refused question has two rows (a refusal, and an answer that keeps the driver going), and raw PWM has three (a
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
         """How much of what the board said before the driver opened the port the language hears first, a few seconds at
         most. What heard() returns of that is dropped, because it is old. 0: nothing, as after the reset of a board."""
 
-        def wrote(self, chunk: bytes, now_ns: int) -> list[DriverMotion | DriverAnswer | DriverRefusal]:
+        def wrote(self, chunk: bytes, now_ns: int) -> list[DriverMotion | DriverAnswer | DriverFrame | DriverRefusal]:
             """The driver wrote these bytes, split and glued in any way. Returns what they ask for, in order. It has to
             take each spelling that the board's own receiver takes, and must never find a motion where that receiver
             would find none, or a faster one. Bytes of a frame that is not complete are kept, within a bound."""
@@ -62,6 +63,15 @@ class DriverAnswer(Data):
     """Bytes for the driver: one whole answer, which is written at once or not at all."""
 
     data: bytes
+
+
+class DriverFrame(Data):
+    """Bytes for the board: one of its questions, or a frame that its wire.aux lets pass. The guard passes on fifty a
+    second at most; of those that wait, only the newest of each kind."""
+
+    data: bytes
+    kind: str = ""
+    """What they set: a newer frame of the same kind takes the place of one that still waits."""
 
 
 class DriverRefusal(Data):

@@ -295,6 +295,10 @@ class Wire(Data):
     """None: reported speeds are in the unit of its motion, and positions only show rest."""
     arm: Callable[[Port], ServoBus] | None = None
     """Makes the part that talks to an arm's servos on this port. None if the board has no arm."""
+    aux: Callable[[bytes], str] | None = None
+    """(frame): why a frame that is neither motion nor a stop nor a question must not be written; "" if it may. It must
+    move nothing, whole or cut off, and keep the board from its next frame for 30 ms at most. None: no such frame is
+    written."""
     driver: Callable[[Mapping[str, float | str]], DriverLanguage] | None = None
     """(every setting by its full key): what a driver program may write to the board, for the guard port (driver.py).
     Import that module inside the function, because no process of the service needs it. None: not described."""

@@ -31,6 +31,7 @@ class Nothing:
         self.scale = Scale(settings, board.per_rps, board.step_rps)
         self._tell = tell
         self._shown: set[tuple[float, ...]] = set()
+        self._passed: set[bytes] = set()
 
     def look(self, now_ns: int) -> bool:
         """Nothing is looked for."""
@@ -39,6 +40,7 @@ class Nothing:
     def join(self, who: str, pid: int | None) -> None:
         """A driver begins."""
         self._shown.clear()
+        self._passed.clear()
 
     def leave(self, *, in_order: bool) -> None:
         """A driver ends."""
@@ -53,6 +55,12 @@ class Nothing:
             speeds = " ".join(f"{speed:g}" for speed in command.speeds)
             self._tell(f"  motion: wheels {speeds}: {velocity(*asked)}")
         return self.scale.beyond(asked)
+
+    def forward(self, frame: bytes) -> None:
+        """Print a frame that would be passed on, the first time."""
+        if frame not in self._passed and len(self._passed) < MOST_SHOWN:
+            self._passed.add(frame)
+            self._tell(f"  passed on to the board: {frame.decode('ascii', 'backslashreplace').strip()}")
 
     def say(self, sees: str, wrong: str) -> None:
         """Print what is wrong."""

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
         def join(self, who: str, pid: int | None) -> None: ...
         def leave(self, *, in_order: bool) -> None: ...
         def command(self, command: Command) -> str: ...
+        def forward(self, frame: bytes) -> None: ...
         def say(self, sees: str, wrong: str) -> None: ...
         def block(self) -> Block | None: ...
         def heard(self) -> list[tuple[int, bytes]]: ...
@@ -95,6 +96,7 @@ class Guard:
         # Who wrote may have gone while it was looked who has it open.
         if not news.any:
             self._drive(now_ns)
+            self._forward(now_ns)
         self._say(now_ns)
 
     def _wait_s(self, now_ns: int) -> float:
@@ -240,6 +242,11 @@ class Guard:
                 self._door.hang_up()
                 self._tell(f"{self._who} wants to move while {why}: hung up (guard.hang_up)")
                 self._begin()
+
+    def _forward(self, now_ns: int) -> None:
+        """Hand over what the driver wrote for the board that is not motion."""
+        if self._talk and not self._door.crowded and (frame := self._talk.frame(now_ns)):
+            self._board.forward(frame)
 
     # What people are told.
 

@@ -110,6 +110,12 @@ class Service:
             return ""
         return self.scale.beyond(velocity)
 
+    def forward(self, frame: bytes) -> None:
+        """Hand over a frame for the board that is not motion. The service decides whether it goes out."""
+        if self._client:
+            with contextlib.suppress(FailstopError):
+                self._client.tell("aux", frame, wake=True)
+
     def say(self, sees: str, wrong: str) -> None:
         """Tell people about the driver."""
         if self._client:

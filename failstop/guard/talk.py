@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from math import isfinite
 
-from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
+from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal
 from failstop.data import Data
 
 TYPE_CHECKING = False
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 
 RENEW_NS = 100_000_000
 """A motion that counts for longer than the service lets a command count is commanded again this often, or more."""
+FRAME_EVERY_NS = 20_000_000
+"""Frames that are not motion are handed over no closer together: the board's line is for motion first."""
+MOST_FRAMES = 8
+"""Of them, those that wait; one more is dropped."""
 MOST_REFUSALS = 32
 """Different refusals that are reported of one driver."""
 NOT_WHEELS = "a motion that is no motion"
@@ -55,6 +59,9 @@ class Talk:
         """When the newest motion was written, at the earliest."""
         self._sent_ns: int | None = None
         """The moment that the command counts from that was handed over last; None: this motion was not yet."""
+        self._frames: dict[str, bytes] = {}
+        """Frames for the board that are not motion, by kind, in order."""
+        self._framed_ns = -FRAME_EVERY_NS
         self._known: set[str] = set()
         self.refusals: list[DriverRefusal] = []
         """New refusals, for people; the shell, which reports them, empties the list."""
@@ -81,10 +88,19 @@ class Talk:
         for row in rows:
             if isinstance(row, DriverRefusal):
                 self.refuse(row.what, row.why)
+            elif isinstance(row, DriverFrame) and (row.kind in self._frames or len(self._frames) < MOST_FRAMES):
+                self._frames[row.kind] = row.data
         if motions:
             self._move(motions[-1], since_ns)
         late = now_ns - since_ns > self._language.patience_ns
         return answers[-1:] if late else answers
+
+    def frame(self, now_ns: int) -> bytes:
+        """A frame for the board that is not motion, which is due now; empty: none is."""
+        if not self._frames or now_ns - self._framed_ns < FRAME_EVERY_NS:
+            return b""
+        self._framed_ns = now_ns
+        return self._frames.pop(next(iter(self._frames)))
 
     def _move(self, speeds: Sequence[float], since_ns: int) -> None:
         found = tuple(map(float, speeds))
@@ -128,7 +144,14 @@ class Talk:
         return self._written_ns + self.timeout_ns - self._source_ns
 
     def due_ns(self) -> int | None:
-        """When command() has something to say if the driver writes nothing more; None: never."""
+        """When command() or frame() has something to say if the driver writes nothing more; None: never."""
+        motion_ns = self._motion_due_ns()
+        if not self._frames:
+            return motion_ns
+        frame_ns = self._framed_ns + FRAME_EVERY_NS
+        return frame_ns if motion_ns is None else min(motion_ns, frame_ns)
+
+    def _motion_due_ns(self) -> int | None:
         if self._speeds is None:
             return None
         if self._sent_ns is None:

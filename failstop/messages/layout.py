@@ -117,8 +117,9 @@ SEGMENTS = (
             _word("asked_ns", "supervisor"),  # when it last wrote a ping
             _latest("port", records.PORT, "supervisor, stopper, clients"),  # its state and path
             _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order
-            # What the board will answer or echo, with the time before each write. Holds more than LOST_NS of pings.
-            _ring("wrote", records.WROTE, 512, "everyone"),
+            # What the board will answer or echo, with the time before each write. Holds more than GIVEN_UP_NS of pings
+            # and of clients' questions.
+            _ring("wrote", records.WROTE, 1536, "everyone"),
             _ring("received", 512, 512, "everyone"),  # bytes from the board while no telemetry runs, in order
             _ring("box", box.WIRE, box.WIRE_CELLS, "everyone"),  # bytes for the board (box.py)
         ),

@@ -313,6 +313,9 @@ ANSWER_WITHIN_NS = 1_000_000_000
 """How long a client waits for the answer to a request, unless it sets another time (Robot, `answer_s`)."""
 REQUEST: Payload[int, int, int] = Payload("<QQB")
 """A client session's request: its number, which the reply repeats, and its verb, ENABLE or another."""
+AUX: Payload[int, bytes] = Payload("<Q", rest(WIRE_BYTES))
+"""A client session's frame for the wire that is not motion: one of the board's questions, or another frame that its
+check_aux() lets pass."""
 SPEED_LIMIT: Payload[int, int] = Payload("<QB")
 """The speed limit of a session's request, in percent of the settings' speeds."""
 SEEN: Payload[int, int] = Payload("<QQ")
@@ -344,6 +347,7 @@ OF_SESSION: dict[str, Shape] = {
     "seen": SEEN,  # the newest stop known to the person who asks for a reset
     "arm_goal": ARM_GOAL,  # follow or jog, renewed
     "arm_path": ARM_PATH,  # the trajectory that a request is about
+    "aux": AUX,  # a frame for the wire that is not motion
     "said": SAID,  # one line: what the client sees and what is wrong
 }
 """The records that a client writes into its slot after its hello. Each begins with its session."""

@@ -24,7 +24,7 @@ News = tuple["Slot", str, tuple[object, ...]]
 """A session's slot; then the name of one of its records with the record's time (ns) and values, or OVER."""
 OVER = "gone"
 """The name of the news that a session has left its slot or has died, with True if it said goodbye."""
-ONCE = ("command", "request", "arm_goal")
+ONCE = ("command", "request", "arm_goal", "aux")
 """Records that are acted on only when they are new."""
 
 

@@ -39,11 +39,14 @@ PUBLISH_NS = 75_000_000
 that comes a little early would leave it to the next one: 120 ms every other time (measured)."""
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
-HEARD = ("sensed", "interlocks", "attended", "arm_goal", "request", "command")
+HEARD = ("sensed", "interlocks", "attended", "arm_goal", "request", "command", "aux")
 """The records of a client, in the order in which they are looked at: records that may forbid a command come before
 it."""
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, more than eight clients at 100 Hz need."""
+AUX_EVERY_NS = 10 * MS
+"""Between two frames of clients that are not motion: a flood of them must not fill the wire. One that comes sooner is
+dropped."""
 LOOK_AT_ALL_EVERY = 10
 """Periods between two looks at slots that nobody is known to hold, and at what clients report about themselves."""
 
@@ -72,6 +75,7 @@ class Gate:
         self._said = SelfReports(now_ns)
         self._barrier = Barrier()
         self._looked_ns, self._rings, self._ticking = 0, 0, False
+        self._aux_ns = 0
         self._turn, self._frame = 0, b""
         """How often in a row the last motion frame was sent, and that frame."""
         self._each_tick = bool(settings.servos() or settings.interlocks())
@@ -207,8 +211,16 @@ class Gate:
                 self.take_request(now_ns, slot, *values)
             case "arm_goal":
                 self._aim_arm(now_ns, slot, *values)
+            case "aux":
+                self._forward_aux(now_ns, *values)
             case clients.OVER:
                 self._client_gone(now_ns, slot, *values)
+
+    def _forward_aux(self, now_ns: int, _written_ns: int, frame: bytes) -> None:
+        """Hand the port owner a client's frame that is not motion; the port owner decides whether it may go out."""
+        if now_ns - self._aux_ns >= AUX_EVERY_NS:
+            self._aux_ns = now_ns
+            self._frames.put(records.OTHER, frame, now_ns)
 
     def _client_rang(self, now_ns: int) -> None:
         """Hear clients at once, but a flood of rings only at the ticks, because it would take a core from lower

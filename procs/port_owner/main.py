@@ -5,6 +5,7 @@ Nothing between noticing a cause and the burst can block, log or build bytes: BU
 
 from __future__ import annotations
 
+from collections import deque
 from time import monotonic_ns
 
 from failstop.board.interface import PORT_OWNER_ROW
@@ -32,6 +33,8 @@ timer."""
 OTHER_BACKLOG = 128
 """Bytes on their way to the board behind which a frame that is not motion may still queue: a stop may have to wait 1.3
 ms for them."""
+MOST_OTHERS = 8
+"""Frames that are not motion which may wait for a silent line; of more, the oldest are dropped."""
 
 
 class PortOwner:
@@ -53,6 +56,9 @@ class PortOwner:
         """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
         self._arm_due = self.loop.timer()
         """When the arm's next waiting frame may be written."""
+        self._others: deque[bytes] = deque(maxlen=MOST_OTHERS)
+        """Frames that are not motion; `_others_due`: when the first of them may be written."""
+        self._others_due = self.loop.timer()
         self._barrier = Barrier()
         self._moved_ns = 0
         self._arm_moved = False
@@ -255,8 +261,11 @@ class PortOwner:
                 self._gate_stop()
             elif kind == records.ARM:
                 self.bus.waiting.append((body, epoch, frame_ns))
-            elif self.board.check_aux(body) == "":
-                self.wire.frame(body, backlog=OTHER_BACKLOG)
+            else:
+                self._others.append(body)
+                self._forward_others()
+        if self._others:
+            self._forward_others()
         self._forward_arm()
         if motion:
             self._forward_motion(motion)
@@ -267,6 +276,16 @@ class PortOwner:
         now_ns = monotonic_ns()
         if self.admission.wheels_move or self._arm_moved or now_ns - self._written_word.get() >= requests.REST_NS:
             self._burst()
+
+    def _forward_others(self) -> None:
+        """Write frames that are not motion, once the line is silent: questions, and what the board admits."""
+        while self._others and self.wire.free_ns <= monotonic_ns():
+            frame = self._others.popleft()
+            if frame in self.board.pings:
+                self.port.ask_for_a_client(self.board.pings.index(frame))
+            elif self.board.check_aux(frame) == "":
+                self.wire.frame(frame, backlog=OTHER_BACKLOG)
+        self._others_due.set(self.wire.free_ns if self._others else NEVER)
 
     def _forward_arm(self) -> None:
         """Write the arm's frames in order, each admitted as motion is. The first one that must wait holds up the

@@ -113,12 +113,22 @@ class OpenPort:
         if self._wire.free_ns > asked_ns:
             pings.wait(self._wire.free_ns)
             return
-        self.wrote.put(records.WROTE.pack(pings.index, ()), asked_ns)
-        if self._wire.frame(self._board.pings[pings.index], backlog=self._ping_backlog):
+        if self._question(pings.index, asked_ns):
             self._asked_word.set(asked_ns)
             pings.sent(asked_ns)
         else:
             pings.failed(now_ns)
+
+    def ask_for_a_client(self, index: int) -> None:
+        """Write a ping that a client wants answered now, besides those that are due. It does not count as the newest
+        one: a board that is asked so often would never be found deaf."""
+        asked_ns = monotonic_ns()
+        if asked_ns >= self.hears_ns:
+            self._question(index, asked_ns)
+
+    def _question(self, index: int, asked_ns: int) -> bool:
+        self.wrote.put(records.WROTE.pack(index, ()), asked_ns)
+        return self._wire.frame(self._board.pings[index], backlog=self._ping_backlog)
 
     def commands(self, frame: bytes, now_ns: int) -> None:
         """A motion frame is about to be written, or a stop was: keep it if the board echoes it."""

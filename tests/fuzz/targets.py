@@ -24,7 +24,7 @@ from failstop import config
 from failstop.api.errors import FailstopError
 from failstop.board import described, interface
 from failstop.board import wire as wire_words
-from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal, language_of
+from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal, language_of
 from failstop.board.kinds import board_of, is_described
 from failstop.board.rrc.framing import MOTOR
 from failstop.board.servos import ServoAnswer
@@ -183,7 +183,7 @@ def _alike(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
     return all(math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9) for a, b in zip(one, other, strict=True))
 
 
-def _said(rows: list[DriverMotion | DriverAnswer | DriverRefusal]) -> tuple[object, ...]:
+def _said(rows: list[DriverMotion | DriverAnswer | DriverFrame | DriverRefusal]) -> tuple[object, ...]:
     """What rows ask for: a motion that is repeated asks for nothing more, nor does a refusal."""
     motions = [repr(list(map(float, row.speeds))) for row in rows if isinstance(row, DriverMotion)]
     answers = [row.data for row in rows if isinstance(row, DriverAnswer)]
@@ -205,7 +205,10 @@ def drivers(data: bytes) -> None:
         assert _said(rows) == _said([row for part in pieces for row in split.wrote(part, 1)]), kind
         moved = []
         for row in rows:
-            assert isinstance(row, (DriverMotion, DriverAnswer, DriverRefusal)), kind
+            assert isinstance(row, (DriverMotion, DriverAnswer, DriverFrame, DriverRefusal)), kind
+            if isinstance(row, DriverFrame):
+                assert row.data in BOARDS[kind].pings or BOARDS[kind].check_aux(row.data) == "", (kind, row.data)
+                assert not any(any(speeds) for speeds in obeyed(kind, row.data)), (kind, row.data)
             if isinstance(row, DriverMotion) and any(row.speeds):
                 moved.append(tuple(row.speeds))
         own = iter(obeyed(kind, body))

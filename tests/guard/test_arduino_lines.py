@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import random
+from typing import TYPE_CHECKING
 
 import pytest
 
-from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal, language_of
+from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal, language_of
+from failstop.board.kinds import board_of
 from failstop_lab.boards.arduino import Arduino
 from tests.support.amounts import amount
 
+if TYPE_CHECKING:
+    from failstop.board.driver import DriverLanguage
+
 OK = b"OK\r\n"
+BOARD = board_of("arduino", 0.08, 0.0)
 
 
 def answers(*lines: bytes) -> list[bytes]:
@@ -100,6 +106,39 @@ def test_counts_begin_at_zero_for_each_driver_and_go_on_as_the_board_counts() ->
     language.wrote(b"r\r", 4)
     language.heard(b"5037 -330\r\n", 400_000_000)
     assert [row.data for row in language.wrote(b"e\r", 5) if isinstance(row, DriverAnswer)] == [b"7 0\r\n"]
+
+
+def frames(language: DriverLanguage, line: bytes, now_ms: int = 0) -> list[bytes]:
+    return [row.data for row in language.wrote(line, now_ms * 1_000_000) if isinstance(row, DriverFrame)]
+
+
+def test_each_question_for_counts_has_the_board_asked_for_the_next_ones() -> None:
+    language = language_of("arduino", {})
+    assert language
+    assert frames(language, b"e\r", 1000) == [b"e\r"]
+    assert frames(language, b"e\r", 1033) == [], "the board has not answered yet"
+    language.heard(b"10 10\r\n", 1_040_000_000)
+    assert frames(language, b"e\r", 1066) == [b"e\r"]
+    assert frames(language, b"e\r", 1165) == []
+    assert frames(language, b"e\r", 1166) == [b"e\r"], "a question or its answer was lost"
+
+
+def test_a_driver_sets_the_pins_that_the_settings_name_and_no_other() -> None:
+    language = language_of("arduino", {"guard.pins": "11 4"})
+    assert language
+    assert frames(language, b"w 11 1\rx 4  200\rc 11 1\r") == [b"w 11 1\r", b"x 4 200\r", b"c 11 1\r"]
+    for line in (b"w 13 1\r", b"w 8 1\r", b"x 11 256\r", b"c 11 2\r", b"w 11 -1\r"):
+        rows = language.wrote(line, 0)
+        assert [type(row) for row in rows] == [DriverRefusal, DriverAnswer], line
+    assert BOARD.check_aux(b"w 11 1\r") == ""
+    for line in (b"w 5 1\r", b"x 13 1\r", b"w 11 1", b"w 11 1\rm +9, +9\r", b"m +9, +9\r", b"e\r"):
+        assert BOARD.check_aux(line), line
+
+
+@pytest.mark.parametrize("pins", ["13", "eleven", "4 5", "-4"])
+def test_a_setting_for_pins_that_may_drive_a_motor_is_refused(pins: str) -> None:
+    with pytest.raises(ValueError, match=r"^guard\.pins: .*, must be among 4, 7, 8"):
+        language_of("arduino", {"guard.pins": pins})
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal, language_of
+from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal, language_of
 from failstop_lab.sim.motors import Motors
 from failstop_lab.sim.receiver import Receiver
 from tests.support.amounts import amount
@@ -125,7 +125,7 @@ def test_what_is_no_motion_is_refused_whole_and_stops_the_wheels(chunk: bytes, w
     [
         (frame(MOTOR, 5, 1), "the type of the motors (3, 5)"),
         (frame(1, 1, 100, 0, 100, 0, 1, 0), "an LED (1)"),
-        (frame(2, 0x6C, 7, 100, 0, 100, 0, 1, 0), "the buzzer (2)"),
+        (frame(2, 0x6C, 7, 100), "the buzzer (2)"),
         (frame(11, 1, 0, 255, 0, 0), "RGB lights (11)"),
         (frame(0, 1, 1), "a setting of the board (0)"),
         (frame(4, 1, 20, 0, 1, 1, 220, 5), "moving a PWM servo (4, 01)"),
@@ -141,6 +141,13 @@ def test_what_is_refused_is_named_and_moves_nothing(chunk: bytes, what: str) -> 
     assert refusals(chunk) == [what]
     assert motions(chunk) == []
     assert answers(made(), chunk) == []
+
+
+def test_the_buzzer_s_tones_are_passed_on() -> None:
+    tone = frame(2, 0x6C, 7, 100, 0, 100, 0, 1, 0)
+    [row] = made().wrote(tone, 0)
+    assert isinstance(row, DriverFrame)
+    assert row.data == tone
 
 
 def test_the_vendor_s_node_starts_without_a_refusal() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
+from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal
 from failstop.guard.talk import Command, Talk
 
 MS = 1_000_000
@@ -12,7 +12,8 @@ S = 1_000 * MS
 
 
 class Words:
-    """A language of words between blanks: a number is the speed of both wheels, `?` a question, `!` is refused."""
+    """A language of words between blanks: a number is the speed of both wheels, `?` a question, `!` is refused, and
+    `=a1` a frame of the kind `a`."""
 
     openers = 1
     patience_ns = 1 * S
@@ -21,15 +22,17 @@ class Words:
     def __init__(self) -> None:
         self.asked = 0
 
-    def wrote(self, chunk: bytes, now_ns: int) -> list[DriverMotion | DriverAnswer | DriverRefusal]:
+    def wrote(self, chunk: bytes, now_ns: int) -> list[DriverMotion | DriverAnswer | DriverFrame | DriverRefusal]:
         return [self._row(word) for word in chunk.split()]
 
-    def _row(self, word: bytes) -> DriverMotion | DriverAnswer | DriverRefusal:
+    def _row(self, word: bytes) -> DriverMotion | DriverAnswer | DriverFrame | DriverRefusal:
         if word == b"?":
             self.asked += 1
             return DriverAnswer(b"%d\n" % self.asked)
         if word == b"!":
             return DriverRefusal("shouting", "nothing was done")
+        if word.startswith(b"="):
+            return DriverFrame(word, word[1:2].decode())
         return DriverMotion([float(part) for part in word.split(b",")])
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
@@ -153,3 +156,19 @@ def test_a_language_that_says_nonsense_stops_the_wheels(written: bytes) -> None:
     assert command
     assert not command.moves
     assert len(made.refusals) == 1
+
+
+def test_frames_that_are_no_motion_go_out_apart_and_of_each_kind_the_newest() -> None:
+    made = talk()
+    made.wrote(b"=a1 =b1 =a2", 0, 0)
+    found = [(at_ms, frame) for at_ms in range(0, 100, 5) if (frame := made.frame(at_ms * MS))]
+    assert found == [(0, b"=a2"), (20, b"=b1")]
+    assert made.due_ns() is None
+    made.wrote(b"=a3", 30 * MS, 30 * MS)
+    assert made.due_ns() == 40 * MS
+
+
+def test_a_flood_of_frames_is_bounded() -> None:
+    made = talk()
+    made.wrote(b" ".join(b"=%c" % number for number in range(48, 91)), 0, 0)
+    assert sum(bool(made.frame(at_ms * MS)) for at_ms in range(0, 2000, 5)) == 8

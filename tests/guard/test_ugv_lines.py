@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import random
 from typing import TYPE_CHECKING
 
 import pytest
 
-from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal, language_of
+from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal, language_of
+from failstop.board.kinds import board_of
 from failstop_lab.boards.ugv import Ugv
 from tests.support.amounts import amount
 
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from failstop.board.driver import DriverLanguage
 
 MS = 1_000_000
+BOARD = board_of("ugv", 0.08, 0.0)
 REPORT = b'{"T":1001,"L":0.1,"R":0.1,"ax":0,"ay":0,"az":8192,"gx":0,"gy":0,"gz":0,"odl":1,"odr":1,"v":1180}\r\n'
 
 
@@ -33,9 +36,12 @@ def refusals(chunk: bytes) -> list[str]:
 
 
 def commanded(chunk: bytes) -> list[tuple[float, ...]]:
-    """The speeds that the board has after each command that it finds in these bytes."""
+    """The speeds that the board has after each command that it finds in these bytes. T:138, which scales later speeds,
+    is refused by name, so it never reaches the board."""
     board = Ugv()
-    board.take(chunk)
+    for line in chunk.split(b"\n")[:-1]:
+        board.take(line + b"\n")
+        board._rates = [1.0, 1.0]
     return [speeds for _, speeds in board.commands]
 
 
@@ -120,7 +126,68 @@ def test_the_vendor_s_web_app_starts() -> None:
     lines += [b'{"T":303,"mac":"FF:FF:FF:FF:FF:FF"}', b'{"T":900,"main":2,"module":0}']
     text = b"".join(line + b"\n" for line in lines)
     assert motions(text) == []
-    assert "lights (T:132)" in refusals(text)
+    assert refusals(text) == ["T:4", "T:300", "T:303", "T:900"]
+    assert [row.data for row in made().wrote(text, 0) if isinstance(row, DriverFrame)] == [
+        b'{"T":1.32e2,"IO4":0,"IO5":0}\n',
+        b'{"T":3,"lineNum":0,"Text":"a"}\n',
+        b'{"T":1.33e2,"X":0,"Y":0,"SPD":0,"ACC":0}\n',
+    ]
+
+
+PASSED = (
+    b'{"T":132,"IO4":255,"IO5":255}\n',
+    b'{"T":133,"X":1,"Y":1,"SPD":0,"ACC":0}\n',
+    b'{"T":134,"X":1.5,"Y":-1,"SX":300,"SY":300}\n',
+    b'{"T":137,"s":1,"y":0}\n',
+    b'{"T":141,"X":1,"Y":1,"SPD":0}\n',
+    b'{"T":-3}\n',
+    b'{"T":3,"lineNum":2,"Text":"V:12.1"}\n',
+)
+
+
+@pytest.mark.claim("GUARD-1")
+@pytest.mark.parametrize("line", PASSED)
+def test_a_light_or_gimbal_moves_no_wheel_even_with_a_byte_lost_or_cut_off_before_a_stop(line: bytes) -> None:
+    [row] = made().wrote(line, 0)
+    assert isinstance(row, DriverFrame)
+    assert BOARD.check_aux(row.data) == ""
+    assert BOARD.check_motion(row.data, 1.0)
+    assert {key: value for key, value in json.loads(row.data).items() if key != "T"} == {
+        key: value for key, value in json.loads(line).items() if key != "T"
+    }
+    assert json.loads(row.data)["T"] == json.loads(line)["T"]
+    for at in range(len(row.data)):
+        for broken in (row.data[:at] + row.data[at + 1 :] + BOARD.burst, row.data[:at] + BOARD.burst):
+            assert not any(any(speeds) for speeds in commanded(broken)), broken
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b'{"T":132,"IO4":1,"L":1,"R":1}\n',
+        b'{"T":3,"Text":"a quote \\" in it"}\n',
+        b'{"T":3,"Text":"%s"}\n' % (b"x" * 33),
+        b'{"T":132,"IO4":[1]}\n',
+        b'{"T":132,"IO4":true}\n',
+    ],
+)
+def test_a_light_with_something_else_in_it_is_refused_by_name(line: bytes) -> None:
+    assert [type(row) for row in made().wrote(line, 0)] == [DriverRefusal]
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        b'{"T":1.32e2,"T":1,"L":2,"R":2}\n',
+        b'{"T":1,"L":1,"R":1}\n',
+        b'{"T":132,"IO4":1}\n',
+        b'{"T":1.32e2}\n{"T":1,"L":1,"R":1}\n',
+        b'{"T":1.32e2}',
+        b'{"T":1.36e2,"cmd":3000}\n',
+    ],
+)
+def test_a_client_gets_nothing_else_onto_the_wire_as_a_light(frame: bytes) -> None:
+    assert BOARD.check_aux(frame)
 
 
 def test_reports_are_passed_on_whole_and_answers_to_failstop_s_questions_are_not() -> None:

@@ -356,3 +356,28 @@ def test_a_request_of_before_the_stop_is_refused(scene: Scene, successor: bool, 
     assert latched == (None if granted else "gate died")
     assert granted or text.startswith("asked before the last stop (gate died)")
     assert scene.ask(records.RESET)[0], "and now it does"
+
+
+def test_frames_of_clients_that_are_no_motion_are_handed_on_ten_milliseconds_apart(scene: Scene) -> None:
+    frames = scene.segment(layout.GATE).ring_reader("frames")
+    client = scene.clients[0]
+
+    def others() -> list[bytes]:
+        found = []
+        while entry := frames.next():
+            _, kind, body = records.FRAME.unpack(entry[2])
+            if kind == records.OTHER:
+                found.append(body)
+        return found
+
+    scene.turn()
+    others()
+    seen = []
+    for number in range(6):
+        client.write("aux", records.AUX.pack(client.session, b"%d" % number))
+        client.ring()
+        scene.turn(5 * MS)
+        seen += others()
+    assert seen == [b"0", b"2", b"4"]
+    scene.turn(50 * MS)
+    assert others() == [], "none is handed on twice"

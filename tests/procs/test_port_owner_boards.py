@@ -292,3 +292,48 @@ def test_a_board_that_was_seen_to_restart_is_told_what_it_is_told_at_its_opening
     found = b"".join(data for _, data in writes(scene, 50 * MS))
     assert b"".join(scene.board.port.opening) in found
     assert scene.port_state() == records.PORT_OPEN
+
+
+def asked(scene: Scene) -> list[tuple[int, bytes]]:
+    """When it asked for the board's counts, from the record of its questions."""
+    return [(t_ns, payload) for _, t_ns, payload in scene.kept_writes()]
+
+
+def test_a_client_s_question_waits_for_a_silent_line_and_does_not_make_a_board_look_as_if_it_heard() -> None:
+    scene = made("arduino")
+    scene.turn()
+    scene.turn(6000 * MS)
+    writes(scene, 500 * MS)
+    before, asked_ns = len(asked(scene)), scene.word("asked_ns")
+    assert motion(scene) in scene.forward(motion(scene))
+    scene.put(scene.board.pings[1], kind=records.OTHER)
+    begun_ns = scene.clock()
+    assert scene.turn() == b""
+    scene.turn(scene.next_ns() - scene.clock())
+    new = asked(scene)[before:]
+    assert new[0][0] - begun_ns >= scene.board.idle_ns
+    assert new[0] == (new[0][0], records.WROTE.pack(1, ()))
+    assert scene.word("asked_ns") == asked_ns
+
+
+@pytest.mark.parametrize(
+    ("frame", "written"), [(b"w 11 1\r", True), (b"w 13 1\r", False), (b"m +9, +9\r", False), (b"", False)]
+)
+def test_a_client_s_frame_is_written_once_the_board_admits_it(frame: bytes, written: bool) -> None:
+    scene = made("arduino")
+    scene.turn()
+    scene.turn(6000 * MS)
+    writes(scene, 500 * MS)
+    scene.put(frame, kind=records.OTHER)
+    assert (frame in [data for _, data in writes(scene, 20 * MS)]) == written
+
+
+def test_of_a_flood_of_clients_frames_the_newest_wait_for_the_line() -> None:
+    scene = made("arduino")
+    scene.turn()
+    scene.turn(6000 * MS)
+    writes(scene, 500 * MS)
+    for number in range(60):
+        scene.put(b"x 11 %d\r" % number, kind=records.OTHER)
+    found = [data for _, data in writes(scene, 200 * MS) if data.startswith(b"x 11")]
+    assert found == [b"x 11 0\r", *(b"x 11 %d\r" % number for number in range(52, 60))]

@@ -196,13 +196,36 @@ def test_any_bytes_of_a_client_s_arm_are_unpacked_or_a_value_error(payload: byte
 
 LEAST = (
     {"frame": 9, "stopped": 24, "port": 17, "latch": 24, "left": 8 * records.GOODBYES, "hello": 20, "reply": 20}
-    | {"request": 17, "seen": 16, "command": 49, "asserted": 8, "said": 8, "imu": 48, "battery": 5, "bias": 26}
+    | {
+        "request": 17,
+        "aux": 8,
+        "seen": 16,
+        "command": 49,
+        "asserted": 8,
+        "said": 8,
+        "imu": 48,
+        "battery": 5,
+        "bias": 26,
+    }
     | {"odometry": 113, "pad_command": 24, "pad_request": 1, "pad": 8, "speed_limit": 9, "health": 0}
     | {"wheels_seen": 84}
     | {"wrote": 1, "proved": 16}
 )
 """Bytes of each at least; those of a text, a frame or names may have more."""
-LONGER = {"frame", "stopped", "port", "latch", "hello", "reply", "asserted", "said", "pad_request", "health", "wrote"}
+LONGER = {
+    "frame",
+    "stopped",
+    "port",
+    "latch",
+    "hello",
+    "reply",
+    "asserted",
+    "said",
+    "pad_request",
+    "health",
+    "wrote",
+    "aux",
+}
 SHAPES = {name.lower(): found for name, found in vars(records).items() if isinstance(found, Shape)}
 
 

@@ -32,6 +32,11 @@ PERIODS = 30
 COUNTS = 3436
 """Encoder counts per turn of a wheel, the default of diffdrive_arduino."""
 
+PINS = (4, 7, 8, 11, 14, 15, 16, 17)
+"""Pins of an Uno that drive no motor and read no encoder in the firmware's default wiring: the L298's PWM is on 5, 6, 9
+and 10 and its enables on 12 and 13, encoders are on 2, 3, A4 (18) and A5 (19), and the port on 0 and 1."""
+_AUX = re.compile(rb"([wxc]) (\d{1,2}) (\d{1,3})\r")
+_MOST = {b"w": 1, b"x": 255, b"c": 1}
 _LINE = re.compile(rb"m ([+-]\d{1,3}), ([+-]\d{1,3})\r")
 _COUNTS = re.compile(r"(-?\d{1,10}) (-?\d{1,10})")
 LONGEST_ANSWER = 32
@@ -44,6 +49,17 @@ def _written(left: float, right: float) -> bytes:
 
 MOTION = MotionLine(_LINE, _written, LIMIT, "ticks")
 REST = MOTION.frame((0.0, 0.0), 0.0)
+
+
+def check_aux(frame: bytes) -> str:
+    """Why these bytes must not be written as a line that sets a pin: w (digital), x (PWM) or c (its direction)."""
+    found = _AUX.fullmatch(frame)
+    if not found:
+        return "no line that sets a pin"
+    command, pin, value = found[1], int(found[2]), int(found[3])
+    if pin not in PINS:
+        return f"pin {pin} may drive a motor"
+    return "" if value <= _MOST[command] else f"{value} is more than the pin takes"
 
 
 def answers() -> LineReader:

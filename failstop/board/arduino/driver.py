@@ -15,14 +15,14 @@ from __future__ import annotations
 import re
 
 from failstop.board.arduino import codec
-from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
+from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal
 from failstop.board.wire import Wheels
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
 
-    Row = DriverMotion | DriverAnswer | DriverRefusal
+    Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 _CR, _SPACE = 13, 32
 _ARGUMENT = 15
@@ -41,9 +41,11 @@ _REST = (0.0, 0.0)
 
 PATIENCE_NS = 1_000_000_000
 """diffdrive_arduino's default timeout; hbrobotics' node waits longer."""
+_LOST_NS = 100_000_000
+"""A board that has not answered a question for so long is asked again; failstop itself asks ten times a second."""
 
 _GAINS = "the board keeps its gains"
-_PINS = "failstop does not read or set the board's pins"
+_PINS = "failstop reads no pins, and sets those that the setting guard.pins names"
 _WITHOUT_EFFECT = {
     ord("r"): (_OK, "", ""),
     ord("u"): (_OK, "PID gains (u)", f"{_GAINS}: build those that you need into its firmware"),
@@ -61,9 +63,17 @@ driver sees to zero, and is no refusal."""
 
 
 class ArduinoDriver:
-    """One driver's lines, and the counts that it sees: they begin at 0, as after the reset of a real opening."""
+    """One driver's lines, and the counts that it sees: they begin at 0, as after the reset of a real opening.
 
-    def __init__(self) -> None:
+    An `e` is answered at once with the newest counts, and the board is asked for the next ones. So a driver that asks
+    at a steady rate gets counts that are one of its own periods old, each time.
+    """
+
+    def __init__(self, pins: Collection[int] = ()) -> None:
+        """`pins`: those that the driver may set."""
+        self._pins = pins
+        self._asked_ns = 0
+        """When the board was asked for a driver's `e`; 0: it has answered since."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
         self._command = 0
         self._at = 0
@@ -81,7 +91,7 @@ class ArduinoDriver:
         rows: list[Row] = []
         for byte in chunk:
             if byte == _CR:
-                rows += self._run()
+                rows += self._run(now_ns)
                 self._command, self._at, self._too_long = 0, 0, False
                 self._arguments = (bytearray(), bytearray())
             elif byte == _SPACE:
@@ -98,6 +108,7 @@ class ArduinoDriver:
         """The board only answers, so nothing is passed on; its counts are."""
         for sample in self._reader.feed(chunk):
             if isinstance(sample, Wheels):
+                self._asked_ns = 0
                 left, right = sample.positions
                 self._count((int(left), int(right)), now_ns)
         return []
@@ -114,11 +125,11 @@ class ArduinoDriver:
         if not restarted and largest <= _FASTEST * passed_ns / 1e9 + _NEAR_ZERO:
             self._counts = [_wrapped(count + step) for count, step in zip(self._counts, steps, strict=True)]
 
-    def _run(self) -> list[Row]:
+    def _run(self, now_ns: int) -> list[Row]:
         if self._command == ord("m"):
             return [*self._motion(), DriverAnswer(_OK)]
         if self._command == ord("e"):
-            return [DriverAnswer(b"%d %d\r\n" % tuple(self._counts))]
+            return [DriverAnswer(b"%d %d\r\n" % tuple(self._counts)), *self._ask(now_ns)]
         if self._command == ord("b"):
             return [DriverAnswer(b"57600\r\n")]
         if self._command == ord("o"):
@@ -129,6 +140,8 @@ class ArduinoDriver:
                 DriverMotion(_REST),
                 DriverAnswer(_OK),
             ]
+        if frame := self._pin():
+            return [frame, DriverAnswer(_OK)]
         if found := _WITHOUT_EFFECT.get(self._command):
             answer, what, why = found
             if self._command == ord("r"):
@@ -139,6 +152,22 @@ class ArduinoDriver:
         what = f"the command {chr(self._command)!r}" if 32 < self._command < 127 else f"the byte {self._command:#04x}"
         why = "ros_arduino_bridge has no such command, so the wheels were stopped: is it made for this board?"
         return [DriverRefusal(what, why), DriverMotion(_REST), DriverAnswer(_INVALID)]
+
+    def _ask(self, now_ns: int) -> list[Row]:
+        """The question for the next counts, unless one is under way."""
+        if self._asked_ns and now_ns - self._asked_ns < _LOST_NS:
+            return []
+        self._asked_ns = now_ns
+        return [DriverFrame(codec.POSITIONS, "counts")]
+
+    def _pin(self) -> DriverFrame | None:
+        """The line as failstop writes it, if it sets a pin that the driver may set."""
+        command = chr(self._command)
+        pin, value = (_atoi(bytes(argument)) for argument in self._arguments)
+        line = f"{command} {pin} {value}\r".encode()
+        if self._too_long or pin not in self._pins or codec.check_aux(line):
+            return None
+        return DriverFrame(line, f"{command} {pin}")
 
     def _motion(self) -> list[Row]:
         speeds = [_atoi(bytes(argument)) for argument in self._arguments]
@@ -162,6 +191,11 @@ def _wrapped(count: int) -> int:
     return (count + _WRAPS // 2) % _WRAPS - _WRAPS // 2
 
 
-def language(_settings: Mapping[str, float | str]) -> ArduinoDriver:
-    """A driver's conversation, which needs no setting."""
-    return ArduinoDriver()
+def language(settings: Mapping[str, float | str]) -> ArduinoDriver:
+    """A driver's conversation. Raises ValueError for the setting guard.pins."""
+    words = str(settings.get("guard.pins", "")).split()
+    pins = [int(word) if word.isdigit() else -1 for word in words]
+    if wrong := [word for word, pin in zip(words, pins, strict=True) if pin not in codec.PINS]:
+        allowed = ", ".join(map(str, codec.PINS))
+        raise ValueError(f"guard.pins: {wrong[0]}, must be among {allowed}: the others may drive a motor")
+    return ArduinoDriver(pins)

@@ -108,5 +108,6 @@ WIRE = Wire(
             program="ros_arduino_python/nodes/arduino_node.py",
         ),
     ),
+    aux=codec.check_aux,
     driver=_driver,
 )

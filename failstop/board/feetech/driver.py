@@ -13,14 +13,14 @@ Sources: Feetech's memory table, feetech-servo-sdk 1.0.0, LeRobot 0.4.4 (8fff0fd
 
 from __future__ import annotations
 
-from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
+from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal
 from failstop.board.feetech import codec
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    Row = DriverMotion | DriverAnswer | DriverRefusal
+    Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 34_000_000
 """feetech-servo-sdk's; LeRobot waits 50 ms. A late answer would be taken for the one to the next question forever."""

@@ -16,14 +16,14 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
+from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal
 from failstop.board.hoverboard import codec
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    Row = DriverMotion | DriverAnswer | DriverRefusal
+    Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 1_000_000_000
 """The board answers no question; a driver calls it disconnected after this long without feedback."""

@@ -16,8 +16,8 @@ from __future__ import annotations
 from math import isfinite
 from struct import Struct
 
-from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
-from failstop.board.rrc import framing
+from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal
+from failstop.board.rrc import codec, framing
 from failstop.board.rrc.decoder import Decoder
 from failstop.board.rrc.framing import BUS_SERVO, BUZZER, LED, MOTOR, OLED, PWM_SERVO, RGB, SYS, WHEELS
 
@@ -25,7 +25,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    Row = DriverMotion | DriverAnswer | DriverRefusal
+    Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 _FOREVER_NS = 60_000_000_000
 """The SDK waits for an answer forever, so none is dropped."""
@@ -35,6 +35,7 @@ _ONE, _SEVERAL, _STOP_ONE, _STOP_SEVERAL, _TYPE_OR_DUTY = 0, 1, 2, 3, 5
 _ENTRY = Struct("<Bf")
 _TYPE_LENGTH = 2
 _STOPPED = "so the wheels were stopped"
+_NOT_PASSED = "failstop passes motion and the buzzer's tones on to this board, and nothing else yet"
 _PASSED = (framing.SYS, framing.KEY_FUNC, framing.IMU_FUNC, framing.GAMEPAD, framing.SBUS)
 _NAMES = {LED: "an LED (1)", BUZZER: "the buzzer (2)", OLED: "the display (10)", RGB: "RGB lights (11)"}
 _PWM_READS = {0x05: 2, 0x09: 1}
@@ -100,8 +101,10 @@ class RrcDriver:
     def _take(self, data: bytes) -> list[Row]:
         if self._func == MOTOR:
             return self._motor(data)
+        if self._func == BUZZER and not codec.check_aux(sound := framing.seal(BUZZER, data)):
+            return [DriverFrame(sound, "buzzer")]
         if self._func in _NAMES:
-            return [DriverRefusal(_NAMES[self._func], "failstop passes nothing but motion on to this board yet")]
+            return [DriverRefusal(_NAMES[self._func], _NOT_PASSED)]
         if self._func in (PWM_SERVO, BUS_SERVO):
             return self._servo(data)
         what = "a setting of the board (0)" if self._func == SYS else f"a frame of function {self._func}"

@@ -34,6 +34,13 @@ REPORT = 1001
 ANSWERS = (139, 1002)
 """An answer has more than its T: a line that sends the question back is no board."""
 LONGEST_LINE = 1024
+AUX = {3: "the display (T:3)", -3: "the display (T:-3)", 132: "lights (T:132)", 133: "the gimbal (T:133)",
+       134: "the gimbal (T:134)", 135: "the gimbal (T:135)", 137: "the gimbal (T:137)",
+       141: "the gimbal (T:141)"}  # fmt: skip
+"""What moves no wheel, by T, for people."""
+_AUX_T = {kind: f"{kind / 100}e2" if kind > 100 else str(kind) for kind in AUX}
+"""How it is written: of `133`, a byte that is lost on the cable would make T:13, which drives."""
+_AUX_BYTES = 128
 
 _BOOT = re.compile(rb"rst:0x[0-9a-f]+ \(")
 """In the line that the ESP32's ROM prints at every reset, at the same speed: rst:0xf (BROWNOUT_RST),boot:0x13 (...)."""
@@ -56,6 +63,30 @@ def _written(left: float, right: float) -> bytes:
 
 MOTION = MotionLine(_LINE, _written, LIMIT, "m/s")
 REST = MOTION.frame((0.0, 0.0), 0.0)
+
+
+_KEY = r'"(?:IO4|IO5|X|Y|SPD|ACC|SX|SY|s|y|cmd|lineNum|Text)"'
+_VALUE = r'(?:-?\d{1,6}(?:\.\d{1,6})?|"[ !#-\[\]-~]{0,32}")'
+_AUX_LINE = re.compile(rf'\{{"T":(?:{"|".join(map(re.escape, _AUX_T.values()))})(?:,{_KEY}:{_VALUE}){{0,8}}\}}\n')
+
+
+def aux(kind: int, fields: dict[str, object]) -> bytes:
+    """The line for lights, gimbal or display, with numbers and short texts; empty: it does not fit. `kind`: one of
+    AUX."""
+    rest = "".join(f",{json.dumps(key)}:{json.dumps(_short(value))}" for key, value in fields.items())
+    line = f'{{"T":{_AUX_T[kind]}{rest}}}\n'.encode()
+    return b"" if check_aux(line) else line
+
+
+def _short(value: object) -> object:
+    return round(value, 6) if isinstance(value, float) else value
+
+
+def check_aux(frame: bytes) -> str:
+    """Why these bytes must not be written as a line for lights, gimbal or display; "" if they may."""
+    if len(frame) > _AUX_BYTES or not _AUX_LINE.fullmatch(frame.decode("ascii", "replace")):
+        return "no line for lights, gimbal or display"
+    return ""
 
 
 def watchdog(after_ns: int) -> bytes:

@@ -12,14 +12,14 @@ from __future__ import annotations
 import json
 from math import isfinite
 
-from failstop.board.driver import DriverAnswer, DriverMotion, DriverRefusal
+from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal
 from failstop.board.ugv import codec, lenient
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    Row = DriverMotion | DriverAnswer | DriverRefusal
+    Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 OPENERS = 2
 """Of the vendor's ROS 2 nodes ugv_driver writes and ugv_bringup reads."""
@@ -40,11 +40,9 @@ _ANSWERED_BY = {126: 1002, 130: codec.REPORT, 139: 139}
 _OWN = (1002, 139)
 """The answers to failstop's questions, which no driver hears unasked."""
 _FLOW, _INTERVAL, _ECHO, _RADIO = 131, 142, 143, 300
-_EASY = {3: "the display (T:3)", -3: "the display (T:-3)", 132: "lights (T:132)", 133: "the gimbal (T:133)",
-         134: "the gimbal (T:134)", 135: "the gimbal (T:135)", 137: "the gimbal (T:137)",
-         141: "the gimbal (T:141)"}  # fmt: skip
 _ARM = (*range(100, 124), 144, 210, 1041)
-_NOT_PASSED = "failstop passes nothing but motion on to this board yet"
+_NOT_PASSED = "failstop moves no arm on this board yet"
+_ODD = "a field in it is not known, or too long, so it was not passed on"
 
 
 class UgvDriver:
@@ -93,7 +91,18 @@ class UgvDriver:
         if kind in _ANSWERED_BY:
             kept = self._kept.get(_ANSWERED_BY[kind])
             return [DriverAnswer(kept + b"\r\n")] if kept else []
+        if kind in codec.AUX:
+            return self._aux(kind, fields)
         return self._setting(kind, _whole(fields.get(b"cmd")))
+
+    def _aux(self, kind: int, fields: dict[bytes, object]) -> list[Row]:
+        """Lights, gimbal and display, written as failstop writes them."""
+        others = {key.decode("latin-1"): value for key, value in fields.items() if key != b"T"}
+        texts = {key: value.decode("latin-1") if isinstance(value, bytes) else value for key, value in others.items()}
+        line = codec.aux(kind, texts)
+        if not line:
+            return [DriverRefusal(codec.AUX[kind], _ODD)]
+        return [DriverFrame(line, f"{kind} {texts.get('lineNum', '')}")]
 
     def _not_json(self) -> list[Row]:
         why = "the board ignores it, so the wheels were stopped: is the driver made for this board?"
@@ -122,8 +131,6 @@ class UgvDriver:
             return []
         if kind == _ECHO and not value:
             return []
-        if kind in _EASY:
-            return [DriverRefusal(_EASY[kind], _NOT_PASSED)]
         if kind in _ARM:
             return [DriverRefusal(f"an arm (T:{kind})", _NOT_PASSED)]
         if kind == _RADIO and value:

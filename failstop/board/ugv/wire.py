@@ -124,5 +124,6 @@ WIRE = Wire(
             program="lib/ugv_bringup/",
         ),
     ),
+    aux=codec.check_aux,
     driver=_driver,
 )
