@@ -70,6 +70,15 @@ class Process:
             pass
         return line
 
+    def drain(self) -> None:
+        """Take the lines that wait: a pipe that is full would hold the program up."""
+        assert self.child.stdout
+        while b"\n" in self._text or select.select([self.child.stdout], [], [], 0)[0]:
+            try:
+                self.line()
+            except TrialError:
+                return  # it has ended
+
     def newest(self) -> str:
         """The next line that comes after those that wait."""
         while True:
@@ -145,6 +154,8 @@ class GuardScene:
     def rest(self) -> None:
         """Wait until nobody is at the port any more, and the wheels stand."""
         self.stands()
+        if self.guard:
+            self.guard.drain()
         wait_for("nobody at the port", lambda: set(self.clients()) <= {"trial", "failstop guard"})
 
     def moves(self) -> None:

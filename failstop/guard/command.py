@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import select
 import signal
+import sys
 import tempfile
 import time
 from argparse import ArgumentParser, Namespace
@@ -136,4 +138,8 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
 
 
 def _tell(line: str) -> None:
-    print(line, flush=True)
+    """Print a line, unless nobody takes it: a terminal that is paused, or a pipe that nobody reads, must not hold up
+    the guard, because it would hold up the driver."""
+    with contextlib.suppress(OSError):
+        if select.select((), (sys.stdout,), (), 0)[1]:
+            print(line, flush=True)

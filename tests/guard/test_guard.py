@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
+import select
 import termios
 from collections.abc import Iterator
 from pathlib import Path
@@ -115,6 +117,28 @@ def test_without_a_robot_it_prints_what_a_driver_would_get(tmp_path: Path, diffd
         guard.close()
         if driver:
             driver.close()
+
+
+def test_a_guard_whose_words_nobody_reads_still_answers_its_driver(tmp_path: Path) -> None:
+    settings = tmp_path / "settings.toml"
+    write_settings(str(settings), {"board.kind": "arduino"})
+    path = tmp_path / "port"
+    words = ("guard", "--dry-run", "--config", str(settings), "--path", str(path))
+    guard = Process(*helpers.python("failstop", *words), errors=True)
+    try:
+        guard.until("your driver opens")
+        assert guard.child.stdout
+        fcntl.fcntl(guard.child.stdout, fcntl.F_SETPIPE_SZ, 4096)
+        driver = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        try:
+            for speed in range(1, 200):  # each of which it prints
+                os.write(driver, b"m %d %d\r" % (speed, speed))
+                assert select.select([driver], [], [], 10)[0], f"no answer to line {speed}"
+                assert os.read(driver, 64) == b"OK\r\n"
+        finally:
+            os.close(driver)
+    finally:
+        guard.close()
 
 
 def test_a_board_that_nobody_has_described_drivers_of_says_so(tmp_path: Path) -> None:
