@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from itertools import pairwise
 
 import pytest
 
@@ -37,6 +38,16 @@ def test_a_driver_drives_and_reads_as_at_the_bare_board(arduino: GuardScene, dif
     wait_for("more counts", lambda: int(driver.newest().split()[0]) > first[0] + 30)
     assert all(line.partition("|")[2].startswith("OK|") for line in driver.lines[1:])
     assert driver.lines[1].startswith("0 0|"), "counts begin at zero"
+
+
+def test_each_question_for_counts_gets_new_ones(arduino: GuardScene, diffdrive: str) -> None:
+    """The service itself asks ten times a second: two of three answers at 30 Hz would be the same as the one before."""
+    driver = drives(arduino, diffdrive, speed="30")
+    wait_for("the wheels at their speed", lambda: driver.line() and max(map(abs, arduino.trial.board.wheels())) > 0.25)
+    counts = [int(driver.line().split()[0]) for _ in range(60)]
+    steps = [after - before for before, after in pairwise(counts)]
+    assert steps.count(0) < 10, steps
+    assert min(steps) >= 0
 
 
 def test_status_names_the_driver(arduino: GuardScene, diffdrive: str) -> None:
