@@ -57,6 +57,8 @@ class DriverMotion(Data):
     refuses what its board would refuse, and leaves the limits to the service."""
 
     speeds: Sequence[float]
+    refused: bool = False
+    """True for a stop in place of something that was refused. A driver that dies after it has not let go."""
 
 
 class DriverAnswer(Data):

@@ -271,6 +271,6 @@ class Guard:
 
     def close(self) -> None:
         """End. A driver that drives loses its port, so the service treats it as one that has died."""
-        self._board.leave(in_order=not (self._talk and self._talk.drives))
+        self._board.leave(in_order=not (self._talk and self._talk.holds))
         self._door.close()
         self._poll.close()

@@ -55,6 +55,8 @@ class Talk:
         self.timeout_ns, self._source_ns = timeout_ns, source_ns
         self._renew_ns = min(RENEW_NS, source_ns // 3)
         self._speeds: tuple[float, ...] | None = None
+        self._lets_go = True
+        """Its newest motion of its own was zero, or it has written none. The stop after a refusal is not its own."""
         self._written_ns = 0
         """When the newest motion was written, at the earliest."""
         self._sent_ns: int | None = None
@@ -84,14 +86,15 @@ class Talk:
         """The driver wrote these bytes, after `since_ns` and by `now_ns`. Returns the answers to them."""
         rows = self._language.wrote(chunk, now_ns)
         answers = [row.data for row in rows if isinstance(row, DriverAnswer)]
-        motions = [row.speeds for row in rows if isinstance(row, DriverMotion)]
+        motions = [row for row in rows if isinstance(row, DriverMotion)]
         for row in rows:
             if isinstance(row, DriverRefusal):
                 self.refuse(row.what, row.why)
             elif isinstance(row, DriverFrame) and (row.kind in self._frames or len(self._frames) < MOST_FRAMES):
                 self._frames[row.kind] = row.data
         if motions:
-            self._move(motions[-1], since_ns)
+            self._move(motions[-1].speeds, since_ns)
+            self._lets_go = self._let_go_by(motions)
         late = now_ns - since_ns > self._language.patience_ns
         return answers[-1:] if late else answers
 
@@ -161,5 +164,14 @@ class Talk:
     def ended(self, unread: bytes, now_ns: int) -> bool:
         """The driver has gone, and these bytes of it were not read yet. True when it ended or died while driving: a
         motion among them is not carried out any more, but a zero says that it had let go."""
-        motions = [row.speeds for row in self._language.wrote(unread, now_ns) if isinstance(row, DriverMotion)]
-        return any(motions[-1]) if motions else self.drives
+        motions = [row for row in self._language.wrote(unread, now_ns) if isinstance(row, DriverMotion)]
+        return not self._let_go_by(motions)
+
+    @property
+    def holds(self) -> bool:
+        """Its newest motion of its own asks for a speed, even if failstop has stopped the wheels since."""
+        return not self._lets_go
+
+    def _let_go_by(self, motions: Sequence[DriverMotion]) -> bool:
+        own = [any(row.speeds) for row in motions if not row.refused]
+        return not own[-1] if own else self._lets_go

@@ -12,8 +12,8 @@ S = 1_000 * MS
 
 
 class Words:
-    """A language of words between blanks: a number is the speed of both wheels, `?` a question, `!` is refused, and
-    `=a1` a frame of the kind `a`."""
+    """A language of words between blanks: a number is the speed of both wheels, `?` a question, `!` is refused,
+    `#` is refused and stops the wheels, and `=a1` is a frame of the kind `a`."""
 
     openers = 1
     patience_ns = 1 * S
@@ -31,6 +31,8 @@ class Words:
             return DriverAnswer(b"%d\n" % self.asked)
         if word == b"!":
             return DriverRefusal("shouting", "nothing was done")
+        if word == b"#":
+            return DriverMotion([0.0, 0.0], refused=True)
         if word.startswith(b"="):
             return DriverFrame(word, word[1:2].decode())
         return DriverMotion([float(part) for part in word.split(b",")])
@@ -120,6 +122,10 @@ def test_each_question_has_one_answer_in_order_and_after_a_stall_the_newest_alon
         pytest.param(b"5,5", b"0,0", False, id="it stopped the wheels with its last words"),
         pytest.param(b"0,0", b"5,5", True, id="it would have driven"),
         pytest.param(b"5,5", b"0,0 5,5", True, id="it would have driven again"),
+        pytest.param(b"5,5 #", b"", True, id="it was stopped for what it wrote last"),
+        pytest.param(b"5,5", b"#", True, id="it would have been stopped"),
+        pytest.param(b"5,5 # 0,0", b"", False, id="it was stopped, and let go"),
+        pytest.param(b"#", b"#", False, id="it never drove"),
     ],
 )
 def test_a_driver_died_unless_its_last_motion_was_zero(written: bytes, unread: bytes, drove: bool) -> None:

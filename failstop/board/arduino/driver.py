@@ -137,7 +137,7 @@ class ArduinoDriver:
                 DriverRefusal(
                     "raw PWM (o)", "it has no speed that could be limited, so the wheels were stopped: use m"
                 ),
-                DriverMotion(_REST),
+                DriverMotion(_REST, refused=True),
                 DriverAnswer(_OK),
             ]
         if frame := self._pin():
@@ -151,7 +151,7 @@ class ArduinoDriver:
             return [DriverAnswer(_INVALID)]
         what = f"the command {chr(self._command)!r}" if 32 < self._command < 127 else f"the byte {self._command:#04x}"
         why = "ros_arduino_bridge has no such command, so the wheels were stopped: is it made for this board?"
-        return [DriverRefusal(what, why), DriverMotion(_REST), DriverAnswer(_INVALID)]
+        return [DriverRefusal(what, why), DriverMotion(_REST, refused=True), DriverAnswer(_INVALID)]
 
     def _ask(self, now_ns: int) -> list[Row]:
         """The question for the next counts, unless one is under way."""
@@ -175,7 +175,7 @@ class ArduinoDriver:
             why = (
                 f"the board takes -{_MOST} to {_MOST}, and would turn more into another speed: the wheels were stopped"
             )
-            return [DriverRefusal("a speed that is too large (m)", why), DriverMotion(_REST)]
+            return [DriverRefusal("a speed that is too large (m)", why), DriverMotion(_REST, refused=True)]
         left, right = speeds
         return [DriverMotion((float(left), float(right)))]
 

@@ -144,11 +144,11 @@ class FeetechDriver:
         if address == codec.GOAL_SPEED and len(data) == len(_SPEEDS) and not any(data):
             return [self._stop()]
         refusal = DriverRefusal(f"a write to every servo (address {address})", f"{_BY_ID}, {_STOPPED}")
-        return [refusal, self._stop()]
+        return [refusal, self._stop(refused=True)]
 
-    def _stop(self) -> DriverMotion:
+    def _stop(self, *, refused: bool = False) -> DriverMotion:
         self._speeds = dict.fromkeys(codec.WHEELS, 0.0)
-        return DriverMotion(tuple(self._speeds.values()))
+        return DriverMotion(tuple(self._speeds.values()), refused=refused)
 
     def _write(self, written: Iterable[tuple[int, bytes]], address: int) -> list[Row]:
         """The rows of one packet, after which all wheels have the speeds that they were told."""
@@ -163,7 +163,7 @@ class FeetechDriver:
             elif servo in self._memory:
                 rows += self._joint(servo, address, data)
         if stopped:
-            rows.append(self._stop())
+            rows.append(self._stop(refused=any(isinstance(row, DriverRefusal) for row in rows)))
         elif told:
             rows.append(DriverMotion(tuple(self._speeds.values())))
         return rows

@@ -115,7 +115,7 @@ def _start(data: bytes, at: int) -> int:
 
 
 def _dropped() -> list[Row]:
-    return [_NO_FRAME, DriverMotion(_REST)]
+    return [_NO_FRAME, DriverMotion(_REST, refused=True)]
 
 
 def _speeds(frame: bytes) -> tuple[float, float] | None:

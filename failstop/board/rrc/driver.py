@@ -112,7 +112,7 @@ class RrcDriver:
 
     def _refuse(self, what: str, why: str) -> list[Row]:
         self._speeds = [0.0] * WHEELS
-        return [DriverRefusal(what, f"{why}, {_STOPPED}"), DriverMotion(tuple(self._speeds))]
+        return [DriverRefusal(what, f"{why}, {_STOPPED}"), DriverMotion(tuple(self._speeds), refused=True)]
 
     def _motor(self, data: bytes) -> list[Row]:
         kind, rest = data[:1], data[1:]

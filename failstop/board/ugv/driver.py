@@ -87,7 +87,7 @@ class UgvDriver:
             return self._motion(kind, fields)
         if kind == _PWM:
             why = "it has no speed that could be limited, so the wheels were stopped: use T:1"
-            return [DriverRefusal("raw PWM (T:11)", why), DriverMotion(_REST)]
+            return [DriverRefusal("raw PWM (T:11)", why), DriverMotion(_REST, refused=True)]
         if kind in _ANSWERED_BY:
             kept = self._kept.get(_ANSWERED_BY[kind])
             return [DriverAnswer(kept + b"\r\n")] if kept else []
@@ -106,7 +106,7 @@ class UgvDriver:
 
     def _not_json(self) -> list[Row]:
         why = "the board ignores it, so the wheels were stopped: is the driver made for this board?"
-        return [DriverRefusal("a line that is no JSON", why), DriverMotion(_REST)]
+        return [DriverRefusal("a line that is no JSON", why), DriverMotion(_REST, refused=True)]
 
     def _motion(self, kind: int, fields: dict[bytes, object]) -> list[Row]:
         if kind == _SPEEDS:
