@@ -18,6 +18,7 @@ from failstop.api.errors import FailstopError, NoService
 from failstop.board.driver import language_of
 from failstop.cli.commands import add_name
 from failstop.files import instance
+from failstop.guard.door import Door
 from failstop.guard.dry import Nothing
 from failstop.guard.guard import Guard
 from failstop.guard.pty import Pty
@@ -113,16 +114,20 @@ def _usual(settings: Settings, name: str) -> str:
 
 def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
     kind = settings.text("board.kind")
-    if language_of(kind, settings.flat()) is None:
+    try:
+        described = language_of(kind, settings.flat()) is not None
+    except ValueError as error:
+        raise FailstopError(str(error)) from None
+    if not described:
         raise FailstopError(
-            f"board.kind {kind}: nobody has said yet what a driver may write to this board; "
-            'for your own board see "The guard port" in docs/dev/porting.md'
+            f"{os.path.join(kind, 'wire.py')} does not say what a driver program may write to this board: add `driver` "
+            'to its Wire ("The guard port" in docs/dev/porting.md), or let your program drive with failstop.Robot'
         )
     if not os.path.isabs(path):
         raise FailstopError(f"{path}: give the whole path, because your driver may run in another folder")
     pty = Pty(path)
     try:
-        guard = Guard(board, pty, _tell)
+        guard = Guard(board, pty, Door(pty), _tell)
         try:
             _tell(f"your driver opens {path} instead of the board's port; Ctrl-C ends")
             gc.freeze()

@@ -11,7 +11,8 @@ import contextlib
 import os
 import select
 
-from failstop.guard.openers import Opener, Watch, dying, openers
+from failstop.guard.news import News, Opener
+from failstop.guard.openers import Watch, dying, openers
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -20,24 +21,12 @@ if TYPE_CHECKING:
     from failstop.guard.pty import Pty
 
 
-class News:
-    """What has happened at the door since the last look."""
-
-    def __init__(self) -> None:
-        self.any = False
-        """Something has: it is worth looking who has it open now."""
-        self.ended = False
-        """A program that had it open has closed it, or is dying or dead."""
-        self.orphans: list[Opener] = []
-        """Programs that are gone and have left it open with a child."""
-
-
 class Door:
-    """The programs that have it open. What wakes the guard is registered in `poll`."""
+    """The programs that have it open, and what wakes the guard."""
 
-    def __init__(self, pty: Pty, poll: select.epoll) -> None:
+    def __init__(self, pty: Pty) -> None:
         """Raises OSError."""
-        self._pty, self._poll = pty, poll
+        self._pty, self._poll = pty, select.epoll()
         self.seen: dict[int, Opener] = {}
         """Those that /proc shows, by pid."""
         self.count = 0
@@ -59,6 +48,10 @@ class Door:
     def crowded(self) -> bool:
         """More programs have it open than may."""
         return self.count > self.most
+
+    def wait(self, seconds: float) -> dict[int, int]:
+        """Sleep until a driver has written, or comes or goes; at most so long. Returns what look() needs."""
+        return dict(self._poll.poll(seconds))
 
     def look(self, ready: dict[int, int]) -> News:
         """What has happened since the last look. Cheap, because a stop waits for it."""
@@ -129,3 +122,4 @@ class Door:
         self._dying.clear()
         self._follow({})
         self._close_watch()
+        self._poll.close()

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import select
 from collections import deque
 from time import monotonic_ns
 
 from failstop.api import words
 from failstop.api.snapshot import Block
 from failstop.board.driver import language_of
-from failstop.guard.door import Door
 from failstop.guard.said import DRIVES, GUARD, WAITS
 from failstop.guard.talk import Talk
 
@@ -18,7 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from typing import Protocol
 
-    from failstop.guard.openers import Opener
+    from failstop.guard.door import Door
+    from failstop.guard.news import Opener
     from failstop.guard.pty import Pty
     from failstop.guard.scale import Scale
     from failstop.guard.talk import Command
@@ -57,11 +56,9 @@ A_DRIVER = "a driver"
 class Guard:
     """The port, and the conversation with the program that has it open."""
 
-    def __init__(self, board: Board, pty: Pty, tell: Callable[[str], None]) -> None:
+    def __init__(self, board: Board, pty: Pty, door: Door, tell: Callable[[str], None]) -> None:
         """`tell`: prints a line for people. Raises OSError."""
-        self._board, self._pty, self._tell = board, pty, tell
-        self._poll = select.epoll()
-        self._door = Door(pty, self._poll)
+        self._board, self._pty, self._door, self._tell = board, pty, door, tell
         self._talk: Talk | None = None
         self._past: deque[tuple[int, bytes]] = deque()
         """What the board said last."""
@@ -79,7 +76,7 @@ class Guard:
 
     def turn(self) -> None:
         """Sleep until there is something to do, and do it. Raises FailstopError, OSError."""
-        ready = dict(self._poll.poll(self._wait_s(monotonic_ns())))
+        ready = self._door.wait(self._wait_s(monotonic_ns()))
         now_ns = monotonic_ns()
         # Whoever has gone comes before what was written, because the bytes of a dead driver move nothing.
         news = self._door.look(ready)
@@ -273,4 +270,3 @@ class Guard:
         """End. A driver that drives loses its port, so the service treats it as one that has died."""
         self._board.leave(in_order=not (self._talk and self._talk.holds))
         self._door.close()
-        self._poll.close()

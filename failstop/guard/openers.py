@@ -12,7 +12,7 @@ import ctypes
 import os
 import struct
 
-from failstop.data import Data
+from failstop.guard.news import Opener
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -55,18 +55,6 @@ class Watch:
 
     def close(self) -> None:
         os.close(self.fd)
-
-
-class Opener(Data):
-    """A program that has it open."""
-
-    pid: int
-    name: str
-    times: int
-    """How many of its descriptors are open on it."""
-
-    def __str__(self) -> str:
-        return f"{self.name} (pid {self.pid})"
 
 
 def openers(path: str, meanwhile: Callable[[], None]) -> tuple[dict[int, Opener], bool]:

@@ -16,7 +16,7 @@ from bench.guard_scene import GuardScene, Process
 from failstop import helpers
 from failstop.api.errors import FailstopError
 from failstop.guard.pty import Pty
-from failstop_lab.trial import wait_for, write_settings
+from failstop_lab.trial import Trial, wait_for, write_settings
 from tests.support.boards import own_folder
 from tests.support.commands import failstop
 from tests.support.waiting import until
@@ -149,7 +149,23 @@ def test_a_board_that_nobody_has_described_drivers_of_says_so(tmp_path: Path) ->
     write_settings(str(settings), {"board.kind": kind})
     done = failstop("guard", "--dry-run", "--config", str(settings), "--path", str(tmp_path / "port"))
     assert done.returncode == 1
-    assert f"board.kind {kind}: nobody has said yet what a driver may write to this board" in done.stderr
+    assert f"{kind}/wire.py does not say what a driver program may write to this board: add `driver`" in done.stderr
+
+
+@pytest.mark.parametrize("dry", [True, False], ids=["dry run", "service"])
+def test_a_pin_that_drives_a_motor_is_named_before_a_driver_can_open_the_port(tmp_path: Path, dry: bool) -> None:
+    settings = tmp_path / "settings.toml"
+    write_settings(str(settings), {"board.kind": "arduino", "guard.pins": "13"})
+    path = str(tmp_path / "port")
+    if dry:
+        done = failstop("guard", "--dry-run", "--config", str(settings), "--path", path)
+    else:
+        with Trial(f"guard-pins-{os.getpid()}", ("--config", str(settings)), kind="arduino") as trial:
+            done = failstop("guard", "--name", trial.name, "--path", path)
+    assert done.returncode == 1
+    assert "guard.pins: 13, must be among 4, 7, 8" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not os.path.lexists(path)
 
 
 # The pseudo-terminal.

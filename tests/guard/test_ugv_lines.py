@@ -126,12 +126,16 @@ def test_the_vendor_s_web_app_starts() -> None:
     lines += [b'{"T":303,"mac":"FF:FF:FF:FF:FF:FF"}', b'{"T":900,"main":2,"module":0}']
     text = b"".join(line + b"\n" for line in lines)
     assert motions(text) == []
-    assert refusals(text) == ["T:4", "T:300", "T:303", "T:900"]
+    assert refusals(text) == ["the type of its module (T:4)", "T:303", "the type of the robot (T:900)"]
     assert [row.data for row in made().wrote(text, 0) if isinstance(row, DriverFrame)] == [
         b'{"T":1.32e2,"IO4":0,"IO5":0}\n',
         b'{"T":3,"lineNum":0,"Text":"a"}\n',
         b'{"T":1.33e2,"X":0,"Y":0,"SPD":0,"ACC":0}\n',
+        b'{"T":3e2,"mode":0}\n',
     ]
+    assert BOARD.check_aux(b'{"T":3e2,"mode":0}\n') == ""
+    assert BOARD.check_aux(b'{"T":3e2,"mode":1}\n')
+    assert refusals(b'{"T":300,"mode":1}\n') == ["obeying ESP-NOW radio (T:300)"]
 
 
 PASSED = (

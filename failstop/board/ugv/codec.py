@@ -41,6 +41,8 @@ AUX = {3: "the display (T:3)", -3: "the display (T:-3)", 132: "lights (T:132)", 
 _AUX_T = {kind: f"{kind / 100}e2" if kind > 100 else str(kind) for kind in AUX}
 """How it is written: of `133`, a byte that is lost on the cable would make T:13, which drives."""
 _AUX_BYTES = 128
+RADIO_OFF = b'{"T":3e2,"mode":0}\n'
+"""Makes the board deaf to ESP-NOW, by which anybody near it could drive."""
 
 _BOOT = re.compile(rb"rst:0x[0-9a-f]+ \(")
 """In the line that the ESP32's ROM prints at every reset, at the same speed: rst:0xf (BROWNOUT_RST),boot:0x13 (...)."""
@@ -84,6 +86,8 @@ def _short(value: object) -> object:
 
 def check_aux(frame: bytes) -> str:
     """Why these bytes must not be written as a line for lights, gimbal or display; "" if they may."""
+    if frame == RADIO_OFF:
+        return ""
     if len(frame) > _AUX_BYTES or not _AUX_LINE.fullmatch(frame.decode("ascii", "replace")):
         return "no line for lights, gimbal or display"
     return ""

@@ -40,6 +40,7 @@ _ANSWERED_BY = {126: 1002, 130: codec.REPORT, 139: 139}
 _OWN = (1002, 139)
 """The answers to failstop's questions, which no driver hears unasked."""
 _FLOW, _INTERVAL, _ECHO, _RADIO = 131, 142, 143, 300
+_KEEPS = {4: "the type of its module (T:4)", 900: "the type of the robot (T:900)"}
 _ARM = (*range(100, 124), 144, 210, 1041)
 _NOT_PASSED = "failstop moves no arm on this board yet"
 _ODD = "a field in it is not known, or too long, so it was not passed on"
@@ -93,7 +94,7 @@ class UgvDriver:
             return [DriverAnswer(kept + b"\r\n")] if kept else []
         if kind in codec.AUX:
             return self._aux(kind, fields)
-        return self._setting(kind, _whole(fields.get(b"cmd")))
+        return self._setting(kind, fields)
 
     def _aux(self, kind: int, fields: dict[bytes, object]) -> list[Row]:
         """Lights, gimbal and display, written as failstop writes them."""
@@ -122,7 +123,8 @@ class UgvDriver:
             return [DriverRefusal(f"a speed of more than {codec.LIMIT:g} m/s (T:{kind})", why)]
         return [DriverMotion(speeds)]
 
-    def _setting(self, kind: int, value: int) -> list[Row]:
+    def _setting(self, kind: int, fields: dict[bytes, object]) -> list[Row]:
+        value = _whole(fields.get(b"cmd"))
         if kind == _FLOW:
             self._flows = value != 0
             return []
@@ -133,7 +135,11 @@ class UgvDriver:
             return []
         if kind in _ARM:
             return [DriverRefusal(f"an arm (T:{kind})", _NOT_PASSED)]
-        if kind == _RADIO and value:
+        if kind == _RADIO and not _whole(fields.get(b"mode")):
+            return [DriverFrame(codec.RADIO_OFF, "radio")]
+        if kind in _KEEPS:
+            return [DriverRefusal(_KEEPS[kind], "the board keeps the one that it has")]
+        if kind == _RADIO:
             return [DriverRefusal("obeying ESP-NOW radio (T:300)", "anybody near it could drive the robot")]
         return [DriverRefusal(f"T:{kind}", "it changes the board, or is not known: use it without the guard port")]
 

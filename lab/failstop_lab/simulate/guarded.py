@@ -1,9 +1,8 @@
 """Guarded: a driver program at the guard port, on the simulated machine.
 
-The machine has no terminals and no inotify, so a named pipe stands for the terminal, and the driver's pidfd says when
-it has died. What the guard makes of that is the service's own code: the conversation (failstop/guard/talk.py), the
-board's language, and the client slot under the driver's name (failstop/guard/service.py). Both programs end with the
-scenario.
+The guard is the service's own code, from its turn (failstop/guard/guard.py) to the client slot under the driver's name.
+The machine has no terminals and no inotify, so two parts are stand-ins: a named pipe for the terminal, and a door that
+the driver tells when it has opened the pipe, and its pidfd when it has gone. Both programs end with the scenario.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+from collections.abc import Callable
 from typing import Any
 
 from failstop.messages import layout
@@ -39,11 +39,17 @@ class Guarded:
         self.motion, self.rest = board.motor_speeds([rps] * board.wheels, rps), board.burst
         self._asks_rps = max(map(abs, board.speeds(self.motion) or (0.0,)))
         self.driver: Process | None = None
+        self.opened: list[Process] = []
+        """The drivers that have opened the port, in order; the door takes away those that have gone."""
+        self.load = stage.robot.loader.load
+        self._drove = False
+        """The wheels have turned for the driver."""
         self.guard = stage.robot.program("guard.py", lambda _: self._guard())
         self.start_driver()
 
     def start_driver(self) -> None:
         """Another one, in the place of the one before."""
+        self._drove = False
         self.driver = self._stage.robot.program("bare_driver.py", lambda _: self._drive())
 
     @property
@@ -62,9 +68,12 @@ class Guarded:
         began_ns = self._stage.machine.now_ns
         while self._stage.witness.moved_ns < began_ns and self._stage.machine.now_ns < began_ns + DRIVER_NS:
             self.watch(COMMAND_EVERY_S)
+        self._drove = self._stage.witness.moved_ns >= began_ns
 
     def kill_driver(self) -> None:
         """SIGKILL, at any moment of its own."""
+        if self.driver and self.driver.dead and not self._drove:
+            return  # a fault has killed it before it drove, so the next one may drive
         if self.driver:
             self._stage.machine.die(self.driver, -SIGKILL)
         self._stage.must_stop("the driver at the guard port is dead", LATE_MS, layout.GATE)
@@ -86,6 +95,8 @@ class Guarded:
     def _drive(self) -> None:
         """A driver of the bare board: it writes one frame again and again."""
         port = self._system.open(DRIVER_PIPE, os.O_WRONLY)
+        if self.driver:
+            self.opened.append(self.driver)
         with contextlib.suppress(BrokenPipeError):
             while not self._over:
                 self._stage.witness.asks_for(self._asks_rps)
@@ -95,56 +106,96 @@ class Guarded:
             self._system.write(port, self.rest)
 
     def _guard(self) -> None:
-        """Turns as those of failstop/guard/guard.py: the end of the driver comes before what it wrote."""
-        load, time = self._stage.robot.loader.load, self._stage.time
+        """The guard itself, at a port of this machine."""
+        load, time = self.load, self._stage.time
         service = load("failstop.guard.service").Service("failstop")
-        port = self._system.open(DRIVER_PIPE, os.O_RDONLY | os.O_NONBLOCK)
-        poll = self._stage.robot.loader.system["select"].epoll()
-        poll.register(port, select.EPOLLIN)
-        driver, life, talk = None, -1, None
-        empty_ns = time.monotonic_ns()
+        while not service.look(time.monotonic_ns()):
+            time.sleep(TURN_S)
+        pty = _Pipe(self._system)
+        guard = load("failstop.guard.guard").Guard(service, pty, _Door(self, pty), lambda line: None)
         while not self._over:
-            ready = {fd for fd, _ in poll.poll(TURN_S)}
-            now_ns = time.monotonic_ns()
-            service.look(now_ns)
-            ended = life in ready
-            chunk = self._read(port)
-            since_ns, empty_ns = empty_ns, now_ns
-            if ended:
-                poll.unregister(life)
-                self._system.close(life)
-                life = -1
-                if talk:
-                    service.leave(in_order=not talk.ended(chunk, now_ns))
-                driver, talk = None, None
-                continue
-            if not chunk and ready == {port}:
-                time.sleep(TURN_S)  # no program has it open
-            if driver is None and self.driver and not self.driver.dead:
-                driver = self.driver
-                with contextlib.suppress(ProcessLookupError):
-                    life = self._system.pidfd_open(driver.pid)
-                    poll.register(life, select.EPOLLIN)
-            if talk is None and chunk and driver and service.settings:
-                talk = self._talk(service)
-                service.join(driver.name, driver.pid)
-            if talk:
-                talk.wrote(chunk, now_ns, since_ns)
-                if command := talk.command(now_ns):
-                    service.command(command)
-        service.leave(in_order=True)
+            guard.turn()
+        guard.close()
 
-    def _read(self, port: int) -> bytes:
+    @property
+    def system(self) -> Any:
+        """The modules of the machine, by name."""
+        return self._stage.robot.loader.system
+
+
+class _Pipe:
+    """A named pipe in the place of a terminal (failstop/guard/pty.py). What the guard writes goes nowhere."""
+
+    path = DRIVER_PIPE
+
+    def __init__(self, system: Any) -> None:
+        self._system = system
+        # Open for both: with no writer the pipe would be ready without end.
+        self.fd = system.open(DRIVER_PIPE, os.O_RDWR | os.O_NONBLOCK)
+
+    def linked(self) -> bool:
+        return True
+
+    def read(self) -> tuple[bytes, bool]:
+        """All that waits; a driver of this machine never writes so much that the rest has to wait."""
         found = b""
         with contextlib.suppress(BlockingIOError):
-            while part := self._system.read(port, 4096):
+            while part := self._system.read(self.fd, 4096):
                 found += part
-        return found
+        return found, True
 
-    def _talk(self, service: Any) -> Any:
-        load, settings = self._stage.robot.loader.load, service.settings
-        language = load("failstop.board.driver").language_of(settings.text("board.kind"), settings.flat())
-        _, source_ns = settings.sources()[service.source]
-        return load("failstop.guard.talk").Talk(
-            language, service.scale.wheels, settings.ns("guard.timeout_s"), source_ns
-        )
+    def clean(self) -> bytes:
+        return self.read()[0]
+
+    def write(self, data: bytes) -> bool:
+        return True
+
+
+class _Door:
+    """Who has the pipe open (failstop/guard/door.py): the driver says so when it has opened it, and its pidfd when it
+    has gone."""
+
+    def __init__(self, guarded: Guarded, pty: _Pipe) -> None:
+        self._guarded = guarded
+        self._system = guarded.system["os"]
+        self._news = guarded.load("failstop.guard.news")
+        self._poll = guarded.system["select"].epoll()
+        self._poll.register(pty.fd, select.EPOLLIN)
+        self.most, self.count, self.crowded = 1, 0, False
+        self.seen: dict[int, Any] = {}
+        self._life = -1
+
+    def wait(self, seconds: float) -> dict[int, int]:
+        return dict(self._poll.poll(min(seconds, TURN_S)))
+
+    def look(self, ready: dict[int, int]) -> Any:
+        news = self._news.News()
+        if self._life in ready:
+            self._leave()
+            news.ended = news.any = True
+        elif not self.count and self._guarded.opened:
+            news.any = True
+            self.count = 1
+        return news
+
+    def recount(self, _meanwhile: Callable[[], None]) -> None:
+        """See whether the driver that has opened it is still there."""
+        if self._guarded.opened and self._life < 0:
+            driver = self._guarded.opened[0]
+            try:
+                self._life = self._system.pidfd_open(driver.pid)
+            except ProcessLookupError:
+                self._leave()
+                return
+            self._poll.register(self._life, select.EPOLLIN)
+            self.count, self.seen = 1, {driver.pid: self._news.Opener(driver.pid, driver.name, 1)}
+
+    def _leave(self) -> None:
+        if self._life >= 0:
+            self._poll.unregister(self._life)
+            self._system.close(self._life)
+        del self._guarded.opened[:1]
+        self._life, self.count, self.seen = -1, 0, {}
+
+    def close(self) -> None:
+        """Both end with the scenario."""

@@ -20,7 +20,10 @@ NAMES = [name for name, play in SCENARIOS.items() if HAS_DRIVERS in NEEDS[play]]
 KINDS = [kind for kind in BOARDS if HAS_DRIVERS in traits_of(kind).parts]
 MS = 1_000_000
 TALK, GUARD_SERVICE = "failstop.guard.talk", "failstop.guard.service"
-DEATH_IS_AN_END: Patches = ((TALK, "return any(motions[-1]) if motions else self.drives", "return False"),)
+GUARD = "failstop.guard.guard"
+DEATH_IS_AN_END: Patches = ((TALK, "return not self._let_go_by(motions)", "return False"),)
+LEAVES_IN_ORDER: Patches = ((GUARD, "self._board.leave(in_order=not drove)", "self._board.leave(in_order=True)"),)
+DOOR_UNSEEN: Patches = ((GUARD, "        if news.ended:\n            self._end()\n", ""),)
 OUTLIVES: Patches = ((TALK, "self._written_ns + self.timeout_ns - self._source_ns", "self._written_ns + 10**10"),)
 
 
@@ -83,6 +86,8 @@ def test_a_driver_that_never_ceased_to_command_moves_nothing_after_a_reset_and_a
     ("patches", "name"),
     [
         pytest.param(DEATH_IS_AN_END, "guard_driver_dies", id="a driver's death counts as its end"),
+        pytest.param(LEAVES_IN_ORDER, "guard_driver_dies", id="the service is told of an end in order"),
+        pytest.param(DOOR_UNSEEN, "guard_driver_dies", id="the guard does not look who has gone"),
         pytest.param(OUTLIVES, "guard_driver_hangs", id="a silent driver's motion is renewed without end"),
     ],
 )
