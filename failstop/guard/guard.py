@@ -65,6 +65,10 @@ class Guard:
         self._who = A_DRIVER
         """The driver, for people."""
         self._crowded = self._flooded = False
+        self._wrote = False
+        """Something that this driver wrote was read."""
+        self._early = b""
+        """What was written before anybody could see by whom."""
         self._empty_ns = monotonic_ns()
         """When nothing of the driver's waited to be read."""
         self._told: set[str] = set()
@@ -124,6 +128,7 @@ class Guard:
         # A driver may ask at once, and must be answered while it is looked who it is.
         new = self._talk is None
         self._talk = self._talk or self._conversation()
+        self._answer_early()
         self._flooded = False
         self._door.recount(self._read_meanwhile)
         if orphans and self._door.count:
@@ -140,6 +145,16 @@ class Guard:
                 f"{names} have the port open, and guard.openers lets {self._door.most} of them: nothing that they "
                 "write moves the robot until one of them closes it"
             )
+
+    def _answer_early(self) -> None:
+        """Answer what was written before anybody could see by whom. It moves nothing."""
+        early, self._early = self._early, b""
+        if self._talk and early:
+            answers = self._talk.asked(early, monotonic_ns())
+            if answers is None:
+                self._talk = self._conversation()
+            for answer in answers or ():
+                self._pty.write(answer)
 
     def _conversation(self) -> Talk | None:
         """A new one; None: nobody has it open, or no service was found yet."""
@@ -177,6 +192,9 @@ class Guard:
         """A program has closed the port or died. Nothing says which of them wrote, so the driver has ended."""
         unread, now_ns = self._pty.clean(), monotonic_ns()
         talk, self._talk = self._talk, None
+        # A program may open the port twice at its start, as Feetech's SDK does, and ask before the first was seen.
+        self._early = unread if self._door.count and not self._wrote else b""
+        self._wrote = False
         if talk:
             # Of several at once nobody can say which of them drove.
             drove = talk.ended(unread, now_ns) or self._door.crowded
@@ -212,6 +230,7 @@ class Guard:
             self._empty_ns = now_ns
         if not chunk or self._talk is None:
             return empty
+        self._wrote = True
         for answer in self._talk.wrote(chunk, now_ns, since_ns):
             self._pty.write(answer)
         if not empty and now_ns - since_ns > LOOK_NS:

@@ -146,7 +146,8 @@ class Pty:
             found = (found + part)[-MOST_READ:]
         self._left = b""
         tty.setraw(self.slave, termios.TCSANOW)
-        termios.tcflush(self.slave, termios.TCIOFLUSH)
+        # Not what is on its way here: the next driver may have written already.
+        termios.tcflush(self.slave, termios.TCIFLUSH)
         self.exclusive(on=False)
         return found
 

@@ -98,6 +98,14 @@ class Talk:
         late = now_ns - since_ns > self._language.patience_ns
         return answers[-1:] if late else answers
 
+    def asked(self, chunk: bytes, now_ns: int) -> list[bytes] | None:
+        """These bytes may be this driver's, or those of the one before. Returns the answers to them; None: they would
+        move a wheel, so nothing of them counts and another conversation must begin."""
+        rows = self._language.wrote(chunk, now_ns)
+        if any(isinstance(row, DriverMotion) and any(row.speeds) for row in rows):
+            return None
+        return [row.data for row in rows if isinstance(row, DriverAnswer)]
+
     def frame(self, now_ns: int) -> bytes:
         """A frame for the board that is not motion, which is due now; empty: none is."""
         if not self._frames or now_ns - self._framed_ns < FRAME_EVERY_NS:

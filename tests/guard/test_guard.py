@@ -6,6 +6,8 @@ import contextlib
 import fcntl
 import os
 import select
+import subprocess
+import sys
 import termios
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,8 +15,11 @@ from pathlib import Path
 import pytest
 
 from bench.guard_scene import GuardScene, Process
-from failstop import helpers
+from failstop import config, helpers
 from failstop.api.errors import FailstopError
+from failstop.guard.door import Door
+from failstop.guard.dry import Nothing
+from failstop.guard.guard import Guard
 from failstop.guard.pty import Pty
 from failstop_lab.trial import Trial, wait_for, write_settings
 from tests.support.boards import own_folder
@@ -166,6 +171,65 @@ def test_a_pin_that_drives_a_motor_is_named_before_a_driver_can_open_the_port(tm
     assert "guard.pins: 13, must be among 4, 7, 8" in done.stderr
     assert "Traceback" not in done.stderr
     assert not os.path.lexists(path)
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "answered"),
+    [
+        pytest.param(b"", b"e\r", b"0 0\r\n", id="it opens the port twice and asks"),
+        pytest.param(b"m 10 10\r", b"", b"", id="the one before would have moved the wheels"),
+        pytest.param(b"m 10 10\r", b"e\r", b"", id="nobody knows who asked"),
+    ],
+)
+def test_what_was_written_before_it_is_known_by_whom_is_answered_and_moves_nothing(
+    tmp_path: Path, first: bytes, then: bytes, answered: bytes
+) -> None:
+    """Feetech's SDK opens the port, closes it and opens it again, and asks within a millisecond."""
+    lines: list[str] = []
+    settings = config.load(None, {"board.kind": "arduino"})
+    pty = Pty(str(tmp_path / "port"))
+    guard = Guard(Nothing(settings, lines.append), pty, Door(pty), lines.append)
+    driver = subprocess.Popen(
+        [sys.executable, "-c", TWICE, pty.name, first.hex(), then.hex()], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert driver.stdin
+    assert driver.stdout
+    try:
+        assert driver.stdout.readline() == b"written\n"
+        for _ in range(4):
+            guard.turn()
+        assert not any("motion:" in line for line in lines)
+        driver.stdin.write(b"\n")
+        driver.stdin.flush()
+        assert driver.stdout.readline() == answered.hex().encode() + b"\n"
+        guard.turn()
+        assert any("motion: wheels 7 7" in line for line in lines), "from now on it drives"
+    finally:
+        driver.kill()
+        driver.communicate()
+        guard.close()
+        pty.close()
+
+
+TWICE = """
+import os, sys
+path, first, then = sys.argv[1], bytes.fromhex(sys.argv[2]), bytes.fromhex(sys.argv[3])
+port = os.open(path, os.O_RDWR | os.O_NOCTTY)
+os.write(port, first)
+os.close(port)
+port = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+os.write(port, then)
+print("written", flush=True)
+sys.stdin.readline()
+try:
+    found = os.read(port, 100)
+except BlockingIOError:
+    found = b""
+os.write(port, b"m 7 7" + bytes([13]))
+print(found.hex(), flush=True)
+sys.stdin.readline()
+"""
+"""A program that opens the port twice; by the second line it has said what it got, and drives."""
 
 
 # The pseudo-terminal.
