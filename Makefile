@@ -7,7 +7,7 @@ EDITABLE := --config-settings editable_mode=compat --editable
 # Behind failstop itself, which it needs: pip looks for what a requirement needs among those before it.
 LAB := --editable lab
 
-.PHONY: demo test quick tried versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech
+.PHONY: demo test quick tried versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech guard
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -193,6 +193,11 @@ fleet: $(VENV)/.dev
 	$(BIN)/python -m tests.fleet.trials
 	$(BIN)/python -m tests.fleet.thousand
 	$(BIN)/python -m tests.fleet.flood
+
+# What the guard port must show (docs/guard.md), in an hour: a million damaged inputs in the language of each board, then bench/guard.py.
+guard: $(VENV)/.dev
+	FAILSTOP_CAMPAIGN=long $(BIN)/pytest --numprocesses $(JOBS) --override-ini timeout=7200 tests/guard -k would_not_move
+	$(BIN)/python -m bench.guard --kills 1000 --seconds 600 --lines 100000
 
 # Two foreign hosts of Feetech servos on the simulated bus: FRAMES of each, and as many answers, are made and read alike.
 FRAMES ?= 100000
