@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import sys
@@ -9,7 +10,10 @@ import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping
 
+from failstop import config
 from failstop.api.errors import FailstopError, Refused
+from failstop.board.driver import language_of
+from failstop.board.interface import Board
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
 from failstop.cli import style
@@ -19,6 +23,7 @@ from failstop.policy.settings import BAUDS
 from failstop.setup.ending import interruptible
 from failstop_lab.probe import judge, ros2, serial
 from failstop_lab.probe.card import Card, Row
+from failstop_lab.probe.guarded import GuardProbe
 from failstop_lab.prove.session import check_free
 from failstop_lab.sim.options import add_board
 
@@ -26,6 +31,7 @@ EXAMPLES = """\
 failstop probe serial --board ugv --port /dev/ttyAMA0
 failstop probe serial --board ugv --port /dev/ttyAMA0 --key
 failstop probe serial --board arduino --port /dev/ttyUSB0 --frame 'm 50 50\\r'
+failstop probe serial --board arduino --port /dev/ttyUSB0 --guard
 failstop probe ros2 --cmd-vel /cmd_vel --odom /odom
 """
 WORD = "spin"
@@ -53,6 +59,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--port", required=True, metavar="PATH", help="the board's port")
     add("--baud", type=int, default=0, metavar="RATE", help="of its firmware (default: as usual for this board)")
     add("--frame", metavar="TEXT", help=r"what your driver sends, as text with \n or 0x.. (default: slow wheels)")
+    add("--guard", action="store_true", help="measure it again through failstop's guard port: a second column")
     add = by_ros.add_argument
     add("--cmd-vel", default="/cmd_vel", metavar="TOPIC", help="where it takes velocities (default: %(default)s)")
     add("--odom", default="/odom", metavar="TOPIC", help="where it says how it moves (default: %(default)s)")
@@ -76,7 +83,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Probe, and print the card; exit code 1 when a row never stopped or was not measured, 2 without consent."""
+    """Probe, and print the card; exit code 1 when a row never stopped or was not measured, 2 without consent. With
+    --guard the guard port decides."""
     if arguments.key and not judge.somebody():
         raise FailstopError("--key needs a terminal, because your key is read there: start the probe in one")
     card, code = _serial(arguments) if arguments.way == "serial" else _ros2(arguments)
@@ -87,7 +95,8 @@ def main(arguments: Namespace) -> int:
             print(f"card: {os.path.relpath(path)}", file=sys.stderr)
     except OSError as error:
         print(f"failstop: the card could not be kept: {error}", file=sys.stderr)
-    return code or int(bool(card.ended) or any(row.never or row.unjudged for row in card.rows))
+    shown = [row.guarded or row for row in card.rows]
+    return code or int(bool(card.ended) or any(row.never or row.unjudged for row in shown))
 
 
 def _ended(card: Card, known: Halted | None, error: BaseException | None) -> int:
@@ -145,12 +154,18 @@ def _serial(arguments: Namespace) -> tuple[Card, int]:
     board = board_of(arguments.board, DIAMETER_M, 0.0, baud=arguments.baud)
     sent = _frame(arguments.frame) if arguments.frame else serial.frame_of(board)
     names = _rows(arguments.rows, serial.ROWS)
+    if arguments.guard and arguments.key:
+        raise FailstopError(
+            "--guard with --key: the board's own reports judge the guard port, so leave one of them out"
+        )
+    if arguments.guard and language_of(arguments.board, config.load(None).flat()) is None:
+        raise FailstopError(f"--guard: {arguments.board} does not say what a driver may write to it (docs/guard.md)")
     if not os.path.exists(arguments.port):
         raise FailstopError(f"no port {arguments.port}: plug the board in; `failstop doctor --quick` lists ports")
     check_free(arguments.port)
     if doubt := serial.check_kind(arguments.port, arguments.board, arguments.baud):
         _say(f"Not known to be {arguments.board}: {doubt}.")
-    _consent(arguments, len(names) + 1)
+    _consent(arguments, len(names) * (2 if arguments.guard else 1) + 1)
     driver = arguments.driver or f"a throw-away process, one frame every {serial.PERIOD_S:g} s"
     card = Card(arguments.robot, arguments.board, arguments.firmware, driver)
     probe = serial.SerialProbe(arguments.port, arguments.board, board, sent, by_key=arguments.key, say=_say)
@@ -167,7 +182,33 @@ def _serial(arguments: Namespace) -> tuple[Card, int]:
                 _say(f"   {row.found}")
     except (KeyboardInterrupt, FailstopError, PortError, OSError) as error:
         return card, _ended(card, probe.outcome, error)
-    return card, _ended(card, probe.outcome, None)
+    code = _ended(card, probe.outcome, None)
+    return card, code or (_guarded(arguments, board, sent, probe, card) if arguments.guard else 0)
+
+
+def _guarded(arguments: Namespace, board: Board, sent: bytes, probe: serial.SerialProbe, card: Card) -> int:
+    """The second column; the exit code of its end, or 0."""
+    if probe.by == judge.PERSON:
+        card.ended = (
+            "the guard port was not measured: nothing that the board reports tells turning wheels from resting ones"
+        )
+        return 1
+    _say("and the same through the guard port: a service starts ...")
+    column = GuardProbe(arguments.port, arguments.board, arguments.baud, board, sent, probe.shaking)
+    try:
+        with interruptible(), column:
+            for at, row in enumerate(card.rows):
+                _say(f"{row.words} ...")
+                found = column.take(row.name)
+                card.rows[at] = dataclasses.replace(row, guarded=found)
+                _say(f"   {found.found}")
+    except KeyboardInterrupt:
+        card.ended = f"{ENDED_BY_PERSON}; the service has stopped the wheels"
+        return OF_CTRL_C
+    except (FailstopError, OSError) as error:
+        card.ended = f"at the guard port: {error}"
+        return 1
+    return 0
 
 
 def _ros2(arguments: Namespace) -> tuple[Card, int]:

@@ -25,6 +25,8 @@ SHARP_S = 0.03
 """A time that is not known as well as that is shown with how well it is."""
 GREEN, AMBER, RED, GREY = "#1a7f37", "#bc4c00", "#cf222e", "#6e7781"
 LINE, WIDTH, MARGIN, TIMES_AT, BY_AT = 34, 760, 32, 450, 570
+GUARDED_AT = 330
+"""Where the times at the bare board are on a card with those of the guard port."""
 VALUE, REASON = 64, 92
 """Letters of a value in the picture, and of why the probe ended."""
 EARLY = "Ended early: "
@@ -50,6 +52,8 @@ class Row:
     """When it failed (CLOCK_MONOTONIC)."""
     unjudged: str = ""
     """Why nobody can say whether the wheels came to rest; empty: somebody has said it."""
+    guarded: Row | None = None
+    """The same failure through failstop's guard port; None: that was not asked for."""
 
     @property
     def measured(self) -> bool:
@@ -134,6 +138,21 @@ class Card:
         return f"{late}: within {self.slowest_s:.2f} s of {failures}.{rest}"
 
     @property
+    def guarded(self) -> bool:
+        """The card has a second column, of the guard port."""
+        return any(row.guarded for row in self.rows)
+
+    def _guarded_verdict(self) -> list[str]:
+        """A sentence of the second column; none without it."""
+        found = [row.guarded for row in self.rows if row.guarded and row.guarded.measured]
+        if not found:
+            return []
+        times = [row.stands_s for row in found if row.stands_s is not None]
+        if len(times) < len(found):
+            return [f"Through the guard port it does NOT stop in {len(found) - len(times)} of {len(found)} failures."]
+        return [f"Through the guard port: within {max(times):.2f} s of each of {len(found)}."]
+
+    @property
     def slowest_s(self) -> float:
         """Of the rows that stopped."""
         return max((row.stands_s or 0.0 for row in self.tried), default=0.0)
@@ -160,6 +179,7 @@ class Card:
                 "skipped": row.skipped,
                 "failed_at_monotonic_s": round(row.cause_ns / 1e9, 6),
                 "give_or_take_s": round(row.within_s, 3),
+                **({"guard_port": _times(row.guarded)} if row.guarded else {}),
             }
             for row in self.rows
         ]
@@ -169,11 +189,14 @@ class Card:
         """For people, in a terminal of 80 columns."""
         edge = "+" + "-" * COLUMNS + "+"
         lines = [edge, _boxed(TITLE), *(_boxed(f"{name:<9} {what}") for name, what in self.heads()), edge]
-        lines.append(_boxed(f"{'what failed':<40} {'wheels stand':>13}  judged by"))
+        heads = f"{'bare board':>12} {'guard port':>12}" if self.guarded else f"{'wheels stand':>13}"
+        wide = 31 if self.guarded else 40
+        lines.append(_boxed(f"{'what failed':<{wide}} {heads}  judged by"))
         for row in self.rows:
-            lines.append(_boxed(f"{row.words:<40} {row.found:>13}  {row.judge}"))
+            times = f"{row.found:>12} {row.guarded.found:>12}" if row.guarded else f"{row.found:>{len(heads)}}"
+            lines.append(_boxed(f"{row.words:<{wide}} {times}  {row.judge}"))
             lines += [_boxed(f"  {row.remark}")] if row.remark else []
-        lines += [edge, _boxed(self.verdict), _boxed(RECKON)]
+        lines += [edge, _boxed(self.verdict), *map(_boxed, self._guarded_verdict()), _boxed(RECKON)]
         why = [(f"{EARLY}{printable(self.ended)}", style.PLAIN)]
         ended = style.wrap(why, COLUMNS - 2, 2) if self.ended else []
         lines += [_boxed(style.plain(line)) for line in ended]
@@ -190,15 +213,20 @@ class Card:
         y += 28
         parts.append(f'<line x1="{MARGIN}" y1="{y}" x2="{WIDTH - MARGIN}" y2="{y}" stroke="#d0d7de"/>')
         y += 24
-        for x, head in ((MARGIN, "what failed"), (TIMES_AT, "wheels stand"), (BY_AT, "judged by")):
+        bare_at = GUARDED_AT if self.guarded else TIMES_AT
+        columns = [(MARGIN, "what failed"), (bare_at, "bare board" if self.guarded else "wheels stand")]
+        columns += [(TIMES_AT, "guard port")] if self.guarded else []
+        for x, head in (*columns, (BY_AT, "judged by")):
             parts.append(_said(x, y, head, colour=GREY, size=13))
         for row in self.rows:
             y += LINE
             parts += [
                 _said(MARGIN, y, row.words, size=18),
-                _said(TIMES_AT, y, row.found, colour=row.colour, size=18, weight="bold"),
+                _said(bare_at, y, row.found, colour=row.colour, size=18, weight="bold"),
                 _said(BY_AT, y, row.judge, colour=GREY, size=13),
             ]
+            if also := row.guarded:
+                parts.append(_said(TIMES_AT, y, also.found, colour=also.colour, size=18, weight="bold"))
             if row.remark:
                 y += 20
                 parts.append(_said(MARGIN, y, row.remark, colour=GREY, size=13))
@@ -207,6 +235,9 @@ class Card:
         never = any(row.never for row in self.rows)
         colour = RED if never else GREY if not self.measured else AMBER if self.slowest_s >= BAD_S else GREEN
         parts.append(_said(MARGIN, y + 36, self.verdict, colour=colour, size=20, weight="bold"))
+        for line in self._guarded_verdict():
+            y += 28
+            parts.append(_said(MARGIN, y + 36, line, size=20, weight="bold"))
         parts.append(_said(MARGIN, y + 62, RECKON, colour=GREY, size=14))
         if self.ended:
             y += 26
@@ -224,6 +255,11 @@ class Card:
             with open(base + end, "w", encoding="utf-8") as file:
                 file.write(made[end])
         return [base + end for end in FORMATS]
+
+
+def _times(row: Row) -> dict[str, Any]:
+    stands_s = None if row.stands_s is None else round(row.stands_s, 3)
+    return {"stands_s": stands_s, "never": row.never, "not_measured": row.unjudged, "skipped": row.skipped}
 
 
 def _boxed(line: str) -> str:

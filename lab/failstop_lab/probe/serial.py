@@ -48,7 +48,7 @@ ROWS = {
     "silence": "its driver falls silent",
     "plug": "the plug is pulled",
 }
-_SIGNALS = {
+SIGNALS = {
     "sigkill": signal.SIGKILL,
     "sigstop": signal.SIGSTOP,
     "close": signal.SIGUSR2,
@@ -89,6 +89,11 @@ class SerialProbe:
         if self._by_key:
             return judge.PERSON
         return judge.GYRO if self._board.observed_by == BY_IMU else judge.OWN_WORD
+
+    @property
+    def shaking(self) -> judge.Shaking | None:
+        """How the IMU tells turning wheels from resting ones; None: the wheels' own reports do."""
+        return self._shaking
 
     @property
     def watcher_pid(self) -> int:
@@ -238,7 +243,7 @@ class SerialProbe:
             judge.key_pressed()
         self._samples.clear()
         cause_ns = time.monotonic_ns()
-        os.kill(self._driver.pid, _SIGNALS[name])
+        os.kill(self._driver.pid, SIGNALS[name])
         if name in CLOSES:
             self._lower_lines()
         stands_ns = self._stands(cause_ns)

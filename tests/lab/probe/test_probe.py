@@ -30,6 +30,7 @@ from failstop_lab.probe.serial import ROWS, SerialProbe, check_kind, frame_of
 from failstop_lab.sim.client import SimBoard
 from failstop_lab.trial import wait_for
 from tests.support.amounts import LONG, amount
+from tests.support.boards import own_folder
 from tests.support.commands import FAILSTOP, failstop
 from tests.support.pages import ROOT, blocks
 from tests.support.typist import Typist
@@ -330,3 +331,51 @@ def test_wrong_options_are_told() -> None:
         assert done.returncode == 1
         assert f"no process {pid}: " in done.stderr
     assert "no row 'nap'" in failstop("probe", "serial", "--port", "/nowhere", "--board", "ugv", "--rows", "nap").stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["arduino", "rrc"])
+def test_the_same_driver_fails_at_the_bare_board_and_at_the_guard_port(kind: str, tmp_path: Path) -> None:
+    """Two columns of one card; by the board's own word the wheels stand at the end, and no service is left."""
+    words = ("probe", "serial", "--board", kind, "--port", str(tmp_path / "b"), "--yes", "--json", "--guard")
+    with SimBoard(tmp_path / "b", board=kind) as board:
+        done = failstop(*words, "--rows", "silence,plug", "--out", str(tmp_path / "card"))
+        assert not any(board.wheels())
+    card = json.loads(done.stdout)
+    assert card["ended"] == "", done.stderr
+    silence, plug = card["rows"]
+    assert silence["never"] is (kind == "rrc")
+    assert not silence["guard_port"]["never"]
+    assert silence["guard_port"]["stands_s"] < (silence["stands_s"] or math.inf)
+    assert plug["guard_port"]["skipped"]
+    assert done.returncode == 0, "through the guard port it stops"
+    assert "guard port" in Path(tmp_path / "card.txt").read_text()
+    left = [each.info["cmdline"] for each in psutil.process_iter(["cmdline"]) if str(tmp_path) in str(each.info)]
+    assert left == []
+
+
+def test_a_card_with_two_columns_fits_a_terminal_and_says_both() -> None:
+    guarded = Row("sigkill", ROWS["sigkill"], 0.03, judge.OWN_WORD)
+    card = Card(
+        "a tank", "ugv", "1.0", "a node", [Row("sigkill", ROWS["sigkill"], None, judge.OWN_WORD, guarded=guarded)]
+    )
+    text = card.text()
+    assert {len(line) for line in text.splitlines()} == {80}
+    assert " never       0.03 s " in text
+    assert "Through the guard port: within 0.03 s of each of 1." in text
+    assert ElementTree.fromstring(card.svg()).tag.endswith("svg")
+    assert ">0.03 s<" in card.svg()
+    late = dataclasses.replace(bare, guarded=dataclasses.replace(guarded, stands_s=None))
+    card.rows[:] = [late]
+    assert "Through the guard port it does NOT stop in 1 of 1 failures." in card.text()
+
+
+def test_the_guard_port_is_not_offered_where_nobody_could_judge_or_speak_it(tmp_path: Path) -> None:
+    (tmp_path / "b").touch()
+    words = ("probe", "serial", "--port", str(tmp_path / "b"), "--yes", "--guard")
+    kind = own_folder(tmp_path / "tank")
+    wire = tmp_path / "tank" / "wire.py"
+    wire.write_text(wire.read_text().replace("    driver=_driver,\n", ""))
+    done = failstop(*words, "--board", kind)
+    assert done.returncode == 1
+    assert f"--guard: {kind} does not say what a driver may write to it" in done.stderr
