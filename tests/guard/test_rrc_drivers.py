@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from bench.guard_scene import GuardScene, Process
+from failstop.board.rrc.framing import BUZZER
 from failstop_lab.trial import wait_for
 from tests.support.amounts import amount
 
@@ -132,8 +133,8 @@ def test_a_node_drives_and_hears_the_imu_as_at_the_bare_board(rrc: GuardScene) -
     assert driver.lines[0] == "open None", "no servo was there to be read, and the node went on"
     lines = [driver.line() for _ in range(10)]
     assert all(line == "0 1.0" for line in lines), lines
-    assert rrc.guard
-    rrc.guard.until("the buzzer (2)")
+    tones = [event.data for event in rrc.trial.board.events() if event.func == BUZZER]
+    assert tones == [bytes.fromhex("6c07640084030100")], "1900 Hz, on for 0.1 s, off for 0.9 s, once"
 
 
 @pytest.mark.claim("GUARD-1")

@@ -356,9 +356,8 @@ def test_the_same_driver_fails_at_the_bare_board_and_at_the_guard_port(kind: str
 
 def test_a_card_with_two_columns_fits_a_terminal_and_says_both() -> None:
     guarded = Row("sigkill", ROWS["sigkill"], 0.03, judge.OWN_WORD)
-    card = Card(
-        "a tank", "ugv", "1.0", "a node", [Row("sigkill", ROWS["sigkill"], None, judge.OWN_WORD, guarded=guarded)]
-    )
+    bare = Row("sigkill", ROWS["sigkill"], None, judge.OWN_WORD, guarded=guarded)
+    card = Card("a tank", "ugv", "1.0", "a node", [bare])
     text = card.text()
     assert {len(line) for line in text.splitlines()} == {80}
     assert " never       0.03 s " in text
