@@ -5,12 +5,16 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+# Since Iron, messages check the types of their fields only where this asks for it, and read it as they are imported.
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor

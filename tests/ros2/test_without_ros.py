@@ -15,6 +15,7 @@ import pytest
 
 from failstop.cli import missing
 from failstop.cli.missing import DISTRIBUTIONS, INCOMPLETE
+from failstop.ros2.contract import SETTINGS
 
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH = ROOT / "failstop/ros2/packages/failstop_ros2/launch/failstop.launch.py"
@@ -94,6 +95,20 @@ def test_a_module_of_failstops_own_that_fails_is_a_defect() -> None:
         missing.say(ImportError("no such name", name="failstop.api.robot"))
 
 
+@pytest.mark.starts
+@pytest.mark.parametrize("own", [False, True])
+def test_the_unit_takes_the_newest_ros_or_a_workspace_on_top_of_it(tmp_path: Path, own: bool) -> None:
+    unit = (ROOT / "systemd/failstop-ros2@.service").read_text()
+    (line,) = re.findall(r"^ExecStart=/bin/sh -c '(.+)' sh ", unit, re.MULTILINE)
+    for name in ("opt/humble", "opt/jazzy", "workspace"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "setup.sh").write_text(f"ROS={name}\n")
+    script = line.replace("$$", "$").replace("/opt/ros/", f"{tmp_path}/opt/").replace('exec "$@"', 'echo "$ROS"')
+    environment = {"FAILSTOP_ROS_SETUP": f"{tmp_path}/workspace/setup.sh"} if own else {}
+    done = subprocess.run(["/bin/sh", "-c", script], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ("workspace" if own else "opt/jazzy")
+
+
 def test_systemd_does_not_start_it_again() -> None:
     unit = (ROOT / "systemd/failstop-ros2@.service").read_text()
     assert f"\nRestartPreventExitStatus={INCOMPLETE}\n" in unit
@@ -106,9 +121,15 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Any:
     def part(**words: Any) -> types.SimpleNamespace:
         return types.SimpleNamespace(**words)
 
+    class Argument(str):
+        """LaunchConfiguration: its value is that of the context, here a dict."""
+
+        def perform(self, context: dict[str, str]) -> str:
+            return context[self]
+
     names = {
         "launch": ("LaunchContext", "LaunchDescription"),
-        "launch.actions": ("DeclareLaunchArgument", "EmitEvent"),
+        "launch.actions": ("DeclareLaunchArgument", "EmitEvent", "OpaqueFunction"),
         "launch.conditions": ("IfCondition",),
         "launch.events": (),
         "launch.events.process": ("ProcessExited", "ShutdownProcess"),
@@ -119,7 +140,9 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Any:
     for module, attributes in names.items():
         made = types.ModuleType(module)
         for attribute in attributes:
-            setattr(made, attribute, lambda *_, **words: part(**words))
+            setattr(made, attribute, lambda *names, **words: part(names=names, **words))
+        if module == "launch.substitutions":
+            made.LaunchConfiguration = Argument  # type: ignore[attr-defined]
         monkeypatch.setitem(sys.modules, module, made)
     spec = importlib.util.spec_from_file_location("failstop_launch", LAUNCH)
     assert spec
@@ -127,6 +150,48 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Any:
     found = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(found)
     return found
+
+
+def started(launch: Any, **given: str) -> list[Any]:
+    """What it starts with these arguments."""
+    (entities,) = launch.generate_launch_description().names
+    declared = {entity.names[0]: entity.default_value for entity in entities[:-1]}
+    assert set(given) <= set(declared)
+    found: list[Any] = entities[-1].function(declared | given)
+    return found
+
+
+def test_launch_gives_the_bridge_a_file_of_parameters_and_what_is_typed(launch: Any) -> None:
+    plain, laser, imu = started(launch)
+    assert (plain.parameters, plain.name) == ([], "node")
+    assert [words[-3:] for words in (laser.arguments, imu.arguments)] == [
+        ["base_link", "--child-frame-id", "laser"],
+        ["base_link", "--child-frame-id", "imu_link"],
+    ]
+    bridge, _, imu = started(
+        launch, params_file="mine.yaml", publish_tf="true", base_frame_id="base", imu_frame_id="gyro"
+    )
+    assert bridge.parameters == [
+        "mine.yaml",
+        {name: name for name in ("publish_tf", "base_frame_id", "imu_frame_id")},
+    ], "an argument wins over the file, and one that is not given leaves the file's"
+    assert imu.arguments[-3:] == ["base", "--child-frame-id", "gyro"]
+
+
+def test_the_file_to_copy_and_the_launch_file_have_the_parameters_of_the_bridge(launch: Any) -> None:
+    declared = {row.name: row.default for row in SETTINGS}
+    assert set(launch.PARAMETERS) == set(declared)
+    text = (LAUNCH.parents[1] / "config/bridge.yaml").read_text()
+    lines = re.findall(r"^    (# )?(\w+): (.+)$", text, re.MULTILINE)
+    assert {name for _, name, _ in lines} == set(declared)
+    # ROS can't tell of what type an empty list is, so the bridge's default has one empty name.
+    words = {True: "true", False: "false", "['']": "[]"}
+    defaults = {
+        name: words.get(value if isinstance(value, bool) else str(value), str(value))
+        for name, value in declared.items()
+    }
+    assert {name: default for name, (default, _) in launch.PARAMETERS.items()} == defaults
+    assert {name: value for commented, name, value in lines if not commented}.items() <= defaults.items()
 
 
 def test_launch_does_not_start_it_again(launch: Any) -> None:

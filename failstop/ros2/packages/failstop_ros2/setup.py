@@ -11,9 +11,11 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", ["config/bridge.yaml"]),
         (f"share/{NAME}/launch", ["launch/failstop.launch.py"]),
     ],
     install_requires=["setuptools"],
+    tests_require=["pytest"],
     zip_safe=True,
     maintainer="failstop developers",
     maintainer_email="failstop@example.org",

@@ -7,13 +7,13 @@ import sys
 
 INCOMPLETE = 78
 """The exit code with which the launch file does not start it again, as failstop's own for a missing package."""
-INSTALLED = "/opt/failstop/lib/python{}.{}/site-packages"
+INSTALLED = "/opt/failstop/site-packages"
 
 
 def main() -> int:
     """Run the bridge of the failstop that is installed; returns the exit code."""
     # Behind everything else: what ROS was built with comes first, numpy above all.
-    sys.path += glob.glob(INSTALLED.format(*sys.version_info[:2]))
+    sys.path += glob.glob(INSTALLED)
     try:
         from failstop.cli import main as cli
     except ImportError as error:

@@ -6,7 +6,7 @@ The service itself is none of ROS's: systemd starts it, and it makes the robot s
 from __future__ import annotations
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent
+from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.events.process import ProcessExited, ShutdownProcess
 from launch.substitutions import LaunchConfiguration
@@ -15,14 +15,26 @@ from launch_ros.actions import Node
 ARGUMENTS = {
     "name": ("failstop", "the service's name"),
     "namespace": ("", "the namespace of the bridge"),
+    "node": ("rosorin_board_driver", "the name of the bridge's node"),
+    "params_file": ("", "a file with the bridge's parameters, such as a copy of config/bridge.yaml"),
+    "log_level": ("info", "debug, info, warn, error or fatal"),
     "cmd_vel": ("cmd_vel", "the topic of the velocity commands"),
     "scan": ("scan", "the topic of the obstacle sensor"),
-    "cmd_vel_type": ("auto", "auto, twist or stamped"),
-    "publish_tf": ("false", "publish odom to base_link; else an EKF does"),
-    "static_tf": ("true", "publish where laser and imu_link are on base_link"),
+    "laser_frame_id": ("laser", "frame of the obstacle sensor, for static_tf"),
+    "static_tf": ("true", "publish where the laser and the IMU are on the base"),
     **{f"laser_{part}": ("0", f"of laser on base_link: {part}") for part in ("x", "y", "z", "yaw", "pitch", "roll")},
     **{f"imu_{part}": ("0", f"of imu_link on base_link: {part}") for part in ("x", "y", "z", "yaw", "pitch", "roll")},
 }
+
+PARAMETERS = {
+    "cmd_vel_type": ("auto", "auto, twist or stamped"),
+    "allowed_publishers": ("[]", "nodes that may publish the velocity commands, such as [/velocity_smoother]; []: any"),
+    "publish_tf": ("false", "publish the transform from the odometry's frame to the base; else an EKF does"),
+    "odom_frame_id": ("odom", "frame of wheel/odom"),
+    "base_frame_id": ("base_link", "child frame of wheel/odom"),
+    "imu_frame_id": ("imu_link", "frame of imu/data_raw"),
+}
+"""Parameters of the bridge. One that is not given as an argument is that of params_file, or this default."""
 
 INCOMPLETE = 78
 """The bridge ends with this code when ROS or a package that it needs is missing, and says which."""
@@ -35,18 +47,47 @@ def _ended(event: ProcessExited, _context: LaunchContext) -> EmitEvent | None:
     return EmitEvent(event=ShutdownProcess(process_matcher=lambda action: action is event.action))
 
 
-def _placed(frame: str, prefix: str) -> Node:
-    """A static transform from base_link."""
+def _argument(context: LaunchContext, name: str) -> str:
+    """An argument of this launch; of a parameter that is not given, its default."""
+    given: str = LaunchConfiguration(name).perform(context)
+    return given or (PARAMETERS[name][0] if name in PARAMETERS else "")
+
+
+def _placed(context: LaunchContext, frame: str, prefix: str) -> Node:
+    """A static transform from the base."""
     words = []
     for part in ("x", "y", "z", "yaw", "pitch", "roll"):
         words += [f"--{part}", LaunchConfiguration(f"{prefix}_{part}")]
+    base = _argument(context, "base_frame_id")
     return Node(
         package="tf2_ros",
         executable="static_transform_publisher",
-        name=f"base_link_to_{frame}",
-        arguments=[*words, "--frame-id", "base_link", "--child-frame-id", frame],
+        name=f"{base}_to_{frame}".replace("/", "_"),
+        arguments=[*words, "--frame-id", base, "--child-frame-id", frame],
         condition=IfCondition(LaunchConfiguration("static_tf")),
     )
+
+
+def _nodes(context: LaunchContext) -> list[Node]:
+    """The bridge, with the parameters of the file and, above them, the arguments; and the static transforms."""
+    file = _argument(context, "params_file")
+    given = {name: LaunchConfiguration(name) for name in PARAMETERS if LaunchConfiguration(name).perform(context)}
+    bridge = Node(
+        package="failstop_ros2",
+        executable="bridge",
+        name=LaunchConfiguration("node"),
+        namespace=LaunchConfiguration("namespace"),
+        arguments=["--name", LaunchConfiguration("name")],
+        ros_arguments=["--log-level", LaunchConfiguration("log_level")],
+        parameters=[*([file] if file else []), *([given] if given else [])],
+        remappings=[("cmd_vel", LaunchConfiguration("cmd_vel")), ("scan", LaunchConfiguration("scan"))],
+        respawn=True,
+        respawn_delay=1.0,
+        on_exit=_ended,
+        output="screen",
+    )
+    laser, imu = _argument(context, "laser_frame_id"), _argument(context, "imu_frame_id")
+    return [bridge, _placed(context, laser, "laser"), _placed(context, imu, "imu")]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -55,21 +96,8 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
     ]
-    bridge = Node(
-        package="failstop_ros2",
-        executable="bridge",
-        namespace=LaunchConfiguration("namespace"),
-        arguments=["--name", LaunchConfiguration("name")],
-        parameters=[
-            {
-                "cmd_vel_type": LaunchConfiguration("cmd_vel_type"),
-                "publish_tf": LaunchConfiguration("publish_tf"),
-            }
-        ],
-        remappings=[("cmd_vel", LaunchConfiguration("cmd_vel")), ("scan", LaunchConfiguration("scan"))],
-        respawn=True,
-        respawn_delay=1.0,
-        on_exit=_ended,
-        output="screen",
-    )
-    return LaunchDescription([*declared, bridge, _placed("laser", "laser"), _placed("imu_link", "imu")])
+    declared += [
+        DeclareLaunchArgument(name, default_value="", description=f"{text} (default: {default}, or params_file's)")
+        for name, (default, text) in PARAMETERS.items()
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=_nodes)])
