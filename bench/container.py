@@ -1,6 +1,7 @@
 """A container whose first process is this machine's own systemd: units are tried on the real thing, in a second.
 
-Its root is an overlay of the machine's files, so that it may write anywhere and the machine never sees it. It has its
+Its root is an overlay of the machine's files, so that it may write anywhere and the machine never sees it; or of those
+of another system, which then brings its own systemd. It has its
 own process, mount, network, host name, IPC and control group namespaces, and of the machine's units only those of BASE.
 Shared with the machine are /dev/pts, so that a simulated board out here is a board in there, and the monotonic clock.
 Not as on a machine: no udev and no device units, no memory or processor limits, and rlimits end at the caller's own.
@@ -29,8 +30,8 @@ from failstop import config
 from failstop_lab.trial import TrialError, wait_for
 
 SYSTEMD = "/lib/systemd/systemd"
-VENDOR = os.path.realpath("/lib/systemd/system")
-"""Where the machine has the units that come with its packages."""
+UNITS = "usr/lib/systemd/system"
+"""Where a system has the units that come with its packages, unless /lib is a folder of its own."""
 TOOLS = (SYSTEMD, "systemctl", "journalctl", "unshare", "nsenter", "setpriv", "pivot_root")
 SHELL_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 NAMESPACES = ("--pid", "--mount", "--uts", "--ipc", "--net", "--cgroup")
@@ -68,11 +69,11 @@ groupdel --prefix "$root" failstop 2>/dev/null || :
 BOOT = (
     """
 set -eu
-base=$1 root=$1/root vendor=$2 systemd=$3
+base=$1 root=$1/root vendor=$2 systemd=$3 lower=$4
 mount --make-rprivate /
 mount -t tmpfs -o mode=755 overlay "$base/changes"
 mkdir "$base/changes/files" "$base/changes/work"
-mount -t overlay -o "lowerdir=/,upperdir=$base/changes/files,workdir=$base/changes/work" overlay "$root"
+mount -t overlay -o "lowerdir=$lower,upperdir=$base/changes/files,workdir=$base/changes/work" overlay "$root"
 mount -t proc -o nosuid,nodev,noexec proc "$root/proc"
 mount --bind "$root/proc/sys" "$root/proc/sys"
 mount -o remount,bind,ro "$root/proc/sys"
@@ -151,9 +152,18 @@ class Container:
 
     _numbers = itertools.count()
 
-    def __init__(self, units: Mapping[str, str] | None = None, binds: Sequence[Bind] = (), setup: str = "") -> None:
+    def __init__(
+        self,
+        units: Mapping[str, str] | None = None,
+        binds: Sequence[Bind] = (),
+        setup: str = "",
+        system: Path = Path("/"),
+    ) -> None:
         """`units`: text by name, below /etc/systemd/system; `setup`: shell commands that run inside before systemd
-        does. Raises ContainerMissing."""
+        does; `system`: the folder of another system, which is only read. Raises ContainerMissing."""
+        self._system = system
+        merged = system / UNITS
+        self._vendor = f"/{UNITS}" if merged.is_dir() else "/lib/systemd/system"
         self._process: subprocess.Popen[bytes] | None = None
         self._directory = tempfile.TemporaryDirectory(prefix=f"{DIRECTORY}{os.getpid()}-")
         self.base = Path(self._directory.name)
@@ -190,7 +200,7 @@ class Container:
         for name in ("changes", "root", "units", "vendor"):
             (self.base / name).mkdir()
         for name in BASE:
-            if (found := Path(VENDOR, name)).exists():
+            if (found := self._system / self._vendor.lstrip("/") / name).exists():
                 shutil.copy(found, self.base / "vendor" / name)
         for target, wanted in WANTED.items():
             wants = self.base / "vendor" / f"{target}.wants"
@@ -208,7 +218,7 @@ class Container:
         start_s = time.monotonic()
         enter = 'echo $$ > "$0/cgroup.procs"; exec "$@"'
         boot = ["unshare", *NAMESPACES, "--fork", "--kill-child=KILL", "sh", "-c", BOOT, "boot"]
-        words = [*boot, str(self.base), VENDOR, SYSTEMD]
+        words = [*boot, str(self.base), self._vendor, SYSTEMD, str(self._system)]
         with open(self.base / "log", "wb") as out:
             self._process = subprocess.Popen(
                 ["setpriv", "--pdeathsig", "KILL", "sh", "-c", enter, str(self._group), *words],

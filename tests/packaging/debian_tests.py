@@ -6,7 +6,6 @@ removes and purges in a fresh Debian, and looks at what is left.
 
 from __future__ import annotations
 
-import platform
 import re
 import shutil
 import subprocess
@@ -18,6 +17,7 @@ from pathlib import Path
 from bench import BenchError, stats
 from bench.container import Bind, Container
 from bench.report import progress
+from tests.packaging import debian
 
 ROOT = Path(__file__).resolve().parents[2]
 TESTS = ROOT / "packaging/deb/tests"
@@ -30,6 +30,13 @@ useradd --create-home {USER}
 # No network in there, and all that the packages need is installed: apt would ask for its lists for minutes.
 rm -f /etc/apt/sources.list /etc/apt/sources.list.d/*
 """
+INSIDE = (
+    *("systemd", "systemd-sysv", "init-system-helpers", "udev", "procps", "python3", "openssl", "autopkgtest"),
+    *("libstdc++6", "dpkg-dev"),
+)
+"""Packages of a system that boots in a container; libstdc++6 for packages of before 0.2, which depend on it."""
+LEFT = ("--ignore=/var/cache/debconf/tmp.ci",)
+"""debconf of Debian 13 leaves its folder for any package that it has unpacked."""
 BOOTS = ("systemd", "systemd-sysv", "init-system-helpers")
 """Packages of every Debian that boots. As dependencies that piuparts installs and purges, they would leave folders of
 systemd's own (/root/.ssh, /var/lib/private and others), which count as failstop's then."""
@@ -54,12 +61,16 @@ def field(package: Path, name: str) -> str:
     return subprocess.run(words, check=True, capture_output=True, text=True).stdout.strip()
 
 
-def autopkgtest(packages: Sequence[Path]) -> stats.Row:
-    """Its verdict on each test. Raises BenchError, ContainerMissing."""
-    measure = "autopkgtest: tests of the installed packages"
-    if not shutil.which("autopkgtest"):
-        return skipped(measure, "autopkgtest")
-    progress("autopkgtest")
+def booted(suite: str) -> Path:
+    """A fresh system of a suite with a systemd and all that the packages and these tests need, since a container has no
+    network. Raises BenchError."""
+    return debian.unpacked(suite, INSIDE)
+
+
+def autopkgtest(packages: Sequence[Path], suite: str) -> stats.Row:
+    """Its verdict on each test, on a Debian. Raises BenchError, ContainerMissing."""
+    measure = f"{title(suite)}: autopkgtest of the installed packages"
+    progress(f"autopkgtest, {suite}")
     with tempfile.TemporaryDirectory(prefix="failstop-autopkgtest-") as name:
         folder = Path(name)
         folder.chmod(0o755)
@@ -68,7 +79,7 @@ def autopkgtest(packages: Sequence[Path]) -> stats.Row:
             shutil.copy(path, folder)
         inside = [f"/packages/{path.name}" for path in packages]
         words = ("autopkgtest", "--no-built-binaries", "--user", USER, *inside, "/packages/source", "--", "null")
-        with Container({}, [Bind(name, "/packages")], SETUP) as box:
+        with Container({}, [Bind(name, "/packages")], SETUP, booted(suite)) as box:
             done = box.run(*words, check=False, timeout_s=TESTED_S)
     told = dict(re.findall(r"^(\S+)\s+(PASS|FAIL|SKIP|FLAKY)", done.stdout, re.MULTILINE))
     wanted = re.findall(r"^Tests: (\S+)$", (TESTS / "control").read_text(), re.MULTILINE)
@@ -79,22 +90,35 @@ def autopkgtest(packages: Sequence[Path]) -> stats.Row:
     return stats.Row(measure, found, f"{len(wanted)} passed", len(passed) == len(wanted), {"told": told})
 
 
-def piuparts(packages: Sequence[Path]) -> stats.Row:
-    """Its verdict on installation, removal and purge in a fresh Debian of this machine's release, made from the package
-    index. Raises BenchError."""
-    measure = "piuparts: a purge in a fresh Debian leaves it as it was"
+def title(suite: str) -> str:
+    """A suite as people name it."""
+    return f"Debian {debian.SUITES[suite].number}"
+
+
+def piuparts(packages: Sequence[Path], suite: str) -> stats.Row:
+    """Its verdict on installation, removal and purge in a fresh Debian, made from the package index. Raises
+    BenchError."""
+    measure = f"{title(suite)}: a purge leaves it as it was (piuparts)"
     for program in ("piuparts", "mmdebstrap"):
         if not shutil.which(program):
             return skipped(measure, program)
-    suite = platform.freedesktop_os_release()["VERSION_CODENAME"]
-    progress("piuparts")
+    progress(f"piuparts, {suite}")
     with tempfile.TemporaryDirectory(prefix="failstop-piuparts-") as name:
         base = Path(name, "debian.tar.gz")
         make = ("mmdebstrap", "--quiet", "--variant=minbase", f"--include={','.join(BOOTS)}", suite, str(base))
         made = subprocess.run(make, capture_output=True, text=True, check=False)
         if made.returncode:
             raise BenchError(f"no fresh Debian can be made: {made.stdout[-2000:]}{made.stderr[-2000:]}")
-        words = ("piuparts", "--distribution", suite, "--basetgz", str(base), "--no-eatmydata", *map(str, packages))
+        words = (
+            "piuparts",
+            "--distribution",
+            suite,
+            "--basetgz",
+            str(base),
+            "--no-eatmydata",
+            *LEFT,
+            *map(str, packages),
+        )
         done = subprocess.run(words, capture_output=True, text=True, check=False)
     wrong = re.findall(r"ERROR: (.*)", done.stdout + done.stderr)
     if done.returncode:

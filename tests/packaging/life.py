@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
 import io
 import os
 import re
@@ -27,10 +28,12 @@ from bench.report import progress
 from bench.service_scene import READY
 from failstop_lab.sim.client import Event
 from tests.packaging import debian_tests
-from tests.support.package_scene import BOARD, SETTINGS, UNIT, Place, machine
+from tests.support.package_scene import BOARD, OLDER, SETTINGS, UNIT, Place, machine
 
 ROOT = Path(__file__).resolve().parents[2]
 ROUNDS = 3
+SUITES = ("bookworm", "trixie")
+"""The Debian releases that it is tried on; the first can install the last release."""
 WITHOUT_A_TAG = "42a3b47e202b"
 """The commit whose package stands for the last release, as long as no release has a tag."""
 AWAY_S = 5.0
@@ -59,6 +62,7 @@ def main() -> int:
     add = parser.add_argument
     add("--debs", type=Path, help="the folder of a release (default: packages of this checkout)")
     add("--last", default="", help="the last release: a .deb, or a commit to build it from (default: the newest tag)")
+    add("--suites", default=",".join(SUITES), help=f"Debian releases (default: {','.join(SUITES)})")
     add("--rounds", type=int, default=ROUNDS, help=f"upgrades, each from the last release (default: {ROUNDS})")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="failstop-packages-") as folder:
@@ -66,8 +70,12 @@ def main() -> int:
             new = newest(arguments.debs, Path(folder))
             old = last(arguments.last, Path(folder))
             ours = fitting(new, architecture())
-            rows = [*lintian(new), debian_tests.autopkgtest(ours), debian_tests.piuparts(ours)]
-            rows += lived(old, ours[0], arguments.rounds)
+            rows = lintian(new)
+            for suite in arguments.suites.split(","):
+                rows += [debian_tests.autopkgtest(ours, suite), debian_tests.piuparts(ours, suite)]
+                # The last release may be for one Debian alone; elsewhere it is this one, as an older version.
+                before = old if suite == SUITES[0] else older(ours[0], Path(folder))
+                rows += lived(before, ours[0], arguments.rounds, suite)
         except (BenchError, ContainerMissing) as error:
             print(f"failstop: {error}", file=sys.stderr)
             return 1
@@ -159,9 +167,28 @@ def lintian(packages: list[Path]) -> list[stats.Row]:
     ]
 
 
-def lived(old: Path, new: Path, rounds: int) -> list[stats.Row]:
-    """An installation, upgrades from the last release, a removal, a purge. Raises BenchError, ContainerMissing."""
-    with machine() as place:
+def older(package: Path, folder: Path) -> Path:
+    """The same package with a lower version. Raises BenchError."""
+    root, out = folder / "older", folder / "older.deb"
+    shutil.rmtree(root, ignore_errors=True)
+    subprocess.run(["dpkg-deb", "--raw-extract", package, root], check=True)
+    control = root / "DEBIAN/control"
+    control.write_text(re.sub("^Version: .*", f"Version: {OLDER}", control.read_text(), flags=re.MULTILINE))
+    done = subprocess.run(["dpkg-deb", "--root-owner-group", "-Znone", "--build", root, out], capture_output=True)
+    if done.returncode:
+        raise BenchError(f"no older package can be made: {done.stderr.decode()}")
+    return out
+
+
+def lived(old: Path, new: Path, rounds: int, suite: str) -> list[stats.Row]:
+    """An installation, upgrades from the last release, a removal, a purge, on a Debian. Raises BenchError,
+    ContainerMissing."""
+    rows = _lived(old, new, rounds, debian_tests.booted(suite))
+    return [dataclasses.replace(row, measure=f"{debian_tests.title(suite)}: {row.measure}") for row in rows]
+
+
+def _lived(old: Path, new: Path, rounds: int, system: Path) -> list[stats.Row]:
+    with machine(system) as place:
         for name, path in (("old", old), ("new", new)):
             shutil.copy(path, place.packages / f"{name}.deb")
         before = place.files()

@@ -82,8 +82,9 @@ class Place:
 
 
 @contextlib.contextmanager
-def machine() -> Iterator[Place]:
-    """One without failstop, whose packages lie in /packages. Raises ContainerMissing."""
+def machine(system: Path = Path("/")) -> Iterator[Place]:
+    """One without failstop, whose packages lie in /packages. `system`: the folder of another system than this
+    machine's. Raises ContainerMissing."""
     with contextlib.ExitStack() as stack:
         directory = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="failstop-install-")))
         directory.chmod(0o755)
@@ -92,7 +93,7 @@ def machine() -> Iterator[Place]:
         binds = [Bind(str(directory / part), f"/{part}") for part in ("board", "packages")]
         board = stack.enter_context(SimBoard(directory / "board" / "port", mode=0o666))
         # Images for containers forbid the start of services by packages.
-        box = stack.enter_context(Container({}, binds, "rm -f /usr/sbin/policy-rc.d"))
+        box = stack.enter_context(Container({}, binds, "rm -f /usr/sbin/policy-rc.d", system))
         # No index of every manual page of the machine after each installation.
         box.path("/var/lib/man-db/auto-update").unlink(missing_ok=True)
         yield Place(box, board, directory / "packages")

@@ -1,0 +1,218 @@
+"""What a new user does, in a fresh Debian 12, 13 and testing: `python -m tests.packaging.fresh` (`make fresh`).
+
+The packages of a release are installed by apt, or its wheels by pip. Then the demo runs, a program of the user's own
+drives and is killed, and the stand test runs on the simulated board. Debian 13 on arm64 is an emulated one: qemu-user
+runs its programs, and this machine's kernel serves them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from packaging.requirements import Requirement
+
+from bench import BenchError
+from tests.packaging import debian
+
+OWN = '''\
+"""A program that drives a simulated board is killed while it drives, and the board says when the wheels stand."""
+
+import signal
+import subprocess
+import sys
+import time
+
+from failstop_lab.sim.client import SimBoard
+
+BOARD, LIMIT_S = "/run/board", float(sys.argv[1])
+DRIVE = """
+import time
+from failstop import Robot
+with Robot() as robot:
+    while True:
+        robot.sensed()
+        robot.drive(0.1, 0.0, 0.0)
+        time.sleep(0.05)
+"""
+
+with SimBoard(BOARD) as board:
+    service = subprocess.Popen(["failstop", "run", "--device", BOARD], stdout=subprocess.DEVNULL)
+    until = time.monotonic() + LIMIT_S
+    while subprocess.run(["failstop", "enable"], check=False).returncode:
+        assert time.monotonic() < until, "motion can't be enabled"
+        time.sleep(0.5)
+    program = subprocess.Popen([sys.executable, "-c", DRIVE])
+    board.wait_wheels(True, LIMIT_S)
+    program.send_signal(signal.SIGKILL)
+    start = time.monotonic()
+    board.wait_wheels(False, LIMIT_S)
+    print(f"own program: killed while it drove, the wheels stood after {(time.monotonic() - start) * 1e3:.0f} ms")
+    service.send_signal(signal.SIGINT)
+    assert service.wait(LIMIT_S) == 0, service.returncode
+'''
+APT = """
+apt-get update -qq
+DEBIAN_FRONTEND=noninteractive apt-get install --yes -qq {debs} >/run/apt 2>&1 || {{ cat /run/apt; exit 1; }}
+python=/opt/failstop/bin/python3
+"""
+PIP = """
+python3 -m venv /srv/venv
+/srv/venv/bin/pip install --quiet --no-index --find-links /packages/wheels 'failstop[lab]'
+PATH=/srv/venv/bin:$PATH
+python=/srv/venv/bin/python
+"""
+USE = """
+echo "step: failstop demo"
+failstop demo
+echo "step: own program"
+timeout {limit_s} $python /packages/own.py {limit_s}
+echo "step: failstop prove --sim --quick"
+{prove}
+echo "step: the end"
+"""
+LAST = "step: the end"
+TIMEOUT_S = 900.0
+
+
+class Trial(NamedTuple):
+    """A system to try."""
+
+    suite: str
+    how: str
+    """apt or pip."""
+    architecture: str = ""
+    """An emulated one, by Debian's word; empty: this machine's."""
+
+    def name(self) -> str:
+        """As people name it."""
+        suite = debian.SUITES[self.suite]
+        machine = f"{self.architecture} (emulated), " if self.architecture else ""
+        return f"Debian {suite.number}, {machine}Python {suite.python}, {self.how} install"
+
+
+TRIALS = {
+    "12": Trial("bookworm", "apt"),
+    "13": Trial("trixie", "apt"),
+    "testing": Trial("forky", "pip"),
+    "12-pip": Trial("bookworm", "pip"),
+    "13-pip": Trial("trixie", "pip"),
+    "arm64": Trial("trixie", "apt", "arm64"),
+    "arm64-pip": Trial("trixie", "pip", "arm64"),
+}
+USUAL = ("12", "13", "testing")
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Try them and print a line for each; exit code 1 when one fails."""
+    parser = argparse.ArgumentParser(description="What a new user does, in a fresh Debian.")
+    parser.add_argument("release", type=Path, help="the folder of a release (make release)")
+    parser.add_argument("names", nargs="*", help=f"which of {', '.join(TRIALS)} (default: {', '.join(USUAL)})")
+    arguments = parser.parse_args(words)
+    if unknown := [name for name in arguments.names if name not in TRIALS]:
+        parser.error(f"there is no {unknown[0]}: {', '.join(TRIALS)}")
+    failed = 0
+    for name in arguments.names or USUAL:
+        start_s = time.monotonic()
+        try:
+            wrong = tried(TRIALS[name], arguments.release)
+        except BenchError as error:
+            print(f"failstop: {error}", file=sys.stderr)
+            return 1
+        failed += bool(wrong)
+        verdict = f"FAILED ({wrong})" if wrong else "good"
+        print(f"{TRIALS[name].name()}: {verdict}, {time.monotonic() - start_s:.0f} s", flush=True)
+    return int(failed > 0)
+
+
+def tried(trial: Trial, release: Path) -> str:
+    """The step that failed; empty: none did. What was printed goes on to the terminal. Raises BenchError."""
+    with tempfile.TemporaryDirectory(prefix="failstop-fresh-") as name, contextlib.ExitStack() as stack:
+        folder = Path(name)
+        folder.chmod(0o755)
+        (folder / "own.py").write_text(OWN)
+        if trial.architecture:
+            stack.enter_context(debian.emulated())
+        machine = trial.architecture or debian_architecture()
+        if trial.how == "apt":
+            debs = [path for path in sorted(release.glob("failstop*.deb")) if path.stem.endswith((machine, "_all"))]
+            if not debs:
+                raise BenchError(f"no package for {machine} in {release}: make release VERSION=x builds them")
+            for path in debs:
+                shutil.copy(path, folder)
+            include: tuple[str, ...] = ()
+            script = APT.format(debs=" ".join(f"/packages/{path.name}" for path in debs))
+        else:
+            wheelhouse(release, folder / "wheels", debian.SUITES[trial.suite].python, machine)
+            include, script = ("python3-venv",), PIP
+        system = debian.unpacked(trial.suite, include, trial.architecture)
+        # An emulated processor is twenty times slower, so the times that the stand test asks for say nothing there.
+        prove = "true" if trial.architecture else "failstop prove --sim --quick"
+        use = USE.format(prove=prove, limit_s=120 if trial.architecture else 30)
+        done = debian.run(system, f"set -eu\necho 'step: {trial.how} install'\n{script}{use}", folder, TIMEOUT_S)
+    print(done.stdout, flush=True)
+    steps = [line.removeprefix("step: ") for line in done.stdout.splitlines() if line.startswith("step: ")]
+    return "" if done.returncode == 0 and LAST in done.stdout else steps[-1]
+
+
+def wheelhouse(release: Path, out: Path, python: str, machine: str) -> None:
+    """The wheels of a release, and the newest of all that they need. Raises BenchError."""
+    out.mkdir()
+    ours = sorted(release.glob("*.whl"))
+    if not ours:
+        raise BenchError(f"no wheel in {release}: make release VERSION=x builds them")
+    arch = {"amd64": "x86_64", "arm64": "aarch64"}[machine]
+    needed = {line for wheel in ours for line in requirements(wheel, python)}
+    for wheel in ours:
+        shutil.copy(wheel, out)
+    platforms = [word for glibc in ("2_17", "2_28") for word in ("--platform", f"manylinux_{glibc}_{arch}")]
+    words = (sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:")
+    done = subprocess.run(
+        [
+            *words,
+            "--python-version",
+            python,
+            *platforms,
+            "--platform",
+            f"manylinux2014_{arch}",
+            "--dest",
+            str(out),
+            *needed,
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise BenchError(f"pip can't fetch what the wheels need: {done.stderr[-2000:]}")
+
+
+def requirements(wheel: Path, python: str) -> set[str]:
+    """What a wheel of ours needs of others on a Python, without conditions: pip judges them by the Python that it runs
+    on. None of these needs anything itself."""
+    with zipfile.ZipFile(wheel) as packed:
+        (about,) = (name for name in packed.namelist() if name.endswith(".dist-info/METADATA"))
+        lines = re.findall(r"^Requires-Dist: (.+)$", packed.read(about).decode(), re.MULTILINE)
+    where = {"python_version": python, "extra": ""}
+    found = [one for one in map(Requirement, lines) if one.marker is None or one.marker.evaluate(where)]
+    return {f"{one.name}{one.specifier}" for one in found if not one.name.startswith("failstop")}
+
+
+def debian_architecture() -> str:
+    """This machine's, by Debian's word."""
+    words = ("dpkg", "--print-architecture")
+    return subprocess.run(words, check=True, capture_output=True, text=True).stdout.strip()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
