@@ -7,7 +7,7 @@ EDITABLE := --config-settings editable_mode=compat --editable
 # Behind failstop itself, which it needs: pip looks for what a requirement needs among those before it.
 LAB := --editable lab
 
-.PHONY: demo test quick tried versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech guard
+.PHONY: demo test quick tried versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech guard lock apt fresh
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -256,22 +256,45 @@ release: $(VENV)/.installed
 	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]' $(LAB)
 	@$(BIN)/python packaging/release.py $(VERSION) $(if $(HOMEPAGE),--homepage $(HOMEPAGE))
 
+# What a release fetches, by version and hash (packaging/lock.txt): resolved again with what the index has now.
+lock: $(VENV)/.dev
+	$(BIN)/pip install --quiet --disable-pip-version-check uv
+	@$(BIN)/python packaging/lock.py
+
+# A signed apt folder of a release, in dist/VERSION/apt, to host as a static site (docs/dev/publishing.md). URL: where; KEY: whose.
+URL ?=
+KEY ?=
+apt: $(VENV)/.installed
+	@[ -n "$(VERSION)" ] && [ -n "$(URL)" ] && [ -n "$(KEY)" ] || { echo "make apt VERSION=0.2.0 URL=https://example.org/apt KEY=you@example.org"; exit 1; }
+	@$(BIN)/python packaging/apt.py dist/$(VERSION) --url $(URL) --key $(KEY)
+
+# What a new user does, in fresh systems of Debian 12, 13 and testing: the packages of a release by apt or pip, the demo, a program of their
+# own, the stand test. Needs root. ON="12 arm64": some of them, and Debian 13 for arm64, emulated.
+ON ?=
+fresh: $(VENV)/.installed
+	@[ -n "$(VERSION)" ] || { echo "which version? make fresh VERSION=0.2.0"; exit 1; }
+	@command -v mmdebstrap >/dev/null || apt-get install --yes --no-install-recommends mmdebstrap
+	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]' $(LAB)
+	@$(BIN)/python packaging/release.py $(VERSION) --wheels build/wheels
+	@$(BIN)/python -m tests.packaging.fresh dist/$(VERSION) $(ON)
+
 # The same release built twice, as two builders with other folders, umasks, locales, time zones and hash seeds: equal, or the first difference.
 reproduce: $(VENV)/.installed
 	@[ -n "$(VERSION)" ] || { echo "which version? make reproduce VERSION=0.2.0"; exit 1; }
 	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]' $(LAB)
 	@$(BIN)/python packaging/release.py $(VERSION) --twice
 
-# The Debian packages by lintian, autopkgtest and piuparts, then their life in a container with a systemd: installed, upgraded from the last
-# release while a program drives, removed, purged. Needs root. VERSION: those of a release, in dist/VERSION; LAST: a .deb, or the commit to
+# The Debian packages by lintian, autopkgtest and piuparts, then their life in a container with the systemd of Debian 12 and of 13: installed,
+# upgraded from the last release while a program drives, removed, purged. Needs root. VERSION: those of a release, in dist/VERSION; LAST: a .deb, or the commit to
 # build it from.
-JUDGES := lintian autopkgtest piuparts mmdebstrap
+JUDGES := lintian piuparts mmdebstrap
+SUITES ?=
 LAST ?=
 package-test: $(VENV)/.installed
 	@for judge in $(JUDGES); do \
 	  command -v $$judge >/dev/null || exec apt-get install --yes --no-install-recommends $(JUDGES); done
 	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]' $(LAB)
-	@$(BIN)/python -m tests.packaging.life $(if $(VERSION),--debs dist/$(VERSION)) $(if $(LAST),--last $(LAST))
+	@$(BIN)/python -m tests.packaging.life $(if $(VERSION),--debs dist/$(VERSION)) $(if $(SUITES),--suites $(SUITES)) $(if $(LAST),--last $(LAST))
 
 # Whether it installs on ARM without a compiler: asks the package index for a wheel of each dependency.
 wheels: $(VENV)/.dev

@@ -19,10 +19,19 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-SUITES = {"python3.11": "bookworm"}
-"""The Debian that has an interpreter."""
-BASE = ("base-files", "base-passwd", "coreutils", "dash", "libstdc++6")
-"""Debian's packages beside the interpreter: accounts, a shell for whoever looks around, C++ for numpy."""
+SUITE, PYTHON = "trixie", "3.13"
+"""The Debian of the image, and its Python."""
+BASE = ("base-files", "base-passwd", "coreutils", "dash", "python3")
+"""Debian's packages in it: accounts, a shell for people who look around, the interpreter."""
+STATUS = "var/lib/dpkg/status"
+"""dpkg's list of what is installed, by which scanners find packages that have known holes."""
+LIST = (
+    'mkdir -p "$1/var/lib/dpkg"; for deb in "$1"/var/cache/apt/archives/*.deb; do dpkg-deb --field "$deb"; '
+    f"printf 'Status: install ok installed\\n\\n'; done >\"$1/{STATUS}\""
+)
+"""A hook of mmdebstrap, which unpacks packages here without dpkg: it lists them as dpkg would."""
+BILL = "usr/share/doc/failstop/failstop.cdx.json"
+"""The bill of materials, from failstop's package."""
 LEFT_OUT = (
     "usr/share/man/",
     "usr/share/locale/",
@@ -42,6 +51,7 @@ CONFIG = {
     "Env": ["PATH=/opt/failstop/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "LANG=C.UTF-8"],
     "Cmd": ["failstop", "run"],
 }
+DESCRIPTION = "Stops a robot when its software fails."
 INDEX = "application/vnd.oci.image.index.v1+json"
 MANIFEST = "application/vnd.oci.image.manifest.v1+json"
 CONFIGURATION = "application/vnd.oci.image.config.v1+json"
@@ -50,22 +60,22 @@ Member = tuple[tarfile.TarInfo, bytes]
 Files = dict[str, Member]
 
 
-def missing(python: str) -> str:
+def missing() -> str:
     """Why an image can't be made here; empty: it can."""
-    if python not in SUITES:
-        return f"no Debian of {', '.join(SUITES.values())} has {python}"
     return "" if shutil.which("mmdebstrap") else "mmdebstrap is not installed (apt install mmdebstrap)"
 
 
-def base(architecture: str, python: str, kept: Path) -> Path:
+def base(architecture: str, kept: Path) -> Path:
     """A tar of Debian's packages for an architecture; made where there is none. Raises CalledProcessError."""
-    path = kept / f"debian-{SUITES[python]}-{architecture}.tar"
+    path = kept / f"debian-{SUITE}-{architecture}.tar"
     if not path.exists():
         kept.mkdir(parents=True, exist_ok=True)
         words = ("mmdebstrap", "--quiet", "--variant=extract", f"--architectures={architecture}", "--format=tar")
-        include = ",".join((*BASE, python))
         part = path.with_suffix(".part")
-        subprocess.run([*words, f"--include={include}", SUITES[python], part], check=True)
+        subprocess.run(
+            [*words, f"--include={','.join(BASE)}", f"--extract-hook={LIST}", SUITE, part],
+            check=True,
+        )
         part.rename(path)
     return path
 
@@ -75,7 +85,8 @@ def files(packed: tarfile.TarFile) -> Files:
     found: Files = {}
     for row in packed:
         name = row.name.removeprefix("./").rstrip("/")
-        if not name or f"{name}/".startswith(LEFT_OUT) or row.isdev():
+        left_out = f"{name}/".startswith(LEFT_OUT) and name != STATUS
+        if not name or left_out or row.isdev():
             continue
         content = packed.extractfile(row) if row.isfile() or row.islnk() else None
         # Of a hard link a copy: in the order of names what it links may come after it.
@@ -96,13 +107,27 @@ def debian(path: Path) -> Files:
 
 
 def failstop(packages: Iterable[Path]) -> Files:
-    """The second layer: the environment that the Debian packages hold."""
+    """The second layer: the environment that the Debian packages hold, with its modules compiled, and their bill."""
     found: Files = {}
     for package in packages:
         data = subprocess.run(["dpkg-deb", "--fsys-tarfile", package], check=True, capture_output=True).stdout
         with tarfile.open(fileobj=io.BytesIO(data)) as packed:
-            found |= {name: row for name, row in files(packed).items() if f"{name}/".startswith(PREFIX)}
+            rows = files(packed)
+        compiled = [data for name, (_, data) in rows.items() if name.endswith(f"-{PYTHON}.tar.gz")]
+        for one in compiled:
+            with tarfile.open(fileobj=io.BytesIO(one)) as packed:
+                found |= {
+                    f"{PREFIX}{name}": (_named(row, f"{PREFIX}{name}"), data)
+                    for name, (row, data) in files(packed).items()
+                }
+        wanted = {name: row for name, row in rows.items() if f"{name}/".startswith(PREFIX) or name == BILL}
+        found |= {name: row for name, row in wanted.items() if not name.startswith(f"{PREFIX}compiled/")}
     return found
+
+
+def _named(row: tarfile.TarInfo, name: str) -> tarfile.TarInfo:
+    row.name = name
+    return row
 
 
 def _row(
@@ -140,12 +165,14 @@ class Archive:
         self._blobs[name] = _row(name), data
         return {"mediaType": kind, "digest": f"sha256:{digest}", "size": len(data), **more}
 
-    def image(self, architecture: str, layers: Iterable[bytes], version: str) -> dict[str, Any]:
+    def image(self, architecture: str, layers: Iterable[bytes], version: str, homepage: str = "") -> dict[str, Any]:
         """One architecture's manifest, with these tars as layers; its descriptor."""
         tars = list(layers)
         created = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._moment))
         platform = {"architecture": architecture, "os": "linux"}
-        labels = {"org.opencontainers.image.title": "failstop", "org.opencontainers.image.version": version}
+        words = {"title": "failstop", "version": version, "licenses": "MIT", "created": created, "url": homepage}
+        words |= {"description": DESCRIPTION, "source": homepage, "base.name": f"debian:{SUITE}"}
+        labels = {f"org.opencontainers.image.{name}": text for name, text in words.items() if text}
         configuration = {
             "created": created,
             **platform,
@@ -177,14 +204,15 @@ def _json(found: object) -> bytes:
     return json.dumps(found, sort_keys=True, separators=(",", ":")).encode()
 
 
-def make(version: str, python: str, packages: dict[str, list[Path]], kept: Path, out: Path) -> Path:
+def make(version: str, packages: dict[str, list[Path]], kept: Path, out: Path, homepage: str = "") -> Path:
     """The image of both architectures; `packages` by architecture, `kept`: where Debian's part is, or is to be kept."""
     moment = int(os.environ["SOURCE_DATE_EPOCH"])
     archive = Archive(moment)
     manifests = []
     for architecture, debs in packages.items():
-        layers = [debian(base(architecture, python, kept)), failstop(debs)]
-        manifests.append(archive.image(architecture, (tar(layer.values(), moment) for layer in layers), version))
+        layers = [debian(base(architecture, kept)), failstop(debs)]
+        tars = (tar(layer.values(), moment) for layer in layers)
+        manifests.append(archive.image(architecture, tars, version, homepage))
     path = out / f"failstop-{version}-image.tar"
     archive.write(path, manifests, version)
     return path

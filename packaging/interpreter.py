@@ -6,6 +6,7 @@ of the system changes. It runs with the C library of its own suite, which is new
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -15,6 +16,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 SUITES = {"3.11": "bookworm", "3.13": "trixie", "3.14": "forky"}
 """The Debian suite whose Python is of that version."""
+FOLDER = "FAILSTOP_PYTHONS"
+"""The environment variable that names another folder for interpreters than build/pythons."""
 TOOLS = {"mmdebstrap": "mmdebstrap", "patchelf": "patchelf", "gpgv": "gpgv"}
 """Programs that it needs, each with its Debian package."""
 NOT_VALID = 'Acquire::Check-Valid-Until "false"'
@@ -25,9 +28,14 @@ class InterpreterError(Exception):
     """It can't be made; the message is one line with the remedy."""
 
 
+def folder() -> Path:
+    """Where interpreters are unpacked."""
+    return Path(os.environ.get(FOLDER, ROOT / "build/pythons"))
+
+
 def place(version: str) -> Path:
     """Where the unpacked interpreter of a version is."""
-    return ROOT / "build/pythons" / version / f"usr/bin/python{version}"
+    return folder() / version / f"usr/bin/python{version}"
 
 
 def make(version: str) -> Path:

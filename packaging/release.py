@@ -13,6 +13,7 @@ import base64
 import gzip
 import hashlib
 import io
+import json
 import os
 import re
 import shutil
@@ -22,15 +23,18 @@ import tarfile
 import tempfile
 import time
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "packaging" / part) for part in ("", "deb")]
 
 import image  # noqa: E402
+import interpreter  # noqa: E402
+import lock  # noqa: E402
 import sbom  # noqa: E402
 import tree  # noqa: E402
+import versions  # noqa: E402
 
 from failstop_lab.pages import public, ros_changes  # noqa: E402
 
@@ -38,7 +42,7 @@ MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 """Architectures by Debian's word, with Python's."""
 GLIBC = ("manylinux2014", "manylinux_2_17", "manylinux_2_27", "manylinux_2_28")
 """Tags of the wheels that run on what the packages are for: Ubuntu 22.04 and Debian 12 have newer ones."""
-EXTRAS = ("fleet", "web")
+EXTRAS = lock.EXTRAS
 LAB = "failstop-lab"
 MAINTAINER = {"DEBFULLNAME": "failstop developers", "DEBEMAIL": "failstop@example.org"}
 VERSION = re.compile(r"\d+\.\d+\.\d+((a|b|rc)\d+)?")
@@ -98,25 +102,27 @@ def release(version: str, out: Path, folder: Path, wheels: Path | None = None, h
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     wheels = wheels or folder / "wheels"
-    sites = {}
+    locked = lock.read((source / "packaging/lock.txt").read_text())
     for architecture, machine in MACHINES.items():
-        sites[architecture] = folder / architecture
-        unpack(fetched(source, wheels / architecture, machine), sites[architecture])
-    find = tree.finder(next(iter(sites.values())))
-    bill = sbom.text(sbom.needing(version, tree.needed(EXTRAS, find)))
+        for python3 in versions.VERSIONS:
+            kept = wheels / architecture / python3
+            unpack(fetched(locked, kept, machine, python3, tree.NOT_PACKED), folder / architecture / python3)
+    unpack(fetched(locked, wheels / "needed", MACHINES["amd64"], versions.VERSIONS[0]), folder / "needed")
+    bill = sbom.text(sbom.needing(version, tree.needed(EXTRAS, tree.finder(folder / "needed"), ())))
     laboratory = sbom.text(sbom.needing(version, (), LAB))
     python(source, folder / "built", environ, {"failstop": bill, LAB.replace("-", "_"): laboratory}, out)
-    for architecture, site in sites.items():
+    for architecture in MACHINES:
+        sites = folder / architecture
         run(
-            *(sys.executable, "packaging/deb/build.py", "--out", out, "--architecture", architecture, "--site", site),
+            *(sys.executable, "packaging/deb/build.py", "--out", out, "--architecture", architecture, "--sites", sites),
             cwd=source,
             environ=environ | {"PYTHONPATH": f"{source}:{source}/lab"},
         )
-    if why := image.missing(tree.PYTHON):
+    if why := image.missing():
         print(f"failstop: no image for containers: {why}", file=sys.stderr)
     else:
         debs = {one: [path for part in (one, "all") for path in sorted(out.glob(f"*_{part}.deb"))] for one in MACHINES}
-        image.make(version, tree.PYTHON, debs, wheels, out)
+        image.make(version, debs, wheels, out, homepage)
     (out / f"failstop-{version}.cdx.json").write_text(bill)
     (out / "NOTES.md").write_text(told)
     made = sorted(out.iterdir())
@@ -134,7 +140,7 @@ def twice(version: str, folder: Path, wheels: Path) -> list[Path]:
         subprocess.run(["git", "clone", "--quiet", "--local", ROOT, place], check=True)
         words = (sys.executable, place / "packaging/release.py", version, "--out", outs[-1], "--wheels", wheels)
         os.umask(umask)
-        run(*words, cwd=place, environ=os.environ | world | {"HOME": str(place)})
+        run(*words, cwd=place, environ=os.environ | surroundings() | world | {"HOME": str(place)})
     if differs := first_difference(*outs):
         raise ReleaseError(f"two builds of {version} are not equal: {differs}{explained(outs[0], outs[1], differs)}")
     return sorted(outs[0].iterdir())
@@ -144,6 +150,8 @@ def surroundings() -> dict[str, str]:
     """The environment of every step: the commit's time, and nothing of the machine's but where its programs are."""
     moment = os.environ.get("SOURCE_DATE_EPOCH") or said("git", "log", "-1", "--format=%ct")
     kept = {name: os.environ[name] for name in ("PATH", "HOME", *MAINTAINER) if name in os.environ}
+    kept |= {interpreter.FOLDER: str(interpreter.folder())}
+    kept |= {"PYENV_ROOT": os.environ.get("PYENV_ROOT", os.path.expanduser("~/.pyenv"))}
     fixed = {"SOURCE_DATE_EPOCH": moment, "PYTHONHASHSEED": "0", "LC_ALL": "C.UTF-8", "TZ": "UTC"}
     return MAINTAINER | kept | fixed
 
@@ -237,29 +245,33 @@ def series(version: str) -> list[str]:
     return numbers[: 2 if numbers[0] == "0" else 1]
 
 
-def fetched(source: Path, folder: Path, machine: str) -> list[Path]:
-    """The wheels of what failstop needs with its extras, for a machine and this Python; fetched where none are."""
+def fetched(
+    locked: Sequence[lock.Locked], folder: Path, machine: str, python3: str, without: Collection[str] = ()
+) -> list[Path]:
+    """The wheels of what failstop needs with its extras, for a machine and a Python, without some; fetched where none
+    are. pip refuses a file whose hash is not in the lock."""
     if not folder.exists():
-        if sys.version_info >= (3, 11):
-            import tomllib
-        else:
-            import tomli as tomllib
-        project = tomllib.loads((source / "pyproject.toml").read_text())["project"]
-        wanted = project["dependencies"] + [line for name in EXTRAS for line in project["optional-dependencies"][name]]
         platforms = [word for glibc in GLIBC for word in ("--platform", f"{glibc}_{machine}")]
-        pip = (sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check")
-        only = ("--only-binary=:all:", "--implementation", "cp", "--python-version", tree.PYTHON.removeprefix("python"))
-        part = folder.with_suffix(".part")
-        run(*pip, *only, *platforms, "--dest", part, *wanted, cwd=source)
+        pip = (sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps")
+        only = ("--only-binary=:all:", "--implementation", "cp", "--python-version", python3)
+        part = folder.with_name(f"{folder.name}.part")
+        part.mkdir(parents=True, exist_ok=True)
+        (part / "locked.txt").write_text(lock.needed(locked, python3, without))
+        run(*pip, *only, *platforms, "--require-hashes", "--dest", part, "-r", part / "locked.txt", cwd=ROOT)
         part.rename(folder)
     return sorted(folder.glob("*.whl"))
 
 
 def unpack(wheels: Sequence[Path], site: Path) -> None:
-    """Lay wheels out as an installer does, without their scripts, which name the interpreter of whoever installs."""
+    """Lay wheels out as an installer does, without their scripts, which name an interpreter; each with its hash."""
     for wheel in wheels:
         with zipfile.ZipFile(wheel) as packed:
-            packed.extractall(site, [name for name in packed.namelist() if ".data/" not in name])
+            names = [name for name in packed.namelist() if ".data/" not in name]
+            packed.extractall(site, names)
+        (about,) = {name.partition("/")[0] for name in names if ".dist-info/" in name}
+        digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
+        origin = {"url": wheel.name, "archive_info": {"hashes": {"sha256": digest}}}
+        (site / about / "direct_url.json").write_text(json.dumps(origin))
 
 
 def python(source: Path, built: Path, environ: Mapping[str, str], bills: Mapping[str, str], out: Path) -> None:

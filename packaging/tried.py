@@ -18,8 +18,9 @@ from failstop_lab.pages import tried
 ROOT = Path(__file__).resolve().parents[1]
 TOTALS = re.compile(r"^=*\s*((?:\d+ (?:failed|passed|skipped|error|errors|xfailed)(?:, )?)+)", re.MULTILINE)
 """pytest's last line: how many passed, failed and were skipped."""
-VERSION = re.compile(r"^python (3\.\d+): (good|FAILED)", re.MULTILINE)
-"""A line of `make versions` for each Python that it tried."""
+PASSED = {"good": "passed"}
+VERSION = re.compile(r"^(python 3\.\d+|Debian \S+, .*install): (good|FAILED)", re.MULTILINE)
+"""A line of `make versions` for each Python that it tried, and one of `make fresh` for each Debian."""
 
 
 class Row(NamedTuple):
@@ -41,7 +42,9 @@ ROWS = {
     "ros2": Row("bridge to ROS 2", ("ros2",), '. "$ROS" && echo "ROS 2 $ROS_DISTRO"'),
     "web": Row("operator's page, also under attack", ("web",), "chromium --version | head -n 1"),
     "fleet": Row("fleet", ("fleet",), "PATH=$PATH:/usr/sbin mosquitto -h | head -n 1"),
-    "package-test": Row("life of the Debian packages", ("package-test",), '. /etc/os-release && echo "$PRETTY_NAME"'),
+    "package-test": Row("life of the Debian packages", ("package-test",), "echo Debian 12 and 13"),
+    "fresh": Row("installed, demo, own program, prove", ("fresh", "VERSION=0.9.0"), ""),
+    "arm64": Row("installed, demo, own program", ("fresh", "VERSION=0.9.0", "ON=arm64 arm64-pip"), ""),
     "reproduce": Row("a release built twice", ("reproduce", "VERSION=0.9.0"), f'"$BIN"/python -c "{ASK}"'),
     "vm": Row("USB, boot and sleep of a stock Debian", ("vm",), "qemu-system-x86_64 --version | head -n 1"),
     "vm-arm64": Row("shared memory and a demo on ARM", ("vm-arm64",), "qemu-system-aarch64 --version | head -n 1"),
@@ -58,7 +61,7 @@ def machine(release: Path = Path("/etc/os-release")) -> str:
 def results(row: Row, output: str, code: int, version: str) -> dict[str, str]:
     """What came of a run, by what it was tried with."""
     if each := VERSION.findall(output):
-        return {f"Python {python}": "passed" if verdict == "good" else "FAILED" for python, verdict in each}
+        return {name.replace("python", "Python"): PASSED.get(verdict, verdict) for name, verdict in each}
     totals = [found.strip(" ,") for found in TOTALS.findall(output)]
     counted = "; ".join(totals) or ("passed" if code == 0 else "stopped early")
     return {version: counted if code == 0 else f"FAILED ({counted})"}

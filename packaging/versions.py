@@ -25,6 +25,12 @@ AGAIN = ("--last-failed", "--last-failed-no-failures", "none")
 ASK = "import sys, venv, ensurepip; print('{}.{}'.format(*sys.version_info))"
 
 
+def numbers(version: str) -> tuple[int, int]:
+    """A version such as 3.9 as it is ordered: before 3.10."""
+    major, minor = version.split(".")
+    return int(major), int(minor)
+
+
 def candidates(version: str, environment: dict[str, str]) -> Iterator[str]:
     """Where an interpreter of this version may be."""
     found = shutil.which(f"python{version}", path=environment.get("PATH"))

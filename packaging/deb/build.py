@@ -1,7 +1,8 @@
 """Build the Debian packages with dpkg-deb: `python packaging/deb/build.py [--out DIR]`, run by the environment to pack.
 
-The package failstop holds that Python environment (tree.py) for the system's interpreter of the same version, the files
-of systemd/, and the man page and completions of the command line. failstop-lab adds the laboratory.
+The package failstop holds a Python environment (tree.py), the files of systemd/, and the man page and completions of
+the command line. failstop-lab adds the laboratory. Packed from the running environment, they are for its Python alone;
+with --sites they are for every Python that has a folder there, so one package installs on Debian 12 as well as on 13.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import argparse
 import email.utils
 import gzip
 import hashlib
-import importlib.metadata
 import os
 import re
 import subprocess
@@ -24,13 +24,17 @@ import sbom
 import tree
 from tree import BuildError, Entry
 
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+import versions
+
 from failstop.version import VERSION
 from failstop_lab.pages import completion, man
 
 HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent.parent
 SYSTEMD = CHECKOUT / "systemd"
-SCRIPTS = ("preinst", "postinst", "prerm", "postrm")
+SCRIPTS = ("preinst", "postinst", "prerm", "postrm", "triggers")
+EXECUTABLE = (*SCRIPTS[:4], "unpack")
 DEBIAN = re.sub(r"(a|b|rc)", r"~\1", VERSION)
 """The version as dpkg orders it: a trial of a version comes before it."""
 EXTRAS = ("fleet", "web")
@@ -38,6 +42,8 @@ EXTRAS = ("fleet", "web")
 ROBOT, LABORATORY = "failstop", "failstop-lab"
 BILL = "usr/share/doc/failstop/failstop.cdx.json"
 """The packages of others that it holds, as CycloneDX."""
+UNPACK = "unpack"
+"""The script that unpacks the compiled modules."""
 LAB = f"{tree.SITE}/failstop_lab/"
 NOBODY = "failstop developers <root@localhost>"
 UNITS = "usr/lib/systemd/system"
@@ -56,23 +62,26 @@ COMPLETIONS = {
 """Where each shell looks by itself."""
 
 
-def main(words: Sequence[str] | None = None, interpreter: str = f"/usr/bin/{tree.PYTHON}") -> int:
+def main(words: Sequence[str] | None = None, interpreter: str = "/usr/bin/python3") -> int:
     """Build them, print their paths, and what to type next. `words`: others than the command line's; `interpreter`: the
     system's."""
     parser = argparse.ArgumentParser(description=__doc__)
     add = parser.add_argument
     add("--out", type=Path, default=CHECKOUT / "dist", help="the directory for it (default: dist)")
-    add("--architecture", help="Debian's word, with --site (default: this machine's)")
-    add("--site", type=Path, help="unpacked wheels for that architecture, instead of the environment's packages")
+    add("--architecture", help="Debian's word, with --sites (default: this machine's)")
+    add("--sites", type=Path, help="a folder for each Python (3.11, ...), with unpacked wheels for that architecture")
     arguments = parser.parse_args(words)
     out = arguments.out
     try:
-        if not arguments.site and not os.access(interpreter, os.X_OK):
+        if not arguments.sites and (found := version_of(interpreter)) != tree.VERSION_HERE:
             advice = "use the system's Python: make deb PYTHON=/usr/bin/python3 VENV=.venv-deb"
-            raise BuildError(f"the package is for the system's {interpreter}, which is not here; {advice}")
+            raise BuildError(
+                f"the package would be for Python {tree.VERSION_HERE}, "
+                f"and {interpreter} is {found or 'not here'}; {advice}"
+            )
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="failstop-deb-") as directory:
-            packages = build(Path(directory), out, arguments.architecture, arguments.site)
+            packages = build(Path(directory), out, arguments.architecture, arguments.sites)
     except BuildError as error:
         print(f"failstop: {error}", file=sys.stderr)
         return 1
@@ -82,34 +91,68 @@ def main(words: Sequence[str] | None = None, interpreter: str = f"/usr/bin/{tree
     return 0
 
 
-def build(directory: Path, out: Path, architecture: str | None = None, site: Path | None = None) -> list[Path]:
-    """Lay the packages out in a directory and pack them; returns their paths, the robot's first. `site`: a folder with
-    the packages that failstop needs, for this architecture; else they are the environment's, for this machine. Raises
-    BuildError."""
+def version_of(interpreter: str) -> str:
+    """The version of an interpreter, such as 3.11; empty where there is none."""
+    words = (interpreter, "-I", "-S", "-c", "import sys; print('{}.{}'.format(*sys.version_info))")
+    try:
+        return subprocess.run(words, capture_output=True, text=True, check=False).stdout.strip()
+    except OSError:
+        return ""
+
+
+def build(directory: Path, out: Path, architecture: str | None = None, sites: Path | None = None) -> list[Path]:
+    """Lay the packages out in a directory and pack them; returns their paths, the robot's first. `sites`: a folder for
+    each Python, with the packages that failstop needs there; else they are the environment's. Raises BuildError."""
     architecture = architecture or _said("dpkg", "--print-architecture")
-    find = tree.finder(site) if site else importlib.metadata.distribution
-    whole = tree.running(EXTRAS, find)
+    folders = sorted(sites.iterdir(), key=lambda path: versions.numbers(path.name)) if sites else []
+    finds = {path.name: tree.finder(path) for path in folders} or tree.here()
+    interpreters = {python: interpreter(python) for python in finds}
+    whole = tree.running(EXTRAS, finds)
     inside = [entry for entry in whole if entry.path.startswith(LAB)]
     robots = [entry for entry in whole if not entry.path.startswith(LAB)]
-    texts = files() | {BILL: sbom.text(sbom.packed(VERSION, tree.needed(EXTRAS, find), architecture))}
+    held = [distribution for find in finds.values() for distribution in tree.needed(EXTRAS, find)]
+    texts = files() | {BILL: sbom.text(sbom.packed(VERSION, held, architecture))}
     return [
-        pack(ROBOT, robots, texts, directory, out, architecture),
-        pack(LABORATORY, inside, papers(LABORATORY), directory, out, architecture),
+        pack(ROBOT, robots, texts, directory, out, architecture, interpreters),
+        pack(LABORATORY, inside, scripts(LABORATORY) | papers(LABORATORY), directory, out, architecture, interpreters),
     ]
 
 
+def interpreter(python: str) -> str:
+    """An interpreter of this version, which compiles the modules for it. Raises BuildError."""
+    found = sys.executable if python == tree.VERSION_HERE else versions.find(python, dict(os.environ))
+    if not found:
+        raise BuildError(
+            f"no Python {python} was found to compile the modules for it: "
+            f"make interpreter PYTHON_VERSION={python}, or pyenv or uv, which have those that no Debian has"
+        )
+    return found
+
+
 def pack(
-    name: str, entries: Collection[Entry], texts: Mapping[str, str], directory: Path, out: Path, architecture: str
+    name: str,
+    entries: Collection[Entry],
+    texts: Mapping[str, str],
+    directory: Path,
+    out: Path,
+    architecture: str,
+    interpreters: Mapping[str, str],
 ) -> Path:
-    """One package of these files of the environment, and of these texts."""
+    """One package of these files of the environment, for these Pythons, and of these texts."""
     root = directory / name
-    tree.write(entries, root / tree.PREFIX.lstrip("/"))
+    environment = root / tree.PREFIX.lstrip("/")
+    tree.write(entries, environment)
+    (environment / tree.COMPILED).mkdir()
+    if name == ROBOT:
+        _write(environment / tree.COMPILED / UNPACK, (HERE / UNPACK).read_text())
+    for python, found in interpreters.items():
+        (environment / tree.COMPILED / f"{name}-{python}.tar.gz").write_bytes(tree.compiled(environment, found))
     for path, text in texts.items():
         _write(root / path, text)
     if name == ROBOT:
         (root / "usr/bin").mkdir(parents=True)
         (root / "usr/bin/failstop").symlink_to(f"{tree.PREFIX}/bin/failstop")
-    _control(root, name, architecture)
+    _control(root, name, architecture, list(interpreters))
     for folder, _, _ in os.walk(root):
         os.chmod(folder, 0o755)
     # gzip: much faster than xz, and every dpkg reads it. The directory as target: dpkg-deb names the file.
@@ -122,8 +165,14 @@ def files() -> dict[str, str]:
     units = {f"{UNITS}/{path.name}": path.read_text() for path in SYSTEMD.glob("*.service")}
     placed = {place: (SYSTEMD / name).read_text() for name, place in PLACES.items()}
     completions = {place: completion.script(shell) for shell, place in COMPLETIONS.items()}
-    scripts = {f"DEBIAN/{name}": (HERE / name).read_text() for name in SCRIPTS}
-    return units | placed | completions | scripts | {"usr/share/man/man1/failstop.1.gz": man.page()} | papers(ROBOT)
+    manual = {"usr/share/man/man1/failstop.1.gz": man.page()}
+    return units | placed | completions | scripts(ROBOT) | manual | papers(ROBOT)
+
+
+def scripts(package: str) -> dict[str, str]:
+    """The maintainer scripts and triggers of a package, by path."""
+    folder = HERE if package == ROBOT else HERE / "lab"
+    return {f"DEBIAN/{name}": (folder / name).read_text() for name in SCRIPTS if (folder / name).exists()}
 
 
 def papers(package: str) -> dict[str, str]:
@@ -168,7 +217,13 @@ def newest_libc(root: Path) -> str:
     return "{}.{}".format(*max(found))
 
 
-def _control(root: Path, package: str, architecture: str) -> None:
+def needs(pythons: Sequence[str]) -> str:
+    """The dependency on a Python of one of these versions, which have no gap, as Debian writes it."""
+    first, last = pythons[0], versions.numbers(pythons[-1])
+    return f"python3 (>= {first}), python3 (<< {last[0]}.{last[1] + 1})"
+
+
+def _control(root: Path, package: str, architecture: str, pythons: Sequence[str]) -> None:
     """DEBIAN/: the control file from its template, and the checksums."""
     regular = sorted(path for path in root.rglob("*") if path.is_file() and not path.is_symlink())
     regular = [path for path in regular if path.parent.name != "DEBIAN"]
@@ -177,7 +232,7 @@ def _control(root: Path, package: str, architecture: str) -> None:
         "maintainer": maintainer(os.environ),
         "installed_kib": sum(path.stat().st_size for path in regular) // 1024 + 1,
         "architecture": architecture,
-        "python": tree.PYTHON,
+        "python": needs(pythons),
         "libc": newest_libc(root),
     }
     _write(root / "DEBIAN/control", (HERE / f"{package}.control").read_text().format(**words))
@@ -189,7 +244,7 @@ def _write(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     data = text.encode()
     path.write_bytes(gzip.compress(data, 9, mtime=0) if path.suffix == ".gz" else data)
-    os.chmod(path, 0o755 if path.name in SCRIPTS else 0o644)
+    os.chmod(path, 0o755 if path.name in EXECUTABLE else 0o644)
 
 
 def _said(*words: str) -> str:

@@ -34,7 +34,14 @@ def needing(version: str, needed: Iterable[Distribution], name: str = "failstop"
 
 def bill(version: str, purl: str, others: Iterable[Distribution], how: str, name: str = "failstop") -> Bill:
     """A bill of materials. `how` the others belong to it: holds, needs. Its number follows from what it says."""
-    rows = sorted((component(other) for other in others), key=lambda row: str(row["purl"]))
+    found: dict[str, Bill] = {}
+    for row in map(component, others):
+        # One package, with the wheel of each Python.
+        kept = found.setdefault(str(row["purl"]), row)
+        files = {one["url"]: one for part in (kept, row) for one in part.get("externalReferences", ())}
+        if files:
+            kept["externalReferences"] = [files[url] for url in sorted(files)]
+    rows = [found[purl] for purl in sorted(found)]
     licence = [{"license": {"id": OURS}}]
     ours = {"type": "application", "bom-ref": purl, "name": name, "version": version, "purl": purl}
     moment = time.gmtime(int(os.environ.get("SOURCE_DATE_EPOCH", time.time())))
@@ -55,11 +62,14 @@ def bill(version: str, purl: str, others: Iterable[Distribution], how: str, name
 
 
 def component(other: Distribution) -> Bill:
-    """A package by its own metadata."""
+    """A package by its own metadata, with the hash of the wheel that it came in where that is recorded (PEP 610)."""
     name = re.sub(r"[-_.]+", "-", str(other.metadata["Name"])).lower()
     purl = f"pkg:pypi/{name}@{other.version}"
     said = {"type": "library", "bom-ref": purl, "name": name, "version": other.version, "purl": purl}
-    return said | {"licenses": [licence(other)]}
+    came = json.loads(other.read_text("direct_url.json") or "{}")
+    wheel = came.get("archive_info", {}).get("hashes", {}).get("sha256")
+    file = {"type": "distribution", "url": came.get("url"), "hashes": [{"alg": "SHA-256", "content": wheel}]}
+    return said | {"licenses": [licence(other)]} | ({"externalReferences": [file]} if wheel else {})
 
 
 def licence(other: Distribution) -> Bill:

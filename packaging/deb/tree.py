@@ -1,20 +1,24 @@
-"""The Python environment of the package as a list of files: this failstop and what it needs, copied from where it runs.
+"""The Python environment of the package as a list of files: this failstop and what it needs, copied from where it is
+installed.
 
-Nothing is downloaded and nothing is built, so what was tried is what is packed. The environment stands by itself but
-for the interpreter and its standard library, to which bin/python3 points.
+The environment needs nothing of the system but its Python 3 and the standard library, to which bin/python3 points. Its
+packages lie in one folder for every Python: compiled modules of several versions have different names, so they can lie
+next to each other.
 """
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
+import gzip
 import importlib.metadata
+import io
 import os
-import py_compile
 import re
+import subprocess
 import sys
-import warnings
-from collections.abc import Callable, Collection, Iterator
+import tarfile
+import tempfile
+from collections.abc import Callable, Collection, Iterator, Mapping
 from importlib.metadata import Distribution
 from pathlib import Path
 
@@ -26,11 +30,18 @@ from failstop.version import VERSION
 
 PREFIX = "/opt/failstop"
 """Where the environment is to be; what the units call is below it."""
-PYTHON = f"python{sys.version_info[0]}.{sys.version_info[1]}"
-SITE = f"lib/{PYTHON}/site-packages"
+VERSION_HERE = f"{sys.version_info[0]}.{sys.version_info[1]}"
+"""The version of the Python that runs this."""
+SITE = "site-packages"
+"""The folder of the packages, in the environment."""
+COMPILED = "compiled"
+"""The folder of the compiled copies, in the environment: an archive for each Python, which the installation unpacks."""
 LEFT_OUT = frozenset({"__pycache__", "tests", "test", "distutils", "f2py", "include", "_examples"})
-"""Folders of the packages that a service has no use for: numpy's tests are a fifth of its size, and what builds
-extensions a quarter of its modules."""
+"""Folders of the packages that a service has no use for."""
+NOT_PACKED = frozenset({"numpy"})
+"""Distributions that failstop needs only for plots, which the package can't draw because it has no matplotlib."""
+OF_THE_WHEEL = ("WHEEL", "RECORD", "INSTALLER", "REQUESTED", "direct_url.json")
+"""Files in a .dist-info directory that say how a wheel was built or installed, and so differ from Python to Python."""
 LICENCE = Path(__file__).resolve().parents[2] / "LICENSE"
 DIST_INFO = ".dist-info"
 STUBS = ".pyi"
@@ -51,8 +62,29 @@ sys.exit(main())
 CFG = """\
 home = /usr/bin
 include-system-site-packages = false
-version = {version}
 """
+PTH = f"{PREFIX}/{SITE}\n"
+COMPILE = """\
+import os, py_compile, sys, warnings
+warnings.simplefilter("ignore")
+top, out, place = sys.argv[1:]
+for folder, folders, names in os.walk(top):
+    folders.sort()
+    for name in sorted(name for name in names if name.endswith(".py")):
+        path = os.path.join(folder, name)
+        inside = os.path.relpath(path, top)
+        cached = f"{name[:-2]}{sys.implementation.cache_tag}.pyc"
+        cached = os.path.join(out, os.path.dirname(inside), "__pycache__", cached)
+        try:
+            py_compile.compile(
+                path, cached, os.path.join(place, inside), doraise=True,
+                invalidation_mode=py_compile.PycInvalidationMode.TIMESTAMP,
+            )
+        except py_compile.PyCompileError:
+            pass  # a package may have files for another Python
+"""
+"""A program for the interpreter to compile for. By the module's time: what is compiled by a hash is read twice at each
+start."""
 
 
 class BuildError(Exception):
@@ -71,44 +103,71 @@ class Entry:
     executable: bool = False
 
 
-def running(extras: Collection[str] = (), find: Find = importlib.metadata.distribution) -> list[Entry]:
-    """The running environment, for the system's interpreter of this version, with what these extras of failstop's need.
-    `find`: an installed package by its name. Raises BuildError when it is not whole."""
+def here() -> dict[str, Find]:
+    """The packages of the running environment, for its Python."""
+    return {VERSION_HERE: importlib.metadata.distribution}
+
+
+def running(extras: Collection[str] = (), finds: Mapping[str, Find] | None = None) -> list[Entry]:
+    """The running failstop with its needs and those of these extras. `finds`: by the version of a Python, what finds an
+    installed package for it (default: here()). Raises BuildError when it is not whole."""
+    finds = finds or here()
     entries = [
-        Entry("pyvenv.cfg", CFG.format(version=PYTHON.removeprefix("python"))),
-        Entry("bin/python3", target=f"/usr/bin/{PYTHON}"),
+        Entry("pyvenv.cfg", CFG),
+        Entry("bin/python3", target="/usr/bin/python3"),
         Entry("bin/python", target="python3"),
         Entry("bin/failstop", COMMAND, executable=True),
+        *(Entry(f"lib/python{python}/site-packages/failstop.pth", PTH) for python in finds),
         *_own(),
     ]
-    for distribution in needed(extras, find):
-        entries += _files(distribution)
-    return list({entry.path: entry for entry in entries}.values())
+    found: dict[str, Entry] = {entry.path: entry for entry in entries}
+    for python, find in finds.items():
+        for distribution in needed(extras, find):
+            for entry in _files(distribution):
+                if _content(found.setdefault(entry.path, entry)) != _content(entry):
+                    raise BuildError(
+                        f"{entry.path} is not the same for Python {python} as for {next(iter(finds))}: "
+                        f"take the same version of {distribution.name} for each"
+                    )
+    return list(found.values())
+
+
+def _content(entry: Entry) -> bytes:
+    return Path(entry.source).read_bytes() if entry.source else entry.text.encode()
 
 
 def write(entries: Collection[Entry], directory: Path) -> None:
-    """Write them into a new directory, with their modules compiled: the service itself may not write there."""
+    """Write them into a new directory. The modules' time is that of SOURCE_DATE_EPOCH, where it is set: dpkg-deb packs
+    them with it, and the compiled copies name it."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
     for entry in entries:
         path = directory / entry.path
         path.parent.mkdir(parents=True, exist_ok=True)
         if entry.target:
             path.symlink_to(entry.target)
             continue
-        path.write_bytes(Path(entry.source).read_bytes() if entry.source else entry.text.encode())
+        path.write_bytes(_content(entry))
         path.chmod(0o755 if entry.executable else 0o644)
-        if path.suffix == ".py":
-            # A package may have files for another Python version.
-            with warnings.catch_warnings(), contextlib.suppress(py_compile.PyCompileError):
-                warnings.simplefilter("ignore")
-                _compile(path, f"{PREFIX}/{entry.path}")
+        if epoch:
+            os.utime(path, (int(epoch), int(epoch)))
 
 
-def _compile(path: Path, place: str) -> None:
-    """Beside the module, by its time: what is compiled by a hash is read twice at each start. The time is that of
-    SOURCE_DATE_EPOCH, where it is set: dpkg-deb gives it to the module too."""
-    if epoch := os.environ.get("SOURCE_DATE_EPOCH"):
-        os.utime(path, (int(epoch), int(epoch)))
-    py_compile.compile(str(path), dfile=place, doraise=True, invalidation_mode=py_compile.PycInvalidationMode.TIMESTAMP)
+def compiled(directory: Path, interpreter: str) -> bytes:
+    """An archive of the modules in a written environment, compiled by this interpreter: they are unpacked there.
+    Raises BuildError."""
+    with tempfile.TemporaryDirectory(prefix="failstop-compiled-") as out:
+        words = (interpreter, "-I", "-S", "-c", COMPILE, str(directory / SITE), out, f"{PREFIX}/{SITE}")
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise BuildError(f"{interpreter} can't compile the modules: {done.stderr.strip()}")
+        packed = io.BytesIO()
+        with tarfile.open(fileobj=packed, mode="w", format=tarfile.GNU_FORMAT) as archive:
+            for path in sorted(Path(out).rglob("*.pyc")):
+                row = tarfile.TarInfo(f"{SITE}/{path.relative_to(out)}")
+                row.mode, row.size = 0o644, path.stat().st_size
+                row.mtime = int(os.environ.get("SOURCE_DATE_EPOCH", 0))
+                archive.addfile(row, io.BytesIO(path.read_bytes()))
+    return gzip.compress(packed.getvalue(), 9, mtime=0)
 
 
 def finder(site: Path) -> Find:
@@ -124,9 +183,13 @@ def finder(site: Path) -> Find:
     return find
 
 
-def needed(extras: Collection[str] = (), find: Find = importlib.metadata.distribution) -> list[Distribution]:
-    """Distributions that failstop needs with these extras, directly or not, as far as it is needed on this Python.
-    Raises BuildError."""
+def needed(
+    extras: Collection[str] = (),
+    find: Find = importlib.metadata.distribution,
+    without: Collection[str] = NOT_PACKED,
+) -> list[Distribution]:
+    """Distributions that failstop needs with these extras on a Python, directly or not, `without` those that the
+    package does not carry. Raises BuildError."""
     found: dict[str, Distribution] = {}
     waiting = ["failstop"]
     while waiting:
@@ -136,7 +199,7 @@ def needed(extras: Collection[str] = (), find: Find = importlib.metadata.distrib
             name = re.split(r"[^A-Za-z0-9._-]", words, maxsplit=1)[0]
             extra = EXTRA.search(marker)
             wanted = extra[1] in extras if extra and whose == "failstop" else "extra" not in marker
-            if name in found or not wanted:
+            if name in found or not wanted or name in without:
                 continue
             try:
                 found[name] = _distribution(name, find)
@@ -175,7 +238,8 @@ def _files(distribution: Distribution) -> Iterator[Entry]:
         source = str(file.locate())
         outside = file.parts[0] == ".." or file.is_absolute()
         licence = file.parts[0].endswith(DIST_INFO) and bool(licences.TEXTS.search(file.parts[-1]))
-        wanted = licence or (not LEFT_OUT.intersection(file.parts) and file.suffix != STUBS)
+        about = file.parts[0].endswith(DIST_INFO) and file.parts[-1] in OF_THE_WHEEL
+        wanted = licence or (not LEFT_OUT.intersection(file.parts) and file.suffix != STUBS and not about)
         if not outside and wanted and os.path.isfile(source):
             texts += licence
             yield _copied(str(file), source)

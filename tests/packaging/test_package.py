@@ -52,7 +52,7 @@ def wanted(text: str) -> bool:
 
 @pytest.mark.starts
 def test_the_scripts_know_every_unit(files: dict[str, str]) -> None:
-    scripts = {name: files[f"DEBIAN/{name}"] for name in build.SCRIPTS}
+    scripts = {name: files[f"DEBIAN/{name}"] for name in build.SCRIPTS[:4]}
     units = {path.rpartition("/")[2]: text for path, text in files.items() if path.startswith(build.UNITS)}
     for unit, text in units.items():
         name = unit.removesuffix(".service")
@@ -61,7 +61,7 @@ def test_the_scripts_know_every_unit(files: dict[str, str]) -> None:
         if wanted(text) and unit not in ALWAYS:
             assert unit.replace("@", "@*") in scripts["postinst"]
             assert name in scripts["prerm"].partition("for unit in")[2]
-    for name, text in scripts.items():
+    for name, text in [*build.scripts("failstop-lab").items(), *scripts.items()]:
         subprocess.run(["sh", "-n"], input=text, text=True, check=True)
         assert "set -e\n" in text, name
 
@@ -108,6 +108,11 @@ def test_the_maintainer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 def test_without_the_systems_python_the_build_says_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
     assert build.main([], "/nowhere/python3") == 1
     assert "make deb PYTHON=/usr/bin/python3 VENV=.venv-deb" in capsys.readouterr().err
+
+
+def test_the_pythons_that_a_package_is_for() -> None:
+    assert build.needs(["3.11"]) == "python3 (>= 3.11), python3 (<< 3.12)"
+    assert build.needs(["3.9", "3.10", "3.14"]) == "python3 (>= 3.9), python3 (<< 3.15)"
 
 
 def test_of_a_release_a_machine_installs_what_is_for_it_and_the_robots_comes_first(tmp_path: Path) -> None:

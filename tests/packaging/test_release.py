@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import tarfile
@@ -107,7 +108,7 @@ def test_an_sdist_has_nothing_of_who_packed_it(tmp_path: Path, monkeypatch: pyte
 
 def test_the_bill_names_every_package_with_version_and_licence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
-    needed = tree.needed(("web", "fleet"))
+    needed = tree.needed(("web", "fleet"), without=())
     bill = sbom.packed("0.2.0", needed, "arm64")
     rows = {row["name"]: row for row in bill["components"]}
     assert {"numpy", "posix-ipc", "tornado", "msgpack"} <= set(rows)
@@ -117,8 +118,24 @@ def test_the_bill_names_every_package_with_version_and_licence(monkeypatch: pyte
         assert licence.get("expression") or "not said" not in str(licence), name
     refs = {row["bom-ref"] for row in bill["components"]}
     assert {ref for row in bill["dependencies"] for ref in row.get("dependsOn", ())} == refs
-    assert bill == sbom.packed("0.2.0", needed[::-1], "arm64"), "whatever order they are found in"
+    assert bill == sbom.packed("0.2.0", needed[::-1] + needed, "arm64"), "whatever order they are found in"
     assert json.loads(sbom.text(bill))["specVersion"] == "1.6"
+
+
+def test_the_bill_has_the_hash_of_every_wheel(tmp_path: Path) -> None:
+    found = []
+    for python in ("3.11", "3.13"):
+        path = tmp_path / python / f"a-1-cp{python}.whl"
+        path.parent.mkdir()
+        with zipfile.ZipFile(path, "w") as packed:
+            packed.writestr("a-1.dist-info/METADATA", f"Name: a\nVersion: 1\nKeywords: {python}\n")
+            packed.writestr("a-1.dist-info/RECORD", "")
+        release.unpack([path], tmp_path / python)
+        found.append((path, tree.finder(tmp_path / python)("a")))
+    (row,) = sbom.packed("0.2.0", [one for _, one in found], "arm64")["components"]
+    assert {one["url"]: one["hashes"][0]["content"] for one in row["externalReferences"]} == {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path, _ in found
+    }
 
 
 @pytest.mark.slow

@@ -12,7 +12,9 @@ PLACES = (str(HERE), str(HERE.parent))
 
 sys.path[:0] = PLACES
 try:
-    build, tree, sbom, image, release = map(importlib.import_module, ("build", "tree", "sbom", "image", "release"))
+    build, tree, sbom, image, release, lock, versions, apt = map(
+        importlib.import_module, ("build", "tree", "sbom", "image", "release", "lock", "versions", "apt")
+    )
 finally:
     for place in PLACES:
         sys.path.remove(place)

@@ -49,7 +49,7 @@ def scene(shared_scene: Scene) -> Iterator[Scene]:
 
 @pytest.fixture(scope="package")
 def shared_place() -> Iterator[Place]:
-    tools = ("dpkg", "dpkg-deb", "deb-systemd-helper", f"/usr/bin/{tree.PYTHON}")
+    tools = ("dpkg", "dpkg-deb", "deb-systemd-helper", f"/usr/bin/python{tree.VERSION_HERE}")
     if absent := [tool for tool in tools if not shutil.which(tool)]:
         pytest.skip(f"not installed: {', '.join(absent)}")
     with contextlib.ExitStack() as stack:
