@@ -69,14 +69,16 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--homepage", default="", help="the address of the repository, for links that work on an index")
     parser.add_argument("--twice", action="store_true", help="build it in two places, as two builders, and compare")
     arguments = parser.parse_args(words)
-    out = arguments.out or ROOT / "dist" / arguments.version
+    # Whole paths, since each step runs in a folder of its own.
+    out = (arguments.out or ROOT / "dist" / arguments.version).resolve()
+    wheels = arguments.wheels.resolve() if arguments.wheels else None
     try:
         with tempfile.TemporaryDirectory(prefix="failstop-release-") as folder:
             if arguments.twice:
-                made = twice(arguments.version, Path(folder), arguments.wheels or Path(folder, "wheels"))
+                made = twice(arguments.version, Path(folder), wheels or Path(folder, "wheels"))
                 print(f"built twice, equal to the byte: {len(made)} files")
                 return 0
-            made = release(arguments.version, out, Path(folder), arguments.wheels, arguments.homepage)
+            made = release(arguments.version, out, Path(folder), wheels, arguments.homepage)
     except (ReleaseError, subprocess.CalledProcessError) as error:
         print(f"failstop: {error}", file=sys.stderr)
         return 1
@@ -122,6 +124,8 @@ def release(version: str, out: Path, folder: Path, wheels: Path | None = None, h
         print(f"failstop: no image for containers: {why}", file=sys.stderr)
     else:
         debs = {one: [path for part in (one, "all") for path in sorted(out.glob(f"*_{part}.deb"))] for one in MACHINES}
+        if not all(debs.values()):
+            raise ReleaseError(f"there are no Debian packages in {out}, of which the image would be made")
         image.make(version, debs, wheels, out, homepage)
     (out / f"failstop-{version}.cdx.json").write_text(bill)
     (out / "NOTES.md").write_text(told)
