@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,7 +39,7 @@ def read(text: str) -> list[Locked]:
     return found
 
 
-def needed(locked: Sequence[Locked], python: str, without: Sequence[str] = ()) -> str:
+def needed(locked: Sequence[Locked], python: str, without: Collection[str] = ()) -> str:
     """The lines for one Python, without conditions: pip judges them by the Python that it runs on."""
     where = {"python_version": python, "python_full_version": f"{python}.0"}
     return "".join(
