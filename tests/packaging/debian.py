@@ -106,16 +106,23 @@ def emulated() -> Iterator[None]:
 
 def run(system: Path, script: str, packages: Path, timeout_s: float) -> subprocess.CompletedProcess[str]:
     """Run a script as root in a copy of a fresh system, with the network, and with this folder at /packages. Nothing
-    that it writes stays, and no process that it starts."""
+    that it writes stays, and no process that it starts. Raises BenchError when it takes too long."""
     with tempfile.TemporaryDirectory(prefix="failstop-debian-") as base:
         words = ["unshare", "--mount", "--pid", "--ipc", "--fork", "--kill-child=KILL", "sh", "-c", ENTER, "enter"]
-        return subprocess.run(
-            [*words, str(system), base, script, str(packages)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            timeout=timeout_s,
-            check=False,
-        )
+        try:
+            return subprocess.run(
+                [*words, str(system), base, script, str(packages)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+                timeout=timeout_s,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as late:
+            printed = (late.stdout or b"").decode(errors="replace").splitlines()
+            last = printed[-1] if printed else "nothing"
+            raise BenchError(
+                f"a script in {system.name} took more than {timeout_s:g} s; it printed last: {last}"
+            ) from None
