@@ -242,4 +242,15 @@ CONTROLS = (
         "ugv",
     ),
     Mutant("a stop is not repeated", "drive", (NOT_REPEATED,), CUT_AND_ASKED, "hoverboard"),
+    Mutant(
+        "the zero behind motion is not repeated",
+        "silence",
+        ((PORT_OWNER_MODULE, "if stands and turned:", "if False:"),),
+        board="hoverboard",
+    ),
+    Mutant(
+        "a command counts a thousand times as long",
+        "silence",
+        ((SOURCES_MODULE, "{name: timeout_ns for", "{name: 1000 * timeout_ns for"),),
+    ),
 )

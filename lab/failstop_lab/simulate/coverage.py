@@ -100,6 +100,24 @@ def watch(loader: Loader, coverage: Coverage, witness: Witness) -> None:
     _watch_states(loader, coverage, witness)
 
 
+def watch_commands(loader: Loader, witness: Witness) -> None:
+    """Make the witness see when programs command speeds."""
+    robot = loader.load("failstop.api.robot").Robot
+    for name in ("drive", "drive_wheels"):
+        setattr(robot, name, _seen(getattr(robot, name), witness))
+
+
+def _seen(command: Callable[..., Any], witness: Witness) -> Callable[..., Any]:
+    def seen(*arguments: Any, **words: Any) -> Any:
+        witness.commands()
+        try:
+            return command(*arguments, **words)
+        finally:
+            witness.commanded()
+
+    return seen
+
+
 def _watch_causes(loader: Loader, coverage: Coverage, witness: Witness) -> None:
     epochs = loader.load("failstop.supervisor.latch").Epochs
     raise_for = epochs.raise_for

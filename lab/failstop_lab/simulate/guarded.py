@@ -100,8 +100,13 @@ class Guarded:
         with contextlib.suppress(BrokenPipeError):
             while not self._over:
                 self._stage.witness.asks_for(self._asks_rps)
-                with contextlib.suppress(BlockingIOError):
+                self._stage.witness.commands()
+                try:
                     self._system.write(port, self.motion)
+                except BlockingIOError:
+                    pass
+                finally:
+                    self._stage.witness.commanded()
                 self._stage.time.sleep(COMMAND_EVERY_S)
             self._system.write(port, self.rest)
 

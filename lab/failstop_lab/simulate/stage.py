@@ -89,6 +89,7 @@ class Stage:
             watch_looks(self.robot.loader, Order(self.machine, self.witness))
             watch_rings(self.robot.loader, self.witness)
         self.failstop: Any = self.robot.loader.load("failstop")
+        coverage.watch_commands(self.robot.loader, self.witness)
         self.time = self.robot.time
         self.take(play)
         self.hang_up_ns: Callable[[Epoll], int] = lambda epoll: 0

@@ -25,6 +25,7 @@ CLAIMS = {
         *("DEATH-1", "HANG-1", "SEVERAL-1", "ASK-1", "ASK-2"),
         *("CLIENT-1", "PORT-1", "BOARD-1", "TIME-1", "END-1"),
     ),
+    "wheels that no program commands any more stand still": ("CLIENT-1",),
     "no frame behind a stop but the one past its last look": ("MOVE-1",),
     "no motion before a program asks for it": ("MOVE-2", "START-1", "END-1"),
     "never faster than a program asks for": ("LIMIT-1",),
@@ -36,6 +37,7 @@ CLAIMS = {
     "no entry of a ring is passed over": ("ASK-1",),
 }
 """The rules by which a run is judged, and the claims (lab/case/claims.py) that each rule supports."""
+GATE = "gate"
 SERVICE_PROCESSES = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
 PORT_WRITERS = ("supervisor", "port_owner", "stopper")
 DEATH_NS = 8 * MS
@@ -60,6 +62,10 @@ ANY_REPORTS, TRUE_REPORTS, COMPARED = "reports", "true reports", "reports compar
 that has been compared with commands for long enough."""
 SEES_AGAIN_NS = 1_500 * MS
 """A telemetry that was held up compares reports with commands again once it knows both for long enough."""
+COMMAND_COUNTS_NS = 300 * MS
+"""A command counts for so long, as no scenario sets it otherwise (gate.command_timeout_s)."""
+SILENCE_BAR_NS = 25 * MS
+"""From the moment at which the last command counts no more to the stop at the board: a tick, and its own bytes."""
 STOPPER_NS = 290 * MS
 """While supervisor and port owner are both silent, the stopper is the one that notices."""
 ZEROS_NS = 250 * MS
@@ -84,9 +90,12 @@ class Phase(Enum):
 class Deadline:
     """One reason to stop, and its time. It ends with a verdict, or when a program asks for motion."""
 
-    def __init__(self, witness: Witness, why: str, within_ns: int, by: str, moot: Callable[[], bool]) -> None:
+    def __init__(
+        self, witness: Witness, why: str, within_ns: int, by: str, moot: Callable[[], bool], *, forbids: bool = True
+    ) -> None:
         """`within_ns`: the bar; `by`: the process that notices, if it is not one of the PORT_WRITERS; `moot`: whether
-        nobody could notice, so there is no verdict."""
+        nobody could notice, so there is no verdict; `forbids`: no frame may turn the wheels afterwards."""
+        self._forbids = forbids
         self._witness, self._machine, self._board = witness, witness.machine, witness.board
         self._why, self._within_ns, self._by, self._moot = why, within_ns, by, moot
         self._asked = witness.asked_for_motion
@@ -134,7 +143,7 @@ class Deadline:
         elif may_be_late and self._phase is Phase.OWN_TIME and self._repeats_were_moved():
             self.begin(Phase.ZEROS, left_ns=ZEROS_NS)
         else:
-            self._witness.must_be_still(self._why, self._within_ns + self._own_ns)
+            self._witness.must_be_still(self._why, self._within_ns + self._own_ns, forbids=self._forbids)
 
     def _repeats_were_moved(self) -> bool:
         return self._witness.late_until_ns() + ADAPTER_BAR_NS > self._machine.now_ns
@@ -168,6 +177,10 @@ class Witness:
         """A program has asked and has no answer yet."""
         self._asked_ns = 0
         """When a program last asked for motion."""
+        self._commanding = self._commands = 0
+        """How many programs are about to command, and how many commands there were."""
+        self._silence = False
+        """It is being waited for that no program commands."""
         self._stopper_paused_ns = (0, 0)
         """The begin and end of the last pause of a thread of the stopper."""
         self._fastest_rps = 0.0
@@ -234,6 +247,34 @@ class Witness:
         """A program commands this wheel speed."""
         self._fastest_rps = max(self._fastest_rps, rps)
 
+    def commands(self) -> None:
+        """A program begins to command a speed."""
+        self._commanding += 1
+
+    def commanded(self) -> None:
+        """It has been commanded. If no command follows, the wheels stop by themselves."""
+        self._commanding -= 1
+        self._commands += 1
+        if not self._silence:
+            self._silence = True
+            self._await_silence()
+
+    def _await_silence(self) -> None:
+        commands = self._commands
+
+        def goes_on() -> bool:
+            return self._commanding > 0 or self._commands != commands
+
+        def due() -> None:
+            if goes_on():
+                self._await_silence()
+                return
+            self._silence = False
+            self.tell("no program commands")
+            Deadline(self, "no program commands", SILENCE_BAR_NS, GATE, goes_on, forbids=False).begin(Phase.BAR)
+
+        self.machine.at(self.machine.now_ns + COMMAND_COUNTS_NS, due)
+
     def _written(self, data: bytes) -> None:
         """Bytes for the board, written by the running thread. After an early stop by another process, the port owner
         may be about to write one frame (S2 of docs/dev/model.md); after one by its own thread, none. A stop by its
@@ -266,9 +307,10 @@ class Witness:
         after_ns = max(self.wire_ns, self.late_until_ns(by)) - self.machine.now_ns
         Deadline(self, why, within_ns, by, moot).begin(Phase.BAR, after_ns=after_ns)
 
-    def must_be_still(self, why: str, within_ns: int) -> None:
-        """The deadline is over: from now on no frame may turn the wheels, and they are still."""
-        self._forbidden = self._forbidden or why
+    def must_be_still(self, why: str, within_ns: int, *, forbids: bool = True) -> None:
+        """The deadline is over: the wheels are still, and if it `forbids` it no frame may turn them from now on."""
+        if forbids:
+            self._forbidden = self._forbidden or why
         if any(self.board.model.driven):
             self.wrong(f"the wheels turn {within_ns / MS:g} ms after: {why}")
 

@@ -40,7 +40,8 @@ class Scene:
     def reached(self) -> bool:
         return self.reaches
 
-    def must_be_still(self, _why: str, within_ns: int) -> None:
+    def must_be_still(self, _why: str, within_ns: int, *, forbids: bool) -> None:
+        assert forbids
         self.verdicts.append(within_ns)
 
     def _at(self, t_ns: int, what: Callable[[], None]) -> None:
