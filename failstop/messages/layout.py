@@ -1,5 +1,8 @@
 """The layout: every record of shared memory, declared once, with its writer, its payload and its readers.
 
+In each segment, the records that the C library reads come first (OF_LIBRARY), so that a new record of the service's own
+moves none of them.
+
 There is one segment per writer, so the mapping enforces "one writer per record": a process maps its own segment for
 writing and every other one only for reading. Clients write their own segments, and the service never maps those (see
 cell.py).
@@ -87,18 +90,18 @@ SEGMENTS = (
             *_beat(),
             _word("epoch", "port_owner, gate, stopper, clients"),
             _word("ready", "gate, clients"),  # 1 while every process beats and the port is open and stopped
+            _latest("latch", records.LATCH, "port_owner, gate, clients"),  # the latch, or the one before
+            _latest("link", 32, "gate, clients"),  # whether the board answers (ASCII)
+            _latest("rules", 512, "clients"),  # the settings that clients need (msgpack), written once
+            _latest("settings", 16384, "clients"),  # every setting of this run by its whole key (msgpack)
             # The processes to watch (records.life): the newest of each.
             *(_word(f"{process}_life", "port_owner") for process in (GATE, TELEMETRY, STOPPER)),
             _word("port_owner_life", "stopper"),
             _word("written_ns", "everyone"),  # when it last wrote a burst itself
-            _latest("latch", records.LATCH, "port_owner, gate, clients"),  # the latch, or the one before
             _word("resets", "gate"),  # the number of the newest reset that was decided
             _latest("reset", records.REPLY, "gate"),  # the answer to it (policy/causes.py)
             _latest("stop", 1024, "clients"),  # the last stop, as people see it (msgpack)
-            _latest("link", 32, "gate, clients"),  # whether the board answers (ASCII)
             _latest("processes", 2048, "clients"),  # the process table (msgpack)
-            _latest("rules", 512, "clients"),  # the settings that clients need (msgpack), written once
-            _latest("settings", 16384, "clients"),  # every setting of this run by its whole key (msgpack)
             _ring("events", 512, 256, "clients"),  # events for people (msgpack, supervisor/events.py)
             _ring("box", box.OF_BEATS, box.BEATS_CELLS, "everyone"),  # beat ages, its own bursts (box.py)
         ),
@@ -109,13 +112,13 @@ SEGMENTS = (
         PUBLIC,
         (
             *_beat(),
+            _latest("port", records.PORT, "supervisor, stopper, clients"),  # its state and path
             _word("stopped_epoch", "supervisor, stopper"),  # the newest epoch that it has answered with a stop
             _word("written_ns", "everyone"),  # when it last wrote a burst
             # 1 from before motion is written until a whole burst is, or its repeat: what it may have told the wheels.
             _word("moving", "supervisor, stopper"),
             _word("told_ns", "telemetry"),  # since when what it wrote tells the wheels to turn; 0: they are not told to
             _word("asked_ns", "supervisor"),  # when it last wrote a ping
-            _latest("port", records.PORT, "supervisor, stopper, clients"),  # its state and path
             _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order
             # What the board will answer or echo, with the time before each write. Holds more than GIVEN_UP_NS of pings
             # and of clients' questions.
@@ -130,6 +133,8 @@ SEGMENTS = (
         PUBLIC,
         (
             *_beat(),
+            _latest("state", 4096, "telemetry, clients"),  # msgpack
+            *(_latest(f"reply.{i}", records.REPLY, "the client of that slot") for i in range(CLIENT_SLOTS)),
             _word("resets_asked", "supervisor, its successor"),  # the number of the newest reset that was asked for
             _word("reset_asked_ns", "supervisor"),  # when that was asked for
             _word("busy", "supervisor, telemetry"),  # 1 while motion is enabled, a client is present, or an arm exists
@@ -137,9 +142,7 @@ SEGMENTS = (
             _ring("frames", records.FRAME, 64, "port_owner"),  # motion, stops, other frames for the wire
             _ring("stops", records.STOPPED, 32, "supervisor"),  # every stop cause that it noticed, in order
             _ring("notes", NOTE_BYTES, 32, "supervisor"),  # remarks for people (packing.py)
-            _latest("state", 4096, "telemetry, clients"),  # msgpack
             _latest("said", 4096, "clients"),  # remarks of clients on themselves (msgpack, procs/gate/remarks.py)
-            *(_latest(f"reply.{i}", records.REPLY, "the client of that slot") for i in range(CLIENT_SLOTS)),
             _ring("box", box.TICK, box.GATE_CELLS, "everyone"),  # every tick's command and decision (box.py)
             _ring("arm_box", box.ARM_BYTES, box.ARM_CELLS, "everyone"),  # the arm's aims, and whose (box.py)
         ),
@@ -150,6 +153,10 @@ SEGMENTS = (
         PUBLIC,
         (
             *_beat(),
+            _latest("imu", records.IMU, "clients"),  # corrected, the rate less its bias
+            _latest("wheels", records.WHEELS_SEEN, "gate, supervisor, clients"),  # what is known of them now
+            _latest("battery", records.BATTERY, "clients"),
+            _latest("odometry", records.ODOMETRY, "its successor, clients"),
             _word("port_number", "supervisor"),  # of the port that it reads; 0: it has none
             _word("restarts", "port_owner"),  # so often the board was seen to restart
             _latest("answered", records.PROVED, "supervisor, its successor"),  # the newest ping that was answered
@@ -160,13 +167,9 @@ SEGMENTS = (
             _word("patience_ns", "supervisor, its successor"),
             _word("still_ns", "supervisor"),  # since when the IMU says that the wheels are still; 0: it shakes
             _word("judged_ns", "supervisor"),  # the last IMU sample that still_ns is judged from; 0: none yet
-            _latest("imu", records.IMU, "clients"),  # corrected, the rate less its bias
-            _latest("wheels", records.WHEELS_SEEN, "gate, supervisor, clients"),  # what is known of them now
             _latest("scale", 1024, "clients"),  # measured over told: wheels, turn, what is wrong, remarks (msgpack)
-            _latest("battery", records.BATTERY, "clients"),
             _latest("health", records.HEALTH, "supervisor, gate, clients"),
             _latest("bias", records.BIAS, "its successor, clients"),
-            _latest("odometry", records.ODOMETRY, "its successor, clients"),
             _latest("pad", records.PAD, "clients"),
             _latest("pad_arm", records.PAD_ARM, "gate"),  # one a frame while the pad moves a joint
             _latest("pad_command", records.PAD_COMMAND, "gate"),  # one a frame while the pad drives
@@ -207,3 +210,30 @@ _TEXT = f"layout {LAYOUT_VERSION}\n" + "\n".join(
 LAYOUT_HASH = crc32(_TEXT.encode()) << 32 | crc32(_TEXT.encode(), 0x5AFE)
 """A hash of all declarations above: processes with different layouts refuse each other. Raise LAYOUT_VERSION when a
 payload format in records.py changes without any size changing."""
+
+CLIENT_VERSION = 1
+"""Raise it when the library of clients/c must be built anew although no size or place of its records has changed: for
+another meaning of a value, or of a key in `state`, `rules` or `settings`."""
+OF_LIBRARY: dict[str, dict[str, Shape | None]] = {
+    SUPERVISOR: {"beat_ns": None, "epoch": None, "ready": None, "latch": records.LATCH, "link": None}
+    | dict.fromkeys(("rules", "settings")),
+    PORT_OWNER: {"port": records.PORT},
+    GATE: {"state": None} | {f"reply.{i}": records.REPLY for i in range(CLIENT_SLOTS)},
+    TELEMETRY: {
+        "imu": records.IMU,
+        "wheels": records.WHEELS_SEEN,
+        "battery": records.BATTERY,
+        "odometry": records.ODOMETRY,
+    },
+    "client.0": {"left": records.LEFT, "held": None, "hello": records.HELLO}
+    | {name: records.OF_SESSION[name] for name in ("command", "sensed", "interlocks", "request", "seen", "said")},
+}
+"""The records that the C library reads or writes, with the shapes of those that have one. A library outlives an upgrade
+of the service as long as nothing here changes."""
+_OF_LIBRARY = f"client {CLIENT_VERSION}\n" + "\n".join(
+    f"{name} {r.kind} {r.name} {r.capacity} {r.cells} {SEGMENT_BY_NAME[name].offsets[r.name]} {shape and shape.form}"
+    for name, used in OF_LIBRARY.items()
+    for r, shape in ((SEGMENT_BY_NAME[name].records[record], shape) for record, shape in used.items())
+)
+CLIENT_HASH = crc32(_OF_LIBRARY.encode()) << 32 | crc32(_OF_LIBRARY.encode(), 0x5AFE)
+"""A hash of the records that the C library touches; each segment's header has it, next to the hash of the layout."""

@@ -95,6 +95,11 @@ class Shape:
         self.most = self._numbers.size + tail.most
         self.pack: Callable[..., bytes] = self._numbers.pack if tail is NOTHING else self._pack_with_tail
 
+    @property
+    def form(self) -> str:
+        """Its numbers in the notation of `struct`."""
+        return self._numbers.format
+
     def _pack_with_tail(self, *values: Any) -> bytes:
         return self._numbers.pack(*values[: self._count]) + self._tail.pack(*values[self._count :])
 
@@ -345,6 +350,7 @@ OF_SESSION: dict[str, Shape] = {
     "request": REQUEST,
     "speed_limit": SPEED_LIMIT,  # the limit that a request is about
     "seen": SEEN,  # the newest stop known to the person who asks for a reset
+    "said": SAID,  # one line: what the client sees and what is wrong
     "arm_goal": ARM_GOAL,  # follow or jog, renewed
     "arm_path": ARM_PATH,  # the trajectory that a request is about
     "aux": AUX,  # a frame for the wire that is not motion

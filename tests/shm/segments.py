@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from failstop.messages import segments
-from failstop.messages.layout import LAYOUT_HASH, PRIVATE, PUBLIC, SEGMENT_BY_NAME, SEGMENTS
+from failstop.messages.layout import CLIENT_HASH, LAYOUT_HASH, PRIVATE, PUBLIC, SEGMENT_BY_NAME, SEGMENTS
 from failstop.messages.segments import AttachError
 from failstop.shm import cell
 from failstop.shm.segment import Segment
@@ -16,7 +16,7 @@ from failstop.version import VERSION
 
 RUN = 0xABCDEF0123456789
 NAMES = [spec.name for spec in SEGMENTS]
-HEADER, HEADER_SEED = struct.Struct("<8sQQQ24s24s"), cell.seed("header", 0)
+HEADER, HEADER_SEED = struct.Struct("<8sQQQ16sQ24s"), cell.seed("header", 0)
 
 SERVICE = [spec.name for spec in SEGMENTS if spec.mode == PUBLIC]
 PRIVATE_NAMES = [spec.name for spec in SEGMENTS if spec.mode == PRIVATE]
@@ -56,7 +56,7 @@ def write_header(
 ) -> None:
     """Put a header of another program, run or layout into a segment."""
     header = HEADER.pack(
-        magic, layout, SEGMENT_BY_NAME[of].size if size is None else size, run, (name or of).encode(), version.encode()
+        magic, layout, SEGMENT_BY_NAME[of].size if size is None else size, run, (name or of).encode(), CLIENT_HASH, version.encode()
     )
     with open(path_of(instance, of), "r+b") as file:
         file.write(cell.build(1, 0, header, HEADER_SEED, 104))

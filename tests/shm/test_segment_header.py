@@ -25,7 +25,7 @@ def test_the_header_fits_its_place(name: str) -> None:
     write_header(name, "gate")
     assert content(path_of(name, "gate")) == before, "it is what a segment is made with"
     assert len(VERSION.encode()) <= 24
-    assert all(len(name) <= 24 for name in NAMES)
+    assert all(len(name) <= 16 for name in NAMES)
 
 
 def test_a_segment_that_is_absent_is_told(name: str) -> None:

@@ -138,13 +138,16 @@ typedef struct fs_state {
   int32_t enabled;
   /** 1: a stop is latched. */
   int32_t latched;
-  /** The number of the latched cause (docs/reference/causes.md), or 0. fs_cause_text() has its text. */
+  /** The number of the latched cause (docs/reference/causes.md), or 0. fs_why() has its text. */
   int32_t cause;
   /** An `fs_block`. */
   int32_t block;
   /** An `fs_answer`: what the gate decided about this handle's newest command. It is about the command before until
    * the gate has taken the newest one, which takes 0.3 ms on an idle machine. */
   int32_t answer;
+  /** An `fs_block`: why this handle's command moves nothing, if `answer` is FS_BLOCKED. It is FS_BLOCK_NO_COMMAND until
+   * the gate has taken the command. */
+  int32_t answer_block;
   /** 1: the gate commands a velocity. */
   int32_t moving;
   /** 1: every process of the service runs and the port is open, so motion could be enabled. */
@@ -153,6 +156,7 @@ typedef struct fs_state {
   int32_t link;
   /** 1: the board's port is open; 0: it is closed, or the board was unplugged. */
   int32_t port_open;
+  int32_t reserved1_;
 
   /** Raised by every stop. Pass it to fs_reset() as the newest stop that your user has seen. */
   uint64_t epoch;
@@ -199,7 +203,7 @@ typedef struct fs_state {
   double twist[3];
   /** 1: both come from the board's reports of the wheels; 0: only from the commands, which you should not trust. */
   int32_t odometry_measured;
-  int32_t reserved_;
+  int32_t reserved2_;
   /** Age of both, s. */
   double odometry_age_s;
 } fs_state;
@@ -329,7 +333,7 @@ FS_API int fs_reset(fs_robot *robot, uint64_t seen, double timeout_s);
 
 /**
  * Latch a stop. Motion stays off until somebody resets and enables it. `reason`: a few words for people, at most 180
- * bytes of UTF-8, or NULL.
+ * bytes of UTF-8 (more is cut), or NULL.
  *
  * It needs no slot and no permission, works with a service of any version, in a forked child, and while another thread
  * is inside another function. It may be called from a signal handler. **Real-time.**
@@ -345,8 +349,8 @@ FS_API int fs_stop_service(const char *service, const char *client, const char *
 /* -- Looking ------------------------------------------------------------------------------------------------------ */
 
 /**
- * Fill a snapshot. Set `state->size` before. FS_NO_SERVICE: the service has ended; `state` then says that nothing is
- * known. It needs no slot. **Real-time.**
+ * Fill a snapshot. Set `state->size` before. FS_NO_SERVICE: the service has ended; `state` then shows that as a
+ * latched stop, or, if this handle never saw the service, that nothing is known. It needs no slot. **Real-time.**
  */
 FS_API int fs_get_state(const fs_robot *robot, fs_state *state);
 

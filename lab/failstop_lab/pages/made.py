@@ -10,6 +10,7 @@ from failstop_lab.faults import report
 from failstop_lab.pages import (
     bases,
     board,
+    c_layout,
     case,
     catalog,
     causes,
@@ -61,6 +62,7 @@ FILES: dict[str, Callable[[str], str]] = {
     "docs/does-your-robot-stop.md": lambda text: renewed(text, "bases", bases.table()),
     "README.md": lambda text: renewed(text, "speed", speed.text(ROOT)),
     public.PLACE: lambda _: public.text(),
+    "clients/c/src/layout.h": lambda _: c_layout.text(),
     "docs/dev/architecture.md": lambda text: renewed(text, "rooms", rooms.picture()),
 }
 
