@@ -32,6 +32,7 @@ test: $(VENV)/.dev lint
 	$(PYTEST) --numprocesses 0 -m alone $(ALONE) || \
 	  { [ $$? -eq 1 ] && $(FINDINGS) note && { $(PYTEST) $(AGAIN) -m alone || { $(FINDINGS) show; exit 1; }; }; }
 	@$(FINDINGS) show
+	@command -v cc >/dev/null || echo "no C compiler, so the C library (clients/c) was not tried: apt install gcc libc6-dev make"
 
 # Much more of what `make test` does a little of: kills in mid-write, scribbled segments, random faults; a release built twice.
 campaigns: $(VENV)/.dev fuzz
@@ -41,7 +42,8 @@ campaigns: $(VENV)/.dev fuzz
 	  tests/lab/faults/test_table.py tests/lab/faults/test_arm_rows.py tests/lab/faults/test_chaos.py \
 	  tests/e2e/test_hostile_clients.py tests/e2e/test_stop_command_on_ptys.py tests/lab/machine/test_both_worlds.py \
 	  tests/lab/machine/test_every_board.py tests/lab/faults/test_every_board.py tests/web/test_every_board.py \
-	  tests/setup tests/lab/probe tests/ros2/test_probe.py tests/packaging/test_release.py tests/model/test_model.py
+	  tests/setup tests/lab/probe tests/ros2/test_probe.py tests/packaging/test_release.py tests/model/test_model.py \
+	  tests/clients
 	$(BIN)/failstop simulate
 
 # Whatever reads bytes that others wrote, under a fuzzer that looks which lines they reach: a minute for each of TARGETS, or SECONDS.

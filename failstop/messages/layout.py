@@ -215,18 +215,24 @@ CLIENT_VERSION = 1
 """Raise it when the library of clients/c must be built anew although no size or place of its records has changed: for
 another meaning of a value, or of a key in `state`, `rules` or `settings`."""
 OF_LIBRARY: dict[str, dict[str, Shape | None]] = {
-    SUPERVISOR: {"beat_ns": None, "epoch": None, "ready": None, "latch": records.LATCH, "link": None}
-    | dict.fromkeys(("rules", "settings")),
+    SUPERVISOR: {
+        **dict.fromkeys(("beat_ns", "epoch", "ready", "link", "rules", "settings")),
+        "latch": records.LATCH,
+    },
     PORT_OWNER: {"port": records.PORT},
-    GATE: {"state": None} | {f"reply.{i}": records.REPLY for i in range(CLIENT_SLOTS)},
+    GATE: {"state": None, **{f"reply.{i}": records.REPLY for i in range(CLIENT_SLOTS)}},
     TELEMETRY: {
         "imu": records.IMU,
         "wheels": records.WHEELS_SEEN,
         "battery": records.BATTERY,
         "odometry": records.ODOMETRY,
     },
-    "client.0": {"left": records.LEFT, "held": None, "hello": records.HELLO}
-    | {name: records.OF_SESSION[name] for name in ("command", "sensed", "interlocks", "request", "seen", "said")},
+    "client.0": {
+        "left": records.LEFT,
+        "held": None,
+        "hello": records.HELLO,
+        **{name: records.OF_SESSION[name] for name in ("command", "sensed", "interlocks", "request", "seen", "said")},
+    },
 }
 """The records that the C library reads or writes, with the shapes of those that have one. A library outlives an upgrade
 of the service as long as nothing here changes."""

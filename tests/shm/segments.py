@@ -55,9 +55,8 @@ def write_header(
     version: str = VERSION,
 ) -> None:
     """Put a header of another program, run or layout into a segment."""
-    header = HEADER.pack(
-        magic, layout, SEGMENT_BY_NAME[of].size if size is None else size, run, (name or of).encode(), CLIENT_HASH, version.encode()
-    )
+    size = SEGMENT_BY_NAME[of].size if size is None else size
+    header = HEADER.pack(magic, layout, size, run, (name or of).encode(), CLIENT_HASH, version.encode())
     with open(path_of(instance, of), "r+b") as file:
         file.write(cell.build(1, 0, header, HEADER_SEED, 104))
 

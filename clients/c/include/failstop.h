@@ -265,7 +265,8 @@ FS_API int fs_keep_enabled(fs_robot *robot);
 
 /**
  * Command a velocity: m/s forward, m/s left, rad/s counter-clockwise. It counts for 0.3 s unless the settings say
- * otherwise, so repeat it. Values beyond the limits are clamped.
+ * otherwise, so repeat it. Values beyond the limits are clamped. Only the newest command counts: a zero that another
+ * command follows at once may never be seen.
  *
  * FS_OK means that the command was handed over; `fs_state.answer` says what became of it. FS_NO_SERVICE: the service
  * has ended; call fs_connect(), then have motion enabled again.

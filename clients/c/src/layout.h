@@ -2,7 +2,7 @@
 #ifndef FS_LAYOUT_H
 #define FS_LAYOUT_H
 
-#define CLIENT_HASH UINT64_C(0x76a6ff05782536c8)
+#define CLIENT_HASH UINT64_C(0x5dec6f13536fa6de)
 #define HEADER_BYTES 128
 #define CELL_HEADER_BYTES 24
 #define LINE_BYTES 64
@@ -58,9 +58,6 @@
 #define AT_SUPERVISOR_BEAT_NS 128
 #define AT_SUPERVISOR_EPOCH 512
 #define AT_SUPERVISOR_READY 576
-#define AT_SUPERVISOR_LATCH 640
-#define CAP_SUPERVISOR_LATCH 306
-#define NAME_SUPERVISOR_LATCH "supervisor.latch"
 #define AT_SUPERVISOR_LINK 1408
 #define CAP_SUPERVISOR_LINK 32
 #define NAME_SUPERVISOR_LINK "supervisor.link"
@@ -70,6 +67,9 @@
 #define AT_SUPERVISOR_SETTINGS 2688
 #define CAP_SUPERVISOR_SETTINGS 16384
 #define NAME_SUPERVISOR_SETTINGS "supervisor.settings"
+#define AT_SUPERVISOR_LATCH 640
+#define CAP_SUPERVISOR_LATCH 306
+#define NAME_SUPERVISOR_LATCH "supervisor.latch"
 #define AT_PORT_OWNER_PORT 512
 #define CAP_PORT_OWNER_PORT 317
 #define NAME_PORT_OWNER_PORT "port_owner.port"
@@ -191,8 +191,8 @@
     {"omni3", {1.0, 1.0, 1.0}}, \
     {"ackermann", {1.0, 0.0, 1.0}}, \
 
-/* Number, name, text, what to do first. In a text, braces hold an argument, and what is in brackets is left out
- * when its arguments are empty. */
+/* Number, name, text, what to do first. In a text, braces hold an argument, and what is in brackets is left
+ * out when its arguments are empty. */
 #define CAUSES \
     {1, "died", \
      "{process} died", \

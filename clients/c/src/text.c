@@ -198,17 +198,22 @@ void fsi_add_cause(struct fsi_text *text, const uint8_t *packed, size_t size) {
   }
 }
 
+/* As Python shows it: the fewest digits that are this number, without an exponent where none is needed. */
 void fsi_add_number(struct fsi_text *text, double number) {
   char out[40];
+  int digits = 0, exponent;
   locale_t before = uselocale(plain());
-  for (int digits = 1; digits <= 17; digits++) {
-    snprintf(out, sizeof out, "%.*g", digits, number);
+  do {
+    snprintf(out, sizeof out, "%.*e", digits, number);
     double again = strtod(out, NULL);
     if (again >= number && again <= number) break;
-  }
+  } while (++digits < 17);
+  const char *e = strchr(out, 'e');
+  exponent = e ? atoi(e + 1) : 0;
+  if (e && exponent >= -4 && exponent < 16)
+    snprintf(out, sizeof out, "%.*f", digits > exponent ? digits - exponent : 1, number);
   uselocale(before);
   fsi_adds(text, out);
-  if (!strpbrk(out, ".en")) fsi_adds(text, ".0");
 }
 
 /* How many bytes the character at the start has; 0: it is no UTF-8. */

@@ -165,8 +165,7 @@ def _wheels() -> list[str]:
         for count, names in layouts.WHEEL_NAMES.items()
     )
     axes = (
-        f"    {{{_quoted(name)}, {{{', '.join(map(repr, factors))}}}}}, \\"
-        for name, factors in kinematics.AXES.items()
+        f"    {{{_quoted(name)}, {{{', '.join(map(repr, factors))}}}}}, \\" for name, factors in kinematics.AXES.items()
     )
     return ["#define WHEEL_NAMES \\", *names, "", "#define AXES \\", *axes, ""]
 
@@ -188,8 +187,8 @@ def text() -> str:
         *_records(),
         "",
         *_wheels(),
-        "/* Number, name, text, what to do first. In a text, braces hold an argument, and what is in brackets is left out",
-        " * when its arguments are empty. */",
+        "/* Number, name, text, what to do first. In a text, braces hold an argument, and what is in brackets is left",
+        " * out when its arguments are empty. */",
         *_causes(),
         "#endif",
     ]

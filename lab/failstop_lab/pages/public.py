@@ -17,7 +17,7 @@ from failstop.policy import causes, settings
 from failstop.ros2 import contract
 from failstop.supervisor.kinds import EVENT_KINDS
 from failstop.version import DEPRECATED, Renamed
-from failstop_lab.pages import completion, reference
+from failstop_lab.pages import c_reference, completion, reference
 
 PLACE = "docs/reference/public.txt"
 DEPRECATED_FOR = "; deprecated: "
@@ -28,7 +28,9 @@ MEMBER = re.compile(r"\| `(?:await )?(?P<name>\w+)(?:\((?P<given>.*)\))?[^`]*` \
 
 def text() -> str:
     """The whole file."""
-    return "".join(f"{line}\n" for line in sorted({*_python(), *_deprecated(), *_commands(), *_settings(), *_words()}))
+    return "".join(
+        f"{line}\n" for line in sorted({*_python(), *_deprecated(), *_commands(), *_settings(), *_words(), *_c()})
+    )
 
 
 def lost(before: str, now: str, *, minor: bool) -> list[str]:
@@ -50,6 +52,12 @@ def _python() -> Iterator[str]:
             name = found["name"] if found["name"] == owner else f"{owner}.{found['name']}"
             yield f"python {name}"
             yield from (f"python {name}({argument})" for argument in _arguments(found["given"] or ""))
+
+
+def _c() -> Iterator[str]:
+    """The functions of failstop.h, with the types that they take."""
+    for declared in c_reference.functions():
+        yield f"c {declared}"
 
 
 def _deprecated() -> Iterator[str]:

@@ -1,0 +1,20 @@
+"""What the tests of the C client share: the numbers of failstop.h, and a client that drives."""
+
+from __future__ import annotations
+
+from failstop_lab.trial import Trial, wait_for
+from tests.clients.built import Driver
+
+OK, NO_SERVICE, NO_PERMISSION, OTHER_LAYOUT, NO_SLOT, NOT_CONNECTED, REFUSED, NO_ANSWER, UNDECLARED, INVALID, FORKED = (
+    0, *range(-1, -11, -1),
+)  # fmt: skip
+DISABLED, HELD, NO_COMMAND = 2, 3, 4
+DRIVING, BLOCKED = 1, 3
+
+
+def set_off(trial: Trial, driver: Driver, velocity: float = 0.2) -> None:
+    """Have it drive until the wheels turn, with motion enabled by somebody else."""
+    wait_for("the zero to be heard", lambda: driver.do("drive 0 0 0") or driver.state()["answer_block"] == DISABLED)
+    trial.robot.enable()
+    wait_for("the wheels to turn", lambda: driver.do(f"for 0.05 {velocity}") or trial.turning())
+    trial.board.events()

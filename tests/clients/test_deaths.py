@@ -1,0 +1,188 @@
+"""The end of a C program that drives, in every way that a program ends: the wheels stop, and nothing drives before an
+enable. The board is the judge, and a Python program that dies in the same way is beside it."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from failstop_lab.stopped import Stopped, judge
+from failstop_lab.trial import Trial, wait_for
+from tests.clients.built import Driver
+from tests.clients.scene import OK, set_off
+
+LATE_NS = 250_000_000
+"""Less than the 0.3 s after which a silent client's command would have stopped the wheels anyway."""
+ENDS = {
+    "kill -9": lambda driver: os.kill(driver.pid, signal.SIGKILL),
+    "SIGHUP": lambda driver: os.kill(driver.pid, signal.SIGHUP),
+    "SIGTERM": lambda driver: os.kill(driver.pid, signal.SIGTERM),
+    "a segmentation fault": lambda driver: os.kill(driver.pid, signal.SIGSEGV),
+    "SIGABRT": lambda driver: os.kill(driver.pid, signal.SIGABRT),
+}
+
+
+def driving(trial: Trial, driver: Driver) -> None:
+    """Have it drive for as long as it lives, with motion that somebody else has enabled."""
+    driver.connect(trial.name)
+    set_off(trial, driver)
+    driver.tell("for -1 0.2")
+    assert driver.answer() == "driving"
+    trial.board.wait_wheels(turning=True, timeout_s=5.0)
+    trial.leave()
+
+
+def seen(trial: Trial, fault_ns: int) -> Stopped:
+    """What the board saw, while a successor commands motion, as a program does that is started again at once."""
+    with Driver() as again:
+        again.connect(trial.name)
+        again.do("for 0.3 0.2")
+    return judge(trial.board.events(), fault_ns, was_turning=True)
+
+
+def stays(trial: Trial, who: str, pid: int) -> None:
+    state = trial.robot.state
+    assert not state.enabled
+    assert not trial.turning()
+    assert f"{who} (pid {pid}), which had driven, has died" in " ".join(str(trial.robot.why()).split())
+
+
+@pytest.mark.claim("CLIENT-1", "MOVE-2")
+@pytest.mark.parametrize("way", ENDS)
+def test_however_it_dies_the_wheels_stop(trial: Trial, driver: Driver, way: str) -> None:
+    driving(trial, driver)
+    fault_ns = time.monotonic_ns()
+    ENDS[way](driver)
+    stopped = seen(trial, fault_ns)
+    assert stopped.stop_ns is not None
+    assert stopped.stop_ns < LATE_NS
+    assert stopped.motion_after == 0
+    stays(trial, "driver.c", driver.pid)
+
+
+@pytest.mark.parametrize("way", ["exit", "abort", "crash", "exec"])
+def test_a_driver_that_ends_itself_without_a_goodbye_has_died(trial: Trial, driver: Driver, way: str) -> None:
+    driver.connect(trial.name)
+    set_off(trial, driver)
+    assert driver.do("for 0.1 0.2") == OK
+    trial.board.events()
+    fault_ns = time.monotonic_ns()
+    driver.tell(way)
+    stopped = seen(trial, fault_ns)
+    assert stopped.stop_ns is not None
+    assert stopped.stop_ns < LATE_NS
+    assert stopped.motion_after == 0
+    stays(trial, "driver.c", driver.pid)
+    if way == "exec":
+        assert driver.process.poll() is None, "another program goes on under its number"
+
+
+def test_a_child_that_lives_on_does_not_hide_the_death_of_its_parent(trial: Trial, driver: Driver) -> None:
+    driver.connect(trial.name)
+    set_off(trial, driver)
+    driver.tell("fork")
+    found = re.fullmatch(r"child (\d+) drive=-10 enable=-10 state=-10 connect=-10 stop=0", driver.answer())
+    assert found, "nothing of the parent's handle may be used in the child"
+    child = int(found[1])
+    try:
+        assert not os.readlink(f"/proc/{child}/cwd").startswith("/dev/shm")
+        held = [os.readlink(f"/proc/{child}/fd/{fd}") for fd in os.listdir(f"/proc/{child}/fd")]
+        assert not [path for path in held if path.endswith("/claims") or ".client." in path]
+        driver.tell("for -1 0.2")
+        assert driver.answer() == "driving"
+        trial.board.wait_wheels(turning=True, timeout_s=5.0)
+        trial.board.events()
+        fault_ns = time.monotonic_ns()
+        os.kill(driver.pid, signal.SIGKILL)
+        stopped = seen(trial, fault_ns)
+        assert stopped.stop_ns is not None
+        assert stopped.stop_ns < LATE_NS
+        stays(trial, "driver.c", driver.pid)
+        os.kill(child, 0)
+        wait_for("the slot to be free", lambda: not [c for c in trial.robot.state.clients if c.pid == driver.pid])
+    finally:
+        os.kill(child, signal.SIGKILL)
+
+
+def test_the_death_of_a_child_stops_nothing(trial: Trial, driver: Driver) -> None:
+    driver.connect(trial.name)
+    set_off(trial, driver)
+    driver.tell("fork")
+    child = int(driver.answer().split()[1])
+    driver.tell("for 0.3 0.2")
+    time.sleep(0.1)
+    os.kill(child, signal.SIGKILL)
+    assert driver.answer() == "0"
+    assert trial.turning()
+    assert trial.robot.state.enabled
+
+
+def test_a_signal_handler_stops(trial: Trial, driver: Driver) -> None:
+    driver.connect(trial.name)
+    assert driver.do(f"on-signal {int(signal.SIGUSR1)}") == 0
+    set_off(trial, driver)
+    driver.tell("for -1 0.2")
+    driver.answer()
+    trial.board.wait_wheels(turning=True, timeout_s=5.0)
+    os.kill(driver.pid, signal.SIGUSR1)
+    trial.board.wait_wheels(turning=False, timeout_s=5.0)
+    wait_for("the stop to be latched", lambda: trial.robot.state.cause)
+    assert "from a signal handler" in str(trial.robot.state.cause)
+
+
+def test_a_driver_that_hangs_is_waited_for_no_longer_than_its_command_counts(trial: Trial, driver: Driver) -> None:
+    driving(trial, driver)
+    os.kill(driver.pid, signal.SIGSTOP)
+    trial.board.wait_wheels(turning=False, timeout_s=5.0)
+    os.kill(driver.pid, signal.SIGKILL)
+
+
+def test_two_handles_of_a_program_are_two_clients(trial: Trial, driver: Driver) -> None:
+    driver.connect(trial.name)
+    assert driver.do(f"open {trial.name} 1") == OK
+    assert driver.do("connect") == OK
+    clients = [client.pid for client in trial.robot.state.clients]
+    assert clients.count(driver.pid) == 2
+    assert driver.do("use 0") == OK
+    set_off(trial, driver)
+    assert driver.do("use 1") == OK
+    assert driver.do("close") == OK, "of the one that does not drive"
+    assert driver.do("use 0") == OK
+    assert driver.do("for 0.2 0.2") == OK
+    assert trial.turning()
+    fault_ns = time.monotonic_ns()
+    os.kill(driver.pid, signal.SIGKILL)
+    stopped = seen(trial, fault_ns)
+    assert stopped.stop_ns is not None
+    assert stopped.stop_ns < LATE_NS
+    stays(trial, "driver.c", driver.pid)
+
+
+def test_the_service_is_told_of_a_death_before_the_memory_is_taken_down(trial: Trial) -> None:
+    """By the robust futex: freeing this much takes many times as long as the stop."""
+    with Driver(megabytes=300) as driver:
+        driving(trial, driver)
+        fault_ns = time.monotonic_ns()
+        os.kill(driver.pid, signal.SIGKILL)
+        stopped = seen(trial, fault_ns)
+        assert stopped.stop_ns is not None
+        assert stopped.stop_ns < LATE_NS
+        assert stopped.motion_after == 0
+
+
+def test_a_thread_of_the_library_holds_the_notice_and_takes_no_signal(trial: Trial, driver: Driver) -> None:
+    before = len(os.listdir(f"/proc/{driver.pid}/task"))
+    driver.connect(trial.name)
+    threads = {task.name: (task / "comm").read_text().strip() for task in Path(f"/proc/{driver.pid}/task").iterdir()}
+    assert list(threads.values()).count("failstop") == 1
+    holder = next(task for task, name in threads.items() if name == "failstop")
+    with open(f"/proc/{driver.pid}/task/{holder}/status") as status:
+        blocked = next(line for line in status if line.startswith("SigBlk:")).split()[1]
+    assert int(blocked, 16) & 1 << signal.SIGTERM - 1
+    assert driver.do("close") == OK
+    assert len(os.listdir(f"/proc/{driver.pid}/task")) == before
