@@ -26,7 +26,7 @@ from failstop.version import VERSION
 SHM = "/dev/shm"
 MAGIC = b"failstop"
 _FLAGS = os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
-HEADER = struct.Struct("<8sQQQ16sQ24s")
+SEGMENT_HEADER = struct.Struct("<8sQQQ16sQ24s")
 """Magic, layout, size, incarnation, name, the part of the layout that the C library knows, version."""
 _HEADER_SEED = cell.seed("header", 0)
 
@@ -62,7 +62,9 @@ def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Se
             claim.acquire(fd, 0)
         # Reserve the memory now; otherwise the first touch could be a SIGBUS.
         os.posix_fallocate(fd, 0, spec.size)
-        header = HEADER.pack(MAGIC, LAYOUT_HASH, spec.size, incarnation, name.encode(), CLIENT_HASH, VERSION.encode())
+        header = SEGMENT_HEADER.pack(
+            MAGIC, LAYOUT_HASH, spec.size, incarnation, name.encode(), CLIENT_HASH, VERSION.encode()
+        )
         os.pwrite(fd, cell.build(1, 0, header, _HEADER_SEED, HEADER_BYTES - cell.CELL_HEADER_BYTES), 0)
         if spec.mode & 0o020 and client_gid >= 0:
             os.fchown(fd, -1, client_gid)
@@ -142,9 +144,9 @@ def version(memory: str) -> str:
 def _header(raw: bytes) -> tuple[int, int, int, bytes, bytes] | None:
     """Layout, size, incarnation, name and version from a segment's first bytes; None if they are no header."""
     entry = cell.check(raw, _HEADER_SEED)
-    if entry is None or len(entry[2]) != HEADER.size or not entry[2].startswith(MAGIC):
+    if entry is None or len(entry[2]) != SEGMENT_HEADER.size or not entry[2].startswith(MAGIC):
         return None
-    _, fingerprint, size, incarnation, name, _, version = HEADER.unpack(entry[2])
+    _, fingerprint, size, incarnation, name, _, version = SEGMENT_HEADER.unpack(entry[2])
     return fingerprint, size, incarnation, name.rstrip(b"\0"), version
 
 

@@ -204,8 +204,8 @@ def of_another_layout(run: str, version: bytes) -> None:
         seed = cell.seed("header", 0)
         found = cell.check(file.read(HEADER_BYTES), seed)
         assert found
-        *rest, known, _ = segments.HEADER.unpack(found[2])
-        header = segments.HEADER.pack(*rest, known ^ 1, version)
+        *rest, known, _ = segments.SEGMENT_HEADER.unpack(found[2])
+        header = segments.SEGMENT_HEADER.pack(*rest, known ^ 1, version)
         file.seek(0)
         file.write(cell.build(1, 0, header, seed, HEADER_BYTES - cell.CELL_HEADER_BYTES))
 

@@ -12,7 +12,7 @@ from types import ModuleType
 import pytest
 
 from failstop.messages import layout
-from failstop.messages.layout import CLIENT_SLOTS, LAYOUT_HASH, PROCESS_NAMES, SEGMENT_BY_NAME, SEGMENTS
+from failstop.messages.layout import CLIENT_HASH, CLIENT_SLOTS, LAYOUT_HASH, PROCESS_NAMES, SEGMENT_BY_NAME, SEGMENTS
 from failstop.shm import cell, segment
 from failstop.shm.cell import cell_bytes
 from failstop.shm.segment import HEADER_BYTES, Record, SegmentSpec
@@ -127,7 +127,7 @@ def test_the_hash_is_reproducible() -> None:
         (r"LAYOUT_VERSION = \d+", "LAYOUT_VERSION = 99"),
         (r"CLIENT_SLOTS = 8", "CLIENT_SLOTS = 7"),
         (r"PUBLIC = 0o644", "PUBLIC = 0o640"),
-        (r'_word\("epoch"', '_word("epoch_"'),
+        (r'"epoch"', '"epoch_"'),
         (r'_word\("beat_worst_ns"[^\n]*', ""),
         (r'"attended": 96', '"attended": 97'),
         (r'_latest\("imu", records.IMU', '_latest("imu", records.ODOMETRY'),
@@ -136,7 +136,7 @@ def test_the_hash_is_reproducible() -> None:
         (r'_ring\("causes", (\d+), (\d+)', r'_ring("causes", \2, \1'),
         (r'_word\("port_number", "supervisor"\),', '_latest("port_number", 8, "supervisor"),'),
         (r'_latest\("battery", records.BATTERY, ', '_word("battery", '),
-        (r'(_latest\("battery"[^\n]*)\n\s*(_latest\("health"[^\n]*)', r"\2\n            \1"),
+        (r'(_latest\("battery"[^\n]*)\n\s*(_latest\("odometry"[^\n]*)', r"\2\n            \1"),
         (r'TELEMETRY = "telemetry"', 'TELEMETRY = "telemetri"'),
     ],
 )
@@ -144,6 +144,28 @@ def test_the_hash_changes_with_every_declaration(pattern: str, replacement: str)
     changed = variant(pattern, replacement).LAYOUT_HASH
     assert changed >> 32 != LAYOUT_HASH >> 32
     assert changed & 0xFFFFFFFF != LAYOUT_HASH & 0xFFFFFFFF
+
+
+OF_THE_SERVICE_ALONE = [
+    (r"LAYOUT_VERSION = \d+", "LAYOUT_VERSION = 99"),
+    (r'(_word\("resets", "gate"\),)', r'\1 _word("resets_again", "gate"),'),
+    (r'_ring\("frames", records.FRAME, 64', '_ring("frames", records.FRAME, 63'),
+    (r'_ring\("causes", (\d+), (\d+)', r'_ring("causes", \2, \1'),
+]
+OF_CLIENTS_TOO = [
+    (r"CLIENT_VERSION = \d+", "CLIENT_VERSION = 99"),
+    (r'"epoch"', '"epoch_"'),
+    (r'(_word\("ready", [^\n]*)', r'_word("more", "clients"), \1'),
+    (r'_latest\("imu", records.IMU', '_latest("imu", records.ODOMETRY'),
+    (r'_latest\("state", 4096', '_latest("state", 4160'),
+]
+
+
+@pytest.mark.parametrize(("pattern", "replacement"), OF_THE_SERVICE_ALONE + OF_CLIENTS_TOO)
+def test_the_c_library_must_follow_only_what_it_reads(pattern: str, replacement: str) -> None:
+    changed = variant(pattern, replacement)
+    assert (changed.LAYOUT_HASH != LAYOUT_HASH) == ("CLIENT_VERSION" not in pattern)
+    assert (changed.CLIENT_HASH != CLIENT_HASH) == ((pattern, replacement) in OF_CLIENTS_TOO)
 
 
 @pytest.mark.parametrize("pages", [1, 2, 5000])

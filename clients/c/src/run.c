@@ -10,6 +10,7 @@
 #include <time.h>
 #include <unistd.h>
 
+static const char HEX[] = "0123456789abcdef";
 #define SEGMENT_FLAGS (O_NONBLOCK | O_NOFOLLOW | O_CLOEXEC)
 
 uint64_t fsi_now_ns(void) {
@@ -205,7 +206,7 @@ static int attach_all(struct fsi_run *run, char *why, size_t room) {
 
 int fsi_attach(struct fsi_run **found, const struct fsi_places *places, int which, char *why, size_t room) {
   struct fsi_refusal refusal;
-  char digits[RUN_DIGITS + 1] = "", *end;
+  char digits[RUN_DIGITS + 1] = "";
   struct stat file;
   *found = NULL;
   int fd = fsi_open_in(places, which, "run", O_RDONLY, false, &refusal);
@@ -220,8 +221,14 @@ int fsi_attach(struct fsi_run **found, const struct fsi_places *places, int whic
   ssize_t size = pread(fd, digits, RUN_DIGITS, 0);
   int failed = fstat(fd, &file);
   close(fd);
-  uint64_t incarnation = strtoull(digits, &end, 16);
-  if (failed || size != RUN_DIGITS || *end) {
+  uint64_t incarnation = 0;
+  bool number = size == RUN_DIGITS;
+  for (const char *at = digits; *at; at++) {
+    const char *digit = memchr(HEX, *at, sizeof HEX - 1);
+    number = number && digit;
+    incarnation = incarnation << 4 | (uint64_t)(digit ? digit - HEX : 0);
+  }
+  if (failed || !number) {
     snprintf(why, room, "no service named '%s' is running: start it with `failstop run`", places->name);
     return FS_NO_SERVICE;
   }

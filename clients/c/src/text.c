@@ -1,7 +1,6 @@
 /* Texts for people: causes by the service's own table, and text that a program gives. */
 #include "internal.h"
 
-#include <errno.h>
 #include <limits.h>
 #include <locale.h>
 #include <math.h>
@@ -62,6 +61,21 @@ static locale_t plain(void) {
   return found;
 }
 
+/* A whole number in decimal digits; false if it is none. Not strtoll(), which has another name in every program that a
+ * newer C library has compiled, so that an older one could not run it. */
+static bool integer(const char *text, long long *value) {
+  bool negative = *text == '-';
+  unsigned long long found = 0;
+  if (negative || *text == '+') text++;
+  if (!*text) return false;
+  for (; *text; text++) {
+    if (*text < '0' || *text > '9' || found > (LLONG_MAX - 9) / 10) return false;
+    found = found * 10 + (unsigned long long)(*text - '0');
+  }
+  *value = negative ? -(long long)found : (long long)found;
+  return true;
+}
+
 /* One place of a template: its name, its form after the colon, and where it ends. */
 struct place {
   const char *name, *form, *end;
@@ -109,10 +123,13 @@ static int unpacked(const uint8_t *packed, size_t size, struct argument *argumen
     if (arguments[number].size >= sizeof copy) return -1;
     memcpy(copy, arguments[number].text, arguments[number].size);
     copy[arguments[number].size] = 0;
-    errno = 0;
-    if (place.form[place.form_size - 1] == 'f') (void)strtod_l(copy, &stopped, plain());
-    else (void)strtoll(copy, &stopped, 10);
-    if (*stopped || errno) return -1;
+    long long ignored;
+    if (place.form[place.form_size - 1] != 'f') {
+      if (!integer(copy, &ignored)) return -1;
+      continue;
+    }
+    (void)strtod_l(copy, &stopped, plain());
+    if (*stopped) return -1;
   }
   return row;
 }
@@ -135,6 +152,7 @@ static void add_argument(struct fsi_text *text, const struct argument *argument,
     copy[argument->size] = 0;
   }
   int written;
+  long long whole = 0;
   /* The forms of the table are those of printf: `d`, `04X`, `.2f`. */
   locale_t before = uselocale(plain());
   if (kind == 'f') {
@@ -142,7 +160,8 @@ static void add_argument(struct fsi_text *text, const struct argument *argument,
     written = snprintf(out, sizeof out, form, strtod(copy, NULL));
   } else {
     snprintf(form, sizeof form, "%%%.*sll%c", (int)place->form_size - 1, place->form, kind);
-    written = snprintf(out, sizeof out, form, strtoll(copy, NULL, 10));
+    integer(copy, &whole);
+    written = snprintf(out, sizeof out, form, whole);
   }
   uselocale(before);
   if (written > 0) fsi_add(text, out, (size_t)written < sizeof out ? (size_t)written : sizeof out - 1);
@@ -209,7 +228,8 @@ void fsi_add_number(struct fsi_text *text, double number) {
     if (again >= number && again <= number) break;
   } while (++digits < 17);
   const char *e = strchr(out, 'e');
-  exponent = e ? atoi(e + 1) : 0;
+  long long power = 0;
+  exponent = e && integer(e + 1, &power) ? (int)power : 0;
   if (e && exponent >= -4 && exponent < 16)
     snprintf(out, sizeof out, "%.*f", digits > exponent ? digits - exponent : 1, number);
   uselocale(before);

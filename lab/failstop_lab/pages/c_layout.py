@@ -16,7 +16,7 @@ from failstop.shm import cell
 from failstop.shm.segment import HEADER_BYTES
 from failstop.shm.words import LINE_BYTES
 
-FIELDS: dict[str, tuple[Shape, tuple[str, ...]]] = {
+C_FIELDS: dict[str, tuple[Shape, tuple[str, ...]]] = {
     "LATCH": (records.LATCH, ("epoch", "noticed_ns", "raised_ns")),
     "PORT": (records.PORT, ("number", "since_ns", "state")),
     "REPLY": (records.REPLY, ("session", "number", "done", "refused_for")),
@@ -35,7 +35,7 @@ FIELDS: dict[str, tuple[Shape, tuple[str, ...]]] = {
     "SAID": (records.SAID, ("session",)),
 }
 """The names of each shape's numbers, in order; the empty ones are reached from the one before."""
-NUMBERS: dict[str, int] = {
+C_NUMBERS: dict[str, int] = {
     "HEADER_BYTES": HEADER_BYTES,
     "CELL_HEADER_BYTES": cell.CELL_HEADER_BYTES,
     "LINE_BYTES": LINE_BYTES,
@@ -67,7 +67,7 @@ NUMBERS: dict[str, int] = {
     "ANSWER_WITHIN_NS": records.ANSWER_WITHIN_NS,
     "OLD_READING_NS": records.OLD_READING_NS,
 }
-TEXTS: dict[str, str] = {
+C_TEXTS: dict[str, str] = {
     "MAGIC": segments.MAGIC.decode(),
     "SHM": segments.SHM,
     "SUPERVISOR": layout.SUPERVISOR,
@@ -132,11 +132,11 @@ def _records() -> list[str]:
                 lines.append(_define(f"NAME_{of}", _quoted(f"{name}.{record}")))
     gate = layout.SEGMENT_BY_NAME[layout.GATE]
     lines.append(_define("REPLY_STRIDE", gate.offsets["reply.1"] - gate.offsets["reply.0"]))
-    for name, (shape, names) in FIELDS.items():
+    for name, (shape, names) in C_FIELDS.items():
         lines += [_define(f"F_{name}_{field.upper()}", at) for field, at in _fields(shape.form, names).items()]
         lines.append(_define(f"N_{name}", struct.calcsize(shape.form)))
     header = ("magic", "layout", "size", "incarnation", "name", "client", "version")
-    form = segments.HEADER.format
+    form = segments.SEGMENT_HEADER.format
     at = 0
     for field, code in zip(header, re.findall(r"\d*[A-Za-z]", form), strict=True):
         lines.append(_define(f"F_HEADER_{field.upper()}", at))
@@ -178,8 +178,8 @@ def text() -> str:
         "#define FS_LAYOUT_H",
         "",
         _define("CLIENT_HASH", f"UINT64_C({layout.CLIENT_HASH:#018x})"),
-        *(_define(name, value) for name, value in NUMBERS.items()),
-        *(_define(f"TEXT_{name}", _quoted(value)) for name, value in TEXTS.items()),
+        *(_define(name, value) for name, value in C_NUMBERS.items()),
+        *(_define(f"TEXT_{name}", _quoted(value)) for name, value in C_TEXTS.items()),
         _define("LINKS", ", ".join(map(_quoted, LINKS))),
         "",
         "/* AT_: where a record begins in its segment; CAP_: the most bytes of its payload; NAME_: what seeds its CRC.",

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[3]
-HEADER = ROOT / "clients" / "c" / "include" / "failstop.h"
+C_HEADER = ROOT / "clients" / "c" / "include" / "failstop.h"
 PAGE_HEAD = """# C: reference
 
 Generated from the comments of `failstop.h` (`make docs`). The guide is [c.md](../c.md).
@@ -20,14 +20,14 @@ _MEMBER = re.compile(r"(?:/\*\*(?P<words>.*?)\*/\s*)?(?P<declared>[^/;,{}]+)[;,]
 
 def page() -> str:
     """The page."""
-    source = HEADER.read_text("utf-8")
+    source = C_HEADER.read_text("utf-8")
     general = _words(_COMMENT.search(source)["words"])  # type: ignore[index]
     return "\n".join((PAGE_HEAD, general, "", *_functions(source), "## Types\n", *_types(source)))
 
 
 def functions() -> Iterator[str]:
     """The name and the types of each function, without the names of its arguments."""
-    for found in _FUNCTION.finditer(HEADER.read_text("utf-8")):
+    for found in _FUNCTION.finditer(C_HEADER.read_text("utf-8")):
         declared = _flat(found["declared"])
         yield re.sub(r"(\w[\w ]*[ *]+)\w+(?=[,)])", lambda part: part[1].strip(), declared)
 
