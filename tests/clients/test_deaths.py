@@ -73,6 +73,10 @@ def test_a_driver_that_ends_itself_without_a_goodbye_has_died(trial: Trial, driv
     trial.board.events()
     fault_ns = time.monotonic_ns()
     driver.tell(way)
+    if way == "exec":
+        wait_for("another program to run", lambda: Path(f"/proc/{driver.pid}/comm").read_text() == "sleep\n")
+    else:
+        driver.process.wait()
     stopped = seen(trial, fault_ns)
     assert stopped.stop_ns is not None
     assert stopped.stop_ns < LATE_NS

@@ -184,7 +184,8 @@ struct fsi_life;
  * learns of a death later. */
 FSI struct fsi_life *fsi_hold(int fd, off_t at);
 FSI void fsi_let_go(struct fsi_life *life);
-/* In a fork: the thread is the parent's. */
+/* In a fork, whose thread is the parent's: the first at once, the second when the handle is closed. */
+FSI void fsi_in_child(struct fsi_life *life);
 FSI void fsi_forget(struct fsi_life *life);
 
 /* -- run.c: a run of the service that is mapped to read ------------------------------------------------------------------- */

@@ -104,11 +104,17 @@ void fsi_let_go(struct fsi_life *life) {
   fsi_forget(life);
 }
 
+void fsi_in_child(struct fsi_life *life) {
+  if (!life || life->fd < 0) return;
+  close(life->fd);
+  life->fd = -1;
+}
+
 void fsi_forget(struct fsi_life *life) {
   if (!life) return;
+  fsi_in_child(life);
   sem_destroy(&life->held);
   sem_destroy(&life->end);
-  close(life->fd);
   munmap(life->page, life->page_bytes);
   free(life);
 }

@@ -29,6 +29,7 @@ static void after_fork(void) { pthread_mutex_unlock(&handles_lock); }
 static void in_child(void) {
   for (fs_robot *robot = handles; robot; robot = robot->next) {
     atomic_store(&robot->forked, true);
+    fsi_in_child(robot->life);
     int *each[] = {&robot->claims, &robot->bell, &robot->segment};
     for (size_t at = 0; at < sizeof each / sizeof *each; at++) {
       if (*each[at] >= 0) close(*each[at]);
