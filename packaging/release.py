@@ -127,6 +127,11 @@ def release(version: str, out: Path, folder: Path, wheels: Path | None = None, h
         if not all(debs.values()):
             raise ReleaseError(f"there are no Debian packages in {out}, of which the image would be made")
         image.make(version, debs, wheels, out, homepage)
+        debs = {
+            one: [path for part in (one, "all") for path in sorted(out.glob(f"failstop*_{part}.deb"))]
+            for one in MACHINES
+        }
+        image.make(version, tree.PYTHON, debs, wheels, out)
     (out / f"failstop-{version}.cdx.json").write_text(bill)
     (out / "NOTES.md").write_text(told)
     made = sorted(out.iterdir())
@@ -195,7 +200,7 @@ def addressed(source: Path, homepage: str, version: str) -> None:
     for project in ("pyproject.toml", "integrations/lerobot/pyproject.toml"):
         change(source / project, r"(?m)^\[tool\.setuptools\]", f"[project.urls]\n{table}\n[tool.setuptools]")
     change(source / "lab/setup.py", r'(?m)^    license="MIT",', f'    license="MIT",\n    project_urls={urls!r},')
-    for control in ("failstop", "failstop-lab"):
+    for control in ("failstop", "failstop-lab", "libfailstop0", "libfailstop-dev"):
         change(source / f"packaging/deb/{control}.control", "(?m)^Description:", f"Homepage: {homepage}\nDescription:")
     for readme in ("README.md", "integrations/lerobot/README.md"):
         path = source / readme

@@ -3,6 +3,9 @@
 The package failstop holds a Python environment (tree.py), the files of systemd/, and the man page and completions of
 the command line. failstop-lab adds the laboratory. Packed from the running environment, they are for its Python alone;
 with --sites they are for every Python that has a folder there, so one package installs on Debian 12 as well as on 13.
+The package failstop holds that Python environment (tree.py) for the system's interpreter of the same version, the files
+of systemd/, and the man page and completions of the command line. failstop-lab adds the laboratory, libfailstop0 and
+libfailstop-dev the C library (c_library.py), where there is a C compiler.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
+import c_library
 import sbom
 import tree
 from tree import BuildError, Entry
@@ -82,6 +86,13 @@ def main(words: Sequence[str] | None = None, interpreter: str = "/usr/bin/python
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="failstop-deb-") as directory:
             packages = build(Path(directory), out, arguments.architecture, arguments.sites)
+            packages = build(Path(directory), out, arguments.architecture, arguments.site)
+            try:
+                packages += library(Path(directory), out, arguments.architecture)
+            except BuildError as error:
+                if arguments.site:  # a release has all its packages
+                    raise
+                print(f"failstop: {error}", file=sys.stderr)
     except BuildError as error:
         print(f"failstop: {error}", file=sys.stderr)
         return 1
@@ -127,6 +138,16 @@ def interpreter(python: str) -> str:
             f"make interpreter PYTHON_VERSION={python}, or pyenv or uv, which have those that no Debian has"
         )
     return found
+def library(directory: Path, out: Path, architecture: str | None = None) -> list[Path]:
+    """The packages of the C library. Raises BuildError."""
+    ours = _said("dpkg", "--print-architecture")
+    architecture = architecture or ours
+    runtime, development = c_library.files(architecture, ours)
+    runtime |= c_library.control(DEBIAN)
+    return [
+        _packed(directory / name, name, {**content, **papers(name)}, out, architecture)
+        for name, content in ((c_library.RUNTIME, runtime), (c_library.DEVELOPMENT, development))
+    ]
 
 
 def pack(
@@ -153,6 +174,22 @@ def pack(
         (root / "usr/bin").mkdir(parents=True)
         (root / "usr/bin/failstop").symlink_to(f"{tree.PREFIX}/bin/failstop")
     _control(root, name, architecture, list(interpreters))
+    return _closed(root, name, out, architecture)
+
+
+def _packed(root: Path, name: str, content: Mapping[str, bytes | str], out: Path, architecture: str) -> Path:
+    """One package of these files; `-> target` is a link."""
+    for path, data in content.items():
+        if isinstance(data, str) and data.startswith("-> "):
+            (root / path).parent.mkdir(parents=True, exist_ok=True)
+            (root / path).symlink_to(data.removeprefix("-> "))
+        else:
+            _write(root / path, data)
+    return _closed(root, name, out, architecture)
+
+
+def _closed(root: Path, name: str, out: Path, architecture: str) -> Path:
+    _control(root, name, architecture)
     for folder, _, _ in os.walk(root):
         os.chmod(folder, 0o755)
     # gzip: much faster than xz, and every dpkg reads it. The directory as target: dpkg-deb names the file.
@@ -179,10 +216,11 @@ def papers(package: str) -> dict[str, str]:
     """Files that Debian wants to see in each package, by path."""
     licences = f"\nThe packages below {tree.PREFIX} have licences of their own, in their .dist-info directories.\n"
     overrides = HERE / f"{package}.lintian-overrides"
+    told = {f"usr/share/lintian/overrides/{package}": overrides.read_text()} if overrides.exists() else {}
     return {
-        f"usr/share/lintian/overrides/{package}": overrides.read_text(),
+        **told,
         f"usr/share/doc/{package}/changelog.gz": changelog(package),
-        f"usr/share/doc/{package}/copyright": (CHECKOUT / "LICENSE").read_text() + licences,
+        f"usr/share/doc/{package}/copyright": (CHECKOUT / "LICENSE").read_text() + (licences if told else ""),
     }
 
 
@@ -212,7 +250,7 @@ def changelog(package: str) -> str:
 def newest_libc(root: Path) -> str:
     """The newest version of glibc that a compiled module asks for."""
     found = {(2, 17)}
-    for path in root.rglob("*.so*"):
+    for path in (path for path in root.rglob("*.so*") if path.is_file()):
         found |= {(2, int(minor)) for minor in re.findall(rb"GLIBC_2\.(\d+)", path.read_bytes())}
     return "{}.{}".format(*max(found))
 
@@ -240,9 +278,9 @@ def _control(root: Path, package: str, architecture: str, pythons: Sequence[str]
     _write(root / "DEBIAN/md5sums", "".join(sums))
 
 
-def _write(path: Path, text: str) -> None:
+def _write(path: Path, text: bytes | str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    data = text.encode()
+    data = text.encode() if isinstance(text, str) else text
     path.write_bytes(gzip.compress(data, 9, mtime=0) if path.suffix == ".gz" else data)
     os.chmod(path, 0o755 if path.name in EXECUTABLE else 0o644)
 

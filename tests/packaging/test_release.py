@@ -47,6 +47,7 @@ def test_every_package_names_the_repository(tmp_path: Path) -> None:
     named = [
         *("pyproject.toml", "README.md", "lab/setup.py", "integrations/lerobot/pyproject.toml"),
         *("integrations/lerobot/README.md", "packaging/deb/failstop.control", "packaging/deb/failstop-lab.control"),
+        *("packaging/deb/libfailstop0.control", "packaging/deb/libfailstop-dev.control"),
     ]
     for name in named:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

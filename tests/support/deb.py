@@ -15,6 +15,8 @@ try:
     build, tree, sbom, image, release, lock, versions, apt = map(
         importlib.import_module, ("build", "tree", "sbom", "image", "release", "lock", "versions", "apt")
     )
+    NAMES = ("build", "c_library", "tree", "sbom", "image", "release")
+    build, c_library, tree, sbom, image, release = map(importlib.import_module, NAMES)
 finally:
     for place in PLACES:
         sys.path.remove(place)
