@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from failstop_lab.trial import Trial
-from tests.clients.built import Driver
+from tests.support.c_client import Driver
 from tests.support.shared_trial import IMU_HZ, Keeper, patient
 
 _numbers = itertools.count()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from failstop_lab.trial import Trial, wait_for
-from tests.clients.built import Driver
+from tests.support.c_client import Driver
 
 OK, NO_SERVICE, NO_PERMISSION, OTHER_LAYOUT, NO_SLOT, NOT_CONNECTED, REFUSED, NO_ANSWER, UNDECLARED, INVALID, FORKED = (
     0, *range(-1, -11, -1),

@@ -13,8 +13,8 @@ import pytest
 
 from failstop_lab.stopped import Stopped, judge
 from failstop_lab.trial import Trial, wait_for
-from tests.clients.built import Driver
 from tests.clients.scene import OK, set_off
+from tests.support.c_client import Driver
 
 LATE_NS = 250_000_000
 """Less than the 0.3 s after which a silent client's command would have stopped the wheels anyway."""

@@ -19,7 +19,6 @@ from failstop.policy import causes
 from failstop.shm import cell
 from failstop.shm.segment import HEADER_BYTES
 from failstop_lab.trial import Trial, wait_for
-from tests.clients.built import SOURCE, Driver, compiled
 from tests.clients.scene import (
     BLOCKED,
     DISABLED,
@@ -37,6 +36,7 @@ from tests.clients.scene import (
     UNDECLARED,
     set_off,
 )
+from tests.support.c_client import SOURCE, Driver, compiled
 from tests.support.children import NOBODY, needs_root
 
 

@@ -23,8 +23,8 @@ from failstop.policy.layouts import BOARDS, LAYOUTS
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings, mounted_wheels
 from failstop.shm import cell
-from tests.clients.built import whole_library
 from tests.support.amounts import amount
+from tests.support.c_client import whole_library
 
 ROUNDS = amount(5_000, 1_000_000)
 SPACE = ctypes.create_string_buffer(65536)

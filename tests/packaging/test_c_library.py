@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from failstop.version import VERSION
-from tests.clients.built import compiler
 from tests.packaging import life
+from tests.support.c_client import compiler
 from tests.support.deb import build, c_library
 from tests.support.pages import ROOT
 
