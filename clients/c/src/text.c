@@ -146,23 +146,21 @@ static void add_argument(struct fsi_text *text, const struct argument *argument,
     fsi_add(text, argument->text, argument->size);
     return;
   }
-  char copy[64] = "0", form[24], out[400];
+  char copy[64] = "0", out[400];
   if (argument->size && argument->size < sizeof copy) {
     memcpy(copy, argument->text, argument->size);
     copy[argument->size] = 0;
   }
-  int written;
+  int written, digits = 0;
   long long whole = 0;
-  /* The forms of the table are those of printf: `d`, `04X`, `.2f`. */
+  /* The forms of the table: `d`, `04X`, `.2f`. */
+  for (size_t at = 0; at + 1 < place->form_size; at++)
+    if (place->form[at] >= '0' && place->form[at] <= '9') digits = digits * 10 + (place->form[at] - '0');
   locale_t before = uselocale(plain());
-  if (kind == 'f') {
-    snprintf(form, sizeof form, "%%%.*s", (int)place->form_size, place->form);
-    written = snprintf(out, sizeof out, form, strtod(copy, NULL));
-  } else {
-    snprintf(form, sizeof form, "%%%.*sll%c", (int)place->form_size - 1, place->form, kind);
-    integer(copy, &whole);
-    written = snprintf(out, sizeof out, form, whole);
-  }
+  integer(copy, &whole);
+  if (kind == 'f') written = snprintf(out, sizeof out, "%.*f", digits, strtod(copy, NULL));
+  else if (kind == 'X') written = snprintf(out, sizeof out, "%0*llX", digits, (unsigned long long)whole);
+  else written = snprintf(out, sizeof out, "%lld", whole);
   uselocale(before);
   if (written > 0) fsi_add(text, out, (size_t)written < sizeof out ? (size_t)written : sizeof out - 1);
 }

@@ -32,9 +32,9 @@ static double number(struct settings *settings, const char *key) {
   return found.number;
 }
 
-static double numbered(struct settings *settings, const char *form, int wheel) {
+static double numbered(struct settings *settings, const char *before, int wheel, const char *after) {
   char key[40];
-  snprintf(key, sizeof key, form, wheel);
+  snprintf(key, sizeof key, "wheels.%s_%d%s", before, wheel, after);
   return number(settings, key);
 }
 
@@ -91,7 +91,7 @@ bool fsi_wheels(struct fsi_wheels *wheels, const uint8_t *data, size_t size) {
     if (!fsi_find(data, size, key, &found, NULL)) continue;
     if (found.number < 0 || found.number >= MOST_SPEEDS) return false;
     wheels->id[wheels->count] = (int)found.number;
-    wheels->sign[wheels->count++] = numbered(&settings, "wheels.sign_%d", wheel) < 0 ? -1 : 1;
+    wheels->sign[wheels->count++] = numbered(&settings, "sign", wheel, "") < 0 ? -1 : 1;
     wheels->speeds = wheels->speeds > (int)found.number ? wheels->speeds : (int)found.number + 1;
   }
   for (size_t at = 0; at < sizeof NAMES / sizeof *NAMES; at++)
@@ -106,7 +106,7 @@ bool fsi_wheels(struct fsi_wheels *wheels, const uint8_t *data, size_t size) {
   if (fsi_is(&layout, "omni3")) {
     double lever_m = number(&settings, "wheels.lever_m");
     for (int wheel = 0; wheel < wheels->count; wheel++) {
-      double way = numbered(&settings, "wheels.angle_%d_deg", wheel + 1) * PI / 180;
+      double way = numbered(&settings, "angle", wheel + 1, "_deg") * PI / 180;
       rim[wheel][0] = rounded(cos(way));
       rim[wheel][1] = rounded(sin(way));
       rim[wheel][2] = lever_m;
