@@ -70,7 +70,7 @@ def test_the_headers_are_plain_c_plus_plus(name: str, standard: str, tmp_path: P
 def test_a_sanitizer_finds_nothing(trial: Trial, tmp_path: Path, name: str, sanitizer: str) -> None:
     flags = (*SANITIZERS[sanitizer], "-std=c11", "-g", "-O1", "-pthread", *HERE)
     program = tmp_path / "threads"
-    command = (have(name), *flags, "-o", program, f"{SOURCE}/tests/threads.c", *sources(), "-lm")
+    command = (have(name), *flags, "-o", str(program), f"{SOURCE}/tests/threads.c", *sources(), "-lm")
     made = subprocess.run(command, capture_output=True, text=True, check=False)
     if made.returncode and re.search(r"libclang_rt|lib[at]san", made.stderr):
         pytest.skip(f"{name} has no such sanitizer here: apt install libclang-rt-dev")

@@ -1,10 +1,10 @@
 /* A client for the tests: it reads one command a line and prints one line for each. */
-#include <math.h>
+#include <fcntl.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/wait.h>
+#include <sys/mman.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -14,14 +14,34 @@
 static fs_robot *robots[MOST_HANDLES];
 static fs_robot *robot;
 
+static volatile sig_atomic_t execs;
+
+static void exec_at_signal(int number) { execs = number; }
+
 static void pause_s(double seconds) {
   struct timespec left = {(time_t)seconds, (long)((seconds - (double)(time_t)seconds) * 1e9)};
-  while (nanosleep(&left, &left)) continue;
+  while (nanosleep(&left, &left)) {
+    if (execs) execl("/bin/sleep", "sleep", "1000", (char *)NULL);
+  }
 }
 
 static void stop_at_signal(int number) {
   (void)number;
   fs_stop(robot, "from a signal handler");
+}
+
+static volatile sig_atomic_t told_to_leave;
+static volatile uint64_t *clock_word; /* when it commanded last, for another process */
+
+static void leave(int number) { told_to_leave = number; }
+
+static int map_clock(const char *path) {
+  int fd = open(path, O_RDWR | O_CLOEXEC);
+  void *map = fd < 0 ? MAP_FAILED : mmap(NULL, 8, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+  if (fd >= 0) close(fd);
+  if (map == MAP_FAILED) return -1;
+  clock_word = map;
+  return 0;
 }
 
 static void show_state(void) {
@@ -42,11 +62,14 @@ static void show_text(int (*of)(const fs_robot *, char *, size_t)) {
 }
 
 /* Drive every 20 ms for so long; negative: until something ends the program. */
-static int drive_for(double seconds, double vx) {
+static int drive_for(double seconds, double vx, double vy, double wz) {
   int result = FS_OK;
-  for (double gone = 0; seconds < 0 || gone < seconds; gone += 0.02) {
+  for (double gone = 0; (seconds < 0 || gone < seconds) && !told_to_leave; gone += 0.02) {
+    struct timespec now;
     fs_sensed(robot);
-    result = fs_drive(robot, vx, 0, 0);
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    result = fs_drive(robot, vx, vy, wz);
+    if (clock_word) *clock_word = (uint64_t)now.tv_sec * 1000000000 + (uint64_t)now.tv_nsec;
     pause_s(0.02);
   }
   return result;
@@ -64,7 +87,7 @@ int main(int count, char **words) {
     if (!memory) return 1;
     memset(memory, 1, size);
   }
-  while (fgets(line, sizeof line, stdin)) {
+  while (!told_to_leave && fgets(line, sizeof line, stdin)) {
     line[strcspn(line, "\n")] = 0;
     if (sscanf(line, "open %399s %d", text, &number) == 2) {
       printf("%d\n", fs_open(&robots[number], text, "driver.c"));
@@ -80,9 +103,15 @@ int main(int count, char **words) {
         if (robots[at] == robot) robots[at] = NULL;
       robot = NULL;
       printf("0\n");
-    } else if (sscanf(line, "for %lf %lf", &a, &b) == 2) {
+    } else if ((number = sscanf(line, "for %lf %lf %lf %lf", &a, &b, &c, &d)) >= 2) {
       if (a < 0) printf("driving\n");
-      printf("%d\n", drive_for(a, b));
+      number = drive_for(a, b, number > 2 ? c : 0, number > 3 ? d : 0);
+      printf("%d\n", number);
+    } else if (sscanf(line, "clock %399s", text) == 1) {
+      printf("%d\n", map_clock(text));
+    } else if (!strcmp(line, "leave-on-term")) {
+      struct sigaction action = {.sa_handler = leave};
+      printf("%d\n", sigaction(SIGTERM, &action, NULL));
     } else if (sscanf(line, "drive %lf %lf %lf", &a, &b, &c) == 3) {
       printf("%d\n", fs_drive(robot, a, b, c));
     } else if (sscanf(line, "as %399s %d %lf %lf %lf", text, &number, &a, &b, &c) == 5) {
@@ -131,6 +160,9 @@ int main(int count, char **words) {
         fs_close(robot);
         for (;;) pause();
       }
+    } else if (!strcmp(line, "exec-on-usr1")) {
+      struct sigaction action = {.sa_handler = exec_at_signal};
+      printf("%d\n", sigaction(SIGUSR1, &action, NULL));
     } else if (!strcmp(line, "exec")) {
       printf("0\n");
       execl("/bin/sleep", "sleep", "1000", (char *)NULL);
@@ -146,5 +178,6 @@ int main(int count, char **words) {
       printf("what? %s\n", line);
     }
   }
+  for (int at = 0; told_to_leave && at < MOST_HANDLES; at++) fs_close(robots[at]);
   return 0;
 }

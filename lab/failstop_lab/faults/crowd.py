@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import functools
 import mmap
 import os
+import re
+import shutil
 import signal
+import subprocess
+import tempfile
 import time
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 
 from failstop.api.client import Client, send_stop
 from failstop.policy.settings import FIRST_SOURCE
-from failstop_lab.trial import COMMAND_EVERY_S
+from failstop.version import VERSION
+from failstop_lab.trial import COMMAND_EVERY_S, TrialError
 
 NOBODY_UID = 65534
 _DESCRIPTORS = 4096
+GONE_S = 3.0
 
 
 class Helper:
@@ -105,6 +114,93 @@ class ChildDriver(Helper):
     def slot(self) -> int:
         """Its client slot."""
         return int.from_bytes(self._shared[8:], "little")
+
+
+C_SOURCE = Path(__file__).resolve().parents[3] / "clients" / "c"
+"""The C library, in a checkout."""
+
+
+def c_unfit() -> str:
+    """Why no C client can be made here; empty if it is made."""
+    if not C_SOURCE.exists():
+        return "the C library's source is in a checkout alone"
+    if not shutil.which("cc"):
+        return "no C compiler: apt install gcc libc6-dev"
+    try:
+        c_program()
+    except TrialError as error:
+        return str(error)
+    return ""
+
+
+@functools.cache
+def c_program() -> str:
+    """The C client, compiled with the library in it, once for each process; gone with it. Raises
+    TrialError."""
+    folder = tempfile.mkdtemp(prefix="failstop-c-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    program = os.path.join(folder, "driver")
+    sources = [str(path) for path in sorted((C_SOURCE / "src").glob("*.c"))]
+    places = (f"-I{C_SOURCE}/include", f"-I{C_SOURCE}/src", f'-DFS_VERSION_TEXT="{VERSION}"')
+    options = ("-std=c11", "-O2", "-pthread", "-D_GNU_SOURCE", "-D_FILE_OFFSET_BITS=64", *places)
+    words = ("cc", *options, "-o", program, f"{C_SOURCE}/tests/driver.c", *sources, "-lm")
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise TrialError(f"the C client can't be compiled: {done.stderr.strip()}")
+    return program
+
+
+class CDriver:
+    """A C program that commands a velocity for as long as it lives. SIGUSR1: it becomes another program."""
+
+    def __init__(
+        self, name: str, velocity: tuple[float, float, float], megabytes: int = 0, *, forks: bool = False
+    ) -> None:
+        """Returns at once; it drives from when it has commanded. `megabytes`: memory of its own that the kernel has to
+        take down; `forks`: a child of it lives on. Raises TrialError."""
+        with tempfile.NamedTemporaryFile(delete=False) as clock:
+            clock.truncate(8)
+            self._clock = mmap.mmap(clock.fileno(), 8)
+            self._clock_path = clock.name
+        self._process = subprocess.Popen(
+            (c_program(), str(megabytes)), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self.pid = self._process.pid
+        ready = (f"open {name} 0", "connect", f"clock {clock.name}", "leave-on-term", "exec-on-usr1")
+        drives = f"for -1 {' '.join(map(str, velocity))}"
+        assert self._process.stdin
+        self._process.stdin.write("".join(f"{line}\n" for line in (*ready, *("fork",) * forks, drives)))
+        self._process.stdin.flush()
+
+    def signal(self, number: int) -> None:
+        """Send it a signal."""
+        self._process.send_signal(number)
+
+    @property
+    def commanded_ns(self) -> int:
+        """When it commanded last; 0: not yet."""
+        return int.from_bytes(self._clock[:8], "little")
+
+    def leave(self) -> None:
+        """Have it end in order, hung or not, and collect it and its child."""
+        for number in (signal.SIGTERM, signal.SIGCONT):
+            self._process.send_signal(number)
+        try:
+            self._process.wait(GONE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        assert self._process.stdin
+        assert self._process.stdout
+        os.set_blocking(self._process.stdout.fileno(), False)  # a child that lives on has its end too
+        if found := re.search(r"child (\d+)", self._process.stdout.read() or ""):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int(found[1]), signal.SIGKILL)
+        self._process.stdout.close()
+        with contextlib.suppress(OSError):
+            self._process.stdin.close()
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(self._clock_path)
 
 
 class Nobody(Helper):

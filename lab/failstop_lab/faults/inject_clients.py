@@ -16,7 +16,7 @@ from failstop.messages import segments
 from failstop.messages.layout import GATE
 from failstop.policy import causes
 from failstop.policy.settings import FIRST_SOURCE, PAD_SOURCE
-from failstop_lab.faults.crowd import ChildDriver, Nobody
+from failstop_lab.faults.crowd import CDriver, ChildDriver, Nobody, c_unfit
 from failstop_lab.faults.fault import Fault
 from failstop_lab.faults.inject import Injector
 from failstop_lab.faults.scene import Scene
@@ -44,7 +44,7 @@ class OtherDrives(Injector):
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault)
-        self.child: ChildDriver | None = None
+        self.child: ChildDriver | CDriver | None = None
 
     def prepare(self, scene: Scene) -> None:
         # Its last command would make two publishers.
@@ -98,6 +98,57 @@ class LargeClientKilled(ClientKilled):
     MEGABYTES = LARGE_MB
 
 
+class OtherDrivesInC(OtherDrives):
+    """A C program drives."""
+
+    FORKS = False
+
+    def unfit(self) -> str:
+        return c_unfit()
+
+    def prepare(self, scene: Scene) -> None:
+        scene.driver.leave()
+        scene.driver.commands = False
+        scene.driver.run(CLAIM_SEEN_S)
+        self.child = child = CDriver(scene.name, scene.driver.velocity, self.MEGABYTES, forks=self.FORKS)
+        scene.driver.until("the C client to drive", lambda: child.commanded_ns > 0)
+
+
+class CClientKilled(OtherDrivesInC, ClientKilled):
+    """SIGKILL of a C program."""
+
+
+class LargeCClientKilled(CClientKilled):
+    """SIGKILL of one whose memory takes long to take down."""
+
+    MEGABYTES = LARGE_MB
+
+
+class CClientCrashes(CClientKilled):
+    """A segmentation fault."""
+
+    SIGNAL = signal.SIGSEGV
+
+
+class CClientBecomesAnother(CClientKilled):
+    """exec(): another program goes on under its number."""
+
+    SIGNAL = signal.SIGUSR1
+
+
+class ForkedCClientKilled(CClientKilled):
+    """SIGKILL of one whose child lives on."""
+
+    FORKS = True
+
+
+class CClientHung(OtherDrivesInC):
+    """SIGSTOP of a C program."""
+
+    def strike(self, scene: Scene) -> int:
+        return self.hang()
+
+
 class ClientHung(OtherDrives):
     """SIGSTOP."""
 
@@ -115,7 +166,7 @@ class SlotDamaged(OtherDrives):
 
     def strike(self, scene: Scene) -> int:
         commanded_ns = self.hang()
-        assert self.child
+        assert isinstance(self.child, ChildDriver)
         self._path = segments.path_of(run(scene.name)[0], f"client.{self.child.slot}")
         with open(self._path, "rb") as file:
             self._whole = file.read()
@@ -148,7 +199,7 @@ class SlotUnlinked(SlotDamaged):
     """Its name is gone; the file lives as long as somebody has it open."""
 
     def strike(self, scene: Scene) -> int:
-        assert self.child
+        assert isinstance(self.child, ChildDriver)
         self._path = segments.path_of(run(scene.name)[0], f"client.{self.child.slot}")
         now_ns = time.monotonic_ns()
         os.rename(self._path, self._path + AWAY)
@@ -362,6 +413,12 @@ INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "client-hung-up": ClientHungUp,
     "client-fails": ClientFails,
     "client-hung": ClientHung,
+    "c-client-killed": CClientKilled,
+    "c-client-killed-large": LargeCClientKilled,
+    "c-client-crashes": CClientCrashes,
+    "c-client-execs": CClientBecomesAnother,
+    "c-client-killed-forked": ForkedCClientKilled,
+    "c-client-hung": CClientHung,
     "client-nan": ClientNan,
     "client-second": SecondClient,
     "client-gamepad": ClientAsGamepad,

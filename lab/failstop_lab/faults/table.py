@@ -117,7 +117,17 @@ CLIENT_ROWS = (
             ("client-killed-large", "SIGKILL of a program of 300 MB", processes.AT_ONCE_MS, 1),
             ("client-hung-up", "SIGHUP, the end of its terminal, to the program", processes.AT_ONCE_MS, 2),
             ("client-fails", "an exception in the program", 20.0, 2),
+            ("c-client-killed", "SIGKILL of the C program", processes.AT_ONCE_MS, 1),
+            ("c-client-killed-large", "SIGKILL of a C program of 300 MB", processes.AT_ONCE_MS, 1),
+            ("c-client-crashes", "a segmentation fault in the C program", processes.AT_ONCE_MS, 1),
+            ("c-client-execs", "exec() by the C program", processes.AT_ONCE_MS, 1),
+            ("c-client-killed-forked", "SIGKILL of the C program, whose child lives on,", processes.AT_ONCE_MS, 1),
         )
+    ),
+    Fault(
+        "c-client-hung", CLIENT_FAILS, "SIGSTOP of the C client that drives", "gate (command timeout)",
+        (), BY_ITSELF, "", 320.0, "c-client-hung", counted_from="its last command",
+        aftermath_s=0.45, weight=1,
     ),
     Fault(
         "client-hung", CLIENT_FAILS, "SIGSTOP of the client that drives", "gate (command timeout)",

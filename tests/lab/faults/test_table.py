@@ -40,7 +40,10 @@ DESIGN = {
     "any two or three at once": ("kill-gate+stopper", "kill-supervisor+port_owner+stopper", "kill-gate-hang-stopper"),
     "all of them": ("kill-supervisor+port_owner+gate+telemetry+stopper",),
     "client that drives dies": ("client-killed", "client-killed-large", "client-hung-up", "client-fails"),
-    "client that drives hangs": ("client-hung", "pad-silent"),
+    "C client that drives dies": (
+        *("c-client-killed", "c-client-killed-large", "c-client-crashes", "c-client-execs", "c-client-killed-forked"),
+    ),
+    "client that drives hangs": ("client-hung", "c-client-hung", "pad-silent"),
     "driver at the guard port dies, closes or hangs": (
         *("guard-driver-killed", "guard-driver-closes", "guard-driver-hung"),
     ),
