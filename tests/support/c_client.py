@@ -71,10 +71,14 @@ def whole_library() -> ctypes.CDLL:
 class Driver:
     """A running C client; each command is a line, and so is each answer."""
 
-    def __init__(self, megabytes: int = 0) -> None:
-        """`megabytes`: memory that the kernel has to free when it dies."""
+    def __init__(self, megabytes: int = 0, command: tuple[str, ...] = ()) -> None:
+        """`megabytes`: memory that the kernel has to free when it dies; `command`: another program than driver()."""
         self.process = subprocess.Popen(
-            (driver(), str(megabytes)), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
+            (*(command or (str(driver()),)), str(megabytes)),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            bufsize=1,
         )
         self.pid = self.process.pid
 
