@@ -219,6 +219,30 @@ def test_a_library_of_another_layout_says_so_and_stops(fresh: Trial, driver: Dri
     wait_for("the stop to be latched", lambda: fresh.robot.state.cause)
 
 
+def test_a_service_that_is_upgraded_under_a_program_is_told_once_and_still_stopped(
+    fresh: Trial, driver: Driver
+) -> None:
+    """Its commands return one thing, and a new connection says which versions don't fit."""
+    driver.connect(fresh.name)
+    set_off(fresh, driver)
+    fresh.leave()
+    fresh.service.end()
+    assert {driver.do("drive 0.2 0 0") for _ in range(20)} == {NO_SERVICE}
+    fresh.service.start()
+    of_another_layout(client.run(fresh.name)[0], b"9.8.7")
+    assert driver.do("for 0.1 0.2") == NO_SERVICE
+    assert driver.do("connect") == OTHER_LAYOUT
+    error = driver.text("error")
+    assert "failstop 9.8.7" in error
+    assert "start the service and this program again" in error
+    assert driver.do("drive 0.2 0 0") == NOT_CONNECTED
+    assert driver.state()["result"] == OTHER_LAYOUT
+    assert not fresh.turning()
+    assert driver.do("stop after the upgrade") == OK
+    wait_for("the stop to be latched", lambda: fresh.robot.state.cause)
+    assert "after the upgrade" in str(fresh.robot.state.cause)
+
+
 def test_wheel_speeds_drive_the_base_that_has_them(trial: Trial, driver: Driver) -> None:
     driver.connect(trial.name)
     driver.do("drive 0 0 0")

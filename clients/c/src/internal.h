@@ -228,6 +228,7 @@ struct fs_robot {
   int stop_fd; /* kept for a program that has no descriptor left */
 
   struct fsi_run *run;
+  int unattached; /* without a run: why */
 
   /* The slot; -1: none. */
   int slot;

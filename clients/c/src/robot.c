@@ -209,7 +209,7 @@ static int greet(fs_robot *robot) {
   return error;
 }
 
-static int attach(fs_robot *robot) {
+static int attach_to(fs_robot *robot) {
   struct fsi_refusal refusal;
   char why[400];
   int which, stop = fsi_open_stop(&robot->places, &which, &refusal);
@@ -234,6 +234,8 @@ static int attach(fs_robot *robot) {
   int result = fsi_attach(&robot->run, &robot->places, which, why, sizeof why);
   return result == FS_OK ? FS_OK : fsi_fail_with(robot, result, why);
 }
+
+static int attach(fs_robot *robot) { return robot->unattached = attach_to(robot); }
 
 int fs_open(fs_robot **made, const char *service, const char *client) {
   if (!made) return FS_INVALID;

@@ -287,7 +287,7 @@ int fs_get_state(const fs_robot *robot, fs_state *given) {
     read_wheels(run, now_ns, &state);
     read_telemetry(run, now_ns, &state);
   } else {
-    result = atomic_load(&robot->last) ? atomic_load(&robot->last) : FS_NO_SERVICE;
+    result = robot->unattached;
   }
   if (size > sizeof state) memset((uint8_t *)given + sizeof state, 0, size - sizeof state);
   state.size = size;
@@ -310,7 +310,7 @@ int fs_why(const fs_robot *robot, char *out, size_t size) {
   struct fsi_decided decided;
   if (!robot || (!out && size)) return FS_INVALID;
   if (robot->forked || getpid() != robot->owner) return fsi_fail(robot, FS_FORKED);
-  if (!robot->run) return fsi_fail(robot, FS_NO_SERVICE);
+  if (!robot->run) return fsi_fail(robot, robot->unattached);
   fsi_decide(robot, &decided);
   int block = decided.answer == FS_BLOCKED ? decided.answer_block : decided.block;
   if (decided.cause) {
@@ -333,7 +333,7 @@ int fs_remedy(const fs_robot *robot, char *out, size_t size) {
   struct fsi_decided decided;
   if (!robot || (!out && size)) return FS_INVALID;
   if (robot->forked || getpid() != robot->owner) return fsi_fail(robot, FS_FORKED);
-  if (!robot->run) return fsi_fail(robot, FS_NO_SERVICE);
+  if (!robot->run) return fsi_fail(robot, robot->unattached);
   fsi_decide(robot, &decided);
   if (decided.cause) fsi_adds(&text, fsi_cause_remedy(decided.cause));
   return fsi_end(&text);
@@ -341,7 +341,7 @@ int fs_remedy(const fs_robot *robot, char *out, size_t size) {
 
 int fs_wheel_count(const fs_robot *robot) {
   if (!robot) return FS_INVALID;
-  return robot->run ? robot->run->wheels.count : fsi_fail(robot, FS_NO_SERVICE);
+  return robot->run ? robot->run->wheels.count : fsi_fail(robot, robot->unattached);
 }
 
 const char *fs_wheel_name(const fs_robot *robot, int index) {
@@ -353,7 +353,7 @@ int fs_setting(const fs_robot *robot, const char *key, char *out, size_t size) {
   struct fsi_text text = {out, size, 0};
   struct fsi_value found;
   if (!robot || !key || (!out && size)) return FS_INVALID;
-  if (!robot->run) return fsi_fail(robot, FS_NO_SERVICE);
+  if (!robot->run) return fsi_fail(robot, robot->unattached);
   if (!fsi_find(robot->run->settings, robot->run->settings_size, key, &found, NULL)) return fsi_fail(robot, FS_UNDECLARED);
   if (found.kind == FSI_STR) {
     fsi_add(&text, found.text, found.count);
@@ -375,7 +375,7 @@ static int declared(const fs_robot *robot, const char *key, const char *name) {
   struct fsi_value found;
   struct fsi_packed rest;
   if (!robot || !name) return FS_INVALID;
-  if (!robot->run) return fsi_fail(robot, FS_NO_SERVICE);
+  if (!robot->run) return fsi_fail(robot, robot->unattached);
   if (!fsi_find(robot->run->rules, robot->run->rules_size, key, &found, &rest)) return 0;
   for (uint32_t at = 0; found.kind == FSI_ARRAY && at < found.count; at++) {
     struct fsi_value value = fsi_next(&rest);

@@ -32,6 +32,14 @@ def functions() -> Iterator[str]:
         yield re.sub(r"(\w[\w ]*[ *]+)\w+(?=[,)])", lambda part: part[1].strip(), declared)
 
 
+def members() -> Iterator[str]:
+    """Each number of an enum with its value, and each field of a struct with its place and type."""
+    for found in _ENUM.finditer(C_HEADER.read_text("utf-8")):
+        fields = [_flat(member["declared"]) for member in _MEMBER.finditer(found["inside"])]
+        for at, declared in enumerate(filter(None, fields)):
+            yield f"{found['name']} {declared}" if found["kind"] == "enum" else f"{found['name']} {at:02} {declared}"
+
+
 def _functions(source: str) -> Iterator[str]:
     words, titled = "", False
     for found in re.finditer(f"{_COMMENT.pattern}|{_FUNCTION.pattern}", source, re.DOTALL):

@@ -55,7 +55,9 @@ def _python() -> Iterator[str]:
 
 
 def _c() -> Iterator[str]:
-    """The functions of failstop.h, with the types that they take."""
+    """The functions of failstop.h with the types that they take, the numbers of its enums, and where each field of a
+    struct is among the others."""
+    yield from (f"c {member}" for member in c_reference.members())
     for declared in c_reference.functions():
         yield f"c {declared}"
 
