@@ -65,7 +65,6 @@ def _campaign(found: dict[str, Any], rows: dict[str, dict[str, Any]]) -> str:
     unrecorded = () if conditions else ("Nobody recorded whether it had real-time priority, or how busy it was.",)
     kinds = sum(1 for row in rows.values() if row["count"])
     missed, after = found["missed"], found["motion_after"]
-    kinds = sum(row["count"] > 0 for row in rows.values())
     return "\n".join(
         (
             "Times are counted from the fault until the stop has arrived at the board. A real serial line adds the",
@@ -79,9 +78,6 @@ def _campaign(found: dict[str, Any], rows: dict[str, dict[str, Any]]) -> str:
             *unrecorded,
             f"{found['count']:,} faults of {kinds} kinds were injected at random while a program kept commanding.",
             "The table above shows only some of these kinds. In the whole campaign",
-            f"It was all measured on {machine['date']} with a simulated board, on a shared virtual machine with",
-            f"{machine['cores']} cores ({where}). {found['count']:,} faults of {kinds} kinds were injected",
-            "at random while a program kept commanding:",
             f"**{missed} stops were missed, and {after} motion commands came after a stop** ([every fault]({FAULTS})).",
         )
     )
