@@ -150,8 +150,7 @@ def test_two_handles_of_a_program_are_two_clients(trial: Trial, driver: Driver) 
     driver.connect(trial.name)
     assert driver.do(f"open {trial.name} 1") == OK
     assert driver.do("connect") == OK
-    clients = [client.pid for client in trial.robot.state.clients]
-    assert clients.count(driver.pid) == 2
+    wait_for("both to be listed", lambda: [one.pid for one in trial.robot.state.clients].count(driver.pid) == 2)
     assert driver.do("use 0") == OK
     set_off(trial, driver)
     assert driver.do("use 1") == OK

@@ -42,6 +42,7 @@ from tests.support.children import NOBODY, needs_root
 
 def test_a_program_drives_and_its_end_stops_the_wheels(trial: Trial, driver: Driver) -> None:
     driver.connect(trial.name)
+    wait_for("it to be listed", lambda: trial.robot.state.clients)
     assert trial.robot.state.clients[0].name == "driver.c"
     assert trial.robot.state.clients[0].pid == driver.pid
     assert driver.do("drive 0.2 0 0") == OK
