@@ -123,15 +123,13 @@ def release(version: str, out: Path, folder: Path, wheels: Path | None = None, h
     if why := image.missing():
         print(f"failstop: no image for containers: {why}", file=sys.stderr)
     else:
-        debs = {one: [path for part in (one, "all") for path in sorted(out.glob(f"*_{part}.deb"))] for one in MACHINES}
-        if not all(debs.values()):
-            raise ReleaseError(f"there are no Debian packages in {out}, of which the image would be made")
-        image.make(version, debs, wheels, out, homepage)
         debs = {
             one: [path for part in (one, "all") for path in sorted(out.glob(f"failstop*_{part}.deb"))]
             for one in MACHINES
         }
-        image.make(version, tree.PYTHON, debs, wheels, out)
+        if not all(debs.values()):
+            raise ReleaseError(f"there are no Debian packages in {out}, of which the image would be made")
+        image.make(version, debs, wheels, out, homepage)
     (out / f"failstop-{version}.cdx.json").write_text(bill)
     (out / "NOTES.md").write_text(told)
     made = sorted(out.iterdir())

@@ -354,7 +354,6 @@ OF_SESSION: dict[str, Shape] = {
     "arm_goal": ARM_GOAL,  # follow or jog, renewed
     "arm_path": ARM_PATH,  # the trajectory that a request is about
     "aux": AUX,  # a frame for the wire that is not motion
-    "said": SAID,  # one line: what the client sees and what is wrong
 }
 """The records that a client writes into its slot after its hello. Each begins with its session."""
 SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack_answer, _ANSWER.size, _ANSWER.size))

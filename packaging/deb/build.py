@@ -1,11 +1,9 @@
 """Build the Debian packages with dpkg-deb: `python packaging/deb/build.py [--out DIR]`, run by the environment to pack.
 
 The package failstop holds a Python environment (tree.py), the files of systemd/, and the man page and completions of
-the command line. failstop-lab adds the laboratory. Packed from the running environment, they are for its Python alone;
+the command line. failstop-lab adds the laboratory, libfailstop0 and libfailstop-dev the C library (c_library.py).
+Packed from the running environment, they are for its Python alone;
 with --sites they are for every Python that has a folder there, so one package installs on Debian 12 as well as on 13.
-The package failstop holds that Python environment (tree.py) for the system's interpreter of the same version, the files
-of systemd/, and the man page and completions of the command line. failstop-lab adds the laboratory, libfailstop0 and
-libfailstop-dev the C library (c_library.py), where there is a C compiler.
 """
 
 from __future__ import annotations
@@ -86,11 +84,10 @@ def main(words: Sequence[str] | None = None, interpreter: str = "/usr/bin/python
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="failstop-deb-") as directory:
             packages = build(Path(directory), out, arguments.architecture, arguments.sites)
-            packages = build(Path(directory), out, arguments.architecture, arguments.site)
             try:
                 packages += library(Path(directory), out, arguments.architecture)
             except BuildError as error:
-                if arguments.site:  # a release has all its packages
+                if arguments.sites:  # a release has all its packages
                     raise
                 print(f"failstop: {error}", file=sys.stderr)
     except BuildError as error:
@@ -129,15 +126,6 @@ def build(directory: Path, out: Path, architecture: str | None = None, sites: Pa
     ]
 
 
-def interpreter(python: str) -> str:
-    """An interpreter of this version, which compiles the modules for it. Raises BuildError."""
-    found = sys.executable if python == tree.VERSION_HERE else versions.find(python, dict(os.environ))
-    if not found:
-        raise BuildError(
-            f"no Python {python} was found to compile the modules for it: "
-            f"make interpreter PYTHON_VERSION={python}, or pyenv or uv, which have those that no Debian has"
-        )
-    return found
 def library(directory: Path, out: Path, architecture: str | None = None) -> list[Path]:
     """The packages of the C library. Raises BuildError."""
     ours = _said("dpkg", "--print-architecture")
@@ -148,6 +136,17 @@ def library(directory: Path, out: Path, architecture: str | None = None) -> list
         _packed(directory / name, name, {**content, **papers(name)}, out, architecture)
         for name, content in ((c_library.RUNTIME, runtime), (c_library.DEVELOPMENT, development))
     ]
+
+
+def interpreter(python: str) -> str:
+    """An interpreter of this version, which compiles the modules for it. Raises BuildError."""
+    found = sys.executable if python == tree.VERSION_HERE else versions.find(python, dict(os.environ))
+    if not found:
+        raise BuildError(
+            f"no Python {python} was found to compile the modules for it: "
+            f"make interpreter PYTHON_VERSION={python}, or pyenv or uv, which have those that no Debian has"
+        )
+    return found
 
 
 def pack(
@@ -173,8 +172,7 @@ def pack(
     if name == ROBOT:
         (root / "usr/bin").mkdir(parents=True)
         (root / "usr/bin/failstop").symlink_to(f"{tree.PREFIX}/bin/failstop")
-    _control(root, name, architecture, list(interpreters))
-    return _closed(root, name, out, architecture)
+    return _closed(root, name, out, architecture, list(interpreters))
 
 
 def _packed(root: Path, name: str, content: Mapping[str, bytes | str], out: Path, architecture: str) -> Path:
@@ -185,11 +183,11 @@ def _packed(root: Path, name: str, content: Mapping[str, bytes | str], out: Path
             (root / path).symlink_to(data.removeprefix("-> "))
         else:
             _write(root / path, data)
-    return _closed(root, name, out, architecture)
+    return _closed(root, name, out, architecture, ())
 
 
-def _closed(root: Path, name: str, out: Path, architecture: str) -> Path:
-    _control(root, name, architecture)
+def _closed(root: Path, name: str, out: Path, architecture: str, pythons: Sequence[str]) -> Path:
+    _control(root, name, architecture, pythons)
     for folder, _, _ in os.walk(root):
         os.chmod(folder, 0o755)
     # gzip: much faster than xz, and every dpkg reads it. The directory as target: dpkg-deb names the file.
@@ -270,7 +268,7 @@ def _control(root: Path, package: str, architecture: str, pythons: Sequence[str]
         "maintainer": maintainer(os.environ),
         "installed_kib": sum(path.stat().st_size for path in regular) // 1024 + 1,
         "architecture": architecture,
-        "python": needs(pythons),
+        "python": needs(pythons) if pythons else "",
         "libc": newest_libc(root),
     }
     _write(root / "DEBIAN/control", (HERE / f"{package}.control").read_text().format(**words))

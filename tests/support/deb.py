@@ -12,11 +12,8 @@ PLACES = (str(HERE), str(HERE.parent))
 
 sys.path[:0] = PLACES
 try:
-    build, tree, sbom, image, release, lock, versions, apt = map(
-        importlib.import_module, ("build", "tree", "sbom", "image", "release", "lock", "versions", "apt")
-    )
-    NAMES = ("build", "c_library", "tree", "sbom", "image", "release")
-    build, c_library, tree, sbom, image, release = map(importlib.import_module, NAMES)
+    NAMES = ("build", "c_library", "tree", "sbom", "image", "release", "lock", "versions", "apt")
+    build, c_library, tree, sbom, image, release, lock, versions, apt = map(importlib.import_module, NAMES)
 finally:
     for place in PLACES:
         sys.path.remove(place)
