@@ -1,0 +1,76 @@
+#include "reporter.hpp"
+
+#include <signal.h>
+
+#include <chrono>
+#include <system_error>
+
+#include "rclcpp/logging.hpp"
+
+namespace failstop_ros2_control
+{
+
+namespace
+{
+constexpr std::chrono::milliseconds EVERY{200};
+}
+
+void Reporter::start(const failstop::Robot & robot)
+{
+  stop();
+  ending_ = false;
+  // Signals are for the program's own threads.
+  sigset_t all, before;
+  sigfillset(&all);
+  pthread_sigmask(SIG_SETMASK, &all, &before);
+  try {
+    thread_ = std::thread(&Reporter::follow, this, std::cref(robot));
+  } catch (const std::system_error & error) {
+    RCLCPP_WARN(logger_, "nothing will be logged of why the robot does not move: %s", error.what());
+  }
+  pthread_sigmask(SIG_SETMASK, &before, nullptr);
+}
+
+void Reporter::stop()
+{
+  {
+    std::lock_guard<std::mutex> lock(mutex_);
+    ending_ = true;
+  }
+  woken_.notify_all();
+  if (thread_.joinable()) {
+    thread_.join();
+  }
+}
+
+void Reporter::follow(const failstop::Robot & robot)
+{
+  // The thread of the real-time loop may have made this one, which must not compete with it.
+  const sched_param ordinary{};
+  pthread_setschedparam(pthread_self(), SCHED_OTHER, &ordinary);
+  std::string before = "at the start";
+  std::unique_lock<std::mutex> lock(mutex_);
+  while (!ending_) {
+    lock.unlock();
+    failstop::State state;
+    if (robot.state(state)) {
+      // A robot that nobody commands is no news.
+      const std::string why = state.block == FS_BLOCK_NO_COMMAND ? "" : robot.why();
+      if (why != before) {
+        const std::string remedy = robot.remedy();
+        if (!why.empty()) {
+          RCLCPP_WARN(
+            logger_, "the robot does not move: %s%s%s", why.c_str(), remedy.empty() ? "" : "; next: ",
+            remedy.c_str());
+        } else if (before != "at the start") {
+          RCLCPP_INFO(logger_, "the robot may move");
+        }
+        before = why;
+      }
+    }
+    lock.lock();
+    woken_.wait_for(lock, EVERY, [this] { return ending_; });
+  }
+}
+
+}  // namespace failstop_ros2_control
