@@ -1,0 +1,53 @@
+"""The service ends, or is not there yet: the hardware says so, and can be configured again."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from failstop_lab.trial import Trial
+
+from .build import needs_compiler
+from .scene import Manager, drive, settings, urdf
+
+pytestmark = [needs_compiler(), pytest.mark.slow]
+
+
+@pytest.mark.parametrize("release", ["humble", "lyrical"])
+def test_the_service_is_started_again(release: str, tmp_path: Path) -> None:
+    name = f"ros2-again-{os.getpid()}"
+    with Trial(name, settings(tmp_path, "arduino"), imu_hz=20.0, kind="arduino") as trial:
+        (tmp_path / "manager").mkdir()
+        with Manager(release, urdf("diff", service=name), tmp_path / "manager") as manager:
+            drive(manager, trial)
+            trial.leave()
+            trial.service.end()
+            manager.until("on_error SUCCESS")
+            assert manager.process.poll() is None
+            trial.board.wait_wheels(turning=False, timeout_s=5.0)
+            trial.service.start()
+            manager.tell("to configure", "to activate")
+            manager.until("state active", 2)
+            assert not trial.turning()
+            drive(manager, trial)
+
+
+def test_a_service_that_comes_later_is_waited_for(tmp_path: Path) -> None:
+    name = f"ros2-later-{os.getpid()}"
+    (tmp_path / "manager").mkdir()
+    with Manager("lyrical", urdf("diff", service=name), tmp_path / "manager") as manager:
+        manager.until("state unconfigured")
+        with Trial(name, settings(tmp_path, "arduino"), imu_hz=20.0, kind="arduino") as trial:
+            drive(manager, trial)
+        assert "waiting up to 10 s for the service" in manager.logged
+
+
+def test_a_service_that_is_not_there(tmp_path: Path) -> None:
+    text = urdf("diff", service="ros2-nobody").replace(">10<", ">0<")
+    with Manager("lyrical", text, tmp_path) as manager:
+        manager.until("on_configure FAILURE")
+        manager.until("state unconfigured", 2)
+        assert "diff_base: " in manager.logged
+        assert "ros2-nobody" in manager.logged

@@ -1,0 +1,165 @@
+"""Whatever ends or stops a controller manager while it drives, the board executes a stop, and nothing moves again before
+somebody enables motion."""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from failstop_lab.trial import Trial
+
+from .build import needs_compiler
+from .scene import Manager, drive, stopped, urdf
+
+pytestmark = [needs_compiler(), pytest.mark.slow]
+HUNG_NS = 3_000_000_000
+"""Later than this no command's timeout stops the wheels."""
+
+
+def comes_back(manager: Manager, trial: Trial) -> None:
+    """The next controller manager commands as the last one did, and nothing moves before an enable."""
+    text = urdf("diff", service=trial.name)
+    with Manager(manager.release, text, manager.folder / "again") as again:
+        again.until("state active")
+        again.tell("claim")
+        again.set({f"{name}/velocity": 3.0 for name in again.joints})
+        again.until("claim")
+        assert not trial.robot.state.enabled
+        trial.drive(0.3, (0.0, 0.0, 0.0))
+        assert not trial.turning()
+        assert not any(event.is_motion for event in trial.board.events())
+
+
+@pytest.mark.parametrize("fault", ["SIGKILL", "SIGSEGV", "SIGABRT", "segv", "abort", "exit"])
+def test_a_controller_manager_that_dies_stops_the_wheels(manager: Manager, trial: Trial, fault: str) -> None:
+    drive(manager, trial)
+    trial.board.events()
+    fault_ns = time.monotonic_ns()
+    if fault.startswith("SIG"):
+        manager.signal(signal.Signals[fault])
+    else:
+        manager.tell(fault)
+    seen = stopped(trial, fault_ns)
+    assert seen.stop_ns is not None
+    assert seen.motion_after == 0
+    trial.robot.wait_for("disabled", 5.0)
+    manager.process.wait(5)
+    assert not [line for line in manager.said if line.startswith(("on_deactivate", "on_error"))]
+    comes_back(manager, trial)
+
+
+@pytest.mark.parametrize("fault", ["SIGSTOP", "spin"])
+def test_one_that_hangs_stops_the_wheels(manager: Manager, trial: Trial, fault: str) -> None:
+    drive(manager, trial)
+    trial.board.events()
+    fault_ns = time.monotonic_ns()
+    if fault == "spin":
+        manager.tell(fault)
+    else:
+        manager.signal(signal.SIGSTOP)
+    seen = stopped(trial, fault_ns)
+    assert seen.still_ns is not None
+    assert seen.still_ns < HUNG_NS
+    assert seen.motion_after == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_one_stops_the_wheels_and_disables(
+    manager: Manager, trial: Trial, number: signal.Signals
+) -> None:
+    drive(manager, trial)
+    trial.board.events()
+    fault_ns = time.monotonic_ns()
+    manager.signal(number)
+    seen = stopped(trial, fault_ns)
+    assert seen.still_ns is not None
+    assert seen.motion_after == 0
+    assert manager.process.wait(5) == 0
+    assert "on_deactivate SUCCESS" in manager.said
+    state = trial.robot.state
+    assert (state.enabled, state.estop) == (False, None), "an end in order latches nothing"
+    comes_back(manager, trial)
+
+
+def test_an_old_one_that_calls_nothing_at_ctrl_c(trial: Trial, tmp_path: Path) -> None:
+    with Manager("humble", urdf("diff", service=trial.name), tmp_path, old=True) as manager:
+        drive(manager, trial)
+        trial.board.events()
+        fault_ns = time.monotonic_ns()
+        manager.signal(signal.SIGINT)
+        seen = stopped(trial, fault_ns)
+        assert seen.still_ns is not None
+        assert seen.motion_after == 0
+        manager.process.wait(5)
+        assert "on_deactivate SUCCESS" not in manager.said
+        trial.robot.wait_for("disabled", 5.0)
+        assert trial.robot.state.estop is None
+        comes_back(manager, trial)
+
+
+@pytest.mark.parametrize("words", ["fail", "to deactivate"])
+def test_an_error_or_a_deactivation_stops_the_wheels_and_disables(manager: Manager, trial: Trial, words: str) -> None:
+    drive(manager, trial)
+    trial.board.events()
+    fault_ns = time.monotonic_ns()
+    manager.tell(words)
+    seen = stopped(trial, fault_ns)
+    assert seen.still_ns is not None
+    assert seen.motion_after == 0
+    manager.until("on_error SUCCESS" if words == "fail" else "on_deactivate SUCCESS")
+    trial.robot.wait_for("disabled", 5.0)
+    assert manager.process.poll() is None, "the manager lives on"
+    # The controller goes on commanding, as it may. The hardware is activated again, and still moves nothing.
+    if words == "fail":
+        manager.tell("to configure")
+    manager.tell("to activate")
+    manager.until("state active", 2)
+    trial.board.events()
+    trial.drive(0.3, (0.0, 0.0, 0.0))
+    assert not any(event.is_motion for event in trial.board.events())
+    drive(manager, trial)
+
+
+def test_a_controller_that_leaves_stops_the_wheels_and_frees_the_source(manager: Manager, trial: Trial) -> None:
+    drive(manager, trial)
+    manager.tell("unclaim")
+    trial.board.wait_wheels(turning=False, timeout_s=5.0)
+    state = trial.robot.state
+    assert state.enabled
+    assert not [client for client in state.clients if client.driving]
+    manager.tell("claim")
+    manager.set({f"{name}/velocity": 3.0 for name in manager.joints})
+    trial.board.wait_wheels(turning=True, timeout_s=5.0)
+
+
+def test_a_latched_stop_is_held_until_reset_and_enable(manager: Manager, trial: Trial) -> None:
+    drive(manager, trial)
+    trial.robot.estop("a test")
+    trial.board.wait_wheels(turning=False, timeout_s=5.0)
+    assert manager.values()["failstop/latched"] == 1.0
+    assert manager.values()["failstop/enabled"] == 0.0
+    assert manager.said[-1] != "state unconfigured"
+    assert "on_error SUCCESS" not in manager.said
+    drive(manager, trial)
+    assert manager.values()["failstop/latched"] == 0.0
+
+
+def test_a_latched_stop_is_an_error_where_the_urdf_says_so(trial: Trial, tmp_path: Path) -> None:
+    text = urdf("diff", service=trial.name, more={"on_latched": "error"})
+    with Manager("lyrical", text, tmp_path) as manager:
+        drive(manager, trial)
+        trial.robot.estop("a test")
+        manager.until("on_error SUCCESS")
+        trial.board.wait_wheels(turning=False, timeout_s=5.0)
+
+
+def test_a_command_that_is_no_number_stops_the_wheels_and_latches_nothing(manager: Manager, trial: Trial) -> None:
+    drive(manager, trial)
+    manager.set({f"{manager.joints[0]}/velocity": float("nan")})
+    trial.board.wait_wheels(turning=False, timeout_s=5.0)
+    assert trial.robot.state.estop is None
+    manager.set({f"{manager.joints[0]}/velocity": 3.0})
+    trial.board.wait_wheels(turning=True, timeout_s=5.0)
