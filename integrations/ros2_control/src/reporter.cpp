@@ -13,7 +13,26 @@ namespace failstop_ros2_control
 namespace
 {
 constexpr std::chrono::milliseconds EVERY{200};
+
+/// Why nothing moves, and what to do; empty if the wheels may turn, or if only nobody commands, which is no news.
+std::string reason(const failstop::Robot & robot, const failstop::State & state)
+{
+  switch (state.block) {
+    case FS_BLOCK_LATCHED: {
+      const std::string remedy = robot.remedy();
+      return robot.why() + "; next: " + (remedy.empty() ? "failstop why" : remedy);
+    }
+    case FS_BLOCK_DISABLED:
+      return "motion is disabled; next: failstop enable";
+    case FS_BLOCK_HELD:
+      return "a controller has commanded a speed since before motion was enabled; next: let it command zero";
+    case FS_BLOCK_NO_SCAN:
+      return "the obstacle sensor is silent; next: see that something reports it to failstop, or set scan.gate";
+    default:
+      return "";
+  }
 }
+}  // namespace
 
 void Reporter::start(const failstop::Robot & robot)
 {
@@ -54,14 +73,10 @@ void Reporter::follow(const failstop::Robot & robot)
     lock.unlock();
     failstop::State state;
     if (robot.state(state)) {
-      // A robot that nobody commands is no news.
-      const std::string why = state.block == FS_BLOCK_NO_COMMAND ? "" : robot.why();
+      const std::string why = reason(robot, state);
       if (why != before) {
-        const std::string remedy = robot.remedy();
         if (!why.empty()) {
-          RCLCPP_WARN(
-            logger_, "the robot does not move: %s%s%s", why.c_str(), remedy.empty() ? "" : "; next: ",
-            remedy.c_str());
+          RCLCPP_WARN(logger_, "the robot does not move: %s", why.c_str());
         } else if (before != "at the start") {
           RCLCPP_INFO(logger_, "the robot may move");
         }

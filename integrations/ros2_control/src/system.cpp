@@ -252,9 +252,8 @@ CallbackReturn System::on_activate(const rclcpp_lifecycle::State &)
   std::fill(values_.begin(), values_.end(), NONE);
   drove_ = false;
   active_ = true;
+  RCLCPP_INFO(logger_, "%s: connected; nothing moves before somebody enables motion", info_.name.c_str());
   reporter_.start(robot_);
-  RCLCPP_INFO(
-    logger_, "%s: connected; nothing moves before somebody enables motion (failstop enable)", info_.name.c_str());
   return CallbackReturn::SUCCESS;
 }
 

@@ -53,15 +53,13 @@ def compiled(release: str) -> Path:
 
 
 def _is_source(path: Path) -> bool:
-    return path.suffix in (".c", ".h", ".cpp", ".hpp") and "build" not in path.parts
+    return path.suffix in (".c", ".h", ".cpp", ".hpp") or path.name == "Makefile"
 
 
 def _compile(release: str, folder: Path) -> None:
     number = f"-DRELEASE={RELEASES[release]}"
+    run("make", "--silent", "-C", CLIENT, f"BUILD={folder}", folder / "libfailstop.so.0")
     library = folder / "libfailstop.so.0"
-    made = sorted((CLIENT / "src").glob("*.c"))
-    run("gcc", "-std=c11", "-D_GNU_SOURCE", "-O2", "-g", "-fPIC", "-shared", "-Wl,-soname,libfailstop.so.0",
-        "-Wl,-z,nodelete", f"-I{CLIENT / 'include'}", *made, "-pthread", "-o", library)  # fmt: skip
     own = sorted((PLUGIN / "src").glob("*.cpp"))
     run("g++", *FLAGS, number, "-fPIC", "-shared", *includes(release), *own, library, "-pthread",
         f"-Wl,-rpath,{folder}", "-o", folder / "plugin.so")  # fmt: skip

@@ -10,6 +10,8 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+import pytest
+
 from failstop.supervisor import status
 from failstop_lab.boards.traits import traits_of
 from failstop_lab.trial import Stopped, Trial, judge, write_settings
@@ -81,7 +83,7 @@ class Manager:
     @property
     def said(self) -> list[str]:
         """What it called and in which state it was, line by line."""
-        return self._out.read_text().splitlines()
+        return self._out.read_text().rpartition("\n")[0].splitlines()
 
     @property
     def logged(self) -> str:
@@ -95,11 +97,22 @@ class Manager:
         self.tell(*(f"set {name} {value}" for name, value in values.items()))
 
     def values(self) -> dict[str, float]:
-        """Every state interface now."""
+        """Every state interface now, and the `turns` of the loop so far."""
         before = len(self.said)
         self.tell("values")
-        until(lambda: len(self.said) > before and self.said[-1].startswith("values"), "the values")
-        return {name: float(value) for name, _, value in (word.rpartition("=") for word in self.said[-1].split()[1:])}
+        found: list[str] = []
+
+        def printed() -> bool:
+            found[:] = [line for line in self.said[before:] if line.startswith("values ")]
+            return bool(found)
+
+        until(printed, "the values")
+        return {name: float(value) for name, _, value in (word.rpartition("=") for word in found[0].split()[1:])}
+
+    def turn(self, turns: int) -> None:
+        """Wait for so many more turns of the loop, in each of which the hardware is read and written."""
+        until_turn = self.values()["turns"] + turns
+        until(lambda: self.values()["turns"] >= until_turn, f"{turns} turns")
 
     def signal(self, number: signal.Signals) -> None:
         self.process.send_signal(number)
@@ -116,14 +129,24 @@ def settings(folder: Path, kind: str, **more: object) -> tuple[str, str]:
 def drive(manager: Manager, trial: Trial, radps: float = RADPS) -> None:
     """A controller takes the wheels, a person enables motion, and the wheels turn."""
     manager.until("state active")
+    claimed = manager.said.count("claim")
     manager.tell("claim")
-    manager.until("claim", manager.said.count("claim") + 1)
+    manager.until("claim", claimed + 1)
     wheels = {f"{name}/velocity": 0.0 for name in manager.joints if "steering" not in name}
     angles = {f"{name}/position": 0.0 for name in manager.joints if "steering" in name}
     manager.set({**wheels, **angles})
+    manager.turn(2)  # what commands a speed while motion is enabled is held until it has commanded zero
     trial.enable()
     manager.set(dict.fromkeys(wheels, radps))
-    trial.board.wait_wheels(turning=True, timeout_s=10.0)
+    turns(manager, trial)
+
+
+def turns(manager: Manager, trial: Trial) -> None:
+    """Wait until the board's wheels turn."""
+    try:
+        trial.board.wait_wheels(turning=True, timeout_s=10.0)
+    except TimeoutError:
+        pytest.fail(f"{trial.robot.why()}\n{trial.robot.state.clients}\n{manager.said}\n{manager.logged}")
 
 
 def stopped(trial: Trial, fault_ns: int) -> Stopped:

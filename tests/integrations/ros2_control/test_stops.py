@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 
 from failstop_lab.trial import Trial
+from tests.support.waiting import until
 
 from .build import needs_compiler
-from .scene import Manager, drive, stopped, urdf
+from .scene import HZ, Manager, drive, stopped, turns, urdf
 
 pytestmark = [needs_compiler(), pytest.mark.slow]
 HUNG_NS = 3_000_000_000
@@ -27,8 +28,8 @@ def comes_back(manager: Manager, trial: Trial) -> None:
         again.tell("claim")
         again.set({f"{name}/velocity": 3.0 for name in again.joints})
         again.until("claim")
+        again.turn(HZ)
         assert not trial.robot.state.enabled
-        trial.drive(0.3, (0.0, 0.0, 0.0))
         assert not trial.turning()
         assert not any(event.is_motion for event in trial.board.events())
 
@@ -118,7 +119,7 @@ def test_an_error_or_a_deactivation_stops_the_wheels_and_disables(manager: Manag
     manager.tell("to activate")
     manager.until("state active", 2)
     trial.board.events()
-    trial.drive(0.3, (0.0, 0.0, 0.0))
+    manager.turn(HZ)
     assert not any(event.is_motion for event in trial.board.events())
     drive(manager, trial)
 
@@ -127,24 +128,23 @@ def test_a_controller_that_leaves_stops_the_wheels_and_frees_the_source(manager:
     drive(manager, trial)
     manager.tell("unclaim")
     trial.board.wait_wheels(turning=False, timeout_s=5.0)
-    state = trial.robot.state
-    assert state.enabled
-    assert not [client for client in state.clients if client.driving]
+    until(lambda: not any(client.driving for client in trial.robot.state.clients), "the source to be free")
+    assert trial.robot.state.enabled
     manager.tell("claim")
     manager.set({f"{name}/velocity": 3.0 for name in manager.joints})
-    trial.board.wait_wheels(turning=True, timeout_s=5.0)
+    turns(manager, trial)
 
 
 def test_a_latched_stop_is_held_until_reset_and_enable(manager: Manager, trial: Trial) -> None:
     drive(manager, trial)
     trial.robot.estop("a test")
     trial.board.wait_wheels(turning=False, timeout_s=5.0)
-    assert manager.values()["failstop/latched"] == 1.0
+    until(lambda: manager.values()["failstop/latched"] == 1.0, "the latch in a state interface")
     assert manager.values()["failstop/enabled"] == 0.0
     assert manager.said[-1] != "state unconfigured"
     assert "on_error SUCCESS" not in manager.said
     drive(manager, trial)
-    assert manager.values()["failstop/latched"] == 0.0
+    until(lambda: manager.values()["failstop/latched"] == 0.0, "the reset in a state interface")
 
 
 def test_a_latched_stop_is_an_error_where_the_urdf_says_so(trial: Trial, tmp_path: Path) -> None:
@@ -162,4 +162,4 @@ def test_a_command_that_is_no_number_stops_the_wheels_and_latches_nothing(manage
     trial.board.wait_wheels(turning=False, timeout_s=5.0)
     assert trial.robot.state.estop is None
     manager.set({f"{manager.joints[0]}/velocity": 3.0})
-    trial.board.wait_wheels(turning=True, timeout_s=5.0)
+    turns(manager, trial)

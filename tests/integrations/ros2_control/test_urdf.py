@@ -51,7 +51,6 @@ def test_what_is_wrong_is_named_at_the_start(before: str, after: str, told: str,
     ("before", "after", "told"),
     [
         (">left<", ">front_left<", "has the parameter wheel = front_left: this robot has left, right"),
-        (">left<", ">steering<", "but the service's base does not steer (setting wheels.layout)"),
         (">left<", ">right<", "no joint drives the wheel left: give one the parameter wheel = left"),
         ("</hardware>", '<param name="source">nav</param></hardware>', "no such source; add [sources.nav]"),
         ("</hardware>", '<param name="interlock">arm</param></hardware>', "no such interlock; add [interlocks.arm]"),
@@ -66,6 +65,13 @@ def test_what_does_not_fit_the_service_is_named(
         manager.until("on_configure FAILURE")
         assert told in manager.logged
         assert not trial.robot.state.enabled
+
+
+@pytest.mark.slow
+def test_a_base_that_steers_needs_a_service_that_steers(trial: Trial, tmp_path: Path) -> None:
+    with Manager("lyrical", urdf("ackermann", service=trial.name), tmp_path) as manager:
+        manager.until("on_configure FAILURE")
+        assert "the service's base does not steer (setting wheels.layout)" in manager.logged
 
 
 def test_a_parameter_that_has_no_effect_is_named(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@
 //   claim, unclaim            a controller takes the command interfaces, or leaves them after setting 0.0
 //   set JOINT VALUE           the controller's command, from the next turn on
 //   to STATE                  configure, activate, deactivate, cleanup or shutdown
-//   values                    print every state interface
+//   values                    at the end of a turn, print the number of turns and every state interface
 //   fail                      the next read() counts as an ERROR, whatever it returned
 //   segv, abort, spin, exit   in the loop: crash, hang, or exit(0) without any callback
 //
@@ -162,10 +162,10 @@ public:
 #endif
   }
 
-  void print()
+  void print(int turns)
   {
     std::ostringstream line;
-    line << "values";
+    line << "values turns=" << turns;
     for (const auto & name : state_names_) {
       line << " " << name << "=" << value(name);
     }
@@ -246,13 +246,13 @@ hardware_interface::HardwareInfo described()
 }
 }  // namespace
 
-int main(int count, char ** words)
+int main(int count, char ** arguments)
 {
   if (count != 3) {
     std::fprintf(stderr, "usage: manager PLUGIN HZ\n");
     return 2;
   }
-  void * const library = dlopen(words[1], RTLD_NOW);
+  void * const library = dlopen(arguments[1], RTLD_NOW);
   if (library == nullptr) {
     std::fprintf(stderr, "%s\n", dlerror());
     return 2;
@@ -272,10 +272,11 @@ int main(int count, char ** words)
   component.to("configure");
   component.to("activate");
 
-  const std::chrono::duration<double> period(1.0 / std::atof(words[2]));
+  const std::chrono::duration<double> period(1.0 / std::atof(arguments[2]));
   std::map<std::string, double> wanted;
   std::string fault;
-  bool fails = false;
+  bool fails = false, asked = false;
+  int turns = 0;
   std::thread loop([&] {
     while (!ending) {
       {
@@ -287,6 +288,11 @@ int main(int count, char ** words)
           component.set(name, value);
         }
         component.write(span);
+        ++turns;
+        if (asked) {
+          component.print(turns);
+          asked = false;
+        }
         if (fault == "segv") {
           std::raise(SIGSEGV);
         } else if (fault == "abort") {
@@ -321,7 +327,7 @@ int main(int count, char ** words)
         words >> name;
         component.to(name);
       } else if (verb == "values") {
-        component.print();
+        asked = true;
       } else if (verb == "fail") {
         fails = true;
       } else {
