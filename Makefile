@@ -7,7 +7,7 @@ EDITABLE := --config-settings editable_mode=compat --editable
 # Behind failstop itself, which it needs: pip looks for what a requirement needs among those before it.
 LAB := --editable lab
 
-.PHONY: demo test quick tried versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech guard lock apt fresh
+.PHONY: demo test quick tried versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech guard lock apt fresh ros2-control
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -224,6 +224,13 @@ $(VENV)/ros2/.installed: pyproject.toml
 	@$(ROS_PYTHON) -m venv --system-site-packages $(VENV)/ros2
 	@$(VENV)/ros2/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[test]' $(LAB) 'numpy<2'
 	@touch $@
+
+# The hardware interface on a real controller manager of ros2_control: the tests of tests/integrations/ros2_control/real.py.
+ros2-control: $(VENV)/.dev
+	@[ -n "$(ROS)" ] || { echo "there is no ROS 2 here (no /opt/ros/*/setup.sh): CONTRIBUTING.md says what is needed"; exit 1; }
+	@bash -c '. $(ROS) && command -v colcon >/dev/null && ros2 pkg prefix diff_drive_controller >/dev/null 2>&1 && ros2 pkg prefix controller_manager >/dev/null 2>&1' || \
+	  { echo "ros2_control is not complete here: apt install ros-DISTRO-ros2-control ros-DISTRO-diff-drive-controller python3-colcon-common-extensions"; exit 1; }
+	FAILSTOP_ROS=$(ROS) $(BIN)/pytest --numprocesses 0 tests/integrations/ros2_control
 
 # The robot for LeRobot with the real LeRobot of the package index, which brings PyTorch: gigabytes, where the index has none that is for
 # processors alone. LEROBOT: the Python of an environment that has it already, with failstop's own dependencies and pip. LEROBOT_VERSION:

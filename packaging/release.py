@@ -173,8 +173,8 @@ def stage(version: str, source: Path) -> None:
     day = time.strftime("%Y-%m-%d", time.gmtime(moment))
     changes = source / "CHANGELOG.md"
     change(changes, r"## Unreleased", f"## {version} ({day})", needed=False)
-    for name in ros_changes.PACKAGES:
-        package = source / "failstop/ros2/packages" / name
+    for name, folder in ros_changes.FOLDERS.items():
+        package = source / folder
         change(package / "package.xml", r"<version>.*</version>", f"<version>{version}</version>")
         (package / "CHANGELOG.rst").write_text(ros_changes.text(name, changes.read_text()))
     change(source / "failstop/ros2/packages/failstop_ros2/setup.py", r'version=".*"', f'version="{version}"')

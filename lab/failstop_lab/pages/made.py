@@ -60,6 +60,7 @@ FILES: dict[str, Callable[[str], str]] = {
     "docs/ros2.md": lambda text: renewed(text, "contract", ros2.text()),
     "failstop/ros2/packages/failstop_msgs/CHANGELOG.rst": lambda _: _ros_changes("failstop_msgs"),
     "failstop/ros2/packages/failstop_ros2/CHANGELOG.rst": lambda _: _ros_changes("failstop_ros2"),
+    "integrations/ros2_control/CHANGELOG.rst": lambda _: _ros_changes("failstop_ros2_control"),
     "docs/fleet.md": _fleet,
     "docs/does-your-robot-stop.md": lambda text: renewed(text, "bases", bases.table()),
     "README.md": lambda text: renewed(text, "speed", speed.text(ROOT)),

@@ -8,8 +8,15 @@ from collections.abc import Iterator
 PACKAGES = {
     "failstop_msgs": re.compile(r"failstop_msgs|`~/status`"),
     "failstop_ros2": re.compile(r"\bROS\b|\bbridge\b|`~/"),
+    "failstop_ros2_control": re.compile(r"\bros2_control\b"),
 }
 """Each package, with how a change that is one of its is known."""
+FOLDERS = {
+    "failstop_msgs": "failstop/ros2/packages/failstop_msgs",
+    "failstop_ros2": "failstop/ros2/packages/failstop_ros2",
+    "failstop_ros2_control": "integrations/ros2_control",
+}
+"""Where each package is."""
 PART = re.compile(r"^## (?P<version>\S+)(?: \((?P<date>\S+)\))?$", re.MULTILINE)
 COMING = "Forthcoming"
 """Bloom's word for what no release has."""
