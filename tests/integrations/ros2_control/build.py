@@ -1,5 +1,5 @@
-"""The plugin and the stand-in of a controller manager, compiled for each release. What is built is kept in build/ until a
-source changes."""
+"""The plugin and the stand-in of a controller manager, compiled for each release, and kept in build/ until a source
+changes."""
 
 from __future__ import annotations
 
@@ -63,7 +63,9 @@ def _compile(release: str, folder: Path) -> None:
     own = sorted((PLUGIN / "src").glob("*.cpp"))
     run("g++", *FLAGS, number, "-fPIC", "-shared", *includes(release), *own, library, "-pthread",
         f"-Wl,-rpath,{folder}", "-o", folder / "plugin.so")  # fmt: skip
-    run("g++", *FLAGS, number, *includes(release), STANDIN / "manager.cpp", "-ldl", "-pthread", "-o", folder / "manager")
+    run(
+        "g++", *FLAGS, number, *includes(release), STANDIN / "manager.cpp", "-ldl", "-pthread", "-o", folder / "manager"
+    )
 
 
 def run(*words: str | os.PathLike[str]) -> None:

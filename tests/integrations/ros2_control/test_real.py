@@ -55,7 +55,9 @@ class Launched:
 def overlay(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("overlay")
     run("make", "--silent", "-C", CLIENT, f"BUILD={folder / 'client'}", f"PREFIX={folder / 'prefix'}", "install")
-    built = f"--build-base {folder}/build --install-base {folder}/install --cmake-args -DCMAKE_PREFIX_PATH={folder}/prefix"
+    built = (
+        f"--build-base {folder}/build --install-base {folder}/install --cmake-args -DCMAKE_PREFIX_PATH={folder}/prefix"
+    )
     run("bash", "-c", f". {ROS} && colcon --log-base {folder}/log build --base-paths {PLUGIN} {built}")
     return folder
 

@@ -1,5 +1,5 @@
-"""Whatever ends or stops a controller manager while it drives, the board executes a stop, and nothing moves again before
-somebody enables motion."""
+"""Whatever ends or stops a controller manager while it drives, the board executes a stop, and nothing moves again
+before somebody enables motion."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""How soon the board stops after a fault of a controller manager of the stand-in, which drives it through the plugin:
-`python -m tests.integrations.ros2_control.trials --each 100`. Exit code 1 if a stop was missed, or if anything moved again
-before an enable."""
+"""How soon the board stops after a fault of the stand-in's controller manager, which drives it through the plugin:
+`python -m tests.integrations.ros2_control.trials --each 100`. Exit code 1 if a stop was missed, or if anything moved
+again before an enable."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FAULTS: dict[str, tuple[Callable[[Manager], object], float]] = {
     "SIGSTOP": (lambda manager: manager.signal(signal.SIGSTOP), TIMEOUT_MS),
     "an endless loop": (lambda manager: manager.tell("spin"), 1e3 / HZ + TIMEOUT_MS),
 }
-"""What happens, and the bar in ms from then to the first stop on the wire: the loop comes to it a turn later, or two."""
+"""What happens, and the bar in ms from then to the first stop on the wire. The loop acts a turn later, or two."""
 KIND = "arduino"
 
 
