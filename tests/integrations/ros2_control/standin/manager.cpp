@@ -337,6 +337,7 @@ int main(int count, char ** arguments)
   });
   told.detach();
   loop.join();
+  const std::lock_guard<std::recursive_mutex> lock(mutex);
   if (std::getenv("FAILSTOP_STANDIN_OLD") == nullptr) {
     component.to("deactivate");
     component.to("shutdown");
