@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop_lab.faults import inject_board, inject_clients, inject_guard, inject_machine, ptrace
+from failstop_lab.faults import inject_board, inject_clients, inject_guard, inject_machine, inject_manager, ptrace
 from failstop_lab.faults.fault import SPIN, Fault
 from failstop_lab.faults.inject import Injector
 from failstop_lab.faults.scene import Scene
@@ -42,6 +42,7 @@ INJECTORS = {
     **inject_clients.INJECTORS,
     **inject_guard.INJECTORS,
     **inject_machine.INJECTORS,
+    **inject_manager.INJECTORS,
 }
 
 

@@ -70,6 +70,8 @@ STOP_ASKED_MEANWHILE = "a stop request meanwhile"
 THAWED = "the thaw"
 RUN_DOWN_MS = 1_700.0
 """The run-down time of the board that reports least often, at the trials' speed, and 0.2 s (docs/dev/runaway.md)."""
+IN_TURN_MS = 60.0
+"""Two turns of a controller manager's loop at 50 Hz, and the time of a stop."""
 DRIVER_HAS_DIED = "which had driven, has died"
 
 
@@ -164,6 +166,30 @@ CLIENT_ROWS = (
     Fault(
         "slot-unlinked", MEMORY, "the driving client's slot is unlinked", "nobody",
         (), BY_ITSELF, "", None, "slot-unlinked", aftermath_s=0.4, weight=1,
+    ),
+)  # fmt: skip
+
+MANAGER_ROWS = (
+    *(
+        Fault(
+            name, CLIENT_FAILS, f"{how} a controller manager that drives, another program commands once it is gone",
+            first, (), BY_ENABLE, logged, bar_ms, name, aftermath_s=0.4, weight=1,
+        )
+        for name, how, first, logged, bar_ms in (
+            (
+                "manager-killed", "SIGKILL of", "gate (its lifeline)", DRIVER_HAS_DIED, processes.AT_ONCE_MS,
+            ),
+            (
+                "manager-crashes", "SIGSEGV of", "gate (its lifeline)", DRIVER_HAS_DIED, processes.AT_ONCE_MS,
+            ),
+            (
+                "manager-interrupted", "SIGINT (Ctrl-C) to", "gate, told zero by the plugin", "motion disabled by", IN_TURN_MS,
+            ),
+        )
+    ),
+    Fault(
+        "manager-hung", CLIENT_FAILS, "SIGSTOP of the controller manager that drives", "gate (command timeout)",
+        (), BY_ITSELF, "", 320.0, "manager-hung", aftermath_s=0.45, weight=1,
     ),
 )  # fmt: skip
 
@@ -350,7 +376,7 @@ SURROUNDINGS = (
     ),
 )  # fmt: skip
 
-TABLE = (*processes.ROWS, *WOKEN, *CLIENT_ROWS, *GUARD_ROWS, *REQUESTS, *PORT_ROWS, *SURROUNDINGS)
+TABLE = (*processes.ROWS, *WOKEN, *CLIENT_ROWS, *MANAGER_ROWS, *GUARD_ROWS, *REQUESTS, *PORT_ROWS, *SURROUNDINGS)
 FAULT_BY_NAME = {fault.name: fault for fault in TABLE}
 
 BEYOND = (

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from failstop_lab.controller_manager import Manager
 from failstop_lab.trial import Trial
 
-from .scene import Manager, trials, urdf
+from .scene import managed, trials, urdf
 
 
 @pytest.fixture(scope="module")
@@ -31,5 +32,5 @@ def trial(service: Trial) -> Trial:
 @pytest.fixture(params=["humble", "lyrical"])
 def manager(request: pytest.FixtureRequest, trial: Trial, tmp_path: Path) -> Iterator[Manager]:
     """The oldest and the newest release, with a differential base."""
-    with Manager(request.param, urdf("diff", service=trial.name), tmp_path) as manager:
+    with managed(request.param, urdf("diff", service=trial.name), tmp_path) as manager:
         yield manager

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from failstop_lab.controller_manager import CLIENT, PLUGIN, run
 from failstop_lab.trial import Trial
 from tests.support.waiting import until
 
-from .build import CLIENT, PLUGIN, run
 from .scene import settings, stopped, urdf
 
 ROS = os.environ.get("FAILSTOP_ROS", "")

@@ -9,8 +9,7 @@ import pytest
 
 from failstop_lab.trial import Trial
 
-from .build import needs_compiler
-from .scene import Manager, drive, settings, urdf
+from .scene import drive, managed, needs_compiler, settings, urdf
 
 pytestmark = [needs_compiler(), pytest.mark.slow]
 
@@ -20,7 +19,7 @@ def test_the_service_is_started_again(release: str, tmp_path: Path) -> None:
     name = f"ros2-again-{os.getpid()}"
     with Trial(name, settings(tmp_path, "arduino"), imu_hz=20.0, kind="arduino") as trial:
         (tmp_path / "manager").mkdir()
-        with Manager(release, urdf("diff", service=name), tmp_path / "manager") as manager:
+        with managed(release, urdf("diff", service=name), tmp_path / "manager") as manager:
             drive(manager, trial)
             trial.leave()
             trial.service.end()
@@ -37,7 +36,7 @@ def test_the_service_is_started_again(release: str, tmp_path: Path) -> None:
 def test_a_service_that_comes_later_is_waited_for(tmp_path: Path) -> None:
     name = f"ros2-later-{os.getpid()}"
     (tmp_path / "manager").mkdir()
-    with Manager("lyrical", urdf("diff", service=name), tmp_path / "manager") as manager:
+    with managed("lyrical", urdf("diff", service=name), tmp_path / "manager") as manager:
         manager.until("state unconfigured")
         with Trial(name, settings(tmp_path, "arduino"), imu_hz=20.0, kind="arduino") as trial:
             drive(manager, trial)
@@ -46,7 +45,7 @@ def test_a_service_that_comes_later_is_waited_for(tmp_path: Path) -> None:
 
 def test_a_service_that_is_not_there(tmp_path: Path) -> None:
     text = urdf("diff", service="ros2-nobody").replace(">10<", ">0<")
-    with Manager("lyrical", text, tmp_path) as manager:
+    with managed("lyrical", text, tmp_path) as manager:
         manager.until("on_configure FAILURE")
         manager.until("state unconfigured", 2)
         assert "diff_base: " in manager.logged

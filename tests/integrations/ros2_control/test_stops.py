@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from failstop_lab.controller_manager import HZ, Manager
 from failstop_lab.trial import Trial
 from tests.support.waiting import until
 
-from .build import needs_compiler
-from .scene import HZ, Manager, drive, stopped, turns, urdf
+from .scene import drive, managed, needs_compiler, stopped, turns, urdf
 
 pytestmark = [needs_compiler(), pytest.mark.slow]
 HUNG_NS = 3_000_000_000
@@ -23,17 +23,17 @@ HUNG_NS = 3_000_000_000
 def comes_back(manager: Manager, trial: Trial) -> None:
     """The next controller manager commands as the last one did, and nothing moves before an enable."""
     text = urdf("diff", service=trial.name)
-    with Manager(manager.release, text, manager.folder / "again") as again:
+    with managed(manager.release, text, manager.folder / "again") as again:
         again.until("state active")
-        again.tell("claim")
+        again.claim()
         again.set({f"{name}/velocity": 3.0 for name in again.joints})
-        again.until("claim")
         again.turn(HZ)
         assert not trial.robot.state.enabled
         assert not trial.turning()
         assert not any(event.is_motion for event in trial.board.events())
 
 
+@pytest.mark.claim("CLIENT-1", "MOVE-2")
 @pytest.mark.parametrize("fault", ["SIGKILL", "SIGSEGV", "SIGABRT", "segv", "abort", "exit"])
 def test_a_controller_manager_that_dies_stops_the_wheels(manager: Manager, trial: Trial, fault: str) -> None:
     drive(manager, trial)
@@ -52,6 +52,7 @@ def test_a_controller_manager_that_dies_stops_the_wheels(manager: Manager, trial
     comes_back(manager, trial)
 
 
+@pytest.mark.claim("CLIENT-1")
 @pytest.mark.parametrize("fault", ["SIGSTOP", "spin"])
 def test_one_that_hangs_stops_the_wheels(manager: Manager, trial: Trial, fault: str) -> None:
     drive(manager, trial)
@@ -67,6 +68,7 @@ def test_one_that_hangs_stops_the_wheels(manager: Manager, trial: Trial, fault: 
     assert seen.motion_after == 0
 
 
+@pytest.mark.claim("CLIENT-1", "MOVE-2")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_one_stops_the_wheels_and_disables(
     manager: Manager, trial: Trial, number: signal.Signals
@@ -85,8 +87,9 @@ def test_an_interrupted_one_stops_the_wheels_and_disables(
     comes_back(manager, trial)
 
 
+@pytest.mark.claim("CLIENT-1", "MOVE-2")
 def test_an_old_one_that_calls_nothing_at_ctrl_c(trial: Trial, tmp_path: Path) -> None:
-    with Manager("humble", urdf("diff", service=trial.name), tmp_path, old=True) as manager:
+    with managed("humble", urdf("diff", service=trial.name), tmp_path, old=True) as manager:
         drive(manager, trial)
         trial.board.events()
         fault_ns = time.monotonic_ns()
@@ -101,6 +104,7 @@ def test_an_old_one_that_calls_nothing_at_ctrl_c(trial: Trial, tmp_path: Path) -
         comes_back(manager, trial)
 
 
+@pytest.mark.claim("CLIENT-1", "MOVE-2")
 @pytest.mark.parametrize("words", ["fail", "to deactivate"])
 def test_an_error_or_a_deactivation_stops_the_wheels_and_disables(manager: Manager, trial: Trial, words: str) -> None:
     drive(manager, trial)
@@ -149,7 +153,7 @@ def test_a_latched_stop_is_held_until_reset_and_enable(manager: Manager, trial: 
 
 def test_a_latched_stop_is_an_error_where_the_urdf_says_so(trial: Trial, tmp_path: Path) -> None:
     text = urdf("diff", service=trial.name, more={"on_latched": "error"})
-    with Manager("lyrical", text, tmp_path) as manager:
+    with managed("lyrical", text, tmp_path) as manager:
         drive(manager, trial)
         trial.robot.estop("a test")
         manager.until("on_error SUCCESS")

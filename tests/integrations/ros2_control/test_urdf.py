@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from failstop.version import VERSION
+from failstop_lab.controller_manager import PLUGIN, RELEASES
 from failstop_lab.trial import Trial
 
-from .build import PLUGIN, RELEASES, needs_compiler
-from .scene import URDFS, Manager, described, urdf
+from .scene import URDFS, described, managed, needs_compiler, urdf
 
 pytestmark = needs_compiler()
 
@@ -19,7 +19,7 @@ pytestmark = needs_compiler()
 @pytest.mark.parametrize("release", RELEASES)
 @pytest.mark.parametrize("base", ["ackermann", "diff", "mecanum"])
 def test_each_example_is_taken_in_each_release(release: str, base: str, tmp_path: Path) -> None:
-    with Manager(release, urdf(base, service="ros2-nobody").replace(">10<", ">0<"), tmp_path) as manager:
+    with managed(release, urdf(base, service="ros2-nobody").replace(">10<", ">0<"), tmp_path) as manager:
         manager.until("on_configure FAILURE")
         assert manager.said[0] == "on_init SUCCESS"
 
@@ -42,7 +42,7 @@ def test_each_example_is_taken_in_each_release(release: str, base: str, tmp_path
 def test_what_is_wrong_is_named_at_the_start(before: str, after: str, told: str, tmp_path: Path) -> None:
     text = urdf("diff")
     assert before in text
-    with Manager("lyrical", text.replace(before, after, 1), tmp_path) as manager:
+    with managed("lyrical", text.replace(before, after, 1), tmp_path) as manager:
         manager.until("on_init ERROR")
         assert f"diff_base: {told}" in manager.logged
 
@@ -61,7 +61,7 @@ def test_what_does_not_fit_the_service_is_named(
     trial: Trial, before: str, after: str, told: str, tmp_path: Path
 ) -> None:
     text = urdf("diff", service=trial.name).replace(before, after, 1)
-    with Manager("lyrical", text, tmp_path) as manager:
+    with managed("lyrical", text, tmp_path) as manager:
         manager.until("on_configure FAILURE")
         assert told in manager.logged
         assert not trial.robot.state.enabled
@@ -69,14 +69,14 @@ def test_what_does_not_fit_the_service_is_named(
 
 @pytest.mark.slow
 def test_a_base_that_steers_needs_a_service_that_steers(trial: Trial, tmp_path: Path) -> None:
-    with Manager("lyrical", urdf("ackermann", service=trial.name), tmp_path) as manager:
+    with managed("lyrical", urdf("ackermann", service=trial.name), tmp_path) as manager:
         manager.until("on_configure FAILURE")
         assert "the service's base does not steer (setting wheels.layout)" in manager.logged
 
 
 def test_a_parameter_that_has_no_effect_is_named(tmp_path: Path) -> None:
     text = urdf("diff", service="ros2-nobody", more={"device": "/dev/ttyUSB0"}).replace(">10<", ">0<")
-    with Manager("lyrical", text, tmp_path) as manager:
+    with managed("lyrical", text, tmp_path) as manager:
         manager.until("on_configure FAILURE")
         assert "the parameter device has no effect on failstop" in manager.logged
 

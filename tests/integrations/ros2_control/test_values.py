@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from failstop_lab.controller_manager import Manager
 from failstop_lab.trial import Trial
 from tests.support.waiting import until
 
-from .build import needs_compiler
-from .scene import Manager, drive, trials, turns, urdf
+from .scene import drive, managed, needs_compiler, trials, turns, urdf
 
 pytestmark = [needs_compiler(), pytest.mark.slow]
 RATIO = 0.17165 / 0.17706
@@ -60,7 +60,7 @@ def ackermann(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
 
 
 def test_each_wheel_of_a_mecanum_base_follows_its_joint(mecanum: Trial, tmp_path: Path) -> None:
-    with Manager("jazzy", urdf("mecanum", service=mecanum.name), tmp_path) as manager:
+    with managed("jazzy", urdf("mecanum", service=mecanum.name), tmp_path) as manager:
         drive(manager, mecanum, 1.0)
         # To the left: the front left and the rear right wheel turn backward.
         way = {"front_left": -1.0, "rear_left": 1.0, "front_right": 1.0, "rear_right": -1.0}
@@ -83,7 +83,7 @@ def test_each_wheel_of_a_mecanum_base_follows_its_joint(mecanum: Trial, tmp_path
 
 @pytest.mark.parametrize("middle", [0.25, -0.25])
 def test_the_steered_wheels_of_an_ackermann_base(ackermann: Trial, tmp_path: Path, middle: float) -> None:
-    with Manager("kilted", urdf("ackermann", service=ackermann.name), tmp_path) as manager:
+    with managed("kilted", urdf("ackermann", service=ackermann.name), tmp_path) as manager:
         drive(manager, ackermann, 1.0)
         # By the point about which all wheels turn, on the line of the rear axle.
         radius = 1.0 / math.tan(middle)
@@ -113,7 +113,7 @@ def test_two_joints_may_drive_one_wheel(trial: Trial, tmp_path: Path) -> None:
     block = text[text.index('<joint name="left_wheel_joint">') :]
     joint = block[: block.index("</joint>") + len("</joint>")]
     more = joint.replace("left_wheel_joint", "left_rear_joint")
-    with Manager("lyrical", text.replace(joint, joint + more), tmp_path) as manager:
+    with managed("lyrical", text.replace(joint, joint + more), tmp_path) as manager:
         drive(manager, trial)
         manager.set(dict.fromkeys((f"{name}/velocity" for name in manager.joints), 2.0))
         manager.set({"left_rear_joint/velocity": 1.0})

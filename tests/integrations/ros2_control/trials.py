@@ -14,10 +14,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from failstop_lab.boards.traits import traits_of
+from failstop_lab.controller_manager import HZ, Manager
 from failstop_lab.faults import processes
 from failstop_lab.trial import Trial
 
-from .scene import HZ, Manager, drive, settings, stopped, urdf
+from .scene import drive, managed, settings, stopped, urdf
 
 TIMEOUT_MS = 320.0
 FAULTS: dict[str, tuple[Callable[[Manager], object], float]] = {
@@ -38,7 +39,7 @@ KIND = "arduino"
 
 def one(release: str, trial: Trial, folder: Path, strike: Callable[[Manager], object]) -> tuple[float | None, int]:
     """To the board's first stop, ms (None: never), and the motor frames that moved a wheel after it."""
-    with Manager(release, urdf("diff", service=trial.name), folder) as manager:
+    with managed(release, urdf("diff", service=trial.name), folder) as manager:
         drive(manager, trial)
         trial.board.events()
         fault_ns = time.monotonic_ns()

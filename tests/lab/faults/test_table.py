@@ -44,6 +44,9 @@ DESIGN = {
         *("c-client-killed", "c-client-killed-large", "c-client-crashes", "c-client-execs", "c-client-killed-forked"),
     ),
     "client that drives hangs": ("client-hung", "c-client-hung", "pad-silent"),
+    "controller manager killed, crashed, interrupted, hung": (
+        *("manager-killed", "manager-crashes", "manager-interrupted", "manager-hung"),
+    ),
     "driver at the guard port dies, closes or hangs": (
         *("guard-driver-killed", "guard-driver-closes", "guard-driver-hung"),
     ),
