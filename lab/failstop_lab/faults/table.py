@@ -183,7 +183,8 @@ MANAGER_ROWS = (
                 "manager-crashes", "SIGSEGV of", "gate (its lifeline)", DRIVER_HAS_DIED, processes.AT_ONCE_MS,
             ),
             (
-                "manager-interrupted", "SIGINT (Ctrl-C) to", "gate, told zero by the plugin", "motion disabled by", IN_TURN_MS,
+                "manager-interrupted", "SIGINT (Ctrl-C) to", "gate, told zero by the plugin",
+                "motion disabled by", IN_TURN_MS,
             ),
         )
     ),

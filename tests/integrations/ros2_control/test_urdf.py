@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -88,6 +89,18 @@ def test_the_joints_of_an_example_are_in_its_urdf() -> None:
         listed = [line.split()[1] for line in described(path.read_text()) if line.startswith("joint ")]
         assert listed
         assert set(listed) <= known
+
+
+@pytest.mark.parametrize("base", ["ackermann", "diff", "mecanum"])
+def test_the_launch_file_and_the_controllers_of_an_example_fit(base: str) -> None:
+    """No YAML parser is among failstop's dependencies, so the names are looked for in the text."""
+    launched = re.search(rf'"{base}": \(([^)]*)\)', (PLUGIN / "launch" / "failstop.launch.py").read_text())
+    assert launched is not None
+    text = (PLUGIN / "config" / f"{base}.yaml").read_text()
+    for controller in re.findall(r'"(\w+)"', launched[1]):
+        assert re.search(rf"^    {controller}: \{{type: \w+/\w+\}}$", text, re.MULTILINE), controller
+    joints = {line.split()[1] for line in described(urdf(base)) if line.startswith("joint ")}
+    assert set(re.findall(r"\w+_joint\b", text)) == joints
 
 
 def test_the_manifest() -> None:
