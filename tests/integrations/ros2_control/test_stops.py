@@ -16,6 +16,8 @@ from tests.support.waiting import until
 from .scene import drive, managed, needs_compiler, stopped, turns, urdf
 
 pytestmark = [needs_compiler(), pytest.mark.slow]
+SILENT = "fell silent while it drove"
+"""The service says it of a driver whose command's timeout stopped the wheels."""
 HUNG_NS = 3_000_000_000
 """Later than this no command's timeout stops the wheels."""
 
@@ -128,10 +130,27 @@ def test_an_error_or_a_deactivation_stops_the_wheels_and_disables(manager: Manag
     drive(manager, trial)
 
 
+def test_an_inactive_hardware_drives_nothing_though_humble_writes_to_it(trial: Trial, tmp_path: Path) -> None:
+    with managed("humble", urdf("diff", service=trial.name), tmp_path) as manager:
+        drive(manager, trial)
+        manager.tell("to deactivate")
+        manager.until("state inactive", 2)
+        trial.board.wait_wheels(turning=False, timeout_s=5.0)
+        manager.set({f"{name}/velocity": 0.0 for name in manager.joints})
+        manager.turn(2)
+        trial.enable()
+        trial.board.events()
+        manager.set({f"{name}/velocity": 3.0 for name in manager.joints})
+        manager.turn(HZ)
+        assert not any(event.is_motion for event in trial.board.events())
+
+
 def test_a_controller_that_leaves_stops_the_wheels_and_frees_the_source(manager: Manager, trial: Trial) -> None:
     drive(manager, trial)
+    mark = trial.service.written()
     manager.tell("unclaim")
     trial.board.wait_wheels(turning=False, timeout_s=5.0)
+    assert SILENT not in trial.service.said(mark), "it commanded zero, and did not leave it to the timeout"
     until(lambda: not any(client.driving for client in trial.robot.state.clients), "the source to be free")
     assert trial.robot.state.enabled
     manager.tell("claim")
@@ -162,8 +181,10 @@ def test_a_latched_stop_is_an_error_where_the_urdf_says_so(trial: Trial, tmp_pat
 
 def test_a_command_that_is_no_number_stops_the_wheels_and_latches_nothing(manager: Manager, trial: Trial) -> None:
     drive(manager, trial)
+    mark = trial.service.written()
     manager.set({f"{manager.joints[0]}/velocity": float("nan")})
     trial.board.wait_wheels(turning=False, timeout_s=5.0)
+    assert SILENT not in trial.service.said(mark), "it commanded zero, and did not leave it to the timeout"
     assert trial.robot.state.estop is None
     manager.set({f"{manager.joints[0]}/velocity": 3.0})
     turns(manager, trial)
