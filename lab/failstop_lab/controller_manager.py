@@ -30,7 +30,7 @@ HZ = 50
 TOLD_S = 20.0
 
 
-def lacking() -> str:
+def uncompilable() -> str:
     """Why it can't be compiled here; empty if it can."""
     if not STANDIN.exists():
         return "the ros2_control plugin is not tried: it needs a checkout of failstop's source"

@@ -31,7 +31,7 @@ class ManagerEnds(Injector):
         self.manager: Manager | None = None
 
     def unfit(self) -> str:
-        return controller_manager.lacking()
+        return controller_manager.uncompilable()
 
     def prepare(self, scene: Scene) -> None:
         # Its last command would make two publishers.

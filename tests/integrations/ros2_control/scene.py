@@ -11,7 +11,7 @@ import pytest
 
 from failstop.supervisor import status
 from failstop_lab.boards.traits import traits_of
-from failstop_lab.controller_manager import PLUGIN, Manager, lacking
+from failstop_lab.controller_manager import PLUGIN, Manager, uncompilable
 from failstop_lab.trial import Stopped, Trial, judge, write_settings
 
 URDFS = PLUGIN / "urdf"
@@ -19,7 +19,7 @@ RADPS = 3.0
 
 
 def needs_compiler() -> pytest.MarkDecorator:
-    return pytest.mark.skipif(bool(lacking()), reason=lacking())
+    return pytest.mark.skipif(bool(uncompilable()), reason=uncompilable())
 
 
 def urdf(base: str, *, service: str = "", more: Mapping[str, str] | None = None) -> str:
