@@ -140,6 +140,7 @@ board: $(VENV)/.dev
 	$(BIN)/failstop demo --board $(abspath $(BOARD))
 
 # All, or some: make mutants ROOMS="gate shm/cell" (tests/mutation/rooms.py). With AT=DIRECTORY what is ended may be gone on with.
+# Which test notices which mutant of such a directory: .venv/bin/python tests/mutation/matrix.py --at DIRECTORY
 ROOMS ?=
 AT ?=
 mutants: $(VENV)/.dev

@@ -43,6 +43,18 @@ PROCS: tuple[Reason, ...] = (
     Reason("stopping.py", r"\+.*if wait_s <= 0 else", "after an answer of 0 there is no further try"),
     Reason("stopping.py", r"\+.*waited_s > WARN_S", "the warning comes one try later at most", same=False),
     Reason(
+        "procs/peer.py", r"\+.*max\(\(1, \*\(at_ns", "no last repeat comes as soon as that, so the least time counts"
+    ),
+    Reason("procs/schedule.py", r"\+\s+last_ns = max\(\(1, \*after_ns\)\)", "no zero comes a nanosecond after a stop"),
+    Reason(
+        "procs/schedule.py",
+        r"\+\s+self\._before = (\+1|-2)$",
+        "the first index is 0, and counts only if 0 was before it",
+    ),
+    Reason("procs/schedule.py", r"\+\s+return \(index - 1\) % ", "any other index will do", same=False),
+    Reason("procs/port_owner/told.py", r"^-.*\n\+\s+self\.turning = True$", "the end of the same function sets it"),
+    Reason("procs/port_owner/told.py", r"\+\s+self\.turning = ns > 1$", "it is 0 or the time of a write"),
+    Reason(
         "procs/port_owner/requests.py", r'\+.*split\(b"\\n", (2)?\)\[0\]', "what is cut off behind is not looked at"
     ),
     Reason(

@@ -31,6 +31,7 @@ ROOMS = {
             "tests/procs/test_admission.py",
             "tests/procs/test_port_owner*.py",
             "tests/procs/test_schedule.py",
+            "tests/procs/test_stopper.py",
             "tests/procs/test_wire*.py",
         ),
     ),

@@ -22,6 +22,11 @@ def test_the_first_bytes_are_a_burst_for_the_epoch_it_finds(scene: Scene) -> Non
     assert scene.port_state() == records.PORT_OPEN
 
 
+def test_after_a_start_the_wheels_are_told_to_stand_whatever_the_process_before_it_told_them() -> None:
+    scene = Scene(before=lambda scene: scene.own.word("told_ns").set(1))
+    assert scene.word("told_ns") == 0
+
+
 @pytest.mark.parametrize("gone", [False, True])
 def test_a_start_without_a_port_takes_the_one_that_it_is_sent_and_stops(gone: bool) -> None:
     scene = Scene(before=lambda scene: scene.wire.unplug()) if gone else Scene(open_port=False)
@@ -367,3 +372,24 @@ def test_the_stop_is_written_again_without_a_cause(scene: Scene) -> None:
     assert scene.answer() == (BURST, [])
     assert scene.word("stopped_epoch") == epoch
     assert scene.forward() == MOTION, "nothing has to be enabled again"
+
+
+def test_a_key_that_follows_such_a_request_is_heard_in_the_same_turn(scene: Scene) -> None:
+    scene.turn()
+    telemetry = scene.views[layout.TELEMETRY].ring_writer("causes")
+    telemetry.put(b"")
+    telemetry.put(causes.KEY(1).pack())
+    assert scene.answer() == (BURST + BURST, ["key1"])
+
+
+@pytest.mark.parametrize(("handed", "written"), [(128, BURST), (129, b"")])
+def test_the_stop_is_written_again_behind_a_little_under_way_and_behind_no_more(
+    scene: Scene, handed: int, written: bytes
+) -> None:
+    for _ in range(60):  # the quick pings of the start are over then
+        scene.turn(TICK)
+    assert scene.owner.wire.frame(bytes(handed))
+    scene.wire.read()
+    scene.wire.port.under_way = 1
+    scene.views[layout.TELEMETRY].ring_writer("causes").put(b"")
+    assert scene.turn() == written

@@ -11,6 +11,8 @@ import pytest
 from failstop.board.interface import PORT_OWNER_ROW
 from failstop.messages import layout, records
 from failstop.policy.layouts import BOARDS
+from failstop.procs.loop import NEVER
+from failstop.procs.peer import AFTER_LAST_NS, LEAVE_AFTER_NS
 from failstop.procs.schedule import PING_GAP_NS, QUICK, ZERO_EVERY_NS
 from tests.support.port_scene import TICK, Scene
 from tests.support.stage import MS
@@ -122,6 +124,39 @@ def test_it_says_that_it_moves_until_its_stop_can_not_be_lost(kind: str) -> None
     scene.wire.port.takes()
     writes(scene, 120 * MS)
     assert scene.word("moving") == 0
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_an_orphan_stays_until_its_board_has_had_the_last_repeat_of_any_writer(kind: str) -> None:
+    scene = made(kind)
+    writes(scene, 190 * MS)
+    scene.supervisor.kill()
+    scene.turn()
+    begun_ns = scene.clock()
+    while scene.stays:
+        scene.turn(MS)
+    last_ns = max(at_ns for row in scene.board.repeats_ns for at_ns in row)
+    assert scene.clock() - begun_ns == max(LEAVE_AFTER_NS, last_ns + AFTER_LAST_NS)
+
+
+@pytest.mark.parametrize(("early_ns", "again"), [(1, False), (0, True)])
+def test_a_stop_that_is_asked_for_again_goes_out_only_on_a_silent_line(early_ns: int, again: bool) -> None:
+    """Else it would garble what is on the line, and itself. The next zero does it then."""
+    scene = hoverboard()
+    wire = scene.owner.wire
+    assert wire.frame(scene.board.stop)
+    scene.wire.read()
+    scene.clock.now_ns = wire.free_ns - early_ns
+    scene.views[layout.TELEMETRY].ring_writer("causes").put(b"")
+    assert scene.turn() == (scene.board.burst if again else b"")
+
+
+def test_what_a_board_echoes_is_kept_with_the_time_before_its_write() -> None:
+    scene = hoverboard()
+    scene.machine.look_ns = 1000
+    assert scene.forward(motion(scene)) == motion(scene)
+    *_, (_, kept_ns, _) = scene.kept_writes()
+    assert kept_ns == scene.word("told_ns")
 
 
 def test_motion_waits_until_the_line_has_been_silent_for_long_enough() -> None:
@@ -281,6 +316,41 @@ def test_the_board_s_own_watchdog_is_set_before_the_first_motion_of_each_enable(
         written = scene.forward(motion(scene), epoch=epoch)
         assert written.index(scene.board.arming) < written.index(motion(scene))
         assert scene.board.arming not in scene.forward(motion(scene), epoch=epoch), "once is enough"
+
+
+def test_the_first_motion_goes_behind_the_setting_of_the_watchdog_and_the_next_behind_a_ping_alone() -> None:
+    """On a port that is still passing on what it was just given."""
+    scene = made("ugv")
+    scene.turn()
+    scene.turn(6000 * MS)
+    scene.owner.port.pings.wait(NEVER)
+    scene.raise_epoch(2)
+    writes(scene, 100 * MS)
+    ping = len(scene.board.pings[0])
+    scene.wire.port.drains = False
+    assert scene.forward(motion(scene), epoch=2) == scene.board.arming + motion(scene)
+    scene.wire.port.drains = True
+    for more, written in ((0, motion(scene)), (1, b"")):
+        scene.wire.port.under_way = 0
+        assert scene.owner.wire.frame(bytes(ping + more))
+        scene.wire.read()
+        scene.wire.port.under_way = 1
+        assert scene.forward(motion(scene), epoch=2) == written
+
+
+def test_a_board_that_restarts_while_it_is_deaf_is_told_once_it_hears_and_not_before() -> None:
+    """Telemetry sees the restart that opening the port has caused."""
+    scene = made("ugv", open_port=False)
+    scene.turn()
+    scene.replug(2)
+    scene.turn()
+    writes(scene, 100 * MS)
+    scene.views[layout.TELEMETRY].word("restarts").set(1)
+    arms = scene.board.port.opening[1]
+    assert arms not in b"".join(data for _, data in writes(scene, scene.board.port.deaf_ns - 100 * MS - 1))
+    assert scene.port_state() == records.PORT_LOST
+    assert arms in scene.turn(1)
+    assert scene.port_state() == records.PORT_OPEN
 
 
 def test_a_board_that_was_seen_to_restart_is_told_what_it_is_told_at_its_opening() -> None:

@@ -9,6 +9,7 @@ from failstop.board.rrc.burst import BURST
 from failstop.messages import layout, records
 from failstop.policy.processes import HANG_NS
 from failstop.procs.loop import GONE, READ
+from failstop.procs.peer import LATEST_NS, LEAVE_AFTER_NS
 from failstop.shm import heartbeat
 from tests.support.port_scene import MOTION, TICK, Scene
 from tests.support.stage import MS
@@ -97,6 +98,57 @@ def test_the_supervisor_s_death_is_told_before_that_of_who_dies_with_it(scene: S
     assert scene.reasons() == ["supervisor died", f"{process} died"]
     scene.turn()
     assert scene.reasons() == [], "each is answered once"
+
+
+def orphan(scene: Scene) -> int:
+    """The supervisor has died, and the port owner has answered it; when that was."""
+    scene.drive()
+    scene.supervisor.kill()
+    assert scene.answer() == (BURST, ["supervisor died"])
+    return scene.clock()
+
+
+@pytest.mark.parametrize("by", ["the kernel", "the port owner"])
+def test_an_orphan_stays_until_the_port_has_passed_on_the_stop(scene: Scene, by: str) -> None:
+    """The kernel drops what it holds at the last close, and what it has not taken ends with the process."""
+    begun_ns = orphan(scene)
+    if by == "the kernel":
+        scene.wire.port.under_way = 1
+    else:
+        scene.wire.port.takes(0)
+    for _ in range(17):
+        scene.turn(10 * MS)
+        assert scene.stays
+    scene.turn(3 * MS)
+    scene.wire.port.under_way = 0
+    scene.wire.port.takes()
+    left_ns = begun_ns + 175 * MS
+    assert scene.next_ns() == left_ns, "it looks again each 5 ms"
+    scene.turn(left_ns - scene.clock() - 1)
+    assert scene.stays
+    scene.turn(1)
+    assert not scene.stays
+
+
+def test_an_orphan_does_not_wait_forever_for_a_port_that_never_drains(scene: Scene) -> None:
+    begun_ns = orphan(scene)
+    scene.wire.port.under_way = 1
+    while scene.stays:
+        scene.turn(MS)
+    assert scene.clock() - begun_ns == LATEST_NS
+
+
+def test_an_orphan_waits_for_no_port_that_has_gone(scene: Scene) -> None:
+    begun_ns = orphan(scene)
+    scene.wire.port.takes(50)
+    scene.ask_to_stop(b"x")
+    scene.turn()
+    scene.wire.unplug()
+    scene.turn()
+    scene.turn(begun_ns + LEAVE_AFTER_NS - 1 - scene.clock())
+    assert scene.stays
+    scene.turn(1)
+    assert not scene.stays
 
 
 @pytest.mark.parametrize(("gate_ms", "supervisor_ms"), [(0, 60), (60, 60)])

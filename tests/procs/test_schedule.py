@@ -37,6 +37,15 @@ def test_pings_come_in_no_regular_order_and_none_is_left_out_for_long(count: int
         assert count == 1 or alike < 0.7
 
 
+def test_the_order_of_pings_comes_from_a_generator_of_full_period_and_its_published_values() -> None:
+    """Marsaglia's xorshift with 13, 7 and 17 comes back to its start after 2^64 - 1 draws, but with other numbers it may
+    do so after a few. These are its first values from 1."""
+    pings = Pings(1 << 32, PERIOD, Timer(), now_ns=0)
+    for value in (1082269761, 1152992998833853505, 11177516664432764457, 17678023832001937445):
+        pings.sent(T0)
+        assert pings.index == value >> 32
+
+
 @pytest.mark.parametrize("count", [4, 1])
 def test_pings_have_a_period_and_one_that_was_refused_is_due_again(count: int) -> None:
     due = Timer()
@@ -139,6 +148,14 @@ def test_the_port_owner_asks_twice_a_second_and_after_each_stop(scene: Scene) ->
     assert records.WROTE.unpack(kept) == (scene.asked[-1], ())
 
 
+def test_a_ping_is_kept_with_the_time_before_its_write_because_its_answer_proves_no_more(scene: Scene) -> None:
+    settled(scene)
+    scene.machine.look_ns = 1000
+    scene.turn(PERIOD)
+    *_, (_, kept_ns, _) = scene.kept_writes()
+    assert kept_ns == scene.word("asked_ns")
+
+
 def test_it_wakes_to_ask_whether_a_stop_was_heard_and_not_at_the_tick_after(scene: Scene) -> None:
     scene.turn()
     scene.turn(PING_GAP_NS - 5 * MS)
@@ -234,6 +251,13 @@ def test_bursts_and_then_zero_frames_follow_a_stop_and_begin_anew_with_the_next(
     assert written(repeats, 650, 700) == [(670, REPEAT)]
     repeats.restart(BEGIN + 700 * MS)
     assert written(repeats, 700, 950) == [(720, REPEAT), (800, REPEAT), (900, REFRESH)]
+
+
+def test_the_first_zero_does_not_fall_on_the_last_repeat(due: Timer) -> None:
+    """Two frames at the same time would be one to the board, because it needs a gap between them."""
+    repeats = Repeats(due, (20 * MS, 200 * MS), BEGIN)
+    repeats.restart(BEGIN)
+    assert written(repeats, 0, 500) == [(20, REPEAT), (200, REPEAT), (400, REFRESH)]
 
 
 def test_motion_ends_the_repeats_also_those_that_are_overdue(repeats: Repeats, due: Timer) -> None:

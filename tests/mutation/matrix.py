@@ -1,0 +1,148 @@
+"""Which test notices which mutant: a sample of a room's mutants, each tried by all of the tests that call it.
+
+matrix.py --at DIRECTORY [--sample N] [--seed N]
+
+DIRECTORY is one in which run.py has judged the room (--at). A room's run ends at the first test that fails, so it shows
+that a mutant is noticed, but not by how many tests. This tries each mutant of the sample with every test that calls the
+changed function. It prints for each test how many of these mutants it noticed, how many of them no other test noticed,
+and, where it noticed none alone, the test that noticed the most of the same ones.
+
+A test that noticed nothing alone may say what another one says, so read both. It may also look at what no mutant
+changes, for example at a number of the kernel's, so drop no test for this list alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+if __package__ is None:
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tests.mutation.alone import alone, possible
+
+NOTICED = 1
+"""mutmut's code for a mutant that a test has noticed, which is pytest's exit code when a test has failed."""
+ENDED = (0, NOTICED)
+"""Exit codes of a pytest that has come to its end."""
+LONGEST_S = 600.0
+"""How long all tests of one mutant may take."""
+
+Matrix = Mapping[str, set[str]]
+"""For each mutant the tests that noticed it."""
+
+
+class Row(NamedTuple):
+    """One test: how many mutants it alone noticed, how many it noticed, how many called functions it was tried with.
+
+    `like`: the test that noticed the most of the same mutants, and how many; "" where it noticed one alone, or none."""
+
+    alone: int
+    noticed: int
+    tried: int
+    test: str
+    like: str
+    shared: int
+
+
+def noticed(where: Path) -> list[str]:
+    """The mutants that a test has noticed in the run in this directory, by name."""
+    found = (json.loads(meta.read_text())["exit_code_by_key"] for meta in (where / "mutants").rglob("*.py.meta"))
+    return sorted(name for codes in found for name, code in codes.items() if code == NOTICED)
+
+
+def callers(where: Path) -> dict[str, list[str]]:
+    """The tests that call each function, by the name with which its mutants begin."""
+    stats = json.loads((where / "mutants" / "mutmut-stats.json").read_text())
+    tests: dict[str, list[str]] = stats["tests_by_mangled_function_name"]
+    return tests
+
+
+def function(mutant: str) -> str:
+    """The function that this mutant changes, as callers() names it."""
+    return mutant.rpartition("__mutmut_")[0]
+
+
+def failed(report: str, tests: list[str]) -> set[str]:
+    """Those of these tests that pytest's summary names as failed. A test's name may have any character in it."""
+    lines = [line.partition(" ")[2] for line in report.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    named = (max((it for it in tests if f"{line} - ".startswith(f"{it} - ")), key=len, default="") for line in lines)
+    return set(named) - {""}
+
+
+def tried(where: Path, mutant: str, tests: list[str], *, separate: bool) -> set[str] | None:
+    """Which of these tests fail with this mutant switched on; None when pytest did not come to its end."""
+    report, copy = where / "matrix.txt", where / "mutants"
+
+    def work() -> int:
+        words = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider", "-p", "no:xdist"]
+        words += ["-p", "tests.mutation.loaded", "--timeout", "45", "--rootdir", str(copy), *sorted(tests)]
+        path = os.pathsep.join(map(str, (copy, copy / "lab")))
+        environment = {**os.environ, "PYTHONPATH": path, "MUTANT_UNDER_TEST": mutant}
+        with report.open("w") as file:
+            done = subprocess.run(
+                words, cwd=copy, env=environment, stdout=file, stderr=file, check=False, timeout=LONGEST_S
+            )
+        return done.returncode
+
+    code = alone(work, separate=separate)
+    return failed(report.read_text(errors="replace"), tests) if code in ENDED else None
+
+
+def rows(matrix: Matrix, tests: Mapping[str, Iterable[str]]) -> list[Row]:
+    """A row for each test that was tried, those that noticed nothing alone first. `tests`: which were tried with each
+    mutant."""
+    calls = Counter(test for mutant in matrix for test in tests[mutant])
+    found = {test: {mutant for mutant, by in matrix.items() if test in by} for test in calls}
+    made = []
+    for test, its in found.items():
+        single = sum(matrix[mutant] == {test} for mutant in its)
+        shared = Counter(other for mutant in its for other in matrix[mutant] if other != test)
+        like = max(shared, key=lambda other: (shared[other], other)) if shared and not single else ""
+        made.append(Row(single, len(its), calls[test], test, like, shared[like]))
+    return sorted(made)
+
+
+def main() -> int:
+    """Try the sample, and print the tests."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--at", type=Path, metavar="DIRECTORY", required=True)
+    parser.add_argument("--sample", type=int, default=100, metavar="N", help="how many mutants (default: 100)")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="which ones (default: 1)")
+    args = parser.parse_args()
+    where = args.at.resolve()
+    try:
+        every, by_function = noticed(where), callers(where)
+    except FileNotFoundError:
+        parser.error(f"{where} has no finished run: run.py --at {where} ROOM comes first")
+    separate = possible()
+    sample = random.Random(args.seed).sample(every, min(args.sample, len(every)))
+    tests = {mutant: by_function[function(mutant)] for mutant in sample}
+    matrix: dict[str, set[str]] = {}
+    for number, mutant in enumerate(sample, 1):
+        by = tried(where, mutant, tests[mutant], separate=separate)
+        if by is not None:
+            matrix[mutant] = by
+        told = "pytest did not end" if by is None else f"{len(by)} of {len(tests[mutant])} tests"
+        print(f"{number} of {len(sample)}: {mutant}: {told}", file=sys.stderr, flush=True)
+    lost = [mutant for mutant, by in matrix.items() if not by]
+    print(f"{len(matrix)} of {len(every)} mutants tried, {len(sample) - len(matrix)} more ended the tests themselves")
+    if lost:
+        print(f"no test noticed {', '.join(lost)} this time")
+    print("alone  noticed  tried  test")
+    for row in rows(matrix, tests):
+        like = f"; {row.shared} of these by {row.like}" if row.like else ""
+        print(f"{row.alone:5}  {row.noticed:7}  {row.tried:5}  {row.test}{like}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
