@@ -38,8 +38,8 @@ def test_pings_come_in_no_regular_order_and_none_is_left_out_for_long(count: int
 
 
 def test_the_order_of_pings_comes_from_a_generator_of_full_period_and_its_published_values() -> None:
-    """Marsaglia's xorshift with 13, 7 and 17 comes back to its start after 2^64 - 1 draws, but with other numbers it may
-    do so after a few. These are its first values from 1."""
+    """Marsaglia's xorshift with 13, 7 and 17 comes back to its start after 2^64 - 1 draws, but with other numbers it
+    may do so after a few. These are its first values from 1."""
     pings = Pings(1 << 32, PERIOD, Timer(), now_ns=0)
     for value in (1082269761, 1152992998833853505, 11177516664432764457, 17678023832001937445):
         pings.sent(T0)
