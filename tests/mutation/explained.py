@@ -53,6 +53,7 @@ PROCS: tuple[Reason, ...] = (
     ),
     Reason("procs/schedule.py", r"\+\s+return \(index - 1\) % ", "any other index will do", same=False),
     Reason("procs/port_owner/told.py", r"^-.*\n\+\s+self\.turning = True$", "the end of the same function sets it"),
+    Reason("procs/port_owner/told.py", r"\+\s+self\._since\(1\)$", "the burst of the start sets it to 0", same=False),
     Reason("procs/port_owner/told.py", r"\+\s+self\.turning = ns > 1$", "it is 0 or the time of a write"),
     Reason(
         "procs/port_owner/requests.py", r'\+.*split\(b"\\n", (2)?\)\[0\]', "what is cut off behind is not looked at"

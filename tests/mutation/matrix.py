@@ -15,10 +15,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import os
 import random
 import subprocess
 import sys
+import tempfile
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -78,23 +80,25 @@ def failed(report: str, tests: list[str]) -> set[str]:
     return set(named) - {""}
 
 
-def tried(where: Path, mutant: str, tests: list[str], *, separate: bool) -> set[str] | None:
-    """Which of these tests fail with this mutant switched on; None when pytest did not come to its end."""
-    report, copy = where / "matrix.txt", where / "mutants"
+def tried(work: tuple[Path, str, list[str], bool]) -> tuple[str, set[str] | None]:
+    """The mutant, and which of its tests fail with it switched on; None when pytest did not come to its end.
 
-    def work() -> int:
-        words = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider", "-p", "no:xdist"]
-        words += ["-p", "tests.mutation.loaded", "--timeout", "45", "--rootdir", str(copy), *sorted(tests)]
-        path = os.pathsep.join(map(str, (copy, copy / "lab")))
-        environment = {**os.environ, "PYTHONPATH": path, "MUTANT_UNDER_TEST": mutant}
-        with report.open("w") as file:
-            done = subprocess.run(
-                words, cwd=copy, env=environment, stdout=file, stderr=file, check=False, timeout=LONGEST_S
-            )
-        return done.returncode
+    `work`: the directory, the mutant, its tests, and whether a PID namespace is possible."""
+    where, mutant, tests, separate = work
+    copy = where / "mutants"
+    words = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    words += ["-p", "tests.mutation.loaded", "--timeout", "45", "--rootdir", str(copy), *sorted(tests)]
+    path = os.pathsep.join(map(str, (copy, copy / "lab")))
+    environment = {**os.environ, "PYTHONPATH": path, "MUTANT_UNDER_TEST": mutant}
+    with tempfile.TemporaryFile("w+", errors="replace") as report:
 
-    code = alone(work, separate=separate)
-    return failed(report.read_text(errors="replace"), tests) if code in ENDED else None
+        def ended() -> int:
+            done = subprocess.run(words, cwd=copy, env=environment, stdout=report, stderr=report, timeout=LONGEST_S)
+            return done.returncode
+
+        code = alone(ended, separate=separate)
+        report.seek(0)
+        return mutant, failed(report.read(), tests) if code in ENDED else None
 
 
 def rows(matrix: Matrix, tests: Mapping[str, Iterable[str]]) -> list[Row]:
@@ -127,12 +131,14 @@ def main() -> int:
     sample = random.Random(args.seed).sample(every, min(args.sample, len(every)))
     tests = {mutant: by_function[function(mutant)] for mutant in sample}
     matrix: dict[str, set[str]] = {}
-    for number, mutant in enumerate(sample, 1):
-        by = tried(where, mutant, tests[mutant], separate=separate)
-        if by is not None:
-            matrix[mutant] = by
-        told = "pytest did not end" if by is None else f"{len(by)} of {len(tests[mutant])} tests"
-        print(f"{number} of {len(sample)}: {mutant}: {told}", file=sys.stderr, flush=True)
+    work = [(where, mutant, tests[mutant], separate) for mutant in sample]
+    # A process each, because one that has begun a PID namespace can't begin another.
+    with multiprocessing.get_context("fork").Pool(maxtasksperchild=1) as pool:
+        for number, (mutant, by) in enumerate(pool.imap(tried, work, chunksize=1), 1):
+            if by is not None:
+                matrix[mutant] = by
+            told = "pytest did not end" if by is None else f"{len(by)} of {len(tests[mutant])} tests"
+            print(f"{number} of {len(sample)}: {mutant}: {told}", file=sys.stderr, flush=True)
     lost = [mutant for mutant, by in matrix.items() if not by]
     print(f"{len(matrix)} of {len(every)} mutants tried, {len(sample) - len(matrix)} more ended the tests themselves")
     if lost:

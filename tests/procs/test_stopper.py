@@ -116,6 +116,20 @@ def test_the_supervisor_s_death_lets_the_port_owner_go_first(scene: Scene) -> No
     assert not scene.stays
 
 
+def test_an_orphan_stays_until_the_port_has_passed_on_the_stop(scene: Scene) -> None:
+    """The kernel drops what it holds at the last close, and the stopper may be the last that has the port open."""
+    scene.port_owner.kill()
+    scene.supervisor.kill()
+    scene.turn()
+    scene.wire.port.under_way = 1
+    scene.written(170)
+    assert scene.stays
+    scene.wire.port.under_way = 0
+    assert scene.next_ns() - scene.clock() <= 5 * MS
+    scene.turn(5 * MS)
+    assert not scene.stays
+
+
 def test_the_stopper_does_not_wait_long_for_the_port_owner(scene: Scene) -> None:
     scene.supervisor.kill()
     assert scene.turn() == b""
