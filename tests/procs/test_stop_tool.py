@@ -113,6 +113,112 @@ def test_the_tool_gives_up_after_the_wait(machine: PortMachine, stop: Stop, refu
     assert wait_s <= passed_s(machine) <= (wait_s + stopping.RETRY_S + 1e-6 if wait_s else 0.0)
 
 
+@pytest.mark.parametrize("sent", [True, False])
+def test_a_stop_that_another_way_has_sent_is_not_waited_for(machine: PortMachine, said: list[str], sent: bool) -> None:
+    """After each failure it is tried, also where the port may not be tried again: a service that holds it can stop."""
+    ways: list[str] = []
+    waits: list[str] = []
+    tool = machine.load("failstop.stopping")
+
+    def another(error: Any) -> bool:
+        ways.append(error.kind)
+        return sent
+
+    def wait(error: Any) -> float:
+        waits.append(error.kind)
+        return 0.05
+
+    if sent:
+        assert tool.stop(ABSENT, BOARD, wait, said.append, another) == 0.0
+        assert (ways, waits) == (["absent"], [])
+    else:
+        with pytest.raises(machine.load("failstop.board.port").PortError, match="no device"):
+            tool.stop(ABSENT, BOARD, wait, said.append, another)
+        assert len(ways) > 1
+        assert (set(ways), waits) == ({"absent"}, ["absent"])
+
+
+def test_a_port_that_a_user_s_file_names_is_opened_with_that_user_s_rights(machine: PortMachine) -> None:
+    """What these rights are is in tests/board/test_named.py. Without such a file nobody is asked."""
+    tool, opened = machine.load("failstop.stopping"), []
+    opens = tool.open_port
+
+    def noting(path: str, *, named_by: int, **given: Any) -> int:
+        opened.append((named_by, given["exclusive"]))
+        return int(opens(path, **given))
+
+    tool.open_port = noting
+    link = machine.wire.link
+    for by in ({}, {"named_by": 1000}):
+        tool.stop(link, BOARD, lambda _: 0.0, str, **by)
+        tool.write(link, BOARD, **by)
+        tool.answered(link, BOARD, patient=False, **by)
+    assert opened == [(0, False)] * 3 + [(1000, False)] * 3
+
+
+@pytest.fixture
+def asked(machine: PortMachine) -> Iterator[list[tuple[float, bool]]]:
+    """When a board was asked whether it hears, in seconds, and whether after one more stop; it answers nothing."""
+    found: list[tuple[float, bool]] = []
+
+    def ask(tap: Any, board: Any, *, stop: bool) -> None:
+        found.append((passed_s(machine), stop))
+
+    machine.load("failstop.board.asking").ask = ask
+    return found
+
+
+@pytest.mark.parametrize(
+    ("kind", "patient", "resets"), [("rrc", True, False), ("ugv", True, True), ("ugv", False, False)]
+)
+def test_a_board_that_opening_its_port_resets_is_stopped_and_asked_again_once_it_hears(
+    machine: PortMachine, asked: list[tuple[float, bool]], kind: str, patient: bool, resets: bool
+) -> None:
+    board = board_of(kind, 0.08, 0.0)
+    tool = machine.load("failstop.stopping")
+    assert tool.answered(machine.wire.link, board, patient=patient) is False
+    again_s = stopping.OLDER_S + board.port.deaf_ns / 1e9
+    assert asked == [(pytest.approx(stopping.OLDER_S), False), (pytest.approx(again_s), True)][: 1 + resets]
+
+
+@pytest.mark.parametrize("turn", [1, 2, 3])
+def test_a_board_has_answered_whenever_it_did(machine: PortMachine, turn: int) -> None:
+    answers = [3.1 if turn == at else None for at in (1, 2)]
+    machine.load("failstop.board.asking").ask = lambda tap, board, *, stop: answers.pop(0)
+    assert machine.load("failstop.stopping").answered(machine.wire.link, UGV, patient=True) is (turn < 3)
+
+
+def test_what_the_board_has_sent_before_it_was_asked_answers_nothing(machine: PortMachine) -> None:
+    left: list[bytes] = []
+
+    def ask(tap: Any, board: Any, *, stop: bool) -> None:
+        left.append(bytes(machine.wire.port.came))
+
+    machine.load("failstop.board.asking").ask = ask
+    for after_s in (0.04, 0.04 + UGV.port.deaf_ns / 1e9):
+        machine.after(round(after_s * 1000) * MS, lambda: machine.wire.port.send(b"an answer to the service"))
+    machine.load("failstop.stopping").answered(machine.wire.link, UGV, patient=True)
+    assert left == [b"", b""]
+
+
+def test_whether_it_answers_is_unknown_where_a_service_reads_or_nothing_can_be_asked(
+    machine: PortMachine, asked: list[tuple[float, bool]]
+) -> None:
+    tool, link = machine.load("failstop.stopping"), machine.wire.link
+    mute = board_of("ugv", 0.08, 0.0)
+    mute.pings, mute.echo_ns = (), 0
+    assert tool.answered(ABSENT, mute, patient=True) is None
+    assert tool.answered(ABSENT, BOARD, patient=True) is False
+    fd = machine.open(machine.wire)
+    fcntl = machine.system["fcntl"]
+    fcntl.flock(fd, fcntl.LOCK_EX)
+    assert tool.answered(link, BOARD, patient=True) is None
+    machine.os.close(fd)
+    assert asked == []
+    machine.after(20 * MS, machine.wire.unplug)
+    assert tool.answered(link, BOARD, patient=True) is False, "it goes before it is asked"
+
+
 def test_the_tool_warns_once_after_a_second(machine: PortMachine, stop: Stop, said: list[str]) -> None:
     machine.after(990 * MS, lambda: said.append("- 0.99 s -"))
     machine.after(1_050 * MS, lambda: said.append("- 1.05 s -"))
