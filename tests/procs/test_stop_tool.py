@@ -157,7 +157,7 @@ def test_a_port_that_a_user_s_file_names_is_opened_with_that_user_s_rights(machi
 
 
 @pytest.fixture
-def asked(machine: PortMachine) -> Iterator[list[tuple[float, bool]]]:
+def asked(machine: PortMachine) -> list[tuple[float, bool]]:
     """When a board was asked whether it hears, in seconds, and whether after one more stop; it answers nothing."""
     found: list[tuple[float, bool]] = []
 
@@ -177,8 +177,9 @@ def test_a_board_that_opening_its_port_resets_is_stopped_and_asked_again_once_it
     board = board_of(kind, 0.08, 0.0)
     tool = machine.load("failstop.stopping")
     assert tool.answered(machine.wire.link, board, patient=patient) is False
-    again_s = stopping.OLDER_S + board.port.deaf_ns / 1e9
-    assert asked == [(pytest.approx(stopping.OLDER_S), False), (pytest.approx(again_s), True)][: 1 + resets]
+    waits_s = [stopping.OLDER_S, stopping.OLDER_S + board.port.deaf_ns / 1e9][: 1 + resets]
+    assert [at_s for at_s, _ in asked] == pytest.approx(waits_s)
+    assert [stop for _, stop in asked] == [False, True][: 1 + resets]
 
 
 @pytest.mark.parametrize("turn", [1, 2, 3])
@@ -205,7 +206,7 @@ def test_whether_it_answers_is_unknown_where_a_service_reads_or_nothing_can_be_a
     machine: PortMachine, asked: list[tuple[float, bool]]
 ) -> None:
     tool, link = machine.load("failstop.stopping"), machine.wire.link
-    mute = board_of("ugv", 0.08, 0.0)
+    mute: Any = board_of("ugv", 0.08, 0.0)
     mute.pings, mute.echo_ns = (), 0
     assert tool.answered(ABSENT, mute, patient=True) is None
     assert tool.answered(ABSENT, BOARD, patient=True) is False
