@@ -39,6 +39,7 @@ PROCS: tuple[Reason, ...] = (
     Reason("stopping.py", r'\+.*line\.split\(b":", (3)?\)\[1\]', "what is cut off behind is not looked at"),
     Reason("stopping.py", r"\+\s+poll\.register\(fd, \)", "a pidfd is ready for nothing but its process's end"),
     Reason("stopping.py", r"\+.*time\.monotonic\(\)\) \* 1001\)", "it waits a thousandth longer", same=False),
+    Reason("stopping.py", r"\+.*deaf_ns / 1000000001\.0\)", "it waits a billionth less", same=False),
     Reason("stopping.py", r"\+\s+wait_s = -2\.0", "whatever is below zero says that nobody was asked"),
     Reason("stopping.py", r"\+.*if wait_s <= 0 else", "after an answer of 0 there is no further try"),
     Reason("stopping.py", r"\+.*waited_s > WARN_S", "the warning comes one try later at most", same=False),

@@ -35,8 +35,8 @@ NOTICED = 1
 """mutmut's code for a mutant that a test has noticed, which is pytest's exit code when a test has failed."""
 ENDED = (0, NOTICED)
 """Exit codes of a pytest that has come to its end."""
-LONGEST_S = 600.0
-"""How long all tests of one mutant may take."""
+TEST_S, LONGEST_S = 20.0, 200.0
+"""How long a test may take, and all tests of one mutant. A mutant may never let a test come to its end."""
 
 Matrix = Mapping[str, set[str]]
 """For each mutant the tests that noticed it."""
@@ -87,7 +87,7 @@ def tried(work: tuple[Path, str, list[str], bool]) -> tuple[str, set[str] | None
     where, mutant, tests, separate = work
     copy = where / "mutants"
     words = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider", "-p", "no:xdist"]
-    words += ["-p", "tests.mutation.loaded", "--timeout", "45", "--rootdir", str(copy), *sorted(tests)]
+    words += ["-p", "tests.mutation.loaded", "--timeout", str(TEST_S), "--rootdir", str(copy), *sorted(tests)]
     path = os.pathsep.join(map(str, (copy, copy / "lab")))
     environment = {**os.environ, "PYTHONPATH": path, "MUTANT_UNDER_TEST": mutant}
     with tempfile.TemporaryFile("w+", errors="replace") as report:
