@@ -37,7 +37,10 @@ ROOMS = {
     ),
     "telemetry": Room(
         tuple(f"procs/telemetry/{name}.py" for name in ("battery", "imu", "odometry", "pad", "still")),
-        tuple(f"tests/procs/telemetry/test_{name}.py" for name in ("battery", "imu", "odometry", "pad", "still")),
+        tuple(
+            f"tests/procs/telemetry/test_{name}.py"
+            for name in ("battery", "imu", "odometry", "pad", "rolling", "square", "still")
+        ),
     ),
     "codec": Room(
         (
