@@ -121,6 +121,11 @@ TELEMETRY = (
     Reason("procs/telemetry/imu.py", r"\+\s+self\._since_ns = 1$", "the first sample sets it"),
     Reason("procs/telemetry/imu.py", r"\+.*LONGEST_GAP_NS \+ 2 if", "either is longer than the longest"),
     Reason("procs/telemetry/imu.py", r"\+.*0 <= gap_ns <= LONGEST_GAP_NS", "a sample of no time moves nothing"),
+    Reason(
+        "procs/telemetry/odometry.py", r"\+\s+self\._missed = 1\.0$", "the first report sets it before anything looks"
+    ),
+    Reason("procs/telemetry/odometry.py", r"\+\s+self\._gone = \(.*1\.0.*\)$", "only differences of it count"),
+    Reason("procs/telemetry/pad.py", r"\+\s+self\._sample_ns = 1$", "the first frame sets it"),
     Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns < 0:", "a step of no time moves nothing"),
     Reason("procs/telemetry/odometry.py", r"\+.*elapsed_ns <= 1:", "the next step counts the ns", same=False),
     Reason(

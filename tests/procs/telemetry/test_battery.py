@@ -115,6 +115,11 @@ def test_a_flood_of_readings_is_forgotten() -> None:
     assert tested.take(11_990, 5 * S)
 
 
+@pytest.mark.parametrize(("stop_mv", "stops"), [(-1, False), (0, True), (1, True)])
+def test_a_low_battery_stops_with_any_setting_but_minus_1(stop_mv: int, stops: bool) -> None:
+    assert LowBattery(Settings({"battery.stop_mv": stop_mv})).stops is stops
+
+
 def test_a_battery_that_stays_low_stops_once_where_a_setting_says_so() -> None:
     tested = LowBattery(Settings({"battery.stop_mv": 10_500}))
     runs = ((LOW_READINGS - 1, 10_400), (1, 10_500), (2 * LOW_READINGS, 10_499), (1, 11_000), (LOW_READINGS, 10_490))

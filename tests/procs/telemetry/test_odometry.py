@@ -168,13 +168,14 @@ def test_counting_in_steps_leaves_a_pose_as_unsure_as_a_step_and_no_more_with_ea
 
 
 def test_what_was_commanded_before_the_first_report_may_have_been_done_or_not() -> None:
-    tested = two_wheels()
-    tested.follow((0.2, 0.0, -0.5), 0)
+    tested = unscaled()
+    assert tested.covariance == (1e3, 0.0, 0.0, 1e3, 0.0, 1e3), "nobody should trust it"
+    tested.follow((0.2, 0.3, -0.5), 0)
     tested.advance(100 * MS)
-    tested.follow((-0.1, 0.0, 0.5), 100 * MS)
+    tested.follow((-0.1, -0.1, 0.5), 100 * MS)
     tested.advance(200 * MS)
-    tested.roll(report(7.0, 9.0, t_ms=200))
-    assert tested.covariance == pytest.approx((0.03**2, 0.0, 0.0, 0.03**2, 0.0, 0.1**2))
+    tested.roll(report(7.0, 9.0, 7.0, 9.0, t_ms=200))
+    assert tested.covariance == pytest.approx((0.07**2, 0.0, 0.0, 0.07**2, 0.0, 0.1**2))
     assert tested.t_ns == 200 * MS
 
 

@@ -175,6 +175,16 @@ def test_mode_held_while_latched_resets_once_a_hold(hold_s: float, at: int) -> N
     assert held.resets(50) == [at]
 
 
+@pytest.mark.parametrize(("frames", "resets"), [(-1, True), (0, False)])
+def test_a_mode_button_that_was_stuck_for_pad_frozen_s_before_the_stop_resets_nothing(
+    held: Held, frames: int, resets: bool
+) -> None:
+    """A receiver may repeat the last frame of a pad that is away, and that frame may have MODE in it."""
+    held.frames(1 + round(Settings()["pad.frozen_s"] * 1000) // FRAME_MS + frames, MODE)
+    held.latch()
+    assert bool(held.resets(100)) is resets
+
+
 def test_3_frames_without_mode_or_a_silence_end_a_hold_and_2_frames_do_not(held: Held) -> None:
     held.frames(200, MODE)
     held.latch()
