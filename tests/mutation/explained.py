@@ -32,6 +32,9 @@ PROCS: tuple[Reason, ...] = (
         r"\+.*atan2\(.*\) if .*(or True|vx or wz) else",
         "what stands or goes straight has 0 by it",
     ),
+    Reason(
+        "policy/kinematics.py", r"\+\s+rps = \[1\.0\] \* len\(base\.rest\)$", "an id without a wheel has the factor 0"
+    ),
     Reason("policy/kinematics.py", r"\+.*, vx / wz\) if angle", "product and quotient have one sign"),
     Reason("procs/stopper/main.py", r"\+.*_excused_ns = monotonic_ns\(\), 1$", "no heartbeat is as old as the boot"),
     Reason("procs/stopper/main.py", r"\+\s+self\._stopped_for = 1$", "each burst for a port owner sets it"),

@@ -4,8 +4,9 @@ matrix.py --at DIRECTORY [--sample N] [--seed N]
 
 DIRECTORY is one in which run.py has judged the room (--at). A room's run ends at the first test that fails, so it shows
 that a mutant is noticed, but not by how many tests. This tries each mutant of the sample with every test that calls the
-changed function. It prints for each test how many of these mutants it noticed, how many of them no other test noticed,
-and, where it noticed none alone, the test that noticed the most of the same ones.
+changed function. It prints for each test, with all its parameters, how many of these mutants it noticed, how many of
+them no other test noticed, and, if it noticed none alone, the test that noticed the most of the same ones. Which
+tests noticed which mutant stays in DIRECTORY/matrix.json, so a run that was ended goes on, and so does a larger sample.
 
 A test that noticed nothing alone may say what another one says, so read both. It may also look at what no mutant
 changes, for example at a number of the kernel's, so drop no test for this list alone.
@@ -101,6 +102,11 @@ def tried(work: tuple[Path, str, list[str], bool]) -> tuple[str, set[str] | None
         return mutant, failed(report.read(), tests) if code in ENDED else None
 
 
+def whole(tests: Iterable[str]) -> set[str]:
+    """The tests, each with all its parameters as one."""
+    return {test.partition("[")[0] for test in tests}
+
+
 def rows(matrix: Matrix, tests: Mapping[str, Iterable[str]]) -> list[Row]:
     """A row for each test that was tried, those that noticed nothing alone first. `tests`: which were tried with each
     mutant."""
@@ -130,21 +136,23 @@ def main() -> int:
     separate = possible()
     sample = random.Random(args.seed).sample(every, min(args.sample, len(every)))
     tests = {mutant: by_function[function(mutant)] for mutant in sample}
-    matrix: dict[str, set[str]] = {}
-    work = [(where, mutant, tests[mutant], separate) for mutant in sample]
+    kept = where / "matrix.json"
+    known: dict[str, list[str] | None] = json.loads(kept.read_text()) if kept.exists() else {}
+    work = [(where, mutant, tests[mutant], separate) for mutant in sample if mutant not in known]
     # A process each, because one that has begun a PID namespace can't begin another.
     with multiprocessing.get_context("fork").Pool(maxtasksperchild=1) as pool:
         for number, (mutant, by) in enumerate(pool.imap(tried, work, chunksize=1), 1):
-            if by is not None:
-                matrix[mutant] = by
+            known[mutant] = None if by is None else sorted(by)
+            kept.write_text(json.dumps(known))
             told = "pytest did not end" if by is None else f"{len(by)} of {len(tests[mutant])} tests"
-            print(f"{number} of {len(sample)}: {mutant}: {told}", file=sys.stderr, flush=True)
+            print(f"{number} of {len(work)}: {mutant}: {told}", file=sys.stderr, flush=True)
+    matrix = {mutant: whole(names) for mutant in sample if (names := known[mutant]) is not None}
     lost = [mutant for mutant, by in matrix.items() if not by]
     print(f"{len(matrix)} of {len(every)} mutants tried, {len(sample) - len(matrix)} more ended the tests themselves")
     if lost:
         print(f"no test noticed {', '.join(lost)} this time")
     print("alone  noticed  tried  test")
-    for row in rows(matrix, tests):
+    for row in rows(matrix, {mutant: whole(tests[mutant]) for mutant in matrix}):
         like = f"; {row.shared} of these by {row.like}" if row.like else ""
         print(f"{row.alone:5}  {row.noticed:7}  {row.tried:5}  {row.test}{like}")
     return 0

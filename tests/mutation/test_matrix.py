@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.mutation.matrix import Row, failed, function, rows
+from tests.mutation.matrix import Row, failed, function, rows, whole
 
 STOPS, TURNS = "tests/a.py::test_it_stops[two - words]", "tests/a.py::test_it_turns"
 SUMMARY = f"""..F
@@ -32,3 +32,7 @@ def test_a_test_that_notices_nothing_alone_comes_first_with_the_test_that_notice
         Row(0, 3, 5, "b", "a", 2),
         Row(1, 3, 5, "a", "", 0),
     ]
+
+
+def test_a_test_s_parameters_are_one_test() -> None:
+    assert whole([STOPS, "tests/a.py::test_it_stops[one]", TURNS]) == {"tests/a.py::test_it_stops", TURNS}

@@ -168,6 +168,24 @@ def test_wheels_that_all_roll_the_same_way_say_nothing_of_the_base() -> None:
     assert any(same.wheels_rps(0.1, 0.0, 0.0)), "the gate drives them all the same"
 
 
+@pytest.mark.parametrize("scale", [1e-7, 1.0, 1e7])
+@pytest.mark.parametrize("third_deg", [30.0, 30.0 + 1e-9])
+def test_wheels_are_told_apart_by_their_angles_and_not_by_their_size(scale: float, third_deg: float) -> None:
+    """A difference that only rounding has made tells nothing, on a base of any size."""
+    ways = [(cos(radians(deg)), sin(radians(deg)), 0.2) for deg in (30.0, 30.0, third_deg)]
+    mounted = [(0, 1), (1, 1), (2, 1)]
+    with pytest.raises(ValueError, match="tell the directions"):
+        Chassis((1.0, 1.0, 1.0), ways, scale, mounted, 3).rolled()
+    ways = [(cos(radians(deg)), sin(radians(deg)), 0.2) for deg in (30.0, 150.0, 270.0)]
+    velocity = Chassis((1.0, 1.0, 1.0), ways, scale, mounted, 3).velocity((1.0, 1.0, 1.0))
+    assert velocity == pytest.approx((0.0, 0.0, pi * scale / 0.2), abs=1e-9 * scale)
+
+
+def test_wheels_that_roll_by_nothing_say_nothing_of_the_base() -> None:
+    with pytest.raises(ValueError, match="tell the directions"):
+        Chassis((1.0, 0.0, 1.0), [(0.0, 0.0, 0.0)] * 2, DIAMETER_M, [(0, 1), (1, 1)], 2).rolled()
+
+
 @pytest.mark.claim("LIMIT-1")
 @given(speed, speed, speed, st.floats(0, 1))
 @pytest.mark.parametrize("robot", [ROBOT, TWO_SIDED, TWO_SPEEDS, LEKIWI])

@@ -51,6 +51,17 @@ def test_a_death_disables_motion_however_long_ago_its_driver_commanded(silent_ns
     assert dying.step() is None, "nothing drives before an enable"
 
 
+def test_a_program_that_came_again_and_died_before_it_drove_is_not_said_to_have_driven() -> None:
+    dying = gate("disable")
+    dying.gone(1, parted=True)
+    dying.take(REST)
+    dying.core.notes.clear()
+    dying.gone(1)
+    (note,) = dying.core.notes
+    assert note.text != TOLD
+    assert note.text.startswith("motion disabled: client 1")
+
+
 def test_a_driver_is_who_has_commanded_as_a_source_before_motion_was_enabled_too() -> None:
     for dies in (1, 2):
         dying = Gate(sources__teleop__priority=10)
