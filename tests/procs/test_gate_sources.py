@@ -224,7 +224,7 @@ def test_whoever_commands_at_an_enable_drives_after_a_zero() -> None:
     assert gate.tick() > 0.0
 
 
-@pytest.mark.parametrize(("paused_ns", "drives"), [(300 * MS, False), (301 * MS, True)])
+@pytest.mark.parametrize(("paused_ns", "drives"), [(300 * MS, False), (300 * MS + 1, True)])
 def test_or_after_a_pause_of_its_timeout(paused_ns: int, drives: bool) -> None:
     gate = holding()
     gate.now += paused_ns - TICK
