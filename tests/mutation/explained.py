@@ -92,6 +92,7 @@ PROCS: tuple[Reason, ...] = (
         same=False,
     ),
     Reason("procs/port_owner/port_writer.py", r"\+.*max\(self\._handed, 2\)", "nobody allows a backlog of one byte"),
+    Reason("procs/gate/core.py", r"\+.*ago_ns / 1000000001\.0:", "a billionth of a time that people read", same=False),
     Reason("procs/gate/core.py", r"\+\s+self\.epoch = 1$", "it is set by enable, and read only while enabled"),
     Reason("procs/gate/core.py", r"\+\s+self\._sent_ns = 1$", "one nanosecond after the boot is as long ago"),
     Reason("procs/gate/core.py", r"\+\s+self\._ramps_on = True$", "until the first frame, which sets it, one is due"),
@@ -124,6 +125,7 @@ TELEMETRY = (
     Reason("procs/telemetry/imu.py", r"\+\s+self\._since_ns = 1$", "the first sample sets it"),
     Reason("procs/telemetry/imu.py", r"\+.*LONGEST_GAP_NS \+ 2 if", "either is longer than the longest"),
     Reason("procs/telemetry/imu.py", r"\+.*0 <= gap_ns <= LONGEST_GAP_NS", "a sample of no time moves nothing"),
+    Reason("procs/telemetry/odometry.py", r"\+\s+self\._told_(m|rad) -= ", "only its square counts"),
     Reason(
         "procs/telemetry/odometry.py", r"\+\s+self\._missed = 1\.0$", "the first report sets it before anything looks"
     ),

@@ -38,6 +38,15 @@ def test_an_enable_takes_its_epoch_and_no_command_of_before(gate: Gate) -> None:
     assert stands(gate)
 
 
+def test_since_when_motion_is_enabled_is_published_and_0_while_it_is_not(gate: Gate) -> None:
+    assert gate.core.enabled_ns == 0
+    for ends in (gate.core.disable, lambda: gate.core.stop(why("key1"), 1)):
+        gate.enable()
+        assert gate.core.enabled_ns == gate.now
+        ends()
+        assert gate.core.enabled_ns == 0
+
+
 def test_a_stop_is_latched_with_its_first_reason_until_it_is_answered(driving: Gate) -> None:
     core = driving.core
     core.follow(None, 1)

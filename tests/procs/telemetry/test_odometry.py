@@ -105,7 +105,7 @@ def test_a_successor_goes_on_from_the_pose_and_the_twist_s_deviation_is_the_sett
 
 RIM_M, TRACK_M = math.pi * 0.08, 0.17165
 Pose = tuple[float, float, float]
-CORRELATED = (0.04, 0.01, 0.006, 0.09, -0.004, 0.02)
+CORRELATED = (0.04, 0.01, 0.06, 0.09, -0.04, 0.5)
 """A covariance of a pose: xx, xy, x th, yy, y th, th th."""
 
 
@@ -119,40 +119,44 @@ def two_wheels() -> Odometry:
     return Odometry(Settings({"board.kind": "arduino", "wheels.diameter_m": 0.08, "wheels.track_m": TRACK_M}))
 
 
-def rolled(begun: Pose, left: float, right: float, lost: float = 0.0) -> Odometry:
-    """After one report of two wheels, from a pose with a covariance."""
-    made = two_wheels()
-    made.inherit(*begun, records.BY_ROLLING, CORRELATED, report(1.0, 2.0))
-    made.roll(report(1.0 + left, 2.0 + right, t_ms=100, missed=lost))
+def rolled(begun: Pose, turns: tuple[float, ...], lost: float = 0.0) -> Odometry:
+    """After one report of two wheels, or of four mecanum wheels, from a pose with a covariance."""
+    made = two_wheels() if len(turns) == 2 else unscaled()
+    made.inherit(*begun, records.BY_ROLLING, CORRELATED, report(*[1.0] * len(turns)))
+    made.roll(report(*[1.0 + turn for turn in turns], t_ms=100, missed=lost))
     return made
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.3])
-@pytest.mark.parametrize(("left", "right"), [(0.5, 0.5), (0.4, 0.42), (-0.3, -0.29), (0.02, -0.02)])
+@pytest.mark.parametrize(
+    "turns", [(0.5, 0.5), (0.4, 0.42), (-0.3, -0.29), (0.02, -0.02), (0.5, -0.3, 0.4, -0.2), (-0.1, 0.6, -0.2, 0.5)]
+)
 def test_the_covariance_of_a_move_is_what_small_errors_of_the_pose_and_of_each_wheel_make_of_it(
-    left: float, right: float, lost: float
+    turns: tuple[float, ...], lost: float
 ) -> None:
     """The judge does not know the formulas: it looks at poses that begin, or roll, a little differently."""
     begun, tiny = (1.0, 2.0, 0.7), 1e-6
-    after = pose(rolled(begun, left, right))
+    after = pose(rolled(begun, turns))
 
     def change(other: Odometry) -> list[float]:
         return [(there - here) / tiny for there, here in zip(pose(other), after, strict=True)]
 
     by_pose = [
-        change(rolled((begun[0] + dx, begun[1] + dy, begun[2] + dth), left, right))
+        change(rolled((begun[0] + dx, begun[1] + dy, begun[2] + dth), turns))
         for dx, dy, dth in ((tiny, 0, 0), (0, tiny, 0), (0, 0, tiny))
     ]
-    by_wheel = [change(rolled(begun, left + tiny, right)), change(rolled(begun, left, right + tiny))]
+    wheels = range(len(turns))
+    by_wheel = [change(rolled(begun, tuple(turns[at] + tiny * (at == wheel) for at in wheels))) for wheel in wheels]
     xx, xy, xt, yy, yt, tt = CORRELATED
     before = ((xx, xy, xt), (xy, yy, yt), (xt, yt, tt))
-    variances = [SLIP["differential"] ** 2 / RIM_M * abs(turn) + lost**2 for turn in (left, right)]
+    slip = SLIP["differential" if len(turns) == 2 else "mecanum"]
+    variances = [slip**2 / RIM_M * abs(turn) + lost**2 for turn in turns]
 
     def expected(a: int, b: int) -> float:
         known = sum(by_pose[i][a] * before[i][j] * by_pose[j][b] for i in range(3) for j in range(3))
         return known + sum(way[a] * way[b] * variance for way, variance in zip(by_wheel, variances, strict=True))
 
-    found = rolled(begun, left, right, lost).covariance
+    found = rolled(begun, turns, lost).covariance
     assert found == pytest.approx(
         [expected(0, 0), expected(0, 1), expected(0, 2), expected(1, 1), expected(1, 2), expected(2, 2)], rel=0.01
     )
@@ -190,18 +194,18 @@ def test_reports_of_another_number_of_wheels_count_for_nothing() -> None:
 def test_a_curve_is_an_arc_and_not_its_length_straight_ahead() -> None:
     """A quarter of a circle of 1 m, in one report: both wheels' ways are those of their own circles."""
     inner, outer = ((1.0 + side * TRACK_M / 2) * math.pi / 2 / RIM_M for side in (-1, 1))
-    tested = rolled((0.0, 0.0, 0.0), inner, outer)
+    tested = rolled((0.0, 0.0, 0.0), (inner, outer))
     assert pose(tested) == pytest.approx((1.0, 1.0, math.pi / 2))
 
 
 def test_turns_that_nobody_has_seen_make_a_base_at_rest_less_sure() -> None:
-    tested = rolled((0.0, 0.0, 0.0), 0.0, 0.0)
+    tested = rolled((0.0, 0.0, 0.0), (0.0, 0.0))
     assert tested.covariance == CORRELATED
-    tested.roll(report(1.0, 2.0, t_ms=200, missed=0.5))
+    tested.roll(report(1.0, 1.0, t_ms=200, missed=0.5))
     lost = tested.covariance
     assert lost[5] - CORRELATED[5] == pytest.approx(2 * (RIM_M / TRACK_M * 0.5) ** 2)
-    tested.roll(report(1.0, 2.0, t_ms=300, missed=0.5))
-    tested.roll(report(1.0, 2.0, t_ms=400, missed=0.0))
+    tested.roll(report(1.0, 1.0, t_ms=300, missed=0.5))
+    tested.roll(report(1.0, 1.0, t_ms=400, missed=0.0))
     assert tested.covariance == lost, "once, and a counter that begins again takes nothing back"
 
 
