@@ -224,6 +224,17 @@ def test_speeds_of_a_board_that_counts_are_means_over_the_last_0_2_s() -> None:
         assert tested.vx_mps / RIM_M == pytest.approx(expected), "the first of two reports of one time begins a mean"
 
 
+def test_the_mean_speeds_of_a_base_that_moves_sideways_are_its_way_in_that_time() -> None:
+    tested = unscaled()
+    turns = [0.0] * 4
+    for at in range(3):
+        turns = [turn + each for turn, each in zip(turns, (5e-4, -3e-4, 4e-4, -2e-4), strict=True)]
+        tested.roll(report(*turns, t_ms=50 * at))
+    twist = tested.vx_mps, tested.vy_mps, tested.wz_radps
+    assert twist == pytest.approx([way / 0.1 for way in pose(tested)], rel=2e-3)
+    assert all(twist)
+
+
 def test_two_first_reports_of_one_time_say_nothing_of_a_speed() -> None:
     tested = two_wheels()
     for turns in (0.0, 0.5):
