@@ -228,7 +228,7 @@ def test_the_mean_speeds_of_a_base_that_moves_sideways_are_its_way_in_that_time(
     tested = unscaled()
     turns = [0.0] * 4
     for at in range(3):
-        turns = [turn + each for turn, each in zip(turns, (5e-4, -3e-4, 4e-4, -2e-4), strict=True)]
+        turns = [turn + each for turn, each in zip(turns, (5e-4, 3e-4, -4e-4, -8e-4), strict=True)]
         tested.roll(report(*turns, t_ms=50 * at))
     twist = tested.vx_mps, tested.vy_mps, tested.wz_radps
     assert twist == pytest.approx([way / 0.1 for way in pose(tested)], rel=2e-3)
