@@ -93,6 +93,7 @@ PROCS: tuple[Reason, ...] = (
     ),
     Reason("procs/port_owner/port_writer.py", r"\+.*max\(self\._handed, 2\)", "nobody allows a backlog of one byte"),
     Reason("procs/gate/core.py", r"\+.*ago_ns / 1000000001\.0:", "a billionth of a time that people read", same=False),
+    Reason("procs/gate/core.py", r"\+.*DRIVER_SILENT\(.* / 1_000_000\)", "a cause makes it whole"),
     Reason("procs/gate/core.py", r"\+\s+self\.epoch = 1$", "it is set by enable, and read only while enabled"),
     Reason("procs/gate/core.py", r"\+\s+self\._sent_ns = 1$", "one nanosecond after the boot is as long ago"),
     Reason("procs/gate/core.py", r"\+\s+self\._ramps_on = True$", "until the first frame, which sets it, one is due"),

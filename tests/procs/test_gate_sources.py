@@ -341,6 +341,25 @@ def test_a_program_that_was_started_after_the_enable_drives_at_once() -> None:
 
 
 @pytest.mark.parametrize(
+    ("velocity", "manual", "states"),
+    [(0.1, False, {"cmd_vel": "silent"}), (0.1, True, {}), (0.0, False, {})],
+    ids=["a program", "a person who let go", "a zero"],
+)
+def test_the_table_shows_a_program_that_fell_silent_while_it_drove_and_nobody_who_only_waited(
+    velocity: float, manual: bool, states: dict[str, str]
+) -> None:
+    gate = Gate(**WITH_TELEOP)
+    gate.enable()
+    gate.command(0.1, session=1)
+    gate.tick()
+    gate.take((velocity, 0.0, 0.0), 1, manual=manual)
+    gate.tick()
+    gate.now += 1_000 * MS
+    gate.take((0.1, 0.0, 0.0), 2, age_ns=500 * MS, source="teleop")
+    assert {row["source"]: row["state"] for row in gate.core.sources.table(gate.now)} == states
+
+
+@pytest.mark.parametrize(
     ("answer", "blocked"), [("wait", "cmd timeout"), ("disable", "disabled"), ("latch", "cmd timeout")]
 )
 def test_what_a_driver_s_silence_does_is_a_setting(answer: str, blocked: str) -> None:

@@ -198,6 +198,18 @@ def test_a_curve_is_an_arc_and_not_its_length_straight_ahead() -> None:
     assert pose(tested) == pytest.approx((1.0, 1.0, math.pi / 2))
 
 
+def test_a_curve_of_a_base_that_moves_sideways_is_the_same_in_one_report_as_in_a_thousand() -> None:
+    turns, parts = (1.0, 3.0, -2.0, 4.0), 1_000
+    once, often = unscaled(), unscaled()
+    for at in range(parts + 1):
+        often.roll(report(*[at / parts * turn for turn in turns]))
+    for share in (0.0, 1.0):
+        once.roll(report(*[share * turn for turn in turns]))
+    assert pose(once) == pytest.approx(pose(often), rel=1e-4)
+    assert abs(once.th_rad) > 0.5
+    assert min(map(abs, pose(once))) > 0.02
+
+
 def test_turns_that_nobody_has_seen_make_a_base_at_rest_less_sure() -> None:
     tested = rolled((0.0, 0.0, 0.0), (0.0, 0.0))
     assert tested.covariance == CORRELATED
@@ -238,10 +250,10 @@ def test_the_mean_speeds_of_a_base_that_moves_sideways_are_its_way_in_that_time(
 def test_two_first_reports_of_one_time_say_nothing_of_a_speed() -> None:
     tested = two_wheels()
     for turns in (0.0, 0.5):
-        tested.roll(report(turns, turns))
+        tested.roll(report(turns, turns, t_ms=100))
     assert (tested.vx_mps, tested.vy_mps, tested.wz_radps) == (0.0, 0.0, 0.0)
-    tested.roll(report(0.5, 0.5, t_ms=100))
-    assert tested.vx_mps / RIM_M == pytest.approx(0.5 / 0.1)
+    tested.roll(report(0.5, 0.5, t_ms=200))
+    assert tested.vx_mps / RIM_M == pytest.approx(0.5 / 0.1, rel=1e-10)
 
 
 def test_the_speeds_of_a_board_that_measures_them_are_the_base_s_at_once() -> None:
