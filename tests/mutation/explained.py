@@ -55,9 +55,7 @@ PROCS: tuple[Reason, ...] = (
         r"\+\s+self\._before = (\+1|-2)$",
         "the first index is 0, and counts only if 0 was before it",
     ),
-    Reason("procs/schedule.py", r"\+\s+return \(index - 1\) % ", "any other index will do", same=False),
     Reason("procs/port_owner/told.py", r"^-.*\n\+\s+self\.turning = True$", "the end of the same function sets it"),
-    Reason("procs/port_owner/told.py", r"\+\s+self\._since\(1\)$", "the burst of the start sets it to 0", same=False),
     Reason("procs/port_owner/told.py", r"\+\s+self\.turning = ns > 1$", "it is 0 or the time of a write"),
     Reason(
         "procs/port_owner/requests.py", r'\+.*split\(b"\\n", (2)?\)\[0\]', "what is cut off behind is not looked at"

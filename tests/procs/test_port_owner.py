@@ -22,9 +22,15 @@ def test_the_first_bytes_are_a_burst_for_the_epoch_it_finds(scene: Scene) -> Non
     assert scene.port_state() == records.PORT_OPEN
 
 
-def test_after_a_start_the_wheels_are_told_to_stand_whatever_the_process_before_it_told_them() -> None:
-    scene = Scene(before=lambda scene: scene.own.word("told_ns").set(1))
-    assert scene.word("told_ns") == 0
+def test_from_its_first_byte_on_the_wheels_are_told_to_stand_whatever_the_process_before_it_told_them() -> None:
+    told: list[int] = []
+
+    def before(scene: Scene) -> None:
+        scene.own.word("told_ns").set(5)
+        scene.wire.on_bytes = lambda data: told.append(scene.word("told_ns"))
+
+    assert Scene(before=before).word("told_ns") == 0
+    assert set(told) == {0}
 
 
 @pytest.mark.parametrize("gone", [False, True])

@@ -46,6 +46,20 @@ def test_the_order_of_pings_comes_from_a_generator_of_full_period_and_its_publis
         assert pings.index == value >> 32
 
 
+def test_an_index_that_would_come_for_the_third_time_gives_way_to_the_one_after_it() -> None:
+    many, four = (Pings(count, PERIOD, Timer(), now_ns=0) for count in (1 << 32, 4))
+    drawn, gave_way = [0], 0
+    for _ in range(500):
+        many.sent(T0)
+        four.sent(T0)
+        index = many.index % 4
+        third = [index] * 2 == drawn[-2:]
+        gave_way += third
+        drawn.append((index + 1) % 4 if third else index)
+        assert four.index == drawn[-1]
+    assert gave_way > 10
+
+
 @pytest.mark.parametrize("count", [4, 1])
 def test_pings_have_a_period_and_one_that_was_refused_is_due_again(count: int) -> None:
     due = Timer()
