@@ -244,6 +244,7 @@ def test_every_enable_names_the_program_that_it_holds() -> None:
     ("velocity", "ago_ns", "said"),
     [
         (0.1, 300 * MS, "; client 1 must send zero or pause before it can drive"),
+        (0.1, 450 * MS, "; client 1 commanded motion 0.5 s ago, so the robot moves when it commands again"),
         (0.1, 500 * MS, "; client 1 commanded motion 0.5 s ago, so the robot moves when it commands again"),
         (0.1, 5000 * MS, "; client 1 commanded motion 5.0 s ago, so the robot moves when it commands again"),
         (0.1, 5001 * MS, ""),

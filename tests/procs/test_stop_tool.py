@@ -178,7 +178,7 @@ def test_a_board_that_opening_its_port_resets_is_stopped_and_asked_again_once_it
     tool = machine.load("failstop.stopping")
     assert tool.answered(machine.wire.link, board, patient=patient) is False
     waits_s = [stopping.OLDER_S, stopping.OLDER_S + board.port.deaf_ns / 1e9][: 1 + resets]
-    assert [at_s for at_s, _ in asked] == pytest.approx(waits_s)
+    assert [at_s for at_s, _ in asked] == pytest.approx(waits_s, rel=2e-10), "to the nanosecond"
     assert [stop for _, stop in asked] == [False, True][: 1 + resets]
 
 
