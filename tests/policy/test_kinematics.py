@@ -186,6 +186,15 @@ def test_wheels_that_roll_by_nothing_say_nothing_of_the_base() -> None:
         Chassis((1.0, 0.0, 1.0), [(0.0, 0.0, 0.0)] * 2, DIAMETER_M, [(0, 1), (1, 1)], 2).rolled()
 
 
+@pytest.mark.parametrize("wz", [0.3, 100.0], ids=["as asked", "tighter than it can steer"])
+def test_no_wheel_of_a_steered_base_is_faster_than_its_outer_one_in_the_tightest_curve(wz: float) -> None:
+    vx, shares = 0.4, [share / 10 for share in range(-10, 11)]
+    speeds = [known(STEERED).wheels_rps(vx * ahead, 0.0, wz * turn)[:-1] for ahead in shares for turn in shares]
+    fastest = max(abs(rps) for both in speeds for rps in both)
+    assert known(STEERED).worst_rps(vx, 0.0, wz) == pytest.approx(fastest)
+    assert fastest * STEERED_RIM_M > vx, "the outer wheel goes further than the base"
+
+
 @pytest.mark.claim("LIMIT-1")
 @given(speed, speed, speed, st.floats(0, 1))
 @pytest.mark.parametrize("robot", [ROBOT, TWO_SIDED, TWO_SPEEDS, LEKIWI])
