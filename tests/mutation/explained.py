@@ -122,6 +122,11 @@ TELEMETRY = (
     Reason("procs/telemetry/imu.py", r"\+\s+self\._since_ns = 1$", "the first sample sets it"),
     Reason("procs/telemetry/imu.py", r"\+.*LONGEST_GAP_NS \+ 2 if", "either is longer than the longest"),
     Reason("procs/telemetry/imu.py", r"\+.*0 <= gap_ns <= LONGEST_GAP_NS", "a sample of no time moves nothing"),
+    Reason(
+        "procs/telemetry/odometry.py",
+        r"^-\s+self\._last_ns = t_ns\n\+\s+self\._last_ns = None$",
+        "the end of the same function sets it",
+    ),
     Reason("procs/telemetry/odometry.py", r"\+\s+self\._told_(m|rad) -= ", "only its square counts"),
     Reason(
         "procs/telemetry/odometry.py", r"\+\s+self\._missed = 1\.0$", "the first report sets it before anything looks"

@@ -266,7 +266,7 @@ def test_the_speeds_of_a_board_that_measures_them_are_the_base_s_at_once() -> No
 def test_the_time_of_a_pose_is_that_of_the_newest_report_and_goes_back_for_none() -> None:
     tested = two_wheels()
     assert tested.t_ns == 0
-    for at_ms, newest_ms in ((100, 100), (300, 300), (200, 300)):
+    for at_ms, newest_ms in ((0, 0), (100, 100), (300, 300), (200, 300)):
         tested.roll(report(0.0, 0.0, t_ms=at_ms))
         assert tested.t_ns == newest_ms * MS
 
