@@ -377,13 +377,26 @@ def test_a_client_s_question_waits_for_a_silent_line_and_does_not_make_a_board_l
     before, asked_ns = len(asked(scene)), scene.word("asked_ns")
     assert motion(scene) in scene.forward(motion(scene))
     scene.put(scene.board.pings[1], kind=records.OTHER)
-    begun_ns = scene.clock()
+    begun_ns, silent_ns = scene.clock(), scene.owner.wire.free_ns
     assert scene.turn() == b""
     scene.turn(scene.next_ns() - scene.clock())
     new = asked(scene)[before:]
     assert new[0][0] - begun_ns >= scene.board.idle_ns
+    assert new[0][0] == silent_ns, "it wakes just then"
     assert new[0] == (new[0][0], records.WROTE.pack(1, ()))
     assert scene.word("asked_ns") == asked_ns
+
+
+@pytest.mark.parametrize(("later_ns", "written"), [(0, False), (1, True)])
+def test_a_client_s_question_to_a_board_that_is_still_deaf_is_dropped(later_ns: int, written: bool) -> None:
+    scene = made("arduino", open_port=False)
+    scene.turn()
+    scene.replug(2)
+    scene.turn()
+    writes(scene, scene.owner.port.hears_ns - 1 - scene.clock())
+    scene.put(scene.board.pings[1], kind=records.OTHER)
+    scene.turn(later_ns)
+    assert (records.WROTE.pack(1, ()) in [payload for _, payload in asked(scene)]) is written
 
 
 @pytest.mark.parametrize(
