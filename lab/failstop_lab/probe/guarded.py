@@ -25,7 +25,7 @@ from failstop_lab.probe.serial import PERIOD_S, ROWS, SIGNALS, TURN_S, TURNS_S
 from failstop_lab.prove.watch import Watch
 from failstop_lab.trial import Service, wait_for, write_settings
 
-UNPLUGGED = "the service stays at the port"
+HELD_BY_SERVICE = "the service stays at the port"
 STARTS_S = 10.0
 
 
@@ -78,7 +78,7 @@ class GuardProbe:
     def take(self, name: str) -> Row:
         """Make one row; the wheels are stopped at its end. Raises FailstopError, OSError."""
         if name == "plug":
-            return Row(name, ROWS[name], skipped=UNPLUGGED)
+            return Row(name, ROWS[name], skipped=HELD_BY_SERVICE)
         self._robot.enable()
         words = [self._path, "115200", "0", "0", self._frame.hex(), str(PERIOD_S)]
         driver = subprocess.Popen(

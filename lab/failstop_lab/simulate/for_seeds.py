@@ -9,7 +9,7 @@ from failstop_lab.simulate.scenarios import ARM_SETTINGS, SCENARIOS, Play, drivi
 from failstop_lab.simulate.stage import NEEDS, SETTINGS, SPEED_MPS, Stage
 
 FOR_SEEDS: dict[str, Play] = {}
-LOOKS, ASKS, RESETS, BREATHS, SILENCES = 40, 20, 6, 4, 6
+LOOKS, ASKS, RESETS, BREATHS, FALLS_SILENT = 40, 20, 6, 4, 6
 STREAMED = 10
 CROWD = 3
 """So many programs ask at once."""
@@ -85,7 +85,7 @@ def silence(stage: Stage) -> None:
     """A program falls silent while it drives, again and again, and drives on: each time the wheels stop by themselves,
     wherever the board's own loop is."""
     robot = driving(stage)
-    for times in range(SILENCES):
+    for times in range(FALLS_SILENT):
         stage.drive(robot, 0.06 + 0.003 * times)
         stage.time.sleep(0.45)
 
