@@ -162,7 +162,7 @@ DECLARED = (
     ),
     Setting("guard.openers", 0, "", 0, 4, "programs that may have the guard port open; 0: as the usual driver has it"),
     _word("guard.hang_up", "off", "on: hang up on a driver that wants to move while motion is not enabled", SWITCH),
-    _word("guard.pins", "", "pins that a driver may set, on a board that has pins, with blanks between: \"4 11\""),
+    _word("guard.pins", "", 'pins that a driver may set, on a board that has pins, with blanks between: "4 11"'),
     Setting("restart.deaths", 5, "", 1, 100000, "deaths of a process in the window: then down until a reset"),
     Setting("restart.window_s", 60.0, "s", 1.0, 3600.0, "window in which deaths of a process are counted"),
     Setting("restart.backoff_s", 0.1, "s", 0.001, 2.0, "wait before the second restart in the window; then doubled"),

@@ -153,6 +153,12 @@ class ClientTable:
         for slot in tuple(slots):
             yield from self._look(slot)
 
+    def commands(self) -> Iterator[News]:
+        """The commands that known clients have given, and that were not heard yet."""
+        for slot in tuple(self.active):
+            if values := slot.new("command"):
+                yield slot, "command", values
+
     def lives_ended(self, ready: dict[int, int]) -> Iterator[News]:
         """Drop each client whose lifeline reports its death, even while the kernel still frees its memory, and even if
         a process that it forked still holds the claim."""

@@ -132,7 +132,7 @@ class GateCore:
         rival = self.sources.rival(command, now_ns)
         if rival is not None:
             return causes.TWO_PUBLISHERS(command.source, rival.who, causes.rival_of(rival.who, command.who))
-        self.sources.put(command, now_ns, self.enabled_ns)
+        self.sources.put(command, now_ns)
         if command.session != PAD_SESSION:
             self._drivers[command.session] = command
         return None

@@ -184,7 +184,7 @@ class Gate:
         if not waits:
             arm.step(now_ns)
         if request := arm.answer_waiter(now_ns):
-            reply = self.core.enable(self.epoch, self._missing(), now_ns)
+            reply = self._allow_motion(now_ns)
             if reply.done and self.core.arm_waits:
                 arm.core.forget()
             self.requests.settle(request, reply, now_ns)
@@ -350,7 +350,13 @@ class Gate:
         way = None
         if self.arm and not self.core.enabled and not self.core.refusal(self._missing(), now_ns):
             way = self.arm.enable(request, now_ns)
-        return way or self.core.enable(self.epoch, self._missing(), now_ns)
+        return way or self._allow_motion(now_ns)
+
+    def _allow_motion(self, now_ns: int) -> Reply:
+        """Enable motion. Who commands already is held then, also by a command that has not been heard yet, because a
+        client's requests are heard before its commands."""
+        self._follow_clients(self.clients.commands(), now_ns)
+        return self.core.enable(self.epoch, self._missing(), now_ns)
 
     def _disable(self, _request: Request, now_ns: int) -> Reply:
         """Forbid motion: moving wheels are stopped, and nothing is latched."""

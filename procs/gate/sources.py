@@ -79,16 +79,13 @@ class Sources:
         last = self.fresh(command.source, now_ns)
         return last if last and last.session != command.session else None
 
-    def put(self, command: Command, now_ns: int, enabled_ns: int = 0) -> None:
-        """Keep a source's new command; a time stamp from the future counts as now. A motion that was commanded before
-        motion was enabled, and is heard only now, is held too."""
+    def put(self, command: Command, now_ns: int) -> None:
+        """Keep a source's new command; a time stamp from the future counts as now."""
         command.t_ns = min(command.t_ns, now_ns)
         if command.source in self._held:
             before = self._commands.get(command.source)
             if not command.moves or before is None or command.t_ns >= self.stale_ns(before):
                 del self._held[command.source]
-        elif command.moves and command.t_ns < enabled_ns:
-            self._held[command.source] = command.who
         self._commands[command.source] = command
         self._asked_ns = -1
 

@@ -36,6 +36,23 @@ def test_requests_are_answered_in_the_order_in_which_they_were_asked(scene: Scen
     assert scene.ask(records.DISABLE) == (True, "motion disabled"), "the next session, from its first request on"
 
 
+def test_a_command_that_is_in_its_slot_before_an_enable_is_held_though_requests_are_heard_first(scene: Scene) -> None:
+    """Else a program that commands in the same breath as somebody enables would drive off."""
+    scene.turn()
+    scene.command(0.1)
+    assert scene.ask(records.ENABLE) == (
+        True,
+        "motion enabled; test (pid 0) must send zero or pause before it can drive",
+    )
+    scene.drive(0.1)
+    scene.tick()
+    assert not any(scene.gate.core.velocity)
+    scene.drive(0.0)
+    scene.drive(0.1)
+    scene.tick()
+    assert any(scene.gate.core.velocity)
+
+
 def test_the_answer_to_an_older_request_does_not_take_the_place_of_a_newer_one_s(scene: Scene) -> None:
     scene.turn()
     slot, now_ns = scene.gate.clients.slots[0], scene.clock()

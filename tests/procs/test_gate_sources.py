@@ -287,24 +287,6 @@ def test_a_stick_that_is_held_over_a_disable_or_a_stop_moves_nothing_at_the_next
         assert gate.tick() == 0.0
 
 
-def test_a_motion_that_was_commanded_before_the_enable_and_is_heard_after_it_is_held() -> None:
-    """The gate hears requests before commands, because requests may forbid them."""
-    gate = Gate()
-    gate.now += MS
-    gate.enable()
-    assert gate.take((0.1, 0.0, 0.0), age_ns=1) == ""
-    assert (gate.tick(), gate.blocked) == (0.0, "let go first")
-    gate.command(0.1)
-    assert (gate.tick(), gate.blocked) == (0.0, "let go first"), "it goes on commanding"
-    gate.command(0.0)
-    gate.command(0.1)
-    assert gate.tick() > 0.0
-    other = Gate()
-    other.enable()
-    other.command(0.1)
-    assert other.tick() > 0.0, "one that was commanded at the moment of the enable, or after it, drives"
-
-
 def test_a_lower_source_drives_while_a_higher_one_is_held() -> None:
     gate = Gate(**WITH_TELEOP)
     gate.command(0.1, "teleop", 2)
