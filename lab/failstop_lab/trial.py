@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 READY_S = 10.0
+NOT_UP = "a process or the port is not up yet"
+"""The gate refuses an enable in these words while one of the processes misses a beat."""
 COMMAND_EVERY_S = 0.02
 AFTERMATH_S = 0.25
 """How long the client goes on commanding after a fault, while nothing may move."""
@@ -268,8 +270,16 @@ class Trial:
             with contextlib.suppress(FailstopError):
                 self.robot.drive(0.0, 0.0, 0.0)
             self._drove = False
-        self.robot.wait_for("ready", self.service.ready_s)
-        self.robot.enable()
+        wait_for("every process to be up", self._enabled, self.service.ready_s)
+
+    def _enabled(self) -> bool:
+        try:
+            self.robot.enable()
+        except Refused as refusal:
+            if NOT_UP not in str(refusal):
+                raise
+            return False
+        return True
 
     def reset(self) -> bool:
         """True once a reset was taken: one that a stop has come before is refused."""

@@ -8,6 +8,7 @@ import fcntl
 import functools
 import os
 import shutil
+import signal
 import subprocess
 from pathlib import Path
 from types import TracebackType
@@ -79,6 +80,8 @@ class Driver:
             stdout=subprocess.PIPE,
             text=True,
             bufsize=1,
+            # Tests that were started by nohup hand down that it is ignored.
+            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
         )
         self.pid = self.process.pid
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import os
+import re
 import select
 import struct
 import subprocess
@@ -23,6 +25,12 @@ ROWS, COLUMNS = 24, 80
 LOOK_S = 0.1
 SHOWN = 4000
 """Letters of what it has said, in an error."""
+
+
+@functools.cache
+def _broken(text: str) -> re.Pattern[str]:
+    """The text, also where a word that is longer than a line was broken: a path, for one."""
+    return re.compile(" ?".join(map(re.escape, text)))
 
 
 class Terminal:
@@ -63,7 +71,7 @@ class Terminal:
         while True:
             # One line: where it is broken depends on lengths of paths.
             flat = " ".join(self.said.split())
-            found = [at + len(text) for text in texts if (at := flat.find(text, self._read)) >= 0]
+            found = [match.end() for text in texts if (match := _broken(text).search(flat, self._read))]
             if found:
                 before, self._read = self._read, min(found)
                 return flat[before : self._read]
