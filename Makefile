@@ -120,9 +120,10 @@ PART ?=
 faults: $(VENV)/.dev
 	$(BIN)/failstop simulate --own $(if $(PART),--part $(PART))
 
-# A minute of drawn runs on each processor, from the seed of the day on.
+# Drawn runs for so many SECONDS of each processor, from the seed of the day on.
+SECONDS ?= 60
 seeds: $(VENV)/.dev
-	$(BIN)/failstop simulate --seeds 60 --day
+	$(BIN)/failstop simulate --seeds $(SECONDS) --day
 
 # Each part of the protocol taken out in turn, and missed: the page of them (docs/reference/controls.md).
 controls: $(VENV)/.dev

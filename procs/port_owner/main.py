@@ -393,8 +393,7 @@ class PortOwner:
             self._moved_ns = now_ns
             self._await_lapse()
             self._requests.wake()  # from now on the next request counts at once
-            if not stands:
-                self.repeats.end()
+            self.repeats.end()
         elif stands:
             # A stop does not wait for the next refresh, and a burst may follow bytes that are held.
             self.wire.burst()

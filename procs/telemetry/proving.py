@@ -55,9 +55,12 @@ class Proving:
         """The board has reported the command that it obeys; `moves`: it is told to move."""
         self._take(HEARD_OBEYED, speeds, came_ns)
         paused, self._obeyed_ns = came_ns - self._obeyed_ns > self._pause_ns, came_ns
-        written = max(word.get() for word in self._stopped) < self._told_word.get() <= came_ns
+        told_ns = self._told_word.get()
+        written = max(word.get() for word in self._stopped) < told_ns <= came_ns
         zeros = bool(speeds) and not any(speeds)  # NaN is not zero, and no speeds are no report
-        since_ns = self.faded_ns or (0 if paused else self._unheeded_ns)
+        # What it heard before this motion says nothing of how it heeds this one.
+        faded_ns = self.faded_ns if self.faded_ns >= told_ns else 0
+        since_ns = faded_ns or (0 if paused else self._unheeded_ns)
         self._tell_unheeded((since_ns or came_ns) if moves and written and zeros else 0)
 
     def forget(self, now_ns: int) -> None:

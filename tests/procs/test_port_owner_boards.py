@@ -19,7 +19,7 @@ from tests.support.stage import MS
 
 MAX_RPS = 2.0
 REFRESH_NS = 183 * MS
-"""Of the gate, here, so that it falls on no repeat."""
+"""Of the gate, here, so that it falls on no repeat. It ends the repeats."""
 
 
 def made(kind: str, **given: Any) -> Scene:
@@ -93,7 +93,7 @@ def test_a_zero_of_the_gate_s_is_written_again_like_a_stop_because_it_may_be_los
         after_ns = scene.clock() - begun_ns
         found += [(after_ns + at_ns, data) for at_ns, data in writes(scene, REFRESH_NS)]
         assert scene.forward(scene.board.stop) == scene.board.stop, f"refresh {number} of the gate's"
-    assert found == [(at_ns, scene.board.burst) for at_ns in row]
+    assert found == [(at_ns, scene.board.burst) for at_ns in row if at_ns < REFRESH_NS]
 
 
 @pytest.mark.parametrize("kind", BOARDS)
