@@ -105,10 +105,6 @@ class OpenPort:
         pings = self.pings
         if not pings.due(now_ns):
             return
-        if self._wire.lost:
-            # Nobody was asked, so the next board's answers must not be taken for answers to this question.
-            pings.failed(now_ns)
-            return
         asked_ns = monotonic_ns()
         if self._wire.free_ns > asked_ns:
             pings.wait(self._wire.free_ns)
@@ -127,6 +123,10 @@ class OpenPort:
             self._question(index, asked_ns)
 
     def _question(self, index: int, asked_ns: int) -> bool:
+        """Record and write a ping; False if it was not written."""
+        if self._wire.lost:
+            # Nobody is asked, so the next board's answers must not be taken for answers to this question.
+            return False
         self.wrote.put(records.WROTE.pack(index, ()), asked_ns)
         return self._wire.frame(self._board.pings[index], backlog=self._ping_backlog)
 

@@ -128,8 +128,9 @@ def test_a_port_that_is_gone_is_asked_nothing() -> None:
     scene.turn()
     before = len(scene.kept_writes())
     for _ in range(50):
+        scene.put(BOARD.pings[0], kind=records.OTHER)
         scene.turn(TICK)
-    assert len(scene.kept_writes()) == before
+    assert len(scene.kept_writes()) == before, "neither by itself nor for a client"
     scene.replug(2)
     for _ in range(3):
         scene.turn(PING_GAP_NS)
