@@ -264,6 +264,8 @@ FSI int fsi_check_segment(int fd, const char *name, uint64_t incarnation, uint64
 FSI int fsi_open_segment(const struct fsi_run *run, const char *name, bool write, char *why, size_t room);
 /* Note an error; of the functions that never wait, without a text. Returns it. */
 FSI int fsi_fail(const fs_robot *robot, int code);
+/* Whether this process is a fork of the one that opened the handle. */
+FSI bool fsi_is_forked(const fs_robot *robot);
 FSI int fsi_fail_with(fs_robot *robot, int code, const char *why);
 FSI size_t fsi_stop_line(char *out, const char *reason, const char *client, pid_t pid);
 #define FSI_STOP_LINE (ASKED_BYTES + WHO_BYTES + 32)

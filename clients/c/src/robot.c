@@ -73,7 +73,7 @@ int fsi_fail_with(fs_robot *robot, int code, const char *why) {
   return fsi_fail(robot, code);
 }
 
-static bool is_forked(const fs_robot *robot) {
+bool fsi_is_forked(const fs_robot *robot) {
   return atomic_load_explicit(&robot->forked, memory_order_relaxed) || getpid() != robot->owner;
 }
 
@@ -123,7 +123,7 @@ static void say_goodbye(fs_robot *robot) {
 
 /* Give the slot back; a command in it stops counting at once. */
 static void leave(fs_robot *robot, bool in_order) {
-  if (robot->slot >= 0 && !is_forked(robot)) {
+  if (robot->slot >= 0 && !fsi_is_forked(robot)) {
     int ignored;
     if (in_order) say_goodbye(robot);
     wipe(robot->segment);
@@ -268,7 +268,7 @@ int fs_open(fs_robot **made, const char *service, const char *client) {
 
 int fs_connect(fs_robot *robot) {
   if (!robot) return FS_INVALID;
-  if (is_forked(robot)) return fsi_fail(robot, FS_FORKED);
+  if (fsi_is_forked(robot)) return fsi_fail(robot, FS_FORKED);
   if (robot->run && fsi_over(robot->run)) {
     leave(robot, true);
     fsi_detach(robot->run);
@@ -307,7 +307,7 @@ int fs_connect(fs_robot *robot) {
 
 void fs_close(fs_robot *robot) {
   if (!robot) return;
-  bool whole = !is_forked(robot) && robot->slot >= 0 && !fsi_over(robot->run);
+  bool whole = !fsi_is_forked(robot) && robot->slot >= 0 && !fsi_over(robot->run);
   if (whole && atomic_load(&robot->enabled) && !atomic_load(&robot->keep_enabled)) fs_disable(robot, FS_DEFAULT_TIMEOUT);
   unlist(robot);
   leave(robot, true);
@@ -330,7 +330,7 @@ int fs_keep_enabled(fs_robot *robot) {
 /* FS_OK if this handle has a slot of a run that lives. */
 static int usable(const fs_robot *robot) {
   if (!robot) return FS_INVALID;
-  if (is_forked(robot)) return fsi_fail(robot, FS_FORKED);
+  if (fsi_is_forked(robot)) return fsi_fail(robot, FS_FORKED);
   if (robot->slot < 0) return fsi_fail(robot, FS_NOT_CONNECTED);
   return fsi_over(robot->run) ? fsi_fail(robot, FS_NO_SERVICE) : FS_OK;
 }
@@ -502,7 +502,7 @@ static void nap(uint64_t ns) {
 
 static int ask(fs_robot *robot, int verb, uint64_t seen, double timeout_s) {
   if (!robot) return FS_INVALID;
-  if (is_forked(robot)) return fsi_fail(robot, FS_FORKED);
+  if (fsi_is_forked(robot)) return fsi_fail(robot, FS_FORKED);
   if (isnan(timeout_s)) return fsi_fail(robot, FS_INVALID);
   int result = usable(robot);
   if (result != FS_OK) return result;
@@ -591,7 +591,7 @@ int fs_last_error(const fs_robot *given, char *out, size_t size) {
   fs_robot *robot = (fs_robot *)(uintptr_t)given;
   if (!robot || (!out && size)) return FS_INVALID;
   int code = atomic_load(&robot->last);
-  if (is_forked(robot)) { /* nobody knows which thread of the parent held the lock */
+  if (fsi_is_forked(robot)) { /* nobody knows which thread of the parent held the lock */
     fsi_adds(&text, code ? sentence(code) : "");
     return fsi_end(&text);
   }

@@ -2,7 +2,6 @@
 #include "internal.h"
 
 #include <math.h>
-#include <unistd.h>
 
 static const char *const LINK[] = {LINKS};
 
@@ -256,7 +255,7 @@ int fs_get_state(const fs_robot *robot, fs_state *given) {
   uint32_t size = given->size;
   int result = FS_NO_SERVICE;
   nothing_known(&state);
-  if (robot->forked || getpid() != robot->owner) {
+  if (fsi_is_forked(robot)) {
     result = FS_FORKED;
   } else if (robot->run) {
     struct fsi_run *run = robot->run;
@@ -305,13 +304,20 @@ static const char *block_text(int block) {
   }
 }
 
+/* What the gate has decided, for a text of `size` bytes at `out`. Returns an fs_result. */
+static int decide_for_text(const fs_robot *robot, const char *out, size_t size, struct fsi_decided *decided) {
+  if (!robot || (!out && size)) return FS_INVALID;
+  if (fsi_is_forked(robot)) return fsi_fail(robot, FS_FORKED);
+  if (!robot->run) return fsi_fail(robot, robot->unattached);
+  fsi_decide(robot, decided);
+  return FS_OK;
+}
+
 int fs_why(const fs_robot *robot, char *out, size_t size) {
   struct fsi_text text = {out, size, 0};
   struct fsi_decided decided;
-  if (!robot || (!out && size)) return FS_INVALID;
-  if (robot->forked || getpid() != robot->owner) return fsi_fail(robot, FS_FORKED);
-  if (!robot->run) return fsi_fail(robot, robot->unattached);
-  fsi_decide(robot, &decided);
+  int result = decide_for_text(robot, out, size, &decided);
+  if (result != FS_OK) return result;
   int block = decided.answer == FS_BLOCKED ? decided.answer_block : decided.block;
   if (decided.cause) {
     fsi_add_cause(&text, decided.packed, decided.packed_size);
@@ -331,10 +337,8 @@ int fs_why(const fs_robot *robot, char *out, size_t size) {
 int fs_remedy(const fs_robot *robot, char *out, size_t size) {
   struct fsi_text text = {out, size, 0};
   struct fsi_decided decided;
-  if (!robot || (!out && size)) return FS_INVALID;
-  if (robot->forked || getpid() != robot->owner) return fsi_fail(robot, FS_FORKED);
-  if (!robot->run) return fsi_fail(robot, robot->unattached);
-  fsi_decide(robot, &decided);
+  int result = decide_for_text(robot, out, size, &decided);
+  if (result != FS_OK) return result;
   if (decided.cause) fsi_adds(&text, fsi_cause_remedy(decided.cause));
   return fsi_end(&text);
 }

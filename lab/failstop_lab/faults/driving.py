@@ -12,6 +12,8 @@ from failstop_lab.trial import COMMAND_EVERY_S, TrialError
 
 INTERLOCK = "arm"
 WHOLE_S = 10.0
+CLAIM_SEEN_S = 0.06
+"""The gate looks at claims once a tick."""
 
 
 class Driver:
@@ -41,6 +43,12 @@ class Driver:
         if self._robot:
             self._robot.close()
             self._robot = None
+
+    def hand_over(self) -> None:
+        """Let another program drive, and go on sensing and holding. Its last command would make two publishers."""
+        self.leave()
+        self.commands = False
+        self.run(CLAIM_SEEN_S)
 
     def step(self) -> None:
         """One command; to a service that is gone, in vain."""

@@ -21,8 +21,6 @@ from failstop_lab.faults.fault import Fault
 from failstop_lab.faults.inject import Injector
 from failstop_lab.faults.scene import Scene
 
-CLAIM_SEEN_S = 0.06
-"""The gate looks at claims once a tick."""
 DRAINED_S = 0.1
 KEY_STOPS = 1
 PRESSED = 0x01
@@ -47,10 +45,7 @@ class OtherDrives(Injector):
         self.child: ChildDriver | CDriver | None = None
 
     def prepare(self, scene: Scene) -> None:
-        # Its last command would make two publishers.
-        scene.driver.leave()
-        scene.driver.commands = False
-        scene.driver.run(CLAIM_SEEN_S)
+        scene.driver.hand_over()
         self.child = ChildDriver(scene.name, scene.driver.velocity, self.MEGABYTES)
 
     def hang(self) -> int:
@@ -107,9 +102,7 @@ class OtherDrivesInC(OtherDrives):
         return c_unfit()
 
     def prepare(self, scene: Scene) -> None:
-        scene.driver.leave()
-        scene.driver.commands = False
-        scene.driver.run(CLAIM_SEEN_S)
+        scene.driver.hand_over()
         self.child = child = CDriver(scene.name, scene.driver.velocity, self.MEGABYTES, forks=self.FORKS)
         scene.driver.until("the C client to drive", lambda: child.commanded_ns > 0)
 

@@ -13,7 +13,6 @@ from failstop import helpers
 from failstop_lab.faults.crowd import Helper
 from failstop_lab.faults.fault import Fault
 from failstop_lab.faults.inject import Injector
-from failstop_lab.faults.inject_clients import CLAIM_SEEN_S
 from failstop_lab.faults.scene import Scene
 from failstop_lab.trial import COMMAND_EVERY_S
 
@@ -75,10 +74,7 @@ class Guarded(Injector):
         self.driver: PortDriver | None = None
 
     def prepare(self, scene: Scene) -> None:
-        # Its last command would make two publishers.
-        scene.driver.leave()
-        scene.driver.commands = False
-        scene.driver.run(CLAIM_SEEN_S)
+        scene.driver.hand_over()
         self._name = scene.name
         self._folder = tempfile.TemporaryDirectory(prefix="failstop-guard-")
         self.path = os.path.join(self._folder.name, "port")

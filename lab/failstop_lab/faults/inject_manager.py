@@ -13,7 +13,6 @@ from failstop_lab import controller_manager
 from failstop_lab.controller_manager import Manager
 from failstop_lab.faults.fault import Fault
 from failstop_lab.faults.inject import Injector
-from failstop_lab.faults.inject_clients import CLAIM_SEEN_S
 from failstop_lab.faults.scene import Scene
 
 NAME = "chaos_base"
@@ -34,10 +33,7 @@ class ManagerEnds(Injector):
         return controller_manager.uncompilable()
 
     def prepare(self, scene: Scene) -> None:
-        # Its last command would make two publishers.
-        scene.driver.leave()
-        scene.driver.commands = False
-        scene.driver.run(CLAIM_SEEN_S)
+        scene.driver.hand_over()
         self._folder = tempfile.TemporaryDirectory(prefix="failstop-manager-")
         wheels = [name.replace(" ", "_") for name in WHEEL_NAMES[scene.traits.language.wheels]]
         description = controller_manager.with_wheels(NAME, scene.name, wheels)

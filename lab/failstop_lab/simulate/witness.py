@@ -37,7 +37,6 @@ CLAIMS = {
     "no entry of a ring is passed over": ("ASK-1",),
 }
 """The rules by which a run is judged, and the claims (lab/case/claims.py) that each rule supports."""
-BY_GATE = "gate"
 SERVICE_PROCESSES = ("supervisor", "port_owner", "gate", "telemetry", "stopper")
 PORT_WRITERS = ("supervisor", "port_owner", "stopper")
 DEATH_NS = 8 * MS
@@ -271,7 +270,7 @@ class Witness:
                 return
             self._silence = False
             self.tell("no program commands")
-            Deadline(self, "no program commands", SILENCE_BAR_NS, BY_GATE, goes_on, forbids=False).begin(Phase.BAR)
+            Deadline(self, "no program commands", SILENCE_BAR_NS, "gate", goes_on, forbids=False).begin(Phase.BAR)
 
         self.machine.at(self.machine.now_ns + COMMAND_COUNTS_NS, due)
 
