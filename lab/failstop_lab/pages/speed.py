@@ -69,9 +69,9 @@ def _campaign(found: dict[str, Any], rows: dict[str, dict[str, Any]]) -> str:
         (
             "Times are counted from the fault until the stop has arrived at the board. A real serial line adds the",
             "time that the stop's bytes take, 0.6 ms at the 1 Mbaud of Hiwonder's board. Where a line sums up several",
-            "kinds of fault, it shows the slowest kind. If there were only a few tries, the p99 is the slowest of them.",
-            "While the USB cable is out, the robot keeps going unless its board stops by itself. When you plug the cable",
-            "in again, failstop sends a stop as soon as the port is back:",
+            "kinds of fault, it shows the slowest kind. If there were only a few tries, the p99 is the slowest of",
+            "them. While the USB cable is out, the robot keeps going unless its board stops by itself. When you plug",
+            "the cable in again, failstop sends a stop as soon as the port is back:",
             f"99 of 100 of these stops arrive within {_ms(rows['usb-drop']['p99_ms'])}.",
             "",
             f"All this was measured on {machine['date']} with a simulated board, on a shared virtual machine with",
