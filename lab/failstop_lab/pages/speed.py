@@ -31,8 +31,8 @@ LINES = (
     Line("your program crashes or is killed", DRIVER_ROWS),
     Line("your program hangs (counted from its last command)", ("client-hung",)),
     Line("one of failstop's own processes crashes", DEATH_ROWS),
-    Line("the gate, the port owner or the supervisor hangs (nothing moves without these three)", DRIVING_HANGS),
-    Line("telemetry or the stopper hangs", WATCHING_HANGS),
+    Line("a process of failstop hangs that motion depends on (gate, port owner or supervisor)", DRIVING_HANGS),
+    Line("one of failstop's other two processes hangs (telemetry or stopper)", WATCHING_HANGS),
     Line("you ask for a stop, or press the board's stop button", ("stop-request", "pad-button", "board-key")),
     Line("the obstacle sensor goes silent (counted from its last reading)", ("scan-silent",)),
 )
@@ -67,11 +67,12 @@ def _campaign(found: dict[str, Any], rows: dict[str, dict[str, Any]]) -> str:
     missed, after = found["missed"], found["motion_after"]
     return "\n".join(
         (
-            "Times are counted from the fault until the stop has arrived at the board. A real serial line adds the",
-            "time that the stop's bytes take, 0.6 ms at the 1 Mbaud of Hiwonder's board. Where a line sums up several",
-            "kinds of fault, it shows the slowest kind. If there were only a few tries, the p99 is the slowest of",
-            "them. While the USB cable is out, the robot keeps going unless its board stops by itself. When you plug",
-            "the cable in again, failstop sends a stop as soon as the port is back:",
+            "Times are counted from the fault, unless the line says otherwise, until the stop has arrived at the board.",
+            "A real serial line adds the time that the stop's bytes take, 0.6 ms at the 1 Mbaud of Hiwonder's board. If",
+            "a line covers several kinds of fault, its times are those of the slowest kind, and its tries those of all.",
+            "After only a few tries, the p99 is simply the slowest try. [How it works](#how-it-works) says what each of",
+            "failstop's processes does. While the USB cable is out, the robot keeps going unless its board stops by",
+            "itself. When you plug the cable in again, failstop sends a stop as soon as the port is back:",
             f"99 of 100 of these stops arrive within {_ms(rows['usb-drop']['p99_ms'])}.",
             "",
             f"All this was measured on {machine['date']} with a simulated board, on a shared virtual machine with",
