@@ -4,6 +4,7 @@ measurements, so they change with the next campaign and the next run of the benc
 from __future__ import annotations
 
 import re
+import textwrap
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,8 +32,8 @@ LINES = (
     Line("your program crashes or is killed", DRIVER_ROWS),
     Line("your program hangs (counted from its last command)", ("client-hung",)),
     Line("one of failstop's own processes crashes", DEATH_ROWS),
-    Line("a process of failstop hangs that motion depends on (gate, port owner or supervisor)", DRIVING_HANGS),
-    Line("one of failstop's other two processes hangs (telemetry or stopper)", WATCHING_HANGS),
+    Line("failstop's gate, port owner or supervisor hangs", DRIVING_HANGS),
+    Line("failstop's telemetry or stopper hangs", WATCHING_HANGS),
     Line("you ask for a stop, or press the board's stop button", ("stop-request", "pad-button", "board-key")),
     Line("the obstacle sensor goes silent (counted from its last reading)", ("scan-silent",)),
 )
@@ -62,27 +63,27 @@ def _campaign(found: dict[str, Any], rows: dict[str, dict[str, Any]]) -> str:
     machine = found["machine"]
     conditions = machine.get("conditions")
     where = f" ({conditions})" if conditions else ""
-    unrecorded = () if conditions else ("Nobody recorded whether it had real-time priority, or how busy it was.",)
+    unrecorded = (
+        "" if conditions else "It was not noted whether failstop had real-time priority, and how busy the computer was."
+    )
     kinds = sum(1 for row in rows.values() if row["count"])
     missed, after = found["missed"], found["motion_after"]
-    return "\n".join(
-        (
-            "Times are counted from the fault, unless the line says otherwise, until the stop has arrived at the board.",
-            "A real serial line adds the time that the stop's bytes take, 0.6 ms at the 1 Mbaud of Hiwonder's board. If",
-            "a line covers several kinds of fault, its times are those of the slowest kind, and its tries those of all.",
-            "After only a few tries, the p99 is simply the slowest try. [How it works](#how-it-works) says what each of",
-            "failstop's processes does. While the USB cable is out, the robot keeps going unless its board stops by",
-            "itself. When you plug the cable in again, failstop sends a stop as soon as the port is back:",
-            f"99 of 100 of these stops arrive within {_ms(rows['usb-drop']['p99_ms'])}.",
-            "",
-            f"All this was measured on {machine['date']} with a simulated board, on a shared virtual machine with",
-            f"{machine['cores']} cores{where}.",
-            *unrecorded,
-            f"{found['count']:,} faults of {kinds} kinds were injected at random while a program kept commanding.",
-            "The table above shows only some of these kinds. In the whole campaign",
-            f"**{missed} stops were missed, and {after} motion commands came after a stop** ([every fault]({FAULTS})).",
-        )
-    )
+    return _paragraphs(f"""
+        Times are counted from the fault, unless the row says otherwise, until the stop has arrived at the board. A real
+        serial line adds the time that the stop's bytes take, 0.6 ms at the 1 Mbaud of Hiwonder's board. If a row covers
+        several kinds of fault, it shows the times of the slowest kind, and the tries of all kinds together. After only
+        a few tries, the p99 is simply the slowest try. [How it works](#how-it-works) says what each of failstop's
+        processes does.
+
+        While the USB cable is out, the robot keeps going unless its board stops by itself. When you plug the cable in
+        again, failstop sends a stop as soon as the port is back: 99 of 100 of these stops arrive within
+        {_ms(rows["usb-drop"]["p99_ms"])}.
+
+        All this was measured on {machine["date"]} with a simulated board, on a shared virtual machine with
+        {machine["cores"]} cores{where}. {unrecorded} {found["count"]:,} faults of {kinds} kinds were injected at random
+        while a program kept commanding. The table above shows only some of these kinds. In the whole campaign
+        **{missed} stops were missed, and {after} motion commands came after a stop** ([every fault]({FAULTS})).
+        """)
 
 
 def _bench(page: str) -> str:
@@ -90,12 +91,16 @@ def _bench(page: str) -> str:
     if not killed:
         raise ValueError(f"{MEASURED} has no row of a killed process")
     p50s, p99s, ratios = zip(*killed, strict=True)
-    return "\n".join(
-        (
-            "With real-time priority stops come sooner: in `make bench`, when one of failstop's processes is killed,",
-            f"half of the stops come within {max(p50s):.1f} ms and 99 of 100 within {max(p99s):.1f} ms.",
-            "For comparison, `make bench` measures a small C program, which waits until a process is killed and",
-            f"then writes a stop. failstop's p50 is {min(ratios):.1f} to {max(ratios):.1f} times that program's p50.",
-            f"[Every measurement]({MEASURED}) is recorded, including those that are slower than we want.",
-        )
-    )
+    return _paragraphs(f"""
+        With real-time priority stops come sooner: in `make bench`, when one of failstop's processes is killed, half of
+        the stops come within {max(p50s):.1f} ms and 99 of 100 within {max(p99s):.1f} ms. For comparison, `make bench`
+        measures a small C program, which waits until a process is killed and then writes a stop. failstop's p50 is
+        {min(ratios):.1f} to {max(ratios):.1f} times that program's p50. [Every measurement]({MEASURED}) is recorded,
+        including those that are slower than we want.
+        """)
+
+
+def _paragraphs(text: str) -> str:
+    """The text as lines of Markdown; an empty line separates its paragraphs."""
+    fill = textwrap.TextWrapper(120, break_long_words=False, break_on_hyphens=False).fill
+    return "\n\n".join(fill(" ".join(paragraph.split())) for paragraph in text.split("\n\n"))
