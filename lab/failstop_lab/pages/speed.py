@@ -92,8 +92,8 @@ def _bench(page: str) -> str:
         raise ValueError(f"{MEASURED} has no row of a killed process")
     p50s, p99s, ratios = zip(*killed, strict=True)
     return _paragraphs(f"""
-        With real-time priority stops come sooner: in `make bench`, when one of failstop's processes is killed, half of
-        the stops come within {max(p50s):.1f} ms and 99 of 100 within {max(p99s):.1f} ms. For comparison, `make bench`
+        `make bench` gives failstop real-time priority. When one of failstop's processes is killed there, half of the
+        stops come within {max(p50s):.1f} ms and 99 of 100 within {max(p99s):.1f} ms. For comparison, `make bench`
         measures a small C program, which waits until a process is killed and then writes a stop. failstop's p50 is
         {min(ratios):.1f} to {max(ratios):.1f} times that program's p50. [Every measurement]({MEASURED}) is recorded,
         including those that are slower than we want.
