@@ -55,6 +55,8 @@ ANY = st.one_of([any_of(kind) for kind in KINDS])
 
 
 def test_rows_are_known_by_their_number_and_their_name() -> None:
+    declared = [value for value in vars(causes).values() if isinstance(value, Kind)]
+    assert len(declared) == len(BY_NUMBER), "two causes have one number"
     assert len(BY_NUMBER) == len(CAUSE_BY_NAME) == len({kind.template for kind in KINDS})
     assert all(BY_NUMBER[kind.number] is CAUSE_BY_NAME[kind.name] is kind for kind in KINDS)
     assert [kind for kind in KINDS if getattr(causes, kind.name.upper()) is not kind] == []

@@ -70,7 +70,7 @@ CLAIMS_OF: dict[str, tuple[str, ...]] = {
     MEMORY: ("MEMORY-1",),
     TIME: ("TIME-1",),
 }
-"""The claims (lab/case/claims.py) that the rows of each class carry; the first is the one whose time they bound."""
+"""The claims (case/claims.py) that the rows of each class carry; the first is the one whose time they bound."""
 
 LATE_MS = 100.0
 """Added to the bar for the limit that a test asserts: machines that tests run on are shared and busy. Whether the bar
@@ -89,7 +89,7 @@ def fits(cause: Cause | None, wanted: tuple[Wanted, ...]) -> bool:
 
 
 def told(wanted: tuple[Wanted, ...]) -> str:
-    """The injection in words."""
+    """The wanted causes in words."""
     return " or ".join(" ".join((kind.name, *map(str, first))) for kind, *first in wanted)
 
 
@@ -113,7 +113,7 @@ class Fault:
     bar_ms: float | None
     """The longest time to the first stop frame, as the p99 of a campaign; None: this must not stop the wheels."""
     injector: str
-    """A name in inject.INJECTORS."""
+    """A name in injectors.INJECTORS."""
     steps: tuple[Step, ...] = ()
     """Injections by process, in this order."""
     counted_from: str = "the fault"
@@ -127,7 +127,7 @@ class Fault:
     link: str = ""
     """The link to the board by `status` meanwhile; empty: not looked at."""
     needs: frozenset[str] = frozenset()
-    """A board must have these for it (lab/boards/traits.py)."""
+    """A board must have these for it (boards/traits.py)."""
     weight: int = 4
     """How often a campaign draws it, against the others."""
 
