@@ -2,7 +2,7 @@
 
 It travels in the command line, where `ps` shows it, and for the settings in one environment variable:
 
-    child.py gate name=failstop run=8f3a... dir=/run/failstop/failstop parent=812 block=3 number=1 bell=5 ...
+    bootstrap.py gate name=failstop run=8f3a... dir=/run/failstop/failstop parent=812 block=3 number=1 bell=5 ...
 """
 
 from __future__ import annotations

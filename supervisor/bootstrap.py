@@ -1,4 +1,4 @@
-"""Where each process of the service starts: `python -I -S child.py PROCESS key=value ...`.
+"""The script that every process of the service starts with: `python -I -S bootstrap.py PROCESS key=value ...`.
 
 Run by the supervisor, and by `failstop run` for the supervisor itself. It runs without the site module, which costs
 more than all of a small process's own imports; the starting process passes its own search path instead.

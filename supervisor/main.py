@@ -28,11 +28,11 @@ from failstop.shm.words import Barrier
 from failstop.supervisor.blackbox import BlackBox
 from failstop.supervisor.children import ALIVE, KILLED, RUNNING, TERMINATED, Child, Fence
 from failstop.supervisor.latch import Epochs
-from failstop.supervisor.monitor import Monitor
 from failstop.supervisor.port_handover import OwnPort, PortHandover
 from failstop.supervisor.process_table import ProcessTable
 from failstop.supervisor.run import Run
 from failstop.supervisor.status import LEASE, Status, advice, lacking
+from failstop.supervisor.stop_tracker import StopTracker
 from failstop.supervisor.stops import Stop, explained
 
 TICK_NS = 20 * MS
@@ -68,7 +68,7 @@ class Supervisor:
         self.processes = ProcessTable(run, port, self._advice)
         self.children = self.processes.children
         self.epochs = Epochs(run)
-        self.monitor = Monitor(run, self.epochs.latch, port.board, port.holds, self._motion)
+        self.tracker = StopTracker(run, self.epochs.latch, port.board, port.holds, self._motion)
         self.blackbox = BlackBox(run, self._motion)
         self.handover = PortHandover(run, port, self.processes)
         self.status = Status(run, notify, self.processes, self.epochs, self.handover)
@@ -101,7 +101,7 @@ class Supervisor:
         self._stop_for_news(ready, now_ns)
         held_up = self._is_held_up(now_ns)
         listening = self._listening() and (not held_up or self._motion())
-        self._raise_epoch(self.monitor.follow(now_ns, listening=listening, held_up=held_up))
+        self._raise_epoch(self.tracker.follow(now_ns, listening=listening, held_up=held_up))
         self.processes.reap(ready, now_ns)
         self.processes.watch_early()
         self._follow_port(ready, now_ns)
@@ -170,15 +170,15 @@ class Supervisor:
         it could."""
         stranger, sure = self.handover.misplaced, self.handover.sure
         if self.handover.lost(ready, now_ns):
-            self.monitor.link.opened(now_ns, sure=sure)
+            self.tracker.link.opened(now_ns, sure=sure)
             if stranger:  # the port owner still has the device open, and takes it for the board
                 self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, causes.DEVICE_LOST())])
         opened_ns = self.handover.opened(now_ns)
         if opened_ns is not None:
             self._repeats.restart(now_ns)
             written_ns = self._wrote(opened_ns) if opened_ns else self._burst()
-            self.monitor.opened(written_ns, now_ns, sure=self.handover.sure)
-        if self.monitor.link.believed:
+            self.tracker.opened(written_ns, now_ns, sure=self.handover.sure)
+        if self.tracker.link.believed:
             self.handover.believe()
         self.handover.make_up(now_ns)
 
@@ -255,12 +255,12 @@ class Supervisor:
             self._unanswered.answer_by_ns = monotonic_ns() + STOP_ANSWER_NS
         latch = self.epochs.latch
         if latch.stop and latch.since == self.epochs.number:
-            self.monitor.latched(latch.stop)
+            self.tracker.latched(latch.stop)
             if not self.ending:
                 self.blackbox.latched(latch.stop, self.epochs.number)
         for stop in stops:
             if stop is not self._unanswered:
-                self.monitor.also(stop)
+                self.tracker.also(stop)
         self._run.bells[layout.TELEMETRY].ring()  # for the answer of the board
 
     def _follow_answer(self, now_ns: int) -> None:
@@ -279,7 +279,7 @@ class Supervisor:
         by, written_ns = found
         self._unanswered = None
         stop.answered_by(by, written_ns or self._burst(), self.epochs.latch.stop or stop, self.epochs.number)
-        self.monitor.answered(stop, ending=self.ending)
+        self.tracker.answered(stop, ending=self.ending)
 
     def _motion(self) -> bool:
         """True while motion is enabled in this epoch, or the wheels were last told to turn. Read it after the value
@@ -332,9 +332,9 @@ class Supervisor:
 
     def _publish(self, now_ns: int) -> None:
         """Publish what motion waits for, and serve the service manager."""
-        link = self.monitor.link
+        link = self.tracker.link
         missing = self.status.missing(stopping=self._unanswered is not None)
-        missing = missing or (WAITS_FOR[link.state] if link.forbids else "") or self.monitor.wheel_servos.waited_for()
+        missing = missing or (WAITS_FOR[link.state] if link.forbids else "") or self.tracker.wheel_servos.waited_for()
         if self.status.publish(missing):
             self.heartbeat.state(heartbeat.BEAT_RUNNING, now_ns)
             for what, text in lacking(self._granted, self._advice, self._run.settings[LEASE]):
@@ -357,7 +357,7 @@ class Supervisor:
             if self._unanswered:
                 sleep(HURRY_NS / 1e9)  # the loop's wait would return at once, because nobody handles the dead any more
         heard_ns = self._hear(stop.written_ns)
-        link = self.monitor.link.state
+        link = self.tracker.link.state
         self.status.notify.stopping("the stop is written; ending every process")
         self.heartbeat.state(heartbeat.BEAT_STOPPING, monotonic_ns())
         for child in reversed(self.children):
@@ -366,7 +366,7 @@ class Supervisor:
         written = self._burst() > 0
         self._port.repeat(self._port.board.repeats_ns[SUPERVISOR_ROW])
         sent = written and self._port.drain()
-        self.monitor.ended(heard_ns, link, written=written, sent=sent)
+        self.tracker.ended(heard_ns, link, written=written, sent=sent)
         self._events.flush()
         self.blackbox.finish()
         return sent and (heard_ns > 0 or link in (LINK_UNPROVEN, LINK_UNASKED))
@@ -376,10 +376,10 @@ class Supervisor:
         later that was in ns; 0 if it took longer than HEAR_NS or the answer is an echo. The processes that ask and
         listen must still be alive."""
         echo_ns = 2 * self._port.board.echo_ns
-        until_ns = monotonic_ns() + (echo_ns if self.monitor.link.state == LINK_UNASKED else HEAR_NS)
+        until_ns = monotonic_ns() + (echo_ns if self.tracker.link.state == LINK_UNASKED else HEAR_NS)
         while stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening() and not self._is_held_up(now_ns):
-            self.monitor.follow(now_ns, listening=True)
-            sent_ns, arrival_ns = self.monitor.heard
+            self.tracker.follow(now_ns, listening=True)
+            sent_ns, arrival_ns = self.tracker.heard
             if sent_ns >= stop_ns:
                 return arrival_ns - stop_ns
             self._watched_ns = now_ns

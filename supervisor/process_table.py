@@ -153,7 +153,7 @@ class ProcessTable:
         known = self._run.descriptors(row.name, self._port.fd)
         given = {key: known[key] for key in row.descriptors}
         words = {**self._words, "block": block, "number": self._port.number, **given}
-        arguments = starter.script_command(starter.CHILD, row.name, words=words)
+        arguments = starter.script_command(starter.BOOTSTRAP, row.name, words=words)
         return starter.spawn(arguments, self._environment, [fd for fd in given.values() if fd >= 0])
 
     def pass_notes(self) -> None:

@@ -12,10 +12,10 @@ from collections.abc import Mapping, Sequence
 
 from failstop.files import root
 from failstop.policy.settings import SETTINGS_VARIABLE, Settings
-from failstop.supervisor.child import PATH_VARIABLE
+from failstop.supervisor.bootstrap import PATH_VARIABLE
 
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-CHILD = ("supervisor", "child.py")
+BOOTSTRAP = ("supervisor", "bootstrap.py")
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
 """One heap for all threads. A second one would cost 200 kB at a thread's first job, minutes after the start."""
 PASSED_ON = (root.VARIABLE, "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
@@ -62,6 +62,6 @@ def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int
     for fd in (lock, port):
         os.set_inheritable(fd, True)
     words = {"name": name, "dir": runtime_dir, "lock": lock, "port": port, "again": again}
-    arguments = script_command(CHILD, "supervisor", words=words)
+    arguments = script_command(BOOTSTRAP, "supervisor", words=words)
     handed = {name: os.environ[name] for name in TO_THE_SUPERVISOR if name in os.environ}
     os.execve(arguments[0], arguments, environment(settings) | handed)

@@ -1,5 +1,5 @@
-"""Monitor: what people are told about a stop, what is observed after it was written (the board's answers, the IMU's
-verdict), and the link.
+"""StopTracker: logs each stop, and follows the newest one from its answer to its proof: the board's answers and the
+IMU's verdict. It also watches the link.
 
 stops.py and proof.py decide what counts for a stop; this file reads the facts for them from shared memory.
 """
@@ -48,7 +48,7 @@ UNCONNECTED = {
 """What happened to the link, in words for people."""
 
 
-class Monitor:
+class StopTracker:
     """Logs stops, tracks the newest one until its proof is complete, and watches the link. Call follow() once per turn.
     `heard` is (sent_ns, answered_ns) of the newest answered ping."""
 

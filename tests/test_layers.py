@@ -27,7 +27,7 @@ OF_A_TERMINAL = {
     "web": {"command"},
 }
 """Modules of a feature that are its commands, with what these print."""
-PROGRAM = "failstop.supervisor.child"
+PROGRAM = "failstop.supervisor.bootstrap"
 """Run by its path, with a supervisor to start; imported for the name of a variable alone."""
 
 

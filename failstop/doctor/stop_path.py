@@ -12,7 +12,7 @@ import os
 import time
 from collections.abc import Callable, Mapping
 
-from failstop import stopping
+from failstop import stop_tool
 from failstop.api import verdict, words
 from failstop.api.snapshot import State
 from failstop.board import asking
@@ -151,7 +151,7 @@ def _on_duplicate(own: OwnPort, _: str) -> None:
 def _with_tool(own: OwnPort, path: str) -> None:
     # It opens the port as ExecStopPost does, when the service has let it go.
     release_exclusive(own.fd)
-    stopping.write(path, own.board)
+    stop_tool.write(path, own.board)
 
 
 WRITERS: dict[str, Callable[[OwnPort, str], None]] = {

@@ -240,7 +240,7 @@ class System:
         managers = [unit for unit in units if unit.startswith("user@")]
         unit = units[-1] if units and units[-1] not in managers else ""
         words = (self.read(f"/proc/{pid}/cmdline") or "").split("\0")
-        ours = any(word.endswith("/supervisor/child.py") for word in words)
+        ours = any(word.endswith("/supervisor/bootstrap.py") for word in words)
         named = dict(word.split("=", 1) for word in reversed(words) if "=" in word) if ours else {}
         parent = named.get("parent", "")
         supervisor = (int(parent) if parent.isdecimal() else pid) if ours else 0

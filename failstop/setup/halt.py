@@ -11,7 +11,7 @@ import os
 import time
 from collections.abc import Callable
 
-from failstop import stopping
+from failstop import stop_tool
 from failstop.board.interface import BY_WHEELS, HEARD_WHEELS, Board
 from failstop.board.port import PortError, has_lines, open_port
 from failstop.board.tap import Tap
@@ -66,7 +66,7 @@ class Halt:
         written = waiting = False
         while True:
             try:
-                stopping.write(self._path, self._board)
+                stop_tool.write(self._path, self._board)
                 written = True
                 return self._asked()
             except (PortError, OSError) as error:
@@ -111,13 +111,13 @@ class Halt:
             if deaf and now_s >= hears_s:
                 deaf = False
                 tap.lost()
-            stopping.write(self._path, self._board)
+            stop_tool.write(self._path, self._board)
         return True
 
     def _repeated(self) -> bool:
         for _ in range(WRITES - 1):
             time.sleep(APART_S)
-            stopping.write(self._path, self._board)
+            stop_tool.write(self._path, self._board)
         return False
 
 

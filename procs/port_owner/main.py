@@ -18,10 +18,10 @@ from failstop.procs.loop import MS, NEVER, Loop
 from failstop.procs.peer import Parent, Peer
 from failstop.procs.port_owner import admission, requests
 from failstop.procs.port_owner.admission import Admission, BusSchedule, DatedFrame
+from failstop.procs.port_owner.motion_writer import MotionWriter
 from failstop.procs.port_owner.port import OpenPort
 from failstop.procs.port_owner.port_writer import PortWriter
 from failstop.procs.port_owner.requests import RequestPipe
-from failstop.procs.port_owner.told import Told
 from failstop.procs.schedule import REFRESH, REPEAT, Repeats
 from failstop.procs.suspend import SuspendWatch
 from failstop.shm.lifeline import give_way
@@ -67,7 +67,7 @@ class PortOwner:
         self._stuck = False
         self.wire = PortWriter(context.fd("port"), board, self.bus.servos)
         self.port = OpenPort(context, self.loop, self.wire, monotonic_ns())
-        self.told = Told(context, self.wire, self.port)
+        self.motion_writer = MotionWriter(context, self.wire, self.port)
         self._attach(context)
         self._watch_others(context)
         self.epoch = self._epoch_word.get()
@@ -114,7 +114,7 @@ class PortOwner:
         self._check_drain(now_ns)
         self._forward_frames()
         self._follow_port(ready, now_ns)
-        self.told.follow(now_ns)
+        self.motion_writer.follow(now_ns)
         self._repeat(now_ns)
         self.port.follow(now_ns)
         self.port.ask(now_ns)
@@ -149,7 +149,7 @@ class PortOwner:
         self._lapse.set(NEVER)
         self.repeats.restart(written_ns)
         self.port.pings.stopped(written_ns)
-        self.told.stopped()
+        self.motion_writer.stopped()
         self.port.commands(self.board.burst, written_ns)
         if self.wire.lost or self.wire.unsent:
             return 0
@@ -355,7 +355,7 @@ class PortOwner:
             return
         verdict = self._decide(motion, now_ns, self.admission)
         if verdict == admission.ADMIT:
-            if self.admission.wheels_move or self.told.arm():
+            if self.admission.wheels_move or self.motion_writer.arm():
                 self._write_motion(motion)
         else:
             self._refuse(verdict, now_ns)
@@ -387,8 +387,8 @@ class PortOwner:
             self._write_admitted(frame, now_ns)
 
     def _write_admitted(self, frame: bytes, now_ns: int) -> None:
-        stands, turned = frame == self.board.stop, self.told.turning
-        if self.told.write(frame, now_ns, first=not self.admission.wheels_move):
+        stands, turned = frame == self.board.stop, self.motion_writer.turning
+        if self.motion_writer.write(frame, now_ns, first=not self.admission.wheels_move):
             self.admission.wheels_move = True
             self._moved_ns = now_ns
             self._await_lapse()

@@ -1,4 +1,4 @@
-"""Told: the commands that a restart of the board would undo: the last motion, and the setting of its own watchdog."""
+"""MotionWriter: writes motion, and writes again what a restart of the board undoes: the setting of its own watchdog."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from failstop.procs.port_owner.port import OpenPort
 from failstop.procs.port_owner.port_writer import PortWriter
 
 
-class Told:
+class MotionWriter:
     """Writes motion, with the frames that must come before it, and publishes since when the wheels are told to turn."""
 
     def __init__(self, context: Context, wire: PortWriter, port: OpenPort) -> None:

@@ -68,7 +68,7 @@ USERS = {
     **{user: f"procs/{user.replace(' ', '_')}" for user in ("gate", "port owner", "stopper", "telemetry")},
     "supervisor": "supervisor",
     **{user: f"failstop/{user}" for user in ("doctor", "incidents", "setup")},
-    "stop tool": "failstop/stopping.py",
+    "stop tool": "failstop/stop_tool.py",
     "command line": "failstop/cli",
     "API": "failstop/api",
 }

@@ -31,7 +31,7 @@ def test_processes_and_their_units(tmp_path: Path) -> None:
     write(tmp_path, "/proc/12/cgroup", "0::/system.slice/ModemManager.service\n")
     write(tmp_path, "/proc/13/comm", "bash\n")
     system = System(str(tmp_path))
-    write(tmp_path, "/proc/14/cmdline", "python\0/x/supervisor/child.py\0name=left\0")
+    write(tmp_path, "/proc/14/cmdline", "python\0/x/supervisor/bootstrap.py\0name=left\0")
     assert [system.holder(pid) for pid in (12, 13, 14)] == [
         Holder(12, "ModemManager", "ModemManager.service"),
         Holder(13, "bash"),
@@ -39,8 +39,8 @@ def test_processes_and_their_units(tmp_path: Path) -> None:
     ]
 
 
-SUPERVISOR = "python\0/x/supervisor/child.py\0supervisor\0name=left\0lock=4\0"
-GATE = "python\0/x/supervisor/child.py\0gate\0name=left\0parent=13\0"
+SUPERVISOR = "python\0/x/supervisor/bootstrap.py\0supervisor\0name=left\0lock=4\0"
+GATE = "python\0/x/supervisor/bootstrap.py\0gate\0name=left\0parent=13\0"
 
 
 @pytest.mark.parametrize(

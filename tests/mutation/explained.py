@@ -38,13 +38,13 @@ PROCS: tuple[Reason, ...] = (
     Reason("policy/kinematics.py", r"\+.*, vx / wz\) if angle", "product and quotient have one sign"),
     Reason("procs/stopper/main.py", r"\+.*_excused_ns = monotonic_ns\(\), 1$", "no heartbeat is as old as the boot"),
     Reason("procs/stopper/main.py", r"\+\s+self\._stopped_for = 1$", "each burst for a port owner sets it"),
-    Reason("stopping.py", r"\+.*_wait\(\[fd\], 1\.0\)", "a second after the boot is over as well"),
-    Reason("stopping.py", r'\+.*line\.split\(b":", (3)?\)\[1\]', "what is cut off behind is not looked at"),
-    Reason("stopping.py", r"\+\s+poll\.register\(fd, \)", "a pidfd is ready for nothing but its process's end"),
-    Reason("stopping.py", r"\+.*time\.monotonic\(\)\) \* 1001\)", "it waits a thousandth longer", same=False),
-    Reason("stopping.py", r"\+\s+wait_s = -2\.0", "whatever is below zero says that nobody was asked"),
-    Reason("stopping.py", r"\+.*if wait_s <= 0 else", "after an answer of 0 there is no further try"),
-    Reason("stopping.py", r"\+.*waited_s > WARN_S", "the warning comes one try later at most", same=False),
+    Reason("stop_tool.py", r"\+.*_wait\(\[fd\], 1\.0\)", "a second after the boot is over as well"),
+    Reason("stop_tool.py", r'\+.*line\.split\(b":", (3)?\)\[1\]', "what is cut off behind is not looked at"),
+    Reason("stop_tool.py", r"\+\s+poll\.register\(fd, \)", "a pidfd is ready for nothing but its process's end"),
+    Reason("stop_tool.py", r"\+.*time\.monotonic\(\)\) \* 1001\)", "it waits a thousandth longer", same=False),
+    Reason("stop_tool.py", r"\+\s+wait_s = -2\.0", "whatever is below zero says that nobody was asked"),
+    Reason("stop_tool.py", r"\+.*if wait_s <= 0 else", "after an answer of 0 there is no further try"),
+    Reason("stop_tool.py", r"\+.*waited_s > WARN_S", "the warning comes one try later at most", same=False),
     Reason(
         "procs/peer.py", r"\+.*max\(\(1, \*\(at_ns", "no last repeat comes as soon as that, so the least time counts"
     ),
@@ -54,8 +54,8 @@ PROCS: tuple[Reason, ...] = (
         r"\+\s+self\._before = (\+1|-2)$",
         "the first index is 0, and counts only if 0 was before it",
     ),
-    Reason("procs/port_owner/told.py", r"^-.*\n\+\s+self\.turning = True$", "the end of the same function sets it"),
-    Reason("procs/port_owner/told.py", r"\+\s+self\.turning = ns > 1$", "it is 0 or the time of a write"),
+    Reason("procs/port_owner/motion_writer.py", r"^-.*\n\+\s+self\.turning = True$", "the end of the same function sets it"),
+    Reason("procs/port_owner/motion_writer.py", r"\+\s+self\.turning = ns > 1$", "it is 0 or the time of a write"),
     Reason(
         "procs/port_owner/requests.py", r'\+.*split\(b"\\n", (2)?\)\[0\]', "what is cut off behind is not looked at"
     ),
@@ -246,7 +246,7 @@ SUPERVISOR = (
         "1 is READ, and GONE has not that bit",
     ),
     Reason("supervisor/*.py", r"/ (1000001|1000000001)\.0", "a millionth is not seen in what is rounded", same=False),
-    Reason("supervisor/monitor.py", r"\n\+.*stop\.written_ns > 1 ", "it is 0 or a time"),
+    Reason("supervisor/stop_tracker.py", r"\n\+.*stop\.written_ns > 1 ", "it is 0 or a time"),
     Reason("supervisor/blackbox.py", r"_for_dead_run = 1$|\n\+ +pid = 1$", "no saver is process 1: nobody is hastened"),
     Reason(
         "supervisor/blackbox.py",
@@ -254,9 +254,9 @@ SUPERVISOR = (
         "a socket of a pair can be shut down whatever became of the other",
     ),
     Reason("supervisor/blackbox.py", r'\n\+ +told = ""$', "neither is a dict, which alone is looked into"),
-    Reason("supervisor/monitor.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
+    Reason("supervisor/stop_tracker.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
     Reason(
-        "supervisor/monitor.py",
+        "supervisor/stop_tracker.py",
         r"_seen_pong = (self\._seen_obeyed = )?1$|\.heard = \((0, 1|1, 0)\)$",
         "nothing is asked or written so early",
     ),
@@ -333,7 +333,7 @@ SUPERVISOR = (
         r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.stop\.t_ns",
         "two times in ns at exact equality",
     ),
-    Reason("supervisor/monitor.py", r"max\(1, stop\.written_ns", "0 and 1 ns are both told as 0.0 us"),
+    Reason("supervisor/stop_tracker.py", r"max\(1, stop\.written_ns", "0 and 1 ns are both told as 0.0 us"),
 )
 
 ARM = (

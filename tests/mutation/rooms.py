@@ -50,7 +50,7 @@ ROOMS = {
         tuple(f"tests/board/test_{name}.py" for name in ("codec", "cut_frames", "decoder", "receiver", "servos")),
     ),
     "stopper": Room(
-        ("procs/stopper/*.py", "failstop/stopping.py"),
+        ("procs/stopper/*.py", "failstop/stop_tool.py"),
         ("tests/procs/test_stop_tool.py", "tests/procs/test_stopper.py"),
     ),
     "shm": Room(

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from failstop import stopping
+from failstop import stop_tool
 from failstop.board.kinds import board_of
 from failstop.board.rrc import codec
 from failstop.board.rrc.board import BOARD
@@ -55,7 +55,7 @@ def stop(machine: PortMachine, said: list[str]) -> Stop:
     """Runs the tool, for so many seconds at most."""
 
     def stop(wait_s: float = 0.0, path: str = machine.wire.link) -> float:
-        return float(machine.load("failstop.stopping").stop(path, BOARD, lambda _: wait_s, said.append))
+        return float(machine.load("failstop.stop_tool").stop(path, BOARD, lambda _: wait_s, said.append))
 
     return stop
 
@@ -84,14 +84,14 @@ def test_the_tool_writes_the_burst_and_takes_nobody_s_port(machine: PortMachine,
 def test_the_tool_speaks_as_fast_as_the_board_and_stops_an_arm_behind_the_wheels(
     machine: PortMachine, board: Any
 ) -> None:
-    machine.load("failstop.stopping").write(machine.wire.link, board, SERVOS)
+    machine.load("failstop.stop_tool").write(machine.wire.link, board, SERVOS)
     assert machine.wire.read().startswith(board.burst + (board.arm.stops(SERVOS) if board.arm else b""))
     assert machine.wire.port.settings[4:6] == [getattr(termios, f"B{board.port.baud}")] * 2
 
 
 def test_how_long_to_try_is_asked_once_after_the_first_try(machine: PortMachine, said: list[str], refused: Any) -> None:
     asked: list[Any] = []
-    tool = machine.load("failstop.stopping")
+    tool = machine.load("failstop.stop_tool")
 
     def asks(error: object) -> float:
         asked.append(error)
@@ -106,11 +106,11 @@ def test_how_long_to_try_is_asked_once_after_the_first_try(machine: PortMachine,
 
 @pytest.mark.parametrize("wait_s", [0.0, 5.0])
 def test_the_tool_gives_up_after_the_wait(machine: PortMachine, stop: Stop, refused: Any, wait_s: float) -> None:
-    assert stopping.RETRY_S <= 0.2, "it looks often enough"
+    assert stop_tool.RETRY_S <= 0.2, "it looks often enough"
     with pytest.raises(refused, match=f"no device {ABSENT}") as raised:
         stop(wait_s, ABSENT)
     assert raised.value.kind == "absent"
-    assert wait_s <= passed_s(machine) <= (wait_s + stopping.RETRY_S + 1e-6 if wait_s else 0.0)
+    assert wait_s <= passed_s(machine) <= (wait_s + stop_tool.RETRY_S + 1e-6 if wait_s else 0.0)
 
 
 @pytest.mark.parametrize("sent", [True, False])
@@ -118,7 +118,7 @@ def test_a_stop_that_another_way_has_sent_is_not_waited_for(machine: PortMachine
     """After each failure it is tried, also where the port may not be tried again: a service that holds it can stop."""
     ways: list[str] = []
     waits: list[str] = []
-    tool = machine.load("failstop.stopping")
+    tool = machine.load("failstop.stop_tool")
 
     def another(error: Any) -> bool:
         ways.append(error.kind)
@@ -140,7 +140,7 @@ def test_a_stop_that_another_way_has_sent_is_not_waited_for(machine: PortMachine
 
 def test_a_port_that_a_user_s_file_names_is_opened_with_that_user_s_rights(machine: PortMachine) -> None:
     """What these rights are is in tests/board/test_named.py. Without such a file nobody is asked."""
-    tool, opened = machine.load("failstop.stopping"), []
+    tool, opened = machine.load("failstop.stop_tool"), []
     opens = tool.open_port
 
     def noting(path: str, *, named_by: int, **given: Any) -> int:
@@ -175,9 +175,9 @@ def test_a_board_that_opening_its_port_resets_is_stopped_and_asked_again_once_it
     machine: PortMachine, asked: list[tuple[float, bool]], kind: str, patient: bool, resets: bool
 ) -> None:
     board = board_of(kind, 0.08, 0.0)
-    tool = machine.load("failstop.stopping")
+    tool = machine.load("failstop.stop_tool")
     assert tool.answered(machine.wire.link, board, patient=patient) is False
-    waits_s = [stopping.OLDER_S, stopping.OLDER_S + board.port.deaf_ns / 1e9][: 1 + resets]
+    waits_s = [stop_tool.OLDER_S, stop_tool.OLDER_S + board.port.deaf_ns / 1e9][: 1 + resets]
     assert [at_s for at_s, _ in asked] == pytest.approx(waits_s, rel=2e-10), "to the nanosecond"
     assert [stop for _, stop in asked] == [False, True][: 1 + resets]
 
@@ -186,7 +186,7 @@ def test_a_board_that_opening_its_port_resets_is_stopped_and_asked_again_once_it
 def test_a_board_has_answered_whenever_it_did(machine: PortMachine, turn: int) -> None:
     answers = [3.1 if turn == at else None for at in (1, 2)]
     machine.load("failstop.board.asking").ask = lambda tap, board, *, stop: answers.pop(0)
-    assert machine.load("failstop.stopping").answered(machine.wire.link, UGV, patient=True) is (turn < 3)
+    assert machine.load("failstop.stop_tool").answered(machine.wire.link, UGV, patient=True) is (turn < 3)
 
 
 def test_what_the_board_has_sent_before_it_was_asked_answers_nothing(machine: PortMachine) -> None:
@@ -198,14 +198,14 @@ def test_what_the_board_has_sent_before_it_was_asked_answers_nothing(machine: Po
     machine.load("failstop.board.asking").ask = ask
     for after_s in (0.04, 0.04 + UGV.port.deaf_ns / 1e9):
         machine.after(round(after_s * 1000) * MS, lambda: machine.wire.port.send(b"an answer to the service"))
-    machine.load("failstop.stopping").answered(machine.wire.link, UGV, patient=True)
+    machine.load("failstop.stop_tool").answered(machine.wire.link, UGV, patient=True)
     assert left == [b"", b""]
 
 
 def test_whether_it_answers_is_unknown_where_a_service_reads_or_nothing_can_be_asked(
     machine: PortMachine, asked: list[tuple[float, bool]]
 ) -> None:
-    tool, link = machine.load("failstop.stopping"), machine.wire.link
+    tool, link = machine.load("failstop.stop_tool"), machine.wire.link
     mute: Any = board_of("ugv", 0.08, 0.0)
     mute.pings, mute.echo_ns = (), 0
     assert tool.answered(ABSENT, mute, patient=True) is None
@@ -224,7 +224,7 @@ def test_the_tool_warns_once_after_a_second(machine: PortMachine, stop: Stop, sa
     machine.after(990 * MS, lambda: said.append("- 0.99 s -"))
     machine.after(1_050 * MS, lambda: said.append("- 1.05 s -"))
     machine.after(6_000 * MS, lambda: plug(machine))
-    assert stop(30.0, ABSENT) == pytest.approx(6.0, abs=stopping.RETRY_S + 1e-6)
+    assert stop(30.0, ABSENT) == pytest.approx(6.0, abs=stop_tool.RETRY_S + 1e-6)
     expected = f"no device {ABSENT}: plug the board in, or name another with --device; trying for 30 s"
     assert said == ["- 0.99 s -", expected, "- 1.05 s -"]
     assert machine.wire.read() == BURST, "soon after it is back"
@@ -241,7 +241,7 @@ def test_other_obstacles_are_waited_for(machine: PortMachine, error: tuple[int, 
         stop()
     assert raised.value.kind == error[1]
     machine.after(2_000 * MS, lambda: setattr(machine.machine, "at_seam", None))
-    assert stop(30.0) == pytest.approx(2.0, abs=stopping.RETRY_S + 1e-6)
+    assert stop(30.0) == pytest.approx(2.0, abs=stop_tool.RETRY_S + 1e-6)
     assert machine.wire.read() == BURST
 
 
@@ -269,7 +269,7 @@ def test_a_full_port_is_tried_for_as_long_as_it_may_wait_and_gets_the_whole_burs
 ) -> None:
     machine.wire.fill()
     machine.after(round(drains_s * 1000) * MS, machine.wire.port.drain)
-    assert stop(wait_s) <= drains_s + 0.1 + stopping.RETRY_S + 0.01
+    assert stop(wait_s) <= drains_s + 0.1 + stop_tool.RETRY_S + 0.01
     assert passed_s(machine) >= drains_s
     came = machine.wire.read()
     assert came.endswith(BURST)
@@ -351,7 +351,7 @@ def start(grouped: PortMachine, group: str = OURS) -> Process:
 
 
 def kill(grouped: PortMachine, timeout_s: float = 10.0) -> tuple[int, int]:
-    found: tuple[int, int] = grouped.load("failstop.stopping").kill_rest(timeout_s, PROC)
+    found: tuple[int, int] = grouped.load("failstop.stop_tool").kill_rest(timeout_s, PROC)
     return found
 
 
@@ -440,12 +440,12 @@ LOGINS = [
 @pytest.mark.parametrize("group", [*SERVICES, *LOGINS])
 def test_the_tool_tells_a_service_from_a_login(grouped: PortMachine, group: str) -> None:
     put(grouped, "self", group)
-    assert grouped.load("failstop.stopping").of_a_service(PROC) is (group in SERVICES)
+    assert grouped.load("failstop.stop_tool").of_a_service(PROC) is (group in SERVICES)
 
 
 def test_the_real_proc_shows_a_child_and_not_oneself() -> None:
     with subprocess.Popen([sys.executable, "-I", "-S", "-c", "input()"], stdin=subprocess.PIPE) as child:
-        found = stopping._others("/proc", stopping._group("/proc", "self"))
+        found = stop_tool._others("/proc", stop_tool._group("/proc", "self"))
         for fd in found.values():
             os.close(fd)
         child.kill()

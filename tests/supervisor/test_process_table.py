@@ -113,7 +113,7 @@ def test_a_command_line_tells_a_process_all_that_it_needs(scene: Scene, processe
         processes.start(child)
         row, arguments = child.row, told.pop()
         assert arguments[:3] == ["/usr/bin/python3", "-I", "-S"]
-        assert arguments[3].endswith("/supervisor/child.py")
+        assert arguments[3].endswith("/supervisor/bootstrap.py")
         assert os.path.exists(arguments[3])
         assert arguments[4] == row.name
         run, me = scene.run, scene.me

@@ -27,7 +27,7 @@ LONG_NS = 10_000 * MS
 
 def run(scene: Scene, name: str, program: Any) -> Process:
     """The supervisor starts a process, with this program in the place of its own."""
-    main = scene.load("failstop.supervisor.child").main
+    main = scene.load("failstop.supervisor.bootstrap").main
     scene.load(PROCESS_BY_NAME[name].module).run = program
 
     def child(process: Process, argv: list[str]) -> int:
@@ -36,7 +36,7 @@ def run(scene: Scene, name: str, program: Any) -> Process:
         code: int = main([*argv, "dir=/run/a=b"])
         return code
 
-    scene.machine.programs["child.py"] = child
+    scene.machine.programs["bootstrap.py"] = child
     scene.supervisor.processes.start(scene.supervisor.processes[name])
     return scene.born[-1]
 

@@ -15,7 +15,7 @@ import pytest
 import failstop
 from failstop.policy.settings import Settings
 from failstop.supervisor import starter
-from failstop.supervisor.child import fail
+from failstop.supervisor.bootstrap import fail
 from failstop_lab.machine.process import Replaced
 from tests.support.children import Child
 from tests.support.supervisor_scene import Scene

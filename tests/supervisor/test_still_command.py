@@ -29,7 +29,7 @@ def unheeded(program: Callable[[Process, list[str]], int] | None = None) -> Scen
 def follow(scene: Scene, elapsed_ns: int, *, still: bool = False) -> list[str]:
     scene.now_ns += elapsed_ns
     scene.judge(still=still)
-    return [str(stop.cause) for stop in scene.supervisor.monitor.follow(scene.now_ns, listening=False)]
+    return [str(stop.cause) for stop in scene.supervisor.tracker.follow(scene.now_ns, listening=False)]
 
 
 def reset(scene: Scene) -> None:
@@ -42,7 +42,7 @@ def stop(scene: Scene) -> None:
     epochs.number += 1
     made = scene.made_stop(why(f"stop {epochs.number}"), layout.GATE)
     made.answered_by("port owner", scene.now_ns, made, epochs.number)
-    scene.supervisor.monitor.answered(made, ending=False)
+    scene.supervisor.tracker.answered(made, ending=False)
     follow(scene, MS)
 
 

@@ -34,9 +34,9 @@ def shake(scene: Scene, seconds: float) -> None:
 
 
 def follow(scene: Scene, elapsed_ns: int, *, listening: bool = True) -> list[tuple[int, str, str]]:
-    """Monitor's own turn; returns the causes that it brought."""
+    """StopTracker's own turn; returns the causes that it brought."""
     scene.now_ns += elapsed_ns
-    stops = scene.supervisor.monitor.follow(scene.now_ns, listening=listening)
+    stops = scene.supervisor.tracker.follow(scene.now_ns, listening=listening)
     return [(stop.t_ns, stop.noticed_by, str(stop.cause)) for stop in stops]
 
 
@@ -75,14 +75,14 @@ def test_an_answer_acknowledges_what_was_written_before_its_ping(scene: Scene) -
     sent_ns = scene.now_ns
     scene.pings()
     scene.turn(2 * MS)
-    assert scene.supervisor.monitor.heard == (sent_ns, sent_ns + MS)
+    assert scene.supervisor.tracker.heard == (sent_ns, sent_ns + MS)
 
 
 def test_a_port_that_was_opened_anew_may_be_another_board(scene: Scene) -> None:
     scene.pings()
     scene.turn(2 * MS)
     assert scene.read("link") == b"alive"
-    scene.supervisor.monitor.opened(scene.now_ns, scene.now_ns, sure=True)
+    scene.supervisor.tracker.opened(scene.now_ns, scene.now_ns, sure=True)
     scene.turn(2 * MS)
     assert scene.read("link") == b"unheard"
 
@@ -137,7 +137,7 @@ def test_people_are_told_of_each_change_of_the_link(scene: Scene) -> None:
     follow(scene, 2 * MS)
     assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
     scene.supervisor.handover.lost({scene.port.fd: GONE}, scene.now_ns)
-    scene.supervisor.monitor.link.opened(scene.now_ns)
+    scene.supervisor.tracker.link.opened(scene.now_ns)
     scene.said()
     follow(scene, MS)
     text = "whether the board hears is not known until it answers"
@@ -254,10 +254,10 @@ def test_a_stop_that_another_follows_is_told_of_with_what_is_known(scene: Scene)
 
 
 def test_a_stop_that_could_not_be_written_is_that_of_the_opening(scene: Scene) -> None:
-    opened = scene.supervisor.monitor.opened
+    opened = scene.supervisor.tracker.opened
     stop = scene.made_stop(why("the first"), layout.GATE)
     stop.answered_by("supervisor", 0, stop, 1)
-    scene.supervisor.monitor.answered(stop, ending=False)
+    scene.supervisor.tracker.answered(stop, ending=False)
     assert scene.told() == {"reason": "the first", "written_by": "supervisor", "written_us": None}
     for burst_ns in (0, stop.t_ns):
         opened(burst_ns, scene.now_ns, sure=True)
@@ -272,11 +272,11 @@ def test_a_stop_that_went_to_another_device_is_that_of_the_board_s_opening(scene
     """The bytes that the other device took prove nothing; those that the board takes do once it has answered."""
     scene.pings()
     scene.turn(2 * MS)
-    opened = scene.supervisor.monitor.opened
+    opened = scene.supervisor.tracker.opened
     opened(scene.now_ns, scene.now_ns, sure=False)
     stop = scene.made_stop(why("the first"), layout.GATE)
     stop.answered_by("supervisor", stop.t_ns + MS, stop, 1)
-    scene.supervisor.monitor.answered(stop, ending=False)
+    scene.supervisor.tracker.answered(stop, ending=False)
     found = [(scene.told()["written_us"], scene.table("stop")["believed"])]
     scene.now_ns += 5 * MS
     opened(stop.t_ns + 5 * MS, scene.now_ns, sure=True)

@@ -10,8 +10,8 @@ from failstop.messages import layout
 from failstop.messages.packing import Note
 from failstop.policy import causes
 from failstop.supervisor.kinds import EVENT_BY_NAME
-from failstop.supervisor.monitor import SENTENCES_KEPT
 from failstop.supervisor.status import WAITED_NS
+from failstop.supervisor.stop_tracker import SENTENCES_KEPT
 from failstop.supervisor.stops import Stop
 from tests.support.supervisor_scene import Scene
 from tests.support.why import why
@@ -25,8 +25,8 @@ def scene() -> Scene:
 
 
 @pytest.fixture
-def monitor(scene: Scene) -> Any:
-    return scene.supervisor.monitor
+def tracker(scene: Scene) -> Any:
+    return scene.supervisor.tracker
 
 
 @pytest.fixture
@@ -54,14 +54,14 @@ def answered(scene: Scene, stop: Stop, written_ns: int, by: str = "port owner", 
     return found
 
 
-def test_the_monitor_forgets_the_oldest_of_many_reasons_and_hides_no_death(scene: Scene, monitor: Any) -> None:
+def test_the_monitor_forgets_the_oldest_of_many_reasons_and_hides_no_death(scene: Scene, tracker: Any) -> None:
     """Of a thousand all would be told."""
 
     def news(reason: str) -> bool:
-        monitor.also(made(scene, Stop(T0, layout.PORT_OWNER, why(reason))))
+        tracker.also(made(scene, Stop(T0, layout.PORT_OWNER, why(reason))))
         return bool(scene.said())
 
-    monitor.latched(made(scene, KEY))
+    tracker.latched(made(scene, KEY))
     assert all(news(str(number)) for number in range(SENTENCES_KEPT - 1))
     assert not news("key1")
     assert not news("0")
@@ -90,9 +90,9 @@ HANDED = "stopped; the second stop was handed over, NOT sent: the board takes no
     ],
 )
 def test_the_end_is_told_with_what_is_known_of_the_stop(
-    scene: Scene, monitor: Any, heard_ns: int, link: str, written: bool, sent: bool, level: str, text: str
+    scene: Scene, tracker: Any, heard_ns: int, link: str, written: bool, sent: bool, level: str, text: str
 ) -> None:
-    monitor.ended(heard_ns, link, written=written, sent=sent)
+    tracker.ended(heard_ns, link, written=written, sent=sent)
     acknowledged = {"acknowledged_us": 3150.0} if heard_ns else {}
     assert told(scene) == [("stopped", text, {"link": link, **acknowledged}, level)]
 
@@ -123,11 +123,11 @@ STEP = "next: `failstop reset --name stage`, then `failstop enable --name stage`
     ],
 )
 def test_a_stop_is_told_with_who_wrote_it_and_when(
-    scene: Scene, monitor: Any, stop: Stop, after_ns: int | None, ending: bool, kind: str, text: str, level: str
+    scene: Scene, tracker: Any, stop: Stop, after_ns: int | None, ending: bool, kind: str, text: str, level: str
 ) -> None:
     written_ns = 0 if after_ns is None else stop.t_ns + after_ns
-    monitor.latched(made(scene, KEY))
-    monitor.answered(answered(scene, stop, written_ns, "stopper", None if stop is KEY else KEY), ending=ending)
+    tracker.latched(made(scene, KEY))
+    tracker.answered(answered(scene, stop, written_ns, "stopper", None if stop is KEY else KEY), ending=ending)
     fields = {
         "reason": str(stop.cause),
         "cause": stop.cause.kind.name,
@@ -142,7 +142,7 @@ def test_a_stop_is_told_with_who_wrote_it_and_when(
     assert told(scene) == [(kind, text.format(wrote=wrote), {**fields, **latency, **latched}, level)]
 
 
-def test_causes_that_came_together_are_told_once_until_the_next_latch(scene: Scene, monitor: Any) -> None:
+def test_causes_that_came_together_are_told_once_until_the_next_latch(scene: Scene, tracker: Any) -> None:
     also = (
         "stop_also",
         "also: gate died",
@@ -150,10 +150,10 @@ def test_causes_that_came_together_are_told_once_until_the_next_latch(scene: Sce
         "",
     )
     for _ in range(2):
-        monitor.latched(made(scene, KEY))
+        tracker.latched(made(scene, KEY))
         for cause in (KEY, DEATH, DEATH):
-            monitor.also(made(scene, cause))
-        monitor.answered(answered(scene, DEATH, DEATH.t_ns, latched=KEY), ending=False)
+            tracker.also(made(scene, cause))
+        tracker.answered(answered(scene, DEATH, DEATH.t_ns, latched=KEY), ending=False)
         assert told(scene) == [also]
 
 
@@ -181,11 +181,11 @@ HANDED_OVER = "stop frame handed over by the port owner after 80 us, NOT sent: t
     ],
 )
 def test_a_stop_that_the_kernel_keeps_is_not_said_to_be_written(
-    scene: Scene, monitor: Any, stop: Stop, held: bool, after_ns: int | None, text: str, level: str
+    scene: Scene, tracker: Any, stop: Stop, held: bool, after_ns: int | None, text: str, level: str
 ) -> None:
     if held:
         scene.wire.hold()
-    monitor.answered(answered(scene, stop, 0 if after_ns is None else stop.t_ns + after_ns), ending=True)
+    tracker.answered(answered(scene, stop, 0 if after_ns is None else stop.t_ns + after_ns), ending=True)
     [(_, found, _, of_it)] = told(scene)
     assert (found, of_it) == (text, level)
 

@@ -24,7 +24,7 @@ sys.stdout.write("\\n".join(sys.modules))
 
 
 def imported(module: str) -> set[str]:
-    """Names of the top-level modules in a process that imports this one as supervisor/child.py does."""
+    """Names of the top-level modules in a process that imports this one as supervisor/bootstrap.py does."""
     root = str(Path(failstop.__file__).resolve().parent.parent)
     path = os.pathsep.join(dict.fromkeys([root, *(entry for entry in sys.path if os.path.isabs(entry))]))
     arguments = [sys.executable, "-I", "-S", "-c", _LIST, module]

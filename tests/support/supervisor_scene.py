@@ -57,7 +57,7 @@ class Scene(PortMachine):
             self.me.descriptor(Open(self.stderr), 0)
         self.born: list[Process] = []
         self.machine.told = lambda kind, process, _: self.born.append(process) if kind == "started" else None
-        self.machine.programs["child.py"] = self.wait
+        self.machine.programs["bootstrap.py"] = self.wait
         self.late = 0
         changed = {"device.path": DEVICE, **(settings or {})}
         self.settings = self.load("failstop.policy.settings").Settings(changed)

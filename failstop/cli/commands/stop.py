@@ -10,7 +10,7 @@ from argparse import ArgumentParser, Namespace
 from functools import cached_property
 from math import inf
 
-from failstop import config, instances, stopping
+from failstop import config, instances, stop_tool
 from failstop.api.errors import FailstopError
 from failstop.board import kept
 from failstop.board.kinds import board_of, is_own
@@ -361,13 +361,13 @@ class Target:
 
         try:
             device, owner = self._chosen()
-            after_s = stopping.stop(device, self.board(), wait_s, standard.say, another, owner)
+            after_s = stop_tool.stop(device, self.board(), wait_s, standard.say, another, owner)
             if elsewhere and not self._instead[0]:
                 return after_s
             self._stopped = True
             if servos := self._servos():  # the wheels come first
                 device, owner = self._chosen()
-                stopping.write(device, self.board(), servos, named_by=owner)
+                stop_tool.write(device, self.board(), servos, named_by=owner)
         except KeyboardInterrupt:
             standard.say(f"ended before a stop was known to be written to {self.device()}: {MAY_TURN}")
             raise
@@ -382,7 +382,7 @@ class Target:
         if not self._is_last() or other[0] == self._last.device:
             return False
         try:
-            stopping.write(other[0], self.board(), named_by=other[1])
+            stop_tool.write(other[0], self.board(), named_by=other[1])
         except PortError:
             return False
         self._instead = other
@@ -394,12 +394,12 @@ class Target:
 
     def unheard(self, *, patient: bool) -> bool:
         """True if the board could answer and does not, which is printed; so is its answer. `patient`: as in
-        stopping.answered()."""
+        stop_tool.answered()."""
         (device, owner), board = self._chosen(), self.board()
         if isinstance(board, kept.Kept):
             standard.tell("whether the board has heard it is not known, because its description can't be used")
             return False
-        heard = stopping.answered(device, board, patient=patient, named_by=owner)
+        heard = stop_tool.answered(device, board, patient=patient, named_by=owner)
         if heard:
             how = "answers" if board.pings else "reports that it obeys zero speed"
             standard.tell(f"the board at {device} {how}")
@@ -459,13 +459,13 @@ class Target:
 def _end_service() -> bool:
     """SIGKILL the rest of the control group. False, with nothing killed, where that is not the service's."""
     try:
-        if "SERVICE_RESULT" not in os.environ or not stopping.of_a_service():
+        if "SERVICE_RESULT" not in os.environ or not stop_tool.of_a_service():
             standard.say(
                 "nothing killed: --end-service kills the rest of the control group, and is for ExecStopPost in the "
                 "systemd unit; by hand use `failstop stop` without it"
             )
             return False
-        killed, left = stopping.kill_rest(REST_S)
+        killed, left = stop_tool.kill_rest(REST_S)
     except OSError as error:
         standard.say(f"cannot kill what is left of the service: {error}")
         return True

@@ -165,7 +165,7 @@ class Robot:
             self.plug_usb(NODES[0], usb)
         else:
             self.plug()
-        self.machine.programs |= {"child.py": self._child, "saver.py": self._save}
+        self.machine.programs |= {"bootstrap.py": self._child, "saver.py": self._save}
 
     def _make_files(self, settings: Mapping[str, object]) -> None:
         for path in ("/dev/shm", "/run", "/var/lib/failstop", "/root", "/sys/dev/char", "/proc"):
@@ -242,7 +242,7 @@ class Robot:
 
     def _child(self, process: Process, argv: list[str]) -> int:
         process.argv = argv
-        code: int = self.loader.load("failstop.supervisor.child").main(argv)
+        code: int = self.loader.load("failstop.supervisor.bootstrap").main(argv)
         return code
 
     def _save(self, process: Process, argv: list[str]) -> int:

@@ -26,7 +26,7 @@ class Room(NamedTuple):
 ROOMS = {
     "lab": Room(
         "breaks it on purpose: simulated board, faults, stand test; makes the pages",
-        "api board cli config doctor files fleet helpers instances messages policy procs ros2 setup shm stopping "
+        "api board cli config doctor files fleet helpers instances messages policy procs ros2 setup shm stop_tool "
         "supervisor",
     ),
     "web": Room("the operator's page", "api cli config extras files helpers incidents messages policy shm"),
@@ -34,22 +34,22 @@ ROOMS = {
     "fleet": Room("the robots of a broker, and metrics", "api cli config doctor extras files messages notify policy"),
     "setup": Room(
         "from a cable to a proved robot",
-        "api board cli config doctor files helpers instances messages policy procs stopping supervisor",
+        "api board cli config doctor files helpers instances messages policy procs stop_tool supervisor",
     ),
     "ros2": Room("the bridge to ROS 2", "api cli doctor helpers messages policy shm"),
     "cli": Room(
         "the commands, and what they draw on a terminal",
-        "api board config doctor files helpers incidents instances messages policy procs stopping supervisor",
+        "api board config doctor files helpers incidents instances messages policy procs stop_tool supervisor",
     ),
     "doctor": Room(
         "what on this weakens the promises",
-        "api board config files instances messages policy procs shm stopping supervisor",
+        "api board config files instances messages policy procs shm stop_tool supervisor",
     ),
     "incidents": Room("the black box: each stop as a file", "api board extras files messages policy shm"),
     "api": Room("the robot from Python, and what is shown of it", "board files instances messages policy shm"),
     "config": Room("the settings file", "files policy"),
     "instances": Room("the services of this machine, by name", "files shm"),
-    "stopping": Room("the stop without a service", "board"),
+    "stop_tool": Room("the stop without a service", "board"),
     "extras": Room("packages that a part may lack", ""),
     "supervisor": Room(
         "starts and watches the processes; the latch, the stops, the events",

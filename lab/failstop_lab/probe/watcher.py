@@ -20,7 +20,7 @@ import sys
 import time
 from collections.abc import Callable
 
-from failstop import stopping
+from failstop import stop_tool
 from failstop.api.errors import FailstopError
 from failstop.board.kinds import board_of
 from failstop.board.port import PortError
@@ -165,7 +165,7 @@ def halting(path: str, kind: str, baud: str) -> Callable[[float], bool]:
         written, wait = False, lambda _: wait_s
         for _ in range(WRITES):
             try:
-                stopping.stop(path, board, wait, lambda _: None)
+                stop_tool.stop(path, board, wait, lambda _: None)
                 written, wait = True, _no_wait  # a repeat need not wait for a port that has gone since
             except PortError:
                 if wait_s:

@@ -25,7 +25,7 @@ TELEMETRY_MODULE = "failstop.procs.telemetry.main"
 UNASKED_MODULE = "failstop.procs.telemetry.unasked"
 TURNING_MODULE = "failstop.procs.gate.turning"
 SOURCES_MODULE = "failstop.procs.gate.sources"
-MONITOR_MODULE = "failstop.supervisor.monitor"
+TRACKER_MODULE = "failstop.supervisor.stop_tracker"
 
 CUT_AND_ASKED = "short write, while somebody asks for a stop"
 NOT_REPEATED = ("failstop.board.described", "tuple(row[1:] for row in wire.stop.repeats_ns)", "((), (), ())")
@@ -201,7 +201,7 @@ CONTROLS = (
     Mutant(
         "nobody stops for a board that says nothing",
         "board_says_nothing",
-        ((MONITOR_MODULE, "{LINK_DEAF: causes.DEAF, LINK_SILENT: causes.BOARD_SILENT}", "{LINK_DEAF: causes.DEAF}"),),
+        ((TRACKER_MODULE, "{LINK_DEAF: causes.DEAF, LINK_SILENT: causes.BOARD_SILENT}", "{LINK_DEAF: causes.DEAF}"),),
         board="ugv",
     ),
     Mutant(

@@ -9,7 +9,7 @@ from failstop_lab.machine.loading import Patches
 from failstop_lab.simulate.controls import PORT_OWNER_MODULE, STOPPER_MODULE, SUPERVISOR_MODULE, Mutant
 from failstop_lab.simulate.events import MEMORY
 
-LATCH_MODULE, MONITOR_MODULE = "failstop.supervisor.latch", "failstop.supervisor.monitor"
+LATCH_MODULE, TRACKER_MODULE = "failstop.supervisor.latch", "failstop.supervisor.stop_tracker"
 GATE_MODULE, REQUESTS_MODULE = "failstop.procs.gate.main", "failstop.procs.gate.requests"
 TELEMETRY_MODULE, CLIENT_MODULE, CELL_MODULE = (
     "failstop.procs.telemetry.main",
@@ -83,7 +83,7 @@ WEAK_CONTROLS = (
             "        self._judged_word.set(judge.judged_ns)\n",
         ),
     ),
-    control("still: supervisor", LASTS, without(MONITOR_MODULE, "", "        still_ns = self._still.get()\n")),
+    control("still: supervisor", LASTS, without(TRACKER_MODULE, "", "        still_ns = self._still.get()\n")),
     control(
         "unknown: telemetry",
         LASTS,
@@ -99,7 +99,7 @@ WEAK_CONTROLS = (
         "unknown: supervisor",
         LASTS,
         without(
-            MONITOR_MODULE, "        still_ns = self._still.get()\n", "        if self._judged.get() != judged_ns:\n"
+            TRACKER_MODULE, "        still_ns = self._still.get()\n", "        if self._judged.get() != judged_ns:\n"
         ),
     ),
     control("reply: gate", ASKS, PUT),

@@ -78,7 +78,7 @@ NO_FAULT = {
     causes.OPERATOR_GONE,  # only where a setting asks for one (tests/procs/test_gate_attendance.py, tests/web)
     causes.WHEEL_MISSING,  # only where each wheel has a servo of its own on a bus (tests/board/test_feetech.py)
     causes.UNSTILL,  # comes after the stop of another row
-    causes.NOT_HEARD,  # only on a machine that starves the service (tests/supervisor/test_monitor.py)
+    causes.NOT_HEARD,  # only on a machine that starves the service (tests/supervisor/test_stop_tracker.py)
     causes.FLEET,  # as PIPED, by a publisher (tests/fleet/test_publish.py)
     *(row for row in causes.SIGNED if row is not causes.REQUESTED),  # as REQUESTED, by the ROS bridge (tests/ros2)
     *(causes.REMOVED, causes.STOPPING, causes.ALL_DIED, causes.SILENT),  # with them the run ends, or nobody is to latch
