@@ -82,13 +82,13 @@ def send(fd: int, data: bytes) -> bool:
 
 
 MOST_BYTES = 65536
-_taken = bytearray(MOST_BYTES)
+_received = bytearray(MOST_BYTES)
 """Allocated in advance, because the reader of stop requests must keep working when no process can get more memory."""
 
 
-def take(fd: int) -> bytes:
+def receive(fd: int) -> bytes:
     """Everything that waits in a pipe, up to MOST_BYTES; empty if nothing does."""
     try:
-        return bytes(memoryview(_taken)[: os.readv(fd, (_taken,))])
+        return bytes(memoryview(_received)[: os.readv(fd, (_received,))])
     except BlockingIOError:
         return b""

@@ -102,7 +102,7 @@ class Futex:
         """True while a living thread holds it."""
         return bool(self._value() & _OWNER)
 
-    def told(self) -> bool:
+    def owner_died(self) -> bool:
         """True once the kernel has reported the death of the thread that held it."""
         return bool(self._value() & _OWNER_DIED)
 
@@ -163,9 +163,9 @@ def proven() -> bool:
         while not kept:  # until then the thread holds the word
             sleep(_LOOK_S)
         until_ns = monotonic_ns() + _PROOF_NS
-        while not word.told() and kept != [None] and monotonic_ns() < until_ns:
+        while not word.owner_died() and kept != [None] and monotonic_ns() < until_ns:
             sleep(_LOOK_S)
-        return word.told()
+        return word.owner_died()
     except (OSError, RuntimeError):
         return False
     finally:

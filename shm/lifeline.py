@@ -66,7 +66,7 @@ class Lifeline:
 
     def dead(self) -> bool:
         """True once the process has died, and before anything that dies with it. Two system calls; never blocks."""
-        return self.marked or (self.early is not None and self.early.told()) or self.wait(0)
+        return self.marked or (self.early is not None and self.early.owner_died()) or self.wait(0)
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until the process has ended; False if it has not within `timeout_s`."""

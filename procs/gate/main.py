@@ -225,7 +225,7 @@ class Gate:
     def _client_rang(self, now_ns: int) -> None:
         """Hear clients at once, but a flood of rings only at the ticks, because it would take a core from lower
         priorities."""
-        rung = self.clients.hinted(bell.take(self._client_bell))
+        rung = self.clients.hinted(bell.receive(self._client_bell))
         self._follow_clients(self.clients.look(rung), now_ns)
         self._rings += 1
         if self._rings == MOST_RINGS:

@@ -37,7 +37,7 @@ class RequestPipe:
 
     def take(self, now_ns: int) -> Cause:
         """Read the request, once its stop is written; the pipe rests from now on."""
-        line = bell.take(self._fd).split(b"\n", 1)[0]
+        line = bell.receive(self._fd).split(b"\n", 1)[0]
         if self._rests.ns == NEVER:
             self._loop.forget(self._fd)
         self._rests.set(now_ns + REST_NS)

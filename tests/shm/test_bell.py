@@ -116,16 +116,16 @@ def ends(on: SimpleNamespace) -> tuple[int, int]:
 
 def test_messages_arrive_whole_and_in_order(on: SimpleNamespace, ends: tuple[int, int]) -> None:
     (reading, writing), system = ends, on.system["select"]
-    assert on.bell.take(reading) == b""
+    assert on.bell.receive(reading) == b""
     assert not rings(reading, system)
     assert on.bell.send(writing, b"one\n")
     assert on.bell.send(writing, b"two\n")
     assert rings(reading, system)
-    taken = on.bell.take(reading)
+    taken = on.bell.receive(reading)
     assert on.bell.send(writing, b"three\n")
-    assert on.bell.take(reading) == b"three\n"
+    assert on.bell.receive(reading) == b"three\n"
     assert taken == b"one\ntwo\n", "what was taken is the taker's"
-    assert on.bell.take(reading) == b""
+    assert on.bell.receive(reading) == b""
     assert not rings(reading, system)
 
 
@@ -136,10 +136,10 @@ def test_a_full_pipe_says_so_and_rings(on: SimpleNamespace, ends: tuple[int, int
             pass
     assert on.bell.send(writing, b"stop\n") is False
     assert rings(reading, on.system["select"])
-    while on.bell.take(reading):
+    while on.bell.receive(reading):
         pass
     assert on.bell.send(writing, b"stop\n") is True
-    assert on.bell.take(reading) == b"stop\n"
+    assert on.bell.receive(reading) == b"stop\n"
 
 
 def test_no_reader_is_enxio_and_one_that_goes_a_broken_pipe(on: SimpleNamespace, ends: tuple[int, int]) -> None:
@@ -181,7 +181,7 @@ def test_the_reader_sees_no_end_of_file_as_clients_come_and_go(on: SimpleNamespa
 
         kill(on, living(on, client))
         assert poll.poll(0) == ([(reading, select.EPOLLIN)] if number % 2 else [])
-        assert on.bell.take(reading) == (b"x" if number % 2 else b"")
+        assert on.bell.receive(reading) == (b"x" if number % 2 else b"")
     assert poll.poll(0) == []
 
 
@@ -214,4 +214,4 @@ def test_what_nobody_may_do(on: SimpleNamespace, mode: int, rights: list[str]) -
         ):
             with pytest.raises(PermissionError):
                 change()
-    assert on.bell.take(reading) == (b"stop\n" if rights[0] == "yes" else b"")
+    assert on.bell.receive(reading) == (b"stop\n" if rights[0] == "yes" else b"")

@@ -114,7 +114,7 @@ def test_what_happens_between_the_look_and_the_wait_is_seen(name: str, lines: Se
         return True
 
     assert word.wait_for_death(wanted) is (happens == "death")
-    assert word.told() is (happens == "death")
+    assert word.owner_died() is (happens == "death")
     let_go()
 
 
@@ -205,14 +205,14 @@ def test_where_the_kernel_can_t_nothing_is_held_or_proven(lines: Segment, monkey
 @pytest.mark.parametrize("looks", [3, 1 << 30])
 def test_a_kernel_that_tells_late_is_proven_and_a_mute_one_is_not(monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
     """The last as gVisor's, which takes the list and marks nothing: it is waited for for a second."""
-    told = Futex.told
+    owner_died = Futex.owner_died
     seen: list[bool] = []
 
     def look(word: Futex) -> bool:
-        seen.append(len(seen) >= looks and told(word))
+        seen.append(len(seen) >= looks and owner_died(word))
         return seen[-1]
 
-    monkeypatch.setattr(Futex, "told", look)
+    monkeypatch.setattr(Futex, "owner_died", look)
     before = time.monotonic()
     assert futex.proven() is (looks == 3)
     assert seen[:3] == [False] * 3

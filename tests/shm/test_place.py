@@ -59,7 +59,7 @@ def test_what_is_in_order_is_opened(folder: Any) -> None:
     assert folder.instances.running(FOLDER)
     writing, _ = folder.bell.open_pipe_to_write(STOP_PIPE), folder.claim.open_claims(CLAIMS)
     folder.bell.send(writing, b"stop\n")
-    assert folder.bell.take(folder.reader) == b"stop\n"
+    assert folder.bell.receive(folder.reader) == b"stop\n"
 
 
 @pytest.mark.parametrize("victim", [FOLDER, BASE])

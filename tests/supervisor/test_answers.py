@@ -47,7 +47,7 @@ def test_the_supervisor_s_futexes_tell_of_its_death(scene: Scene) -> None:
     assert all(word.held() for word in words)
     assert scene.machine.inline
     scene.machine.mark(scene.machine.inline)
-    assert all(word.told() for word in words)
+    assert all(word.owner_died() for word in words)
 
 
 @pytest.mark.parametrize("granted", [0, REALTIME])

@@ -213,7 +213,7 @@ def test_the_kernel_tells_each_watcher_of_the_end_of_the_supervisor(tmp_path: Pa
     lines = [lifelines.futex("held", first + watcher) for watcher in range(PER_BLOCK)]
     run.remove()
     assert made, "it could hold them"
-    until(lambda: all(line.told() for line in lines), "the news")
+    until(lambda: all(line.owner_died() for line in lines), "the news")
     for line in lines:
         line.close()
     lifelines.close()

@@ -90,8 +90,8 @@ def test_a_request_waits_in_the_pipe_while_nobody_reads_it(scene: Scene) -> None
     fd = bell.open_pipe_to_write(f"{RUNTIME_DIR}/stop")
     assert bell.send(fd, b"stop\n")
     scene.os.close(fd)
-    assert bell.take(scene.run.stop_pipe) == b"stop\n"
-    assert bell.take(scene.run.stop_pipe) == b"", "and no end of file when the client has gone"
+    assert bell.receive(scene.run.stop_pipe) == b"stop\n"
+    assert bell.receive(scene.run.stop_pipe) == b"", "and no end of file when the client has gone"
 
 
 def group_is(scene: Scene, gid: int) -> None:
@@ -128,7 +128,7 @@ def test_a_run_replaces_what_a_dead_one_left(ended: Scene) -> None:
     again.publish()
     assert incarnation(ended, again, layout.GATE) == again.incarnation
     assert not any(dead in name for name in segments(ended))
-    assert ended.load("failstop.shm.bell").take(again.stop_pipe) == b""
+    assert ended.load("failstop.shm.bell").receive(again.stop_pipe) == b""
 
 
 @pytest.mark.parametrize("row", PROCESSES, ids=lambda row: row.name)

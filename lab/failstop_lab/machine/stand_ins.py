@@ -84,7 +84,7 @@ class FutexStandIn:
         self.calls.process("pread")
         return bool(self._mine.value() & NUMBER)
 
-    def told(self) -> bool:
+    def owner_died(self) -> bool:
         self.calls.process("pread")
         return bool(self._mine.value() & OWNER_DIED)
 
