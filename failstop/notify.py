@@ -49,11 +49,11 @@ class Notify(Outbox):
         """Half of the timeout: one datagram may get lost."""
         self._beat_ns = 0
         self._said = ""
-        self._told_ready = False
+        self._notified_ready = False
 
     @classmethod
-    def taken_from(cls, environ: MutableMapping[str, str], pid: int) -> Notify:
-        """As `environ` says, from which the variables are taken away: nothing that this process starts may speak for
+    def from_environment(cls, environ: MutableMapping[str, str], pid: int) -> Notify:
+        """Read the variables and remove them from `environ`, because nothing that this process starts may speak for
         it. A watchdog for another pid is none."""
         address, timeout, wanted = (environ.pop(name, "") for name in VARIABLES)
         if address[:1] not in ("/", "@"):
@@ -61,17 +61,17 @@ class Notify(Outbox):
         for_us = not wanted or wanted == str(pid)
         return cls(address, int(timeout) if for_us and timeout.isdecimal() else 0)
 
-    def follow(self, now_ns: int, status: str, *, ready: bool, healthy: bool) -> None:
-        """Tell the service manager the news, and the watchdog's beat when it is due and the supervisor does its job.
-        `ready`: the service has been, once."""
-        lines = ["READY=1"] if ready and not self._told_ready else []
+    def update(self, now_ns: int, status: str, *, ready: bool, healthy: bool) -> None:
+        """Send the service manager what has changed, and the watchdog's beat when it is due and the supervisor does its
+        job. `ready`: the service has been ready once."""
+        lines = ["READY=1"] if ready and not self._notified_ready else []
         if status != self._said:
             lines.append(f"STATUS={_one_line(status)}")
         beats = healthy and self.every_ns > 0 and now_ns - self._beat_ns >= self.every_ns
         if beats:
             lines.append("WATCHDOG=1")
         if lines and self.say("\n".join(lines)):
-            self._told_ready = ready
+            self._notified_ready = ready
             self._said = status
             if beats:
                 self._beat_ns = now_ns

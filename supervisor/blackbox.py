@@ -44,7 +44,7 @@ TOO_OFTEN = "find out what stops and resets the robot so often"
 
 
 class BlackBox:
-    """Call begin() once, when the other processes are started, and follow() once per turn."""
+    """Call begin() once, when the other processes are started, and poll() once per turn."""
 
     def __init__(self, run: Run, moves: Callable[[], bool]) -> None:
         """`moves`: whether motion is enabled, or the wheels were last told to turn."""
@@ -79,7 +79,7 @@ class BlackBox:
             words = {"cause_ns": stop.t_ns, "epoch": epoch, "cause": stop.cause.pack().hex()}
             self._waiting.append((stop.t_ns + START_NS, words | {"until_ns": stop.t_ns + COPY_NS}))
 
-    def follow(self, now_ns: int, *, ready: bool) -> None:
+    def poll(self, now_ns: int, *, ready: bool) -> None:
         """Call once per turn, at its end, before the supervisor's own beat."""
         ages = ((now_ns - (beat.get() or now_ns), now_ns) for beat in self._beats)
         self._silences = list(map(max, self._silences, ages))
@@ -149,9 +149,9 @@ class BlackBox:
                 except (OSError, ValueError):
                     told = None
                 self._savers.pop(pid).close()
-                self._tell(code, told if isinstance(told, dict) else None)
+                self._log_saved(code, told if isinstance(told, dict) else None)
 
-    def _tell(self, code: int, told: dict[str, str | float] | None) -> None:
+    def _log_saved(self, code: int, told: dict[str, str | float] | None) -> None:
         """Log what an ended saver saved, or what is `wrong`. `told` is its report; None if it sent none."""
         if not code and told == {}:
             return
@@ -159,14 +159,14 @@ class BlackBox:
         identity = "" if code else told.get("id")
         if identity:
             show = self._events.command(f"incident show {identity}")
-            self._events.tell("incident", f"incident {identity} saved", told, step=show)
+            self._events.log("incident", f"incident {identity} saved", told, step=show)
         else:
             died = f"the saver was killed by signal {-code}" if code < 0 else f"the saver ended with code {code}"
             self._not_saved(f"{records.printable(str(told.get('wrong', ''))) or died}")
 
     def _not_saved(self, why: str, step: str = STEP) -> None:
         reason = {"reason": f"{why}{NEXT_STEP}{step}"}
-        self._events.tell("incident", f"incident not saved: {why}", reason, level="warning", step=step)
+        self._events.log("incident", f"incident not saved: {why}", reason, level="warning", step=step)
 
     def finish(self) -> None:
         """Save at once whatever is still waiting. Called at the end of the service, after its stops are written."""

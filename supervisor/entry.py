@@ -31,18 +31,18 @@ def start(words: dict[str, str]) -> int:
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_SETMASK, (signal.SIGCONT,))
     settings = Settings.from_lines(os.environ[SETTINGS_VARIABLE])
-    fd = _take_descriptors(int(words["lock"]), int(words["port"]))
+    fd = _keep_descriptors(int(words["lock"]), int(words["port"]))
     board = board_of(*settings.board(), tried=True)
     settings = scale.capped(settings, assumed=board.scale_assumed)
     port = OwnPort(fd, board, settings.servos())
-    notify = Notify.taken_from(os.environ, os.getpid())
+    notify = Notify.from_environment(os.environ, os.getpid())
     journal = Outbox(JOURNAL) if is_journal(os.environ.pop("JOURNAL_STREAM", "")) else None
     try:
         run = Run(settings, words["name"], words["dir"], journal, words["again"])
         supervisor = _found(run, port, notify)
     except (AttachError, InstanceError, OSError) as error:
         events = Events(words["name"], journal=journal)
-        events.tell("not_started", str(error), {"reason": str(error)})
+        events.log("not_started", str(error), {"reason": str(error)})
         events.flush()
         port.drain()
         port.close()
@@ -83,7 +83,7 @@ def _serve(supervisor: Supervisor) -> int:
     return int(supervisor.broken or not well)
 
 
-def _take_descriptors(lock: int, port: int) -> int:
+def _keep_descriptors(lock: int, port: int) -> int:
     """Close every other inherited descriptor and move these two to small numbers, because select() can't use numbers
     from 1024 on. Neither is inherited any more. The lock stays open for the life of this process; returns the port."""
     with contextlib.suppress(OSError):  # without /proc they stay open

@@ -105,7 +105,7 @@ class Events:
         self._left_out: Counter[FloodSort] = Counter()
         """How many events of each sort were dropped and not reported yet."""
 
-    def tell(
+    def log(
         self, kind: str, text: str, fields: Mapping[str, Value | None] | None = None, *, level: str = "", step: str = ""
     ) -> None:
         """Queue an event of a kind from kinds.py (any other becomes a note), at the kind's level unless `level` is
@@ -130,14 +130,14 @@ class Events:
         if self._waiting and not (hold and now_ns - self._waiting[0][0] < LONGEST_HOLD_NS):
             self._send_waiting()
         if (over and not self._waiting) or not now_ns:
-            self._tell_left_out()
+            self._log_left_out()
         if not now_ns:
             self._send_waiting()
 
     def _send_waiting(self) -> None:
         waiting, self._waiting = self._waiting, []
-        for told in waiting:
-            self._send(*told)
+        for event in waiting:
+            self._send(*event)
 
     def _send(
         self, t_ns: int, unix_s: float, kind: str, level: str, what: str, step: str, fields: dict[str, Value]
@@ -163,12 +163,12 @@ class Events:
         self._spent[sort] += size
         return self._spent[sort] <= (REPEATS_BYTES if sort[2] else OWN_BYTES)
 
-    def _tell_left_out(self) -> None:
+    def _log_left_out(self) -> None:
         left_out, self._left_out = self._left_out, Counter()
         for (kind, level, asked), count in left_out.items():
             what = "stop requests while a stop was latched" if asked else f"events of the kind {kind}"
             text = f"{count} {what} were left out: too many to tell of each"
-            self.tell("left_out", text, {"of": kind, "count": count}, level=level)
+            self.log("left_out", text, {"of": kind, "count": count}, level=level)
 
 
 def _asked(kind: str, fields: Mapping[str, Value]) -> bool:

@@ -101,22 +101,22 @@ class Supervisor:
         self._stop_for_news(ready, now_ns)
         held_up = self._is_held_up(now_ns)
         listening = self._listening() and (not held_up or self._motion())
-        self._raise_epoch(self.tracker.follow(now_ns, listening=listening, held_up=held_up))
+        self._raise_epoch(self.tracker.poll(now_ns, listening=listening, held_up=held_up))
         self.processes.reap(ready, now_ns)
         self.processes.watch_early()
         self._follow_port(ready, now_ns)
-        self._follow_answer(now_ns)
+        self._record_answer(now_ns)
         if not self._unanswered and self.epochs.decide_reset():  # once the last stop is written
             self.processes.recall(now_ns)
-        self.processes.follow_spared(now_ns)
+        self.processes.report_spared(now_ns)
         self._fence_hangs(now_ns)
         self._stop_alone(now_ns)
-        self._follow_names(now_ns)
+        self._check_names(now_ns)
         self.processes.restart_due(now_ns)
         self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, it.defects.pop()) for it in self.children if it.defects])
         self.processes.pass_notes()
         self._publish(now_ns)
-        self.blackbox.follow(now_ns, ready=self.status.ever)
+        self.blackbox.poll(now_ns, ready=self.status.ever)
         self.heartbeat.beat(now_ns)
         self._events.flush(now_ns, hold=self._unanswered is not None)
         late_ns = [self._unanswered.answer_by_ns] if self._unanswered else []
@@ -206,12 +206,12 @@ class Supervisor:
         if self._motion():
             return [Stop(now_ns, layout.SUPERVISOR, cause)]
         if suspended_ns:
-            self._events.tell("suspended", str(cause), {"silent_ms": gap_ns // MS})
+            self._events.log("suspended", str(cause), {"silent_ms": gap_ns // MS})
         else:
-            self.processes.tell_starved(layout.SUPERVISOR, gap_ns, now_ns)
+            self.processes.log_starved(layout.SUPERVISOR, gap_ns, now_ns)
         return []
 
-    def _follow_names(self, now_ns: int) -> None:
+    def _check_names(self, now_ns: int) -> None:
         """Stop and end a service whose name other processes can't find any more."""
         if cause := self._run.lost(now_ns):
             self.broken = True
@@ -263,7 +263,7 @@ class Supervisor:
                 self.tracker.also(stop)
         self._run.bells[layout.TELEMETRY].ring()  # for the answer of the board
 
-    def _follow_answer(self, now_ns: int) -> None:
+    def _record_answer(self, now_ns: int) -> None:
         """Record the port owner's stop in answer to a raised epoch. If it gives none, write the burst here."""
         stop = self._unanswered
         if stop is None:
@@ -338,11 +338,11 @@ class Supervisor:
         if self.status.publish(missing):
             self.heartbeat.state(heartbeat.BEAT_RUNNING, now_ns)
             for what, text in lacking(self._granted, self._advice, self._run.settings[LEASE]):
-                self._events.tell("rights", text, {"what": what})
-        self.status.tell_people(missing, now_ns)
+                self._events.log("rights", text, {"what": what})
+        self.status.log_waiting(missing, now_ns)
         if self.epochs.answered():
             self.epochs.owed_ns = 0
-        self.status.tell_manager(now_ns, missing, self.epochs.owed_ns if self._port.fd >= 0 else 0)
+        self.status.notify_manager(now_ns, missing, self.epochs.owed_ns if self._port.fd >= 0 else 0)
 
     def finish(self) -> bool:
         """End in order: stop through the port owner, hear what the board says to it, end every process, stop again on
@@ -353,7 +353,7 @@ class Supervisor:
             stop, now_ns = self._unanswered, monotonic_ns()
             if now_ns >= stop.answer_by_ns:  # it hangs, maybe in a write of motion, which must precede the burst
                 self.processes[layout.PORT_OWNER].kill(0)
-            self._follow_answer(now_ns)
+            self._record_answer(now_ns)
             if self._unanswered:
                 sleep(HURRY_NS / 1e9)  # the loop's wait would return at once, because nobody handles the dead any more
         heard_ns = self._hear(stop.written_ns)
@@ -378,7 +378,7 @@ class Supervisor:
         echo_ns = 2 * self._port.board.echo_ns
         until_ns = monotonic_ns() + (echo_ns if self.tracker.link.state == LINK_UNASKED else HEAR_NS)
         while stop_ns and (now_ns := monotonic_ns()) < until_ns and self._listening() and not self._is_held_up(now_ns):
-            self.tracker.follow(now_ns, listening=True)
+            self.tracker.poll(now_ns, listening=True)
             sent_ns, arrival_ns = self.tracker.heard
             if sent_ns >= stop_ns:
                 return arrival_ns - stop_ns

@@ -121,7 +121,7 @@ class Opener:
         """Tell the thread to open the lost port as soon as it is back."""
         self._asked.release()
 
-    def take(self) -> tuple[int, int] | None:
+    def pop(self) -> tuple[int, int] | None:
         """Return the opened port, once: its descriptor, and when the burst on it was written (0: it was not)."""
         found, self._found = self._found, None
         return found
@@ -216,7 +216,7 @@ class PortHandover:
         text = f"{path} is gone; the stop is written the moment it is back; wheels that turn: POWER SWITCH"
         if not gone:
             text = f"{path} is not the board, which is at another port now; the stop is written there at once"
-        self._events.tell("device_lost", text, {"path": path})
+        self._events.log("device_lost", text, {"path": path})
         self._lost_ns = now_ns
         self.opener.look()
         return True
@@ -224,7 +224,7 @@ class PortHandover:
     def opened(self, now_ns: int) -> int | None:
         """Share a port that has just come back, and return when its burst was written (0: it was not). None: no port
         has come back."""
-        found = self.opener.take()
+        found = self.opener.pop()
         if found is None:
             return None
         fd, written_ns = found
@@ -238,7 +238,7 @@ class PortHandover:
                 f"{path} may not be the board: a device like it came after {away_s:.1f} s; the stop is written to it, "
                 "which proves nothing until it answers; wheels that turn: POWER SWITCH"
             )
-        self._events.tell("device_back", text, {"path": path, "away_s": round(away_s, 3)})
+        self._events.log("device_back", text, {"path": path, "away_s": round(away_s, 3)})
         return written_ns
 
     def make_up(self, now_ns: int) -> None:

@@ -45,7 +45,7 @@ class ProcessTable:
             Child(row, HeartbeatReader(run.views[row.name]), run.loop.timer(), run.settings) for row in PROCESSES
         ]
         self._advice = advice
-        self._starved_told_ns = self._starved_ns = self._starved_times = 0
+        self._starved_logged_ns = self._starved_ns = self._starved_times = 0
         self._starved = (0, "")
         """The longest of the shown silences, in ms, and the name of its process."""
         self._notes = {name: run.views[name].ring_reader("notes") for name in (layout.GATE, layout.TELEMETRY)}
@@ -65,16 +65,16 @@ class ProcessTable:
                 self._loop.forget(child.life.fd)  # the pidfd stays readable, however long the reaping takes
             pid = child.pid
             if child.state == DEAD and (death := child.reap()):
-                self._tell_death(child, pid, death)
+                self._log_death(child, pid, death)
                 self._plan_restart(child, now_ns)
 
-    def _tell_death(self, child: Child, pid: int, death: str) -> None:
+    def _log_death(self, child: Child, pid: int, death: str) -> None:
         name = child.row.name
-        told: dict[str, str | int] = {"process": name, "pid": pid}
+        fields: dict[str, str | int] = {"process": name, "pid": pid}
         if child.fence:
-            self._events.tell("fenced", child.fence.story(name), {**told, **child.fence.fields()})
+            self._events.log("fenced", child.fence.story(name), {**fields, **child.fence.fields()})
         how = f"was {death}" if child.killed else death
-        self._events.tell("died", f"{name} (pid {pid}) {how}", {**told, "how": how})
+        self._events.log("died", f"{name} (pid {pid}) {how}", {**fields, "how": how})
 
     def _plan_restart(self, child: Child, now_ns: int) -> None:
         name = child.row.name
@@ -90,12 +90,12 @@ class ProcessTable:
             text += f"; it is restarted in {GATE_AGAIN_NS / 1e9:g} s, since nobody else could hear a reset"
         else:
             step = f"see to the cause, then {self._events.command('reset')} restarts it"
-        self._events.tell("down", text, {"process": name}, step=step)
+        self._events.log("down", text, {"process": name}, step=step)
 
     def _restart_in(self, child: Child, wait_ns: int, now_ns: int) -> None:
         child.restart.set(now_ns + wait_ns)
         text = f"restarting {child.row.name} {f'in {wait_ns / 1e9:g} s' if wait_ns else 'now'}"
-        self._events.tell("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
+        self._events.log("restarting", text, {"process": child.row.name, "wait_s": wait_ns / 1e9})
 
     def recall(self, now_ns: int) -> None:
         """Restart the processes that are down, after a reset by a person who knows about it."""
@@ -109,12 +109,12 @@ class ProcessTable:
         for child in self.children:
             if child.state == STARTING and child.beat.running(child.pid):
                 child.on(RUNS)
-                self._tell_watchers()
+                self._ring_watchers()
                 if child.life:
                     stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None
                     self.early.watch_block(child.life, child.block, 0, stop, child.row.priority)
 
-    def _tell_watchers(self) -> None:
+    def _ring_watchers(self) -> None:
         """Wake the processes that watch others, so that they look up the current pids."""
         self._bells[layout.PORT_OWNER].ring()
         self._bells[layout.STOPPER].ring()
@@ -140,12 +140,12 @@ class ProcessTable:
             if life:
                 life.close()
             text = f"cannot start {name}: {error}; trying again"
-            self._events.tell("start_failed", text, {"process": name, "reason": str(error)})
+            self._events.log("start_failed", text, {"process": name, "reason": str(error)})
             child.restart.set(monotonic_ns() + TRY_AGAIN_NS)
         else:
             child.started(life, block, monotonic_ns())
             self._life_words[name].set(records.life(pid, block))
-            self._tell_watchers()
+            self._ring_watchers()
 
     def _spawn(self, row: Process, block: int) -> int:
         """Start a process with its block of futexes and its descriptors (-1: none), among them the port with this
@@ -165,25 +165,25 @@ class ProcessTable:
                 except ValueError:
                     continue  # a damaged note; nothing depends on it
                 fields = {"process": process, **note.fields}
-                self._events.tell(note.kind, note.text, fields, level=note.level, step=note.step)
+                self._events.log(note.kind, note.text, fields, level=note.level, step=note.step)
 
-    def follow_spared(self, now_ns: int) -> None:
+    def report_spared(self, now_ns: int) -> None:
         """Once per turn: report each spared process that beats again."""
         for child in self.children:
             if silent_ns := child.beaten():
-                self.tell_starved(child.row.name, silent_ns, now_ns)
+                self.log_starved(child.row.name, silent_ns, now_ns)
 
-    def tell_starved(self, name: str, silent_ns: int, now_ns: int) -> None:
+    def log_starved(self, name: str, silent_ns: int, now_ns: int) -> None:
         """Report that the machine did not run a process for this long: at once, then at most every ten seconds."""
         silent_ms = round(silent_ns / 1e6)
-        self._starved = max(self._shown_starved(now_ns), (silent_ms, name), key=lambda told: told[0])
+        self._starved = max(self._shown_starved(now_ns), (silent_ms, name), key=lambda starved: starved[0])
         self._starved_times += 1
         self._starved_ns = now_ns
-        if self._starved_told_ns and now_ns - self._starved_told_ns < STARVED_EVERY_NS:
+        if self._starved_logged_ns and now_ns - self._starved_logged_ns < STARVED_EVERY_NS:
             return
-        self._starved_told_ns = now_ns
+        self._starved_logged_ns = now_ns
         text = f"the machine starves the service: {name} was not run for {silent_ms} ms; {self._advice}"
-        self._events.tell("starved", text, {"process": name, "silent_ms": silent_ms, "times": self._starved_times})
+        self._events.log("starved", text, {"process": name, "silent_ms": silent_ms, "times": self._starved_times})
 
     def _shown_starved(self, now_ns: int) -> tuple[int, str]:
         return self._starved if now_ns - self._starved_ns < STARVED_SHOWN_NS else (0, "")

@@ -3,7 +3,7 @@ Pure.
 
     acknowledged   the board answered a ping that was written after it, or reports that it obeys zeros
     observed       the IMU, or the board's reports of its wheels, say that they are still (unstill: they are not)
-    told           nothing more will be known about it, so the outcome is logged
+    logged         nothing more will be known about it, so the outcome is logged
 
 Levels of proof are kept apart everywhere, because the board may be silent while the IMU sees the wheels come to rest.
 """
@@ -69,7 +69,7 @@ class Proof:
         """The kernel still held its bytes when it was logged, because the board takes none."""
         self.believed = True
         """False until the device that took its bytes has answered as the board does."""
-        self.told = False
+        self.logged = False
         """True when everything that can be known about it was logged."""
         self._was_still = True
         self._looked_ns = 0
@@ -81,7 +81,7 @@ class Proof:
     def written_at_last(self, written_ns: int, by: str) -> None:
         """Record when a stop was written that had to wait for the port to come back."""
         self.stop.written_ns, self.stop.by = written_ns, by
-        self.told = False
+        self.logged = False
         self._since_ns = written_ns
         self._again_ns = written_ns + self._after_ns
 
@@ -123,7 +123,7 @@ class Proof:
         seen = self.observed_ns is not None or self.wheels == WHEELS_UNSTILL or not self._by[1]
         if not seen and age_ns < self._after_ns + JUDGED_WITHIN_NS:
             return False
-        self.told, before = True, self.told
+        self.logged, before = True, self.logged
         return not before
 
     def outcome(self, link: str) -> str:
@@ -262,7 +262,7 @@ class Link:
         self.listen(now_ns, now_ns)
         return True
 
-    def take_unheard(self) -> int:
+    def pop_unheard(self) -> int:
         """How long nothing was heard from it while the machine held the service up (ns), once; 0: there is no such
         silence."""
         found, self._unheard_ns = self._unheard_ns, 0
@@ -281,7 +281,7 @@ class Link:
             if self._answers == LINK_UNHEARD:
                 self._answers = LINK_UNASKED
 
-    def follow_silence(self, patience_ns: int, now_ns: int) -> None:
+    def check_silence(self, patience_ns: int, now_ns: int) -> None:
         """Check whether the board has gone silent. `patience_ns`: how long it may pause; 0: it speaks only when
         asked."""
         self._patience_ns = patience_ns
@@ -289,7 +289,7 @@ class Link:
         if self._said_ns and patience_ns and now_ns - since_ns >= patience_ns and not self._excused(since_ns, now_ns):
             self._silent = True
 
-    def follow_echo(self, unheeded_ns: int) -> None:
+    def check_echo(self, unheeded_ns: int) -> None:
         """Check whether the board obeys zero although motion is written. `unheeded_ns`: since when it reports that; 0:
         it does not. The last report stays true for its own time, so a pause in the reports makes no board deaf."""
         if self._heeds_ns and unheeded_ns and self._said_ns - unheeded_ns >= self._heeds_ns:

@@ -74,7 +74,7 @@ class Run:
             self._make(client_gid())
             self.own = segments.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
             self.views = {each: segments.attach(self.memory, each, self.incarnation) for each in layout.PROCESS_NAMES}
-            self._tell_settings()
+            self._publish_settings()
             self.loop = Loop()
         except BaseException:
             self.remove()
@@ -111,7 +111,7 @@ class Run:
         self.bells = {process: EventBell.create() for process in layout.PROCESS_NAMES}
         self.controls = {process: handover.pair() for process in (layout.PORT_OWNER, layout.STOPPER, layout.TELEMETRY)}
 
-    def _tell_settings(self) -> None:
+    def _publish_settings(self) -> None:
         """For clients: the settings that they need and the pid namespace of this process; and all settings."""
         rules = {
             "sources": list(self.settings.sources()),
@@ -154,11 +154,11 @@ class Run:
         if vital := [name for name in gone if not name.startswith(A_SLOT)]:
             text = f"{', '.join(vital)}: removed; ending, for a new run to make it again"
             step = "is RemoveIPC=yes in logind.conf? `failstop doctor` looks"
-            self.events.tell("note", text, level="error", step=step)
+            self.events.log("note", text, level="error", step=step)
             return causes.REMOVED(vital[0])
         for name in gone:
             text = f"{name} was removed: that client slot is out of use"
-            self.events.tell("note", text, level="warning", step="restart the service when it may stop")
+            self.events.log("note", text, level="warning", step="restart the service when it may stop")
         return None
 
     def remove(self) -> None:

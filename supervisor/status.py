@@ -50,7 +50,7 @@ OWED_NS = 2_000_000_000
 """The supervisor writes its own burst 5 ms after the cause, and every 200 ms from then on."""
 WAITED_NS = 2_000_000_000
 """What motion waits for is logged after this long; a restart takes a fraction of it."""
-TELL_EVERY_NS = 100_000_000
+NOTIFY_EVERY_NS = 100_000_000
 """How often the status line is made. The gate's part of it changes at every tick while something drives."""
 
 LEASE = "gate.lease_s"
@@ -78,7 +78,7 @@ it."""
 
 
 class Status:
-    """Call publish(), tell_people() and tell_manager() once per turn. `ever`: the service has been ready."""
+    """Call publish(), log_waiting() and notify_manager() once per turn. `ever`: the service has been ready."""
 
     def __init__(
         self, run: Run, notify: Notify, processes: ProcessTable, epochs: Epochs, handover: PortHandover
@@ -92,10 +92,10 @@ class Status:
         self._table = b""
         self._gate_record = run.views[layout.GATE].latest_reader("state")
         self._wheels_record = run.views[layout.TELEMETRY].latest_reader("wheels")
-        self._told_ns = 0
+        self._notified_ns = 0
         self._missing = ""
         self._missing_ns = 0
-        self._told_missing = ""
+        self._logged_missing = ""
         self.ever = False
         self.fault = ""
         """Why the supervisor does not do its job; if set, the watchdog is left to fire."""
@@ -130,31 +130,31 @@ class Status:
             self._record.write(table)
         if missing or self.ever:
             return False
-        self.ever, self._told_missing = True, ""
+        self.ever, self._logged_missing = True, ""
         text = f"{self._run.name!r} is ready: the stop is written, motion disabled"
-        self._run.events.tell("ready", text, step=self._run.events.command("enable"))
+        self._run.events.log("ready", text, step=self._run.events.command("enable"))
         return True
 
-    def tell_people(self, missing: str, now_ns: int) -> None:
+    def log_waiting(self, missing: str, now_ns: int) -> None:
         """Once per turn: log what motion waits for when the wait gets long, and log when it is over."""
         if missing != self._missing:
             self._missing, self._missing_ns = missing, now_ns
-        if self._told_missing == missing:
+        if self._logged_missing == missing:
             return
         if missing and now_ns - self._missing_ns >= WAITED_NS:
-            self._told_missing = missing
+            self._logged_missing = missing
             text, step = f"waiting for {missing}: motion can't be enabled", self._run.events.command("status")
-            self._run.events.tell("waiting", text, {"for": missing}, step=step)
+            self._run.events.log("waiting", text, {"for": missing}, step=step)
         elif not missing:
-            self._run.events.tell("ready", f"{self._told_missing} is there now: motion can be enabled again")
-            self._told_missing = ""
+            self._run.events.log("ready", f"{self._logged_missing} is there now: motion can be enabled again")
+            self._logged_missing = ""
 
-    def tell_manager(self, now_ns: int, missing: str, owed_since_ns: int) -> None:
+    def notify_manager(self, now_ns: int, missing: str, owed_since_ns: int) -> None:
         """Send the status line and the watchdog beat. `missing`: what motion waits for; `owed_since_ns`: as in
         fault()."""
-        if not self.notify.active or now_ns - self._told_ns < TELL_EVERY_NS:
+        if not self.notify.active or now_ns - self._notified_ns < NOTIFY_EVERY_NS:
             return
-        self._told_ns = now_ns
+        self._notified_ns = now_ns
         children, latched, state = self._processes.children, self._epochs.latch.stop, self._gate_record.read()
         killed_ns = {child.row.name: child.fence.kill_ns for child in children if child.fence and child.pid}
         self.fault = fault(now_ns, killed_ns, owed_since_ns)
@@ -163,7 +163,7 @@ class Status:
         wheels = although_told_zero(self._wheels_record.read(), now_ns)
         line = self.fault or status_line(missing, down, str(latched.cause) if latched else "", gate)
         line = "; ".join(filter(None, (wheels.upper(), line)))
-        self.notify.follow(now_ns, line, ready=self.ever, healthy=not self.fault)
+        self.notify.update(now_ns, line, ready=self.ever, healthy=not self.fault)
 
 
 def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:

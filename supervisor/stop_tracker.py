@@ -49,7 +49,7 @@ UNCONNECTED = {
 
 
 class StopTracker:
-    """Logs stops, tracks the newest one until its proof is complete, and watches the link. Call follow() once per turn.
+    """Logs stops, tracks the newest one until its proof is complete, and watches the link. Call poll() once per turn.
     `heard` is (sent_ns, answered_ns) of the newest answered ping."""
 
     def __init__(
@@ -87,7 +87,7 @@ class StopTracker:
         """The causes logged since the latch."""
 
     def latched(self, stop: Stop) -> None:
-        """Follow a newly latched stop. It is the first since a reset, so every later cause is news again."""
+        """Note a newly latched stop. It is the first since a reset, so every later cause is news again."""
         self._said = {stop.cause}
 
     def _news_of(self, cause: Cause) -> bool:
@@ -104,12 +104,12 @@ class StopTracker:
         """Log a cause that came together with another, or before that one's stop was answered."""
         if self._news_of(stop.cause):
             fields = {**stop.fields(), "noticed_by": stop.noticed_by}
-            self._run.events.tell("stop_also", f"also: {stop.cause.alarm()}", fields)
+            self._run.events.log("stop_also", f"also: {stop.cause.alarm()}", fields)
 
     def answered(self, stop: Stop, *, ending: bool) -> None:
         """Log that a stop was answered, whether it was written or not. `ending`: it is the stop at the end of the
         service."""
-        self._follow_next(stop)
+        self._track(stop)
         # The kernel holds any burst for a moment; one that queues behind bytes the board has not taken for long goes
         # nowhere.
         held = causes.STUCK in (stop.cause.kind, (stop.behind or stop).cause.kind) and self._holds()
@@ -129,56 +129,56 @@ class StopTracker:
             "epoch": stop.epoch,
         }
         if ending:
-            self._run.events.tell("stopping", f"{stop.cause}; {wrote}", fields, level=level)
+            self._run.events.log("stopping", f"{stop.cause}; {wrote}", fields, level=level)
         elif stop.behind is None:
             todo = f"{self._run.events.command('reset')}, then {self._run.events.command('enable')}"
             text = f"STOP latched: {stop.cause.alarm()}; {wrote}"
-            self._run.events.tell("stop", text, fields, level=level, step=todo)
+            self._run.events.log("stop", text, fields, level=level, step=todo)
         elif self._news_of(stop.cause):
             text = f"stopped again: {stop.cause.alarm()}; {wrote}; latched is still: {stop.behind.cause}"
             if stop.behind.cause == stop.cause:
                 text = f"the cause of what is latched is known better: {stop.cause}"
                 if self._last:
                     self._publish(self._last)
-            self._run.events.tell("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
+            self._run.events.log("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
 
-    def _follow_next(self, stop: Stop) -> None:
-        """Follow this stop from now on, unless another is latched: people look for the latched one, so later news
+    def _track(self, stop: Stop) -> None:
+        """Track this stop from now on, unless another is latched: people look for the latched one, so later news
         belongs to it."""
         last = self._last
         if last and last.stop.written_ns and self._latch.reset_epoch < last.stop.epoch:
             return
-        if last and not last.told:
-            self._tell_outcome(last)  # with everything known so far
+        if last and not last.logged:
+            self._log_outcome(last)  # with everything known so far
         self._last = Proof(stop, self._after_ns, monotonic_ns(), time(), self._by)
         self._last.believed = self.link.believed
         self._publish(self._last)
 
-    def follow(self, now_ns: int, *, listening: bool, held_up: bool = False) -> list[Stop]:
+    def poll(self, now_ns: int, *, listening: bool, held_up: bool = False) -> list[Stop]:
         """Look at everything once and return the stops that this brings. `listening`: telemetry, which decodes the
         answers, and the port owner, which asks, both run; `held_up`: the machine does not run one of them, or did not
         run the supervisor."""
         stops = []
-        self._take_answer()
+        self._read_answer()
         if self._last and self.link.believed and not self._last.believed:
             self._last.believed = True
             self._publish(self._last)
         if held_up:
             self.link.held_up(now_ns)
-        self._follow_link(now_ns, listening=listening)
+        self._check_link(now_ns, listening=listening)
         stops += self._stops_for_link(now_ns)
         self._reap_command()
         if self._last and self._unstill(self._last, now_ns):
             stops.append(Stop(now_ns, layout.SUPERVISOR, causes.UNSTILL()))
         if self._last and self._last.complete(now_ns):
-            self._tell_outcome(self._last)
+            self._log_outcome(self._last)
         if self.link.state != self._published:
-            self._tell_link(self._published, self.link.state)
+            self._log_link(self._published, self.link.state)
             self._published = self.link.state
             self._link_record.write(self._published.encode())
         return stops
 
-    def _follow_link(self, now_ns: int, *, listening: bool) -> None:
+    def _check_link(self, now_ns: int, *, listening: bool) -> None:
         """Check whether the board hears, and whether it still reports anything."""
         link, newest_ns = self.link, self._asked.get()
         if not self._latch.stop:
@@ -189,18 +189,18 @@ class StopTracker:
         if not listening:
             link.listen(newest_ns, now_ns)
             return
-        link.follow_silence(self._patience.get(), now_ns)
-        link.follow_echo(self._unheeded.get())
+        link.check_silence(self._patience.get(), now_ns)
+        link.check_echo(self._unheeded.get())
         link.gone_deaf(newest_ns, now_ns)
         if link.missed(now_ns):
             text = "nothing has answered since the port came back, so it may not be the board: POWER SWITCH"
-            self._run.events.tell("link", text, {"state": LINK_UNHEARD}, level="critical")
+            self._run.events.log("link", text, {"state": LINK_UNHEARD}, level="critical")
 
     def _stops_for_link(self, now_ns: int) -> list[Stop]:
         """The stop for a board that is deaf or silent while motion is enabled. It comes once, and again if motion is
         enabled again, which may happen before anyone knows about the board. A silence that the machine may explain
         stops the robot too, because nobody knows what the board heard."""
-        kind, unheard_ns = STOPS_FOR.get(self.link.state), self.link.take_unheard()
+        kind, unheard_ns = STOPS_FOR.get(self.link.state), self.link.pop_unheard()
         if unheard_ns and self._moves():
             return [Stop(now_ns, layout.SUPERVISOR, causes.NOT_HEARD(unheard_ns // MS))]
         if kind is None or not self._moves():
@@ -212,7 +212,7 @@ class StopTracker:
         return [Stop(now_ns, layout.SUPERVISOR, kind())]
 
     def opened(self, written_ns: int, now_ns: int, *, sure: bool) -> None:
-        """Follow a port that was opened again, perhaps with another board; the supervisor's burst on it was at
+        """Note a port that was opened again, perhaps with another board; the supervisor's burst on it was at
         `written_ns`. `sure`: it is known to be the board."""
         last, before = self._last, self.link.state
         self.link.opened(now_ns, sure=sure)
@@ -223,7 +223,7 @@ class StopTracker:
             last.believed = self.link.believed
             self._publish(last)
 
-    def _take_answer(self) -> None:
+    def _read_answer(self) -> None:
         """Read from telemetry how far the board has handled everything that was written (board/handled.py). A report of
         zeros only shows which device is at the port."""
         answered, proved = self._answered.read(), self._proved.read()
@@ -259,7 +259,7 @@ class StopTracker:
             self._publish(last)
         if unstill:
             text = f"CRITICAL: {causes.UNSTILL().alarm()} ({stop.cause}; {(now_ns - stop.t_ns) / 1e9:.1f} s ago)"
-            self._run.events.tell("unstill", text, {"reason": str(stop.cause), "epoch": stop.epoch})
+            self._run.events.log("unstill", text, {"reason": str(stop.cause), "epoch": stop.epoch})
             if self._command and not self._command_ran:
                 self._run_command()
         return unstill
@@ -274,33 +274,33 @@ class StopTracker:
             except OSError as error:  # it has another user's rights, by sudo
                 how = f"cannot be killed ({error.strerror})"
             text = f"still.command (pid {pid}) has not ended since an earlier stop: {how}, and run again"
-            self._tell_command(text, "hangs", pid=pid)
+            self._log_command(text, "hangs", pid=pid)
         self._command_ran = True
         try:
             pid = starter.spawn(["/bin/sh", "-c", self._command], os.environ)
         except OSError as error:
-            self._tell_command(f"cannot run still.command ({self._command}): {error}", "failed", reason=str(error))
+            self._log_command(f"cannot run still.command ({self._command}): {error}", "failed", reason=str(error))
         else:
             self._command_pids.append(pid)
-            self._tell_command(f"still.command runs (pid {pid}): {self._command}", "runs", pid=pid)
+            self._log_command(f"still.command runs (pid {pid}): {self._command}", "runs", pid=pid)
 
     def _reap_command(self) -> None:
         for pid in tuple(self._command_pids):
             if (code := starter.reap(pid)) is not None:
                 self._command_pids.remove(pid)
-                self._tell_command(f"still.command (pid {pid}) ended with code {code}", "ended", pid=pid, code=code)
+                self._log_command(f"still.command (pid {pid}) ended with code {code}", "ended", pid=pid, code=code)
 
-    def _tell_command(self, text: str, state: str, **fields: str | int) -> None:
+    def _log_command(self, text: str, state: str, **fields: str | int) -> None:
         level = "error" if state in ("hangs", "failed") else ""
-        self._run.events.tell("command", text, {"state": state, **fields}, level=level)
+        self._run.events.log("command", text, {"state": state, **fields}, level=level)
 
-    def _tell_outcome(self, proof: Proof) -> None:
+    def _log_outcome(self, proof: Proof) -> None:
         link = self.link.state
         proof.held = proof.stop.written_ns > 0 and proof.acknowledged_ns is None and self._holds()
         if proof.held:
             self._publish(proof)
         level = "error" if proof.held or proof.wheels == WHEELS_UNSTILL else ""
-        self._run.events.tell("stop_outcome", proof.outcome(link), proof.fields(link), level=level)
+        self._run.events.log("stop_outcome", proof.outcome(link), proof.fields(link), level=level)
 
     def ended(self, heard_ns: int, link: str, *, written: bool, sent: bool) -> None:
         """Log the end of the service. `heard_ns`: how long after the first stop the board acknowledged it, or 0;
@@ -319,19 +319,19 @@ class StopTracker:
             heard, level = "this board acknowledges nothing (link unasked)", ""
         else:
             heard, level = f"NOT acknowledged by the board (link {link}); wheels that turn: POWER SWITCH", "critical"
-        self._run.events.tell("stopped", f"stopped; {told}, {heard}", fields, level=level if sent else "critical")
+        self._run.events.log("stopped", f"stopped; {told}, {heard}", fields, level=level if sent else "critical")
 
-    def _tell_link(self, before: str, state: str) -> None:
+    def _log_link(self, before: str, state: str) -> None:
         if state in UNCONNECTED:
-            self._run.events.tell("link", UNCONNECTED[state], {"state": state}, level="critical")
+            self._run.events.log("link", UNCONNECTED[state], {"state": state}, level="critical")
         elif state == LINK_ALIVE:
             again = " again" if before in NOT_CONNECTED else ""
-            self._run.events.tell("link", f"the board answers{again}", {"state": state})
+            self._run.events.log("link", f"the board answers{again}", {"state": state})
         elif before == LINK_SILENT:
-            self._run.events.tell("link", "the board reports again", {"state": state})
+            self._run.events.log("link", "the board reports again", {"state": state})
         elif before and state in (LINK_UNPROVEN, LINK_UNHEARD):
             text = "whether the board hears is not known until it answers"
-            self._run.events.tell("link", text, {"state": state}, level="info")
+            self._run.events.log("link", text, {"state": state}, level="info")
 
     def _publish(self, proof: Proof) -> None:
         self._record.write(pack(proof.as_record()))

@@ -102,7 +102,7 @@ def _publish(arguments: Namespace) -> int:
     service = publisher.Service(arguments.name)
     robot = found.robot_id(arguments.name)
     publishing = publisher.Publisher(found, arguments.name, service, robot, publisher.store(arguments.name))
-    manager = Notify.taken_from(os.environ, os.getpid())
+    manager = Notify.from_environment(os.environ, os.getpid())
     ended: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda by, _: ended.append(by))

@@ -54,7 +54,9 @@ PROCS: tuple[Reason, ...] = (
         r"\+\s+self\._before = (\+1|-2)$",
         "the first index is 0, and counts only if 0 was before it",
     ),
-    Reason("procs/port_owner/motion_writer.py", r"^-.*\n\+\s+self\.turning = True$", "the end of the same function sets it"),
+    Reason(
+        "procs/port_owner/motion_writer.py", r"^-.*\n\+\s+self\.turning = True$", "the end of the same function sets it"
+    ),
     Reason("procs/port_owner/motion_writer.py", r"\+\s+self\.turning = ns > 1$", "it is 0 or the time of a write"),
     Reason(
         "procs/port_owner/requests.py", r'\+.*split\(b"\\n", (2)?\)\[0\]', "what is cut off behind is not looked at"
@@ -309,7 +311,7 @@ SUPERVISOR = (
     ),
     Reason("supervisor/events.py", r"\n\+.*if step else 0\), (None)?\)$", "nobody reads the time of an event's cell"),
     Reason("supervisor/events.py", r"_minute_ns = 1$", "the machine's first minute, by a nanosecond"),
-    Reason("supervisor/status.py", r"self\._told_ns = 1$", "the machine's first 0.1 s, by a nanosecond"),
+    Reason("supervisor/status.py", r"self\._notified_ns = 1$", "the machine's first 0.1 s, by a nanosecond"),
     Reason("supervisor/port_handover.py", r"^-.*monotonic\(\).* > .*\n\+.* >= ", "two times at exact equality"),
     Reason("supervisor/run.py", r"create=True, gid=gid", "the mode is what it would be without"),
     Reason("supervisor/children.py", r"count - 2, 17", "the shortest wait doubled 16 times is beyond the longest"),
@@ -327,7 +329,7 @@ SUPERVISOR = (
         r"\n\+.*(_starved =|else) \(1, \"\"\)$",
         "each silence that is told of is longer than 1 ms, and nobody's is not shown",
     ),
-    Reason("supervisor/process_table.py", r"_told_ns = 1$", "the machine's first ten seconds", same=False),
+    Reason("supervisor/process_table.py", r"_logged_ns = 1$", "the machine's first ten seconds", same=False),
     Reason(
         "supervisor/proof.py",
         r">= (JUDGED_WITHIN_NS|LATE_LOOK_NS)|still_ns >= self\.stop\.t_ns",

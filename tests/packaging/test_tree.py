@@ -40,7 +40,13 @@ def test_the_running_environment_is_whole_and_has_of_the_checkout_the_package_al
     assert found >= {"failstop", "msgpack", "posix_ipc", "psutil", "serial"}
     assert not found & {"numpy", "pytest", "hypothesis", "shtab", "__editable__", "tests", "bench", "packaging"}
     inside = f"{tree.SITE}/failstop"
-    for room in ("board/rrc/codec.py", "shm/cell.py", "supervisor/main.py", "supervisor/bootstrap.py", "web/page/page.js"):
+    for room in (
+        "board/rrc/codec.py",
+        "shm/cell.py",
+        "supervisor/main.py",
+        "supervisor/bootstrap.py",
+        "web/page/page.js",
+    ):
         assert f"{inside}/{room}" in paths
     assert not any("__pycache__" in path or "/tests/" in path for path in paths)
     links = {entry.path: entry.target for entry in running if entry.target}

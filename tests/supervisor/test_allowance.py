@@ -25,7 +25,7 @@ def flush(scene: Scene, *, end: bool = False) -> list[str]:
 def request(scene: Scene, number: int, kind: str = "stop_again") -> None:
     reason = f"stop request: {number:0100}"
     fields = {"reason": reason, "cause": "piped", "latched": "key1"}
-    scene.run.events.tell(kind, f"stopped again: {reason}; latched is still: key1", fields)
+    scene.run.events.log(kind, f"stopped again: {reason}; latched is still: key1", fields)
 
 
 def left_out(lines: list[str]) -> int:
@@ -43,10 +43,10 @@ def test_requests_without_end_are_bounded_and_counted_and_take_nobody_s_room(sce
             request(scene, asked, "stop_again" if tick % 2 else "stop_also")
             asked += 1
             if tick % 1000 == 999:
-                scene.run.events.tell(
+                scene.run.events.log(
                     "stop_again", "stopped again: gate died", {"reason": "gate died", "latched": "key1"}
                 )
-                scene.run.events.tell("stop", "STOP latched: stop request: x", {"reason": "stop request: x"})
+                scene.run.events.log("stop", "STOP latched: stop request: x", {"reason": "stop request: x"})
             if tick % 20 == 19:
                 said += flush(scene)
         minutes.append(sum(len(line) + 1 for line in said))
@@ -83,7 +83,7 @@ def test_the_number_comes_when_the_flood_has_ended(scene: Scene) -> None:
 def test_every_kind_is_bounded(scene: Scene, kind: str) -> None:
     size = 0
     for number in range(2000):
-        scene.run.events.tell(kind, f"{number:0190}")
+        scene.run.events.log(kind, f"{number:0190}")
         size += sum(map(len, flush(scene)))
     assert OWN_BYTES - 400 < size <= OWN_BYTES
     (line,) = flush(scene, end=True)
@@ -94,15 +94,15 @@ def test_every_kind_is_bounded(scene: Scene, kind: str) -> None:
 
 def test_critical_events_have_room_of_their_own(scene: Scene) -> None:
     for number in range(1000):
-        scene.run.events.tell("stop", f"{number:0190}")
+        scene.run.events.log("stop", f"{number:0190}")
         flush(scene)
-    scene.run.events.tell("stop", "stop frame NOT written", level="critical")
+    scene.run.events.log("stop", "stop frame NOT written", level="critical")
     assert flush(scene) == ["failstop: stop frame NOT written"]
 
 
 def test_events_that_come_at_one_time_are_bounded_and_counted_too(scene: Scene) -> None:
     for number in range(MOST_EVENTS_WAITING + 7):
-        scene.run.events.tell("note", str(number))
+        scene.run.events.log("note", str(number))
     lines = flush(scene, end=True)
     assert len(lines) == MOST_EVENTS_WAITING + 1
     assert left_out(lines) == 7
@@ -110,14 +110,14 @@ def test_events_that_come_at_one_time_are_bounded_and_counted_too(scene: Scene) 
 
 def test_a_spent_allowance_tells_nothing_until_the_minute_is_over(scene: Scene) -> None:
     line = len("failstop: \n")
-    scene.run.events.tell("note", "x" * (OWN_BYTES - line))
+    scene.run.events.log("note", "x" * (OWN_BYTES - line))
     assert len(flush(scene)) == 1, "all of it may be spent"
     scene.now_ns += MINUTE_NS
-    scene.run.events.tell("note", "x" * (OWN_BYTES - line + 1))
-    scene.run.events.tell("note", "y")
+    scene.run.events.log("note", "x" * (OWN_BYTES - line + 1))
+    scene.run.events.log("note", "y")
     assert flush(scene) == [], "not every other line of a flood"
     scene.now_ns += MINUTE_NS
-    scene.run.events.tell("note", "y")
+    scene.run.events.log("note", "y")
     assert flush(scene) + flush(scene) == [
         "failstop: y",
         "failstop: 2 events of the kind note were left out: too many to tell of each",
@@ -135,7 +135,7 @@ def test_a_minute_has_no_more_than_two_allowances(spent: list[tuple[int, int]]) 
     told: list[tuple[int, int]] = []
     for size, elapsed_ns in spent:
         SCENE.now_ns += elapsed_ns
-        SCENE.run.events.tell("stop_again", "x" * (size - len("failstop: \n")), {"cause": "piped"})
+        SCENE.run.events.log("stop_again", "x" * (size - len("failstop: \n")), {"cause": "piped"})
         told += [(SCENE.now_ns, len(line) + 1) for line in flush(SCENE) if "left out" not in line]
     for at_ns, _ in told:
         assert sum(size for t_ns, size in told if at_ns <= t_ns < at_ns + MINUTE_NS) <= 2 * REPEATS_BYTES

@@ -18,7 +18,7 @@ from failstop.supervisor.blackbox import START_NS
 from failstop.supervisor.children import KILLED
 from failstop.supervisor.main import STOP_ANSWER_NS
 from failstop.supervisor.run import LOOK_EVERY_NS
-from failstop.supervisor.status import OWED_NS, TELL_EVERY_NS, UNDYING_NS
+from failstop.supervisor.status import NOTIFY_EVERY_NS, OWED_NS, UNDYING_NS
 from failstop_lab.machine.process import Thread
 from tests.support.stage import MS
 from tests.support.supervisor_scene import RUNTIME_DIR, Scene
@@ -54,7 +54,7 @@ def test_the_supervisor_s_futexes_tell_of_its_death(scene: Scene) -> None:
 def test_the_advice_to_a_starved_service_depends_on_its_rights(granted: int) -> None:
     scene = Scene(granted=granted)
     advice = scene.load("failstop.supervisor.status").advice
-    scene.supervisor.processes.tell_starved("gate", MS, scene.now_ns)
+    scene.supervisor.processes.log_starved("gate", MS, scene.now_ns)
     ((_, _, text, _),) = scene.said()
     expected = advice(realtime=bool(granted), managed=False)
     assert text == f"the machine starves the service: gate was not run for 1 ms; {expected}"
@@ -64,7 +64,7 @@ def test_the_advice_to_a_starved_service_depends_on_its_rights(granted: int) -> 
 def test_the_journal_gets_what_people_are_told_where_there_is_one() -> None:
     sent: list[bytes] = []
     scene = Scene(journal=SimpleNamespace(send=lambda datagram: not sent.append(datagram)))
-    scene.run.events.tell("note", "from the test")
+    scene.run.events.log("note", "from the test")
     scene.run.events.flush()
     assert b"MESSAGE=from the test\n" in sent[0]
     assert scene.stderr.heard == []
@@ -265,7 +265,7 @@ def test_no_event_is_sent_before_the_burst(scene: Scene) -> None:
     seen: list[object] = []
     scene.wire.on_bytes = lambda data: seen.append(scene.events())
     scene.gate_stops("the first")
-    scene.run.events.tell("note", "from before")
+    scene.run.events.log("note", "from before")
     scene.turn()
     assert scene.events() == []
     scene.turn(STOP_ANSWER_NS)
@@ -285,12 +285,12 @@ def test_a_stop_that_stays_unwritten_is_what_the_watchdog_is_for(alone: Scene) -
     alone.wire.fill()
     alone.gate_stops()
     alone.pass_time()
-    alone.pass_time(OWED_NS - TELL_EVERY_NS)
+    alone.pass_time(OWED_NS - NOTIFY_EVERY_NS)
     assert status.fault == ""
-    alone.pass_time(TELL_EVERY_NS)
+    alone.pass_time(NOTIFY_EVERY_NS)
     assert status.fault == "a stop could not be written for 2 s"
     fd, alone.port.fd = alone.port.fd, -1
-    alone.pass_time(TELL_EVERY_NS)
+    alone.pass_time(NOTIFY_EVERY_NS)
     assert status.fault == "", "a port that is gone is nobody's fault"
     alone.port.fd = fd
     alone.wire.port.drain()
@@ -316,5 +316,5 @@ def test_a_killed_process_that_does_not_go_is_what_the_watchdog_is_for(scene: Sc
     scene.turn(UNDYING_NS)
     assert status.fault == "telemetry was killed 10 s ago and is not gone"
     scene.dies(process)
-    scene.turn(TELL_EVERY_NS)
+    scene.turn(NOTIFY_EVERY_NS)
     assert status.fault == ""

@@ -47,7 +47,7 @@ def latched(scene: Scene, epoch: int) -> None:
 
 
 def follow(scene: Scene, t_ns: int = T0, *, ready: bool = True) -> None:
-    scene.supervisor.blackbox.follow(t_ns, ready=ready)
+    scene.supervisor.blackbox.poll(t_ns, ready=ready)
 
 
 def savers(scene: Scene) -> list[dict[str, str]]:

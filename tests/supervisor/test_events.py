@@ -152,7 +152,7 @@ def scene(journal: Journal) -> Scene:
 
 
 def test_an_event_goes_to_the_journal_and_into_the_ring_and_not_to_stderr(scene: Scene, journal: Journal) -> None:
-    scene.run.events.tell("enabled", "motion enabled by nav (pid 7)", {"who": "nav", "pid": 7, "left_out": None})
+    scene.run.events.log("enabled", "motion enabled by nav (pid 7)", {"who": "nav", "pid": 7, "left_out": None})
     told_ns = scene.now_ns
     scene.now_ns += LONGEST_HOLD_NS
     scene.run.events.flush()
@@ -178,7 +178,7 @@ def test_an_event_goes_to_the_journal_and_into_the_ring_and_not_to_stderr(scene:
 
 def test_an_event_without_its_journal_is_a_line_on_stderr(scene: Scene, journal: Journal) -> None:
     journal.there = False
-    scene.run.events.tell("stop", "STOP latched: key1", {"reason": "key1"})
+    scene.run.events.log("stop", "STOP latched: key1", {"reason": "key1"})
     assert len(scene.said()) == 1
     assert scene.stderr.heard == [b"failstop: STOP latched: key1\n"]
 
@@ -186,12 +186,12 @@ def test_an_event_without_its_journal_is_a_line_on_stderr(scene: Scene, journal:
 def test_a_stderr_that_takes_nothing_is_no_error(scene: Scene, journal: Journal) -> None:
     journal.there = False
     scene.refuse("write", OSError(errno.EIO, os.strerror(errno.EIO)), lambda fd, _: fd == 2)
-    scene.run.events.tell("note", "here")
+    scene.run.events.log("note", "here")
     assert len(scene.said()) == 1
 
 
 def test_nothing_is_sent_before_flush_and_not_while_a_stop_is_on_its_way(scene: Scene, journal: Journal) -> None:
-    scene.run.events.tell("stop_also", "also: key1", {"reason": "key1"})
+    scene.run.events.log("stop_also", "also: key1", {"reason": "key1"})
     scene.run.events.flush(scene.now_ns, hold=True)
     assert scene.events() == journal.got == []
     scene.run.events.flush(scene.now_ns, hold=False)
@@ -199,7 +199,7 @@ def test_nothing_is_sent_before_flush_and_not_while_a_stop_is_on_its_way(scene: 
 
 
 def test_a_stop_that_can_not_be_written_does_not_hold_events_for_ever(scene: Scene) -> None:
-    scene.run.events.tell("note", "here")
+    scene.run.events.log("note", "here")
     scene.run.events.flush(scene.now_ns + LONGEST_HOLD_NS - 1, hold=True)
     assert scene.events() == []
     scene.run.events.flush(scene.now_ns + LONGEST_HOLD_NS, hold=True)
@@ -208,14 +208,14 @@ def test_a_stop_that_can_not_be_written_does_not_hold_events_for_ever(scene: Sce
 
 def test_programs_are_told_how_much_was_left_out(scene: Scene) -> None:
     for _ in range(MOST_EVENTS_WAITING + 7):
-        scene.run.events.tell("stop", "x", {"reason": "x"}, level="critical")
+        scene.run.events.log("stop", "x", {"reason": "x"}, level="critical")
     text = "7 events of the kind stop were left out: too many to tell of each"
     assert scene.said()[-1] == ("left_out", "critical", text, {"of": "stop", "count": 7})
 
 
 def test_a_kind_that_nobody_knows_is_a_note_and_a_level_too(scene: Scene, journal: Journal) -> None:
-    scene.run.events.tell("surprise", "boo", level="loud")
-    scene.run.events.tell("scan", "scan is back", level="info")
+    scene.run.events.log("surprise", "boo", level="loud")
+    scene.run.events.log("scan", "scan is back", level="info")
     assert [told[:2] for told in scene.said()] == [("note", "info"), ("scan", "info")]
     assert b"PRIORITY=6\n" in journal.got[1]
 
@@ -241,7 +241,7 @@ def test_fields_that_do_not_fit_however_short_are_left_out() -> None:
 
 @pytest.mark.parametrize("step", ["", "restart it; next: look again"])
 def test_programs_find_the_step_apart_from_the_text(scene: Scene, step: str) -> None:
-    scene.run.events.tell("note", "the port; next: the board", step=step)
+    scene.run.events.log("note", "the port; next: the board", step=step)
     scene.run.events.flush()
     found = unpack(1, msgpack.packb(scene.events()[0]))
     assert found

@@ -49,10 +49,10 @@ def test_every_kind_is_whole(kind: EventKind) -> None:
 def told(path: Path) -> set[str]:
     """The kinds that a module tells of, wherever they are written as words."""
     found, text = set(), path.read_text()
-    for node in ast.walk(ast.parse(text if "tell(" in text or "ote(" in text else "")):
+    for node in ast.walk(ast.parse(text if "log(" in text or "ote(" in text else "")):
         if isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
             name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-            if name in ("tell", "Note", "_note"):
+            if name in ("log", "Note", "_note"):
                 found.add(str(node.args[0].value))
     return found
 

@@ -39,23 +39,23 @@ def test_a_port_that_is_not_there_is_not_opened(scene: Scene, opener: Any) -> No
     for _ in range(2):
         before = len(scene.fds())
         assert not opener.attempt()
-        assert opener.take() is None
+        assert opener.pop() is None
         assert len(scene.fds()) == before
 
 
 def test_the_burst_is_its_first_bytes_and_it_is_taken_once(scene: Scene, opener: Any) -> None:
     assert opener.attempt()
     assert scene.wire.read() == BURST
-    fd, written_ns = opener.take()
+    fd, written_ns = opener.pop()
     assert scene.me.files[fd].node is scene.wire.port
     assert written_ns == scene.now_ns
-    assert opener.take() is None
+    assert opener.pop() is None
 
 
 def test_a_burst_that_was_not_written_is_not_said_to_be(scene: Scene, opener: Any) -> None:
     scene.wire.fill()
     assert opener.attempt()
-    assert opener.take()[1] == 0
+    assert opener.pop()[1] == 0
 
 
 def test_the_opener_has_a_number_when_no_other_is_free(scene: Scene, opener: Any) -> None:
@@ -70,7 +70,7 @@ def test_the_opener_has_a_number_when_no_other_is_free(scene: Scene, opener: Any
         scene.os.dup(0)
     for _ in range(2):
         assert opener.attempt(), "without a number to keep it goes on with what there is"
-        scene.os.close(opener.take()[0])
+        scene.os.close(opener.pop()[0])
         assert len(before - scene.fds()) == 1, "who has no number to give back closes no other's"
 
 
@@ -96,9 +96,9 @@ def test_the_opener_s_thread_opens_each_lost_port_and_holds_nobody_up(scene: Sce
             opener.look()
         scene.now_ns += LOOK_NS
         opened_ns = scene.now_ns
-        assert opener.take() is None, "and this thread goes on"
+        assert opener.pop() is None, "and this thread goes on"
         scene.now_ns += took_ns
-        fd, written_ns = opener.take()
+        fd, written_ns = opener.pop()
         assert opened_ns <= written_ns <= scene.now_ns
         assert scene.wire.read() == BURST
         scene.os.close(fd)

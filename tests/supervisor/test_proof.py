@@ -286,7 +286,7 @@ def test_a_silence_in_which_the_machine_held_the_service_up_is_counted_again(
         if link.gone_deaf(T0 + ms // 250 * 250 * MS, T0 + ms * MS):
             assert ms == deaf_ms
             break
-        if found_ns := link.take_unheard():
+        if found_ns := link.pop_unheard():
             unheard_ms.append((ms, found_ns // MS))
     assert link.state == LINK_DEAF
     assert unheard_ms == ([(1_020, 1_030)] if deaf_ms > 2_000 else [])
@@ -305,12 +305,12 @@ def test_a_machine_that_was_held_up_makes_no_board_silent() -> None:
     link = heard(T0)
     link.said(T0, T0)
     link.held_up(T0 + 600 * MS)
-    link.follow_silence(700 * MS, T0 + 700 * MS)
-    assert (link.state, link.take_unheard()) == (LINK_ALIVE, 700 * MS)
-    assert link.take_unheard() == 0, "once"
-    link.follow_silence(700 * MS, T0 + 1_380 * MS)
+    link.check_silence(700 * MS, T0 + 700 * MS)
+    assert (link.state, link.pop_unheard()) == (LINK_ALIVE, 700 * MS)
+    assert link.pop_unheard() == 0, "once"
+    link.check_silence(700 * MS, T0 + 1_380 * MS)
     assert link.state == LINK_ALIVE
-    link.follow_silence(700 * MS, T0 + 1_400 * MS)
+    link.check_silence(700 * MS, T0 + 1_400 * MS)
     assert link.state == LINK_SILENT
 
 
@@ -363,9 +363,9 @@ def test_a_board_that_says_nothing_at_all_is_silent_and_not_deaf() -> None:
     link = heard(T0)
     link.said(T0 + 450 * MS, T0)
     for ms in range(460, 1_150, 20):
-        link.follow_silence(700 * MS, T0 + ms * MS)
+        link.check_silence(700 * MS, T0 + ms * MS)
         assert not link.gone_deaf(T0 + 500 * MS, T0 + ms * MS)
-    link.follow_silence(700 * MS, T0 + 1_150 * MS)
+    link.check_silence(700 * MS, T0 + 1_150 * MS)
     assert link.state == LINK_SILENT
 
 
@@ -378,12 +378,12 @@ def echoing() -> Link:
 def test_zeros_while_motion_is_written_are_deafness_until_the_reset() -> None:
     link = echoing()
     link.said(T0 + 349 * MS, 0)
-    link.follow_echo(T0 + 100 * MS)
+    link.check_echo(T0 + 100 * MS)
     assert link.state == LINK_UNASKED
     link.said(T0 + 350 * MS, 0)
-    link.follow_echo(T0 + 100 * MS)
+    link.check_echo(T0 + 100 * MS)
     assert (link.state, link.forbids) == (LINK_DEAF, False)
-    link.follow_echo(0)
+    link.check_echo(0)
     assert link.state == LINK_DEAF, "after the stop it says zero whether it hears or not"
     link.cleared()
     assert link.state == LINK_UNASKED
@@ -391,15 +391,15 @@ def test_zeros_while_motion_is_written_are_deafness_until_the_reset() -> None:
 
 def test_a_pause_of_the_reports_is_no_echo_of_zeros() -> None:
     link = echoing()
-    link.follow_silence(700 * MS, T0 + 600 * MS)
-    link.follow_echo(T0)
+    link.check_silence(700 * MS, T0 + 600 * MS)
+    link.check_echo(T0)
     assert link.state == LINK_UNASKED
 
 
 def test_a_board_that_was_silent_has_its_time_to_answer() -> None:
     link = heard(T0)
     link.said(T0, 0)
-    link.follow_silence(700 * MS, T0 + 700 * MS)
+    link.check_silence(700 * MS, T0 + 700 * MS)
     assert (link.state, link.forbids) == (LINK_SILENT, True)
     assert not link.gone_deaf(T0 + 500 * MS, T0 + 1_600 * MS), "what is silent is not called deaf too"
     link.said(T0 + 2_000 * MS, T0 + 1_900 * MS)

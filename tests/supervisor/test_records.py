@@ -5,7 +5,7 @@ from __future__ import annotations
 from failstop.messages import layout
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.supervisor.main import STOP_ANSWER_NS
-from failstop.supervisor.status import TELL_EVERY_NS
+from failstop.supervisor.status import NOTIFY_EVERY_NS
 from tests.support.stage import MS
 from tests.support.supervisor_scene import NOT_STARVED, Scene
 
@@ -75,7 +75,7 @@ def test_the_service_manager_is_told_what_is_new(scene: Scene) -> None:
         scene.employ(name)
     scene.has_port(layout.STOPPER)
     scene.answers()
-    scene.pass_time(TELL_EVERY_NS - MS)
+    scene.pass_time(NOTIFY_EVERY_NS - MS)
     assert scene.supervisor.status.ever
     told = [(event["kind"], event["fields"].get("what")) for event in scene.events()]
     assert told[:3] == [("ready", None), ("rights", "SCHED_FIFO"), ("rights", "robust futexes")]
@@ -83,12 +83,12 @@ def test_the_service_manager_is_told_what_is_new(scene: Scene) -> None:
     scene.pass_time(MS)
     assert said[1:] == ["READY=1", "STATUS=ready, motion disabled"]
     scene.enabled(blocked="no scan", sources=[])
-    scene.pass_time(TELL_EVERY_NS)
+    scene.pass_time(NOTIFY_EVERY_NS)
     assert said[3:] == ["STATUS=motion enabled; blocked: no scan"]
     scene.gate_stops("bumper")
-    scene.pass_time(TELL_EVERY_NS)
+    scene.pass_time(NOTIFY_EVERY_NS)
     scene.answers(written_ns=scene.now_ns)
-    scene.pass_time(TELL_EVERY_NS)
+    scene.pass_time(NOTIFY_EVERY_NS)
     assert said[4:] == [
         "STATUS=stop latched: stop request: bumper; waiting for a stop being carried out",
         "STATUS=stop latched: stop request: bumper",

@@ -117,7 +117,7 @@ def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(scene: Scene) -
     found = scene.supervisor.processes
     assert found.starved_record() == NOT_STARVED
     for at_s, name, silent_ns in ((0, "gate", 300 * MS), (9.999, "stopper", 900_400_000), (10, "gate", 300 * MS)):
-        found.tell_starved(name, silent_ns, scene.now_ns + round(at_s * 1e9))
+        found.log_starved(name, silent_ns, scene.now_ns + round(at_s * 1e9))
     first, second = scene.said()
     advice = scene.load("failstop.supervisor.status").advice(realtime=False, managed=False)
     text = f"the machine starves the service: gate was not run for 300 ms; {advice}"
@@ -129,12 +129,12 @@ def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(scene: Scene) -
 
 def test_a_machine_that_starved_the_service_once_is_not_told_of_for_ever(scene: Scene) -> None:
     found = scene.supervisor.processes
-    found.tell_starved("gate", 900 * MS, scene.now_ns)
+    found.log_starved("gate", 900 * MS, scene.now_ns)
     scene.now_ns += STARVED_SHOWN_NS - 1
-    found.tell_starved("stopper", 100 * MS, scene.now_ns)
+    found.log_starved("stopper", 100 * MS, scene.now_ns)
     scene.now_ns += 1
     assert found.starved_record() == shown("gate", 900, 2), "the longest of those that are shown"
     scene.now_ns += STARVED_SHOWN_NS - 1
     assert found.starved_record() == {**NOT_STARVED, "starved_times": 2}
-    found.tell_starved("stopper", 50 * MS, scene.now_ns)
+    found.log_starved("stopper", 50 * MS, scene.now_ns)
     assert found.starved_record() == shown("stopper", 50, 3), "what is forgotten is no measure any more"

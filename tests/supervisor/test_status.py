@@ -91,7 +91,7 @@ class Manager:
 
     def hears(self, elapsed_ms: int, line: str, *, ready: bool = True, healthy: bool = True) -> list[str]:
         """The service follows, so long after its start; every assignment that has arrived since the last, in order."""
-        self.notify.follow(T0 + elapsed_ms * MS, line, ready=ready, healthy=healthy)
+        self.notify.update(T0 + elapsed_ms * MS, line, ready=ready, healthy=healthy)
         return self.heard()
 
     def heard(self) -> list[str]:
@@ -149,8 +149,8 @@ def test_a_manager_that_does_not_listen_holds_nobody_up(manager: Manager) -> Non
 
 @pytest.mark.parametrize("address", ["", "vsock:2:1234", "relative/path", "/no/such/socket", "/" + "x" * 300])
 def test_an_address_that_is_none_is_no_error(address: str) -> None:
-    notify = Notify.taken_from({"NOTIFY_SOCKET": address}, 1)
-    notify.follow(T0, "ready", ready=True, healthy=True)
+    notify = Notify.from_environment({"NOTIFY_SOCKET": address}, 1)
+    notify.update(T0, "ready", ready=True, healthy=True)
     notify.stopping("bye")
     assert notify.say("READY=1") is False
     notify.close()
@@ -165,5 +165,5 @@ def test_an_address_that_is_none_is_no_error(address: str) -> None:
 )
 def test_the_watchdog_of_another_process_is_none(timeout: str, pid: str, every_ms: int) -> None:
     environ = {"NOTIFY_SOCKET": "/run/x", "WATCHDOG_USEC": timeout, "WATCHDOG_PID": pid, "HOME": "/root"}
-    assert Notify.taken_from(environ, 77).every_ns == every_ms * MS
+    assert Notify.from_environment(environ, 77).every_ns == every_ms * MS
     assert environ == {"HOME": "/root"}, "the variables are taken away"

@@ -29,7 +29,7 @@ def unheeded(program: Callable[[Process, list[str]], int] | None = None) -> Scen
 def follow(scene: Scene, elapsed_ns: int, *, still: bool = False) -> list[str]:
     scene.now_ns += elapsed_ns
     scene.judge(still=still)
-    return [str(stop.cause) for stop in scene.supervisor.tracker.follow(scene.now_ns, listening=False)]
+    return [str(stop.cause) for stop in scene.supervisor.tracker.poll(scene.now_ns, listening=False)]
 
 
 def reset(scene: Scene) -> None:

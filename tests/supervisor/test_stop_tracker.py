@@ -36,7 +36,7 @@ def shake(scene: Scene, seconds: float) -> None:
 def follow(scene: Scene, elapsed_ns: int, *, listening: bool = True) -> list[tuple[int, str, str]]:
     """StopTracker's own turn; returns the causes that it brought."""
     scene.now_ns += elapsed_ns
-    stops = scene.supervisor.tracker.follow(scene.now_ns, listening=listening)
+    stops = scene.supervisor.tracker.poll(scene.now_ns, listening=listening)
     return [(stop.t_ns, stop.noticed_by, str(stop.cause)) for stop in stops]
 
 

@@ -192,24 +192,24 @@ def test_a_stop_that_the_kernel_keeps_is_not_said_to_be_written(
 
 def test_a_short_wait_is_not_told_of(scene: Scene, status: Any) -> None:
     for since_ns, missing in ((0, "gate, telemetry"), (WAITED_NS - 1, "gate"), (WAITED_NS, "gate"), (WAITED_NS, "")):
-        status.tell_people(missing, T0 + since_ns)
+        status.log_waiting(missing, T0 + since_ns)
     assert told(scene) == []
 
 
 def test_a_start_that_hangs_says_what_it_waits_for_and_then_that_it_is_ready(scene: Scene, status: Any) -> None:
     for since_ns in (0, WAITED_NS, 2 * WAITED_NS):
-        status.tell_people("the port", T0 + since_ns)
+        status.log_waiting("the port", T0 + since_ns)
     text = "waiting for the port: motion can't be enabled; next: `failstop status --name stage`"
     assert told(scene) == [("waiting", text, {"for": "the port"}, "")]
     assert status.publish("")
-    status.tell_people("", T0 + 3 * WAITED_NS)
+    status.log_waiting("", T0 + 3 * WAITED_NS)
     assert [kind for kind, *_ in told(scene)] == ["ready"], "once"
 
 
 def test_each_long_wait_and_its_end_are_told(scene: Scene, status: Any) -> None:
     assert status.publish("")
     for at, missing in enumerate(("", "gate", "gate", "gate, the port", "gate, the port", "", "", "gate", "gate", "")):
-        status.tell_people(missing, T0 + at * WAITED_NS)
+        status.log_waiting(missing, T0 + at * WAITED_NS)
     found = told(scene)
     assert [kind for kind, *_ in found] == ["ready", "waiting", "waiting", "ready", "waiting", "ready"]
     text = " is ready: the stop is written, motion disabled; next: `failstop enable --name stage`"
