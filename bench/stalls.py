@@ -119,7 +119,7 @@ def main() -> int:
     """One core's loop."""
     core = int(sys.argv[1])
     os.sched_setaffinity(0, {core})
-    return loop(core, rights.take_rights(PRIORITY))
+    return loop(core, rights.request_rights(PRIORITY))
 
 
 def loop(core: int, taken: int) -> int:

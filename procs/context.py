@@ -41,7 +41,7 @@ class Context:
         rights.name_process(f"fs:{process}")
         if not outlives_parent:
             rights.die_with_parent(self.parent)
-        granted = rights.take_rights(priority)
+        granted = rights.request_rights(priority)
         self.settings = Settings.from_lines(os.environ.get(SETTINGS_VARIABLE, ""))
         self.board = board_of(*self.settings.board(), tried=True)
         self.own = segments.attach(self.memory, process, self.incarnation, write=True)

@@ -37,7 +37,7 @@ class Timer:
         self.set(NEVER)
 
     def set(self, ns: int, *then: int) -> None:
-        """Set the next point in time and those that follow; each counts once the one before was taken."""
+        """Set the next point in time and those that follow; each counts once the one before was popped."""
         self.ns, self._then = ns, then
 
     def due(self, now_ns: int) -> bool:
@@ -48,7 +48,7 @@ class Timer:
         """Put the next point in time off until `until_ns` at least."""
         self.ns = max(self.ns, until_ns)
 
-    def take(self, now_ns: int) -> bool:
+    def pop(self, now_ns: int) -> bool:
         """True when the timer is due; then the following point in time takes its place."""
         if now_ns < self.ns:
             return False

@@ -66,7 +66,7 @@ def realtime(priority: int) -> Iterator[bool]:
             os.sched_setscheduler(0, *before)
 
 
-def take_rights(priority: int) -> int:
+def request_rights(priority: int) -> int:
     """Ask for SCHED_FIFO at `priority` and locked memory; returns the heartbeat bits of the granted rights, and of the
     early news of deaths, which some kernels don't give.
 
@@ -110,15 +110,15 @@ def _limit(which: int, soft: int | None) -> None:
         resource.setrlimit(which, (soft, hard))
 
 
-def take_room() -> None:
+def raise_limits() -> None:
     """Make sure that this process and those that it starts can open DESCRIPTORS and have STACK_BYTES of stack;
     otherwise the first call that needs more would end a process by SIGSEGV without a message. Raises the limits that a
     process may raise itself. Raises OSError."""
     needed = (resource.RLIMIT_NOFILE, DESCRIPTORS, no_descriptors), (resource.RLIMIT_STACK, STACK_BYTES, _no_stack)
-    for which, least, told in needed:
+    for which, least, remedy in needed:
         soft, hard = resource.getrlimit(which)
         if 0 <= hard < least:
-            raise OSError(told(hard))
+            raise OSError(remedy(hard))
         if 0 <= soft < least:
             resource.setrlimit(which, (least, hard))
 

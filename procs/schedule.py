@@ -49,9 +49,9 @@ class Repeats:
         """Delay repeats: after a stall several are due at once and would garble each other."""
         self._due.wait(until_ns)
 
-    def take(self, now_ns: int) -> int:
+    def pop(self, now_ns: int) -> int:
         """REPEAT, REFRESH or 0: what must be written now. Each call removes it from the schedule."""
-        if not self._due.take(now_ns):
+        if not self._due.pop(now_ns):
             return 0
         if self._bursts:
             self._bursts -= 1

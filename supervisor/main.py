@@ -62,7 +62,7 @@ class Supervisor:
     def __init__(self, run: Run, port: OwnPort, notify: Notify) -> None:
         self._run, self._port = run, port
         self.loop, self._events = run.loop, run.events
-        self._granted = rights.take_rights(SUPERVISOR_PRIORITY)
+        self._granted = rights.request_rights(SUPERVISOR_PRIORITY)
         self.heartbeat = Heartbeat(run.own, os.getpid(), self._granted, monotonic_ns())
         self._advice = advice(realtime=bool(self._granted & heartbeat.REALTIME), managed=notify.active)
         self.processes = ProcessTable(run, port, self._advice)
@@ -188,7 +188,7 @@ class Supervisor:
         self._repeats.wait(self._port.free_ns)
         if served:
             self._repeats.end()  # this port owner stops by itself, and may have been told to move again
-        elif self._repeats.take(now_ns) and self._port.burst():
+        elif self._repeats.pop(now_ns) and self._port.burst():
             self._wrote(monotonic_ns())
 
     def _held_up(self, now_ns: int, suspended_ns: int) -> list[Stop]:

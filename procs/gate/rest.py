@@ -23,7 +23,7 @@ class Rest:
 
     def beats_alone(self, ready: dict[int, int], now_ns: int) -> bool:
         """True when nothing has happened and only a beat is due."""
-        return self._beat.take(now_ns) and not ready and now_ns < self._loop.due_ns()
+        return self._beat.pop(now_ns) and not ready and now_ns < self._loop.due_ns()
 
     def ticked(self, now_ns: int) -> None:
         """Begin a tick. A missed tick is skipped, not made up for."""

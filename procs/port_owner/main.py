@@ -114,9 +114,9 @@ class PortOwner:
         self._check_drain(now_ns)
         self._forward_frames()
         self._follow_port(ready, now_ns)
-        self.motion_writer.follow(now_ns)
+        self.motion_writer.check_restart(now_ns)
         self._repeat(now_ns)
-        self.port.follow(now_ns)
+        self.port.configure(now_ns)
         self.port.ask(now_ns)
         self.port.watch(heard=self._telemetry.runs())
         self.heartbeat.beat(now_ns)
@@ -145,7 +145,7 @@ class PortOwner:
         """Account for a burst. Returns when it was written; 0 when the kernel did not take all of it."""
         self.admission.wheels_move = self._arm_moved = False
         self.bus.waiting.clear()
-        self._take_held()
+        self._pop_held()
         self._lapse.set(NEVER)
         self.repeats.restart(written_ns)
         self.port.pings.stopped(written_ns)
@@ -164,7 +164,7 @@ class PortOwner:
         self.wire.burst()
         written_ns = monotonic_ns()
         give_way()
-        self._own_stop(now_ns, written_ns, self._requests.take(now_ns))
+        self._own_stop(now_ns, written_ns, self._requests.accept(now_ns))
 
     def _hear_causes(self) -> None:
         """Stop for buttons, keys and wheels that telemetry has decoded; an empty cause asks for the stop once more."""
@@ -249,7 +249,7 @@ class PortOwner:
     def _forward_frames(self) -> None:
         """Read the gate's ring: of the motion frames only the newest counts, and a stop drops all motion queued before
         it."""
-        motion = self._take_held()
+        motion = self._pop_held()
         while entry := self._frames.next():
             _, frame_ns, payload = entry
             epoch, kind, body = records.FRAME.unpack(payload)
@@ -360,7 +360,7 @@ class PortOwner:
         else:
             self._refuse(verdict, now_ns)
 
-    def _take_held(self) -> DatedFrame | None:
+    def _pop_held(self) -> DatedFrame | None:
         """Return the motion that waits for a silent line, and stop waiting for the line."""
         motion, self._held = self._held, None
         if motion:
@@ -428,7 +428,7 @@ class PortOwner:
 
     def _repeat(self, now_ns: int) -> None:
         self.repeats.wait(self.wire.free_ns)
-        due = self.repeats.take(now_ns)
+        due = self.repeats.pop(now_ns)
         if self.admission.wheels_move:
             # Of a zero frame of the gate's, which refreshes it itself.
             if due == REPEAT:

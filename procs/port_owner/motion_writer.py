@@ -48,9 +48,9 @@ class MotionWriter:
             self._since(now_ns)
         return True
 
-    def follow(self, now_ns: int) -> None:
+    def check_restart(self, now_ns: int) -> None:
         """Send a board that has restarted the same frames again as when its port was opened."""
         restarts = self._restarts_word.get()
         if restarts != self._restarts:
             self._restarts = restarts
-            self._port.tell_again(now_ns)
+            self._port.configure_again(now_ns)

@@ -35,10 +35,10 @@ class OpenPort:
         self._supervisor_bell = context.bell("supervisor_bell")
         self._watched = (-1, 0)
         self._hears = loop.timer()
-        told = records.port_state(own.latest_reader("port").read(), self.number)
-        self.hears_ns = now_ns if told == records.PORT_OPEN else now_ns + self._deaf_ns
+        state = records.port_state(own.latest_reader("port").read(), self.number)
+        self.hears_ns = now_ns if state == records.PORT_OPEN else now_ns + self._deaf_ns
         """When the board hears. A port that the process before this one has used was not opened again."""
-        self._untold = () if told == records.PORT_OPEN else self._opening
+        self._settings_left = () if state == records.PORT_OPEN else self._opening
         """Frames that the board must get before the port counts as open."""
         period_ns = min(context.settings.ns("link.ping_s"), board.ping_ns or NEVER)
         due = loop.timer() if board.pings else Timer()
@@ -54,35 +54,35 @@ class OpenPort:
     def begin(self, now_ns: int) -> None:
         """Go on after the first burst: the port counts as open once the board hears and has received its settings."""
         self._hears.set(now_ns if self._wire.lost else self.hears_ns)
-        self.follow(now_ns)
+        self.configure(now_ns)
 
     def _hear(self, now_ns: int) -> None:
         """The board hears now. The kernel may refuse the settings, and a stop may cut them off; then the port is not
         open yet, because otherwise the board's own watchdog would never be set."""
-        if self._wire.lost or self._told():
+        if self._wire.lost or self._configured():
             self._hears.set(NEVER)
             self.publish(now_ns)
         else:
             self._hears.set(now_ns + AGAIN_NS)
 
-    def _told(self) -> bool:
+    def _configured(self) -> bool:
         """Send the remaining settings; True once the kernel has taken all of them."""
         wire = self._wire
-        for frame in self._untold:
-            if not wire.frame(frame, len(frame) * len(self._untold)) or wire.unsent:
+        for frame in self._settings_left:
+            if not wire.frame(frame, len(frame) * len(self._settings_left)) or wire.unsent:
                 return False
-        self._untold = ()
+        self._settings_left = ()
         return True
 
-    def follow(self, now_ns: int) -> None:
+    def configure(self, now_ns: int) -> None:
         """Once per turn: send its settings to a board that hears now."""
         if self._hears.due(now_ns):
             self._hear(now_ns)
 
-    def tell_again(self, now_ns: int) -> None:
+    def configure_again(self, now_ns: int) -> None:
         """Send the board again what it was sent when its port was opened."""
         if self._wire.fd >= 0 and self._hears.ns == NEVER:
-            self._untold = self._opening
+            self._settings_left = self._opening
             self._hears.set(now_ns)
 
     def publish(self, now_ns: int) -> None:
@@ -95,7 +95,7 @@ class OpenPort:
         """Adopt another port, on which the supervisor has stopped, so its first bytes are a burst."""
         fd, self.number, self._path = sent
         self._wire.adopt(fd)
-        self._untold = self._opening
+        self._settings_left = self._opening
         self.hears_ns = now_ns + self._deaf_ns
         self.pings.opened(self.hears_ns)
 

@@ -35,7 +35,7 @@ class RequestPipe:
         """True when a request waits while the pipe rests."""
         return self._rests.ns != NEVER and self._loop.readable(self._fd)
 
-    def take(self, now_ns: int) -> Cause:
+    def accept(self, now_ns: int) -> Cause:
         """Read the request, once its stop is written; the pipe rests from now on."""
         line = bell.receive(self._fd).split(b"\n", 1)[0]
         if self._rests.ns == NEVER:

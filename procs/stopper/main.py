@@ -111,7 +111,7 @@ class Stopper:
                 self._first_go.set(NEVER)
                 self._look_again.set(NEVER)
                 self._burst(now_ns)
-        elif self._repeats.take(now_ns):
+        elif self._repeats.pop(now_ns):
             if not self._parent.orphaned_ns and self._succeeded():
                 self._repeats.end()  # the new one repeats its own stop
                 return

@@ -116,11 +116,11 @@ def test_a_timer_is_due_from_its_time_on_and_takes_one_time_after_the_other() ->
     assert (timer.ns, timer.due(NEVER - 1)) == (NEVER, False)
     timer.set(10)
     assert [timer.due(ns) for ns in (9, 10, 11)] == [False, True, True]
-    assert [timer.take(ns) for ns in (9, 10, 10)] == [False, True, False]
+    assert [timer.pop(ns) for ns in (9, 10, 10)] == [False, True, False]
     assert timer.ns == NEVER
     timer.set(10, 20, 30)
-    assert [timer.take(ns) for ns in (10, 19, 35, 35, 35)] == [True, False, True, True, False]
+    assert [timer.pop(ns) for ns in (10, 19, 35, 35, 35)] == [True, False, True, True, False]
     timer.set(10, 20)
     timer.set(15)
-    assert timer.take(15)
+    assert timer.pop(15)
     assert timer.ns == NEVER, "what was set before is forgotten"

@@ -243,7 +243,7 @@ def test_a_machine_that_slept_is_stopped_for(scene: Scene, when: str) -> None:
 def written(repeats: Repeats, start_ms: int, end_ms: int) -> list[tuple[int, int]]:
     """Repeats that come due from start to end, asked every millisecond: (ms, what)."""
     times = range(start_ms, end_ms)
-    return [(ms, what) for ms in times if (what := repeats.take(BEGIN + ms * MS))]
+    return [(ms, what) for ms in times if (what := repeats.pop(BEGIN + ms * MS))]
 
 
 @pytest.fixture
@@ -260,7 +260,7 @@ def repeats(due: Timer) -> Repeats:
 
 
 def test_bursts_and_then_zero_frames_follow_a_stop_and_begin_anew_with_the_next(repeats: Repeats) -> None:
-    assert repeats.take(BEGIN + 20 * MS - 1) == 0
+    assert repeats.pop(BEGIN + 20 * MS - 1) == 0
     assert written(repeats, 0, 650) == [(20, REPEAT), (100, REPEAT), (200, REFRESH), (400, REFRESH), (600, REFRESH)]
     repeats.restart(BEGIN + 650 * MS)
     assert written(repeats, 650, 700) == [(670, REPEAT)]
@@ -281,17 +281,17 @@ def test_motion_ends_the_repeats_also_those_that_are_overdue(repeats: Repeats, d
     while len(found) < 5:
         assert due.ns > now_ns, "a wake-up that is over already would spin"
         now_ns = due.ns
-        found.append(((now_ns - BEGIN) // MS, repeats.take(now_ns)))
+        found.append(((now_ns - BEGIN) // MS, repeats.pop(now_ns)))
     assert found == [(20, REPEAT), (100, REPEAT), (200, REFRESH), (400, REFRESH), (600, REFRESH)]
     repeats.end()
     assert due.ns == NEVER
     assert written(repeats, 700, 2_000) == []
     repeats.restart(BEGIN + 5_000 * MS)
     late_ns = BEGIN + 6_000 * MS
-    assert [repeats.take(late_ns) for _ in range(4)] == [REPEAT, REPEAT, REFRESH, 0], "each is written"
+    assert [repeats.pop(late_ns) for _ in range(4)] == [REPEAT, REPEAT, REFRESH, 0], "each is written"
     repeats.restart(BEGIN + 7_000 * MS)
     repeats.end()
-    assert repeats.take(BEGIN + 9_000 * MS) == 0
+    assert repeats.pop(BEGIN + 9_000 * MS) == 0
 
 
 def told(machine: PortMachine, watch: Any, *slept_ms: float) -> list[float]:

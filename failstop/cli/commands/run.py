@@ -77,7 +77,7 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
     """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
     from failstop.supervisor import fit, status  # their imports would hold up the first stop
 
-    rights.take_room()
+    rights.raise_limits()
     given = {DEVICE: BY_KEY[DEVICE].check(arguments.device, "--device")} if arguments.device else {}
     read = config.read(arguments.config) if read is None else read
     settings = status.leased(config.checked({**read, **given}, arguments.config), read)
