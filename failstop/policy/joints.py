@@ -86,7 +86,7 @@ class Joint:
         self.velocity = 0.0
         self.unpaired = None
 
-    def follow(self, target: float, share: float, elapsed_s: float) -> None:
+    def step_towards(self, target: float, share: float, elapsed_s: float) -> None:
         """Move toward a position, with at most `share` of its speed, slowly enough that it can still stop there."""
         gap = target - self.position
         wanted = min(self.speed * share, abs(gap) / elapsed_s, self._stops_within(abs(gap), elapsed_s))

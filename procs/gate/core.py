@@ -120,7 +120,7 @@ class GateCore:
             ends_ns.append(self.scan.silent_ns())
         return min(ends_ns)
 
-    def take(self, command: Command, now_ns: int) -> Cause | None:
+    def accept(self, command: Command, now_ns: int) -> Cause | None:
         """Accept a new command; None if it is good. Otherwise returns the cause to stop for: non-finite values, or a
         second publisher of a source whose command still counts. A stamp from the future counts as now. A source that
         the settings don't name, or that is the pad's, is noted and ignored."""
@@ -271,7 +271,7 @@ class GateCore:
         reason = self.blocked(now_ns)
         if note := self.scan.note(now_ns, blocks=reason == NO_SCAN):
             self.notes.append(note)
-        driving, fell_back = self.sources.take_over(now_ns)
+        driving, fell_back = self.sources.choose_driver(now_ns)
         before = self.velocity
         if reason or driving is None:
             self.velocity = REST

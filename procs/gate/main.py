@@ -15,7 +15,7 @@ from failstop.policy.proofs import WAITS_FOR
 from failstop.policy.settings import PAD_SOURCE
 from failstop.procs.context import Context
 from failstop.procs.gate import clients
-from failstop.procs.gate.arm.shell import TELL_NS, Arm
+from failstop.procs.gate.arm.shell import REPORT_NS, Arm
 from failstop.procs.gate.clients import ClientTable, News, Slot, bounded, newest_number
 from failstop.procs.gate.core import IS_LATCHED, GateCore
 from failstop.procs.gate.remarks import SelfReports
@@ -149,25 +149,25 @@ class Gate:
         if decided:
             self.follow_latch()
             self.requests.answer_reset(now_ns)
-        self._follow_clients(self.clients.lives_ended(ready), now_ns)
+        self._hear_clients(self.clients.lives_ended(ready), now_ns)
         if self._client_bell in ready:  # last: a new client may get a number closed above
             self._client_rang(now_ns)
-        self._follow_telemetry(now_ns)
+        self._hear_telemetry(now_ns)
         if self.core.enabled:
             self._stop(self.core.attendance.gone(now_ns), now_ns)
         if self._next_tick.due(now_ns):
             self._tick(now_ns)
         elif self._due.due(now_ns):
             # A client that repeats its command has not rung a bell.
-            self._follow_clients(self.clients.look(self.clients.active), now_ns)
+            self._hear_clients(self.clients.look(self.clients.active), now_ns)
             self._step(now_ns)
         # When the current driver's command stops counting, as this turn saw it; the tick keeps it in mind.
         self._due.set(self.core.due_ns(now_ns) or NEVER)
         if self.arm:
             self._turn_arm(self.arm, now_ns)
-        self._tell()
+        self._send_notes()
         busy = bool(self.arm or self.core.enabled or self.clients.active)
-        self._rest.follow(now_ns, busy=busy, rests=self._rests(now_ns))
+        self._rest.plan_tick(now_ns, busy=busy, rests=self._rests(now_ns))
         self._publish(now_ns)
         self.requests.write()
         self.heartbeat.beat(now_ns)
@@ -188,10 +188,10 @@ class Gate:
             if reply.done and self.core.arm_waits:
                 arm.core.forget()
             self.requests.settle(request, reply, now_ns)
-        arm.tell(self.core.arm_closed(), now_ns)
-        self._arm_due.set(now_ns + TELL_NS if waits else arm.core.due_ns)
+        arm.finish_turn(self.core.arm_closed(), now_ns)
+        self._arm_due.set(now_ns + REPORT_NS if waits else arm.core.due_ns)
 
-    def _follow_clients(self, news: Iterator[News], now_ns: int) -> None:
+    def _hear_clients(self, news: Iterator[News], now_ns: int) -> None:
         for slot, record, values in news:
             self._hear(slot, record, values, now_ns)
 
@@ -208,7 +208,7 @@ class Gate:
             case "attended":
                 self._attend(now_ns, slot, *values)
             case "request":
-                self.take_request(now_ns, slot, *values)
+                self.handle_request(now_ns, slot, *values)
             case "arm_goal":
                 self._aim_arm(now_ns, slot, *values)
             case "aux":
@@ -226,7 +226,7 @@ class Gate:
         """Hear clients at once, but a flood of rings only at the ticks, because it would take a core from lower
         priorities."""
         rung = self.clients.hinted(bell.receive(self._client_bell))
-        self._follow_clients(self.clients.look(rung), now_ns)
+        self._hear_clients(self.clients.look(rung), now_ns)
         self._rings += 1
         if self._rings == MOST_RINGS:
             self.loop.forget(self._client_bell)
@@ -239,11 +239,11 @@ class Gate:
             self.loop.watch(self._client_bell, READ)
         self._rings = 0
         if now_ns - self._looked_ns < LOOK_AT_ALL_EVERY * self.period_ns:
-            self._follow_clients(self.clients.look(self.clients.active), now_ns)
+            self._hear_clients(self.clients.look(self.clients.active), now_ns)
         else:
             self._looked_ns = now_ns
-            self._follow_clients(self.clients.look(self.clients.slots), now_ns)
-            self._follow_said(now_ns)
+            self._hear_clients(self.clients.look(self.clients.slots), now_ns)
+            self._pass_remarks(now_ns)
         if self.core.check_interlocks(now_ns):
             self._frames.stop(now_ns)
         self._check_supervisor(now_ns)
@@ -267,14 +267,14 @@ class Gate:
             core.notes.append(Note("disabled", f"motion disabled: {why}", {"reason": why}))
             self._frames.stop(now_ns)
 
-    def _follow_said(self, now_ns: int) -> None:
+    def _pass_remarks(self, now_ns: int) -> None:
         """Pass on the clients' reports about themselves, unjudged."""
         rows = [(slot.session, slot.index, slot.who(), *said) for slot in self.clients.active if (said := slot.said())]
-        if (notes := self._said.follow(rows, now_ns)) is not None:
+        if (notes := self._said.update(rows, now_ns)) is not None:
             self.core.notes += notes
             self._said_record.write(pack(self._said.table()), now_ns)
 
-    def _tell(self) -> None:
+    def _send_notes(self) -> None:
         if self.core.notes:
             for note in self.core.notes:
                 self._notes.put(note.pack())
@@ -300,8 +300,8 @@ class Gate:
             if self.arm:
                 self.arm.core.stop(IS_LATCHED, self.core.latch)
 
-    def _follow_telemetry(self, now_ns: int) -> None:
-        """The gamepad's sticks, and telemetry's requests: a reset, or a frame that is not motion."""
+    def _hear_telemetry(self, now_ns: int) -> None:
+        """Handle the gamepad's sticks and telemetry's requests: a reset, or a frame that is not motion."""
         entry = self._pad_command.read()
         if entry and entry[0] != self._pad_seq:
             self._pad_seq, t_ns, payload = entry
@@ -327,7 +327,7 @@ class Gate:
         if self.arm:
             self.arm.core.stop(why, cause)
 
-    def take_request(self, now_ns: int, slot: Slot, asked_ns: int, number: int, verb: int) -> None:
+    def handle_request(self, now_ns: int, slot: Slot, asked_ns: int, number: int, verb: int) -> None:
         if self.requests.is_answered(slot, number):
             return
         request, enabled = Request(verb, asked_ns, number, slot.session, slot), self.core.enabled
@@ -355,7 +355,7 @@ class Gate:
     def _allow_motion(self, now_ns: int) -> Reply:
         """Enable motion. Who commands already is held then, also by a command that has not been heard yet, because a
         client's requests are heard before its commands."""
-        self._follow_clients(self.clients.commands(), now_ns)
+        self._hear_clients(self.clients.commands(), now_ns)
         return self.core.enable(self.epoch, self._missing(), now_ns)
 
     def _disable(self, _request: Request, now_ns: int) -> Reply:
@@ -388,7 +388,7 @@ class Gate:
     def _command(self, command: Command, now_ns: int) -> None:
         """A new command moves the wheels at once, not at the next tick."""
         self._box.command(command)
-        if fault := self.core.take(command, now_ns):
+        if fault := self.core.accept(command, now_ns):
             self._stop(fault, now_ns)
         elif not self._ticking:
             self._step(now_ns)

@@ -126,8 +126,8 @@ class SelfReports:
         self._rows: dict[int, SaidRow] = {}
         self._budget = Budget(now_ns)
 
-    def follow(self, rows: list[SaidRow], now_ns: int) -> list[Note] | None:
-        """Take the reports of all sessions. Returns notes for people; None if not even a time has changed."""
+    def update(self, rows: list[SaidRow], now_ns: int) -> list[Note] | None:
+        """Replace the reports of all sessions. Returns notes for people; None if not even a time has changed."""
         before, self._rows = self._rows, {row[0]: row for row in rows}
         if before == self._rows:
             return None

@@ -29,7 +29,7 @@ class Rest:
         """Begin a tick. A missed tick is skipped, not made up for."""
         self._ticked_ns = max(self._tick.ns, now_ns - self._period_ns // 2)
 
-    def follow(self, now_ns: int, *, busy: bool, rests: bool) -> None:
+    def plan_tick(self, now_ns: int, *, busy: bool, rests: bool) -> None:
         """Call at the end of a whole turn. The next tick is due one period after the last, or two while the gate
         `rests` or is late. `busy`: something could move for a client that is present."""
         if busy != bool(self._word.get()):

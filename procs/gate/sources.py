@@ -139,7 +139,7 @@ class Sources:
         """The last command of the source that drove last, however old it is."""
         return self._commands.get(self._driver)
 
-    def take_over(self, now_ns: int) -> tuple[Command | None, bool]:
+    def choose_driver(self, now_ns: int) -> tuple[Command | None, bool]:
         """The command that drives from now on, and True if the wheels fall back to a lower source with it."""
         command = self.driving(now_ns)
         before, self._driver = self._driver, command.source if command else self._driver

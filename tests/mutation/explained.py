@@ -345,7 +345,7 @@ ARM = (
     Reason("policy/joints.py", r"\+.* / self\.sign / self\.per_rad", "a sign is 1 or -1"),
     Reason("policy/joints.py", r"\+.*(1e-6 < angle|angle < high \+)", "a bound that is rounded, at exact equality"),
     Reason("policy/joints.py", r"\n\+\s+self\.stepped_ns = 1$", "a stream that begins sets it"),
-    Reason("procs/gate/arm/shell.py", r"\n\+\s+self\.told_ns = 1$", "one nanosecond after the boot is as long ago"),
+    Reason("procs/gate/arm/shell.py", r"\n\+\s+self\.reported_ns = 1$", "one nanosecond after the boot is as long ago"),
     Reason(
         "procs/gate/arm/*.py",
         r"\n\+.*self\.(_torque|_apart|since|begun)_ns = 1$",

@@ -93,7 +93,7 @@ class ArmBench:
 
     def goal(self, mode: str = goals.FOLLOW, session: int = ME, rate: float = 0.3, age_ns: int = 0) -> Goal:
         made = Goal(mode, session, f"client {session}", self.now - age_ns, {self.core.joints[0]: rate})
-        self.core.take(made, self.gate.core.arm_closed(), self.now)
+        self.core.accept(made, self.gate.core.arm_closed(), self.now)
         return made
 
     def execute(self, *rows: tuple[float, float], session: int = ME, joints: int = 1) -> Trajectory:

@@ -35,20 +35,22 @@ class Gate:
         self.step(elapsed_ns)
         return self.core.velocity[0]
 
-    def take(
+    def accept(
         self, velocity: Velocity, session: int = 1, age_ns: int = 0, *, source: str = "cmd_vel", manual: bool = False
     ) -> str:
         who, t_ns = f"client {session}", self.now - age_ns
-        return str(self.core.take(Command(session, who, t_ns, velocity, manual=manual, source=source), self.now) or "")
+        return str(
+            self.core.accept(Command(session, who, t_ns, velocity, manual=manual, source=source), self.now) or ""
+        )
 
     def command(self, vx: float, source: str = "cmd_vel", session: int = 1, *, manual: bool = False) -> str:
-        return self.take((vx, 0.0, 0.0), session, source=source, manual=manual)
+        return self.accept((vx, 0.0, 0.0), session, source=source, manual=manual)
 
     def drive(self, velocity: Velocity, ticks: int) -> list[Velocity]:
         """A fresh command at every tick; returns the velocity after each."""
         found = []
         for _ in range(ticks):
-            assert self.take(velocity) == ""
+            assert self.accept(velocity) == ""
             self.step()
             found.append(self.core.velocity)
         return found

@@ -153,11 +153,13 @@ class GateMachine(RuleBasedStateMachine):
         source=st.sampled_from(["cmd_vel", "cmd_vel", "teleop"]),
         manual=st.booleans(),
     )
-    def take(self, velocity: tuple[float, float, float], session: int, age_ns: int, source: str, manual: bool) -> None:
+    def accept(
+        self, velocity: tuple[float, float, float], session: int, age_ns: int, source: str, manual: bool
+    ) -> None:
         """A command, as gate/main.py handles it: a fault stops, anything else steps at once."""
         who = f"client {session}"
         command = Command(session, who, self.now - age_ns, velocity, manual=manual, source=source)
-        fault = self.core.take(command, self.now)
+        fault = self.core.accept(command, self.now)
         if not all(map(isfinite, velocity)):
             assert fault == causes.NOT_FINITE(who)
         elif self.counts(source) and self.commands[source][0] != session:
@@ -176,9 +178,9 @@ class GateMachine(RuleBasedStateMachine):
             self.move()
 
     @rule(velocity=st.tuples(axis, axis, axis))
-    def take_of_no_source(self, velocity: tuple[float, float, float]) -> None:
+    def accept_of_no_source(self, velocity: tuple[float, float, float]) -> None:
         """A source that no setting names moves nothing and stops nothing, but for values that are no numbers."""
-        fault = self.core.take(Command(1, "client 1", self.now, velocity, source="stranger"), self.now)
+        fault = self.core.accept(Command(1, "client 1", self.now, velocity, source="stranger"), self.now)
         if fault:
             assert not all(map(isfinite, velocity))
             self.halt(fault)

@@ -207,7 +207,7 @@ def test_the_assertions_of_a_session_are_read_with_their_time(service: Service) 
 
 def test_words_are_told_once_when_they_change_and_when_their_client_goes() -> None:
     said = SelfReports(0)
-    assert said.follow([], 0) is None
+    assert said.update([], 0) is None
     for t_ns, wrong, told in (
         (5, "", [("nav (pid 7) says: all well", "")]),
         (5, "", None),
@@ -215,13 +215,13 @@ def test_words_are_told_once_when_they_change_and_when_their_client_goes() -> No
         (7, "no map", [("nav (pid 7) says: no map", "warning")]),
         (8, "", [("nav (pid 7) says: all well", "")]),
     ):
-        news = said.follow([(11, 0, "nav (pid 7)", t_ns, "all well", wrong)], S)
+        news = said.update([(11, 0, "nav (pid 7)", t_ns, "all well", wrong)], S)
         assert (None if news is None else [(note.text, note.level) for note in news]) == told
         assert said.table() == [(0, t_ns, "all well", wrong)]
-    assert [note.text for note in said.follow([], S) or []] == ["nav (pid 7) has gone"]
+    assert [note.text for note in said.update([], S) or []] == ["nav (pid 7) has gone"]
     assert said.table() == []
     said = SelfReports(0)
-    each = [said.follow([(11, 0, "nav", turn, str(turn), "")], 0) or [] for turn in range(200)]
+    each = [said.update([(11, 0, "nav", turn, str(turn), "")], 0) or [] for turn in range(200)]
     assert sum(map(len, each)) == MOST_AT_ONCE, "ever new things are told of now and then"
     assert said.table() == [(0, 199, "199", "")]
 

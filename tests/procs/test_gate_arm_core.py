@@ -214,7 +214,7 @@ def test_other_joints_of_a_goal_are_held_and_begin_together(bench: ArmBench) -> 
     bench.run(0.2)
     bench.holds.clear()
     joints = bench.core.joints
-    bench.core.take(Goal(goals.FOLLOW, ME, "client 11", bench.now, {joints[1]: 0.1, joints[0]: 0.1}), "", bench.now)
+    bench.core.accept(Goal(goals.FOLLOW, ME, "client 11", bench.now, {joints[1]: 0.1, joints[0]: 0.1}), "", bench.now)
     bench.look()
     assert bench.holds == [bench.now]
     assert not bench.core.streaming()

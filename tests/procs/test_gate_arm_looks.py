@@ -35,7 +35,7 @@ def feetech(arm: dict[str, object]) -> tuple[ArmCore, ServoBus]:
 def test_joints_on_their_way_are_looked_at_where_the_board_can_tell() -> None:
     core, bus = feetech(ARM)
     first = core.joints[0]
-    core.take(Goal(goals.FOLLOW, ME, "client 11", T0, {first: first.rad(2100.0)}), "", T0)
+    core.accept(Goal(goals.FOLLOW, ME, "client 11", T0, {first: first.rad(2100.0)}), "", T0)
     frames = []
     now = T0
     while now < T0 + 120 * MS:
@@ -56,7 +56,7 @@ def test_joints_on_their_way_are_looked_at_where_the_board_can_tell() -> None:
 
 def test_the_only_joint_of_an_arm_is_looked_at_on_its_way() -> None:
     core, bus = feetech({"joints.base.servo": 4})
-    core.take(Goal(goals.JOG, ME, "client 11", T0, {core.joints[0]: 0.1}), "", T0)
+    core.accept(Goal(goals.JOG, ME, "client 11", T0, {core.joints[0]: 0.1}), "", T0)
     frames, now = [], T0
     while now < T0 + 60 * MS:
         frames.append(core.step(now)[0])
@@ -86,7 +86,7 @@ def test_joints_that_lag_behind_the_goals_of_streams_are_sent_once_where_they_ar
     core, bus = feetech({**ARM, "arm.collision": "off"})
     now = T0
     for joint in core.joints[:3]:
-        core.take(Goal(goals.FOLLOW, ME, "client 11", now, {joint: joint.rad(2100.0)}), "", now)
+        core.accept(Goal(goals.FOLLOW, ME, "client 11", now, {joint: joint.rad(2100.0)}), "", now)
         until_ns = now + 100 * MS
         while now < until_ns:
             core.step(now)
@@ -101,7 +101,7 @@ def test_joints_that_lag_behind_the_goals_of_streams_are_sent_once_where_they_ar
 def test_joint_that_stands_at_its_last_goal_is_sent_nothing_more(off: int, lags: bool) -> None:
     core, bus = feetech({**ARM, "arm.collision": "off"})
     joint = core.joints[0]
-    core.take(Goal(goals.JOG, ME, "client 11", T0, {joint: 0.0}), "", T0)
+    core.accept(Goal(goals.JOG, ME, "client 11", T0, {joint: 0.0}), "", T0)
     core.step(T0)
     core.drop("dropped")
     there = round(joint.position) + off

@@ -263,7 +263,7 @@ def test_follow_gets_there_by_its_ramps_and_stays(begin: float, target: float, s
     most = it.speed * share
     ramp_s = most / it.acceleration
     steps = round((abs(target - begin) / most + ramp_s) / STEP_S) + 10
-    positions = went(it, lambda it: it.follow(target, share, STEP_S), steps)
+    positions = went(it, lambda it: it.step_towards(target, share, STEP_S), steps)
     assert_within(it, positions, most)
     assert it.position == pytest.approx(target, abs=0.01)
     assert all(min(begin, target) - 0.5 < position < max(begin, target) + 0.5 for position in positions)
@@ -304,7 +304,7 @@ def test_joint_beyond_its_bounds_returns_no_faster_than_it_may(outside: float, r
     assert_within(it, positions, abs(rate))
     assert (it.position != outside) == inward
     it = joint(outside, low=100, high=900)
-    positions = went(it, lambda it: it.follow(500.0, 1.0, STEP_S), 200)
+    positions = went(it, lambda it: it.step_towards(500.0, 1.0, STEP_S), 200)
     assert_within(it, positions, it.speed)
     assert it.position == pytest.approx(500.0, abs=0.01)
 

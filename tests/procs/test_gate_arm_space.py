@@ -136,7 +136,7 @@ def over_the_floor() -> ArmBench:
 def jog(bench: ArmBench, rates: dict[int, float]) -> None:
     joints = bench.core.joints
     goal = Goal(goals.JOG, ME, "client 11", bench.now, {joints[index]: rate for index, rate in rates.items()})
-    bench.core.take(goal, "", bench.now)
+    bench.core.accept(goal, "", bench.now)
 
 
 def test_joint_that_would_hit_something_stays_where_it_is_and_a_journey_is_held() -> None:

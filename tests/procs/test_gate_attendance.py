@@ -93,10 +93,10 @@ def test_a_stamp_from_the_future_proves_nothing() -> None:
 
 def test_the_gate_wakes_when_the_lease_ends_and_when_the_last_operator_leaves() -> None:
     gate = attended()
-    gate.take((0.2, 0.0, 0.0))
+    gate.accept((0.2, 0.0, 0.0))
     assert gate.core.due_ns(gate.now) == gate.now + 300 * MS + 1  # the command's end comes first
     gate.now += 900 * MS
-    gate.take((0.2, 0.0, 0.0))
+    gate.accept((0.2, 0.0, 0.0))
     assert gate.core.due_ns(gate.now) == T0 + LEASE + 1
     gate.core.attendance.leave(1)
     due_ns = gate.core.due_ns(gate.now)

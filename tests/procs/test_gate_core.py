@@ -23,7 +23,7 @@ test_any_sequence_keeps_the_rules = pytest.mark.slow(GateMachine.TestCase)
 
 
 def test_an_enable_takes_its_epoch_and_no_command_of_before(gate: Gate) -> None:
-    gate.take(FORWARD)
+    gate.accept(FORWARD)
     assert told(gate.core.enable(1, "the port", gate.now)) == (False, "not ready: the port")
     held = "motion enabled; client 1 must send zero or pause before it can drive"
     assert told(gate.core.enable(7, "", gate.now)) == (True, held)
@@ -76,7 +76,7 @@ def test_a_latch_of_the_first_epoch_ends_by_the_supervisor_s_word_too(gate: Gate
 def test_a_frame_goes_out_every_refresh_and_at_once_while_blocked(driving: Gate) -> None:
     sent = []
     for tick in range(1, 41):
-        driving.take(FORWARD)
+        driving.accept(FORWARD)
         if driving.step() is not None:
             sent.append(tick)
     assert all(b - a == 10 for a, b in pairwise(sent)), "200 ms are 10 ticks"
@@ -95,7 +95,7 @@ def test_the_gate_rests_until_the_next_frame_is_due_and_not_while_it_ramps(gate:
     gate.drive(FORWARD, 5)
     assert not gate.core.rests(gate.now), "it ramps"
     gate.drive(FORWARD, 35)
-    gate.take(FORWARD)
+    gate.accept(FORWARD)
     assert gate.step(200 * MS) is not None
     assert [gate.core.rests(gate.now + 200 * MS + late_ns) for late_ns in (0, 1)] == [True, False]
 
@@ -121,7 +121,7 @@ def test_each_axis_ramps_a_tick_at_a_time_to_its_limit(
 def test_a_step_that_comes_late_ramps_for_two_periods_at_most(gate: Gate) -> None:
     gate.enable()
     for elapsed_ns, vx in ((30 * MS, 0.015), (40 * MS, 0.035), (290 * MS, 0.055)):
-        assert gate.take(FORWARD) == ""
+        assert gate.accept(FORWARD) == ""
         assert gate.tick(elapsed_ns) == pytest.approx(vx)
 
 
@@ -164,7 +164,7 @@ def test_a_speed_limit_counts_at_once_by_the_ramps_and_is_lifted(gate: Gate) -> 
 def test_the_deadman_counts_to_the_nanosecond_from_a_command_s_time_or_from_now(
     driving: Gate, age_ns: int, left_ns: int, manual: bool
 ) -> None:
-    assert driving.take(FORWARD, age_ns=age_ns, manual=manual) == ""
+    assert driving.accept(FORWARD, age_ns=age_ns, manual=manual) == ""
     assert driving.core.blocked(driving.now + left_ns) == ""
     assert driving.core.blocked(driving.now + left_ns + 1) == "cmd timeout"
 

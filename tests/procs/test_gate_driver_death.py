@@ -47,14 +47,14 @@ def test_a_death_disables_motion_however_long_ago_its_driver_commanded(silent_ns
     assert stands(dying)
     (note,) = dying.core.notes
     assert (note.kind, note.text, note.fields) == ("driver_gone", TOLD, DRIVER)
-    assert dying.take(VELOCITY, session=2) == ""
+    assert dying.accept(VELOCITY, session=2) == ""
     assert dying.step() is None, "nothing drives before an enable"
 
 
 def test_a_program_that_came_again_and_died_before_it_drove_is_not_said_to_have_driven() -> None:
     dying = gate("disable")
     dying.gone(1, parted=True)
-    dying.take(REST)
+    dying.accept(REST)
     dying.core.notes.clear()
     dying.gone(1)
     (note,) = dying.core.notes
@@ -65,14 +65,14 @@ def test_a_program_that_came_again_and_died_before_it_drove_is_not_said_to_have_
 def test_a_driver_is_who_has_commanded_as_a_source_before_motion_was_enabled_too() -> None:
     for dies in (1, 2):
         dying = Gate(sources__teleop__priority=10)
-        dying.take(REST)
+        dying.accept(REST)
         dying.enable()
-        dying.take(REST, 2, manual=True, source="teleop")
+        dying.accept(REST, 2, manual=True, source="teleop")
         dying.step()
         dying.gone(dies)
         assert dying.blocked == "disabled", "also one that waits"
     dying = gate("disable")
-    assert dying.take(VELOCITY, 3, source="stranger") == ""
+    assert dying.accept(VELOCITY, 3, source="stranger") == ""
     dying.core.notes.clear()
     for stranger in (2, 3):
         dying.gone(stranger)
@@ -87,7 +87,7 @@ def test_a_driver_is_who_has_commanded_as_a_source_before_motion_was_enabled_too
 def test_who_never_moved_the_robot_had_not_driven() -> None:
     dying = Gate(gate__driver_death="disable", scan__gate="on")
     dying.enable()
-    dying.take((100.0, 0.0, 0.0))
+    dying.accept((100.0, 0.0, 0.0))
     dying.step(TICK)
     assert (dying.blocked, dying.core.velocity) == ("no scan", REST)
     dying.gone(1)
@@ -106,8 +106,8 @@ def test_a_death_latches_or_leaves_motion_enabled_where_the_settings_say_so() ->
 @pytest.mark.parametrize("driver_death", ["disable", "latch", "stay"])
 def test_an_orderly_end_leaves_motion_enabled_and_a_death_while_disabled_is_no_news(driver_death: str) -> None:
     waiting = gate(driver_death, sources__teleop__priority=10)
-    waiting.take(VELOCITY, 2, source="teleop")
-    waiting.take(VELOCITY, 3, source="stranger")
+    waiting.accept(VELOCITY, 2, source="teleop")
+    waiting.accept(VELOCITY, 3, source="stranger")
     waiting.step()
     for client in (1, 2):
         waiting.gone(client, parted=True)
@@ -144,7 +144,7 @@ def test_a_driver_that_falls_silent_is_told_of_once_with_its_name(driving: Gate)
 @pytest.mark.parametrize("kind", ["driver_gone", "driver_silent"])
 def test_the_news_of_a_driver_hides_no_other_and_is_told_once(driving: Gate, kind: str) -> None:
     driving.drive(VELOCITY, 3)
-    driving.take(VELOCITY, 2, source="navv")
+    driving.accept(VELOCITY, 2, source="navv")
     if kind == "driver_gone":
         driving.gone(1)
     driving.step(301 * MS)
@@ -153,7 +153,7 @@ def test_the_news_of_a_driver_hides_no_other_and_is_told_once(driving: Gate, kin
 
 def by_hand(gate: Gate, source: str = "cmd_vel", session: int = 1) -> None:
     """A person's command, which runs out."""
-    assert gate.take(VELOCITY, session, manual=True, source=source) == ""
+    assert gate.accept(VELOCITY, session, manual=True, source=source) == ""
     gate.step()
     gate.step(301 * MS)
 

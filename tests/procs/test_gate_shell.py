@@ -56,8 +56,8 @@ def test_a_command_that_is_in_its_slot_before_an_enable_is_held_though_requests_
 def test_the_answer_to_an_older_request_does_not_take_the_place_of_a_newer_one_s(scene: Scene) -> None:
     scene.turn()
     slot, now_ns = scene.gate.clients.slots[0], scene.clock()
-    scene.gate.take_request(now_ns, slot, now_ns, 7, records.RESET)
-    scene.gate.take_request(now_ns, slot, now_ns, 8, records.DISABLE)
+    scene.gate.handle_request(now_ns, slot, now_ns, 7, records.RESET)
+    scene.gate.handle_request(now_ns, slot, now_ns, 8, records.DISABLE)
     scene.decide()
     assert scene.replied() == (8, True, "motion disabled")
 
@@ -283,7 +283,7 @@ def test_a_reset_whose_person_had_not_seen_the_newest_stop_is_refused(scene: Sce
     scene.ask(records.DISABLE)
     scene.saw(5)
     scene.stop("key2")
-    scene.gate.take_request(scene.clock(), scene.gate.clients.slots[0], scene.clock(), 9, records.RESET)
+    scene.gate.handle_request(scene.clock(), scene.gate.clients.slots[0], scene.clock(), 9, records.RESET)
     scene.gate.requests.write()
     assert scene.replied()[1:] == (False, UNSEEN), "a stop that the gate has not followed yet is newer too"
 
@@ -328,7 +328,7 @@ def test_a_successor_finds_what_is_latched_and_the_first_gate_nothing(scene: Sce
 
 def test_a_reset_that_its_predecessor_asked_for_is_nobody_s(scene: Scene) -> None:
     scene.stop_and_tick("key1")
-    scene.gate.take_request(0, scene.gate.clients.slots[0], scene.clock(), 1, records.RESET)
+    scene.gate.handle_request(0, scene.gate.clients.slots[0], scene.clock(), 1, records.RESET)
     scene.start_gate()
     scene.decide()
     assert scene.tick() is None, "but it is one all the same"
@@ -339,8 +339,8 @@ def test_a_client_that_asks_for_resets_without_end_is_in_the_line_once(scene: Sc
     mine, other = scene.gate.clients.slots[:2]
     scene.stop_and_tick("key1")
     for number in range(1000):
-        scene.gate.take_request(scene.clock(), mine, scene.clock(), number, records.RESET)
-    scene.gate.take_request(scene.clock(), other, scene.clock(), 1, records.RESET)
+        scene.gate.handle_request(scene.clock(), mine, scene.clock(), number, records.RESET)
+    scene.gate.handle_request(scene.clock(), other, scene.clock(), 1, records.RESET)
     assert scene.own.word("resets_asked").get() == 1
     scene.decide()
     assert scene.own.word("resets_asked").get() == 3

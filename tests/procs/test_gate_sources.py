@@ -70,15 +70,15 @@ def test_a_higher_source_takes_over_at_once_and_a_lower_begins_from_zero() -> No
 
 
 def test_another_publisher_latches_until_the_driver_has_ended(driving: Gate) -> None:
-    assert driving.take(REST, session=2) == "multiple cmd_vel publishers: client 1, client 2"
+    assert driving.accept(REST, session=2) == "multiple cmd_vel publishers: client 1, client 2"
     driving.gone(2, parted=True)
     assert driving.blocked == "", "a client that does not drive"
     driving.gone(1, parted=True)
     assert (driving.step(0), driving.blocked, driving.core.latch) == (NO_SPEEDS, "cmd timeout", None)
-    assert driving.take((0.2, 0.0, 0.0), session=2) == ""
+    assert driving.accept((0.2, 0.0, 0.0), session=2) == ""
     driving.step()
     assert driving.core.velocity[0] == pytest.approx(0.01)
-    assert driving.take((0.1, float("nan"), 0.1), session=2) == "command from client 2 is not finite"
+    assert driving.accept((0.1, float("nan"), 0.1), session=2) == "command from client 2 is not finite"
 
 
 def test_the_default_is_one_source_and_the_pad_is_above_all_and_no_client_s() -> None:
@@ -195,7 +195,7 @@ def test_a_layout_without_a_sideways_axis_stands_sideways() -> None:
     core = GateCore(settings, kinematics.from_settings(settings), T0)
     core.enable(1, "", T0)
     for tick in range(1, 30):
-        core.take(Command(1, "one", T0 + tick * TICK, (0.1, 0.2, 0.0)), T0 + tick * TICK)
+        core.accept(Command(1, "one", T0 + tick * TICK, (0.1, 0.2, 0.0)), T0 + tick * TICK)
         core.step(T0 + tick * TICK)
     assert core.velocity == pytest.approx((0.1, 0.0, 0.0))
 
@@ -266,7 +266,7 @@ def test_a_program_that_has_gone_and_a_person_who_let_go_are_not_named() -> None
     gate = Gate()
     gate.command(0.1)
     gate.gone(1, parted=False)
-    gate.take((0.1, 0.0, 0.0), session=2, manual=True)
+    gate.accept((0.1, 0.0, 0.0), session=2, manual=True)
     gate.now += 500 * MS
     assert told(gate.core.enable(1, "", gate.now)) == (True, "motion enabled")
 
@@ -303,7 +303,7 @@ def test_the_gamepad_is_held_too_until_its_stick_is_let_go() -> None:
 
     def pad(vx: float) -> float:
         velocity = (vx, 0.0, 0.0)
-        gate.core.take(Command(PAD_SESSION, PAD_SOURCE, gate.now, velocity, manual=True, source=PAD_SOURCE), gate.now)
+        gate.core.accept(Command(PAD_SESSION, PAD_SOURCE, gate.now, velocity, manual=True, source=PAD_SOURCE), gate.now)
         return gate.tick()
 
     pad(0.1)
@@ -335,10 +335,10 @@ def test_the_table_shows_a_program_that_fell_silent_while_it_drove_and_nobody_wh
     gate.enable()
     gate.command(0.1, session=1)
     gate.tick()
-    gate.take((velocity, 0.0, 0.0), 1, manual=manual)
+    gate.accept((velocity, 0.0, 0.0), 1, manual=manual)
     gate.tick()
     gate.now += 1_000 * MS
-    gate.take((0.1, 0.0, 0.0), 2, age_ns=500 * MS, source="teleop")
+    gate.accept((0.1, 0.0, 0.0), 2, age_ns=500 * MS, source="teleop")
     assert {row["source"]: row["state"] for row in gate.core.sources.table(gate.now)} == states
 
 

@@ -65,7 +65,7 @@ class Recorder:
 
     def command(self, ms: float, velocity: tuple[float, float, float], who: str = "nav (pid 77)") -> None:
         command = Command(1, who, at(ms), velocity)
-        self.core.take(command, at(ms))
+        self.core.accept(command, at(ms))
         self.gate.command(command)
 
     def tick(self, ms: float) -> None:

@@ -88,7 +88,7 @@ class ArmCore:
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
         return now_ns - goal.t_ns <= self._timeout_ns
 
-    def take(self, goal: Goal, closed: str, now_ns: int) -> None:
+    def accept(self, goal: Goal, closed: str, now_ns: int) -> None:
         """Accept a goal of a stream, or set `refused` to the reason why not. The shell looks for other publishers.
         `closed`: why the arm accepts none now; empty if it does."""
         goal.t_ns = min(goal.t_ns, now_ns)
@@ -193,7 +193,7 @@ class ArmCore:
         if self.letting_go:
             return self._let_go(now_ns), False
         hold = self._end_stale(now_ns)
-        wanted = self._follow_trajectory(now_ns)
+        wanted = self._advance_trajectory(now_ns)
         joints = self._to_stream()
         if joints and not self._stream.on:
             if unknown := self._unknown(joints):
@@ -254,7 +254,7 @@ class ArmCore:
         self._goal = None
         return not self.trajectory and self.drop("not renewed")
 
-    def _follow_trajectory(self, now_ns: int) -> list[Joint]:
+    def _advance_trajectory(self, now_ns: int) -> list[Joint]:
         """Bring the trajectory to its next phase when one is over; returns the joints whose position it waits for."""
         trajectory = self.trajectory
         if trajectory is None:

@@ -23,7 +23,7 @@ from failstop.procs.gate.requests import Request, Requests
 from failstop.procs.gate.rings import Frames
 
 NOT_IN_POSE = "arm is not in the drive pose"
-TELL_NS = 200_000_000
+REPORT_NS = 200_000_000
 """How often a waiting client hears about the progress."""
 BOX_NS = 100_000_000
 """How often the black box gets the arm's goal while the arm is active."""
@@ -39,7 +39,7 @@ class Waiter(Data):
     request: Request
     trajectory: Trajectory
     enables: bool = False
-    told_ns: int = 0
+    reported_ns: int = 0
 
 
 class Arm:
@@ -72,7 +72,7 @@ class Arm:
         self._tucking: Trajectory | None = None
         """The way to the tuck pose, until people were told how it ended."""
         self._hot_c, self._low_mv = int(settings["arm.hot_c"]), int(settings["arm.low_mv"])
-        self._told: dict[str, str] = {}
+        self._joint_notes: dict[str, str] = {}
         """The last note about each joint."""
 
     def hear(self, closed: str, now_ns: int) -> Cause | None:
@@ -80,7 +80,7 @@ class Arm:
         arm accepts no goal now; empty if it does."""
         while entry := self._answers.next():
             self.core.answer(*records.SERVO.unpack(entry[2]), entry[1])
-        return self._follow_pad(closed, now_ns)
+        return self._hear_pad(closed, now_ns)
 
     def step(self, now_ns: int) -> None:
         frame, hold = self.core.step(now_ns)
@@ -89,9 +89,10 @@ class Arm:
         if frame:
             self._frames.put(records.ARM, frame, now_ns)
 
-    def tell(self, closed: str, now_ns: int) -> None:
-        self._follow_tuck(closed, now_ns)
-        self._tell_joints()
+    def finish_turn(self, closed: str, now_ns: int) -> None:
+        """Tuck the arm if it is left alone, and report what has changed."""
+        self._update_tuck(closed, now_ns)
+        self._report_joints()
         self._keep(now_ns)
 
     def _keep(self, now_ns: int) -> None:
@@ -125,20 +126,20 @@ class Arm:
             self.core.refused = f"a goal of {slot.who()} for joints that the arm does not have"
             return None
         ends = {self._by_servo[servo]: value for servo, value in values.items()}
-        return self._take(Goal(GOAL_MODES[mode], slot.session, slot.who(), t_ns, ends), closed, now_ns)
+        return self._accept(Goal(GOAL_MODES[mode], slot.session, slot.who(), t_ns, ends), closed, now_ns)
 
-    def _take(self, goal: Goal, closed: str, now_ns: int) -> Cause | None:
+    def _accept(self, goal: Goal, closed: str, now_ns: int) -> Cause | None:
         """A second publisher of goals latches a stop; while the arm accepts no goals, there is no first one."""
         if rival := self._rival(goal.session, goal.who, now_ns):
             return rival
-        self.core.take(goal, closed, now_ns)
+        self.core.accept(goal, closed, now_ns)
         return None
 
     def _rival(self, session: int, who: str, now_ns: int) -> Cause | None:
         other = self.core.publisher(session, now_ns)
         return causes.TWO_MOVE_THE_ARM(other, causes.rival_of(other, who)) if other else None
 
-    def _follow_pad(self, closed: str, now_ns: int) -> Cause | None:
+    def _hear_pad(self, closed: str, now_ns: int) -> Cause | None:
         """Treat the gamepad in its joint mode like any other publisher. A joint that it lets go of is held."""
         entry = self._pad.read()
         if entry is None or entry[0] == self._pad_seq:
@@ -151,7 +152,7 @@ class Arm:
         self._pad_joint = joint.name
         if share:
             rate = share * joint.speed_radps
-            return self._take(Goal(goals.JOG, PAD_PUBLISHER, PAD_SOURCE, t_ns, {joint: rate}), closed, now_ns)
+            return self._accept(Goal(goals.JOG, PAD_PUBLISHER, PAD_SOURCE, t_ns, {joint: rate}), closed, now_ns)
         self.core.pause(PAD_PUBLISHER)
         if self.core.moved_by(PAD_PUBLISHER):
             self._give_up("let go", now_ns)
@@ -217,8 +218,8 @@ class Arm:
             return None
         request, trajectory = waiter.request, waiter.trajectory
         if not trajectory.done:
-            if now_ns - waiter.told_ns >= TELL_NS:
-                waiter.told_ns = now_ns
+            if now_ns - waiter.reported_ns >= REPORT_NS:
+                waiter.reported_ns = now_ns
                 self._requests.answer(request, Reply(records.UNDER_WAY, trajectory.progress(now_ns)))
             return None
         self._waiter = None
@@ -260,12 +261,12 @@ class Arm:
         fault = trajectory.outcome or core.off(core.judged(goals.DRIVE))
         return f'{fault}; without the arm: arm.absent = "ignore"' if fault and absent else fault
 
-    def _follow_tuck(self, closed: str, now_ns: int) -> None:
+    def _update_tuck(self, closed: str, now_ns: int) -> None:
         """Tuck an arm that is left alone. It is not left alone while it moves, or may not move."""
         core = self.core
         if self._tucking and self._tucking.done:
             if self._tucking.outcome and not self._tucking.dropped:
-                self._tell(f"the arm did not tuck itself: {self._tucking.outcome}", "warning")
+                self._add_note(f"the arm did not tuck itself: {self._tucking.outcome}", "warning")
             self._tucking = None
         if core.active_ns and (closed or core.followed):
             core.active_ns = now_ns
@@ -278,7 +279,7 @@ class Arm:
             core.active_ns = 0  # it is tucked
         elif not self._tuck_announced:
             self._tuck_announced = True
-            self._tell(f"the arm was left alone: it goes to its tuck pose in {self._notice_s:g} s")
+            self._add_note(f"the arm was left alone: it goes to its tuck pose in {self._notice_s:g} s")
         elif left_s <= 0.0:
             core.execute(trajectory, now_ns)
             core.active_ns = 0
@@ -289,10 +290,10 @@ class Arm:
         active_ns = self.core.active_ns
         return max(0.0, (active_ns + self._tuck_after_ns - now_ns) * 1e-9) if self._tucks and active_ns else None
 
-    def _tell(self, text: str, level: str = "") -> None:
+    def _add_note(self, text: str, level: str = "") -> None:
         self._notes.append(Note("arm", text, level=level))
 
-    def _tell_joints(self) -> None:
+    def _report_joints(self) -> None:
         """Report a servo's fault once, and report when it is over."""
         for joint in self.core.joints:
             text = ""
@@ -302,9 +303,9 @@ class Arm:
                 text = f"is hot: {self._hot_c} degrees or more; at 85 it lets go"
             elif joint.supply_mv and joint.supply_mv < self._low_mv:
                 text = f"has less than {self._low_mv} mV; with little less it lets go"
-            if text != self._told.get(joint.name, "") and (text or joint.known):
-                self._told[joint.name] = text
-                self._tell(
+            if text != self._joint_notes.get(joint.name, "") and (text or joint.known):
+                self._joint_notes[joint.name] = text
+                self._add_note(
                     f"joint {joint.name} (servo {joint.servo}) {text or 'is well again'}", "warning" if text else ""
                 )
 
@@ -324,7 +325,7 @@ class Arm:
             "silent": [joint.servo for joint in core.joints if joint.silent],
             "joints": [joint.state() for joint in core.joints],
             "auto_tuck_s": None if left_s is None or followed or pose == goals.TUCK else round(left_s),
-            "wrong": [f"joint {name} {text}" for name, text in self._told.items() if text],
+            "wrong": [f"joint {name} {text}" for name, text in self._joint_notes.items() if text],
             "pose": pose,
             "pad_joint": self._pad_joint if core.moved_by(PAD_PUBLISHER) else None,
             "tucks": left_s is not None and left_s <= self._notice_s and not followed,

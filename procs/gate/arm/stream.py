@@ -129,6 +129,6 @@ class Stream:
             elapsed_ns = min(now_ns - joint.stepped_ns, LONGEST_MOVE_NS) if joint.stepped_ns else self._period_ns
             joint.stepped_ns = now_ns
             if followed.mode != goals.JOG and joint in targets:
-                joint.follow(targets[joint], followed.share, elapsed_ns * 1e-9)
+                joint.step_towards(targets[joint], followed.share, elapsed_ns * 1e-9)
             else:
                 joint.jog(targets.get(joint, 0.0), elapsed_ns * 1e-9)
