@@ -135,7 +135,7 @@ def _still(tap: Tap, board: Board) -> bool | None:
         for at_ns, kind, said in tap.read():
             if kind == HEARD_WHEELS:
                 speeds, positions = said
-                read_back.take(speeds, positions, at_ns)
+                read_back.add(speeds, positions, at_ns)
         if read_back.still_ns and read_back.judged_ns - read_back.still_ns >= REST_S * 1e9:
             return True
         time.sleep(TURN_S)

@@ -283,7 +283,7 @@ class Follower:
         found = []
         for came_ns, said in reports.arrived(now_ns):
             t_ns = before_ns if waited else came_ns
-            finding = self.judge.take(() if self._counts else (said,), (said,) if self._counts else (), t_ns)
+            finding = self.judge.add(() if self._counts else (said,), (said,) if self._counts else (), t_ns)
             if finding:
                 found.append(finding)
         return found

@@ -36,8 +36,8 @@ class LowBattery:
         """True if the setting is on."""
         self._low = 0
 
-    def take(self, millivolts: int) -> Cause | None:
-        """Take a reading; returns the cause of a stop, or None. The cause comes once, until the voltage was above the
+    def add(self, millivolts: int) -> Cause | None:
+        """Add a reading; returns the cause of a stop, or None. The cause comes once, until the voltage was above the
         limit again."""
         self._low = self._low + 1 if millivolts < self._least_mv else 0
         return causes.BATTERY(millivolts / 1000) if self._low == LOW_READINGS else None
@@ -60,8 +60,8 @@ class Charger:
         elif self._disabled_since_ns is None:
             self._disabled_since_ns = now_ns
 
-    def take(self, millivolts: int, t_ns: int) -> bool:
-        """Take a reading. True when it changed `state`."""
+    def add(self, millivolts: int, t_ns: int) -> bool:
+        """Add a reading. True when it changed `state`."""
         known = [reading for reading in self._readings if t_ns - reading[0] <= JUMP_WINDOW_NS][-MOST_READINGS:]
         self._readings = [*known, (t_ns, millivolts)]
         base = sorted(mv for read_ns, mv in known if t_ns - read_ns > RECENT_NS)
@@ -83,8 +83,8 @@ class BatteryLog:
         self._on = settings.on("battery.log")
         self._due_ns: int | None = None
 
-    def take(self, millivolts: int, enabled: bool, t_ns: int, unix_s: float) -> tuple[str, str] | None:
-        """Take a reading. Returns (file name, line) when a line is due; there is a file for each day, in UTC."""
+    def add(self, millivolts: int, enabled: bool, t_ns: int, unix_s: float) -> tuple[str, str] | None:
+        """Add a reading. Returns (file name, line) when a line is due; there is a file for each day, in UTC."""
         if not self._on or (self._due_ns is not None and t_ns < self._due_ns):
             return None
         # Readings come every 1.05 s. If the next line were due after the late reading, lines would be 10.5 s apart.

@@ -88,8 +88,8 @@ class GyroBias:
         self.tracking = False
         return self._not_stationary("it was told to drive") if self.samples is not None else ""
 
-    def take(self, rate_radps: Vector, t_ns: int) -> str:
-        """Take a raw sample. Returns a line for the journal when a calibration ends, else an empty text."""
+    def add(self, rate_radps: Vector, t_ns: int) -> str:
+        """Add a raw sample. Returns a line for the journal when a calibration ends, else an empty text."""
         gap_ns = LONGEST_GAP_NS + 1 if self._last_ns is None else t_ns - self._last_ns
         self._last_ns = t_ns
         if self.samples is not None:

@@ -88,7 +88,7 @@ class GateState:
         news = False
         if entry and entry[0] != self._seq:
             self._seq, self._t_ns = entry[0], entry[1]
-            news = self._take(entry[2], entry[1])
+            news = self._unpack(entry[2], entry[1])
         if now_ns - self._t_ns > HANG_NS and (self.enabled or self.commanded):  # due every 100 ms
             self.enabled = False
             self.velocity = STANDSTILL
@@ -97,7 +97,7 @@ class GateState:
             news = True
         return news
 
-    def _take(self, payload: bytes, t_ns: int) -> bool:
+    def _unpack(self, payload: bytes, t_ns: int) -> bool:
         try:
             # Keep this state until the next one. Its keys are interned strings, and interning and dropping them at each
             # turn would make Python rebuild its table of them every few minutes.
@@ -167,7 +167,7 @@ class Telemetry:
         self._odd = OddReports(low_battery_stops=self._low_battery.stops)
         self._attach(context)
         self._watch_others(context)
-        self._tell_still(self._still, was_still=False)
+        self._publish_still(self._still, was_still=False)
         self._inherit(context.own)
         now_ns = monotonic_ns()
         self._gate.read(now_ns)
@@ -242,7 +242,7 @@ class Telemetry:
         now_ns = monotonic_ns()
         whole = len(ready) != 1 or self._port.fd not in ready
         kinds: list[int] = []
-        for came_ns, data in self._port.take(now_ns):
+        for came_ns, data in self._port.poll(now_ns):
             found = self._hearing.feed(data)
             # Treat samples that came together as spread over the longest possible time.
             step_ns = self._port.waited_ns // (len(found) or 1)
@@ -273,12 +273,12 @@ class Telemetry:
                 handler(said, came_ns)
         self._follow_port(ready)
         self._port.rest(now_ns, self._epoch_word.get(), busy=self._busy_word.get() > 0)
-        sound = self._tones.follow(self._gate.latched, self._pad.mode, tucks=self._gate.tucks)
+        sound = self._tones.sound_for(self._gate.latched, self._pad.mode, tucks=self._gate.tucks)
         if sound and (frame := self._board.buzzer(*sound)):
             self._request(records.PAD_FRAME, frame)
         self._publish(now_ns)
-        self._tell_said()
-        self._tell_pad_mode()
+        self._publish_said()
+        self._report_pad_mode()
         for text, step in self._files.notes():
             self._note("disk", text, step=step)
         self.heartbeat.beat(now_ns)
@@ -304,7 +304,7 @@ class Telemetry:
             self._restarts.forget()
             self._silence.forget()
 
-    def _tell_said(self) -> None:
+    def _publish_said(self) -> None:
         """Publish when the board last said anything. Done after everything that results from what it said."""
         silence = self._silence
         if silence.said_ns and silence.said_ns != self._said_word.get():
@@ -328,7 +328,7 @@ class Telemetry:
             if self._measured.t_ns != self._reading_ns or now_ns - self._wheels_ns >= BIAS_NS:
                 self._reading_ns, self._wheels_ns = self._measured.t_ns, now_ns
                 self._publish_wheels(now_ns)
-                self._follow_scale(now_ns)
+                self._compare_speeds(now_ns)
         self._proving.forget(now_ns)
         gyro = self._gyro
         flags = (gyro.tracking, gyro.calibrated)
@@ -350,7 +350,7 @@ class Telemetry:
             level, step = ("", "") if self._gyro.stationary else ("warning", imu.LEAVE_STANDING)
             self._note("gyro", text, level=level, step=step)
 
-    def _tell_pad_mode(self) -> None:
+    def _report_pad_mode(self) -> None:
         """Report whether the sticks move the wheels, which is what people want to know about a pad."""
         mode = records.PAD_MODES[self._pad.mode]
         if mode != self._pad_mode:
@@ -378,15 +378,15 @@ class Telemetry:
     def _on_imu(self, sample: interface.Value, t_ns: int) -> None:
         raw_radps, found = sample
         self._turn_radps = found[5]
-        note = self._gyro.take(raw_radps, t_ns)
+        note = self._gyro.add(raw_radps, t_ns)
         self._box.put(box.pack_board(box.IMU_KIND, *map(box.single, found)), t_ns)
         if not self._read_back.judged_ns:
             was_still = self._still.still_ns > 0
-            self._still.take(raw_radps[0], raw_radps[1], t_ns)
-            self._tell_still(self._still, was_still=was_still)
+            self._still.add(raw_radps[0], raw_radps[1], t_ns)
+            self._publish_still(self._still, was_still=was_still)
         self._note_gyro(note)
 
-    def _tell_still(self, judge: StillJudge | ReadBack, *, was_still: bool) -> None:
+    def _publish_still(self, judge: StillJudge | ReadBack, *, was_still: bool) -> None:
         # Read in the opposite order, so that no time is seen with an older verdict, or with none.
         if not judge.judged_ns:
             self._judged_word.set(0)
@@ -401,14 +401,14 @@ class Telemetry:
         """The board's own reports about its wheels are better than the shaking that an IMU sees."""
         was_still = self._read_back.still_ns > 0
         speeds, positions = sample
-        self._measured.take(speeds, positions, t_ns)
+        self._measured.add(speeds, positions, t_ns)
         self._odometry.roll(self._measured)
         measured = map(box.single, of_every_wheel(self._measured.speeds_rps))
         self._box.put(box.pack_board(box.WHEELS_KIND, *measured), t_ns)
         self._restarts.counted(positions, t_ns)
-        if self._read_back.take(speeds, positions, t_ns):
-            self._tell_still(self._read_back, was_still=was_still)
-        if self._runaway and (found := self._runaway.take(self._measured.speeds_rps, self._measured.turns, t_ns)):
+        if self._read_back.add(speeds, positions, t_ns):
+            self._publish_still(self._read_back, was_still=was_still)
+        if self._runaway and (found := self._runaway.add(self._measured.speeds_rps, self._measured.turns, t_ns)):
             self._on_finding(found)
 
     def _on_finding(self, found: Finding) -> None:
@@ -428,7 +428,7 @@ class Telemetry:
         fact, measured = self._fact, self._measured
         told_zero_ns = 0 if self._gate.commanded else self._gate.zero_ns or self._began_ns
         went = self._way.went(measured.turns, rest=fact.does != THEY_TURN)
-        fact.follow(self._read_back, self._still, told_zero_ns, now_ns, went=went)
+        fact.update(self._read_back, self._still, told_zero_ns, now_ns, went=went)
         self._act_unasked(now_ns)
         speeds, turns = of_every_wheel(measured.speeds_rps), of_every_wheel(measured.turns)
         count = max(len(measured.speeds_rps), len(measured.turns))
@@ -440,7 +440,7 @@ class Telemetry:
     def _act_unasked(self, now_ns: int) -> None:
         """Act on wheels that turn although they were told zero."""
         gate = self._gate
-        act = self._unasked.follow(
+        act = self._unasked.update(
             self._fact, now_ns, enabled=gate.enabled, latched=gate.latched, epoch=self._epoch_word.get()
         )
         self._raise(act.cause)
@@ -450,11 +450,11 @@ class Telemetry:
         if act.note:
             self._pass_on(act.note)
 
-    def _follow_scale(self, now_ns: int) -> None:
+    def _compare_speeds(self, now_ns: int) -> None:
         """Compare measured with commanded speeds; people are told once if they differ."""
         measured, judge = self._measured, self._scale
         turn_radps = self._turn_radps if self._gyro.calibrated else None
-        changed = judge.follow(self._gate.velocity, measured.speeds_rps, measured.t_ns, turn_radps, now_ns)
+        changed = judge.update(self._gate.velocity, measured.speeds_rps, measured.t_ns, turn_radps, now_ns)
         if changed or now_ns - self._scale_ns >= SCALE_NS:
             self._scale_ns = now_ns
             self._latest["scale"].write(pack([judge.wheels, judge.turn, judge.wrong, judge.remarks]), now_ns)
@@ -475,21 +475,21 @@ class Telemetry:
             # Without a battery the voltage is neither low nor changed by the charger, so people and programs read None.
             self._latest["battery"].write(records.BATTERY.pack(0, self._charger.state), t_ns)
             return
-        self._raise(self._low_battery.take(millivolts))
-        if self._charger.take(millivolts, t_ns):
+        self._raise(self._low_battery.add(millivolts))
+        if self._charger.add(millivolts, t_ns):
             name = records.PLUGGED[self._charger.state]
             self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")
             text = f"charger {name}: the battery stepped to {millivolts} mV"
             self._note("charger", text, {"state": name, "battery_mv": millivolts})
         self._latest["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
         self._box.put(box.pack_board(box.BATTERY_KIND, millivolts, self._charger.state), t_ns)
-        if due := self._log.take(millivolts, self._gate.enabled, t_ns, time()):
+        if due := self._log.add(millivolts, self._gate.enabled, t_ns, time()):
             self._files.append(BATTERY_LOG, due[0], battery.HEADER, due[1])
 
     def _on_pad(self, said: interface.Value, t_ns: int) -> None:
         buttons, hat, lx, ly, rx, ry, data = said
         sample = (buttons, hat, lx, ly, rx, ry)
-        news = self._pad.take(sample, data, t_ns)
+        news = self._pad.add(sample, data, t_ns)
         self._raise(news.cause)
         if news.command:
             self._latest["pad_command"].write(records.PAD_COMMAND.pack(*news.command), t_ns)

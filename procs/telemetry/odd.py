@@ -16,12 +16,12 @@ class OddReports:
 
     def __init__(self, *, low_battery_stops: bool) -> None:
         self._low_battery_stops = low_battery_stops
-        self._told: set[str] = set()
+        self._noted: set[str] = set()
 
     def text(self, what: str, value: str) -> str:
         """The text of a note about this value; empty if its kind was noted before."""
-        if what in self._told:
+        if what in self._noted:
             return ""
-        self._told.add(what)
+        self._noted.add(what)
         text = ODD_TEXTS.get(what, ODD_OTHER).format(what=what, value=value)
         return f"{text}{BLIND}" if what == BATTERY and self._low_battery_stops else text

@@ -148,7 +148,7 @@ class Odometry:
         lost, self._missed = missed - self._missed, missed
         if len(before) == len(turns):
             self._go([now - then for now, then in zip(turns, before, strict=True)], max(0.0, lost))
-        self._follow_speeds(measured)
+        self._use_speeds(measured)
         self._last_ns = max(t_ns, self._last_ns or 0)
 
     def _go(self, steps: Sequence[float], lost: float) -> None:
@@ -184,7 +184,7 @@ class Odometry:
             yy, yt, tt = yy + gy * gy * variance, yt + gy * th * variance, tt + th * th * variance
         self._covariance = (xx, xy, xt, yy, yt, tt)
 
-    def _follow_speeds(self, measured: Measured) -> None:
+    def _use_speeds(self, measured: Measured) -> None:
         if not measured.counts:
             self.vx_mps, self.vy_mps, self.wz_radps = (
                 sum(way * rps for way, rps in zip(row, measured.speeds_rps, strict=True)) for row in self._ways

@@ -100,8 +100,8 @@ class Pad:
         self.mode = LOCKED
         self._latched_ns = now_ns
 
-    def take(self, sample: tuple[int, int, int, int, int, int], raw: bytes, t_ns: int) -> PadNews:
-        """Take one frame: (buttons, hat, lx, ly, rx, ry), and its raw bytes."""
+    def add(self, sample: tuple[int, int, int, int, int, int], raw: bytes, t_ns: int) -> PadNews:
+        """Add one frame: (buttons, hat, lx, ly, rx, ry), and its raw bytes."""
         self._notice_silence(t_ns)
         self._raw = [*self._raw[1 - RAW_FRAMES :], (t_ns, raw)]
         buttons, _, lx, ly, rx, _ = sample
@@ -109,7 +109,7 @@ class Pad:
         was = self.mode
         if cause:
             self.mode = LOCKED
-        self._follow_hold(buttons, t_ns)
+        self._update_hold(buttons, t_ns)
         same_ns = self._same_ns(sample, t_ns)
         # Longer than any hold that somebody means as a reset.
         self._hold_spent |= same_ns >= self._frozen_ns + self._reset_hold_ns
@@ -154,7 +154,7 @@ class Pad:
             self._hold_ns = None
         self._last_ns = t_ns
 
-    def _follow_hold(self, buttons: int, t_ns: int) -> None:
+    def _update_hold(self, buttons: int, t_ns: int) -> None:
         """Follow MODE: a hold begins, continues or ends. The mode changes when a hold begins."""
         if buttons & self._mode_button:
             self._hold_frames_missing = 0
@@ -202,7 +202,7 @@ class Tones:
         self._seen = (True, LOCKED, False)
         """Latched, mode and tucks. A stop that is latched at the start was announced when it happened."""
 
-    def follow(self, latched: bool, mode: int, *, tucks: bool = False) -> Sound | None:
+    def sound_for(self, latched: bool, mode: int, *, tucks: bool = False) -> Sound | None:
         """The sound to make now, or None. A latch also locks the pad, and then only the latch's tone sounds."""
         (was_latched, was_mode, tucked), self._seen = self._seen, (latched, mode, tucks)
         if not self._on:

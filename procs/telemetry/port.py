@@ -46,7 +46,7 @@ class HeardPort:
             self._epoch, self._proved_ns = epoch, now_ns + PROVED_NS
         self.held.watch(READ | EDGE if busy or now_ns < self._proved_ns else HANGUP)
 
-    def take(self, now_ns: int) -> list[tuple[int, bytes]]:
+    def poll(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Once per turn: the bytes that have come since the last call, and when."""
         waited_ns = now_ns - self._empty_ns
         came_ns, self.waited_ns = (now_ns, waited_ns) if waited_ns < LATE_NS else (self._empty_ns, 0)

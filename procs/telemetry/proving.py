@@ -46,14 +46,14 @@ class Proving:
     def answered(self, indices: Value, came_ns: int) -> None:
         """An answer to one of these pings has come."""
         before_ns = self._handled.asked_ns
-        self._take(HEARD_PONG, indices, came_ns)
+        self._record(HEARD_PONG, indices, came_ns)
         if self._handled.asked_ns != before_ns:
             self._answered.write(records.PROVED.pack(self._handled.asked_ns, came_ns), came_ns)
             self._bell.ring()
 
     def obeyed(self, speeds: Value, came_ns: int, *, moves: bool) -> None:
         """The board has reported the command that it obeys; `moves`: it is told to move."""
-        self._take(HEARD_OBEYED, speeds, came_ns)
+        self._record(HEARD_OBEYED, speeds, came_ns)
         paused, self._obeyed_ns = came_ns - self._obeyed_ns > self._pause_ns, came_ns
         told_ns = self._told_word.get()
         written = max(word.get() for word in self._stopped) < told_ns <= came_ns
@@ -61,21 +61,21 @@ class Proving:
         # What it heard before this motion says nothing of how it heeds this one.
         faded_ns = self.faded_ns if self.faded_ns >= told_ns else 0
         since_ns = faded_ns or (0 if paused else self._unheeded_ns)
-        self._tell_unheeded((since_ns or came_ns) if moves and written and zeros else 0)
+        self._publish_unheeded((since_ns or came_ns) if moves and written and zeros else 0)
 
     def forget(self, now_ns: int) -> None:
         """Call once in a while: forget a report that is old."""
         if self._unheeded_ns and now_ns - self._obeyed_ns >= FORGOTTEN_NS:
-            self._tell_unheeded(0)
+            self._publish_unheeded(0)
 
-    def _take(self, kind: int, said: Value, came_ns: int) -> None:
+    def _record(self, kind: int, said: Value, came_ns: int) -> None:
         while entry := self._wrote.next():
             self._handled.wrote(*records.WROTE.unpack(entry[2]), entry[1])
         if proved_ns := self._handled.heard(kind, said, came_ns, [word.get() for word in self._stopped]):
             self._proved.write(records.PROVED.pack(proved_ns, came_ns), came_ns)
             self._bell.ring()
 
-    def _tell_unheeded(self, since_ns: int) -> None:
+    def _publish_unheeded(self, since_ns: int) -> None:
         if since_ns != self._unheeded_ns:
             self._unheeded_ns = since_ns
             self._unheeded_word.set(since_ns)

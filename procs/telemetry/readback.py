@@ -22,8 +22,8 @@ class ReadBack:
         self.still_ns = self.judged_ns = 0
         self._before: tuple[int, tuple[float, ...]] | None = None
 
-    def take(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
-        """Take a report; True when it was judged, or the verdict before it no longer counts. A NaN is unknown, because
+    def add(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
+        """Add a report; True when it was judged, or the verdict before it no longer counts. A NaN is unknown, because
         as a number it would pass for neither turning nor at rest."""
         if not all(map(isfinite, (*speeds, *positions))):
             known, self._before = self.judged_ns > 0, None

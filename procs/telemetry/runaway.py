@@ -120,8 +120,8 @@ class _Wheel:
         "rolls_ns",
         "second_ns",
         "side",
+        "stand_noted",
         "stands_ns",
-        "told_off",
     )
 
     def __init__(self) -> None:
@@ -130,8 +130,8 @@ class _Wheel:
         """The fastest that it was told since it was last within what it was told."""
         self.halves = [0.0, 0.0, 0.0, 0.0]
         """Of the first half of the time and of the second: speed times weight, and weight."""
-        self.told_off = False
-        """It was told of that it stands."""
+        self.stand_noted = False
+        """That it stands was noted."""
 
     def within(self) -> None:
         self.beyond_ns, self.before_rps = 0, 0.0
@@ -143,7 +143,7 @@ class _Wheel:
         self.halves = [0.0, 0.0, 0.0, 0.0]
 
     def add(self, seen_rps: float, weight: float, t_ns: int) -> None:
-        """Take in a report while it is beyond."""
+        """Add a report while it is beyond."""
         self.reports += 1
         half = 2 * (t_ns > self.second_ns)
         self.halves[half] += seen_rps * weight
@@ -159,7 +159,7 @@ class _Wheel:
 
 
 class RunawayJudge:
-    """`follow` at each look at what the gate tells the wheels, `take` for each report, in the order of time."""
+    """Call follow() at each look at what the gate commands, and add() for each report, in the order of time."""
 
     def __init__(self, limits: Limits, wheels: Sequence[int]) -> None:
         """`wheels`: the ids on the wire of those that the robot has."""
@@ -196,7 +196,7 @@ class RunawayJudge:
         for index, wheel in self._wheels.items():
             wheel.before_rps = max(wheel.before_rps, self._fastest(index))
             wheel.beyond_ns = wheel.stands_ns = 0
-            wheel.told_off = False
+            wheel.stand_noted = False
         self._told.clear()
         self._moves = False
         self._read_ns, self._turns = now_ns, ()
@@ -205,8 +205,8 @@ class RunawayJudge:
         """The fastest that this wheel was told lately."""
         return max((abs(told[index]) for _, told in self._told if index < len(told)), default=0.0)
 
-    def take(self, speeds_rps: Told, turns: Told, t_ns: int) -> Finding | None:
-        """Take a report: speeds in turns a second, or how far each wheel has turned, by wire id. Returns the first
+    def add(self, speeds_rps: Told, turns: Told, t_ns: int) -> Finding | None:
+        """Add a report: speeds in turns a second, or how far each wheel has turned, by wire id. Returns the first
         wheel that does not do what it is told, once."""
         limits = self._limits
         begun_ns, blur_rps = t_ns - limits.every_ns, limits.rps
@@ -275,10 +275,10 @@ class RunawayJudge:
         lowest, highest, _ = bounds
         told = max(lowest, -highest)  # the least, where both have one sign
         if told < self._limits.told_rps or abs(seen) > STANDS_SHARE * told:
-            wheel.stands_ns, wheel.told_off = 0, False
+            wheel.stands_ns, wheel.stand_noted = 0, False
             return None
         wheel.stands_ns = wheel.stands_ns or span[0]
-        if wheel.told_off or span[1] - wheel.stands_ns < STANDS_NS:
+        if wheel.stand_noted or span[1] - wheel.stands_ns < STANDS_NS:
             return None
-        wheel.told_off = True
+        wheel.stand_noted = True
         return Finding(STANDS, index, self._told[-1][1][index], seen)

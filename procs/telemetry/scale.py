@@ -103,7 +103,7 @@ class Ratio:
 
 
 class ScaleJudge:
-    """`follow` once for each look at the wheels."""
+    """Call update() once for each look at the wheels."""
 
     def __init__(self, settings: Settings, board: Board) -> None:
         self._chassis = kinematics.from_settings(settings)
@@ -129,7 +129,7 @@ class ScaleJudge:
         """The same of the robot's turn; NaN: not known."""
         return self._turn.known.ratio
 
-    def follow(
+    def update(
         self,
         velocity: tuple[float, float, float],
         speeds_rps: Sequence[float],

@@ -41,8 +41,8 @@ class StillJudge:
         self.judged_ns = 0
         """The last sample with a verdict; 0: no verdict, as while the first quiet windows must hold."""
 
-    def take(self, gx_radps: float, gy_radps: float, t_ns: int) -> None:
-        """Take one finite sample, with or without its bias. About 2 us."""
+    def add(self, gx_radps: float, gy_radps: float, t_ns: int) -> None:
+        """Add one finite sample, with or without its bias. About 2 us."""
         if not 0 <= t_ns - self._last_ns <= GAP_NS:
             self._samples.clear()
             self._sums, self._begun_ns = (0, 0, 0, 0), t_ns

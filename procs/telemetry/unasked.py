@@ -17,7 +17,7 @@ from failstop.policy import causes
 from failstop.policy.causes import Cause
 from failstop.procs.telemetry.wheels import ARE_STILL, SEEN_BY_REPORTS, THEY_TURN, WheelFact
 
-TOLD_AGAIN_NS = {True: 10_000_000_000, False: 60_000_000_000}
+NOTE_AGAIN_NS = {True: 10_000_000_000, False: 60_000_000_000}
 """How long people hear nothing new about wheels that still turn; False: by an IMU alone."""
 
 
@@ -35,7 +35,7 @@ NO_REACTION = Reaction(None, False, None)
 
 
 class Unasked:
-    """Call follow() for each change of the wheels or the gate."""
+    """Call update() for each change of the wheels or the gate."""
 
     def __init__(self, after_ns: int) -> None:
         """`after_ns`: how long wheels may turn after they were told zero."""
@@ -46,10 +46,10 @@ class Unasked:
         self._epoch = 0
         self._rested = False
         """The wheels were seen still since the epoch of the latched stop."""
-        self._again_ns = self._told_ns = 0
-        self._told_turning = False
+        self._again_ns = self._noted_ns = 0
+        self._noted_turning = False
 
-    def follow(self, fact: WheelFact, now_ns: int, *, enabled: bool, latched: bool, epoch: int) -> Reaction:
+    def update(self, fact: WheelFact, now_ns: int, *, enabled: bool, latched: bool, epoch: int) -> Reaction:
         """Follow the wheels; `epoch`: the gate's, which every stop raises."""
         reported = fact.by == SEEN_BY_REPORTS
         if epoch != self._epoch:
@@ -73,9 +73,9 @@ class Unasked:
         return Reaction(None, again, self._turning(reported, now_ns))
 
     def _turning(self, reported: bool, now_ns: int) -> Note | None:
-        if self._told_ns and now_ns - self._told_ns < TOLD_AGAIN_NS[reported]:
+        if self._noted_ns and now_ns - self._noted_ns < NOTE_AGAIN_NS[reported]:
             return None
-        self._told_ns, self._told_turning = now_ns, True
+        self._noted_ns, self._noted_turning = now_ns, True
         if reported:
             text = (
                 "the wheels turn although they were told to stop, so the stop is written again: "
@@ -86,9 +86,9 @@ class Unasked:
         return Note("wheels_turn", text, {"state": "turning", "by": "IMU"}, level="info")
 
     def _over(self, fact: WheelFact, now_ns: int) -> Reaction:
-        if not self._told_turning or fact.does != ARE_STILL:
+        if not self._noted_turning or fact.does != ARE_STILL:
             return NO_REACTION
-        self._told_turning = False
+        self._noted_turning = False
         return Reaction(
             None, False, Note("wheels_turn", "the wheels are still again", {"state": "still", "by": ""}, level="info")
         )

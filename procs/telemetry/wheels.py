@@ -77,8 +77,8 @@ class Measured:
         """Continue from the newest report of an earlier run of this process."""
         self.turns, self.speeds_rps, self.t_ns = tuple(turns), tuple(speeds_rps), t_ns
 
-    def take(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> None:
-        """Take a report of the board, in its own units."""
+    def add(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> None:
+        """Add a report of the board, in its own units."""
         told = self._reports
         rps = tuple(speed / told.speed_per_rps for speed in speeds) if told.speed_per_rps else ()
         counts = positions if self.counts else ()
@@ -193,7 +193,7 @@ class Way:
 
 
 class WheelFact:
-    """What is known about the wheels, and since when. Call follow() for each reading and each change of the gate."""
+    """What is known about the wheels, and since when. Call update() for each reading and each change of the gate."""
 
     def __init__(self, after_ns: int) -> None:
         """`after_ns`: how long wheels may turn after they were told zero."""
@@ -207,7 +207,7 @@ class WheelFact:
         self.unexpected = False
         """The wheels turn although they were told zero for longer than allowed."""
 
-    def follow(
+    def update(
         self, read_back: ReadBack, still: StillJudge, told_zero_ns: int, now_ns: int, *, went: bool = True
     ) -> None:
         """Judge again. `told_zero_ns`: since when the wheels are told zero; 0: they are told to turn. `went`: they have

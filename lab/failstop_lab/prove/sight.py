@@ -162,7 +162,7 @@ class ByWheels(Sight):
 def rests(samples: Sequence[SeenSample]) -> list[tuple[int, bool]]:
     """(when, whether the wheels stood) of each report that says it."""
     judge = ReadBack()
-    told = ((t_ns, judge.take(speeds, positions, t_ns)) for t_ns, speeds, positions in samples)
+    told = ((t_ns, judge.add(speeds, positions, t_ns)) for t_ns, speeds, positions in samples)
     return [(t_ns, judge.still_ns > 0) for t_ns, judged in told if judged and judge.judged_ns]
 
 

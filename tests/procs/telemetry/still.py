@@ -50,7 +50,7 @@ def heading_drift_deg(tested: GyroBias, run: Iterable[tuple[int, Vector]]) -> fl
     last_ns = 0
     for t_ns, rate in run:
         calibrating = tested.samples is not None
-        tested.take(rate, t_ns)
+        tested.add(rate, t_ns)
         if not calibrating:
             heading_rad += tested.corrected(rate)[2] * (t_ns - last_ns) * 1e-9
             furthest_rad = max(furthest_rad, abs(heading_rad))

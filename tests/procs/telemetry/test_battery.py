@@ -38,7 +38,7 @@ def charger(state: int = UNDECIDED, **changed: object) -> Charger:
 def readings(tested: Charger, *values: int, start_ns: int = 0, every_ns: int = S) -> int:
     """Feed one reading a second; returns when the next is due."""
     for i, value in enumerate(values):
-        tested.take(value, start_ns + i * every_ns)
+        tested.add(value, start_ns + i * every_ns)
     return start_ns + len(values) * every_ns
 
 
@@ -58,11 +58,11 @@ def test_a_step_of_190_mv_or_a_setting_s_is_the_charger(
     for step_mv, found in ((least_mv - 1, UNDECIDED), (least_mv, state)):
         tested = settled(**changed)
         assert tested.state == UNDECIDED
-        assert tested.take(11_800 + sign * step_mv, 8 * S) is (found != UNDECIDED)
+        assert tested.add(11_800 + sign * step_mv, 8 * S) is (found != UNDECIDED)
         assert tested.state == found
     tested, states = charger(), []
     for i in range(-8, 19):  # the board averages: a step of 226 mV and more shows fully after about 3 s
-        tested.take(11_800 + round(sign * 249 * max(0.0, min(1.0, i / 3))), 100 * S + i * READING_NS)
+        tested.add(11_800 + round(sign * 249 * max(0.0, min(1.0, i / 3))), 100 * S + i * READING_NS)
         states.append(tested.state)
     assert (states[:9], states[-1], set(states)) == ([UNDECIDED] * 9, state, {UNDECIDED, state})
 
@@ -72,28 +72,28 @@ def test_the_base_is_the_median(before: tuple[int, ...]) -> None:
     """Of an even number it is the middle of the middle two."""
     tested = charger()
     next_ns = readings(tested, *before) + 3 * S
-    assert not tested.take(11_989, next_ns)
-    assert tested.take(11_990, next_ns + 1)
+    assert not tested.add(11_989, next_ns)
+    assert tested.add(11_990, next_ns + 1)
 
 
 @pytest.mark.parametrize(("age_ns", "counts"), [(2 * S, False), (2 * S + 1, True), (8 * S, True), (8 * S + 1, False)])
 def test_readings_older_than_2_s_and_of_the_last_8_s_are_the_base(age_ns: int, counts: bool) -> None:
     tested = charger()
-    tested.take(11_000, 0)
-    assert tested.take(12_000, age_ns) is counts
+    tested.add(11_000, 0)
+    assert tested.add(12_000, age_ns) is counts
 
 
 def test_a_step_counts_not_while_enabled_and_more_than_3_s_after_disabling() -> None:
     tested = settled()
     tested.follow(True, 5 * S)
-    assert not tested.take(12_100, 8 * S)
+    assert not tested.add(12_100, 8 * S)
     tested.follow(False, 6 * S)
     tested.follow(False, 8 * S)
-    assert not tested.take(12_100, 9 * S), "exactly 3 s is not more"
-    assert tested.take(12_100, 9 * S + 1)
+    assert not tested.add(12_100, 9 * S), "exactly 3 s is not more"
+    assert tested.add(12_100, 9 * S + 1)
     tested = settled(PLUGGED_IN)
-    assert not tested.take(12_100, 8 * S), "it is plugged already"
-    assert tested.take(11_500, 9 * S)
+    assert not tested.add(12_100, 8 * S), "it is plugged already"
+    assert tested.add(11_500, 9 * S)
     assert tested.state == UNPLUGGED
 
 
@@ -103,7 +103,7 @@ def test_a_voltage_that_stays_within_190_mv_never_changes_the_state(steps: list[
     t_ns = 0
     for millivolts, ms in steps:
         t_ns += ms * MS
-        assert not tested.take(millivolts, t_ns)
+        assert not tested.add(millivolts, t_ns)
     assert tested.state == state
 
 
@@ -111,8 +111,8 @@ def test_a_flood_of_readings_is_forgotten() -> None:
     """The base is the median of the newest readings alone, however few of all they are."""
     tested = charger()
     readings(tested, *[11_000] * 5_000, *[11_800] * (MOST_READINGS // 2 + 1), every_ns=1_000)
-    assert not tested.take(11_989, 5 * S)
-    assert tested.take(11_990, 5 * S)
+    assert not tested.add(11_989, 5 * S)
+    assert tested.add(11_990, 5 * S)
 
 
 @pytest.mark.parametrize(("stop_mv", "stops"), [(-1, False), (0, True), (1, True)])
@@ -124,11 +124,11 @@ def test_a_battery_that_stays_low_stops_once_where_a_setting_says_so() -> None:
     tested = LowBattery(Settings({"battery.stop_mv": 10_500}))
     runs = ((LOW_READINGS - 1, 10_400), (1, 10_500), (2 * LOW_READINGS, 10_499), (1, 11_000), (LOW_READINGS, 10_490))
     readings = [millivolts for count, millivolts in runs for _ in range(count)]
-    stops = [(at, str(cause)) for at, millivolts in enumerate(readings) if (cause := tested.take(millivolts))]
+    stops = [(at, str(cause)) for at, millivolts in enumerate(readings) if (cause := tested.add(millivolts))]
     assert [at for at, _ in stops] == [2 * LOW_READINGS - 1, len(readings) - 1]
     assert stops[1][1] == "the battery is at 10.49 V", "the volts that stopped it"
     silent = LowBattery(Settings())
-    assert {silent.take(0) for _ in range(2 * LOW_READINGS)} == {None}
+    assert {silent.add(0) for _ in range(2 * LOW_READINGS)} == {None}
 
 
 def log(**changed: object) -> BatteryLog:
@@ -143,7 +143,7 @@ def test_a_line_is_unix_time_mv_wheels_enabled_in_one_file_a_day() -> None:
         *((False, after_s, f"{NOON + after_s:.1f},11832,0\n", day) for after_s, day in ((43_199.9, 16), (43_200, 17))),
         (False, 129_599.9, f"{NOON + 129_599.9:.1f},11832,0\n", 17),
     ):
-        assert log().take(11_832, enabled, 0, NOON + after_s) == (f"battery-2026-03-{day}.csv", line)
+        assert log().add(11_832, enabled, 0, NOON + after_s) == (f"battery-2026-03-{day}.csv", line)
 
 
 @pytest.mark.parametrize(
@@ -167,4 +167,4 @@ def test_a_line_is_unix_time_mv_wheels_enabled_in_one_file_a_day() -> None:
 )
 def test_a_line_is_due_a_period_on(changed: dict[str, object], times_ns: tuple[int, ...], lines: list[bool]) -> None:
     tested = log(**changed)
-    assert [tested.take(11_800, False, t_ns, NOON) is not None for t_ns in times_ns] == lines
+    assert [tested.add(11_800, False, t_ns, NOON) is not None for t_ns in times_ns] == lines

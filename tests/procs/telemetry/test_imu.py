@@ -29,7 +29,7 @@ def accelerometer(offsets_g: Vector, scales: Vector) -> Accelerometer:
 
 def calibrate(tested: GyroBias, rates: list[Vector], *, start_ns: int = 0) -> list[str]:
     """Feed rates at 110 Hz; returns the lines for the journal."""
-    notes = [tested.take(rate, start_ns + i * PERIOD_NS) for i, rate in enumerate(rates)]
+    notes = [tested.add(rate, start_ns + i * PERIOD_NS) for i, rate in enumerate(rates)]
     return [note for note in notes if note]
 
 
@@ -64,7 +64,7 @@ def test_3_s_of_samples_give_their_mean_which_is_logged_with_count_and_deviation
 @pytest.mark.parametrize("start_ns", [0, 1, 77 * S])
 def test_the_3_s_end_with_the_first_sample_that_is_3_s_after_the_first(start_ns: int) -> None:
     tested = gyro()
-    ends = [bool(tested.take(dps(0.1, 0.1, 0.1), start_ns + i * S // 100)) for i in range(400)]
+    ends = [bool(tested.add(dps(0.1, 0.1, 0.1), start_ns + i * S // 100)) for i in range(400)]
     assert ends.index(True) == 300
     assert sum(ends) == 1
 
@@ -78,7 +78,7 @@ def test_a_deviation_over_0_3_deg_per_s_on_any_axis_is_not_stationary(axis: int,
     assert tested.calibrated is tested.stationary is stands
     exact = gyro(calibration_s=0.1, calibration_std_dps=0.25)
     for z_dps, t_ns in ((-0.25, 0), (0.25, S // 10)):
-        exact.take(dps(0.0, 0.0, z_dps), t_ns)
+        exact.add(dps(0.0, 0.0, z_dps), t_ns)
     assert exact.calibrated, "exactly the deviation is stationary"
 
 
@@ -87,13 +87,13 @@ def test_the_settings_are_those_of_the_bias() -> None:
     tested = GyroBias(Settings(changed | {"imu.tracking_band_dps": 5.0, "imu.tracking_tau_s": 10.0}))
     tested.follow(False, 0)
     rates = [dps(0.0, 0.0, 0.9 if i % 2 else -0.9) for i in range(101)]
-    assert [i for i, rate in enumerate(rates) if tested.take(rate, i * S // 100)] == [100]
+    assert [i for i, rate in enumerate(rates) if tested.add(rate, i * S // 100)] == [100]
     assert tested.calibrated
     tested.inherit((0.0, 0.0, 0.0))
-    tested.take(dps(0.0, 0.0, 4.9), 2 * S - S // 4)
-    tested.take(dps(0.0, 0.0, 4.9), 2 * S - 1)
+    tested.add(dps(0.0, 0.0, 4.9), 2 * S - S // 4)
+    tested.add(dps(0.0, 0.0, 4.9), 2 * S - 1)
     assert tested.bias_radps == (0.0, 0.0, 0.0)
-    tested.take(dps(0.0, 0.0, 4.0), 2 * S - 1 + S // 10)
+    tested.add(dps(0.0, 0.0, 4.0), 2 * S - 1 + S // 10)
     assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.04))
 
 
@@ -111,7 +111,7 @@ def test_the_gyros_own_noise_at_rest_is_stationary(noise_radps: float) -> None:
     tested = gyro()
     tested.follow(False, 0)
     run = samples(3.1, 1, ramp_dps=0.0, walk_dps=0.0, noise_radps=noise_radps)
-    notes = [note for t_ns, rate in run if (note := tested.take(rate, t_ns))]
+    notes = [note for t_ns, rate in run if (note := tested.add(rate, t_ns))]
     assert notes[0].startswith("gyro bias")
     assert tested.bias_radps == pytest.approx(dps(0.4, -0.7, 0.25), abs=5 * noise_radps / 330**0.5)
 
@@ -146,8 +146,8 @@ def test_a_gap_of_more_than_0_5_s_in_the_samples_begins_the_calibration_anew() -
     """The board was away: what came before it says little about now."""
     for gap_ns, ends in ((S // 2, True), (S // 2 + 1, False)):
         tested = gyro(calibration_s=0.5)
-        tested.take(dps(0.0, 0.0, 0.1), 7 * S)
-        assert bool(tested.take(dps(0.0, 0.0, 0.1), 7 * S + gap_ns)) is ends
+        tested.add(dps(0.0, 0.0, 0.1), 7 * S)
+        assert bool(tested.add(dps(0.0, 0.0, 0.1), 7 * S + gap_ns)) is ends
     tested = gyro()
     calibrate(tested, [dps(5.0, 0.0, 0.0)] * 300)
     assert calibrate(tested, [dps(1.0, 0.0, 0.0)] * 300, start_ns=9 * S) == []
@@ -177,14 +177,14 @@ def resting(tau_s: float = 20.0) -> GyroBias:
     tested.follow(True, 0)
     tested.inherit((0.0, 0.0, 0.0))
     tested.follow(False, 0)
-    tested.take((0.0, 0.0, 0.0), 10 * S)
+    tested.add((0.0, 0.0, 0.0), 10 * S)
     return tested
 
 
 def test_it_follows_the_reading_with_a_time_constant_of_20_s() -> None:
     tested = resting()
     for i in range(1, 20 * 110 + 1):
-        tested.take(dps(0.0, 0.0, 0.1), 10 * S + i * PERIOD_NS)
+        tested.add(dps(0.0, 0.0, 0.1), 10 * S + i * PERIOD_NS)
     assert tested.tracking
     assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.1 * (1 - 0.36788)), rel=1e-3)
 
@@ -196,22 +196,22 @@ def test_it_follows_the_reading_with_a_time_constant_of_20_s() -> None:
 )
 def test_the_weight_of_a_reading_is_its_time_over_the_constant(tau_s: float, gap_ns: int, weight: float) -> None:
     tested = resting(tau_s)
-    tested.take(dps(0.0, 0.4, 0.2), 10 * S + gap_ns)
+    tested.add(dps(0.0, 0.4, 0.2), 10 * S + gap_ns)
     assert tested.bias_radps == pytest.approx(dps(0.0, 0.4 * weight, 0.2 * weight))
 
 
 def test_the_bias_is_frozen_while_driving_and_until_1_s_of_rest() -> None:
     tested = resting()
-    tested.take(dps(0.0, 0.0, 0.0), 11 * S - PERIOD_NS)
+    tested.add(dps(0.0, 0.0, 0.0), 11 * S - PERIOD_NS)
     tested.follow(True, 11 * S)
     assert not tested.tracking, "at once, not with the next sample"
     for i in range(500):
-        tested.take(dps(0.0, 0.0, 0.3), 11 * S + i * PERIOD_NS)
+        tested.add(dps(0.0, 0.0, 0.3), 11 * S + i * PERIOD_NS)
         assert (tested.tracking, tested.bias_radps) == (False, (0.0, 0.0, 0.0))
     tested.follow(False, 20 * S)
     seen = []
     for t_ns in (20 * S + 990_000_000, 21 * S):
-        tested.take(dps(0.0, 0.0, 0.1), t_ns)
+        tested.add(dps(0.0, 0.0, 0.1), t_ns)
         seen.append((tested.tracking, tested.bias_radps[2] > 0))
     assert seen == [(False, False), (True, True)]
 
@@ -222,15 +222,15 @@ def test_the_bias_is_frozen_when_turned_by_more_than_0_5_dps_on_any_axis() -> No
         rate = [0.01, 0.01, 0.01]
         rate[axis] = 0.51
         for i in range(1, 500):
-            tested.take(dps(*rate), 10 * S + i * PERIOD_NS)
+            tested.add(dps(*rate), 10 * S + i * PERIOD_NS)
         assert tested.bias_radps == (0.0, 0.0, 0.0)
         rate[axis] = 0.5
-        tested.take(dps(*rate), 15 * S)
+        tested.add(dps(*rate), 15 * S)
         assert tested.tracking, "exactly 0.5 is within"
     tested = resting()
     tested.inherit(dps(2.0, 2.0, 2.0))
     for number, (rates, tracks) in enumerate((((2.4, 1.6, 2.0), True), ((0.1, 0.1, 0.1), False)), 1):
-        tested.take(dps(*rates), 10 * S + number * PERIOD_NS)
+        tested.add(dps(*rates), 10 * S + number * PERIOD_NS)
         assert tested.tracking is tracks, "the band is around the bias, and not around zero"
 
 
@@ -238,7 +238,7 @@ def test_the_bias_never_moves_where_tracking_is_off() -> None:
     tested = gyro(tracking="off")
     tested.follow(False, 0)
     for i in range(1000):
-        tested.take(dps(0.0, 0.0, 0.1 if i < 400 else 0.2), i * PERIOD_NS)
+        tested.add(dps(0.0, 0.0, 0.1 if i < 400 else 0.2), i * PERIOD_NS)
         assert not tested.tracking
     assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.1))
 
@@ -252,7 +252,7 @@ def test_the_bias_never_leaves_what_was_within_the_band(steps: list[tuple[int, f
         t_ns += ms * 1_000_000
         tested.follow(moving, t_ns)
         before, rate = tested.bias_radps, dps(x, y, z)
-        tested.take(rate, t_ns)
+        tested.add(rate, t_ns)
         for was, now, reading in zip(before, tested.bias_radps, rate, strict=True):
             assert min(was, reading) - 1e-15 <= now <= max(was, reading) + 1e-15
             assert abs(now - was) <= dps(0.5, 0, 0)[0]
@@ -266,7 +266,7 @@ def calibrated(**changed: Any) -> tuple[GyroBias, int]:
     t_ns = 10 * S
     while tested.samples is not None:
         t_ns += S // 100
-        tested.take((0.0, 0.0, 0.0), t_ns)
+        tested.add((0.0, 0.0, 0.0), t_ns)
     return tested, t_ns
 
 
@@ -274,14 +274,14 @@ def test_after_the_calibration_it_goes_on_as_the_mean_of_all_readings() -> None:
     """3 s of zeros, then 6 s of 0.3 deg/s: their mean is 0.2."""
     tested, t_ns = calibrated()
     for i in range(1, 601):
-        tested.take(dps(0.3, 0.0, -0.3), t_ns + i * S // 100)
+        tested.add(dps(0.3, 0.0, -0.3), t_ns + i * S // 100)
     assert tested.bias_radps == pytest.approx(dps(0.2, 0.0, -0.2), rel=1e-2)
     tested = gyro()  # without calibration it follows by the time constant: else the first reading would be the bias
     tested.follow(False, 0)
     for i in range(1, 400):
-        tested.take(dps(0.0, 0.0, 5.0 if i % 2 else -5.0), i * S // 100)
+        tested.add(dps(0.0, 0.0, 5.0 if i % 2 else -5.0), i * S // 100)
     assert not tested.calibrated
-    tested.take(dps(0.0, 0.0, 0.4), 4 * S)
+    tested.add(dps(0.0, 0.0, 0.4), 4 * S)
     assert tested.bias_radps == pytest.approx(dps(0.0, 0.0, 0.4 * 0.01 / 20))
 
 
@@ -292,9 +292,9 @@ def test_the_step_is_dt_over_tau_once_20_s_are_averaged(tau_s: float, settled_s:
         tested, t_ns = calibrated(tracking_tau_s=tau_s)
         count = round((settled_s - early_s) * 100)
         for i in range(1, count + 1):
-            tested.take((0.0, 0.0, 0.0), t_ns + i * S // 100)
+            tested.add((0.0, 0.0, 0.0), t_ns + i * S // 100)
         t_ns += max(count, 0) * S // 100
-        tested.take(dps(0.0, 0.0, 0.4), t_ns + S // 100)
+        tested.add(dps(0.0, 0.0, 0.4), t_ns + S // 100)
         step = tested.bias_radps[2] / dps(0.0, 0.0, 0.4)[2]
         wanted = 0.01 / tau_s
         assert (step == pytest.approx(wanted, rel=1e-3)) is (early_s == 0.0 or not settled_s)
@@ -305,11 +305,11 @@ def test_time_that_does_not_move_the_bias_is_not_averaged() -> None:
     tested, t_ns = calibrated()
     tested.follow(True, t_ns)
     for i in range(1, 3_001):
-        tested.take((0.0, 0.0, 0.0), t_ns + i * S // 100)
+        tested.add((0.0, 0.0, 0.0), t_ns + i * S // 100)
     t_ns += 30 * S
     tested.follow(False, t_ns)
-    tested.take((0.0, 0.0, 0.0), t_ns + S - S // 100)
-    tested.take(dps(0.0, 0.0, 0.4), t_ns + S)
+    tested.add((0.0, 0.0, 0.0), t_ns + S - S // 100)
+    tested.add(dps(0.0, 0.0, 0.4), t_ns + S)
     assert tested.bias_radps[2] == pytest.approx(dps(0.0, 0.0, 0.4 * 0.01 / 3.02)[2], rel=0.02)
 
 

@@ -33,7 +33,7 @@ class Held:
     def frame(self, buttons: int = 0, lx: int = 0, ly: int = 0, rx: int = 0, ry: int = 0) -> PadNews:
         self.now_ns += FRAME_MS * MS
         raw = bytes((buttons & 0xFF, buttons >> 8, 0, lx & 0xFF, ly & 0xFF, rx & 0xFF, ry & 0xFF))
-        return self.pad.take((buttons, 0, lx, ly, rx, ry), raw, self.now_ns)
+        return self.pad.add((buttons, 0, lx, ly, rx, ry), raw, self.now_ns)
 
     def frames(self, count: int, buttons: int = 0) -> list[PadNews]:
         return [self.frame(buttons) for _ in range(count)]
@@ -345,35 +345,35 @@ def test_a_push_chooses_from_0_7_on_and_again_once_it_was_back_within_half_of_th
 @pytest.fixture
 def sounding() -> Tones:
     made = Tones(on=True)
-    made.follow(False, LOCKED)
+    made.sound_for(False, LOCKED)
     return made
 
 
 def test_tones_are_off_by_default() -> None:
     assert not Settings().on("buzzer.tones")
     silent = Tones(on=False)
-    seen = [silent.follow(latched, mode) for latched in (False, True, False) for mode in (LOCKED, DRIVING)]
+    seen = [silent.sound_for(latched, mode) for latched in (False, True, False) for mode in (LOCKED, DRIVING)]
     assert set(seen) == {None}
 
 
 def test_each_trip_and_each_mode_sounds_once(sounding: Tones) -> None:
     for _ in range(2):
-        assert [sounding.follow(True, LOCKED) for _ in range(3)] == [pad.LATCH_SOUND, None, None]
-        assert sounding.follow(False, LOCKED) is None
-    heard = [sounding.follow(False, mode) for mode in (DRIVING, DRIVING, LOCKED)]
+        assert [sounding.sound_for(True, LOCKED) for _ in range(3)] == [pad.LATCH_SOUND, None, None]
+        assert sounding.sound_for(False, LOCKED) is None
+    heard = [sounding.sound_for(False, mode) for mode in (DRIVING, DRIVING, LOCKED)]
     assert heard == [pad.MODE_SOUNDS[DRIVING], None, pad.MODE_SOUNDS[LOCKED]]
     assert len({pad.LATCH_SOUND, *pad.MODE_SOUNDS}) == 1 + len(records.PAD_MODES)
-    sounding.follow(False, DRIVING)
-    assert sounding.follow(True, LOCKED) == pad.LATCH_SOUND, "a trip that locks the pad"
-    assert sounding.follow(False, LOCKED) is None
+    sounding.sound_for(False, DRIVING)
+    assert sounding.sound_for(True, LOCKED) == pad.LATCH_SOUND, "a trip that locks the pad"
+    assert sounding.sound_for(False, LOCKED) is None
 
 
 def test_an_arm_that_is_about_to_tuck_is_heard_once_and_no_stop_of_before_the_start(sounding: Tones) -> None:
     tucks = [False, True, True, False, False, True]
-    heard = [sounding.follow(False, LOCKED, tucks=each) for each in tucks]
+    heard = [sounding.sound_for(False, LOCKED, tucks=each) for each in tucks]
     assert heard == [None, pad.TUCK_SOUND, None, None, None, pad.TUCK_SOUND]
-    assert Tones(on=True).follow(True, LOCKED) is None
-    assert Tones(on=True).follow(False, LOCKED, tucks=True) == pad.TUCK_SOUND, "the arm has yet to move"
+    assert Tones(on=True).sound_for(True, LOCKED) is None
+    assert Tones(on=True).sound_for(False, LOCKED, tucks=True) == pad.TUCK_SOUND, "the arm has yet to move"
 
 
 @pytest.mark.parametrize("sound", [pad.LATCH_SOUND, *pad.MODE_SOUNDS, pad.TUCK_SOUND])

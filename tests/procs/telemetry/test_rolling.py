@@ -114,7 +114,7 @@ def test_the_covariance_stays_at_rest_and_grows_with_the_way() -> None:
     measured, odometry = Measured(Scene(**{"board.kind": "arduino"}).telemetry._board.reports), Odometry(settings)
     found = []
     for at, count in enumerate([0, 0, 0, 3436, 6872, 6872, 6872]):
-        measured.take((), (float(count),) * 2, (at + 1) * 1000 * MS)
+        measured.add((), (float(count),) * 2, (at + 1) * 1000 * MS)
         odometry.roll(measured)
         found.append(odometry.covariance)
     assert found[0] == found[2]

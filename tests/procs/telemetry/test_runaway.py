@@ -54,7 +54,7 @@ def told(judge: RunawayJudge, speeds: list[tuple[float, float]], seen: list[floa
     for number, (now, report) in enumerate(zip(speeds, seen, strict=True)):
         t_ns = (number + 100) * 20 * MS
         judge.follow((now[0], now[1]), t_ns, t_ns, enabled=enabled)
-        if finding := judge.take((report, 0.0), (), t_ns):
+        if finding := judge.add((report, 0.0), (), t_ns):
             found.append(finding.what)
     return found
 
@@ -80,7 +80,7 @@ def test_commands_that_nobody_has_seen_are_compared_with_nothing() -> None:
         t_ns = (number + 100) * 20 * MS
         if number % 10 == 0:
             judge.follow((1.0,), t_ns, t_ns, enabled=True)
-        assert judge.take((9.0,), (), t_ns) is None
+        assert judge.add((9.0,), (), t_ns) is None
 
 
 def test_an_encoder_on_the_edge_of_a_count_goes_nowhere() -> None:

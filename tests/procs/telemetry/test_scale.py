@@ -66,7 +66,7 @@ class Robot:
                 self._read_ns = self.now_ns
             gyro = None if self._body is None else self._turn + self.noise() / 50
             measured = [speed + self.noise() for speed in self._speeds]
-            if self.judge.follow(self.velocity, measured, self._read_ns, gyro, self.now_ns):
+            if self.judge.update(self.velocity, measured, self._read_ns, gyro, self.now_ns):
                 self.said += [text for text in self.judge.wrong if _kind_of(text) not in map(_kind_of, self.said)]
                 self.remarked += self.judge.remarks
 

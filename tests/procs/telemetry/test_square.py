@@ -104,7 +104,7 @@ class Drive:
 
     def read(self) -> None:
         speeds, positions = self._report(self.base)
-        self.measured.take(self._by_id(speeds), self._by_id(positions), self.t_ns)
+        self.measured.add(self._by_id(speeds), self._by_id(positions), self.t_ns)
         self.odometry.roll(self.measured)
 
     def square(self) -> None:
@@ -171,7 +171,7 @@ def test_the_covariance_covers_what_slips() -> None:
             ways = [0.025 + dice.gauss(0.0, 0.02 * math.sqrt(0.025)) for _ in turns]
             turns = [turn + 0.025 / rim_m for turn in turns]
             true_rad += (ways[1] - ways[0]) / track_m
-            measured.take((), tuple(turns), (1 + at) * S // 8)
+            measured.add((), tuple(turns), (1 + at) * S // 8)
             odometry.roll(measured)
         share.append((odometry.th_rad - true_rad) ** 2 / odometry.covariance[5])
     assert 0.5 < sum(share) / len(share) < 2.0

@@ -45,7 +45,7 @@ class Shaken:
             self.t_ns += self._step_ns
             self._sign = -self._sign
             y = x_radps if y_radps is None else y_radps
-            self.judge.take(bias_radps + self._sign * x_radps, bias_radps + self._sign * y, self.t_ns)
+            self.judge.add(bias_radps + self._sign * x_radps, bias_radps + self._sign * y, self.t_ns)
 
     @property
     def still(self) -> bool:
@@ -181,7 +181,7 @@ def gyro(seed: int, hz: float) -> Callable[[tuple[float, float, float, float], S
     def step(wheels: tuple[float, float, float, float], judge: StillJudge) -> int:
         now[0] += period_ns
         sample = sensor.sample(wheels, now[0])
-        judge.take(math.radians(sample[3]), math.radians(sample[4]), now[0])
+        judge.add(math.radians(sample[3]), math.radians(sample[4]), now[0])
         return now[0]
 
     return step
@@ -252,26 +252,26 @@ def test_both_words_follow_each_sample_and_another_verdict_rings_the_supervisor(
 def test_speeds_of_zero_are_rest_since_the_first_such_report() -> None:
     judge = ReadBack()
     assert judge.judged_ns == 0
-    assert judge.take((0.5, 0.5), (), T0)
+    assert judge.add((0.5, 0.5), (), T0)
     assert (judge.still_ns, judge.judged_ns) == (0, T0)
     for at in (10, 20, 30):
-        assert judge.take((0.0, -0.0), (), T0 + at * MS)
+        assert judge.add((0.0, -0.0), (), T0 + at * MS)
     assert (judge.still_ns, judge.judged_ns) == (T0 + 10 * MS, T0 + 30 * MS)
-    judge.take((0.0, -0.1), (), T0 + 40 * MS)
+    judge.add((0.0, -0.1), (), T0 + 40 * MS)
     assert judge.still_ns == 0, "one wheel is enough"
 
 
 def test_odometers_that_stay_are_rest_and_one_reading_or_a_report_of_nothing_is_none() -> None:
     judge = ReadBack()
-    assert not judge.take((), (), T0)
-    assert not judge.take((), (1.0, 2.0), T0)
-    assert not judge.take((), (1.0, 2.0), T0 + READS_APART_NS - 1), "too close to say anything"
+    assert not judge.add((), (), T0)
+    assert not judge.add((), (1.0, 2.0), T0)
+    assert not judge.add((), (1.0, 2.0), T0 + READS_APART_NS - 1), "too close to say anything"
     for apart, second, still in ((1, 3.0, False), (2, 3.0, True)):
-        assert judge.take((), (1.0, second), T0 + apart * READS_APART_NS)
+        assert judge.add((), (1.0, second), T0 + apart * READS_APART_NS)
         assert judge.still_ns == (T0 + apart * READS_APART_NS if still else 0)
     assert judge.judged_ns == T0 + 2 * READS_APART_NS
     for at in range(3):
-        judge.take((0.0, 0.0), (float(at), 0.0), T0 + (3 + at) * READS_APART_NS)
+        judge.add((0.0, 0.0), (float(at), 0.0), T0 + (3 + at) * READS_APART_NS)
     assert (judge.still_ns, judge.judged_ns) == (0, T0 + 5 * READS_APART_NS), "a speed of zero while they go on"
 
 
@@ -280,12 +280,12 @@ def test_a_number_that_is_none_is_never_rest(number: float) -> None:
     """Of speeds or of positions; and what follows it begins again."""
     judge = ReadBack()
     for at in range(5):
-        assert not judge.take((0.0, number), (), T0 + at * S)
-        assert not judge.take((), (number, 1.0), T0 + at * S + READS_APART_NS)
+        assert not judge.add((0.0, number), (), T0 + at * S)
+        assert not judge.add((), (number, 1.0), T0 + at * S + READS_APART_NS)
     assert (judge.still_ns, judge.judged_ns) == (0, 0)
-    assert judge.take((0.0, 0.0), (), T0 + 6 * S)
-    assert judge.take((0.0, number), (), T0 + 7 * S), "nobody knows any more"
+    assert judge.add((0.0, 0.0), (), T0 + 6 * S)
+    assert judge.add((0.0, number), (), T0 + 7 * S), "nobody knows any more"
     assert (judge.still_ns, judge.judged_ns) == (0, 0)
-    assert not judge.take((0.0, number), (), T0 + 7 * S)
-    assert judge.take((0.0, 0.0), (), T0 + 8 * S)
+    assert not judge.add((0.0, number), (), T0 + 7 * S)
+    assert judge.add((0.0, 0.0), (), T0 + 8 * S)
     assert judge.still_ns == T0 + 8 * S

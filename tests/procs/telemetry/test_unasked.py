@@ -30,7 +30,7 @@ class Scene:
         found = []
         for _ in range(ms // 20):
             self.now_ns += 20 * MS
-            act = self.unasked.follow(self.fact, self.now_ns, enabled=enabled, latched=latched, epoch=epoch)
+            act = self.unasked.update(self.fact, self.now_ns, enabled=enabled, latched=latched, epoch=epoch)
             if act.cause or act.again or act.note:
                 found.append(act)
         return found

@@ -23,7 +23,7 @@ RPM = WheelReports(20 * MS, 60.0, 0.0, 0.0, False, True)
 
 def test_reported_speeds_become_turns_a_second() -> None:
     measured = Measured(RPM)
-    measured.take((30.0, -60.0), (), 10 * MS)
+    measured.add((30.0, -60.0), (), 10 * MS)
     assert measured.speeds_rps == (0.5, -1.0)
     assert measured.turns == (0.0, 0.0)
 
@@ -31,14 +31,14 @@ def test_reported_speeds_become_turns_a_second() -> None:
 def test_turns_are_added_up_from_speeds_for_as_long_as_reports_come() -> None:
     measured = Measured(RPM)
     for at_ms, rpm in ((10, 0.0), (20, 60.0), (40, 60.0)):
-        measured.take((rpm, -rpm), (), at_ms * MS)
+        measured.add((rpm, -rpm), (), at_ms * MS)
     assert measured.turns == pytest.approx((0.025, -0.025)), "the mean of two reports, for the time between them"
-    measured.take((60.0, -60.0), (), 30 * MS)
+    measured.add((60.0, -60.0), (), 30 * MS)
     assert measured.turns == pytest.approx((0.025, -0.025)), "a report that comes late takes nothing back"
-    measured.take((60.0, -60.0), (), 240 * MS)
+    measured.add((60.0, -60.0), (), 240 * MS)
     assert measured.turns == pytest.approx((0.225, -0.225)), "what was lost for a while was as fast as before and after"
     assert measured.missed == 0.0
-    measured.take((60.0, -60.0), (), 5_240 * MS)
+    measured.add((60.0, -60.0), (), 5_240 * MS)
     assert measured.turns == pytest.approx((0.725, -0.725)), "nobody knows how it went on after 0.5 s of silence"
     assert measured.missed == pytest.approx(5.0)
 
@@ -47,7 +47,7 @@ def counted(*reports: tuple[int, float, float]) -> Measured:
     """After reports of (time in ms, left, right) in counts."""
     measured = Measured(COUNTS)
     for at_ms, left, right in reports:
-        measured.take((), (left, right), at_ms * MS)
+        measured.add((), (left, right), at_ms * MS)
     return measured
 
 
@@ -67,7 +67,7 @@ def test_an_impossible_position_never_spreads_into_turns(strange: float) -> None
     before = counted(*DRIVEN)
     after = counted(*DRIVEN, (400, strange, 10132.0))
     assert (after.turns, after.speeds_rps) == (before.turns, before.speeds_rps)
-    after.take((), (10376.0, 10476.0), 500 * MS)
+    after.add((), (10376.0, 10476.0), 500 * MS)
     assert after.turns == pytest.approx((1376 / 3436, 1376 / 3436)), "and the next report has all that was rolled"
     assert after.speeds_rps == pytest.approx((1.0, 1.0), rel=2e-3)
 
@@ -76,7 +76,7 @@ def test_an_impossible_position_never_spreads_into_turns(strange: float) -> None
 def test_an_impossible_speed_is_no_report(speed: float) -> None:
     measured = Measured(RPM)
     for at_ms, rpm in ((10, 60.0), (20, speed), (30, 60.0)):
-        measured.take((rpm, 60.0), (), at_ms * MS)
+        measured.add((rpm, 60.0), (), at_ms * MS)
     assert measured.turns == pytest.approx((0.02, 0.02))
     assert measured.speeds_rps == (1.0, 1.0)
 
@@ -90,7 +90,7 @@ def test_a_board_that_restarts_moves_nothing(silent_ms: int, far: float, driving
     measured = counted(*reports)
     before = measured.turns
     for at, count in enumerate((0.0, 0.0, 34.0, 378.0, 722.0)):
-        measured.take((), (count, count), (300 + silent_ms + 100 * at) * MS)
+        measured.add((), (count, count), (300 + silent_ms + 100 * at) * MS)
     assert measured.turns == pytest.approx([turns + 722 / 3436 for turns in before], abs=0.02)
     assert measured.missed == pytest.approx(driving / 343.6 * min(silent_ms / 1000, 1.0), abs=0.15)
 
@@ -112,29 +112,29 @@ def test_a_way_through_zero_is_no_restart(speed: float) -> None:
 def test_a_successor_goes_on_from_the_turns_and_says_what_it_may_have_missed() -> None:
     measured = Measured(COUNTS)
     measured.inherit((5.0, -5.0), (1.0, -2.0), 1_000 * MS)
-    measured.take((), (70_000.0, 70_000.0), 1_100 * MS)
-    measured.take((), (73_436.0, 73_436.0), 2_100 * MS)
+    measured.add((), (70_000.0, 70_000.0), 1_100 * MS)
+    measured.add((), (73_436.0, 73_436.0), 2_100 * MS)
     assert measured.turns == pytest.approx((6.0, -4.0))
     assert measured.missed == pytest.approx(0.2)
 
 
 def test_another_number_of_wheels_begins_again() -> None:
     measured = counted(*DRIVEN)
-    measured.take((), (1.0, 2.0, 3.0), 400 * MS)
+    measured.add((), (1.0, 2.0, 3.0), 400 * MS)
     assert measured.turns == (0.0, 0.0, 0.0)
 
 
 def test_positions_give_turns_and_speeds_across_a_wrap() -> None:
     measured = Measured(COUNTS)
-    measured.take((), (2.0**31 - 1718.0, 0.0), 100 * MS)
-    measured.take((), (1718.0 - 2.0**31, -3436.0), 600 * MS)
+    measured.add((), (2.0**31 - 1718.0, 0.0), 100 * MS)
+    measured.add((), (1718.0 - 2.0**31, -3436.0), 600 * MS)
     assert measured.turns == pytest.approx((1.0, -1.0))
     assert measured.speeds_rps == pytest.approx((2.0, -2.0))
 
 
 def test_a_board_that_reports_nothing_measures_nothing() -> None:
     measured = Measured(NO_WHEEL_REPORTS)
-    measured.take((1.0, 1.0), (), 10 * MS)
+    measured.add((1.0, 1.0), (), 10 * MS)
     assert (measured.speeds_rps, measured.turns) == ((), ())
 
 
@@ -142,14 +142,14 @@ def fact_of(reports: list[tuple[int, float]], told_zero_ns: int) -> WheelFact:
     """The fact after reports of (time in ms, speed)."""
     fact, read_back = WheelFact(AFTER_NS), ReadBack()
     for t_ms, speed in reports:
-        read_back.take((speed, speed), (), t_ms * MS)
-        fact.follow(read_back, StillJudge(0.0035), told_zero_ns, t_ms * MS)
+        read_back.add((speed, speed), (), t_ms * MS)
+        fact.update(read_back, StillJudge(0.0035), told_zero_ns, t_ms * MS)
     return fact
 
 
 def test_nothing_read_is_nothing_known() -> None:
     fact = WheelFact(AFTER_NS)
-    fact.follow(ReadBack(), StillJudge(0.0035), 1, 10_000 * MS)
+    fact.update(ReadBack(), StillJudge(0.0035), 1, 10_000 * MS)
     assert (fact.does, fact.by, fact.unexpected) == (UNKNOWN_WHEELS, SEEN_BY_NOTHING, False)
 
 
