@@ -92,7 +92,7 @@ class Arm:
     def _goal(self, mode: int, values: Mapping[str, float]) -> None:
         found = {joint.servo: float(value) for joint, value in self._named(values).items()}
         with self._session._lock:
-            self._session._client().tell("arm_goal", mode, found, wake=True)
+            self._session._client().write("arm_goal", mode, found, wake=True)
 
     def hold(self) -> str:
         """Stop where it is. The torque stays on, every goal is dropped, and an enable that is moving the arm to its

@@ -138,7 +138,7 @@ class SeenRun:
         self.supervisor = attach(name, layout.SUPERVISOR, self.found)
         self._life = _there(segments.open_life, *self.found)
         self._beat = HeartbeatReader(self.supervisor)
-        self.began_ns, self._rules = self.told("rules")
+        self.began_ns, self._rules = self.run_record("rules")
         """When the supervisor published the rules, which it does once (CLOCK_MONOTONIC)."""
 
     def __del__(self) -> None:
@@ -150,7 +150,7 @@ class SeenRun:
         """True if a pid of the service means the same process in this program."""
         return bool(pid_namespace() == self._rules["pid_namespace"] != 0)
 
-    def told(self, record: str) -> tuple[int, dict[str, Any]]:
+    def run_record(self, record: str) -> tuple[int, dict[str, Any]]:
         """A record that the supervisor wrote before it published the run's name: when, and its content. Raises
         FailstopError if it is damaged."""
         entry = self.supervisor.latest_reader(record).read()
@@ -261,7 +261,7 @@ class Client:
         except BrokenPipeError:
             raise gone(self.name) from None
 
-    def tell(self, record: str, *values: Any, t_ns: int | None = None, wake: bool = False) -> bytes:
+    def write(self, record: str, *values: Any, t_ns: int | None = None, wake: bool = False) -> bytes:
         """Write one of records.OF_SESSION; returns what was written. `t_ns`: the time that it is about
         (CLOCK_MONOTONIC), if not now. The gate sees it at its next tick, or with `wake` now. Raises NoService,
         ValueError."""
@@ -277,7 +277,7 @@ class Client:
         """Hand a velocity command to the gate, with the time `t_ns` if it is not from now; returns at once. A
         repetition of the last command waits for the gate's tick, which loses nothing. Raises NoService, and ValueError
         for a source that is too long."""
-        command = self.tell("command", vx_mps, vy_mps, wz_radps, manual, source, t_ns=t_ns)
+        command = self.write("command", vx_mps, vy_mps, wz_radps, manual, source, t_ns=t_ns)
         before, self._commanded = self._commanded, (command, monotonic_ns())
         if before[0] != command or self._commanded[1] - before[1] > REPEAT_NS:
             self._ring()
@@ -286,7 +286,7 @@ class Client:
         """Make a request, with the time `asked_ns` (CLOCK_MONOTONIC) if it is not from now; returns its number. Raises
         NoService."""
         self._number += 1
-        self.tell("request", self._number, verb, t_ns=asked_ns, wake=True)
+        self.write("request", self._number, verb, t_ns=asked_ns, wake=True)
         return self._number
 
     def answer(self, asked: int) -> Reply | None:

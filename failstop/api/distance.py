@@ -68,7 +68,7 @@ def furthest(settings: Settings, share: float = 1.0) -> tuple[float, Reaction]:
     return distance_m(share * fastest_mps(settings), latest[0], settings[BRAKING]), latest
 
 
-def told(settings: Settings) -> list[str]:
+def sentences(settings: Settings) -> list[str]:
     """The distances as sentences, one per line."""
     speed, braking = fastest_mps(settings), settings[BRAKING]
     way, (seconds, latest) = furthest(settings)

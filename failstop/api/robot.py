@@ -121,7 +121,7 @@ class Calls(Session):
         """The obstacle sensor delivered just now. Software commands move the wheels only while this is called at least
         every 0.5 s (setting scan.timeout_s); otherwise they are blocked with `no scan`. Raises NoService."""
         with self._lock:
-            self._client().tell("sensed", [])
+            self._client().write("sensed", [])
 
     def assert_interlocks(self, *interlocks: str) -> None:
         """Assert that these interlocks hold now (names from the settings' [interlocks]); repeat it within their
@@ -134,7 +134,7 @@ class Calls(Session):
         with self._lock:
             run = self._current()
             run.check("interlock", *interlocks)
-            self._slot(run).tell("interlocks", interlocks)
+            self._slot(run).write("interlocks", interlocks)
 
     hold = Renamed("assert_interlocks")
 
@@ -153,14 +153,14 @@ class Calls(Session):
 
     def _attended(self, who: str, t_ns: int) -> None:
         with self._lock:
-            self._client().tell("attended", [who], t_ns=t_ns, wake=True)
+            self._client().write("attended", [who], t_ns=t_ns, wake=True)
 
     def say(self, sees: str, wrong: str = "") -> None:
         """Tell people in one line what this program sees and, if anything is wrong, what. `status`, `why`, `doctor` and
         the events show it under the program's name, the newest line only. At most 190 bytes each. Repeat it every few
         seconds, because old lines are shown with their age."""
         with self._lock:
-            self._client().tell("said", sees, wrong)
+            self._client().write("said", sees, wrong)
 
     def estop(self, reason: object = "") -> None:
         """Latch a protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).
@@ -214,7 +214,7 @@ class AsyncRobot(Calls):
         in_order = not isinstance(raised[1], Exception)
         try:
             with contextlib.suppress(FailstopError):
-                if self._takes_back(in_order=in_order):
+                if self._disables_at_end(in_order=in_order):
                     await self._answered(records.DISABLE)
         finally:
             self._end(in_order=in_order)

@@ -124,12 +124,12 @@ class Session:
         try:
             # Close even if disabling fails; closing stops the wheels too.
             with contextlib.suppress(FailstopError):
-                if self._takes_back(in_order=in_order):
+                if self._disables_at_end(in_order=in_order):
                     sleep_through(self._asking(records.DISABLE))
         finally:
             self._end(in_order=in_order)
 
-    def _takes_back(self, *, in_order: bool) -> bool:
+    def _disables_at_end(self, *, in_order: bool) -> bool:
         """Whether this Robot disables at its end the motion that it enabled. The gate answers the death of a driver,
         and reports whose it was. Raises FailstopError."""
         connected = self._connected
@@ -272,7 +272,7 @@ class Session:
             client = self._slot(run)
             self._pending = turn
             if about:
-                client.tell(*about)
+                client.write(*about)
             return client, run, client.ask(verb, asked_ns)
 
     def _pass(self, turn: tuple[int, object]) -> None:

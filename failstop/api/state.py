@@ -114,7 +114,7 @@ class StateReader(SeenRun):
 
     def settings(self) -> dict[str, float | str]:
         """Every setting that the service was started with, by its full key. Raises FailstopError."""
-        found: dict[str, float | str] = self.told("settings")[1]
+        found: dict[str, float | str] = self.run_record("settings")[1]
         return found
 
     @cached_property
@@ -182,7 +182,7 @@ class StateReader(SeenRun):
     def read(self) -> State:
         """A snapshot now. Raises FailstopError."""
         decided, cause, epoch, told_ns, dead = self.decided()
-        _, known = self.told("processes")
+        _, known = self.run_record("processes")
         now_ns = time.monotonic_ns()
         millivolts, plugged = self._value("battery") or (0, 0)
         ages, battery_ns = self._ages(now_ns)

@@ -125,7 +125,7 @@ def seen(state: State) -> Seen:
     return Seen.UNSEEN if known.age_s is None and state.imu is None else Seen.UNREAD
 
 
-def told(state: State, unreached: str) -> Told:
+def commanded(state: State, unreached: str) -> Told:
     """What the wheels are told. `unreached`: why bytes may not reach the board; empty if they do."""
     if unreached:
         return Told.NOBODY_KNOWS
@@ -134,7 +134,7 @@ def told(state: State, unreached: str) -> Told:
 
 def row(state: State, unreached: str) -> Row:
     """What may be said about the wheels; `unreached`: why bytes may not reach the board; empty if they do."""
-    return TABLE[told(state, unreached), seen(state)]
+    return TABLE[commanded(state, unreached), seen(state)]
 
 
 def now(state: State) -> str:

@@ -107,7 +107,7 @@ def main(argv: list[str] | None = None) -> int:
     except ImportError as error:
         return missing.say(error)
     except Exception as error:
-        failed = _told(error)
+        failed = _report_error(error)
         return code or failed
     return code
 
@@ -185,7 +185,7 @@ def _run(name: str, words: list[str]) -> int:
     return code
 
 
-def _told(error: Exception) -> int:
+def _report_error(error: Exception) -> int:
     """The exit code of an error with a message for people, which is said; anything else is a defect, raised again."""
     from failstop.api.errors import FailstopError, Refused
     from failstop.board.own import OwnBoardError

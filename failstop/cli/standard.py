@@ -34,7 +34,7 @@ def say(text: str) -> None:
         sys.stderr.flush()
 
 
-def tell(text: str) -> None:
+def print_line(text: str) -> None:
     """One line on stdout, of something that was done; on stderr if stdout does not take it. Never raises."""
     from failstop.supervisor.events import fitted
 

@@ -78,20 +78,20 @@ class Look:
             return path or "", Settings(), str(error)
 
     @cached_property
-    def told(self) -> Settings:
+    def active_settings(self) -> Settings:
         """The settings of the running service, else those that a start would read."""
         return Settings(dict(StateReader(self.name).settings())) if self.state else self.settings[1]
 
     @property
     def kind(self) -> str:
         """The board's, as these settings name it."""
-        return self.told.text("board.kind")
+        return self.active_settings.text("board.kind")
 
     @cached_property
     def board(self) -> Board:
         """The board that they name."""
         try:
-            return board_of(*self.told.board())
+            return board_of(*self.active_settings.board())
         except ValueError as error:
             return Unknown(str(error))
 

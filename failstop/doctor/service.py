@@ -66,7 +66,7 @@ def running(look: Look) -> list[Finding]:
         off = ok(f"{text} (board.imu is off)")
         found += warn(text, "", 'set board.imu = "off" for a robot without one') if state.device.imu else off
     wrong = [f"the arm: {text}" for text in (state.arm.wrong if state.arm else ())]
-    wrong += servos.hot(state.servos, look.told)
+    wrong += servos.hot(state.servos, look.active_settings)
     wrong += [f"{part}: {text}" for part, text in state.servos_wrong.items()]
     return found + [row for text in wrong for row in warn(text, f"failstop status --name {look.name}")]
 
@@ -90,7 +90,7 @@ def wheels_scale(look: Look) -> list[Finding]:
         if isinstance(look.board, Unknown):
             return []
         if look.board.scale_assumed:
-            return warn(scale.cap_text(scale.capped(look.told, assumed=True)), fix)
+            return warn(scale.cap_text(scale.capped(look.active_settings, assumed=True)), fix)
         return ok(f"board.per_rps is {look.board.per_rps:g}, and the next drive shows whether it fits")
     known = look.state.scale
     if known.capped:
@@ -103,7 +103,7 @@ def wheels_scale(look: Look) -> list[Finding]:
         return [row for text in known.remarks for row in ok(text)]
     if said:
         return ok(f"they turn {', and '.join(said)}")
-    independent = look.board.reports.own_scale or look.told.on("board.imu")
+    independent = look.board.reports.own_scale or look.active_settings.on("board.imu")
     return ok("not compared yet: the next drive will show it" if independent else ALONE)
 
 

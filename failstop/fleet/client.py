@@ -25,7 +25,7 @@ class Client(client.Client):
             self.wire.feed(data)
             if not self.wire.holds():
                 raise BlockingIOError
-        return self.wire.take(bufsize)
+        return self.wire.read(bufsize)
 
     def buffered(self) -> bool:
         """True while there are bytes that no poll tells of: sorted out, or read by TLS."""

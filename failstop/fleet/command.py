@@ -129,7 +129,7 @@ def _status(deaf: str, doubled: str) -> str:
 def _key(arguments: Namespace) -> int:
     path = _settings(arguments).text("stop.key_file")
     signed.make_key(path)
-    standard.tell(f"{path} is the fleet's key: copy it to every robot, and to who may stop them")
+    standard.print_line(f"{path} is the fleet's key: copy it to every robot, and to who may stop them")
     return 0
 
 
@@ -189,7 +189,9 @@ def _list(arguments: Namespace) -> int:
                 row[key] = None
         print(json.dumps(rows, indent=2))
     elif not robots:
-        standard.tell(f"the broker at {broker.where} shows no robot: it knows none, or its access list hides them")
+        standard.print_line(
+            f"the broker at {broker.where} shows no robot: it knows none, or its access list hides them"
+        )
     else:
         style.show([view.counts(robots, now_s, unix_s), *view.table(robots, now_s, unix_s)])
     return 1 if problem else 0
@@ -287,7 +289,7 @@ def _forget(arguments: Namespace) -> int:
         for last in (topics.CONNECTION, topics.STATE, topics.EVENT):
             broker.say(topics.of_robot(found.text("robot.fleet"), in_topic, last), b"", retain=True)
         _listen(broker, LIST_S, lambda: in_topic not in roster.robots)
-    standard.tell(f"{name} is forgotten: a fleet stop does not miss it any more")
+    standard.print_line(f"{name} is forgotten: a fleet stop does not miss it any more")
     return 0
 
 

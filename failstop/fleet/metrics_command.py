@@ -33,5 +33,5 @@ def main(arguments: Namespace) -> int:
     signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # in the server's threads too
     with exposition.serving(arguments.name, host, port) as bound:
         shown = f"[{host}]" if ":" in host else host
-        standard.tell(f"http://{shown}:{bound}/metrics serves the metrics of {arguments.name!r}")
+        standard.print_line(f"http://{shown}:{bound}/metrics serves the metrics of {arguments.name!r}")
         return 128 + signal.sigwait(ends)

@@ -179,7 +179,7 @@ class Publisher:
             self._remember()
         if not self.broker.problem:
             for event in self._robot.events()[-MOST_EVENTS:]:
-                self._tell(event)
+                self._publish_event(event)
 
     def deaf(self) -> str:
         """Why no stop of the fleet is obeyed here now; empty: it would be."""
@@ -245,7 +245,7 @@ class Publisher:
             payload = self._header.message(topics.STATE, body, time.time())
             self.broker.say(self._header.topic(topics.STATE), payload, qos=ANYHOW, retain=True)
 
-    def _tell(self, event: Event) -> None:
+    def _publish_event(self, event: Event) -> None:
         body = {"kind": event.kind, "level": event.level, "text": event.text, "event_t": event.t}
         payload = self._header.message(topics.EVENT, {**body, "fields": event.fields}, time.time())
         self.broker.say(self._header.topic(topics.EVENT), payload, qos=ANYHOW, retain=True)

@@ -111,7 +111,7 @@ class Roster:
                 known.period_s = _number(found.get("state_period_s"), 0.0, LONGEST_PERIOD_S) or LONGEST_PERIOD_S
                 alive = known.connection == message.ONLINE
             elif last == topics.STATE:
-                _take_state(known, found, None if retained else now_s)
+                _update_state(known, found, None if retained else now_s)
                 alive = True
             else:
                 return
@@ -128,7 +128,7 @@ class Roster:
         return sorted(self.robots.values(), key=lambda robot: _natural(robot.id))
 
 
-def _take_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> None:
+def _update_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> None:
     """Raises ValueError, KeyError, TypeError, AttributeError, OverflowError for what is no state."""
     errors = found["errors"]
     robot.volts = _number(found.get("battery", {}).get("volts"), -MOST_VOLTS, MOST_VOLTS)

@@ -70,7 +70,7 @@ class MqttWire:
         """True while there is something for paho-mqtt."""
         return bool(self._rest)
 
-    def take(self, most: int) -> bytes:
+    def read(self, most: int) -> bytes:
         """Bytes for paho-mqtt, at most so many."""
         taken = bytes(self._rest[:most])
         del self._rest[:most]

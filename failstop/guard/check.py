@@ -13,7 +13,7 @@ def check(look: Look) -> list[Finding]:
     if not found:
         return ok("no guard port is open: a driver that was written for the bare board can keep its code with one")
     path, client = found[0]
-    if look.told.on("scan.gate") and look.state and look.state.scan_age_s is None:
+    if look.active_settings.on("scan.gate") and look.state and look.state.scan_age_s is None:
         return warn(
             f"no program reports an obstacle sensor, and scan.gate is on: a driver at {path} moves no wheel",
             "",

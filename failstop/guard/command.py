@@ -80,7 +80,7 @@ def _dry_run(arguments: Namespace, folder: str, ends: _Ends) -> int:
     installed = config.installed(arguments.name)
     settings = config.load(arguments.config or (installed if os.path.exists(installed) else None), {})
     path = arguments.path or settings.text("guard.path") or os.path.join(folder, PORT)
-    return _serve(Nothing(settings, _tell), settings, path, ends)
+    return _serve(Nothing(settings, _print_line), settings, path, ends)
 
 
 def _wait(service: Service, ends: _Ends) -> Settings | None:
@@ -91,7 +91,7 @@ def _wait(service: Service, ends: _Ends) -> Settings | None:
             return service.settings
         if service.note != said:
             said = service.note
-            _tell(f"{said}; waiting for it")
+            _print_line(f"{said}; waiting for it")
         time.sleep(LOOK_S)
     return None
 
@@ -127,9 +127,9 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
         raise FailstopError(f"{path}: give the whole path, because your driver may run in another folder")
     pty = Pty(path)
     try:
-        guard = Guard(board, pty, Door(pty), _tell)
+        guard = Guard(board, pty, Door(pty), _print_line)
         try:
-            _tell(f"your driver opens {path} instead of the board's port; Ctrl-C ends")
+            _print_line(f"your driver opens {path} instead of the board's port; Ctrl-C ends")
             gc.freeze()
             with contextlib.suppress(OSError):  # without the right to it a busy machine answers late
                 os.setpriority(os.PRIO_PROCESS, 0, NICE)
@@ -142,7 +142,7 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
     return 0
 
 
-def _tell(line: str) -> None:
+def _print_line(line: str) -> None:
     """Print a line, unless nobody takes it: a terminal that is paused, or a pipe that nobody reads, must not hold up
     the guard, because it would hold up the driver."""
     with contextlib.suppress(OSError):

@@ -114,13 +114,13 @@ class Service:
         """Hand over a frame for the board that is not motion. The service decides whether it goes out."""
         if self._client:
             with contextlib.suppress(FailstopError):
-                self._client.tell("aux", frame, wake=True)
+                self._client.write("aux", frame, wake=True)
 
     def say(self, sees: str, wrong: str) -> None:
         """Tell people about the driver."""
         if self._client:
             with contextlib.suppress(FailstopError):
-                self._client.tell("said", sees, wrong)
+                self._client.write("said", sees, wrong)
 
     def block(self) -> Block | None:
         """What keeps the wheels from turning; None: nothing."""

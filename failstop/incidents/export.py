@@ -59,7 +59,7 @@ def save(incident: Incident, path: str) -> int:
     incident.check_layout()
     if not path.endswith(SUFFIX):
         raise IncidentError(f"{path}: an export's name ends in {SUFFIX}")
-    found = sorted((*_motion(incident), *_board(incident), *_told(incident)), key=lambda message: message[0])
+    found = sorted((*_motion(incident), *_board(incident), *_events(incident)), key=lambda message: message[0])
     made = BytesIO()
     writer: Any = Writer(made)
     kinds = dict.fromkeys(TOPICS.values())
@@ -110,7 +110,7 @@ def _board(incident: Incident) -> Iterator[Message]:
         yield sample.t_ns, "imu", {"angular_velocity": rate, "linear_acceleration": acceleration, **fixed}
 
 
-def _told(incident: Incident) -> Iterator[Message]:
+def _events(incident: Incident) -> Iterator[Message]:
     rows = [(event.ns, event.level, event.kind, event.text) for event in incident.events]
     for ns, level, kind, text in (*rows, (incident.cause_ns, "error", "cause", incident.reason)):
         number = LOG_LEVELS.get(level, LOG_LEVELS["info"])

@@ -121,7 +121,7 @@ def left_stop(segments: Segments, cause_ns: int) -> dict[str, Any]:
     return {"written_by": written[first_ns], "written_us": (first_ns - cause_ns) / 1e3}
 
 
-def told_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
+def logged_stop(segments: Segments, cause_ns: int) -> dict[str, Any] | None:
     """PROOF_WORDS and `wheels` (still, unstill or unknown) of the stop whose cause was noticed then, as far as the
     supervisor has told; None when nothing was told of it.
 

@@ -126,7 +126,7 @@ def _head(name: str, kind: str, cause: tuple[int, int, Cause], run: int, segment
     now_s, release = time.time(), os.uname()
     # One clock for all that is in the file; a wall clock that was set since the stop is off by as much.
     unix_minus_monotonic_ns = round(now_s * 1e9) - time.monotonic_ns()
-    stop = memory.told_stop(segments, cause_ns)
+    stop = memory.logged_stop(segments, cause_ns)
     if not stop or stop["written_us"] is None:
         # Perhaps it was written later than the supervisor knew.
         stop = (stop or {}) | memory.left_stop(segments, cause_ns) or None

@@ -49,7 +49,7 @@ class Line:
     """It leads nowhere, or the facts have it already: at a glance nobody misses it."""
 
 
-def tell(incident: Incident) -> list[Line]:
+def whole(incident: Incident) -> list[Line]:
     """Every line, in order; what was at the same time in the order of the stop's way."""
     lines = [
         *_commands(incident),
@@ -67,7 +67,7 @@ def tell(incident: Incident) -> list[Line]:
 
 def brief(incident: Incident) -> list[Line]:
     """The lines that matter: the nearest to the cause, in order, and none of what was over before the last reset."""
-    lines, cause_ns = tell(incident), incident.cause_ns
+    lines, cause_ns = whole(incident), incident.cause_ns
     begun_ns = max((line.ns for line in lines if line.what in BEGINNINGS and line.ns < cause_ns), default=0)
 
     def weight(line: Line) -> tuple[bool, bool, int]:
@@ -178,7 +178,7 @@ def as_dict(incident: Incident) -> dict[str, Any]:
     """For programs: the head, the whole story, the machine, and every setting."""
     lines = [
         {"ms": round(incident.ms(line.ns), 3), "what": line.what, "text": line.text, "count": line.count}
-        for line in tell(incident)
+        for line in whole(incident)
     ]
     found = {"id": incident.id, **incident.head, "story": lines, "ages": incident.ages()}
     return {**found, "machine": incident.machine, "settings": incident.settings}

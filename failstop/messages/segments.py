@@ -237,7 +237,7 @@ def _open_file(memory: str, name: str, flags: int, owner: int) -> int:
 
 
 def _open(memory: str, name: str, write: bool, owner: int = -1) -> int:
-    where = _told(memory, name)
+    where = _described(memory, name)
     try:
         return _open_file(memory, name, os.O_RDWR if write else os.O_RDONLY, os.geteuid() if owner < 0 else owner)
     except FileNotFoundError:
@@ -255,14 +255,14 @@ def _open(memory: str, name: str, write: bool, owner: int = -1) -> int:
         ) from None
 
 
-def _told(memory: str, name: str) -> str:
+def _described(memory: str, name: str) -> str:
     """How messages name a segment."""
     return f"shared memory {name} of {memory.partition('.')[0]!r}"
 
 
 def _check_header(fd: int, memory: str, spec: SegmentSpec, incarnation: int | None) -> int:
     """Return the segment's incarnation, or raise AttachError."""
-    header, where = _header(os.pread(fd, HEADER_BYTES, 0)), _told(memory, spec.name)
+    header, where = _header(os.pread(fd, HEADER_BYTES, 0)), _described(memory, spec.name)
     if header is None:
         raise AttachError("damaged", f"{where} has no whole header: restart the service")
     fingerprint, size, found, name, version = header

@@ -155,7 +155,7 @@ class ArmFace:
 
         return answer
 
-    def follow(self, now_ns: int) -> None:
+    def poll(self, now_ns: int) -> None:
         """Call with every turn of the watch: publish whether the arm moves, look for other senders of goals, and log
         how the last goal ended."""
         self._turned(now_ns)
@@ -215,7 +215,7 @@ class ArmFace:
         try:
             if cause := self.rivals():
                 raise Refused(cause)
-            self._take_goal(message)
+            self._accept_goal(message)
         except FailstopError as error:
             self._node.get_logger().warning(f"{ARM_GOAL.name}: {words.refused(error)}")
 
@@ -224,7 +224,7 @@ class ArmFace:
         who = names(publishers(self._node, self._topic))
         return self._stamps.late(ARM_GOAL.name, who, stamp, self.goal_timeout_s, monotonic_ns())
 
-    def _take_goal(self, message: Any) -> None:
+    def _accept_goal(self, message: Any) -> None:
         """Raises FailstopError."""
         if not message.points:
             self._goal_job = self.begin(_hold)

@@ -115,7 +115,7 @@ class Bridge:
             while not self._shared.ending and self._rclpy.ok():
                 spinner.turn(self._inward.due_s())
                 self._inward.turn()
-                self._follow_settings()
+                self._mirror_settings()
         except (KeyboardInterrupt, ExternalShutdownException):
             pass
         except BaseException as error:
@@ -132,7 +132,7 @@ class Bridge:
         if self._shared.failed:
             raise self._shared.failed
 
-    def _follow_settings(self) -> None:
+    def _mirror_settings(self) -> None:
         """A service that was started anew may have other settings."""
         if self._mirrored != self._shared.run and self._shared.settings is not None:
             self._mirrored = self._shared.run

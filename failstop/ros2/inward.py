@@ -130,19 +130,19 @@ class Inward:
     def _watch(self) -> None:
         """20 times a second: the interlock, and now and then the rest. A bridge whose executor hangs says nothing."""
         now_ns = monotonic_ns()
-        self._follow_service()
+        self._adopt_run()
         if now_ns - self._looked_ns >= INWARD_LOOK_NS:
             self._looked_ns = now_ns
             self._scan.look(self.graph.publishers(self._scan_topic))
             publishers = self.graph.publishers(self._estop_topic)
             self._wrong_estop = wrong_ends(ESTOP.name, publishers, (ESTOP.type,), reliable=False)
-        self._follow_type()
+        self._resubscribe()
         if self._unnamed_ns and now_ns - self._unnamed_ns > NAMELESS_NS:
             self._unnamed_ns = 0
         elif self._unnamed_ns and self._commanders.count and causes.NOT_KNOWN not in self._commanders.names():
             self._latch_not_finite(now_ns)
         if self.arm:
-            self.arm.follow(now_ns)
+            self.arm.poll(now_ns)
         try:
             if self._asserts and self._commanders.holds(now_ns):
                 self._link.call(lambda robot: robot.assert_interlocks(CLIENT))
@@ -150,7 +150,7 @@ class Inward:
         except FailstopError as error:
             self._complain("service", str(error))
 
-    def _follow_type(self) -> None:
+    def _resubscribe(self) -> None:
         """Subscribe to what is offered: two types on one topic are two publishers, and one subscription has one."""
         wanted = self._commanders.wanted_type(self._type)
         if wanted != self._type:
@@ -159,7 +159,7 @@ class Inward:
             self._subscription = self._subscribe(CMD_VEL, self._command, wanted)
             self._node.get_logger().info(f"cmd_vel is {wanted} now, as its publisher offers it")
 
-    def _follow_service(self) -> None:
+    def _adopt_run(self) -> None:
         """A run of the service that was not seen before brings its settings, and wants a connection of its own."""
         settings = self._shared.settings
         if self._run == self._shared.run or settings is None:

@@ -151,7 +151,7 @@ class Wheels:
         self._measured = False
         self._ns = 0
 
-    def follow(
+    def update(
         self,
         wheels_radps: snapshot.Wheels | None,
         now_ns: int,

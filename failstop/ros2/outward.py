@@ -76,7 +76,7 @@ class Outward:
         self._begun = self._moves = self._ending = self._battery_seen = False
         self._battery_ns = -1
         """When the voltage was read that was published last."""
-        self._battery_told_ns = 0
+        self._battery_published_ns = 0
         self._asked = 0
         self._heard: dict[str, bool] = {}
         """Topics, and whether somebody hears each."""
@@ -149,9 +149,9 @@ class Outward:
         self._graph.ask(self._link, now_ns)
         if now_ns - self._report_ns >= REPORT_NS:
             self._report_ns = max(self._report_ns + REPORT_NS, now_ns - REPORT_NS // 2)
-            self._follow(now_ns, due=True)
+            self._publish_changes(now_ns, due=True)
         elif self._asked != self._shared.asked:
-            self._follow(now_ns)
+            self._publish_changes(now_ns)
 
     def _publish(self, topic: Topic, fields: dict[str, Any]) -> None:
         self._publishers[topic.name].publish(fill(self._messages[topic.name], fields))
@@ -187,15 +187,15 @@ class Outward:
             self._send(TF, messages.transform(sample, ros_ns))
         moves = bool(sample.vx_mps or sample.vy_mps or sample.wz_radps)
         if self._moves and not moves:  # it may be a stop
-            self._follow(monotonic_ns())
+            self._publish_changes(monotonic_ns())
         self._moves = moves
 
     def _lost(self, error: FailstopError) -> None:
         self._shared.problem = str(error)
         self._shared.state = None
-        self._wheels.follow(None, monotonic_ns())
+        self._wheels.update(None, monotonic_ns())
 
-    def _follow(self, now_ns: int, *, due: bool = False) -> None:
+    def _publish_changes(self, now_ns: int, *, due: bool = False) -> None:
         """Publish what goes with the state: on every change that is noticed, and, when it is due, at its rate."""
         self._asked = self._shared.asked
         state = self._state()
@@ -223,9 +223,9 @@ class Outward:
 
     def _log(self, state: State, now_ns: int) -> None:
         settings = self._shared.settings or {}
-        self._wheels.follow(state.wheels_radps, now_ns, state.steering_rad, state.turning)
+        self._wheels.update(state.wheels_radps, now_ns, state.steering_rad, state.turning)
         timeout_s = float(settings["scan.timeout_s"])
-        if line := self._scan_log.follow(state.blocked, state.scan_age_s, timeout_s, now_ns):
+        if line := self._scan_log.update(state.blocked, state.scan_age_s, timeout_s, now_ns):
             self._node.get_logger().warning(line)
 
     def _report(self, state: State | None) -> None:
@@ -255,15 +255,15 @@ class Outward:
             fields = {name: value for name, value in status.items() if hasattr(self._messages[STATUS.name], name)}
             self._publish(STATUS, {"stamp": messages.stamp(ros_ns), **fields})
 
-    def _tell_battery(self, state: State, ros_ns: int, now_ns: int, *, slow: bool) -> None:
+    def _publish_battery(self, state: State, ros_ns: int, now_ns: int, *, slow: bool) -> None:
         """Publish a reading once, with the time at which it was read. A battery that is reported no more is published
         as such: subscribers would keep its last voltage."""
         self._battery_seen = True
         if not state.battery_v or not state.is_current(state.ages.battery_s):
             if slow:
                 self._publish(contract.BATTERY, messages.battery(None, state.plugged, ros_ns))
-        elif state.battery_ns != self._battery_ns and now_ns - self._battery_told_ns >= BATTERY_NS:
-            self._battery_ns, self._battery_told_ns = state.battery_ns, now_ns
+        elif state.battery_ns != self._battery_ns and now_ns - self._battery_published_ns >= BATTERY_NS:
+            self._battery_ns, self._battery_published_ns = state.battery_ns, now_ns
             read_ns = state.battery_ns + self._offset_ns if state.battery_ns else ros_ns
             self._publish(contract.BATTERY, messages.battery(state.battery_v, state.plugged, read_ns))
 
@@ -273,7 +273,7 @@ class Outward:
             self._slow_ns = max(self._slow_ns + SLOW_NS, now_ns - SLOW_NS // 2)
         ros_ns = monotonic_ns() + self._offset_ns
         if state and (state.battery_v or self._battery_seen) and state.device.state == "open":
-            self._tell_battery(state, ros_ns, now_ns, slow=slow)
+            self._publish_battery(state, ros_ns, now_ns, slow=slow)
         if not self._heard[contract.DIAGNOSTICS.name] or not (slow or now_ns - self._diagnose_ns >= DIAGNOSE_NS):
             return
         self._diagnose_ns = now_ns

@@ -49,7 +49,7 @@ class ScanLog:
         self._begun_ns = now_ns
         self._held = False
 
-    def follow(self, blocked: str | None, scan_age_s: float | None, timeout_s: float, now_ns: int) -> str:
+    def update(self, blocked: str | None, scan_age_s: float | None, timeout_s: float, now_ns: int) -> str:
         """The line to write now; empty: none. The block reason `no scan` means that somebody commands."""
         if blocked == NO_SCAN:
             if self._held:

@@ -132,7 +132,7 @@ class Spinner:
             self._executor.spin_once(timeout_sec=timeout_s)
             return
         for subscription in arrived:
-            self._take(subscription)
+            self._receive(subscription)
         if leave:
             self._executor.spin_once(timeout_sec=0)
 
@@ -161,7 +161,7 @@ class Spinner:
             each.is_ready(self._set) for each in self._others
         )
 
-    def _take(self, subscription: Any) -> None:
+    def _receive(self, subscription: Any) -> None:
         """Take waiting messages, a few at most because other subscriptions wait too."""
         for _ in range(MOST_AT_ONCE):
             if self.plain:

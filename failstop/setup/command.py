@@ -93,7 +93,7 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
     talk.say(
         "Ctrl-C stops the wheels and leaves; what you have said is kept. Nothing is written before you have seen it."
     )
-    _take_up(talk)
+    _resume(talk)
     device = ports.step(talk, System())
     kind, baud = boards.step(talk, device)
     robot, values, known = _robot(talk, kind)
@@ -120,7 +120,7 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
     finish.closing(talk, path, name, evidence, settings)
 
 
-def _take_up(talk: Talk) -> None:
+def _resume(talk: Talk) -> None:
     """Ask whether a setup that was left goes on."""
     answers = talk.draft.answers
     if not answers:

@@ -214,9 +214,9 @@ class Rig:
     def _hear(self, data: bytes, places: dict[int, list[float]]) -> None:
         for kind, said in self._hearing.feed(data):
             if kind == HEARD_WHEELS:
-                self._take(said, places)
+                self._add(said, places)
 
-    def _take(self, said: tuple[tuple[float, ...], tuple[float, ...]], places: dict[int, list[float]]) -> None:
+    def _add(self, said: tuple[tuple[float, ...], tuple[float, ...]], places: dict[int, list[float]]) -> None:
         speeds, positions = said
         for id_, speed in enumerate(speeds):
             if abs(speed) >= abs(self.turned.get(id_, 0.0)):

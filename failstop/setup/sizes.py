@@ -39,7 +39,7 @@ def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, 
     for key in (*OF_LAYOUT[layout], *limits):
         offered = f"{settings[key]:g}" if known or key in limits else ""
         chosen[key] = _number(talk, key, offered)
-    for way in distance.told(Settings({**values, **chosen})):
+    for way in distance.sentences(Settings({**values, **chosen})):
         talk.say(way)
     return chosen
 

@@ -61,21 +61,21 @@ class Talk:
                 found = check(value)
             except NotAnAnswer as error:
                 raise Left(f"{option(key)} {value}: {error}") from None
-            self._told(key, found, option(key))
+            self._show_answer(key, found, option(key))
         elif keep and key in self.draft.answers:
             try:
                 found = check(self.draft.answers[key])
             except NotAnAnswer:
                 self.draft.forget(key)
                 return self.ask(key, question, default, check, keep=keep)
-            self._told(key, found, "as before")
+            self._show_answer(key, found, "as before")
         else:
             found = self._typed(key, question, default, check)
         if keep:
             self.draft.keep(key, found)
         return found
 
-    def _told(self, key: str, found: str, by: str) -> None:
+    def _show_answer(self, key: str, found: str, by: str) -> None:
         self.say(f"{key.replace('_', ' ')}: {found} ({by})", style.DIM)
 
     def known(self, key: str) -> bool:

@@ -43,7 +43,7 @@ def link(url: str, code: str) -> str:
     return f"{url}#{code}"
 
 
-def told(found: dict[str, Any]) -> str:
+def terminal_text(found: dict[str, Any]) -> str:
     """For the terminal."""
     places = urls(found)
     parts = []

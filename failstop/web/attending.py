@@ -37,7 +37,7 @@ class Attending:
 
     def proven(self, viewer: Viewer) -> str:
         """The answer of this viewer has proven something new; returns what is wrong with telling the gate."""
-        return self._tell() if self._leases[viewer] is self._last() else ""
+        return self._renew() if self._leases[viewer] is self._last() else ""
 
     def end(self, viewer: Viewer) -> None:
         """A device attends no more: the gate is told at once who is left, and when that one was proven, which may be
@@ -46,14 +46,14 @@ class Attending:
         found = self._leases.pop(viewer, None)
         self._ended(viewer)
         if found is not None and found is last:
-            self._tell()
+            self._renew()
 
     def _last(self) -> tuple[str, Lease] | None:
         """The one that was proven last, if any was."""
         found = max(self._leases.values(), key=lambda each: each[1].proven_ns, default=None)
         return found if found and found[1].proven_ns else None
 
-    def _tell(self) -> str:
+    def _renew(self) -> str:
         last = self._last()
         if last is None:
             self._close()

@@ -76,7 +76,7 @@ def _pair(arguments: Namespace) -> int:
     from failstop.web import addresses, control
 
     found = control.ask(arguments.name, os.environ, "POST", "/pair")
-    print(addresses.told(found))
+    print(addresses.terminal_text(found))
     return 0
 
 

@@ -39,27 +39,27 @@ class Places(Generic[T]):
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self._taken: dict[T, str] = {}
+        self._held: dict[T, str] = {}
 
     def __len__(self) -> int:
-        return len(self._taken)
+        return len(self._held)
 
-    def take(self, one: T, address: str) -> None:
+    def add(self, one: T, address: str) -> None:
         """A newcomer."""
-        while len(self._taken) >= self._most:
-            fullest, _ = Counter(self._taken.values()).most_common(1)[0]
-            oldest = next(each for each, whose in self._taken.items() if whose == fullest)
-            del self._taken[oldest]
+        while len(self._held) >= self._most:
+            fullest, _ = Counter(self._held.values()).most_common(1)[0]
+            oldest = next(each for each, whose in self._held.items() if whose == fullest)
+            del self._held[oldest]
             oldest.close()
-        self._taken[one] = address
+        self._held[one] = address
 
     def leave(self, one: T) -> None:
         """Give a place back."""
-        self._taken.pop(one, None)
+        self._held.pop(one, None)
 
     def all(self) -> tuple[T, ...]:
         """The connections that have a place, the oldest first."""
-        return tuple(self._taken)
+        return tuple(self._held)
 
 
 class BoundedServer(HTTPServer):
@@ -85,7 +85,7 @@ class BoundedServer(HTTPServer):
             for each in self._places.all():
                 if each.closed():
                     self._places.leave(each)
-        self._places.take(stream, str(address[0]) if address else "")
+        self._places.add(stream, str(address[0]) if address else "")
         if isinstance(stream, SSLIOStream):
             plain.attend(stream, self._names)
         super().handle_stream(stream, address)

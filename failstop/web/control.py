@@ -49,7 +49,7 @@ class _Pair(_Asked):
             self.set_status(REFUSED)
             source = self.page.source
             remedy = source.remedy('web.pairing = "on"')
-            self.finish({"error": f"pairing is off (by {source.told()}): {remedy}"})
+            self.finish({"error": f"pairing is off (by {source.described()}): {remedy}"})
             return
         code = devices.code_of(secrets.token_bytes(5))
         self.page.pairing.offer(code, time.monotonic())

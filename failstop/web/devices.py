@@ -126,7 +126,7 @@ class Pairing:
         """A new code; an earlier one is over. `now_s`: a monotonic clock."""
         self._code, self._until_s, self._left = typed(code), now_s + CODE_S, TRIES
 
-    def take(self, code: str, now_s: float) -> None:
+    def redeem(self, code: str, now_s: float) -> None:
         """Use it up. Raises NotPaired for a wrong code, and when there is none to be had."""
         if not self._code or now_s > self._until_s:
             self._code = ""

@@ -65,7 +65,7 @@ class Guarded(RequestHandler):
 
     def log_exception(self, typ: Any, value: BaseException | None, tb: Any) -> None:
         """Tell of a defect in a few lines, and of many seldom: strangers must not fill the journal."""
-        if not isinstance(value, HTTPError) and self.page.defect_limit.take(str(typ), time.monotonic()):
+        if not isinstance(value, HTTPError) and self.page.defect_limit.spend(str(typ), time.monotonic()):
             told = "".join(traceback.format_exception(typ, value, tb)).splitlines()[-LINES_OF_A_DEFECT:]
             logging.getLogger("tornado.application").error("a defect of the page: %s", "; ".join(told))
 
@@ -178,7 +178,7 @@ class Pair(Guarded):
             self.refuse(403, "pairing is off on this robot")
             return
         address = str(self.request.remote_ip)
-        if not self.page.pair_limit.take(address, time.monotonic()):
+        if not self.page.pair_limit.spend(address, time.monotonic()):
             self.refuse(429, "too many tries: wait a few seconds")
             return
         given = self.body()
@@ -218,7 +218,7 @@ class Verb(Guarded):
         """The gate decides."""
         if (device := self.paired()) is None:
             return
-        if not self.page.verb_limit.take(verb, time.monotonic()):
+        if not self.page.verb_limit.spend(verb, time.monotonic()):
             self.refuse(429, "too many requests: wait a second")
             return
         percent = messages.whole(self.body().get("percent"), 100)
@@ -248,7 +248,7 @@ class Story(Guarded):
 
     async def get(self, identity: str, what: str) -> None:
         """The picture as PNG, the story as lines."""
-        if not self.page.story_limit.take(str(self.request.remote_ip), time.monotonic()):
+        if not self.page.story_limit.spend(str(self.request.remote_ip), time.monotonic()):
             self.refuse(429, "too many requests: wait a second")
         elif not await self.page.incidents.known(identity):
             self.refuse(404, "no such incident")

@@ -40,7 +40,7 @@ class Lease:
         self._open.append((nonce, now_ns))
         return nonce
 
-    def take(self, nonce: str, answer: str, said: str = "") -> bool:
+    def accept(self, nonce: str, answer: str, said: str = "") -> bool:
         """An answer; True when it proves something new. `said`: a command that the answer proves with it."""
         for asked in tuple(self._open):
             if asked[0] == nonce:

@@ -13,7 +13,7 @@ class Limit:
         self._burst = burst
         self._left: dict[str, tuple[float, float]] = {}
 
-    def take(self, key: str, now_s: float) -> bool:
+    def spend(self, key: str, now_s: float) -> bool:
         """True when this one may. `now_s`: a monotonic clock; one that went back gives nothing."""
         left, since_s = self._left.pop(key, (float(self._burst), now_s))
         left = min(float(self._burst), left + max(0.0, now_s - since_s) * self._per_s)

@@ -109,7 +109,7 @@ class Page:
 
     def pair(self, code: str, name: str) -> str:
         """A new device's token. Raises NotPaired, FailstopError."""
-        self.pairing.take(code, time.monotonic())
+        self.pairing.redeem(code, time.monotonic())
         token = secrets.token_urlsafe(devices.TOKEN_BYTES)
         made = devices.Device(
             secrets.token_hex(ID_BYTES), self.devices.free_name(name), devices.digest_of(token), round(time.time())

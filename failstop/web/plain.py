@@ -42,13 +42,13 @@ def attend(stream: IOStream, known: frozenset[str]) -> None:
     def answered() -> None:
         if isinstance(stream.error, ssl.SSLError) and stream.error.reason == "HTTP_REQUEST":
             with contextlib.suppress(OSError):
-                _tell(stream.socket, known)
+                _send_answer(stream.socket, known)
         close_fd()
 
     stream.close_fd = answered  # type: ignore[method-assign]
 
 
-def _tell(connection: socket.socket, known: frozenset[str]) -> None:
+def _send_answer(connection: socket.socket, known: frozenset[str]) -> None:
     """Beside TLS, which has taken the first bytes only. What is not read before the end makes the kernel reset the
     connection, and the answer is lost."""
     request = socket.socket.recv(connection, MOST)

@@ -64,7 +64,7 @@ async def serve(name: str, settings: Settings, source: Source) -> None:
     ended = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, ended.set)
-    print("\n".join([*addresses.listening(page.addresses()), f"settings: {source.told()}"]), flush=True)
+    print("\n".join([*addresses.listening(page.addresses()), f"settings: {source.described()}"]), flush=True)
     await ended.wait()
     bounded.stop()
     commands.stop()

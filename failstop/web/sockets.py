@@ -53,7 +53,7 @@ class StopSocket(Socket):
     def open(self, *_: str, **__: str) -> None:
         """It waits for a STOP."""
         super().open()
-        self.page.stops.take(self, str(self.request.remote_ip))
+        self.page.stops.add(self, str(self.request.remote_ip))
         self.page.stop_pipe.prepare()
         self._who = self.who()
 
@@ -131,7 +131,7 @@ class Live(Socket):
 
     def _answer(self, held: lease.Lease, nonce: str, answer: str, drive: str) -> None:
         """It is there, and it may drive; an answer without a command says that the stick is not held."""
-        if not held.take(nonce, answer, drive):
+        if not held.accept(nonce, answer, drive):
             return
         if self.device() is None:  # revoked since
             self.page.attending.end(self)
@@ -158,7 +158,7 @@ class Live(Socket):
             self._end(identity, "this device is not paired")
         elif verb not in HELD_VERBS or epoch is None:
             self._end(identity, "this page is of another version: load it again")
-        elif not self.page.verb_limit.take(verb, now_s):
+        elif not self.page.verb_limit.spend(verb, now_s):
             self._end(identity, "too many requests: wait a second")
         else:
             self._hold = hold.Hold(verb, identity, epoch, percent, now_s, now_s)

@@ -14,7 +14,7 @@ class Source:
     running: bool = False
     """From the service that runs, whatever file it was started with."""
 
-    def told(self) -> str:
+    def described(self) -> str:
         """In words."""
         if self.running:
             return "the settings of the running service"

@@ -40,7 +40,12 @@ UIDS = {"root": 0, "failstop": 998, "anna": 1000}
 STATE_FOLDER = "/var/lib/failstop/failstop"
 OWNERS = {"/proc/100": "failstop", "/proc/self": "anna", STATE_FOLDER: "failstop", "/state": "anna", "/": "root"}
 SHARED: dict[str, Any] = {"quick": False, "device_path": None, "settings": ("", Settings(), ""), "service": SERVICE}
-SHARED |= {"unit": UNIT, "device": ("/dev/ttyACM0", "the default of device.path"), "node": NODE, "told": Settings()}
+SHARED |= {
+    "unit": UNIT,
+    "device": ("/dev/ttyACM0", "the default of device.path"),
+    "node": NODE,
+    "active_settings": Settings(),
+}
 SHARED |= {"usb_id": BOARD.usb[0], "look_alikes": {}, "twins": False, "holders": ((), 0)}
 """Options of the call, and values that checks share (Look)."""
 

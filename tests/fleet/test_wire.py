@@ -25,7 +25,7 @@ def read(*parts: bytes) -> tuple[MqttWire, list[Message], bytes]:
     wire = MqttWire()
     for part in parts:
         wire.feed(part)
-    return wire, wire.messages(), wire.take(1 << 30)
+    return wire, wire.messages(), wire.read(1 << 30)
 
 
 @given(st.lists(MESSAGES | st.sampled_from(OTHERS), max_size=8), st.lists(st.integers(0, 3000), max_size=8))

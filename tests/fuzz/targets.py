@@ -299,7 +299,7 @@ def page(data: bytes) -> None:
         assert wanted is None or all(math.isfinite(part) and abs(part) <= 1 for part in wanted)
     held = lease.Lease(lease.key_of("token"))
     nonce = held.ask(b"12345678", 1)
-    assert not held.take(nonce, str(found.get("answer")), str(found.get("drive") or ""))
+    assert not held.accept(nonce, str(found.get("answer")), str(found.get("drive") or ""))
     guard.refusal(guard.PageRequest("POST", "http", text, text, "1", ""), frozenset(("robot",)))
     typed(text)
     with contextlib.suppress(ValueError):

@@ -66,7 +66,7 @@ def test_the_page_and_the_incident_name_the_driver_that_died(scene: GuardScene, 
     assert who in str(scene.trial.robot.why())
     incident = saved(scene)
     assert who in incident.why
-    commands = [line.text for line in story.tell(incident) if line.what == "command"]
+    commands = [line.text for line in story.whole(incident) if line.what == "command"]
     assert [text for text in commands if text.startswith(f"{who} as cmd_vel: ")], commands
     assert not [text for text in commands if "guard" in text or "python" in text], "the guard is nobody's driver"
     assert any(who in line.text for line in story.brief(incident)), "at a glance"
@@ -79,4 +79,4 @@ def test_the_incident_of_a_stop_names_the_driver_that_drove_until_then(scene: Gu
     incident = saved(scene)
     assert "a test says so" in incident.why
     who = f"diffdrive (pid {driver.pid})"
-    assert any(line.what == "command" and who in line.text for line in story.tell(incident))
+    assert any(line.what == "command" and who in line.text for line in story.whole(incident))

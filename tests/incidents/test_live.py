@@ -123,7 +123,7 @@ def test_a_stop_request_and_then_a_killed_gate(
     second = kept.saved(2)
     assert second.reason == "gate died"
     check_driven(second)
-    assert any(line.text.startswith("! gate (pid ") and line.text.endswith("SIGKILL") for line in story.tell(second))
+    assert any(line.text.startswith("! gate (pid ") and line.text.endswith("SIGKILL") for line in story.whole(second))
     assert second.ticks[-1].ns > second.cause_ns, "the successor writes where the dead gate ended"
     ids = (first.id, second.id)
     wait_for("words on both", lambda: len(kept.told()) == 2, SAVED_S)
@@ -142,7 +142,7 @@ def test_the_death_of_the_one_who_decodes_loses_nothing_of_before(kept: Kept) ->
     before = [sample for sample in saved.imu if saved.cause_ns - 1_000_000_000 < sample.t_ns < saved.cause_ns]
     assert len(before) > IMU_HZ / 2
     assert [tick for tick in saved.ticks if tick.ns < saved.cause_ns][-1].block == "driving"
-    assert any(line.what == story.CAUSE for line in story.tell(saved))
+    assert any(line.what == story.CAUSE for line in story.whole(saved))
 
 
 def check_driven(incident: Incident) -> None:
@@ -163,7 +163,7 @@ def check_driven(incident: Incident) -> None:
         assert times[0] < incident.cause_ns - 400_000_000, "before"
         assert times[-1] > incident.cause_ns + 1_500_000_000, "and after"
     assert incident.undecoded == 0
-    assert any(line.what == story.CAUSE for line in story.tell(incident))
+    assert any(line.what == story.CAUSE for line in story.whole(incident))
 
 
 def test_a_port_that_is_gone_for_longer_than_a_stop_is_watched(kept: Kept) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from failstop.board.rrc.board import BOARD
 from failstop.incidents import memory
-from failstop.incidents.memory import told_stop
+from failstop.incidents.memory import logged_stop
 from failstop.messages import box, layout, records, segments
 from failstop.policy import causes
 from failstop.policy.causes import Cause
@@ -171,7 +171,7 @@ def event(kind: str, **fields: Any) -> bytes:
 def known(record: bytes | None, events: list[bytes], cause_ns: int) -> dict[str, Any] | None:
     latest = {} if record is None else {"stop": [1, 1, record]}
     supervisor = {"latest": latest, "rings": {"events": [[1, 1, event] for event in events]}}
-    return told_stop({"supervisor": supervisor}, cause_ns)
+    return logged_stop({"supervisor": supervisor}, cause_ns)
 
 
 UNKNOWN = "answer of the board: not known"

@@ -156,7 +156,7 @@ def test_a_picture_says_what_happened_and_where_the_arm_s_joints_were_sent(tmp_p
     assert [pulses for _, pulses in sent[1]] == list(range(500, 520))
     assert [pulses for _, pulses in sent[4]] == list(range(300, 280, -1))
     assert [found.joint(servo) for servo in (1, 4, 6)] == ["base", "wrist", "servo 6"]
-    told = [line.text for line in story.tell(found) if line.what == "arm"]
+    told = [line.text for line in story.whole(found) if line.what == "arm"]
     by_nav = ["follow for nav (pid 77): base 519, wrist 282", "jog for nav (pid 77): base 24/s"]
     assert told == [*by_nav, "moved by nobody"]
     assert found.undecoded == 0

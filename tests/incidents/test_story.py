@@ -30,7 +30,7 @@ def incident() -> Incident:
 
 
 def told(incident: Incident, what: str) -> list[str]:
-    return [line.text for line in story.tell(incident) if line.what == what]
+    return [line.text for line in story.whole(incident) if line.what == what]
 
 
 def text(incident: Incident, columns: int = 80, *, whole: bool = True) -> str:
@@ -38,21 +38,21 @@ def text(incident: Incident, columns: int = 80, *, whole: bool = True) -> str:
 
 
 def test_lines_are_in_the_order_of_time_and_one_is_the_cause(incident: Incident) -> None:
-    lines = story.tell(incident)
+    lines = story.whole(incident)
     assert [line.ns for line in lines] == sorted(line.ns for line in lines)
     assert [line.ns for line in lines if line.what == CAUSE] == [CAUSE_NS]
     assert told(incident, CAUSE) == ["gate died"]
 
 
 def test_what_repeats_is_told_once(incident: Incident) -> None:
-    commands = [line for line in story.tell(incident) if line.what == "command"]
+    commands = [line for line in story.whole(incident) if line.what == "command"]
     assert [line.text for line in commands] == ["nav (pid 77) as cmd_vel: 0.20 m/s forward"]
     assert [line.count for line in commands] == [150]
-    assert len(story.tell(incident)) < 20
+    assert len(story.whole(incident)) < 20
 
 
 def test_bursts_from_the_first_to_the_last(incident: Incident) -> None:
-    (line,) = (line for line in story.tell(incident) if line.text == "STOP BURST by the port owner")
+    (line,) = (line for line in story.whole(incident) if line.text == "STOP BURST by the port owner")
     assert (incident.ms(line.ns), incident.ms(line.until_ns), line.count) == (0.2, 100.2, 3)
 
 
@@ -64,7 +64,7 @@ def test_what_came_before_the_cause_and_what_after_it_are_two_lines() -> None:
         made.command(ms, (0.3, 0.0, 0.0))
         made.tick(ms)
     found = made.incident()
-    lines = [line for line in story.tell(found) if line.what == "command" or line.text.startswith("STOP BURST")]
+    lines = [line for line in story.whole(found) if line.what == "command" or line.text.startswith("STOP BURST")]
     assert [(line.what, found.ms(line.ns), line.count) for line in lines] == [
         ("command", -2999.0, 150),
         ("wire", -2000.0, 1),
@@ -300,7 +300,7 @@ def rolled(*speeds: tuple[float, float]) -> Incident:
 
 def test_what_the_board_reports_of_the_wheels_is_told_beside_what_they_were_told() -> None:
     found = rolled((-40, 0.8), (-20, 0.8), (20, 0.5), (40, 0.0), (60, 0.0))
-    lines = [line for line in story.tell(found) if line.what == "wheels"]
+    lines = [line for line in story.whole(found) if line.what == "wheels"]
     assert [(line.text, found.ms(line.ns), line.count) for line in lines] == [
         ("turn, at most 0.80 turns/s, by the board's reports", -40.0, 3),
         ("are still, by the board's reports", 40.0, 2),

@@ -117,40 +117,40 @@ def test_wheels_turn_as_far_as_they_were_told() -> None:
     wheels = messages.Wheels()
     assert wheels.fields(0)[0] == [], "nobody has said how many there are"
     for count in (4, 3, 2):
-        wheels.follow(snapshot.Wheels((2 * math.pi,) * count), 0)
+        wheels.update(snapshot.Wheels((2 * math.pi,) * count), 0)
         assert wheels.fields(0)[1][1:] == ([0.0] * count, [2 * math.pi] * count)
-        wheels.follow(snapshot.Wheels((0.0,) * count), S // 2)
+        wheels.update(snapshot.Wheels((0.0,) * count), S // 2)
         names, (_, position, velocity) = wheels.fields(0)
         assert names == [f"wheel_{name.replace(' ', '_')}" for name in WHEEL_NAMES[count]]
         assert position == pytest.approx([math.pi] * count)
         assert velocity == [0.0] * count
-        wheels.follow(None, 9 * S)
+        wheels.update(None, 9 * S)
         assert wheels.fields(0)[1][1] == pytest.approx([math.pi] * count)
 
 
 def test_wheels_turn_as_far_as_they_are_measured_to() -> None:
     """Told to turn, and held: the joints say what the board reports, and not what it was told."""
     wheels, told = messages.Wheels(), snapshot.Wheels((3.0, 3.0))
-    wheels.follow(told, 0)
-    wheels.follow(told, S, turning=snapshot.Turning())
+    wheels.update(told, 0)
+    wheels.update(told, S, turning=snapshot.Turning())
     assert wheels.fields(S)[1][1:] == ([3.0, 3.0], [3.0, 3.0]), "nothing is reported"
     seen = snapshot.Turning("turning", "wheels", age_s=0.02, speeds_radps=snapshot.Wheels((0.0, 2.5)),
                             turned_rad=snapshot.Wheels((0.25, 7.0)))  # fmt: skip
     for at_s in (2, 3):
-        wheels.follow(told, at_s * S, turning=seen)
+        wheels.update(told, at_s * S, turning=seen)
         assert wheels.fields(at_s * S)[1][1:] == ([0.25, 7.0], [0.0, 2.5])
-    wheels.follow(told, 4 * S, turning=dataclasses.replace(seen, age_s=0.8))
+    wheels.update(told, 4 * S, turning=dataclasses.replace(seen, age_s=0.8))
     _, position, velocity = wheels.fields(4 * S)[1]
     assert position == [0.25, 7.0]
     assert all(map(math.isnan, velocity)), "an old report says nothing of how fast they turn now"
-    wheels.follow(None, 5 * S)
+    wheels.update(None, 5 * S)
     assert wheels.fields(5 * S)[1][1] == [0.25, 7.0]
 
 
 def test_a_steered_base_stays_steered_as_it_was_told_last() -> None:
     wheels = messages.Wheels()
     for told, shown in ((None, None), (0.3, 0.3), (None, 0.3), (-0.1, -0.1)):
-        wheels.follow(snapshot.Wheels((0.0, 0.0)), 0, told)
+        wheels.update(snapshot.Wheels((0.0, 0.0)), 0, told)
         names, (_, position, velocity) = wheels.fields(0)
         assert dict(zip(names, position, strict=True)).get("steering") == shown
         assert len(names) == len(velocity)
@@ -322,14 +322,14 @@ def test_what_is_heard_of_the_sensor() -> None:
 
 def test_scan_lines() -> None:
     log = ScanLog(0)
-    assert log.follow(None, 0.1, 0.5, S) == ""
-    assert log.follow("no scan", 0.62, 0.5, S) == "wheels held: no LiDAR scan for 0.6 s while commanded"
-    assert log.follow("no scan", 0.64, 0.5, S) == "", "once"
-    assert log.follow("cmd timeout", 0.9, 0.5, S) == "", "the command ended, the sensor is still silent"
-    assert log.follow("no scan", 0.95, 0.5, S) == ""
-    assert log.follow(None, 0.1, 0.5, S) == "LiDAR scan back: wheels released"
-    assert log.follow(None, 0.1, 0.5, S) == ""
-    assert ScanLog(0).follow("no scan", None, 0.5, 2 * S) == "wheels held: no LiDAR scan for 2.0 s while commanded"
+    assert log.update(None, 0.1, 0.5, S) == ""
+    assert log.update("no scan", 0.62, 0.5, S) == "wheels held: no LiDAR scan for 0.6 s while commanded"
+    assert log.update("no scan", 0.64, 0.5, S) == "", "once"
+    assert log.update("cmd timeout", 0.9, 0.5, S) == "", "the command ended, the sensor is still silent"
+    assert log.update("no scan", 0.95, 0.5, S) == ""
+    assert log.update(None, 0.1, 0.5, S) == "LiDAR scan back: wheels released"
+    assert log.update(None, 0.1, 0.5, S) == ""
+    assert ScanLog(0).update("no scan", None, 0.5, 2 * S) == "wheels held: no LiDAR scan for 2.0 s while commanded"
 
 
 # The files of DDS.

@@ -102,8 +102,8 @@ from failstop.ros2.stencil import Stencil, serializer
 S = 10**9
 moved = snapshot.Odometry(0, 1.25, -2.5, 0.7, 0.2, 0.1, 0.3, 0.05, 0.2)
 wheels = messages.Wheels()
-wheels.follow(snapshot.Wheels((1.0, 2.0, 3.0, 4.0)), 0)
-wheels.follow(snapshot.Wheels((1.5, 2.0, 3.0, 4.0)), S)
+wheels.update(snapshot.Wheels((1.0, 2.0, 3.0, 4.0)), 0)
+wheels.update(snapshot.Wheels((1.5, 2.0, 3.0, 4.0)), S)
 names, joints = wheels.fields(5 * S + 3)
 
 

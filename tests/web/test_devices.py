@@ -37,39 +37,39 @@ def test_different_bytes_are_different_codes() -> None:
 
 def test_a_code_pairs_once() -> None:
     pairing = offered()
-    pairing.take("ab12 cd34", 100.0)
+    pairing.redeem("ab12 cd34", 100.0)
     with pytest.raises(NotPaired, match="no code is on offer"):
-        pairing.take(CODE, 100.0)
+        pairing.redeem(CODE, 100.0)
 
 
 def test_a_code_ends_after_two_minutes() -> None:
-    offered().take(CODE, 100.0 + CODE_S)
+    offered().redeem(CODE, 100.0 + CODE_S)
     with pytest.raises(NotPaired, match="no code is on offer"):
-        offered().take(CODE, 100.1 + CODE_S)
+        offered().redeem(CODE, 100.1 + CODE_S)
 
 
 def test_guessing_ends_the_offer() -> None:
     pairing = offered()
     for _ in range(TRIES):
         with pytest.raises(NotPaired, match="not the code"):
-            pairing.take("AB12-CD35", 100.0)
+            pairing.redeem("AB12-CD35", 100.0)
     with pytest.raises(NotPaired, match="no code is on offer"):
-        pairing.take(CODE, 100.0)
+        pairing.redeem(CODE, 100.0)
 
 
 @pytest.mark.parametrize("code", ["", "-", " ", "\udcff", "AB12-CD3", "AB12-CD344"])
 def test_nothing_is_no_code(code: str) -> None:
     for pairing in (Pairing(), offered()):
         with pytest.raises(NotPaired):
-            pairing.take(code, 100.0)
+            pairing.redeem(code, 100.0)
 
 
 def test_a_new_offer_ends_the_old_one() -> None:
     pairing = offered()
     pairing.offer("0000-0000", 100.0)
     with pytest.raises(NotPaired):
-        pairing.take(CODE, 100.0)
-    pairing.take("OOOO-OOOO", 100.0)
+        pairing.redeem(CODE, 100.0)
+    pairing.redeem("OOOO-OOOO", 100.0)
 
 
 def test_what_is_kept_is_of_no_use_to_a_reader() -> None:

@@ -60,7 +60,7 @@ def main(arguments: Namespace) -> int:
             if verb in verbs:
                 with progress:
                     said = verbs[verb]()
-                standard.tell(said)
+                standard.print_line(said)
                 return 0
             if verb == "read":
                 arm.read()

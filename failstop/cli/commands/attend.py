@@ -62,13 +62,13 @@ class Questions:
         """Take the terminal's answers out of its bytes; the rest, which a person typed, comes back."""
         data = self._rest + data
         for found in ANSWER.finditer(data):
-            self._take(int(found[2]))
+            self._answered(int(found[2]))
         rest = ANSWER.sub(b"", data)
         part = PART.search(rest)
         self._rest = part[0] if part else b""
         return rest[: len(rest) - len(self._rest)]
 
-    def _take(self, column: int) -> None:
+    def _answered(self, column: int) -> None:
         if any(asked == column for asked, _ in self._open):
             asked = 0
             while asked != column:
@@ -101,7 +101,7 @@ def main(arguments: Namespace) -> int:
                 return 0
             if now_s is not None:
                 terminal.draw(_lines(robot, who, terminal.columns))
-                if terminal.takes():
+                if terminal.writable():
                     terminal.write(questions.ask(time.monotonic_ns(), terminal.rows))
     return 128 + terminal.ended
 

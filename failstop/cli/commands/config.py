@@ -104,7 +104,7 @@ def main(arguments: Namespace) -> int:
             print(json.dumps(found, indent=2, ensure_ascii=False))
         else:
             style.show(table(found))
-            ways = distance.told(config.load(arguments.config))
+            ways = distance.sentences(config.load(arguments.config))
             style.show([[], *(line for way in ways for line in style.wrap([(way, style.PLAIN)], style.width(), 0))])
     return 0
 

@@ -78,7 +78,10 @@ def report(look: Look, told: dict[str, Any]) -> str:
             incident = json.loads(json.dumps(story.as_dict(Incident.read(meant))))
     except FailstopError as error:
         incident = {"none": str(error)}
-    settings, packages = look.told.flat(), {str(one.metadata["Name"]): one.version for one in distributions()}
+    settings, packages = (
+        look.active_settings.flat(),
+        {str(one.metadata["Name"]): one.version for one in distributions()},
+    )
     private = {str(each.get(key, "")) for each in (settings, incident.get("settings", {})) for key in WITHHELD}
     # The longest first: one may be part of another.
     words = sorted({*private, str(incident.get("host", ""))} - {""}, key=len, reverse=True)

@@ -62,12 +62,12 @@ def main(arguments: Namespace) -> int:
         return _list(arguments)
     meant = _meant(arguments)
     with files.as_written(meant):
-        lines = _told(Incident.read(meant), arguments)
+        lines = _lines_on(Incident.read(meant), arguments)
     show(lines)
     return 0
 
 
-def _told(incident: Incident, arguments: Namespace) -> list[Line]:
+def _lines_on(incident: Incident, arguments: Namespace) -> list[Line]:
     """Lines on an incident, or on the file that was made of it. Raises IncidentError."""
     if arguments.action == "show":
         if arguments.json:

@@ -75,7 +75,7 @@ def main(arguments: Namespace) -> int:
         try:
             with progress:  # with an arm an enable takes seconds
                 said = verbs[command]()
-            standard.tell(said)
+            standard.print_line(said)
             if command == "enable" and (state := robot.state):
                 if why := verdict.unproven(state):
                     see_to = "next: see to its power and its cable, then `failstop doctor`"

@@ -144,7 +144,7 @@ def _ask(order: Order, names: list[str], device: str) -> Outcome:
         else:
             done, problem, target.unproved = ask.stop(name, order.reason, order.who)
             if done:
-                standard.tell(done)
+                standard.print_line(done)
                 if problem:
                     standard.say(problem)
                 target.complain()
@@ -175,7 +175,7 @@ def _write_to_port(order: Order) -> Outcome:
     if by_service:
         return by_service[0]
     why = "" if target.asked or target.wanted() else f" (no service {order.name!r} runs)"
-    standard.tell(f"stop frame sent (after {after_s:.1f} s), directly to {target.told()}{why}")
+    standard.print_line(f"stop frame sent (after {after_s:.1f} s), directly to {target.described()}{why}")
     unheard = target.unheard(patient=True)
     return int(target.doubtful() or unheard)
 
@@ -205,7 +205,7 @@ def _end(target: Target, start_s: float) -> int:
         after_s = target.stop(END_SERVICE_S - (time.monotonic() - start_s))
     except PortError as error:
         raise FailstopError(target.explained(error)) from None
-    standard.tell(f"stop frame sent (after {after_s:.1f} s)")
+    standard.print_line(f"stop frame sent (after {after_s:.1f} s)")
     target.unheard(patient=False)  # said alone: the unit has not failed, and its next start asks for itself
     return int(target.doubtful() or misused)
 
@@ -218,7 +218,7 @@ def _every_service(reason: str, who: str) -> int:
     answers = [ask.stop(name, reason, who) for name in instances.listening()]
     for done, problem, _ in answers:
         if done:
-            standard.tell(done)
+            standard.print_line(done)
         if problem:
             standard.say(problem)
     return int(not all(done for done, _, _ in answers))
@@ -296,7 +296,7 @@ class Target:
                 return known
             raise
 
-    def told(self) -> str:
+    def described(self) -> str:
         """The port for people, with the reason for its choice."""
         of = ", the port of the last run" if self._is_last() else ""
         return f"{self.device()}{of}"
@@ -397,16 +397,16 @@ class Target:
         stop_tool.answered()."""
         (device, owner), board = self._chosen(), self.board()
         if isinstance(board, kept.Kept):
-            standard.tell("whether the board has heard it is not known, because its description can't be used")
+            standard.print_line("whether the board has heard it is not known, because its description can't be used")
             return False
         heard = stop_tool.answered(device, board, patient=patient, named_by=owner)
         if heard:
             how = "answers" if board.pings else "reports that it obeys zero speed"
-            standard.tell(f"the board at {device} {how}")
+            standard.print_line(f"the board at {device} {how}")
         elif heard is None and (board.pings or board.echo_ns):
-            standard.tell(f"whether the board at {device} answers is not known: a service reads that port")
+            standard.print_line(f"whether the board at {device} answers is not known: a service reads that port")
         elif heard is None:
-            standard.tell("this board answers no question, so nothing proves that it has stopped")
+            standard.print_line("this board answers no question, so nothing proves that it has stopped")
         else:
             who = f"nothing at {device} answers as {board.name} does"
             standard.say(

@@ -133,7 +133,7 @@ def _wheels(incident: Incident) -> list[Fact]:
 def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
     """A row for each line; where there is no room, what an event says is cut, or told in several rows (`whole`)."""
     found: Lines = [[("Story", STRONG), (", milliseconds from the cause; of several alike, the last", PLAIN)]]
-    for line in story.tell(incident) if whole else story.brief(incident):
+    for line in story.whole(incident) if whole else story.brief(incident):
         cause = line.what == CAUSE
         at = f">>{0:>10}  " if cause else f"  {incident.ms(line.ns):>+10.1f}  "
         label = printable(f"{line.what.partition('_')[0]:<{LABEL}.{LABEL}}  ")

@@ -88,14 +88,14 @@ class Terminal:
         except OSError:
             self.ended = self.ended or signal.SIGHUP
 
-    def takes(self) -> bool:
+    def writable(self) -> bool:
         """Whether the terminal takes something now."""
         return bool(select.select((), (OUT,), (), 0)[1])
 
     def draw(self, lines: list[Line]) -> None:
         """Show these lines, as far as the screen has room; only those that differ are written. A terminal that takes
         nothing now is passed over."""
-        if not self.takes():
+        if not self.writable():
             self._shown = None
             return
         rows = [style.painted(line, self.columns) for line in style.fit(lines, self.rows)]

@@ -263,7 +263,7 @@ class Robot:
             except Replaced as program:
                 return self._child(process, program.argv[program.argv.index("supervisor") - 1 :])
             except Exception as error:  # as main() does, which would keep an interrupt of the campaign's own
-                code = command._told(error)
+                code = command._report_error(error)
             return code
 
         return self.machine.process("supervisor", body, dict(ENVIRON))

@@ -124,7 +124,7 @@ def ways(evidence: Evidence) -> list[str]:
     """The stopping distances, in words: by the settings, and by what was written last here."""
     if evidence.user is None:
         return []
-    lines = distance.told(evidence.user)
+    lines = distance.sentences(evidence.user)
     written = [result for result in evidence.results if result.written_ms is not None and result.path.kind != FROZEN]
     if written:
         slowest = max(written, key=lambda result: result.written_ms or 0.0)

@@ -52,7 +52,7 @@ def crowd(stage: Stage) -> None:
     for _ in range(CROWD):
         stage.freeze("gate", 30)
         for number, robot in enumerate(robots):
-            robot._client().tell("speed_limit", 100 - number)
+            robot._client().write("speed_limit", 100 - number)
             robot._client().ask(records.LIMIT)
         stage.time.sleep(0.026)
         for _ in range(10):

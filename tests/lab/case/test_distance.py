@@ -158,7 +158,7 @@ def test_the_furthest_follows_the_settings(changed: dict[str, Any], latest: str)
 )
 def test_a_frozen_machine_is_told_of(kind: str, told: str) -> None:
     """By the watchdog of a board that has one; wheels without current brake by nothing that is known."""
-    assert told in distance.told(settings_of(kind))[-1]
+    assert told in distance.sentences(settings_of(kind))[-1]
 
 
 def test_the_speed_for_a_distance_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
