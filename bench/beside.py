@@ -102,7 +102,7 @@ def main(ref: str, much: visit.Amounts, rounds: int, margin: float, out: str | N
     try:
         commit = _git("rev-parse", "--verify", "--quiet", f"{ref}^{{commit}}", what=f"no such commit: {ref}")
         with _checked_out(commit) as there:
-            said = taken(there, Side("this tree", ROOT, sys.executable), much, rounds, _visit)
+            said = visit_both(there, Side("this tree", ROOT, sys.executable), much, rounds, _visit)
     except BenchError as error:
         progress("")
         print(error, file=sys.stderr)
@@ -116,10 +116,10 @@ def main(ref: str, much: visit.Amounts, rounds: int, margin: float, out: str | N
         "margin": margin,
         "instrument differs": _git("diff", "--name-only", commit, "--", *INSTRUMENT).split(),
     }
-    return told(said, margin, known, out)
+    return conclude(said, margin, known, out)
 
 
-def told(said: list[tuple[Said, Said]], margin: float, known: dict[str, Any], out: str | None) -> int:
+def conclude(said: list[tuple[Said, Said]], margin: float, known: dict[str, Any], out: str | None) -> int:
     """Compare the rounds, print, write; the exit code. `known`: facts to be told with it."""
     rows, counts = compared(said, margin)
     every: list[Compared | Counted] = [*rows, *counts]
@@ -183,7 +183,7 @@ def _added(pairs: list[tuple[int, int]]) -> tuple[int, int]:
     return sum(found for found, _ in pairs), sum(of for _, of in pairs)
 
 
-def taken(
+def visit_both(
     there: Side, here: Side, much: visit.Amounts, rounds: int, visited: Callable[[Side, visit.Amounts], Said]
 ) -> list[tuple[Said, Said]]:
     """Visit both sides in each round, in the order ABBA; returns what they told, (there, here)."""

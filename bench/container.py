@@ -302,7 +302,7 @@ class Container:
         until_s = time.monotonic() + timeout_s
         while (found := self.show(unit, *wanted)) != wanted:
             if time.monotonic() > until_s:
-                raise TrialError(f"waited {timeout_s:g} s for {unit} to be {wanted}: {found}\n{self.told(unit)}")
+                raise TrialError(f"waited {timeout_s:g} s for {unit} to be {wanted}: {found}\n{self.log_text(unit)}")
             time.sleep(POLL_S)
 
     def journal(self, *words: str) -> list[dict[str, Any]]:
@@ -311,7 +311,7 @@ class Container:
         lines = self.run("journalctl", "--output=json", "--no-pager", "--quiet", *words).stdout.splitlines()
         return [json.loads(line) for line in lines]
 
-    def told(self, unit: str, since_s: float = 0.0) -> str:
+    def log_text(self, unit: str, since_s: float = 0.0) -> str:
         """The journal of a unit as people read it, from a moment on (time.time())."""
         self.run("journalctl", "--sync")
         options = ("--output=short-monotonic", "--no-pager", "--quiet", f"--since=@{since_s:.6f}")

@@ -65,7 +65,7 @@ class Pair:
             stderr=subprocess.PIPE,
         )
         try:
-            self._take(len(READY))
+            self._read(len(READY))
         except BaseException:
             self.close()
             raise
@@ -81,10 +81,10 @@ class Pair:
         assert self._process.stdin is not None
         self._process.stdin.write(b"%d\n" % messages)
         self._process.stdin.flush()
-        arrived = int.from_bytes(self._take(COUNT_BYTES), "little")
-        return array.array("Q", self._take(8 * arrived)).tolist()
+        arrived = int.from_bytes(self._read(COUNT_BYTES), "little")
+        return array.array("Q", self._read(8 * arrived)).tolist()
 
-    def _take(self, size: int) -> bytes:
+    def _read(self, size: int) -> bytes:
         """That many bytes of what it says."""
         assert self._process.stdout is not None
         out = self._process.stdout.fileno()

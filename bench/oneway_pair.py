@@ -33,7 +33,7 @@ _MESSAGE = struct.Struct(f"<QQ{PAYLOAD_BYTES - 16}x")
 _LAST = (1 << 64) - 1
 
 
-def _take_place(core: int) -> None:
+def _pin_to_core(core: int) -> None:
     """Without SCHED_RESET_ON_FORK: threads that a library starts are to have what their process has."""
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[core % len(cores)]})
@@ -105,7 +105,7 @@ def _pair(channel: Channel) -> int:
         code = 1
         try:
             rights.die_with_parent(parent)
-            _take_place(1)
+            _pin_to_core(1)
             _receive(channel, tell)
             code = 0
         except BaseException as error:
@@ -113,7 +113,7 @@ def _pair(channel: Channel) -> int:
         finally:
             os._exit(code)
     os.close(tell)
-    _take_place(0)
+    _pin_to_core(0)
     _send(channel, ready)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 

@@ -93,7 +93,7 @@ class Scene:
         return self.box.run(*_as(user), f"{installed.PREFIX}/bin/failstop", *words, check=check)
 
     def begin(self) -> None:
-        """From now on told() has the journal."""
+        """From now on log_text() has the journal."""
         self._began_s = time.time()
 
     def start(self, *options: str) -> None:
@@ -123,9 +123,9 @@ class Scene:
         """How often systemd has restarted it by itself."""
         return int(self.box.show(UNIT, "NRestarts")["NRestarts"])
 
-    def told(self, unit: str = UNIT) -> str:
+    def log_text(self, unit: str = UNIT) -> str:
         """The journal of the service, or of another unit, since start() or begin()."""
-        return self.box.told(unit, self._began_s)
+        return self.box.log_text(unit, self._began_s)
 
     # The client that drives.
 
@@ -141,7 +141,7 @@ class Scene:
         self._driver.stdin.write("enable\n")
         self._driver.stdin.flush()
         if (answer := self._driver.stdout.readline().strip()) != "done":
-            raise TrialError(f"cannot enable: {answer or 'the client has ended'}\n{self.told()}")
+            raise TrialError(f"cannot enable: {answer or 'the client has ended'}\n{self.log_text()}")
         self.board.wait_wheels(True, 5.0)
 
     def leave(self) -> None:

@@ -66,7 +66,7 @@ def samples() -> Iterator[dict[str, list[float]]]:
         stats.timing = made
 
 
-def told(found: list[stats.Row], times: dict[str, list[float]]) -> dict[str, Any]:
+def as_record(found: list[stats.Row], times: dict[str, list[float]]) -> dict[str, Any]:
     """The samples of a visit: measure -> samples in the row's unit, and measure -> (found, of) for what is counted."""
     values = {row.measure: ([row.numbers["value"]], row.numbers["unit"]) for row in found if "unit" in row.numbers}
     counts = {row.measure: (row.numbers["found"], row.numbers["of"]) for row in found if "found" in row.numbers}
@@ -83,7 +83,7 @@ def main() -> int:
         config.flush()
         with samples() as times, carriers, Trial(options=("--config", config.name)) as trial:
             found = rows(trial, carriers, much, report.progress)
-    print(json.dumps(told(found, times)))
+    print(json.dumps(as_record(found, times)))
     return 0
 
 

@@ -103,7 +103,7 @@ class Manager:
             self.process = subprocess.Popen(
                 self._words, stdin=subprocess.PIPE, stdout=out, stderr=err, env=self._environment
             )
-        self.tell(*self._description)
+        self.send(*self._description)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -113,7 +113,7 @@ class Manager:
         with contextlib.suppress(BrokenPipeError):
             self.process.stdin.close()
 
-    def tell(self, *lines: str) -> None:
+    def send(self, *lines: str) -> None:
         """Hand it commands: see STANDIN/manager.cpp."""
         assert self.process.stdin
         self.process.stdin.write("".join(f"{line}\n" for line in lines).encode())
@@ -139,17 +139,17 @@ class Manager:
     def claim(self) -> None:
         """A controller takes all command interfaces."""
         claimed = self.said.count("claim")
-        self.tell("claim")
+        self.send("claim")
         self.until("claim", claimed + 1)
 
     def set(self, values: Mapping[str, float]) -> None:
         """A controller's commands from the next turn on."""
-        self.tell(*(f"set {name} {value}" for name, value in values.items()))
+        self.send(*(f"set {name} {value}" for name, value in values.items()))
 
     def values(self) -> dict[str, float]:
         """Every state interface at the end of the next turn, and the `turns` of the loop so far."""
         before = len(self.said)
-        self.tell("values")
+        self.send("values")
         found: list[str] = []
 
         def printed() -> bool:

@@ -122,7 +122,7 @@ def test_a_visit_tells_the_samples_of_every_row() -> None:
             stats.count("stops missed", 1, 9),
         ]
     assert stats.timing is made
-    assert visit.told(rows, times) == {
+    assert visit.as_record(rows, times) == {
         "values": {"processor": ([4.0], "%"), "a": ([1.0, 3.0], "ms"), "b": ([2.0], "ms")},
         "counts": {"stops missed": (1, 9)},
     }
@@ -152,10 +152,10 @@ def test_what_is_slower_is_the_exit_code(
         order.append(side)
         return visits[side is here]
 
-    taken = beside.taken(there, here, MUCH, 8, visited)
+    taken = beside.visit_both(there, here, MUCH, 8, visited)
     assert order == [there, here, here, there] * 4
     out = tmp_path / "rows.json"
-    assert beside.told(taken, MARGIN, {}, str(out)) == code
+    assert beside.conclude(taken, MARGIN, {}, str(out)) == code
     assert said in capsys.readouterr().out
     verdicts = {row["verdict"] for row in json.loads(out.read_text())["rows"]}
     assert (ratio.SLOWER in verdicts) == (code == 1)

@@ -50,7 +50,7 @@ class Tool:
         self.lab.unplug()
         self.machine = self.lab.machine
         self.failed: list[object] = []
-        self.machine.told = lambda kind, process, what: self.failed.append(what) if kind == "failed" else None
+        self.machine.on_event = lambda kind, process, what: self.failed.append(what) if kind == "failed" else None
         self.lab.join("test")
         self.boards: dict[str, Heard] = {}
         self.environ: dict[str, str] = {}

@@ -137,7 +137,7 @@ class Simulated:
         self.own_ns = self.lab.board.traits.late_ns
         """Later than the first board by so much a stop may be, and motion."""
         self.failed: list[BaseException] = []
-        self.lab.machine.told = self._told
+        self.lab.machine.on_event = self._on_event
         self.me = self.lab.join("test")
         self.pid = self.me.pid
         self.load, self.os, self.time = self.lab.loader.load, self.lab.loader.system["os"], self.lab.time
@@ -148,7 +148,7 @@ class Simulated:
         self._drove = False
         self.start()
 
-    def _told(self, _kind: str, _process: Process, what: object) -> None:
+    def _on_event(self, _kind: str, _process: Process, what: object) -> None:
         if isinstance(what, BaseException) and not isinstance(what, Mistake):
             self.failed.append(what)
 

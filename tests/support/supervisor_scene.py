@@ -56,7 +56,7 @@ class Scene(PortMachine):
         for _ in range(3):
             self.me.descriptor(Open(self.stderr), 0)
         self.born: list[Process] = []
-        self.machine.told = lambda kind, process, _: self.born.append(process) if kind == "started" else None
+        self.machine.on_event = lambda kind, process, _: self.born.append(process) if kind == "started" else None
         self.machine.programs["bootstrap.py"] = self.wait
         self.late = 0
         changed = {"device.path": DEVICE, **(settings or {})}

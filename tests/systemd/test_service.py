@@ -61,7 +61,7 @@ def status(scene: Scene) -> dict[str, Any]:
 
 
 def told(scene: Scene, *texts: str) -> None:
-    journal = scene.told()
+    journal = scene.log_text()
     for text in texts:
         assert text in journal, journal
 
@@ -75,9 +75,9 @@ def test_ready_means_stopped_and_healthy_and_waits_for_the_board(shared_scene: S
     scene.board.unplug()
     try:
         scene.start("--no-block")
-        wait_for("the stop tool to wait for it", lambda: "no device /board/port" in scene.told())
+        wait_for("the stop tool to wait for it", lambda: "no device /board/port" in scene.log_text())
         assert not scene.ready()
-        assert "is ready" not in scene.told()
+        assert "is ready" not in scene.log_text()
         scene.board.events()
     finally:
         scene.board.replug()
@@ -107,11 +107,15 @@ def test_a_restart_whose_stop_can_t_be_written_starts_it_all_the_same(shared_sce
         scene.board.unplug()
         try:
             scene.box.ctl("restart", "--no-block", UNIT)
-            wait_for("the stop tool to give up", lambda: "Triggering OnFailure= dependencies" in scene.told(), WHOLE_S)
+            wait_for(
+                "the stop tool to give up",
+                lambda: "Triggering OnFailure= dependencies" in scene.log_text(),
+                WHOLE_S,
+            )
         finally:
             scene.board.replug()
         scene.wait_ready()
-        assert scene.told(LATE) == ""
+        assert scene.log_text(LATE) == ""
     finally:
         scene.box.unit(f"{LATE}.d/fails.conf", "")
         scene.box.ctl("daemon-reload")

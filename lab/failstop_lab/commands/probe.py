@@ -178,7 +178,7 @@ def _serial(arguments: Namespace) -> tuple[Card, int]:
                     card.rows.append(Row(name, serial.ROWS[name], skipped="nobody to pull it"))
                     continue
                 _say(f"{serial.ROWS[name]} ...")
-                card.rows.append(row := probe.take(name))
+                card.rows.append(row := probe.run_row(name))
                 _say(f"   {row.found}")
     except (KeyboardInterrupt, FailstopError, PortError, OSError) as error:
         return card, _ended(card, probe.outcome, error)
@@ -199,7 +199,7 @@ def _guarded(arguments: Namespace, board: Board, sent: bytes, probe: serial.Seri
         with interruptible(), column:
             for at, row in enumerate(card.rows):
                 _say(f"{row.words} ...")
-                found = column.take(row.name)
+                found = column.run_row(row.name)
                 card.rows[at] = dataclasses.replace(row, guarded=found)
                 _say(f"   {found.found}")
     except KeyboardInterrupt:

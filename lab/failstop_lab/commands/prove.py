@@ -95,7 +95,7 @@ def main(arguments: Namespace) -> int:
         raise FailstopError("--board is for --sim: a real board is the one that the settings name, by board.kind")
     say = (lambda _: None) if arguments.json else report.print_now
 
-    def taken(device: str, user: dict[str, object], plan: Plan, board: SimBoard | None = None) -> Evidence:
+    def run_session(device: str, user: dict[str, object], plan: Plan, board: SimBoard | None = None) -> Evidence:
         velocities = list(dict.fromkeys(velocity for _, velocity in plan if velocity != SWINGING))
         runs = ((path, velocity, random.Random()) for path, velocity in plan)
         ask, watcher = (report.print_now if asks else None for asks in (arguments.pad, not arguments.json))
@@ -111,7 +111,7 @@ def main(arguments: Namespace) -> int:
             plan, _ = _plan(arguments, user, only, at)
             imu_hz = 0.0 if user.get("board.imu") == "off" else IMU_HZ
             with SimBoard(link, imu_hz=imu_hz, board=str(user.get("board.kind", ""))) as board:
-                evidence = taken(link, user, plan, board)
+                evidence = run_session(link, user, plan, board)
         else:
             path = config.chosen(arguments.name, arguments.config)
             device = arguments.device or config.load(path).text("device.path")
@@ -119,7 +119,7 @@ def main(arguments: Namespace) -> int:
             user = config.read(path)
             plan, has_arm = _plan(arguments, user, only, at)
             _ask_consent(device, plan, has_arm=has_arm)
-            evidence = taken(device, user, plan)
+            evidence = run_session(device, user, plan)
     _show(arguments, evidence)
     return evidence.exit_code
 

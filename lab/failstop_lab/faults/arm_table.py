@@ -10,7 +10,7 @@ from failstop.board.servos import LONGEST_MOVE_MS
 from failstop.messages.layout import GATE, PROCESS_NAMES, SUPERVISOR
 from failstop.policy import causes
 from failstop_lab.boards.traits import Traits
-from failstop_lab.faults.fault import BY_ENABLE, BY_NEW_RUN, BY_RESET, LATE_MS, Wanted, told
+from failstop_lab.faults.fault import BY_ENABLE, BY_NEW_RUN, BY_RESET, LATE_MS, Wanted, in_words
 from failstop_lab.faults.processes import AT_ONCE_MS, DEADLINES_MS, DEATH_OF, HANG_OF
 
 KILL, HANG, CLIENT_KILL, CLIENT_HANG, STOP_REQUEST, UNPLUG, SECOND, POSING, SERVO_FAULT = (
@@ -76,7 +76,7 @@ class ArmFault:
 
     def described(self) -> str:
         """The part of its line in docs/reference/faults.md that nothing is measured for."""
-        latched = f"`{told(self.latched)}`" if self.latched else "nothing"
+        latched = f"`{in_words(self.latched)}`" if self.latched else "nothing"
         return f"| `{self.name}` | {self.cause} | {self.first} | {latched} | {self.cleared} |"
 
 

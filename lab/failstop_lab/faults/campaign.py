@@ -13,7 +13,7 @@ from failstop.api.errors import FailstopError, Refused
 from failstop.policy.causes import Cause
 from failstop_lab.faults import arm
 from failstop_lab.faults.arm_table import ArmFault
-from failstop_lab.faults.fault import BY_ITSELF, BY_RESET, CRASH, HANG, KILL, SPIN, Fault, fits, told
+from failstop_lab.faults.fault import BY_ITSELF, BY_RESET, CRASH, HANG, KILL, SPIN, Fault, fits, in_words
 from failstop_lab.faults.injectors import injector
 from failstop_lab.faults.judge import verdict
 from failstop_lab.faults.scene import Scene
@@ -56,7 +56,7 @@ class Outcome:
         lines = [f"{self.fault.name} (index {self.index}, seed {seed}): {'; '.join(self.wrong)}"]
         lines.append(f"  cause: {self.fault.cause}; first to stop: {self.fault.first}")
         lines.append("  the board, ms from the fault:")
-        lines += [_told(event, fault_ns) for event in self._around(fault_ns)]
+        lines += [_line_on(event, fault_ns) for event in self._around(fault_ns)]
         lines.append("  the service:")
         lines += [f"    {line}" for line in self.said.splitlines()]
         return "\n".join(lines)
@@ -69,7 +69,7 @@ class Outcome:
         return [event for n, event in enumerate(self.events) if n in first or n in second]
 
 
-def _told(event: Event, fault_ns: int) -> str:
+def _line_on(event: Event, fault_ns: int) -> str:
     kind = "STOP" if event.is_stop else "MOTION" if event.is_motion else f"func {event.func}"
     wheels = " ".join(f"{speed:+.2f}" for speed in event.speeds)
     return f"    {(event.arrival_ns - fault_ns) / 1e6:+9.2f} {kind:<6} {event.data.hex()} wheels {wheels}"
@@ -156,7 +156,7 @@ class _Injection:
         else:
             self._end_run()
         if fault.latched:
-            self._check(f"a latch: {told(fault.latched)}", self._latched)
+            self._check(f"a latch: {in_words(fault.latched)}", self._latched)
             self._check_latch()
         elif reason := scene.driver.robot.state.estop:
             self.outcome.wrong.append(f"latched: {reason}")

@@ -88,7 +88,7 @@ def fits(cause: Cause | None, wanted: tuple[Wanted, ...]) -> bool:
     )
 
 
-def told(wanted: tuple[Wanted, ...]) -> str:
+def in_words(wanted: tuple[Wanted, ...]) -> str:
     """The wanted causes in words."""
     return " or ".join(" ".join((kind.name, *map(str, first))) for kind, *first in wanted)
 

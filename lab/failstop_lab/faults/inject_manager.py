@@ -40,7 +40,7 @@ class ManagerEnds(Injector):
         manager = Manager(controller_manager.NEWEST, description, Path(self._folder.name))
         self.manager = manager.__enter__()
         scene.driver.until("the hardware to be active", lambda: "state active" in manager.said)
-        manager.tell("claim")
+        manager.send("claim")
         manager.set({f"{name}/velocity": RADPS for name in manager.joints})
 
     def strike(self, scene: Scene) -> int:

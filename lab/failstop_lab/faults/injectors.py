@@ -26,7 +26,7 @@ class Processes(Injector):
 
     def strike(self, scene: Scene) -> int:
         assert self._steps
-        fault_ns = self._steps.take(self._pids, scene.driver.run)
+        fault_ns = self._steps.perform(self._pids, scene.driver.run)
         if self.fault.stop_tool:
             scene.start_stop_tool()
         return fault_ns

@@ -18,7 +18,7 @@ from failstop_lab.boards.traits import HAS_ARM, HAS_ARM_BESIDE, PARTS, Traits, t
 from failstop_lab.faults import arm_table, table
 from failstop_lab.faults.arm_table import ArmFault
 from failstop_lab.faults.campaign import Outcome
-from failstop_lab.faults.fault import FAULT_CLASSES, Fault, told
+from failstop_lab.faults.fault import FAULT_CLASSES, Fault, in_words
 from failstop_lab.faults.table import BEYOND
 
 USUAL, LONGER = (f"{1000 * lease_s:.0f} ms" for lease_s in (LEASE_S, LEASE_WITHOUT_S))
@@ -299,7 +299,7 @@ def other_boards() -> list[str]:
 
 def described(fault: Fault) -> str:
     """The part of a row that nothing is measured for."""
-    latched, logged = _code(told(fault.latched)), _code(fault.logged)
+    latched, logged = _code(in_words(fault.latched)), _code(fault.logged)
     return f"| `{fault.name}` | {fault.cause} | {fault.first} | {latched} | {fault.cleared} | {logged} |"
 
 

@@ -54,9 +54,9 @@ class Scene(Stand):
         write_settings(self._config, {**theirs, **SETTINGS, **self.traits.settings})
         self._tool: subprocess.Popen[bytes] | None = None
         self._arm: ArmTrial | None = None
-        self._take_new(name)
+        self._start_new(name)
 
-    def _take_new(self, name: str) -> None:
+    def _start_new(self, name: str) -> None:
         """A board, a service and a driving client that nothing was done to."""
         self.trial = Trial(name, ("--config", self._config), kind=self.traits.kind)
         super().__init__(self.trial.service, Driver(name), self.trial.board)
@@ -106,7 +106,7 @@ class Scene(Stand):
     def renew(self) -> None:
         """A new board and a new service, after a fault that this one did not get over."""
         self.close()
-        self._take_new(self.name)
+        self._start_new(self.name)
         self.trial.__enter__()
 
     @property

@@ -32,7 +32,7 @@ class Steps:
         chance.shuffle(self._order)
         self._order.sort(key=lambda step: step[0] == CONTINUE)
 
-    def take(self, pids: dict[str, int], wait: Callable[[float], object]) -> int:
+    def perform(self, pids: dict[str, int], wait: Callable[[float], object]) -> int:
         """Take them; `wait` lets the clients go on for so many seconds. Returns when it began (CLOCK_MONOTONIC ns)."""
         spread_s = self._chance.choice((0.0, APART_S)) / max(1, len(self._order) - 1)
         begun_ns = time.monotonic_ns()

@@ -15,7 +15,7 @@ _thread = 0
 """The thread of Python's in which it runs; 0: it does not."""
 
 
-def _told(phase: str, _: Mapping[str, int]) -> None:
+def _on_collection(phase: str, _: Mapping[str, int]) -> None:
     global _thread
     _thread = get_ident() if phase == "start" else 0
 
@@ -24,4 +24,4 @@ def at_work() -> bool:
     return _thread != 0 and _thread == get_ident()
 
 
-gc.callbacks.append(_told)
+gc.callbacks.append(_on_collection)

@@ -28,7 +28,7 @@ class Epoll(Node):
         if fd not in self.wanted:
             opened.in_epolls.append((self, fd))
         self.wanted[fd] = (opened, events)
-        self.told(fd)
+        self.mark(fd)
 
     def drop(self, fd: int) -> None:
         if self.late.pop(fd, None):
@@ -37,7 +37,7 @@ class Epoll(Node):
         self.maybe.pop(fd, None)
         opened.in_epolls.remove((self, fd))
 
-    def told(self, fd: int) -> None:
+    def mark(self, fd: int) -> None:
         Node.news += 1
         self.maybe[fd] = None
         self.notify()
@@ -55,7 +55,7 @@ class Epoll(Node):
         self.late[fd] = watched
         machine.at(machine.now_ns + ns, hear)
 
-    def take(self) -> list[tuple[int, int]]:
+    def pop_ready(self) -> list[tuple[int, int]]:
         """Descriptors that are ready; one that is watched for its edge alone is told of once."""
         Node.news += 1
         found = []

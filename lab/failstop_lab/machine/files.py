@@ -79,7 +79,7 @@ class Open:
 
     def notify(self) -> None:
         for epoll, fd in self.in_epolls:
-            epoll.told(fd)
+            epoll.mark(fd)
         if self.waiting:
             waiting, self.waiting = self.waiting, []
             for thread in waiting:
@@ -337,7 +337,7 @@ class Socket(Node):
         self.peer.notify()
         return len(data)
 
-    def take(self, most: int) -> tuple[bytes, list[Open]]:
+    def pop(self, most: int) -> tuple[bytes, list[Open]]:
         if not self.queue:
             if self.peer is None or self.ended:
                 return b"", []
@@ -348,7 +348,7 @@ class Socket(Node):
         return data[:most], files
 
     def read(self, opened: Open, most: int) -> bytes:
-        return self.take(most)[0]
+        return self.pop(most)[0]
 
     def closed(self, opened: Open) -> None:
         peer, self.peer = self.peer, None

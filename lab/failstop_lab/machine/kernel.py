@@ -67,7 +67,7 @@ class Machine:
         """Rights that it grants to nobody, as bits of the heartbeat."""
         self.shortened = False
         """The next write takes a half of what it is given."""
-        self.told: Callable[[str, Process, object], None] = lambda kind, process, what: None
+        self.on_event: Callable[[str, Process, object], None] = lambda kind, process, what: None
         """Told of each start and death."""
         self.hub = getcurrent()
         self.inline: Thread | None = None
@@ -84,7 +84,7 @@ class Machine:
         running_machines.discard(self)
         processes, self.processes = self.processes, {}
         self.current = self.inline = self.at_seam = None
-        self.told = lambda kind, process, what: None
+        self.on_event = lambda kind, process, what: None
         for process in processes.values():
             process.dead = True
         for thread in [thread for process in processes.values() for thread in process.threads]:
@@ -163,7 +163,7 @@ class Machine:
 
     def join(self, name: str, environ: dict[str, str] | None = None) -> Process:
         """A process whose main thread is the caller: its calls are made inline; while they block, the machine runs."""
-        made = Process(self, self._take_pid(), None, name, environ or {})
+        made = Process(self, self._new_pid(), None, name, environ or {})
         self.current = self.inline = Thread(made, lambda: None, made.pid, self.hub)
         made.threads.append(self.inline)
         return made
@@ -189,7 +189,7 @@ class Machine:
         except SystemExit as error:
             code = error.code if isinstance(error.code, int) else 1
         except Exception as error:
-            self.told("failed", process, error)
+            self.on_event("failed", process, error)
             code = 1
         if process.dead:
             return
@@ -266,17 +266,17 @@ class Machine:
         after_ns: int = 0,
     ) -> Process:
         """Start a process; its first line runs after so long."""
-        made = Process(self, self._take_pid(), parent, name, environ or {})
+        made = Process(self, self._new_pid(), parent, name, environ or {})
         thread = Thread(made, lambda: body(made), made.pid)
         made.threads.append(thread)
         if after_ns:
             self.at(self.now_ns + after_ns, lambda: self.runnable.append(thread))
         else:
             self.runnable.append(thread)
-        self.told("started", made, name)
+        self.on_event("started", made, name)
         return made
 
-    def _take_pid(self) -> int:
+    def _new_pid(self) -> int:
         pid, self._next_pid = self._next_pid, self._next_pid + 1
         self._threads = max(self._threads, pid)
         return pid
@@ -289,10 +289,10 @@ class Machine:
             self.at(self.now_ns + LAND_NS, lambda: self._landed(process, code))
             return
         process.dead = True
-        self.told("died", process, code)
+        self.on_event("died", process, code)
         for thread in process.threads:
             self.mark(thread)
-        self.at(self.now_ns + TAKEDOWN_NS, lambda: self._taken_down(process, code))
+        self.at(self.now_ns + TAKEDOWN_NS, lambda: self._take_down(process, code))
         if self.current is not None and self.current.process is process:
             self.hub.switch()
             raise Death
@@ -303,7 +303,7 @@ class Machine:
             lands()
             self.die(process, code)
 
-    def _taken_down(self, process: Process, code: int) -> None:
+    def _take_down(self, process: Process, code: int) -> None:
         for fd in list(process.files):
             process.close(fd)
         process.code = code

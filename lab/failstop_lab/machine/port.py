@@ -116,7 +116,7 @@ class Port(Node):
             self.came += data[: max(0, self.ROOM - len(self.came))]
             self.notify()
 
-    def take_again(self) -> None:
+    def accept_again(self) -> None:
         """It refuses nothing any more."""
         if self.refuses:
             self.took_again_ns = self.machine.now_ns

@@ -132,7 +132,7 @@ class SimulatedSocket:
 
     def recvmsg(self, most: int, room: int = 0, flags: int = 0) -> tuple[bytes, list[Any], int, None]:
         process, _, node = self._own("recvmsg")
-        data, passed = node.take(most)
+        data, passed = node.pop(most)
         fds = []
         for each in passed:
             each.references -= 1
@@ -146,7 +146,7 @@ class SimulatedSocket:
     def recv(self, most: int) -> bytes:
         _, opened, node = self._own("read")
         self._calls.wait_for((opened,), lambda: node.mask(opened) & IN, None if self._blocking else 0)
-        return node.take(most)[0]
+        return node.pop(most)[0]
 
     def shutdown(self, how: int) -> None:
         peer = self._own("shutdown")[2].peer

@@ -257,9 +257,9 @@ class Descriptors(Module):
 
     def write(self, fd: int, data: bytes) -> int:
         opened = self._calls.begin("write", fd, data)
-        return opened.node.write(opened, self._taken(data))
+        return opened.node.write(opened, self._cut_short(data))
 
-    def _taken(self, data: bytes) -> bytes:
+    def _cut_short(self, data: bytes) -> bytes:
         """The part of its data that a write takes."""
         short, self._machine.shortened = self._machine.shortened, False
         return bytes(data[: max(1, len(data) // 2)] if short else data)
@@ -272,7 +272,7 @@ class Descriptors(Module):
         node = self._calls.begin("pwrite", fd).node
         if not isinstance(node, Regular):
             raise OSError(errno.ESPIPE, "not a file")
-        taken = self._taken(data)
+        taken = self._cut_short(data)
         node.put(taken, at)
         return len(taken)
 

@@ -26,14 +26,14 @@ class Lock:
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
         machine = self._calls.machine
         until_ns = None if timeout < 0 else machine.now_ns + round(timeout * NS)
-        while not self._take():
+        while not self._try_acquire():
             if not blocking or (until_ns is not None and machine.now_ns >= until_ns):
                 return False
             self._waiting.append(machine.caller())
             machine.block(until_ns)
         return True
 
-    def _take(self) -> bool:
+    def _try_acquire(self) -> bool:
         was, self._held = self._held, True
         return not was
 

@@ -52,7 +52,7 @@ class SimulatedEpoll:
         self._calls.process("epoll_wait")
         if timeout is not None and timeout > 0:
             timeout = -(-timeout * 1000 // 1) / 1000  # whole milliseconds, as the kernel takes them
-        found: list[tuple[int, int]] = self._calls.wait_for((self._opened,), self._node.take, timeout)
+        found: list[tuple[int, int]] = self._calls.wait_for((self._opened,), self._node.pop_ready, timeout)
         return found
 
     def close(self) -> None:

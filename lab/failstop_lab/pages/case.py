@@ -86,8 +86,8 @@ def evidence_page(root: Path) -> str:
     lines = [EVIDENCE_HEAD]
     for claim in claims.CLAIMS:
         taken = gaps.taken_by(by_claim[claim.name], assumptions.ASSUMPTIONS)
-        assumed = f"*Assumes* {', '.join(map(_taken, claim.assumes))}."
-        if besides := [_taken(name) for name in taken if name not in claim.assumes]:
+        assumed = f"*Assumes* {', '.join(map(_linked, claim.assumes))}."
+        if besides := [_linked(name) for name in taken if name not in claim.assumes]:
             assumed += f" *Its proofs assume* {', '.join(besides)}."
         lines += [f"## {claim.name}", "", claim.says, ""]
         lines += [f"*Falsified by* {claim.falsified}. {assumed}", ""]
@@ -100,7 +100,7 @@ def evidence_page(root: Path) -> str:
     return "\n".join(lines[:-1]) + "\n"
 
 
-def _taken(name: str) -> str:
+def _linked(name: str) -> str:
     return f"[{name}](assumptions.md#{name.lower()})"
 
 

@@ -75,7 +75,7 @@ class GuardProbe:
         self._robot = self._rest.enter_context(Robot(name, client="probe"))
         self._watch.attach(name)
 
-    def take(self, name: str) -> Row:
+    def run_row(self, name: str) -> Row:
         """Make one row; the wheels are stopped at its end. Raises FailstopError, OSError."""
         if name == "plug":
             return Row(name, ROWS[name], skipped=HELD_BY_SERVICE)

@@ -41,7 +41,7 @@ class Shaking:
         return math.sqrt(self.still.most * self.spinning.least)
 
     @property
-    def tells(self) -> bool:
+    def distinguishes(self) -> bool:
         """Whether the two can be told apart."""
         return self.still.most < self.spinning.least
 

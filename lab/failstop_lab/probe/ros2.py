@@ -81,7 +81,7 @@ class Publisher:
         self.orders = Orders(self.process)
         """Of a guard."""
 
-    def told(self, word: str) -> None:
+    def send(self, word: str) -> None:
         """Send it a line."""
         assert self.process.stdin
         with contextlib.suppress(OSError):
@@ -124,20 +124,20 @@ class Listener:
         self.topic = arguments.imu or arguments.odom
         self.shaking: judge.Shaking | None = None
         """Of an IMU, once it has shown rest and turning."""
-        kind, take = (IMU_TYPE, self._take_gyro) if arguments.imu else (ODOM_TYPE, self._take_odometry)
+        kind, take = (IMU_TYPE, self._add_gyro) if arguments.imu else (ODOM_TYPE, self._add_odometry)
         # It hears reliable publishers too.
         profile = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._node.create_subscription(type_of(kind), self.topic, take, profile)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
 
-    def _take_odometry(self, message: Any) -> None:
+    def _add_odometry(self, message: Any) -> None:
         twist, pose = message.twist.twist, message.pose.pose
         speeds = (twist.linear.x, twist.linear.y, twist.angular.z)
         places = (pose.position.x, pose.position.y, pose.orientation.z)
         self.samples.append((time.monotonic_ns(), speeds, places))
 
-    def _take_gyro(self, message: Any) -> None:
+    def _add_gyro(self, message: Any) -> None:
         self.samples.append((time.monotonic_ns(), message.angular_velocity.x, message.angular_velocity.y))
 
     def until(self, seconds: float, found: Callable[[], bool] = lambda: False) -> bool:
@@ -259,7 +259,7 @@ def _driving(arguments: Namespace, listener: Listener, guard: Publisher, count: 
     try:
         for publisher in publishers:  # the guard knows of each before it drives
             guard.orders.give(f"drive {publisher.process.pid}")
-            publisher.told("drive")
+            publisher.send("drive")
         yield publishers
     finally:
         try:
@@ -277,7 +277,7 @@ def _character(arguments: Namespace, listener: Listener, guard: Publisher) -> No
         listener.until(STARTS_S)
         spinning = shake.noise(listener.stretch(TURNS_S))
     shaking = judge.Shaking(still, spinning) if still and spinning else None
-    if shaking is None or not shaking.tells:
+    if shaking is None or not shaking.distinguishes:
         what = "does not tell turning wheels from resting ones" if shaking else "says too little"
         raise FailstopError(f"{arguments.imu} {what}: judge by odometry, or by --key")
     listener.shaking = shaking
@@ -297,11 +297,11 @@ def _row(name: str, arguments: Namespace, listener: Listener, guard: Publisher, 
             os.kill(arguments.driver_pid, signal.SIGKILL)
         elif word := SENT.get(name):
             for publisher in publishers:
-                publisher.told(word)
+                publisher.send(word)
         else:
             os.kill(publishers[0].process.pid, SIGNALLED[name])
         if name == "two":
-            publishers[1].told("silent")
+            publishers[1].send("silent")
         rest = _stands(listener, by_key=arguments.key)
         last, now_ns = list(listener.samples), time.monotonic_ns()
     unjudged = ""

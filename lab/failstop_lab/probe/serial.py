@@ -107,7 +107,7 @@ class SerialProbe:
         )
         self._orders = Orders(self._watcher)
         try:
-            self._tell(STOP_WORD)
+            self._order(STOP_WORD)
             self._open()
         except BaseException:
             self.close()
@@ -162,7 +162,7 @@ class SerialProbe:
             os.close(self._tap.fd)
             self._tap = None
 
-    def _tell(self, line: str) -> None:
+    def _order(self, line: str) -> None:
         """Give the watcher an order."""
         assert self._orders
         self._orders.give(line)
@@ -228,7 +228,7 @@ class SerialProbe:
             return self._shaking.rest_ns(self._samples) if self._shaking else None
         return judge.rest_ns(self._samples)
 
-    def take(self, name: str) -> Row:
+    def run_row(self, name: str) -> Row:
         """Make one row, and stop the wheels at its end. Raises FailstopError, OSError."""
         if self._unjudged:
             return Row(name, ROWS[name], unjudged=self._unjudged)
@@ -304,7 +304,7 @@ class SerialProbe:
         else:
             self._say("Plug it in again.")
         self._until(PLUG_S, lambda: os.path.exists(self._path))
-        self._tell(STOP_WORD)
+        self._order(STOP_WORD)
         self._open()
         if stands_ns is None:
             return Row("plug", ROWS["plug"], None, judge.PERSON, unjudged=self._asked())
@@ -321,7 +321,7 @@ class SerialProbe:
             text=True,
             preexec_fn=end_with_parent,
         )
-        self._tell(f"drive {self._driver.pid}")
+        self._order(f"drive {self._driver.pid}")
         told, said = self._driver.stdin, self._driver.stdout
         assert told
         assert said
@@ -335,7 +335,7 @@ class SerialProbe:
 
     def _finish(self) -> None:
         """Stop the wheels, whatever was done to the driver. Raises FailstopError when no stop could be written."""
-        self._tell(STOP_WORD)
+        self._order(STOP_WORD)
         self._end_driver()
         if self._tap and has_lines(self._tap.fd):
             self._open()

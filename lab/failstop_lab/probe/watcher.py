@@ -75,9 +75,9 @@ class Watcher:
                 return
             *lines, rest = (rest + data).split(b"\n")
             for line in lines:
-                self._take(line.decode())
+                self._obey(line.decode())
 
-    def _take(self, line: str) -> None:
+    def _obey(self, line: str) -> None:
         verb, _, what = line.partition(" ")
         if verb == "drive":
             with contextlib.suppress(ProcessLookupError):  # it has ended already

@@ -76,7 +76,7 @@ class ArmRun:
         self._struck = 0
         self._cause_ns = 0
 
-    def take(self) -> Result:
+    def perform(self) -> Result:
         """Do it. What can't be done, and what must not happen, is in the result."""
         driver, result = self.stand.driver, self.result
         driver.commands = driver.senses = driver.holds = False
@@ -137,7 +137,7 @@ class ArmRun:
     def _seen(self) -> bool:
         """A service that has gone leaves the port to us, which asks the board; nothing ends this before its time."""
         if self.fault.process == SUPERVISOR and self.fault.what == table.KILL and self.stand.service.gone():
-            self.stand.watch.take_port()
+            self.stand.watch.tap_port()
         return False
 
     def _judge_stop(self) -> None:

@@ -79,7 +79,7 @@ def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -
     for velocity in velocities:
         turned = _spin(stand, velocity, SPIN_S * share)
         # Without the angle of steered wheels, which a frame carries behind the speeds.
-        told_rps = pace.told_rps(stand.settings, velocity, stand.language)
+        told_rps = pace.commanded_rps(stand.settings, velocity, stand.language)
         commanded = [(t_ns, speeds[: len(told_rps)]) for t_ns, speeds in stand.watch.commanded]
         begun_ns, true_rps = time.monotonic_ns(), stand.board.wheels() if stand.board else ()
         stand.driver.robot.disable()

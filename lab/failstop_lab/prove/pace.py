@@ -20,7 +20,7 @@ TURNS_RPS = 0.02
 CONFIRMS = f"the board reports speeds that fit: set {scale.PER_RPS_CONFIRMED} = {{:.6g}}, which lifts the speed cap"
 
 
-def told_rps(settings: Settings, velocity: Turning, board: Board) -> tuple[float, ...]:
+def commanded_rps(settings: Settings, velocity: Turning, board: Board) -> tuple[float, ...]:
     """The speed that each wheel is told at this velocity, by wire id, as the board's frame has it: in whole units."""
     chassis = kinematics.from_settings(settings)
     speeds = chassis.wheels_rps(*velocity.command)

@@ -12,7 +12,7 @@ from failstop.api.errors import FailstopError
 from failstop.api.snapshot import State
 from failstop.messages.layout import SUPERVISOR
 from failstop.policy import causes
-from failstop_lab.faults.fault import Wanted, fits, told
+from failstop_lab.faults.fault import Wanted, fits, in_words
 from failstop_lab.faults.steps import Steps
 from failstop_lab.prove import held, shake, table
 from failstop_lab.prove.sight import SeenSample, Sight
@@ -119,7 +119,7 @@ class PathRun:
         self._rest_seen_ns = 0
         self._verdict = sight.verdict()
 
-    def take(self) -> Result:
+    def perform(self) -> Result:
         """Do it. What can't be done, and what must not happen, is in the result."""
         result = self.result
         if self.path.kind == table.PAD_STOP and not self.ask and not self.stand.board:
@@ -155,7 +155,7 @@ class PathRun:
 
     def _strike(self) -> int:
         if self._steps:
-            return self._steps.take(self._pids, self.stand.run)
+            return self._steps.perform(self._pids, self.stand.run)
         return strike(self.path, self.stand, self.ask)
 
     def _start_over(self) -> None:
@@ -166,7 +166,7 @@ class PathRun:
             result.wrong.append(known.sentence())
         stand.watch.forget()
         verdict = self.sight.verdict(time.monotonic_ns())
-        seen = stand.watch.take_port() and stand.run(MOST_S, lambda: verdict.still(stand.watch.samples))
+        seen = stand.watch.tap_port() and stand.run(MOST_S, lambda: verdict.still(stand.watch.samples))
         if not seen:
             result.wrong.append("the wheels were not seen at rest after that")
             result.runaway = True
@@ -189,7 +189,7 @@ class PathRun:
     def _settled(self) -> bool:
         """Everything was seen that is to be seen."""
         if self.path.ends:
-            self._follow_to_port()
+            self._tap_port()
         now_ns = time.monotonic_ns()
         if not self._verdict.still(self.stand.watch.samples):
             self._rest_seen_ns = 0
@@ -198,10 +198,10 @@ class PathRun:
         waited = now_ns > max(self.cause_ns + LEAST_S * NS, self._rest_seen_ns + STAYS_S * NS)
         return waited and (self._acknowledged() is not None or not self.stand.means.acknowledged_by)
 
-    def _follow_to_port(self) -> None:
+    def _tap_port(self) -> None:
         """A service that has gone leaves the port to us."""
         if self.stand.service.gone():
-            self.stand.watch.take_port()
+            self.stand.watch.tap_port()
 
     def _after(self) -> list[SeenSample]:
         return [sample for sample in self.stand.watch.samples if sample[0] >= self.cause_ns]
@@ -339,7 +339,7 @@ def judge_latch(result: Result, state: State, wanted: tuple[Wanted, ...]) -> Non
     result.latched = state.estop
     if fits(state.cause, wanted) if wanted else state.cause is None:
         return
-    wrong = f"latched: {state.estop}" + (f", not {told(wanted)}" if wanted else "")
+    wrong = f"latched: {state.estop}" + (f", not {in_words(wanted)}" if wanted else "")
     if state.cause and state.cause.kind in SILENCE_CAUSES:
         result.doubt(wrong)
         result.starved = str(state.cause) if state.cause.kind in held.BUSY else result.starved

@@ -58,7 +58,7 @@ def session(
     asks the person who watches the wheels; `tool`: which command this is; `keep_all`: keep the samples of passed runs
     too; `width`: of the paths' names."""
 
-    def tell(result: Result) -> None:
+    def show(result: Result) -> None:
         say(report.row(result, style.paint, width))
 
     begun = stand.held.mark()
@@ -72,11 +72,11 @@ def session(
             if velocities:
                 evidence.character = _characterize(stand, velocities, quick=quick, say=say)
             say("\n".join([*report.character_lines(evidence), "", report.head(width)]))
-            for result in _results(stand, evidence, runs, ask, watcher, tell):
+            for result in _results(stand, evidence, runs, ask, watcher, show):
                 if result.verdict == "PASS" and not keep_all:
                     result.samples = []
                 evidence.results.append(result)
-                tell(result)
+                show(result)
     except KeyboardInterrupt:
         evidence.ended = report.INTERRUPTED
     except (TrialError, SimBoardError, FailstopError, OSError) as error:
@@ -101,7 +101,7 @@ def _results(
     lease_s = evidence.lease_s if evidence.lease_s != stand.settings[LEASE] else 0.0
     for path, velocity, chance in runs:
         asks = watcher if path.kind == FROZEN else ask
-        take = partial(_take, stand, evidence.character, path.leased(lease_s), velocity, asks, chance)
+        take = partial(_perform, stand, evidence.character, path.leased(lease_s), velocity, asks, chance)
         result = until_valid(take, spoiled)
         yield result
         if result.runaway:
@@ -123,14 +123,14 @@ def until_valid(take: Callable[[], Result], spoiled: Callable[[Result], None]) -
     return result
 
 
-def _take(
+def _perform(
     stand: ProveStand, sight: Sight | None, path: Path, velocity: Turning, ask: Ask | None, chance: random.Random
 ) -> Result:
     if path.arm:
-        return ArmRun(stand, path, velocity, sight).take()
+        return ArmRun(stand, path, velocity, sight).perform()
     assert sight
     run = FrozenRun if path.kind == FROZEN else PathRun
-    return run(stand, sight, path, velocity, ask, chance).take()
+    return run(stand, sight, path, velocity, ask, chance).perform()
 
 
 def _characterize(

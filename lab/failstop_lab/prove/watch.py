@@ -106,7 +106,7 @@ class Watch:
         self._last = {which: word.get() for which, word in self._writers.items()}
         self._hearing.reset()
 
-    def take_port(self) -> bool:
+    def tap_port(self) -> bool:
         """Read the port itself, once the service has gone; False while it can't be opened."""
         if self._tap is None:
             try:
@@ -168,7 +168,7 @@ class Watch:
         # The port owner reads while no telemetry runs: in the order of time they are what the board has sent.
         for _, t_ns, data in sorted(chain(*(iter(ring.next, None) for ring in self._received)), key=itemgetter(1)):
             for kind, said in self._hearing.feed(data):
-                self._take(t_ns, kind, said)
+                self._add(t_ns, kind, said)
         if self._tap:
             self._look_at_port(self._tap, now_ns)
 
@@ -179,11 +179,11 @@ class Watch:
                 with contextlib.suppress(BlockingIOError):
                     tap.ping()
             for t_ns, kind, said in tap.read():
-                self._take(t_ns, kind, said)
+                self._add(t_ns, kind, said)
         except OSError:
             self.let_go()
 
-    def _take(self, t_ns: int, kind: int, said: Value) -> None:
+    def _add(self, t_ns: int, kind: int, said: Value) -> None:
         if kind == HEARD_IMU:
             if self._board.observed_by == BY_IMU:
                 self.samples.append((t_ns, said[3] * RAD_PER_DEG, said[4] * RAD_PER_DEG))

@@ -101,7 +101,7 @@ class Simulator:
             while not self._ending:
                 self._sleep()
                 self._serve_descriptors()
-                self._tell(self._pass_time())
+                self._report(self._pass_time())
 
     # The loop.
 
@@ -132,7 +132,7 @@ class Simulator:
                 self._control.ready(descriptor)
 
     def _receive(self) -> None:
-        for t_ns, chunk in self._port.take():
+        for t_ns, chunk in self._port.poll():
             self._model.receive(chunk, t_ns)
             if self._recorder is not None:
                 self._recorder.chunk(t_ns, chunk)
@@ -144,7 +144,7 @@ class Simulator:
             self._port.send(frame)
         return now_ns
 
-    def _tell(self, now_ns: int) -> None:
+    def _report(self, now_ns: int) -> None:
         total = self._model.executed_total
         if total > self._told and (self._recorder is not None or self._on_frame is not None):
             for frame in self._model.executed(self._told):

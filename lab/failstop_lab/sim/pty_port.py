@@ -55,7 +55,7 @@ class PtyPort:
         self.node = ""
         self.master = -1
         self.draining = True
-        # More may be waiting than the last take() read.
+        # More may be waiting than the last poll() read.
         self.more = False
         self.lost_up_bytes = 0
         self.next_ns = NEVER_NS
@@ -116,7 +116,7 @@ class PtyPort:
         if mask & select.EPOLLHUP:
             self.free()
 
-    def take(self) -> list[tuple[int, bytes]]:
+    def poll(self) -> list[tuple[int, bytes]]:
         """Read what has arrived: (time at which the read returned, bytes) each. Nothing while not draining."""
         chunks: list[tuple[int, bytes]] = []
         self.more = False

@@ -267,7 +267,7 @@ class Explorer:
         self.stage.machine.at_seam = None
         self.run = JudgedRun(self._plan.scenario, fault, self._count, where, board=self._plan.board)
         self._looks = self.stage.machine.starved_looks
-        self.stage.witness.tell(f"FAULT: {fault}, at {where}")
+        self.stage.witness.note(f"FAULT: {fault}, at {where}")
 
     def _collect(self, child: int, reader: int, run: JudgedRun) -> None:
         runs = _received(child, reader, run)

@@ -122,14 +122,14 @@ def _watch_causes(loader: Loader, coverage: Coverage, witness: Witness) -> None:
     epochs = loader.load("failstop.supervisor.latch").Epochs
     raise_for = epochs.raise_for
 
-    def told(self: Any, stops: list[Any], now_ns: int) -> None:
+    def watched(self: Any, stops: list[Any], now_ns: int) -> None:
         for stop in stops:
             coverage.reach(f"cause {stop.cause.kind.name}")
             witness.causes.append(str(stop.cause))
-            witness.tell(f"the supervisor stops: {stop.cause}")
+            witness.note(f"the supervisor stops: {stop.cause}")
         raise_for(self, stops, now_ns)
 
-    epochs.raise_for = told
+    epochs.raise_for = watched
 
 
 def _watch_admission(loader: Loader, coverage: Coverage) -> None:
@@ -137,24 +137,24 @@ def _watch_admission(loader: Loader, coverage: Coverage) -> None:
     names = {module.ADMIT: "write", module.DROP: "drop", module.STAND_STILL: "burst", module.STOP_ASKED: "request"}
     decide = module.Admission.decide
 
-    def told(self: Any, *arguments: Any, **words: Any) -> Any:
+    def watched(self: Any, *arguments: Any, **words: Any) -> Any:
         found = decide(self, *arguments, **words)
         coverage.reach(f"admission {names[found] if isinstance(found, int) else found.kind.name}")
         return found
 
-    module.Admission.decide = told
+    module.Admission.decide = watched
 
 
 def _watch_invariants(loader: Loader, witness: Witness) -> None:
     admission = loader.load("failstop.procs.port_owner.admission").Admission
 
     def noted(real: Callable[..., Any]) -> Callable[..., Any]:
-        def told(*arguments: Any, **words: Any) -> Any:
+        def watched(*arguments: Any, **words: Any) -> Any:
             if found := real(*arguments, **words):
                 witness.wrong(str(found))
             return found
 
-        return told
+        return watched
 
     admission.impossible, admission.follow = noted(admission.impossible), noted(admission.follow)
 
@@ -163,13 +163,13 @@ def _watch_states(loader: Loader, coverage: Coverage, witness: Witness) -> None:
     module = loader.load("failstop.supervisor.children")
     on = module.Child.on
 
-    def told(self: Any, event: str) -> None:
+    def watched(self: Any, event: str) -> None:
         coverage.reach(f"state {self.state} {event}")
         on(self, event)
         if self.defects:
             witness.wrong(str(self.defects[-1]))
 
-    module.Child.on = told
+    module.Child.on = watched
 
 
 def names() -> Iterator[str]:

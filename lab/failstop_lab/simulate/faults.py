@@ -142,7 +142,7 @@ def _held_in_write(stage: Stage, process: Process, opened: Open, data: bytes, ns
 
 
 def _land(stage: Stage, process: Process, opened: Open, data: bytes) -> None:
-    stage.witness.tell(f"the write that {process.name} was in is done")
+    stage.witness.note(f"the write that {process.name} was in is done")
     with contextlib.suppress(OSError):
         opened.node.write(opened, data)
 
@@ -174,7 +174,7 @@ def _blinded(stage: Stage, name: str, ns: int) -> None:
 
 def _refused(stage: Stage, process: Process, call: str, number: int) -> Callable[[], None]:
     def refuse() -> None:
-        stage.witness.tell(f"{call} of {process.name} is refused: {os.strerror(number)}")
+        stage.witness.note(f"{call} of {process.name} is refused: {os.strerror(number)}")
         raise OSError(number, os.strerror(number))
 
     return refuse

@@ -129,14 +129,14 @@ class Schedule:
             heard(data)
 
         stage.robot.board.on_bytes = hears
-        told = machine.told
+        before = machine.on_event
 
-        def tells(kind: str, process: Process, what: object) -> None:
+        def on_event(kind: str, process: Process, what: object) -> None:
             if kind == "started":
                 self._give_name(process)
-            told(kind, process, what)
+            before(kind, process, what)
 
-        machine.told = tells
+        machine.on_event = on_event
         if self._free:
             machine.on_late = self._mark
 
@@ -300,7 +300,7 @@ class Schedule:
         if event.fault:
             story.pop()
         event.fault = text
-        self._stage.witness.tell(f"ODD: {text}, at {event.where}")
+        self._stage.witness.note(f"ODD: {text}, at {event.where}")
 
     def _record(self, call: str, about: tuple[Any, ...]) -> str:
         """The record that a load or a store is of."""
@@ -376,7 +376,7 @@ class Schedule:
         port = self._stage.robot.board.port
         assert port
         port.refuses = True
-        self._later(ns, port.take_again)
+        self._later(ns, port.accept_again)
 
     def _keep(self, ns: int) -> None:
         self._say(f"{KEEPS} for {ns / MS:g} ms")

@@ -216,7 +216,7 @@ class Nursery:
         assert isinstance(machine, WeakMachine)
         stored = StoredRecords(machine)
         for name in self._alike[key]:
-            stage.take(play_of(name))
+            stage.load(play_of(name))
             stage.play(must_end=False)
         stage.prove_alive()
         return {"modules": stage.robot.loader.loaded(), "records": sorted(stored.records)}
@@ -228,8 +228,8 @@ class Nursery:
         for number in range(1 + decisions.draw("skipped", self._rounds, 0.0), 1 + self._rounds):
             name = names[decisions.draw(f"{number} scenario", len(names), OTHERS)]
             rounds.append(f"{number} {name}")
-            witness.tell(f"round {number}: {name}")
-            stage.take(play_of(name))
+            witness.note(f"round {number}: {name}")
+            stage.load(play_of(name))
             schedule.begin(number)
             stage.play(must_end=False)
             schedule.end()

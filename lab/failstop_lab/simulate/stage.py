@@ -91,7 +91,7 @@ class Stage:
         self.failstop: Any = self.robot.loader.load("failstop")
         coverage.watch_commands(self.robot.loader, self.witness)
         self.time = self.robot.time
-        self.take(play)
+        self.load(play)
         self.hang_up_ns: Callable[[Epoll], int] = lambda epoll: 0
         """How much later who waits there hears of the loss of the port."""
         self.branch: Callable[[Continuation], Continuation] = lambda rest: rest
@@ -111,7 +111,7 @@ class Stage:
         self._last: Process | None = None
         """The program that drives after the faults."""
 
-    def take(self, play: Callable[[Stage], object]) -> None:
+    def load(self, play: Callable[[Stage], object]) -> None:
         """Play this scenario, on a robot that has its settings."""
         self._play = play
         told = SETTINGS.get(play, {})
@@ -188,7 +188,7 @@ class Stage:
             self.machine.hold(found, ms * MS, starved=starved)
 
     def unplug(self) -> None:
-        self.witness.tell("the plug is pulled")
+        self.witness.note("the plug is pulled")
         self.robot.unplug(self.hang_up_ns)
 
     def replug(self) -> None:
@@ -198,7 +198,7 @@ class Stage:
     def block_port(self) -> None:
         """The port keeps from now on what is written to it."""
         if self.robot.board.port:
-            self.witness.tell("the board takes no bytes")
+            self.witness.note("the board takes no bytes")
             self.robot.board.port.drains = False
 
     def free_port(self) -> None:
@@ -285,7 +285,7 @@ class Stage:
 
     def deafen(self) -> None:
         """The board hears nothing any more: it keeps its last speed, and nobody can stop it."""
-        self.witness.tell("the board hears nothing")
+        self.witness.note("the board hears nothing")
         self.robot.board.model.deaf = True
 
     def silence_board(self) -> None:
@@ -329,17 +329,17 @@ class Stage:
 
     def lie(self, times: float, more_rps: float = 0.0) -> None:
         """The board reports that every wheel turns so many times as fast as it does, and by `more_rps` more."""
-        self.witness.tell("the board's reports lie" if (times, more_rps) != (1.0, 0.0) else "they are true again")
+        self.witness.note("the board's reports lie" if (times, more_rps) != (1.0, 0.0) else "they are true again")
         self.robot.board.lie(times, more_rps)
 
     def delay_reports(self, ms: int) -> None:
         """What the board says arrives so much later."""
-        self.witness.tell(f"what the board says arrives {ms} ms late")
+        self.witness.note(f"what the board says arrives {ms} ms late")
         self.robot.board.up_ns = ms * MS
 
     def restart_board(self, deaf_ms: int) -> None:
         """The board starts again, and hears and reports nothing for so long; its reports afterwards tell."""
-        self.witness.tell(f"the board restarts, deaf for {deaf_ms} ms")
+        self.witness.note(f"the board restarts, deaf for {deaf_ms} ms")
         self.robot.board.restart(deaf_ms * MS)
         within_ns = (deaf_ms + NOTICED_MS) * MS
         moot = self.witness.blindness(TRUE_REPORTS)
@@ -409,7 +409,7 @@ class Stage:
         try:
             self._play(self)
         except failstop.FailstopError as error:
-            self.witness.tell(f"the program is told: {error}")
+            self.witness.note(f"the program is told: {error}")
 
     def _keep_running(self) -> None:
         """Start the service when there is none, for as long as the stage lives."""
@@ -435,7 +435,7 @@ class Stage:
         if self.robot.board.port is None:
             self.replug()
         else:
-            self.robot.board.port.take_again()
+            self.robot.board.port.accept_again()
             if not self.robot.board.port.drains:
                 self.robot.board.port.drain()
         self._granted_ns = FOREVER_NS
@@ -447,7 +447,7 @@ class Stage:
     def prove_watchdog(self) -> None:
         """While it drives nothing of the machine runs any more, and the board is alone."""
         board, watchdog_ns, self._keep = self.robot.board, self.traits.watchdog_ns + WATCHDOG_LATE_NS, False
-        self.witness.tell("the machine freezes for good")
+        self.witness.note("the machine freezes for good")
         for process in self.machine.processes.values():
             self.machine.hold(process, FOREVER_NS)
         self.machine.run(lambda: False, watchdog_ns)
@@ -468,5 +468,5 @@ class Stage:
                 while robot.state.enabled:
                     self.drive(robot, COMMAND_EVERY_S)
             except failstop.FailstopError as error:
-                self.witness.tell(f"the last program is told: {error}")
+                self.witness.note(f"the last program is told: {error}")
                 self.time.sleep(0.02)

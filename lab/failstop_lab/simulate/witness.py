@@ -205,11 +205,11 @@ class Witness:
         self._late = False
         """True once the one frame has come that may follow a stop which was written while the port owner was held
         up."""
-        robot.machine.told = self._told
+        robot.machine.on_event = self._on_event
         self.board.on_frame = self._frame
         self.board.on_bytes = self._written
 
-    def tell(self, text: str) -> None:
+    def note(self, text: str) -> None:
         """Add a step to the story."""
         self.story.append((self.machine.now_ns, text))
 
@@ -217,7 +217,7 @@ class Witness:
         """Add a violation."""
         if text not in self.violations:
             self.violations.append(text)
-        self.tell(f"WRONG: {text}")
+        self.note(f"WRONG: {text}")
 
     # Grants of motion, and reasons against it.
 
@@ -228,7 +228,7 @@ class Witness:
         self._asking, self._asked_ns = True, self.machine.now_ns
         self._forbidden, self._late = "", False
         self._stops = {}
-        self.tell("a program asks for motion")
+        self.note("a program asks for motion")
 
     def _asks_still(self) -> None:
         if self._asking:
@@ -269,7 +269,7 @@ class Witness:
                 self._await_silence()
                 return
             self._silence = False
-            self.tell("no program commands")
+            self.note("no program commands")
             Deadline(self, "no program commands", SILENCE_BAR_NS, "gate", goes_on, forbids=False).begin(Phase.BAR)
 
         self.machine.at(self.machine.now_ns + COMMAND_COUNTS_NS, due)
@@ -302,7 +302,7 @@ class Witness:
         """The wheels must be still within `within_ns`, until a program asks for motion again. Bytes that are on the
         wire go first, and so does a paused thread of a process that writes to the board, or of `by`, which notices.
         `moot`: whether nobody could notice."""
-        self.tell(why)
+        self.note(why)
         after_ns = max(self.wire_ns, self.late_until_ns(by)) - self.machine.now_ns
         Deadline(self, why, within_ns, by, moot).begin(Phase.BAR, after_ns=after_ns)
 
@@ -324,7 +324,7 @@ class Witness:
     def must_refuse(self, why: str, within_ns: int) -> None:
         """From `within_ns` on no program may turn the wheels, until it asks for motion again. Whether they turn by
         themselves is not judged; nor is anything where the reports that show it are not what they should be."""
-        self.tell(why)
+        self.note(why)
         asked, moot = self.asked_for_motion, self.blindness(COMPARED)
 
         def due() -> None:
@@ -425,17 +425,17 @@ class Witness:
 
     # Events of the machine.
 
-    def _told(self, kind: str, process: Process, what: object) -> None:
+    def _on_event(self, kind: str, process: Process, what: object) -> None:
         if kind == "failed":
             self.wrong(f"a thread of {process.name} ends with {type(what).__name__}: {what}")
         elif kind == "died":
-            self.tell(f"{process.name} (pid {process.pid}) dies: {what}")
+            self.note(f"{process.name} (pid {process.pid}) dies: {what}")
             if process.held_until_ns:
                 self._fenced_ns = self.machine.now_ns + DEATH_NS
             if process.name in SERVICE_PROCESSES and not self.orderly and not _is_left_over(process):
                 self.must_stop(f"{process.name} is dead", DEATH_NS)
         elif process.name in SERVICE_PROCESSES:
-            self.tell(f"{process.name} (pid {process.pid}) starts")
+            self.note(f"{process.name} (pid {process.pid}) starts")
 
     def held(self, process: Process, ns: int) -> None:
         """A process does not run for this time. That needs no stop while the wheels are stopped, nor while a program
@@ -451,7 +451,7 @@ class Witness:
         if ns > HANG_BAR_NS.get(process.name, ns) and any(self.board.model.wheels) and not self._asking:
             self.must_stop(f"{process.name} is silent", HANG_BAR_NS[process.name])
         else:
-            self.tell(f"{process.name} is held up for {ns / MS:g} ms")
+            self.note(f"{process.name} is held up for {ns / MS:g} ms")
 
     def late(self, process: Process, ns: int) -> None:
         """A thread of a process pauses for this time."""
@@ -463,7 +463,7 @@ class Witness:
 
     def cut(self, told: str) -> None:
         """Half of a write is on the wire."""
-        self.tell(told)
+        self.note(told)
         self._cut_ns = self.machine.now_ns
 
     def asked(self) -> None:

@@ -27,7 +27,7 @@ def test_the_service_is_started_again(release: str, tmp_path: Path) -> None:
             assert manager.process.poll() is None
             trial.board.wait_wheels(turning=False, timeout_s=5.0)
             trial.service.start()
-            manager.tell("to configure", "to activate")
+            manager.send("to configure", "to activate")
             manager.until("state active", 2)
             assert not trial.turning()
             drive(manager, trial)

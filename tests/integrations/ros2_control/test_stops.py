@@ -44,7 +44,7 @@ def test_a_controller_manager_that_dies_stops_the_wheels(manager: Manager, trial
     if fault.startswith("SIG"):
         manager.signal(signal.Signals[fault])
     else:
-        manager.tell(fault)
+        manager.send(fault)
     seen = stopped(trial, fault_ns)
     assert seen.stop_ns is not None
     assert seen.motion_after == 0
@@ -61,7 +61,7 @@ def test_one_that_hangs_stops_the_wheels(manager: Manager, trial: Trial, fault: 
     trial.board.events()
     fault_ns = time.monotonic_ns()
     if fault == "spin":
-        manager.tell(fault)
+        manager.send(fault)
     else:
         manager.signal(signal.SIGSTOP)
     seen = stopped(trial, fault_ns)
@@ -112,7 +112,7 @@ def test_an_error_or_a_deactivation_stops_the_wheels_and_disables(manager: Manag
     drive(manager, trial)
     trial.board.events()
     fault_ns = time.monotonic_ns()
-    manager.tell(words)
+    manager.send(words)
     seen = stopped(trial, fault_ns)
     assert seen.still_ns is not None
     assert seen.motion_after == 0
@@ -121,8 +121,8 @@ def test_an_error_or_a_deactivation_stops_the_wheels_and_disables(manager: Manag
     assert manager.process.poll() is None, "the manager lives on"
     # The controller goes on commanding, as it may. The hardware is activated again, and still moves nothing.
     if words == "fail":
-        manager.tell("to configure")
-    manager.tell("to activate")
+        manager.send("to configure")
+    manager.send("to activate")
     manager.until("state active", 2)
     trial.board.events()
     manager.turn(HZ)
@@ -133,7 +133,7 @@ def test_an_error_or_a_deactivation_stops_the_wheels_and_disables(manager: Manag
 def test_an_inactive_hardware_drives_nothing_though_humble_writes_to_it(trial: Trial, tmp_path: Path) -> None:
     with managed("humble", urdf("diff", service=trial.name), tmp_path) as manager:
         drive(manager, trial)
-        manager.tell("to deactivate")
+        manager.send("to deactivate")
         manager.until("state inactive", 2)
         trial.board.wait_wheels(turning=False, timeout_s=5.0)
         manager.set({f"{name}/velocity": 0.0 for name in manager.joints})
@@ -148,12 +148,12 @@ def test_an_inactive_hardware_drives_nothing_though_humble_writes_to_it(trial: T
 def test_a_controller_that_leaves_stops_the_wheels_and_frees_the_source(manager: Manager, trial: Trial) -> None:
     drive(manager, trial)
     mark = trial.service.written()
-    manager.tell("unclaim")
+    manager.send("unclaim")
     trial.board.wait_wheels(turning=False, timeout_s=5.0)
     assert SILENT not in trial.service.said(mark), "it commanded zero, and did not leave it to the timeout"
     until(lambda: not any(client.driving for client in trial.robot.state.clients), "the source to be free")
     assert trial.robot.state.enabled
-    manager.tell("claim")
+    manager.send("claim")
     manager.set({f"{name}/velocity": 3.0 for name in manager.joints})
     turns(manager, trial)
 

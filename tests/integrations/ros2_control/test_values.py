@@ -29,12 +29,12 @@ def test_positions_and_velocities_are_measured(manager: Manager, trial: Trial) -
     assert values["left_wheel_joint/velocity"] == pytest.approx(measured.left, abs=1.0)
     assert values["failstop/enabled"] == 1.0
     assert values["failstop/turning"] == 2.0
-    manager.tell("unclaim")
+    manager.send("unclaim")
     trial.board.wait_wheels(turning=False, timeout_s=5.0)
     until(lambda: manager.values()["left_wheel_joint/velocity"] == 0.0, "wheels that are reported at rest")
     # A position goes on where it was: a jump would be a jump of the odometry.
     at_rest = manager.values()["left_wheel_joint/position"]
-    manager.tell("to deactivate", "to cleanup", "to configure", "to activate")
+    manager.send("to deactivate", "to cleanup", "to configure", "to activate")
     manager.until("state active", 2)
     manager.turn(5)
     assert manager.values()["left_wheel_joint/position"] == pytest.approx(at_rest, abs=0.2)
@@ -102,7 +102,7 @@ def test_the_steered_wheels_of_an_ackermann_base(ackermann: Trial, tmp_path: Pat
         values = manager.values()
         for name, angle in angles.items():
             assert values[name] == pytest.approx(angle, abs=0.02), name
-        manager.tell("unclaim")
+        manager.send("unclaim")
         ackermann.board.wait_wheels(turning=False, timeout_s=5.0)
         ackermann.robot.disable()
 

@@ -23,15 +23,15 @@ from .scene import drive, managed, settings, stopped, urdf
 TIMEOUT_MS = 320.0
 FAULTS: dict[str, tuple[Callable[[Manager], object], float]] = {
     "SIGKILL": (lambda manager: manager.signal(signal.SIGKILL), processes.AT_ONCE_MS),
-    "a segmentation fault": (lambda manager: manager.tell("segv"), 1e3 / HZ + processes.AT_ONCE_MS),
-    "abort()": (lambda manager: manager.tell("abort"), 1e3 / HZ + processes.AT_ONCE_MS),
-    "exit() without a callback": (lambda manager: manager.tell("exit"), 1e3 / HZ + processes.AT_ONCE_MS),
+    "a segmentation fault": (lambda manager: manager.send("segv"), 1e3 / HZ + processes.AT_ONCE_MS),
+    "abort()": (lambda manager: manager.send("abort"), 1e3 / HZ + processes.AT_ONCE_MS),
+    "exit() without a callback": (lambda manager: manager.send("exit"), 1e3 / HZ + processes.AT_ONCE_MS),
     "Ctrl-C": (lambda manager: manager.signal(signal.SIGINT), 2e3 / HZ + processes.AT_ONCE_MS),
     "SIGTERM": (lambda manager: manager.signal(signal.SIGTERM), 2e3 / HZ + processes.AT_ONCE_MS),
-    "read() returns ERROR": (lambda manager: manager.tell("fail"), 2e3 / HZ + processes.AT_ONCE_MS),
-    "deactivated": (lambda manager: manager.tell("to deactivate"), 2e3 / HZ + processes.AT_ONCE_MS),
+    "read() returns ERROR": (lambda manager: manager.send("fail"), 2e3 / HZ + processes.AT_ONCE_MS),
+    "deactivated": (lambda manager: manager.send("to deactivate"), 2e3 / HZ + processes.AT_ONCE_MS),
     "SIGSTOP": (lambda manager: manager.signal(signal.SIGSTOP), TIMEOUT_MS),
-    "an endless loop": (lambda manager: manager.tell("spin"), 1e3 / HZ + TIMEOUT_MS),
+    "an endless loop": (lambda manager: manager.send("spin"), 1e3 / HZ + TIMEOUT_MS),
 }
 """What happens, and the bar in ms from then to the first stop on the wire. The loop acts a turn later, or two."""
 KIND = "arduino"

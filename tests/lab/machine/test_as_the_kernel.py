@@ -245,7 +245,7 @@ def test_both_tell_the_same_story(program: Callable[[System, str], Story], tmp_p
         thread=modules["_thread"],
     )
     told: list[Any] = []
-    robot.machine.told = lambda kind, process, what: told.append(what) if kind == "failed" else None
+    robot.machine.on_event = lambda kind, process, what: told.append(what) if kind == "failed" else None
 
     def run(process: Process) -> int:
         told.append(program(simulated, "/run"))

@@ -94,7 +94,7 @@ def test_the_card_says_what_the_board_did(base: str, tmp_path: Path) -> None:
         frame = sent or frame_of(language)
         with SerialProbe(board.link, kind, language, frame, by_key=False, say=pytest.fail) as probe:
             probe.character()
-            rows = [probe.take(name) for name in (ALONE if LONG else ["silence"])]
+            rows = [probe.run_row(name) for name in (ALONE if LONG else ["silence"])]
         board.wait_wheels(False, STOPS_S)
     for row in rows:
         least_s, most_s = watched.after_s(row.cause_ns)
@@ -200,7 +200,7 @@ def test_a_watcher_that_is_killed_is_missed(tmp_path: Path) -> None:
         killer = threading.Thread(target=kill)
         killer.start()
         with pytest.raises(FailstopError, match="the probe's watcher has ended"), probe:
-            probe.take("silence")
+            probe.run_row("silence")
         killer.join()
         assert not any(board.wheels())
         assert probe.outcome

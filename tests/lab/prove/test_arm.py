@@ -49,7 +49,7 @@ def stand(enabled: tuple[ProveStand, float]) -> ProveStand:
 
 
 def one(stand: ProveStand, name: str) -> Result:
-    return ArmRun(stand, BY_ARM_PATH[name], SWINGING).take()
+    return ArmRun(stand, BY_ARM_PATH[name], SWINGING).perform()
 
 
 def before_read_back(stand: ProveStand, wait_s: float, does: Callable[[], None]) -> Result:
@@ -97,7 +97,7 @@ def test_what_is_read_back_is_when_it_stood(stand: ProveStand) -> None:
 
 @pytest.mark.slow
 def test_a_stop_that_is_not_made_fails(stand: ProveStand) -> None:
-    result = ArmRun(stand, BY_ARM_PATH["arm-stop-request"], SWINGING, request=lambda *_: None).take()
+    result = ArmRun(stand, BY_ARM_PATH["arm-stop-request"], SWINGING, request=lambda *_: None).perform()
     assert result.verdict == "FAIL"
     assert result.rest_s is not None
     assert result.rest_s > 0.4

@@ -40,7 +40,7 @@ def beside(kiwi: tuple[ProveStand, Sight], name: str) -> ArmRun:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["arm-client-killed", "arm-kill-gate", "arm-stop-request"])
 def test_beside_the_wheels_both_are_judged(kiwi: tuple[ProveStand, Sight], name: str) -> None:
-    result = until_valid(lambda: beside(kiwi, name).take(), lambda _: None)
+    result = until_valid(lambda: beside(kiwi, name).perform(), lambda _: None)
     assert firm(result.wrong) == []
     assert result.arm is not None
     assert result.arm["wheels_rest_s"] >= 0.0
@@ -53,7 +53,7 @@ def test_a_servo_that_lets_go_fails(kiwi: tuple[ProveStand, Sight], monkeypatch:
     board = run.stand.board
     assert board
     monkeypatch.setattr(board, "limp", lambda: [1])
-    assert firm(run.take().wrong) == ["joint base has let go: its torque is off"]
+    assert firm(run.perform().wrong) == ["joint base has let go: its torque is off"]
 
 
 @pytest.mark.slow
@@ -62,7 +62,7 @@ def test_wheels_that_do_not_stop_beside_the_arm_fail(kiwi: tuple[ProveStand, Sig
     ((path, velocity),) = plan(
         quick=True, only=("arm-stop-request",), has_arm=True, beside=True, settings=stand.settings
     )
-    result = ArmRun(stand, path, velocity, sight, lambda *_: None).take()
+    result = ArmRun(stand, path, velocity, sight, lambda *_: None).perform()
     assert result.verdict == "FAIL"
     assert result.runaway
     assert {"NO STOP written", "THE WHEELS DID NOT COME TO REST"} <= set(result.wrong)

@@ -54,7 +54,7 @@ def test_a_seed_says_every_draw_from_any_index_on() -> None:
 @pytest.mark.parametrize("name", ["kill-gate-hang-stopper", "hang-gate-continued", "kill-port_owner+gate"])
 def test_steps_are_taken_as_the_row_says(name: str) -> None:
     row, taken, waited = FAULT_BY_NAME[name], list[tuple[int, int]](), list[float]()
-    Steps(row, random.Random(3), lambda pid, number: taken.append((pid, int(number)))).take(PIDS, waited.append)
+    Steps(row, random.Random(3), lambda pid, number: taken.append((pid, int(number)))).perform(PIDS, waited.append)
     numbers = {KILL: 9, HANG: 19, CONTINUE: 18}
     assert sorted(taken) == sorted((PIDS[process], numbers[action]) for action, process in row.steps)
     if CONTINUE in {action for action, _ in row.steps}:
@@ -110,7 +110,7 @@ def test_a_run_that_breaks_off_is_stopped_looked_at_and_begun_anew(tmp_path: Pat
     with SimBoard(tmp_path / "board") as board, ProveStand(board.link, {}, str(tmp_path)) as stand:
         for stops in (True, False):
             board.refuse_stop(not stops)
-            result = PathRun(stand, SIMULATED, path, velocity, None, Fails(1)).take()
+            result = PathRun(stand, SIMULATED, path, velocity, None, Fails(1)).perform()
             assert "OSError: nobody is there" in result.wrong
             assert result.runaway is not stops
             assert any(board.wheels()) is not stops

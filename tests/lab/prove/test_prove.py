@@ -61,7 +61,7 @@ def one(stand: ProveStand, path: str, velocity: str = "0.2") -> Result:
     """A row; one in which a busy machine had no wheel turn proves nothing, and is taken again."""
     wanted = BY_PATH[path].leased(status.LEASE_WITHOUT_S)
     for _ in range(TRIES):
-        result = PathRun(stand, SIMULATED, wanted, BY_TURNING[velocity], None, random.Random()).take()
+        result = PathRun(stand, SIMULATED, wanted, BY_TURNING[velocity], None, random.Random()).perform()
         if UNSEEN not in result.wrong:
             return result
     raise AssertionError(f"{path}: {UNSEEN}, {TRIES} times")

@@ -316,7 +316,7 @@ def test_a_stop_before_the_cause_spoils_the_row(tmp_path: Path) -> None:
                 send_stop(stand.name, "somebody")
 
         stand.driver.each = each
-        found = PathRun(stand, SIMULATED, BY_PATH["disable"], BY_TURNING["0.2"], None, random.Random()).take()
+        found = PathRun(stand, SIMULATED, BY_PATH["disable"], BY_TURNING["0.2"], None, random.Random()).perform()
         assert [text for text in found.wrong if "a stop came before the cause: stop request: somebody" in text]
         assert found.verdict == "INVALID", found.wrong
         assert stand.whole(), "the next row finds a service"

@@ -70,7 +70,7 @@ class UsbPort:
 
     @property
     def next_ns(self) -> int:
-        """When take() is due though nothing has come."""
+        """When poll() is due though nothing has come."""
         return min(self.device.next_ns, self._retry_ns)
 
     def info(self) -> dict[str, Any]:
@@ -125,7 +125,7 @@ class UsbPort:
     def reported(self, mask: int) -> None:
         """A pty's last close is reported; here the driver's requests tell."""
 
-    def take(self) -> list[tuple[int, bytes]]:
+    def poll(self) -> list[tuple[int, bytes]]:
         """Serve the host; return what has come to the board: (time, bytes) each."""
         self.more = False
         if self._connection is None:
