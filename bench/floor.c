@@ -19,7 +19,7 @@
 #include <signal.h>
 #include <unistd.h>
 
-static void take_rights(int priority) {
+static void request_rights(int priority) {
     struct sched_param param = {.sched_priority = priority};
     sched_setscheduler(0, SCHED_FIFO, &param);
     mlockall(MCL_CURRENT | MCL_FUTURE);
@@ -32,7 +32,7 @@ static pid_t start_victim(pthread_mutex_t *mutex, int priority) {
     pid_t victim = fork();
     if (victim == 0) {
         prctl(PR_SET_PDEATHSIG, SIGKILL);
-        take_rights(priority);
+        request_rights(priority);
         pthread_mutex_lock(mutex);
         if (write(held[1], "x", 1) != 1) _exit(1);
         for (;;) pause();
@@ -59,7 +59,7 @@ int main(int count, char **words) {
     pthread_mutexattr_init(&attributes);
     pthread_mutexattr_setpshared(&attributes, PTHREAD_PROCESS_SHARED);
     pthread_mutexattr_setrobust(&attributes, PTHREAD_MUTEX_ROBUST);
-    take_rights(priority);
+    request_rights(priority);
     char line[16];
     while (fgets(line, sizeof line, stdin)) {
         memset(mutex, 0, sizeof *mutex);

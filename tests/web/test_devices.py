@@ -125,28 +125,28 @@ def test_a_name_is_safe_to_show(name: str) -> None:
 
 def test_a_limit_gives_at_once_then_slowly() -> None:
     limit = Limit(0.5, 3)
-    assert [limit.take("a", 10.0) for _ in range(4)] == [True, True, True, False]
-    assert limit.take("b", 10.0), "everybody has their own"
-    assert not limit.take("a", 11.9)
-    assert limit.take("a", 12.0)
-    assert not limit.take("a", 5.0), "a clock that goes back gives nothing"
+    assert [limit.spend("a", 10.0) for _ in range(4)] == [True, True, True, False]
+    assert limit.spend("b", 10.0), "everybody has their own"
+    assert not limit.spend("a", 11.9)
+    assert limit.spend("a", 12.0)
+    assert not limit.spend("a", 5.0), "a clock that goes back gives nothing"
 
 
 def test_what_is_given_back_can_be_taken_again_and_no_more() -> None:
     limit = Limit(0.001, 2)
     limit.give_back("a")
-    assert [limit.take("a", 1.0) for _ in range(3)] == [True, True, False]
+    assert [limit.spend("a", 1.0) for _ in range(3)] == [True, True, False]
     limit.give_back("a")
-    assert [limit.take("a", 1.0) for _ in range(2)] == [True, False]
+    assert [limit.spend("a", 1.0) for _ in range(2)] == [True, False]
     for _ in range(5):
         limit.give_back("a")
-    assert [limit.take("a", 1.0) for _ in range(3)] == [True, True, False], "never more than the burst"
+    assert [limit.spend("a", 1.0) for _ in range(3)] == [True, True, False], "never more than the burst"
 
 
 def test_names_that_are_made_up_take_no_memory() -> None:
     limit = Limit(0.001, 1)
     for number in range(3 * MOST_KEYS):
-        assert limit.take(str(number), 1.0)
+        assert limit.spend(str(number), 1.0)
     assert len(limit._left) <= MOST_KEYS
 
 
@@ -156,5 +156,5 @@ def test_never_more_than_the_burst_and_the_rate(steps: list[float], burst: int) 
     now, given_out = 0.0, 0
     for step in steps:
         now += step
-        given_out += limit.take("a", now)
+        given_out += limit.spend("a", now)
     assert given_out <= burst + now + 1e-6

@@ -129,7 +129,7 @@ class Pilot:
 
     def keys(self, keys: list[str], state: State, now_s: float, *, late: bool) -> None:
         """Act on keys, and on what is due without any. `late`: they may be old; then only what stops counts."""
-        self._follow(state)
+        self._drop_old_note(state)
         others = (row.who for row in state.sources if row.source == self.source and row.who != self._who)
         self._rival = next(others, "")
         if SPACE in keys:
@@ -155,7 +155,7 @@ class Pilot:
                 self.note = ("", PLAIN)
         self._send(self.hold.pressed(moving, now_s), now_s)
 
-    def _follow(self, state: State) -> None:
+    def _drop_old_note(self, state: State) -> None:
         """A note is of the state that it was made in: it goes with it, but for one that has come since the last look,
         which tells of the new one. Motion that somebody else enables after it was disabled is theirs."""
         seen = (state.enabled, state.estop, state.waiting_for, state.device.state)
@@ -212,12 +212,12 @@ class Pilot:
     def _enable(self) -> None:
         """From when it is asked for, since it may be granted though nobody hears the answer."""
 
-        def tell(text: str) -> None:
+        def show(text: str) -> None:
             self.note = (text, PLAIN)
 
         self.enabled = True
         try:
-            self.note = (self.robot.enable(tell), OK)
+            self.note = (self.robot.enable(show), OK)
         except Refused:
             self.enabled = False
             raise

@@ -115,7 +115,7 @@ class Verdict:
         """Whether its last word is that the wheels stand still."""
         for t_ns, one, other in samples[self._taken :]:
             if t_ns >= self._begin_ns:
-                self._judge.take(one, other, t_ns)
+                self._judge.add(one, other, t_ns)
         self._taken = len(samples)
         return self._judge.still_ns > 0
 
