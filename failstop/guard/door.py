@@ -90,10 +90,10 @@ class Door:
         seen = {pid: opener for pid, opener in found.items() if pid not in self._dying and not dying(pid)}
         shown = sum(opener.times for opener in seen.values())
         self.count = max(self.count, shown) if hidden else shown
-        self._watch(seen)
+        self._update_lives(seen)
         self._pty.exclusive(on=self.count >= self.most)
 
-    def _watch(self, seen: dict[int, Opener]) -> None:
+    def _update_lives(self, seen: dict[int, Opener]) -> None:
         for pid in self._lives.keys() - seen.keys() - self._dying.keys():
             fd = self._lives.pop(pid)
             self._poll.unregister(fd)
@@ -110,7 +110,7 @@ class Door:
         self._close_watch()
         self._pty.hang_up()
         self._dying.clear()
-        self._watch({})
+        self._update_lives({})
         self.count = 0
         self._begin()
 
@@ -120,6 +120,6 @@ class Door:
 
     def close(self) -> None:
         self._dying.clear()
-        self._watch({})
+        self._update_lives({})
         self._close_watch()
         self._poll.close()

@@ -213,7 +213,7 @@ class SerialProbe:
         if self._board.observed_by == BY_IMU:
             noises = shake.noise(still), shake.noise(turning)
             self._shaking = judge.Shaking(noises[0], noises[1]) if noises[0] and noises[1] else None
-            tells = self._shaking is not None and self._shaking.tells
+            tells = self._shaking is not None and self._shaking.distinguishes
         else:
             tells = _ends_at_rest(still) and bool(turning) and not _ends_at_rest(turning)
         if not tells and not judge.somebody():

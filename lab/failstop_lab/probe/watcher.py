@@ -75,9 +75,9 @@ class Watcher:
                 return
             *lines, rest = (rest + data).split(b"\n")
             for line in lines:
-                self._obey(line.decode())
+                self._execute(line.decode())
 
-    def _obey(self, line: str) -> None:
+    def _execute(self, line: str) -> None:
         verb, _, what = line.partition(" ")
         if verb == "drive":
             with contextlib.suppress(ProcessLookupError):  # it has ended already
