@@ -70,17 +70,22 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("holders", look(opens=REMOVED, files=on("minicom", 7)), WARN, "/dev/ttyACM0 open from before"),
     ("holders", look(node=None, opens=REMOVED, files=on("minicom", 7)), WARN, "minicom (pid 7)"),
     ("holders", look(holders=((), 3)), WARN, "3 processes hide"),
-    ("identity", look(usb_id="2341:0043", told=of("ugv")), WARN, "is USB 2341:0043, as arduino has it"),
+    ("identity", look(usb_id="2341:0043", active_settings=of("ugv")), WARN, "is USB 2341:0043, as arduino has it"),
     ("board", look(service=linked("deaf")), FAIL, "the board does not hear"),
     ("board", look(service=linked("silent", ages=Ages(4.0))), FAIL, "has said nothing for 4.0 s"),
     ("stop path", look(service=linked("silent", ages=Ages(4.0))), FAIL, "has said nothing for 4.0 s"),
     ("service", look(service=linked("silent", ages=Ages(4.0))), FAIL, "has said nothing for 4.0 s"),
     ("board", look(service=linked("unproven", battery_v=7.2)), WARN, "questions, and reports a battery of 7.2 V"),
-    ("board", look(service=linked("unasked"), told=of("hoverboard")), WARN, "no report has"),
-    ("commanders", look(files=on("python3", command=VENDORS), told=of("ugv")), WARN, "(pid 9) runs: the vendor"),
-    ("commanders", look(told=of("ugv")), WARN, "its Wi-Fi: "),
-    ("commanders", look(told=of("ugv")), WARN, "ESP-NOW: "),
-    ("commanders", look(told=of("hoverboard")), WARN, "its second cable: "),
+    ("board", look(service=linked("unasked"), active_settings=of("hoverboard")), WARN, "no report has"),
+    (
+        "commanders",
+        look(files=on("python3", command=VENDORS), active_settings=of("ugv")),
+        WARN,
+        "(pid 9) runs: the vendor",
+    ),
+    ("commanders", look(active_settings=of("ugv")), WARN, "its Wi-Fi: "),
+    ("commanders", look(active_settings=of("ugv")), WARN, "ESP-NOW: "),
+    ("commanders", look(active_settings=of("hoverboard")), WARN, "its second cable: "),
     ("grabbers", look(files=on("ModemManager"), node=but(NODE, modem_ignored=False)), FAIL, "ModemM"),
     ("grabbers", look(files=on("ModemManager"), node=None), FAIL, "ModemM"),
     ("grabbers", look(files=on("brltty")), WARN, "brltty"),
@@ -131,7 +136,12 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("ticks", look(ticks=(True, [1000, 41_000_000])), FAIL, "40 ms and the lease runs out"),
     ("scale", look(service=serving(scale=Scale(capped="speed capped at 0.05 m/s"))), WARN, "capped at 0.05 m/s"),
     ("scale", look(service=serving(scale=Scale(wheels=5.0, wrong=("turn 5 times",)))), WARN, "turn 5 times"),
-    ("scale", look(service=NOBODY, told=of("arduino")), WARN, "speed capped at 0.05 m/s, because nobody has confirmed"),
+    (
+        "scale",
+        look(service=NOBODY, active_settings=of("arduino")),
+        WARN,
+        "speed capped at 0.05 m/s, because nobody has confirmed",
+    ),
     ("ticks", look(ticks=(True, [1000, 6_000_000])), WARN, "worst 6000 us"),
     ("ticks", look(ticks=(False, [1000, 41_000_000])), WARN, "ordinary priority"),
     ("ticks", look(service=serving(lease_s=0.1), ticks=(False, [1000, 81_000_000])), WARN, "80 ms and the lease runs"),
@@ -186,12 +196,16 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
         ("grabbers", look(files=on("ModemManager")), "ModemManager runs and is told to leave this port alone"),
         ("service", look(), f"{RUNS}), {WELL} disabled"),
         ("service", look(service=serving(enabled=True)), f"{RUNS}), {WELL} enabled"),
-        ("identity", look(usb_id="2341:0043", told=of("arduino")), "USB 2341:0043, the board's"),
-        ("identity", look(usb_id="0403:6001", told=of("ugv")), FT232),
-        ("identity", look(usb_id="1209:2444", told=of("ugv")), "USB 1209:2444; ugv may be at any port"),
-        ("identity", look(usb_id="", told=of("ugv")), "no USB device; ugv may be at any port"),
+        ("identity", look(usb_id="2341:0043", active_settings=of("arduino")), "USB 2341:0043, the board's"),
+        ("identity", look(usb_id="0403:6001", active_settings=of("ugv")), FT232),
+        ("identity", look(usb_id="1209:2444", active_settings=of("ugv")), "USB 1209:2444; ugv may be at any port"),
+        ("identity", look(usb_id="", active_settings=of("ugv")), "no USB device; ugv may be at any port"),
         ("board", look(), "it answers the service's questions as rrc does, and reports a battery of 12.0 V"),
-        ("board", look(service=linked("unasked", battery_v=36.1, ages=Ages(0.01)), told=of("hoverboard")), READ),
+        (
+            "board",
+            look(service=linked("unasked", battery_v=36.1, ages=Ages(0.01)), active_settings=of("hoverboard")),
+            READ,
+        ),
         ("scale", look(), "not compared yet: the next drive will show it"),
         (
             "scale",
@@ -200,11 +214,11 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
         ),
         (
             "scale",
-            look(service=NOBODY, told=of("hoverboard")),
+            look(service=NOBODY, active_settings=of("hoverboard")),
             "board.per_rps is 60, and the next drive shows whether it fits",
         ),
-        ("scale", look(told=of("feetech")), ALONE),
-        ("commanders", look(told=of("arduino")), "nobody is known who could command it beside failstop"),
+        ("scale", look(active_settings=of("feetech")), ALONE),
+        ("commanders", look(active_settings=of("arduino")), "nobody is known who could command it beside failstop"),
         ("ROS 2", look(**nodes("anna")), "no bridge to ROS 2 is connected"),
         (
             "guard",
@@ -213,12 +227,12 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
         ),
         (
             "guard",
-            look(service=serving(clients=(DRIVER,)), told=NO_SENSOR),
+            look(service=serving(clients=(DRIVER,)), active_settings=NO_SENSOR),
             "nav (pid 42) drives through the guard port /p",
         ),
         (
             "guard",
-            look(service=serving(clients=(WAITS,)), told=NO_SENSOR),
+            look(service=serving(clients=(WAITS,)), active_settings=NO_SENSOR),
             "the guard port is /p; no driver has it open",
         ),
         ("unit", look(), "failstop.service is active, started at boot"),
@@ -246,7 +260,7 @@ def test_what_is_said_where_all_is_well(check: str, given: Look, says: str) -> N
 @pytest.mark.parametrize(("kind", "fitted", "level"), [("rrc", True, WARN), ("rrc", False, OK), ("ugv", True, "")])
 def test_an_imu_that_would_observe_the_wheels_and_is_not_there_is_told(kind: str, fitted: bool, level: str) -> None:
     device = but(PORT, imu=fitted)
-    found = CHECKS["service"](look(service=serving(imu=None, device=device), told=of(kind)))
+    found = CHECKS["service"](look(service=serving(imu=None, device=device), active_settings=of(kind)))
     assert [row.level for row in found if "no IMU reports" in row.text] == [level] * bool(level)
 
 
@@ -269,7 +283,12 @@ UNREADABLE = (None, "", "is of another version")
     [
         ("holders", look(holders=((Holder(7, "python3"),), 0)), "sudo kill 7", ""),
         ("holders", look(holders=((Holder(7, "x", "old.service"),), 0)), "sudo systemctl stop old.service", ""),
-        ("holders", look(holders=((Holder(7, "x", command=VENDORS),), 0), told=of("ugv")), "crontab -e", "then reboot"),
+        (
+            "holders",
+            look(holders=((Holder(7, "x", command=VENDORS),), 0), active_settings=of("ugv")),
+            "crontab -e",
+            "then reboot",
+        ),
         ("holders", look(holders=((), 3)), 'sudo "$(command -v failstop)" doctor', "root sees them"),
         ("service", look(service=UNREADABLE), "sudo systemctl restart failstop.service", "stops the wheels"),
         ("service", look(service=UNREADABLE, unit={}), "", "stops the wheels"),
