@@ -219,7 +219,8 @@ class Client:
                 life = HeldByThread(self._segment.futex("held", write=True))
             self._farewell: list[bytes] = []
             """The goodbye, once it is said. Without one, the gate takes the end of the slot for a death."""
-            taken.callback(_give_back, self.slot, self._segment, self._bell, life, self._farewell, os.getpid())
+            own = os.getpid(), _files(self._segment.fileno(), self._bell)
+            taken.callback(_give_back, self.slot, self._segment, self._bell, life, self._farewell, *own)
             self._drop = weakref.finalize(self, taken.pop_all().close)
         self._records = {record: self._segment.latest_writer(record) for record in records.OF_SESSION}
         self._reply = gate.latest_reader(f"reply.{self.slot}")
@@ -308,17 +309,33 @@ class Client:
         self._drop()
 
 
+def _files(*fds: int) -> list[tuple[int, int]]:
+    """Which files have these numbers; none if one of them is closed."""
+    try:
+        return [(found.st_dev, found.st_ino) for found in map(os.fstat, fds)]
+    except OSError:
+        return []
+
+
 def _give_back(
-    slot: int, held: segment.Segment, ring: int, life: HeldByThread | None, farewell: list[bytes], owner: int
+    slot: int,
+    held: segment.Segment,
+    ring: int,
+    life: HeldByThread | None,
+    farewell: list[bytes],
+    owner: int,
+    files: list[tuple[int, int]],
 ) -> None:
-    """Give a slot back; a command in it stops counting at once. Does nothing in a fork of its `owner`."""
+    """Give a slot back; a command in it stops counting at once. Writes nothing in a fork of its `owner`, nor in a
+    program that has closed descriptors which are not its own: their numbers may be other `files` now."""
     if os.getpid() == owner:
-        # Another process may claim the slot before the gate has seen it free.
-        with contextlib.suppress(OSError, ValueError):
-            for goodbye in farewell:
-                held.latest_writer("left").write(goodbye)
-            held.wipe()
-            bell.send(ring, bytes([slot]))
+        if _files(held.fileno(), ring) == files:
+            # Another process may claim the slot before the gate has seen it free.
+            with contextlib.suppress(OSError, ValueError):
+                for goodbye in farewell:
+                    held.latest_writer("left").write(goodbye)
+                held.wipe()
+                bell.send(ring, bytes([slot]))
         if life:
             life.let_go()
     held.close()

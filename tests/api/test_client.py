@@ -1,6 +1,10 @@
-"""A client's side of shared memory: when it wakes the gate."""
+"""A client's side of shared memory: when it wakes the gate, and what it leaves alone at its end."""
 
 from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -43,3 +47,21 @@ def test_what_repeats_the_command_just_before_it_wakes_nobody(trial: Trial, monk
     assert not rung(0.1, 20 * MS, source="nav")
     monkeypatch.undo()
     client.close()
+
+
+def test_files_that_get_the_numbers_of_closed_descriptors_are_left_alone(trial: Trial, tmp_path: Path) -> None:
+    own = tmp_path / "own"
+    own.write_bytes(b"mine" * 5000)
+    program = f"""
+import os
+from failstop import Robot
+
+robot = Robot({trial.name!r})
+robot.drive(0.0, 0.0, 0.0, wait_s=0)
+os.closerange(3, 64)
+files = [os.open({str(own)!r}, os.O_RDWR) for _ in range(40)]
+robot.close()
+os._exit(0)
+"""
+    subprocess.run((sys.executable, "-c", program), check=True)
+    assert own.read_bytes() == b"mine" * 5000
