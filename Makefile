@@ -7,7 +7,7 @@ EDITABLE := --config-settings editable_mode=compat --editable
 # Behind failstop itself, which it needs: pip looks for what a requirement needs among those before it.
 LAB := --editable lab
 
-.PHONY: demo test quick tried versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech guard lock apt fresh ros2-control
+.PHONY: demo test quick tried versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech guard lock apt fresh ros2-control abi
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -101,6 +101,13 @@ lint: $(VENV)/.dev
 bench: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,bench]' $(LAB)
 	$(BIN)/python -m bench
+
+# The binary interface of the C library (clients/c/abi.txt). WRITE=yes: record what was added. REF: compare with the library of that
+# commit, by abidiff (Debian: abigail-tools).
+WRITE ?=
+REF ?=
+abi: $(VENV)/.dev
+	$(BIN)/python -m tests.clients.abi $(if $(WRITE),--write) $(if $(REF),--beside $(REF))
 
 soak: $(VENV)/.dev
 	$(BIN)/python -m bench.soak

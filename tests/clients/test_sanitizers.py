@@ -3,7 +3,6 @@ against a real service, and nothing may be found."""
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -12,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from failstop_lab.trial import Trial
-from tests.support.c_client import SOURCE, compiler, library
+from tests.support.c_client import SOURCE, compiler
 
 STRICT = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Wundef", "-Wformat=2", "-Werror")
 HERE = (
@@ -92,18 +91,3 @@ def judged(trial: Trial, *command: str) -> None:
     trial.leave()
     done = subprocess.run((*command, trial.name), capture_output=True, text=True, check=False, timeout=TRIED_S)
     assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_the_library_exports_the_header_and_nothing_else() -> None:
-    listed = subprocess.run(
-        ("nm", "--dynamic", "--defined-only", library() / "libfailstop.so.0"),
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    exported = {line.split()[-1] for line in listed.stdout.splitlines()}
-    header = (SOURCE / "include" / "failstop.h").read_text()
-    assert {name for name in exported if not name.startswith("_")} == {
-        line.partition("(")[0].split()[-1].lstrip("*") for line in header.splitlines() if line.startswith("FS_API ")
-    }
-    assert os.path.islink(library() / "libfailstop.so")
