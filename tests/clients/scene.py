@@ -5,9 +5,9 @@ from __future__ import annotations
 from failstop_lab.trial import Trial, wait_for
 from tests.support.c_client import Driver
 
-OK, NO_SERVICE, NO_PERMISSION, OTHER_LAYOUT, NO_SLOT, NOT_CONNECTED, REFUSED, NO_ANSWER, UNDECLARED, INVALID, FORKED = (
-    0, *range(-1, -11, -1),
-)  # fmt: skip
+OK = 0
+NO_SERVICE, NO_PERMISSION, OTHER_LAYOUT, NO_SLOT, NOT_CONNECTED = -1, -2, -3, -4, -5
+REFUSED, NO_ANSWER, UNDECLARED, INVALID, FORKED, DAMAGED = -6, -7, -8, -9, -10, -11
 DISABLED, HELD, NO_COMMAND = 2, 3, 4
 DRIVING, BLOCKED = 1, 3
 

@@ -239,6 +239,12 @@ def test_wheel_speeds_are_the_same_velocity_as_in_python(c: ctypes.CDLL) -> None
     assert tried == {(name, count) for name, counts in LAYOUTS.items() for count in counts}
 
 
+def test_a_wheel_whose_number_is_no_number_is_refused(c: ctypes.CDLL) -> None:
+    for number in (math.nan, -1, 5, 1e300):
+        packed = msgpack.packb({**Settings({}).flat(), "wheels.id_1": number})
+        assert not c.fsi_wheels(ctypes.byref(Wheels()), packed, ctypes.c_size_t(len(packed)))
+
+
 def test_the_client_s_hash_changes_with_what_the_library_reads() -> None:
     """It has the place, the size and the form of each record of OF_LIBRARY."""
     text = layout._OF_LIBRARY

@@ -7,6 +7,7 @@ import ctypes
 import fcntl
 import functools
 import os
+import select
 import shutil
 import signal
 import subprocess
@@ -104,6 +105,11 @@ class Driver:
     def answer(self) -> str:
         assert self.process.stdout
         return self.process.stdout.readline().rstrip("\n")
+
+    def answer_within(self, seconds: float) -> str:
+        """As answer(); empty if it takes longer."""
+        assert self.process.stdout
+        return self.answer() if select.select([self.process.stdout], [], [], seconds)[0] else ""
 
     def ask(self, line: str) -> str:
         """The whole answer to a command."""

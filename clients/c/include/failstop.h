@@ -13,10 +13,15 @@
  *
  * Threads: unless a function says otherwise, any thread may call it at any time. fs_connect() and fs_close() are the
  * exceptions: while one of them runs, no other thread may use the same handle, except for fs_stop() during
- * fs_connect().
+ * fs_connect(). A thread that is cancelled (pthread_cancel) while it stops, asks, connects or closes ends when the call
+ * has returned.
  *
  * Fork and exec: a handle belongs to the process that opened it. In a child made by fork() every call but fs_stop() and
  * fs_close() returns FS_FORKED, and the parent keeps its slot. An exec() ends the client just as a kill does.
+ *
+ * Descriptors: a handle has some, all of them closed on exec. If a program closes them all the same, for example by
+ * closefrom(), every call returns FS_NO_SERVICE, fs_stop() goes on working, and nothing is written to the files that get
+ * these numbers next.
  */
 #ifndef FAILSTOP_H
 #define FAILSTOP_H
@@ -385,8 +390,8 @@ FS_API int fs_has_interlock(const fs_robot *robot, const char *name);
 
 /* -- Text --------------------------------------------------------------------------------------------------------- */
 
-/** The last error of this handle in one sentence, with the remedy; an empty text if none happened yet. Returns as
- * fs_why(). */
+/** The last error of this handle in one sentence, with the remedy; an empty text if none happened yet, or since
+ * fs_connect() made a new connection. Returns as fs_why(). */
 FS_API int fs_last_error(const fs_robot *robot, char *text, size_t size);
 
 /** A few words for a result, for example `no service`. Never NULL. **Real-time.** */

@@ -11,7 +11,8 @@
 
 static uint32_t crc_table[8][256];
 
-__attribute__((constructor)) static void make_table(void) {
+/* Before the constructors of a program that has linked the static library: one of those may open a handle already. */
+__attribute__((constructor(101))) static void make_table(void) {
   for (uint32_t n = 0; n < 256; n++) {
     uint32_t crc = n;
     for (int bit = 0; bit < 8; bit++) crc = crc & 1 ? crc >> 1 ^ UINT32_C(0xEDB88320) : crc >> 1;
@@ -84,6 +85,9 @@ bool fsi_read(struct fsi_reader *reader, uint8_t *buffer, struct fsi_entry *foun
   /* Two writes that overtake the copy leave it without a whole value, or with one older than a value seen before. */
   for (int look = 0; look < 3; look++) {
     memcpy(buffer, reader->at, 2 * reader->cell);
+    /* The copy is what is checked and used. Without this, a compiler that sees through all the calls (LTO) may read the
+     * shared memory again instead, after the check. */
+    __asm__ volatile("" : : "r"(buffer) : "memory");
     whole = fsi_newest(buffer, reader->cell, reader->seed, found);
     if ((whole && found->seq >= seen) || (!whole && is_blank(buffer, 2 * reader->cell))) break;
     /* Without this barrier, the loads of the next copy may be as old as those of this one. */

@@ -255,6 +255,9 @@ struct fs_robot {
 FSI uint64_t fsi_now_ns(void);
 /* Write what may be about a dead service's pipe without a SIGPIPE. 0, or an errno. Safe in a signal handler. */
 FSI int fsi_send(int fd, const void *data, size_t size);
+/* False for the number of another file, in a program that has closed descriptors which are not its own. Safe in a signal
+ * handler. */
+FSI bool fsi_is_pipe(int fd);
 FSI bool fsi_over(const struct fsi_run *run);
 FSI bool fsi_held(int fd, off_t byte, bool by_writer);
 /* FS_OK, or an error and why in `why`. */

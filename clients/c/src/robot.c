@@ -25,6 +25,20 @@ static pthread_once_t prepared = PTHREAD_ONCE_INIT;
 static void before_fork(void) { pthread_mutex_lock(&handles_lock); }
 static void after_fork(void) { pthread_mutex_unlock(&handles_lock); }
 
+/* While a slot is taken or given back. A fork waits: its child would hold the claim by a descriptor that in_child() does
+ * not know. Nor may the thread be cancelled meanwhile. */
+static int begin_slot(void) {
+  int cancels;
+  pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, &cancels);
+  pthread_mutex_lock(&handles_lock);
+  return cancels;
+}
+
+static void end_slot(int cancels) {
+  pthread_mutex_unlock(&handles_lock);
+  pthread_setcancelstate(cancels, NULL);
+}
+
 /* In the child: the slot is the parent's, and the child must not hold it when the parent has died. */
 static void in_child(void) {
   for (fs_robot *robot = handles; robot; robot = robot->next) {
@@ -49,15 +63,14 @@ static void enlist(fs_robot *robot) {
   pthread_mutex_unlock(&handles_lock);
 }
 
+/* With the lock held. */
 static void unlist(fs_robot *robot) {
-  pthread_mutex_lock(&handles_lock);
   for (fs_robot **at = &handles; *at; at = &(*at)->next) {
     if (*at == robot) {
       *at = robot->next;
       break;
     }
   }
-  pthread_mutex_unlock(&handles_lock);
 }
 
 int fsi_fail(const fs_robot *robot, int code) {
@@ -125,9 +138,13 @@ static void say_goodbye(fs_robot *robot) {
 static void leave(fs_robot *robot, bool in_order) {
   if (robot->slot >= 0 && !fsi_is_forked(robot)) {
     int ignored;
-    if (in_order) say_goodbye(robot);
-    wipe(robot->segment);
-    ring_slot(robot, &ignored);
+    /* Nobody reads the slot of a run that is over. It also looks so to a program that has closed descriptors which are
+     * not its own: then these numbers may be other files. */
+    if (!fsi_over(robot->run)) {
+      if (in_order) say_goodbye(robot);
+      wipe(robot->segment);
+      ring_slot(robot, &ignored);
+    }
     fsi_let_go(robot->life);
     /* A child that was forked by another library may still have a copy of this descriptor. */
     claim(robot->claims, robot->slot, false);
@@ -150,6 +167,12 @@ static uint64_t pid_namespace(void) {
   return stat("/proc/self/ns/pid", &found) ? 0 : (uint64_t)found.st_ino;
 }
 
+static int going_away(fs_robot *robot) {
+  char why[400];
+  snprintf(why, sizeof why, "the service '%s' is going away: try again", robot->places.name);
+  return fsi_fail_with(robot, FS_NO_SERVICE, why);
+}
+
 static int open_for_drivers(fs_robot *robot, const char *file, int flags, bool pipe, int *fd) {
   struct fsi_refusal refusal;
   char why[400];
@@ -160,10 +183,7 @@ static int open_for_drivers(fs_robot *robot, const char *file, int flags, bool p
              robot->places.name);
     return fsi_fail_with(robot, FS_NO_PERMISSION, why);
   }
-  if (refusal.why == ENOENT || refusal.why == ENXIO) {
-    snprintf(why, sizeof why, "the service '%s' is going away: try again", robot->places.name);
-    return fsi_fail_with(robot, FS_NO_SERVICE, why);
-  }
+  if (refusal.why == ENOENT || refusal.why == ENXIO) return going_away(robot);
   fsi_describe(why, sizeof why, &robot->places, robot->run->which, file, &refusal);
   return fsi_fail_with(robot, refusal.why == EMFILE || refusal.why == ENFILE ? FS_SYSTEM : FS_DAMAGED, why);
 }
@@ -224,7 +244,7 @@ static int attach_to(fs_robot *robot) {
     int code = refusal.why == EMFILE || refusal.why == ENFILE ? FS_SYSTEM : refusal.why == EACCES ? FS_NO_PERMISSION : FS_DAMAGED;
     return fsi_fail_with(robot, code, why);
   }
-  if (robot->stop_fd < 0) {
+  if (!fsi_is_pipe(robot->stop_fd)) {
     robot->stop_fd = stop;
   } else {
     /* The number stays, because a signal handler may be about to write to it. */
@@ -266,9 +286,7 @@ int fs_open(fs_robot **made, const char *service, const char *client) {
   return attach(robot);
 }
 
-int fs_connect(fs_robot *robot) {
-  if (!robot) return FS_INVALID;
-  if (fsi_is_forked(robot)) return fsi_fail(robot, FS_FORKED);
+static int connect_slot(fs_robot *robot) {
   if (robot->run && fsi_over(robot->run)) {
     leave(robot, true);
     fsi_detach(robot->run);
@@ -297,11 +315,22 @@ int fs_connect(fs_robot *robot) {
     robot->life = fsi_hold(robot->segment, AT_CLIENT_HELD);
     if (greet(robot)) {
       leave(robot, true);
-      return fsi_fail(robot, FS_NO_SERVICE);
+      return going_away(robot);
     }
+    /* What was said of an earlier connection is over. */
+    fsi_fail_with(robot, FS_OK, "");
     return FS_OK;
   }
   leave(robot, true);
+  return result;
+}
+
+int fs_connect(fs_robot *robot) {
+  if (!robot) return FS_INVALID;
+  if (fsi_is_forked(robot)) return fsi_fail(robot, FS_FORKED);
+  int cancels = begin_slot();
+  int result = connect_slot(robot);
+  end_slot(cancels);
   return result;
 }
 
@@ -309,8 +338,10 @@ void fs_close(fs_robot *robot) {
   if (!robot) return;
   bool whole = !fsi_is_forked(robot) && robot->slot >= 0 && !fsi_over(robot->run);
   if (whole && atomic_load(&robot->enabled) && !atomic_load(&robot->keep_enabled)) fs_disable(robot, FS_DEFAULT_TIMEOUT);
-  unlist(robot);
+  int cancels = begin_slot();
   leave(robot, true);
+  unlist(robot);
+  end_slot(cancels);
   fsi_detach(robot->run);
   if (robot->stop_fd >= 0) close(robot->stop_fd);
   pthread_mutex_destroy(&robot->turn);
@@ -384,8 +415,13 @@ int fs_drive(fs_robot *robot, double vx, double vy, double wz) {
   return command(robot, velocity, false, NULL, 0);
 }
 
+/* Whether it has the fields of the first version, which has all that is read here. */
+static bool is_command(const fs_velocity *given) {
+  return given->size >= offsetof(fs_velocity, wanted_ns) + sizeof given->wanted_ns;
+}
+
 int fs_command(fs_robot *robot, const fs_velocity *given) {
-  if (!given || given->size < sizeof *given) return robot ? fsi_fail(robot, FS_INVALID) : FS_INVALID;
+  if (!given || !is_command(given)) return robot ? fsi_fail(robot, FS_INVALID) : FS_INVALID;
   double velocity[3] = {given->vx, given->vy, given->wz};
   return command(robot, velocity, given->manual != 0, given->source, given->wanted_ns);
 }
@@ -394,7 +430,7 @@ int fs_drive_wheels(fs_robot *robot, const double *radps, size_t count, double s
   int result = usable(robot);
   if (result != FS_OK) return result;
   const struct fsi_wheels *wheels = &robot->run->wheels;
-  bool fits = radps && count == (size_t)wheels->count && wheels->known && (!given || given->size >= sizeof *given) &&
+  bool fits = radps && count == (size_t)wheels->count && wheels->known && (!given || is_command(given)) &&
               (isnan(steering_rad) || (wheels->steered && isfinite(steering_rad)));
   for (size_t at = 0; fits && at < count; at++) fits = isfinite(radps[at]);
   if (!fits) return fsi_fail(robot, FS_INVALID);
@@ -500,7 +536,7 @@ static void nap(uint64_t ns) {
   while (nanosleep(&left, &left) && errno == EINTR) continue;
 }
 
-static int ask(fs_robot *robot, int verb, uint64_t seen, double timeout_s) {
+static int ask_once(fs_robot *robot, int verb, uint64_t seen, double timeout_s) {
   if (!robot) return FS_INVALID;
   if (fsi_is_forked(robot)) return fsi_fail(robot, FS_FORKED);
   if (isnan(timeout_s)) return fsi_fail(robot, FS_INVALID);
@@ -545,6 +581,15 @@ static int ask(fs_robot *robot, int verb, uint64_t seen, double timeout_s) {
   }
   if (mine) pthread_mutex_unlock(&robot->turn);
   if (result == FS_OK && verb == VERB_DISABLE) atomic_store(&robot->enabled, false);
+  return result;
+}
+
+/* A thread that is cancelled meanwhile ends afterwards, because it has the locks. */
+static int ask(fs_robot *robot, int verb, uint64_t seen, double timeout_s) {
+  int cancels;
+  pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, &cancels);
+  int result = ask_once(robot, verb, seen, timeout_s);
+  pthread_setcancelstate(cancels, NULL);
   return result;
 }
 

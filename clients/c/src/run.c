@@ -127,7 +127,7 @@ static bool told(const struct fsi_run *run, size_t at, size_t capacity, const ch
   uint8_t *buffer = malloc(2 * CELL_BYTES(capacity));
   if (!buffer) return false;
   reader(&once, &run->supervisor, at, capacity, name, run->incarnation);
-  bool whole = fsi_read(&once, buffer, &entry);
+  bool whole = fsi_read(&once, buffer, &entry) && entry.size <= capacity;
   if (whole) {
     memcpy(copy, entry.data, entry.size);
     *size = entry.size;

@@ -248,10 +248,13 @@ static void nothing_known(fs_state *state) {
   for (int at = 0; at < 3; at++) state->acceleration[at] = state->rate[at] = state->pose[at] = state->twist[at] = NAN;
 }
 
+/* No later version's struct is larger; a size that was never set often is. */
+#define MOST_STATE_BYTES 65536
+
 int fs_get_state(const fs_robot *robot, fs_state *given) {
   fs_state state;
   struct fsi_decided decided;
-  if (!robot || !given || given->size < offsetof(fs_state, epoch)) return FS_INVALID;
+  if (!robot || !given || given->size < offsetof(fs_state, epoch) || given->size > MOST_STATE_BYTES) return FS_INVALID;
   uint32_t size = given->size;
   int result = FS_NO_SERVICE;
   nothing_known(&state);

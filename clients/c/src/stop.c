@@ -4,6 +4,7 @@
 
 #include <errno.h>
 #include <signal.h>
+#include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -46,19 +47,27 @@ size_t fsi_stop_line(char *out, const char *reason, const char *client, pid_t pi
   return size;
 }
 
+bool fsi_is_pipe(int fd) {
+  struct stat found;
+  return fd >= 0 && fstat(fd, &found) == 0 && S_ISFIFO(found.st_mode);
+}
+
 static int send_line(const struct fsi_places *places, int kept, const char *client, const char *reason) {
   char line[FSI_STOP_LINE];
   struct fsi_refusal refusal;
-  int which, error = EPIPE;
+  int which, error = EPIPE, cancels;
+  /* A thread that was cancelled would end at the first of these calls, and the stop would not be sent. */
+  pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, &cancels);
   size_t size = fsi_stop_line(line, reason, client, getpid());
   /* The pipe of the service that runs now. The kept one is for a program that can't open another. */
   int fd = fsi_open_stop(places, &which, &refusal);
   if (fd >= 0) {
     error = fsi_send(fd, line, size);
     close(fd);
-  } else if (kept >= 0) {
+  } else if (fsi_is_pipe(kept)) {
     error = fsi_send(kept, line, size);
   }
+  pthread_setcancelstate(cancels, NULL);
   return error ? FS_NO_SERVICE : FS_OK;
 }
 

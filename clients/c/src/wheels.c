@@ -89,7 +89,7 @@ bool fsi_wheels(struct fsi_wheels *wheels, const uint8_t *data, size_t size) {
     char key[40];
     snprintf(key, sizeof key, "wheels.id_%d", wheel);
     if (!fsi_find(data, size, key, &found, NULL)) continue;
-    if (found.number < 0 || found.number >= MOST_SPEEDS) return false;
+    if (!(found.number >= 0 && found.number < MOST_SPEEDS)) return false; /* nor is it NaN */
     wheels->id[wheels->count] = (int)found.number;
     wheels->sign[wheels->count++] = numbered(&settings, "sign", wheel, "") < 0 ? -1 : 1;
     wheels->speeds = wheels->speeds > (int)found.number ? wheels->speeds : (int)found.number + 1;

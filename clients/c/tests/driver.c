@@ -1,10 +1,15 @@
 /* A client for the tests: it reads one command a line and prints one line for each. */
 #include <fcntl.h>
+#include <pthread.h>
 #include <signal.h>
+#include <stdatomic.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
+#include <sys/prctl.h>
+#include <sys/wait.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -75,6 +80,93 @@ static int drive_for(double seconds, double vx, double vy, double wz) {
   return result;
 }
 
+/* Close every descriptor but the first three, as a program that makes itself a daemon, and give their numbers to a file. */
+static int close_all_for(const char *path) {
+  for (int fd = 3; fd < 64; fd++) close(fd);
+  int last = -1;
+  while (last < 40 && (last = open(path, O_RDWR)) >= 0) continue;
+  return last < 0;
+}
+
+static void *stop_cancelled(void *given) {
+  pthread_cancel(pthread_self());
+  *(int *)given = fs_stop(robot, "of a cancelled thread");
+  return NULL;
+}
+
+static void *disable_long(void *given) {
+  *(int *)given = fs_disable(robot, 0.1);
+  return NULL;
+}
+
+/* What the thread's call returned, and the next request, which must not wait for a lock that nobody has any more. */
+static void ask_cancelled(void) {
+  pthread_t thread;
+  int first = 1;
+  pthread_create(&thread, NULL, disable_long, &first);
+  pause_s(0.02);
+  pthread_cancel(thread);
+  pthread_join(thread, NULL);
+  printf("%d %d\n", first, fs_disable(robot, 0.05));
+}
+
+static atomic_bool enough;
+static char service[400];
+
+static void *come_and_go(void *given) {
+  (void)given;
+  while (!enough) {
+    fs_robot *other;
+    int result = fs_open(&other, service, "comes and goes");
+    if (result == FS_OK) result = fs_connect(other);
+    fs_close(other);
+  }
+  return NULL;
+}
+
+static int has_claim(void) {
+  char path[32], target[256];
+  for (int fd = 3; fd < 64; fd++) {
+    snprintf(path, sizeof path, "/proc/self/fd/%d", fd);
+    ssize_t size = readlink(path, target, sizeof target - 1);
+    if (size > 7 && !memcmp(target + size - 7, "/claims", 7)) return 1;
+  }
+  return 0;
+}
+
+/* How many of so many children got a claim with them, while another thread connects and closes. */
+static int fork_meanwhile(int times) {
+  pthread_t thread;
+  int found = 0;
+  enough = false;
+  pthread_create(&thread, NULL, come_and_go, NULL);
+  while (times--) {
+    int status = 0;
+    pid_t child = fork();
+    if (child == 0) _exit(has_claim());
+    waitpid(child, &status, 0);
+    found += WEXITSTATUS(status);
+  }
+  enough = true;
+  pthread_join(thread, NULL);
+  return found;
+}
+
+/* The child drives by a handle of its own for as long as it lives. */
+static void fork_with_own(void) {
+  pid_t child = fork();
+  if (child) return;
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  fs_close(robot);
+  int opened = fs_open(&robot, service, "child"), connected = fs_connect(robot);
+  printf("child %d open=%d connect=%d drive=%d\n", (int)getpid(), opened, connected, fs_drive(robot, 0, 0, 0));
+  for (;;) {
+    fs_state state = {.size = sizeof state};
+    fs_get_state(robot, &state);
+    drive_for(0.02, state.enabled ? 0.2 : 0, 0, 0);
+  }
+}
+
 int main(int count, char **words) {
   char line[512], text[400];
   double a, b, c, d;
@@ -90,6 +182,7 @@ int main(int count, char **words) {
   while (!told_to_leave && fgets(line, sizeof line, stdin)) {
     line[strcspn(line, "\n")] = 0;
     if (sscanf(line, "open %399s %d", text, &number) == 2) {
+      memcpy(service, text, sizeof service);
       printf("%d\n", fs_open(&robots[number], text, "driver.c"));
       robot = robots[number];
     } else if (sscanf(line, "use %d", &number) == 1) {
@@ -160,6 +253,25 @@ int main(int count, char **words) {
         fs_close(robot);
         for (;;) pause();
       }
+    } else if (!strcmp(line, "fork-with-own")) {
+      fork_with_own();
+    } else if (sscanf(line, "fork-meanwhile %d", &number) == 1) {
+      printf("%d\n", fork_meanwhile(number));
+    } else if (sscanf(line, "close-all-for %399s", text) == 1) {
+      printf("%d\n", close_all_for(text));
+    } else if (!strcmp(line, "stop-cancelled")) {
+      pthread_t thread;
+      number = 1;
+      pthread_create(&thread, NULL, stop_cancelled, &number);
+      pthread_join(thread, NULL);
+      printf("%d\n", number);
+    } else if (!strcmp(line, "ask-cancelled")) {
+      ask_cancelled();
+    } else if (sscanf(line, "state-of %d", &number) == 1) {
+      static uint8_t room[4096];
+      fs_state *state = (fs_state *)(void *)room;
+      state->size = (uint32_t)number;
+      printf("%d\n", fs_get_state(robot, state));
     } else if (!strcmp(line, "exec-on-usr1")) {
       struct sigaction action = {.sa_handler = exec_at_signal};
       printf("%d\n", sigaction(SIGUSR1, &action, NULL));

@@ -1,0 +1,224 @@
+"""What a C program, and the service below it, may do to the library. The program closes its descriptors, cancels its
+threads, forks while it connects, or unloads it; the service dies while it connects, or its files are damaged."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from failstop.api import client
+from failstop.messages import layout, segments
+from failstop.shm import cell
+from failstop_lab.stopped import judge
+from failstop_lab.trial import Trial, wait_for
+from tests.clients.scene import DAMAGED, INVALID, NO_ANSWER, NO_SERVICE, OK, set_off
+from tests.clients.test_deaths import LATE_NS, seen, stays
+from tests.support.c_client import SOURCE, Driver, compiled, library
+
+
+def test_files_that_get_the_numbers_of_closed_descriptors_are_left_alone(
+    trial: Trial, driver: Driver, tmp_path: Path
+) -> None:
+    driver.connect(trial.name)
+    assert driver.do("drive 0 0 0") == OK
+    own = tmp_path / "own"
+    own.write_bytes(bytes(range(256)) * 64)
+    before = own.read_bytes()
+    assert driver.do(f"close-all-for {own}") == OK
+    assert driver.do("drive 0.1 0 0") == NO_SERVICE
+    assert driver.do("stop it still works") == OK
+    wait_for("the stop to be latched", lambda: trial.robot.state.cause)
+    driver.do("close")
+    assert own.read_bytes() == before
+
+
+def test_a_stop_is_not_written_to_a_file_that_got_the_pipe_s_number(
+    fresh: Trial, driver: Driver, tmp_path: Path
+) -> None:
+    """Nor does a new connection take the number from that file. It is the first, because the pipe is opened first."""
+    driver.connect(fresh.name)
+    own = tmp_path / "own"
+    own.write_bytes(b"mine" * 100)
+    assert driver.do(f"close-all-for {own}") == OK
+    fresh.leave()
+    fresh.service.end()
+    assert driver.do("stop nobody listens") == NO_SERVICE
+    assert own.read_bytes() == b"mine" * 100
+    fresh.service.start()
+    numbers = own_numbers(driver, own)
+    assert driver.do("connect") == OK
+    assert own_numbers(driver, own)[0] == numbers[0]
+    assert own.read_bytes() == b"mine" * 100
+
+
+def own_numbers(driver: Driver, path: Path) -> list[int]:
+    folder = f"/proc/{driver.pid}/fd"
+    return sorted(int(fd) for fd in os.listdir(folder) if os.readlink(f"{folder}/{fd}") == str(path))
+
+
+def test_a_cancelled_thread_sends_its_stop(trial: Trial, driver: Driver) -> None:
+    driver.connect(trial.name)
+    assert driver.do("stop-cancelled") == OK
+    wait_for("the stop to be latched", lambda: trial.robot.state.cause)
+    assert "of a cancelled thread" in str(trial.robot.state.cause)
+
+
+def test_a_cancelled_request_leaves_no_lock_behind(fresh: Trial, driver: Driver) -> None:
+    driver.connect(fresh.name)
+    os.kill(gate := fresh.service.pids()[layout.GATE], signal.SIGSTOP)
+    try:
+        driver.tell("ask-cancelled")
+        done = driver.answer_within(3.0)
+    finally:
+        with contextlib.suppress(ProcessLookupError):  # its supervisor may have lost patience
+            os.kill(gate, signal.SIGCONT)
+    assert done == f"{NO_ANSWER} {NO_ANSWER}"
+
+
+def test_a_child_that_is_forked_meanwhile_holds_no_claim(trial: Trial, driver: Driver) -> None:
+    """It would keep the slot from the next program for as long as it lives."""
+    driver.connect(trial.name)
+    assert driver.do("fork-meanwhile 400") == 0
+
+
+def test_a_child_drives_by_a_handle_of_its_own(trial: Trial, driver: Driver) -> None:
+    driver.connect(trial.name)
+    driver.tell("fork-with-own")
+    found = re.fullmatch(r"child (\d+) open=0 connect=0 drive=0", driver.answer())
+    assert found
+    child = int(found[1])
+    try:
+        trial.robot.enable()
+        trial.board.wait_wheels(turning=True, timeout_s=5.0)
+        trial.leave()
+        trial.board.events()
+        fault_ns = time.monotonic_ns()
+        os.kill(child, signal.SIGKILL)
+        stopped = seen(trial, fault_ns)
+        assert stopped.stop_ns is not None
+        assert stopped.stop_ns < LATE_NS
+        stays(trial, "child", child)
+        assert driver.do("drive 0 0 0") == OK, "its parent is a client as before"
+    finally:
+        os.kill(child, signal.SIGKILL)  # its parent has not collected it
+
+
+def test_an_unloaded_library_still_drives_and_reports_the_death(trial: Trial, tmp_path: Path) -> None:
+    program = compiled(SOURCE / "tests" / "unload.c", tmp_path / "unload", "-ldl")
+    command = (program, library() / "libfailstop.so.0", trial.name)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as run:
+        try:
+            assert run.stdout
+            assert run.stdout.readline() == "unloaded\n"
+            trial.robot.enable()
+            trial.board.wait_wheels(turning=True, timeout_s=5.0)
+            trial.leave()
+            trial.board.events()
+            fault_ns = time.monotonic_ns()
+        finally:
+            run.kill()
+    stopped = seen(trial, fault_ns)
+    assert stopped.stop_ns is not None
+    assert stopped.stop_ns < LATE_NS
+    assert stopped.motion_after == 0
+    stays(trial, "unload", run.pid)
+
+
+def test_a_constructor_of_a_program_may_open_a_handle_of_the_static_library(trial: Trial, tmp_path: Path) -> None:
+    source = tmp_path / "early.c"
+    source.write_text(
+        "#include <failstop.h>\n#include <stdio.h>\nstatic int opened;\nstatic fs_robot *robot;\n"
+        "__attribute__((constructor)) static void early(void) "
+        f'{{ opened = fs_open(&robot, "{trial.name}", "early"); }}\n'
+        'int main(void) { printf("%d\\n", opened); fs_close(robot); return 0; }\n'
+    )
+    program = tmp_path / "early"
+    command = ("cc", f"-I{SOURCE}/include", "-pthread", "-o", program, source, library() / "libfailstop.a", "-lm")
+    subprocess.run(command, check=True)
+    done = subprocess.run((program,), capture_output=True, text=True, check=True)
+    assert done.stdout == f"{OK}\n"
+
+
+def test_a_service_whose_supervisor_has_just_died_is_not_connected_to(fresh: Trial, driver: Driver) -> None:
+    """Its other processes have the pipes open until they have ended."""
+    fresh.leave()
+    others = [pid for name, pid in fresh.service.pids().items() if name != layout.SUPERVISOR]
+    for pid in others:
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        fresh.service.kill()
+        driver.do(f"open {fresh.name} 0")
+        assert driver.do("connect") == NO_SERVICE
+        assert "is going away: try again" in driver.text("error")
+    finally:
+        for pid in others:
+            os.kill(pid, signal.SIGCONT)
+    fresh.service.start()
+    wait_for("a connection to the next run", lambda: driver.do("connect") == OK)
+
+
+def test_an_error_of_an_earlier_connection_is_not_told_again(fresh: Trial, driver: Driver) -> None:
+    fresh.leave()
+    fresh.service.end()
+    assert driver.do(f"open {fresh.name} 0") == NO_SERVICE
+    assert "no service named" in driver.text("error")
+    fresh.service.start()
+    assert driver.do("connect") == OK
+    assert driver.text("error") == ""
+    fresh.service.end()
+    assert driver.do("drive 0 0 0") == NO_SERVICE
+    assert "the service has gone" in driver.text("error")
+
+
+def test_a_slot_that_is_truncated_under_a_program_does_not_kill_it(fresh: Trial, driver: Driver) -> None:
+    trial = fresh
+    driver.connect(trial.name)
+    set_off(trial, driver)
+    slot = next(index for index in range(layout.CLIENT_SLOTS) if holds(trial, driver, index))
+    os.truncate(segments.path_of(client.run(trial.name)[0], f"client.{slot}"), 0)
+    assert driver.do("for 0.3 0.2") == OK
+    assert driver.state()["result"] == OK
+    trial.leave()
+    trial.board.events()
+    fault_ns = time.monotonic_ns()
+    os.kill(driver.pid, signal.SIGKILL)
+    trial.board.wait_wheels(turning=False, timeout_s=5.0)
+    assert judge(trial.board.events(), fault_ns, was_turning=True).motion_after == 0
+
+
+def holds(trial: Trial, driver: Driver, slot: int) -> bool:
+    path = segments.path_of(client.run(trial.name)[0], f"client.{slot}")
+    return any(os.path.realpath(f"/proc/{driver.pid}/fd/{fd}") == path for fd in os.listdir(f"/proc/{driver.pid}/fd"))
+
+
+def test_a_record_that_is_longer_than_its_place_is_damage(fresh: Trial, driver: Driver) -> None:
+    memory, _ = client.run(fresh.name)
+    spec = layout.SEGMENT_BY_NAME[layout.SUPERVISOR]
+    record, at = spec.records["rules"], spec.offsets["rules"]
+    size = cell.cell_bytes(record.capacity)
+    longest = size - cell.CELL_HEADER_BYTES
+    assert longest > record.capacity, "the cell has room for it"
+    seed = cell.seed("supervisor.rules", int(memory.rpartition(".")[2], 16))
+    with open(segments.path_of(memory, layout.SUPERVISOR), "r+b") as file:
+        file.seek(at)
+        both = file.read(2 * size)
+        known = max(filter(None, (cell.check(both[:size], seed), cell.check(both[size:], seed))))
+        number = known[0] + 1
+        file.seek(at + number % 2 * size)
+        file.write(cell.build(number, known[1], known[2].ljust(longest, b"\0"), seed, longest))
+    assert driver.do(f"open {fresh.name} 0") == DAMAGED
+    assert driver.do("stop it") == OK
+
+
+@pytest.mark.parametrize("size", [0, 8, 65537, -1])
+def test_a_state_without_its_size_is_refused(trial: Trial, driver: Driver, size: int) -> None:
+    driver.connect(trial.name)
+    assert driver.do(f"state-of {size}") == INVALID
+    assert driver.do("state-of 4096") == OK
