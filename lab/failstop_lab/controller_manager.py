@@ -55,7 +55,7 @@ def compiled(release: str) -> Path:
 
 
 def _is_source(path: Path) -> bool:
-    return path.suffix in (".c", ".h", ".cpp", ".hpp") or path.name == "Makefile"
+    return path.suffix in (".c", ".h", ".cpp", ".hpp", ".map") or path.name == "Makefile"
 
 
 def _compile(release: str, folder: Path) -> None:
@@ -136,10 +136,10 @@ class Manager:
         except TrialError as error:
             raise TrialError(f"{error}; a controller manager said {self.said} and logged\n{self.logged}") from None
 
-    def claim(self) -> None:
-        """A controller takes all command interfaces."""
+    def claim(self, *names: str) -> None:
+        """A controller takes these command interfaces, or all."""
         claimed = self.said.count("claim")
-        self.send("claim")
+        self.send(" ".join(("claim", *names)))
         self.until("claim", claimed + 1)
 
     def set(self, values: Mapping[str, float]) -> None:

@@ -181,6 +181,7 @@ bool System::look_for_service()
 {
   const auto until = std::chrono::steady_clock::now() + std::chrono::duration<double>(wait_s_);
   bool waited = false;
+  close();
   for (;;) {
     const failstop::Result found = robot_.open(or_null(service_), info_.name.c_str());
     if (found) {
@@ -277,7 +278,7 @@ CallbackReturn System::on_shutdown(const rclcpp_lifecycle::State &)
 
 CallbackReturn System::on_error(const rclcpp_lifecycle::State &)
 {
-  // The handle stays open, because closing it would take the request back. The next on_configure() closes it.
+  // The handle stays open: closing it would take back a request that the service has not heard yet.
   disable(0.0);
   return CallbackReturn::SUCCESS;
 }
@@ -286,6 +287,14 @@ void System::leave()
 {
   if (active_) {
     disable(FS_DEFAULT_TIMEOUT);
+  }
+  close();
+}
+
+void System::close()
+{
+  if (std::exchange(unanswered_, false)) {
+    ask_to_disable(FS_DEFAULT_TIMEOUT);
   }
   robot_.close();
 }
@@ -297,10 +306,18 @@ void System::disable(double timeout_s)
   }
   // The zero first: it needs no answer.
   drive({});
-  if (!failstop::Result(robot_.disable(timeout_s))) {
+  ask_to_disable(timeout_s);
+  unanswered_ = timeout_s == 0.0;
+  reporter_.stop();
+}
+
+void System::ask_to_disable(double timeout_s)
+{
+  const failstop::Result result = robot_.disable(timeout_s);
+  // A service that has ended has stopped the wheels itself, and a stop now would latch its successor.
+  if (!result && result != FS_NO_SERVICE) {
     robot_.stop("ros2_control was deactivated, and motion could not be disabled");
   }
-  reporter_.stop();
 }
 
 return_type System::perform_command_mode_switch(

@@ -89,12 +89,16 @@ private:
   void collect();
   int drive(const Command & command);
   void disable(double timeout_s);
+  void ask_to_disable(double timeout_s);
+  void close();
   void leave();
 
   rclcpp::Logger logger_;
   failstop::Robot robot_;
   Reporter reporter_;
   bool active_ = false;
+  /// on_error() has asked for motion to be disabled, and did not wait for the answer.
+  bool unanswered_ = false;
 
   std::string service_, source_, interlock_;
   double wait_s_ = 10.0;

@@ -91,17 +91,21 @@ bool combine(
   std::array<double, MOST_WHEELS> counts{};
   double angles = 0.0;
   double steering = 0.0;
-  bool any = false;
+  bool any = false, steers = false;
   for (std::size_t at = 0; at < joints.size(); ++at) {
     const Joint & joint = joints[at];
     if (!joint.commanded) {
       continue;
     }
-    const double value = claimed[at] ? values[at] : 0.0;
+    steers = steers || joint.part != Part::WHEEL;
+    if (!claimed[at]) {
+      continue;
+    }
+    const double value = values[at];
     if (!std::isfinite(value)) {
       return false;
     }
-    any = any || claimed[at];
+    any = true;
     if (joint.part == Part::WHEEL) {
       sums[joint.number] += value;
       counts[joint.number] += 1.0;
@@ -113,7 +117,7 @@ bool combine(
   for (std::size_t number = 0; number < MOST_WHEELS; ++number) {
     command.radps[number] = counts[number] > 0.0 ? sums[number] / counts[number] : 0.0;
   }
-  command.steering_rad = steering > 0.0 ? angles / steering : NONE;
+  command.steering_rad = steering > 0.0 ? angles / steering : steers ? 0.0 : NONE;
   return any;
 }
 

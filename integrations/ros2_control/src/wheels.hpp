@@ -63,9 +63,9 @@ struct Command
   bool is_zero() const;
 };
 
-/// What the joints' commands (rad/s, or rad for steering) tell the wheels. Several joints of one wheel count by their
-/// mean. A joint that no controller has claimed counts as zero. Returns false if a claimed one is not finite, or if
-/// none is claimed: then nobody commands.
+/// What the joints' commands (rad/s, or rad for steering) tell the wheels. Several claimed joints of one wheel count by
+/// their mean. A wheel of which no controller has claimed a joint stands still, and an axle that nobody steers points
+/// straight ahead. Returns false if a claimed joint's command is not finite, or if none is claimed: then nobody commands.
 bool combine(
   const std::vector<Joint> & joints, const std::vector<double> & values, const std::vector<bool> & claimed,
   double ratio, Command & command);

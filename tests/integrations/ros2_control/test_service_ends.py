@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,27 @@ def test_the_service_is_started_again(release: str, tmp_path: Path) -> None:
             trial.service.start()
             manager.send("to configure", "to activate")
             manager.until("state active", 2)
+            assert not trial.turning()
+            drive(manager, trial)
+
+
+@pytest.mark.parametrize("release", ["humble", "lyrical"])
+def test_a_service_that_was_started_again_meanwhile_is_not_latched(release: str, tmp_path: Path) -> None:
+    """The motion of the run that has ended is over, and the stop would be the next run's."""
+    name = f"ros2-meanwhile-{os.getpid()}"
+    with Trial(name, settings(tmp_path, "arduino"), imu_hz=20.0, kind="arduino") as trial:
+        (tmp_path / "manager").mkdir()
+        with managed(release, urdf("diff", service=name), tmp_path / "manager") as manager:
+            drive(manager, trial)
+            trial.leave()
+            manager.signal(signal.SIGSTOP)
+            trial.service.end()
+            trial.service.start()
+            manager.signal(signal.SIGCONT)
+            manager.until("on_error SUCCESS")
+            manager.tell("to configure", "to activate")
+            manager.until("state active", 2)
+            assert trial.robot.state.estop is None
             assert not trial.turning()
             drive(manager, trial)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.policy import causes
 from failstop_lab.controller_manager import Manager
 from failstop_lab.trial import Trial
 from tests.support.waiting import until
@@ -120,3 +121,64 @@ def test_two_joints_may_drive_one_wheel(trial: Trial, tmp_path: Path) -> None:
         until(lambda: trial.robot.state.wheels_radps.left == pytest.approx(1.5, abs=0.01), "the mean")
         assert trial.robot.state.wheels_radps.right == pytest.approx(2.0, abs=0.01)
         turns(manager, trial)
+        # A joint that nobody has claimed does not slow down its wheel.
+        manager.tell("unclaim left_rear_joint/velocity")
+        until(lambda: trial.robot.state.wheels_radps.left == pytest.approx(2.0, abs=0.01), "the claimed joint alone")
+        # Nor does one that is no number turn the other wheels.
+        manager.set({"left_wheel_joint/velocity": math.nan})
+        trial.board.wait_wheels(turning=False, timeout_s=5.0)
+
+
+def test_a_wheel_that_no_controller_has_claimed_stands_still(manager: Manager, trial: Trial) -> None:
+    manager.until("state active")
+    right = "right_wheel_joint/velocity"
+    manager.claim(right)
+    manager.set({right: 0.0, "left_wheel_joint/velocity": 3.0})
+    manager.turn(2)
+    trial.enable()
+    manager.set({right: 2.0})
+    until(lambda: trial.robot.state.wheels_radps.right == pytest.approx(2.0, abs=0.01), "the claimed wheel")
+    assert trial.robot.state.wheels_radps.left == pytest.approx(0.0, abs=0.01)
+    # In the place of it, another controller takes the other wheel.
+    manager.tell(f"unclaim {right}")
+    manager.claim("left_wheel_joint/velocity")
+    manager.set({"left_wheel_joint/velocity": -2.0})
+    until(lambda: trial.robot.state.wheels_radps.left == pytest.approx(-2.0, abs=0.01), "the other wheel")
+    assert trial.robot.state.wheels_radps.right == pytest.approx(0.0, abs=0.01)
+
+
+def test_what_a_controller_sees_of_an_emergency_stop(trial: Trial, tmp_path: Path) -> None:
+    """It goes on commanding all the while."""
+    text = urdf("diff", service=trial.name)
+    more = "".join(f'<state_interface name="{name}"/>' for name in ("cause", "moving", "ready", "link"))
+    text = text.replace('<state_interface name="latched"/>', f'<state_interface name="latched"/>{more}')
+    with managed("lyrical", text, tmp_path) as manager:
+        drive(manager, trial)
+        until(lambda: manager.values()["failstop/moving"] == 1.0, "the motion in a state interface")
+        driven = manager.values()
+        assert (driven["failstop/enabled"], driven["failstop/latched"], driven["failstop/blocked"]) == (1.0, 0.0, 0.0)
+        assert (driven["failstop/cause"], driven["failstop/link"]) == (0.0, 1.0)
+        trial.robot.estop("a hand near the wheel")
+        trial.board.wait_wheels(turning=False, timeout_s=5.0)
+        until(lambda: manager.values()["failstop/latched"] == 1.0, "the latch in a state interface")
+        latched = manager.values()
+        assert (latched["failstop/enabled"], latched["failstop/moving"], latched["failstop/blocked"]) == (0.0, 0.0, 1.0)
+        assert latched["failstop/cause"] == causes.REQUESTED.number
+        until(lambda: manager.values()["left_wheel_joint/velocity"] == 0.0, "wheels that are reported at rest")
+        until(lambda: "a hand near the wheel" in manager.logged, "the cause in the log")
+        rests = manager.values()["left_wheel_joint/position"]
+        assert rests >= driven["left_wheel_joint/position"]
+        until(trial.reset, "the reset")
+        trial.board.events()
+        trial.robot.enable()
+        # The controller has commanded since before: nothing moves until it commands zero.
+        until(lambda: manager.values()["failstop/blocked"] == 3.0, "the held command in a state interface")
+        manager.turn(5)
+        assert not any(event.is_motion for event in trial.board.events())
+        until(lambda: "let it command zero" in manager.logged, "what to do in the log")
+        assert manager.values()["left_wheel_joint/position"] == pytest.approx(rests, abs=0.2)
+        manager.set({f"{name}/velocity": 0.0 for name in manager.joints})
+        manager.turn(2)
+        manager.set({f"{name}/velocity": 3.0 for name in manager.joints})
+        turns(manager, trial)
+        until(lambda: manager.values()["failstop/blocked"] == 0.0, "the motion in a state interface")

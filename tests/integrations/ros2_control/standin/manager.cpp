@@ -1,7 +1,7 @@
 // Stand-in for a controller manager: it loads the plugin, takes it through its lifecycle and calls read() and write() in a
 // loop, as ros2_control does by release. The hardware's description comes as lines on stdin up to `end`, then commands:
 //
-//   claim, unclaim            a controller takes the command interfaces, or leaves them after setting 0.0
+//   claim, unclaim [NAME ...] a controller takes all command interfaces or these, or leaves them after setting 0.0
 //   set JOINT VALUE           the controller's command, from the next turn on
 //   to STATE                  configure, activate, deactivate, cleanup or shutdown
 //   values                    at the end of a turn, print the number of turns and every state interface
@@ -13,6 +13,7 @@
 
 #include <dlfcn.h>
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <csignal>
@@ -137,16 +138,16 @@ public:
     }
   }
 
-  void claim(bool start)
+  void claim(bool start, const std::vector<std::string> & given)
   {
-    const std::vector<std::string> none;
+    const std::vector<std::string> none, & names = given.empty() ? command_names_ : given;
     if (!start) {
-      for (const auto & name : command_names_) {
+      for (const auto & name : names) {
         set(name, 0.0);  // as halt() of diff_drive_controller
       }
     }
-    system_->prepare_command_mode_switch(start ? command_names_ : none, start ? none : command_names_);
-    system_->perform_command_mode_switch(start ? command_names_ : none, start ? none : command_names_);
+    system_->prepare_command_mode_switch(start ? names : none, start ? none : names);
+    system_->perform_command_mode_switch(start ? names : none, start ? none : names);
   }
 
   void set(const std::string & name, double value)
@@ -318,10 +319,15 @@ int main(int count, char ** arguments)
         value = std::strtod(line.c_str(), nullptr);
         wanted[name] = value;
       } else if (verb == "claim" || verb == "unclaim") {
-        if (verb == "unclaim") {
-          wanted.clear();
+        std::vector<std::string> names;
+        while (words >> name) {
+          names.push_back(name);
         }
-        component.claim(verb == "claim");
+        for (auto each = wanted.begin(); verb == "unclaim" && each != wanted.end();) {
+          const bool left = names.empty() || std::find(names.begin(), names.end(), each->first) != names.end();
+          each = left ? wanted.erase(each) : std::next(each);
+        }
+        component.claim(verb == "claim", names);
         say(verb);
       } else if (verb == "to") {
         words >> name;
