@@ -9,7 +9,7 @@
  * angles are counter-clockwise.
  *
  * Real-time: a function marked **real-time** makes no memory, takes no lock that another thread may hold for long, logs
- * nothing and never waits for the service. It makes a few short system calls.
+ * nothing and never waits for the service. It makes a few short system calls, and needs up to 12 KB of stack.
  *
  * Threads: unless a function says otherwise, any thread may call it at any time. fs_connect() and fs_close() are the
  * exceptions: while one of them runs, no other thread may use the same handle, except for fs_stop() during

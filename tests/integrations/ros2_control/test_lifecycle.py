@@ -31,7 +31,7 @@ STEPS = {
 }
 """What each does, by state. `fail`: read() fails, which is called of a configured hardware alone."""
 BACK = {"unconfigured": ("to configure", "to activate"), "inactive": ("to activate",)}
-ORDERS = [order for length in range(1, amount(3, 5)) for order in itertools.product(STEPS, repeat=length)]
+ORDERS = [order for length in range(1, amount(4, 6)) for order in itertools.product(STEPS, repeat=length)]
 
 
 def after(state: str, step: str) -> str:

@@ -179,10 +179,25 @@ def test_a_latched_stop_is_an_error_where_the_urdf_says_so(trial: Trial, tmp_pat
         trial.board.wait_wheels(turning=False, timeout_s=5.0)
 
 
-def test_a_command_that_is_no_number_stops_the_wheels_and_latches_nothing(manager: Manager, trial: Trial) -> None:
+def test_a_controller_whose_topic_fell_silent_stops_the_wheels_and_drives_on(manager: Manager, trial: Trial) -> None:
+    """It commands zero after its own timeout, and the next speed when the topic is back."""
     drive(manager, trial)
     mark = trial.service.written()
-    manager.set({f"{manager.joints[0]}/velocity": float("nan")})
+    manager.set({f"{name}/velocity": 0.0 for name in manager.joints})
+    trial.board.wait_wheels(turning=False, timeout_s=5.0)
+    assert SILENT not in trial.service.said(mark)
+    assert trial.robot.state.enabled
+    manager.set({f"{name}/velocity": 3.0 for name in manager.joints})
+    turns(manager, trial)
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+def test_a_command_that_is_no_number_stops_the_wheels_and_latches_nothing(
+    manager: Manager, trial: Trial, value: str
+) -> None:
+    drive(manager, trial)
+    mark = trial.service.written()
+    manager.set({f"{manager.joints[0]}/velocity": float(value)})
     trial.board.wait_wheels(turning=False, timeout_s=5.0)
     assert SILENT not in trial.service.said(mark), "it commanded zero, and did not leave it to the timeout"
     assert trial.robot.state.estop is None
