@@ -51,7 +51,7 @@ class CClient:
         )
         self.pid = self._process.pid
         self._starts: tuple[str, ...] = (f"open {name} 0", "connect", f"clock /proc/{os.getpid()}/fd/{fd}")
-        self.tell(*self._starts)
+        self.send(*self._starts)
 
     def __enter__(self) -> CClient:
         return self
@@ -62,7 +62,7 @@ class CClient:
         self._clock.close()
         os.close(self._fd)
 
-    def tell(self, *lines: str) -> None:
+    def send(self, *lines: str) -> None:
         assert self._process.stdin
         self._process.stdin.write("".join(f"{line}\n" for line in lines))
         self._process.stdin.flush()
@@ -77,7 +77,7 @@ class CClient:
         return self._process.stdout.readline().strip()
 
     def ask(self, line: str) -> str:
-        self.tell(line)
+        self.send(line)
         return self.answer()
 
     def drive_once(self) -> int:
@@ -91,7 +91,7 @@ def killed(trial: Trial, client: CClient, following: CClient, chance: random.Ran
     # The gate hears this zero before it grants the enable, so that nothing is held.
     client.ask("drive 0 0 0")
     trial.enable()
-    client.tell(f"for -1 {SPEED_MPS}")
+    client.send(f"for -1 {SPEED_MPS}")
     trial.board.wait_wheels(turning=True, timeout_s=5.0)
     time.sleep(chance.uniform(0.0, 0.04))
     trial.board.events()

@@ -54,7 +54,7 @@ def taken(manager: Manager, trial: Trial, order: tuple[str, ...]) -> str:
     for step in order:
         state = after(state, step)
         before = manager.said.count(f"state {state}")
-        manager.tell(step)
+        manager.send(step)
         manager.until(f"state {state}", before + 1)
         trial.robot.wait_for("disabled", 5.0)
         trial.board.wait_wheels(turning=False, timeout_s=5.0)
@@ -82,7 +82,7 @@ def test_nothing_moves_in_any_order(release: str, trial: Trial, tmp_path: Path) 
                 manager = None
                 continue
             again = manager.said.count("state active")
-            manager.tell(*BACK.get(state, ()))
+            manager.send(*BACK.get(state, ()))
             manager.until("state active", again + (state != "active"))
     finally:
         if manager is not None:
@@ -101,9 +101,9 @@ def test_an_error_disables_though_the_hardware_is_closed_before_the_gate_has_hea
             gate = trial.service.pids()["gate"]
             os.kill(gate, signal.SIGSTOP)
             try:
-                manager.tell("fail")
+                manager.send("fail")
                 manager.until("on_error SUCCESS")
-                manager.tell("to shutdown")
+                manager.send("to shutdown")
                 time.sleep(2 / HZ)  # long enough for a close that waits for nothing
             finally:
                 os.kill(gate, signal.SIGCONT)

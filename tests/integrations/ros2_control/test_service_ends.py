@@ -48,7 +48,7 @@ def test_a_service_that_was_started_again_meanwhile_is_not_latched(release: str,
             trial.service.start()
             manager.signal(signal.SIGCONT)
             manager.until("on_error SUCCESS")
-            manager.tell("to configure", "to activate")
+            manager.send("to configure", "to activate")
             manager.until("state active", 2)
             assert trial.robot.state.estop is None
             assert not trial.turning()

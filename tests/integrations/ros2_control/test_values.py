@@ -122,7 +122,7 @@ def test_two_joints_may_drive_one_wheel(trial: Trial, tmp_path: Path) -> None:
         assert trial.robot.state.wheels_radps.right == pytest.approx(2.0, abs=0.01)
         turns(manager, trial)
         # A joint that nobody has claimed does not slow down its wheel.
-        manager.tell("unclaim left_rear_joint/velocity")
+        manager.send("unclaim left_rear_joint/velocity")
         until(lambda: trial.robot.state.wheels_radps.left == pytest.approx(2.0, abs=0.01), "the claimed joint alone")
         # Nor does one that is no number turn the other wheels.
         manager.set({"left_wheel_joint/velocity": math.nan})
@@ -140,7 +140,7 @@ def test_a_wheel_that_no_controller_has_claimed_stands_still(manager: Manager, t
     until(lambda: trial.robot.state.wheels_radps.right == pytest.approx(2.0, abs=0.01), "the claimed wheel")
     assert trial.robot.state.wheels_radps.left == pytest.approx(0.0, abs=0.01)
     # In the place of it, another controller takes the other wheel.
-    manager.tell(f"unclaim {right}")
+    manager.send(f"unclaim {right}")
     manager.claim("left_wheel_joint/velocity")
     manager.set({"left_wheel_joint/velocity": -2.0})
     until(lambda: trial.robot.state.wheels_radps.left == pytest.approx(-2.0, abs=0.01), "the other wheel")
