@@ -174,8 +174,8 @@ def latency(trial: Trial, samples: int, seed: int) -> list[stats.Row]:
 def main() -> int:
     """Measure; exit code 1 when a bar is missed."""
     parser = argparse.ArgumentParser(prog="python -m bench.c_client", description=__doc__)
-    parser.add_argument("--kills", type=int, default=700, help=f"of a client of {SMALL_MB} MB (default: 700)")
-    parser.add_argument("--large-kills", type=int, default=300, help=f"of one of {LARGE_MB} MB (default: 300)")
+    parser.add_argument("--kills", type=int, default=800, help=f"of a client of {SMALL_MB} MB (default: 800)")
+    parser.add_argument("--large-kills", type=int, default=200, help=f"of one of {LARGE_MB} MB (default: 200)")
     parser.add_argument("--samples", type=int, default=300, help="of each latency (default: 300)")
     parser.add_argument("--seed", type=int, default=1, help="of the random moments")
     parser.add_argument("--out", help="a file for the numbers as JSON")
