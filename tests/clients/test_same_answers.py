@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from failstop import Blocked, Driving, Preempted, Refused, Robot
@@ -130,6 +130,10 @@ def lasting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
     values = {f"sources.{FIRST_SOURCE}.timeout_s": 2.0, "scan.timeout_s": 2.0, status.LEASE: status.LEASE_WITHOUT_S}
     write_settings(str(path), values)
     with Trial(f"same-{os.getpid()}", ("--config", str(path)), imu_hz=IMU_HZ) as running:
+        # So that there is an earlier stop: before the first, its number would be 0, which means that it is not known.
+        before = running.robot.state.epoch
+        running.robot.estop("the first")
+        latched(running, before)
         yield running
 
 
@@ -137,6 +141,7 @@ def lasting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
 def test_the_same_calls_have_the_same_answers(lasting: Trial, driver: Driver) -> None:
     @settings(max_examples=amount(12, 500), database=None)
     @given(st.lists(st.sampled_from(CALLS), min_size=1, max_size=7))
+    @example(["reset an earlier stop", "stop"])
     def tried(order: list[str]) -> None:
         found = []
         for made in (of_python, lambda of: of_c(of, driver)):
