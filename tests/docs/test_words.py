@@ -32,7 +32,7 @@ ROOMS = (
     "extras",
     "incidents",
     "instances",
-    "stopping",
+    "stop_tool",
     "policy",
     "procs",
     "supervisor",
