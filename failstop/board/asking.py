@@ -12,6 +12,7 @@ import time
 
 from failstop.board import port
 from failstop.board.interface import Board
+from failstop.board.kinds import facts_of
 from failstop.board.stop_port import StopPort
 from failstop.board.tap import Tap
 from failstop.data import Data
@@ -30,8 +31,8 @@ MORE_QUESTIONS = 2
 WIRES = "the board's power; its cable, whose TX and RX cross; the port, by device.path; the baud rate of its firmware"
 """For people: what to check if nothing is received."""
 
-SERVO_PLACES = "that servo's plug on the bus, its power and its id"
-"""For people: what is to be looked at where a servo does not answer."""
+SERVO_PLACES = "its plug on the bus, its power and its id"
+"""For people: what to check if a servo or a motor's controller does not answer."""
 
 ADAPTERS = {
     "0403:6001": "FT232",
@@ -125,12 +126,16 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
 
 def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
     """Ask a board twice, and again if bytes come that answer nothing. Returns after how many ms it answered, or None.
-    `stop`: write the stop first. Raises OSError when the device is gone."""
-    if stop:
-        StopPort(tap.fd, board).burst()
+    `stop`: write the stop first. Raises OSError when the device is gone.
+
+    Before another question the stop goes out once more: its bytes complete what the receiver may have taken another
+    board's bytes for, a packet of some length."""
+    stops = StopPort(tap.fd, board)
     for turn in range(QUESTIONS + MORE_QUESTIONS):
         if turn >= QUESTIONS and (tap.missing or not tap.size):
             break
+        if stop or turn:
+            stops.burst()
         time.sleep((len(board.burst) * board.port.byte_ns + board.idle_ns) / 1e9)
         if (answered_ms := heard_ms(tap, board)) is not None:
             return answered_ms
@@ -147,7 +152,9 @@ def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, s
     and what helps."""
     last, deaf_ns = heard[-1], board.port.deaf_ns
     if last.missing:
-        which = " and ".join(f"servo {servo}" for servo in last.missing)
+        facts = facts_of(last.kind)
+        motors = facts.motors if facts else {}
+        which = " and ".join(motors.get(servo, f"servo {servo}") for servo in last.missing)
         it = f"it is {last.kind}" if last.kind == kind else f"it is {last.kind}, and board.kind is {kind}"
         return False, f"{it}; {which} does not answer while others do", SERVO_PLACES
     if last.known and last.kind != kind:

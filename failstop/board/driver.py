@@ -59,6 +59,9 @@ class DriverMotion(Data):
     speeds: Sequence[float]
     refused: bool = False
     """True for a stop in place of something that was refused. A driver that dies after it has not let go."""
+    steering_rad: float | None = None
+    """The angle of the steered wheels, positive to the left; None if the base is not steered, or its wheels' speeds say
+    how it turns."""
 
 
 class DriverAnswer(Data):

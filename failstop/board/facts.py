@@ -9,6 +9,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 
+USUAL_CAN_ID = 1
+"""The default of the setting board.can_id."""
+
+
 class ArmFacts(Data):
     """The servos of an arm on that board."""
 
@@ -45,7 +49,16 @@ class Facts(Data):
     """The board has an IMU."""
     arm: ArmFacts | None = None
     """None if the board has no servos for an arm."""
-    steers: bool = False
-    """The board can turn the servo of a steered base."""
+    steers: Mapping[str, tuple[int, int, int]] = {}
+    """The kinds of servos that can steer a base on it, each with its least and most pulses and its highest id; empty if
+    none can."""
+    steered: int = 0
+    """How many speeds a frame sets on a steered base; 0: as many as on any other."""
+    steered_defaults: Mapping[str, float] = {}
+    """The same as `defaults`, of a steered base."""
+    can: bool = False
+    """Its second motor is behind a CAN, and the setting board.can_id says under which id."""
+    motors: Mapping[int, str] = {}
+    """Names of the motors whose controllers answer for themselves, by the ids in reports about them (wire.Health)."""
     defaults: Mapping[str, float] = {}
     """Defaults of settings, by key, that differ from the usual ones."""

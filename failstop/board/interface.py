@@ -151,6 +151,21 @@ class ServoBus:
         raise NotImplementedError
 
 
+class SteeringFrames:
+    """The frames that turn the servo of a steered base. Steering is motion: its frame follows the one for the wheels in
+    the same write, and is admitted and refused with it. A stop has no such frame, so the angle stays as it is."""
+
+    __slots__ = ()
+
+    def frame(self, angle_rad: float) -> bytes:
+        """The frame for this angle, positive to the left. Raises FrameError."""
+        raise NotImplementedError
+
+    def check(self, frame: bytes) -> str:
+        """Why these bytes must not be written to steer; "" if they may. Never raises on bytes."""
+        raise NotImplementedError
+
+
 class Board:
     """The board's language as failstop uses it: constants and pure functions."""
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from math import isclose
 
+from failstop.board.facts import USUAL_CAN_ID
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from failstop.board.described import Described
@@ -12,7 +14,7 @@ if TYPE_CHECKING:
     from failstop.board.interface import Board
     from failstop.board.wire import Wire
 
-KINDS = ("arduino", "feetech", "hoverboard", "ugv")
+KINDS = ("arduino", "feetech", "hoverboard", "ugv", "vesc")
 """The boards in failstop/board that a Wire describes."""
 ALL_KINDS = ("rrc", *KINDS)
 """All boards of this room, the usual one first."""
@@ -39,17 +41,19 @@ def facts_of(kind: str) -> Facts | None:
     return facts
 
 
-def wire_of(kind: str, *, tried: bool = False) -> Wire:
+def wire_of(kind: str, *, tried: bool = False, steered: bool = False, can_id: int = USUAL_CAN_ID) -> Wire:
     """The description of one of KINDS, or of your own board. `tried`: it was loaded before this process was started, so
-    no child process tries it first (own.py). Imports nothing of other boards. Raises ValueError."""
+    no child process tries it first (own.py); `steered`: that of a steered base, `can_id`: of the second motor, where a
+    board has several descriptions. Imports nothing of other boards. Raises ValueError."""
     if is_own(kind):
         from failstop.board import own
 
         return own.wire(kind, tried=tried)
     if kind not in KINDS:
         raise ValueError(f"no board {kind!r}: it must be one of {', '.join(KINDS)}")
-    wire: Wire = __import__(f"failstop.board.{kind}.wire", fromlist=["WIRE"]).WIRE
-    return wire
+    module = __import__(f"failstop.board.{kind}.wire", fromlist=["WIRE"])
+    made: Wire = module.wire(() if steered else (can_id,)) if hasattr(module, "wire") else module.WIRE
+    return made
 
 
 def watchdog_of(kind: str) -> tuple[float, str]:
@@ -68,18 +72,24 @@ def board_of(
     steering: SteeringServo | None = None,
     confirmed_per_rps: float = 0.0,
     baud: int = 0,
+    can_id: int = USUAL_CAN_ID,
     *,
     tried: bool = False,
 ) -> Board:
     """The board of the setting board.kind. `per_rps`: a wheel's speed of one turn a second in its own unit; 0: as such
     boards usually have it; `steering`: the servo of a steered base, None: there is none; `confirmed_per_rps`: the
     `per_rps` that a turn of a wheel has confirmed, 0: none; `baud`: that its firmware is built with, 0: as usual;
-    `tried`: as for wire_of(). Nothing of another board is imported. Raises OwnBoardError, a ValueError."""
+    `can_id`: of the second motor, if it is on a CAN; `tried`: as for wire_of(). Nothing of another board is imported.
+    Raises OwnBoardError, a ValueError."""
     if is_described(kind):
         from failstop.board.described import Described
 
-        wire = wire_of(kind, tried=tried)
+        wire = wire_of(kind, tried=tried, steered=steering is not None, can_id=can_id)
         made = Described(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m, baud)
+        if steering and wire.steering:
+            from failstop.board.steered import SteeredBoard
+
+            made = SteeredBoard(wire, made.per_rps, diameter_m, baud, wire.steering(steering))
         made.scale_assumed = _assumed(wire, made, diameter_m, confirmed_per_rps)
         return made
     board: Board = __import__(f"failstop.board.{kind}.board", fromlist=["board"]).board(diameter_m, per_rps, steering)

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from failstop.board.driver import DriverLanguage
-    from failstop.board.interface import ServoBus
+    from failstop.board.facts import SteeringServo
+    from failstop.board.interface import ServoBus, SteeringFrames
 
 VOCABULARY = 1
 """The number of this vocabulary. It is raised when a description that was valid would be refused, or mean something
@@ -119,7 +120,7 @@ class Motion(Data):
     """How speeds become motion, in the board's own unit."""
 
     wheels: int
-    """How many speeds a frame has: two (left and right), three or four."""
+    """How many speeds a frame has: one (of a steered base), two (left and right), three or four."""
     unit: str
     limit: float
     """The largest speed that the board takes."""
@@ -295,6 +296,8 @@ class Wire(Data):
     """None: reported speeds are in the unit of its motion, and positions only show rest."""
     arm: Callable[[Port], ServoBus] | None = None
     """Makes the part that talks to an arm's servos on this port. None if the board has no arm."""
+    steering: Callable[[SteeringServo], SteeringFrames] | None = None
+    """Makes the frames that turn the servo of a steered base. None if the board can turn none."""
     aux: Callable[[bytes], str] | None = None
     """(frame): why a frame that is neither motion nor a stop nor a question must not be written; "" if it may. It must
     move nothing, whole or cut off, and keep the board from its next frame for 30 ms at most. None: no such frame is

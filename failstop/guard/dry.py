@@ -49,7 +49,7 @@ class Nothing:
 
     def command(self, command: Command) -> str:
         """Print a motion, the first time."""
-        asked = self.scale.velocity(command.speeds)
+        asked = self.scale.velocity(command.speeds, command.steering_rad)
         if command.speeds not in self._shown and len(self._shown) < MOST_SHOWN:
             self._shown.add(command.speeds)
             speeds = " ".join(f"{speed:g}" for speed in command.speeds)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import copysign
 
-from failstop.policy.kinematics import from_settings
+from failstop.policy.kinematics import Steered, from_settings
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -35,10 +35,14 @@ class Scale:
         self._limits = [settings[key] for key, *_ in AXES]
         self._per_rps, self._nudge_rps = per_rps, step_rps * _NUDGE
 
-    def velocity(self, speeds: Sequence[float]) -> Velocity:
-        """The velocity of the base whose wheels turn so, by wire id in the unit of the board's motion."""
+    def velocity(self, speeds: Sequence[float], steering_rad: float | None = None) -> Velocity:
+        """The velocity of the base whose wheels turn so, by wire id in the unit of the board's motion; `steering_rad`:
+        the angle of the steered wheels, None if the wheels' speeds give the turn."""
         rps = [speed / self._per_rps + copysign(self._nudge_rps, speed) if speed else 0.0 for speed in speeds]
-        return self._chassis.velocity(rps)
+        vx, vy, wz = self._chassis.velocity(rps)
+        if steering_rad is not None and isinstance(self._chassis, Steered):
+            wz = self._chassis.turn_radps(vx, steering_rad)
+        return vx, vy, wz
 
     def beyond(self, velocity: Velocity) -> str:
         """What a velocity asks for beyond the settings' limits, in words; empty: nothing."""

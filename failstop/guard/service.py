@@ -102,7 +102,7 @@ class Service:
         """Hand it over; returns what it asks for beyond the limits, in words."""
         if self._client is None:
             return ""
-        velocity = self.scale.velocity(command.speeds)
+        velocity = self.scale.velocity(command.speeds, command.steering_rad)
         try:
             self._client.command(*velocity, manual=False, source=self.source, t_ns=command.t_ns)
         except NoService:

@@ -37,6 +37,7 @@ class Command(Data):
 
     speeds: tuple[float, ...]
     t_ns: int
+    steering_rad: float | None = None
 
     @property
     def moves(self) -> bool:
@@ -55,6 +56,7 @@ class Talk:
         self.timeout_ns, self._source_ns = timeout_ns, source_ns
         self._renew_ns = min(RENEW_NS, source_ns // 3)
         self._speeds: tuple[float, ...] | None = None
+        self._steering_rad: float | None = None
         self._lets_go = True
         """Its newest motion of its own was zero, or it has written none. The stop after a refusal is not its own."""
         self._written_ns = 0
@@ -94,6 +96,7 @@ class Talk:
                 self._frames[row.kind] = row.data
         if motions:
             self._move(motions[-1].speeds, since_ns)
+            self._steering_rad = motions[-1].steering_rad
             self._lets_go = self._let_go_by(motions)
         late = now_ns - since_ns > self._language.patience_ns
         return answers[-1:] if late else answers
@@ -147,7 +150,7 @@ class Talk:
             if t_ns <= sent_ns or early or now_ns - sent_ns > self._source_ns:
                 return None
         self._sent_ns = t_ns
-        return Command(self._speeds, t_ns)
+        return Command(self._speeds, t_ns, self._steering_rad)
 
     @property
     def _last_ns(self) -> int:

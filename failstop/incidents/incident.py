@@ -18,7 +18,8 @@ from failstop.messages import box, layout, records
 from failstop.policy import causes
 from failstop.policy.layouts import BOARDS, WHEEL_NAMES, wheel_ids
 from failstop.policy.processes import PROCESS_BY_NAME
-from failstop.policy.settings import BY_KEY
+from failstop.policy.setting import SettingError
+from failstop.policy.settings import BY_KEY, Settings
 
 if TYPE_CHECKING:
     from failstop.board.interface import Board
@@ -278,7 +279,11 @@ class Incident:
         kind = str(self.settings.get("board.kind", BY_KEY["board.kind"].default))
         if kind not in BOARDS:
             return None
-        return board_of(kind, self.number("wheels.diameter_m"), self.number("board.per_rps"))
+        lines = "\n".join(f"{key}={value}" for key, value in self.settings.items())
+        try:
+            return board_of(*Settings.from_lines(lines).board())
+        except (SettingError, ValueError):  # another version's settings
+            return board_of(kind, self.number("wheels.diameter_m"), self.number("board.per_rps"))
 
     def joint(self, servo: int) -> str:
         """The name that the settings give it."""

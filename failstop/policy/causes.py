@@ -314,8 +314,8 @@ RUNAWAY = Kind(
 )  # fmt: skip
 WHEEL_MISSING = Kind(
     52, "wheel_missing", "wheel lost: {wheel} does not answer", "telemetry",
-    "the {wheel} answered nothing while another wheel's servo did, so the robot would have turned without it",
-    "look at that servo's plug on the bus, its power and its id; if its wheel turns, use the POWER SWITCH",
+    "the {wheel} answered nothing while another wheel's did, so the robot would have turned without it",
+    "look at its plug on the bus, its power and its id; if its wheel turns, use the POWER SWITCH",
 )  # fmt: skip
 NOT_FINITE = Kind(
     13, "not_finite", "command from {who} is not finite", CLIENTS,

@@ -93,7 +93,8 @@ class Chassis:
 
 
 class Steered(Chassis):
-    """Two driven wheels at the rear, and a steered axle in front (Ackermann): it turns only while it drives."""
+    """One or two driven wheels at the rear, and a steered axle in front (Ackermann): it turns only while it drives. One
+    wheel stands for an axle with a differential gear."""
 
     __slots__ = ("_most_rad", "_rear", "_turns_most", "_wheelbase_m")
     steers = True
@@ -118,9 +119,14 @@ class Steered(Chassis):
         # For the smallest numbers, the quotient is rounded to a larger angle than the curve's.
         return *self._rear.wheels_rps(vx, vy, wz), copysign(min(angle, self._most_rad), vx * wz) if angle else 0.0
 
+    @property
+    def turns_unseen(self) -> bool:
+        """True if nothing but the commanded angle tells how it turns, because it has one driven wheel."""
+        return len(self._rear.rest) == 1
+
     def rolled(self) -> tuple[tuple[float, ...], ...]:
         """From the two rear wheels: the difference of their speeds gives the turn, whatever the steering angle is by
-        then."""
+        then. One wheel gives no turn."""
         return self._rear.rolled()
 
     def turn_radps(self, vx_mps: float, steering_rad: float) -> float:
@@ -179,7 +185,10 @@ def from_settings(settings: Settings) -> Chassis:
         rows = two_sides(len(mounted), settings["wheels.track_m"] / 2, FIXED)
     elif layout == ACKERMANN:
         rows = two_sides(len(mounted), settings["wheels.track_m"] / 2, FIXED)
-        rear = Chassis(AXES[layout], rows, settings["wheels.diameter_m"], mounted, settings.speeds)
+        axes = AXES[layout]
+        if len(mounted) == 1:
+            rows, axes = [(1.0, 0.0, 0.0)], (1.0, 0.0, 0.0)
+        rear = Chassis(axes, rows, settings["wheels.diameter_m"], mounted, settings.speeds)
         return Steered(rear, settings["wheels.wheelbase_m"], radians(settings["steering.most_deg"]))
     else:
         raise ValueError(f"wheels.layout = {layout!r}: it has no kinematics")

@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 BOARDS = ALL_KINDS
 """The kinds of boards. Each is a folder of failstop/board that describes it."""
 ACKERMANN = "ackermann"
-LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (2,)}
+LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (1, 2)}
 """The numbers of wheels that each layout may have. A known board drives as many as it has speeds for; your own board
 starts with the fewest."""
-SERVO_PULSES = {"pwm": (500, 2500, 4), "bus": (0, 1000, 253)}
-"""For each kind of servo that can steer: its pulses, and the highest id."""
-SERVOS = tuple(SERVO_PULSES)
+SERVOS = ("pwm", "bus")
+"""The kinds of servos that can steer."""
 WHEEL_NAMES = {
+    1: ("rear",),
     2: ("left", "right"),
     3: ("left", "rear", "right"),
     4: ("front left", "rear left", "front right", "rear right"),
@@ -80,7 +80,8 @@ DEFAULTS: dict[str, dict[str, float | str]] = {
     "omni3": {"wheels.diameter_m": 0.1, "wheels.sign_3": 1},
     ACKERMANN: {"wheels.id_1": 1, "wheels.id_2": 3, "wheels.sign_2": -1},
 }
-"""Other defaults of a layout. The omni3 ones are LeKiwi's (lerobot's lekiwi.py), the ackermann ones ROSOrin's."""
+"""Other defaults of a layout. The omni3 ones are LeKiwi's (lerobot's lekiwi.py), the ackermann ones ROSOrin's; a board
+may have others for its steered base (Facts.steered_defaults)."""
 _FIRST_LAYOUT = {2: "differential", 3: "omni3"}
 """The layout of a board with this many speeds, if none is set."""
 _GEOMETRY: dict[str, tuple[str, ...]] = {
@@ -93,10 +94,12 @@ _GEOMETRY: dict[str, tuple[str, ...]] = {
 """Settings that only some layouts have."""
 
 
-def speeds_of(kind: str) -> int | None:
-    """How many speeds a frame for this kind of board sets. None: your own board, which takes as many as its layout has
-    wheels."""
+def speeds_of(kind: str, layout: str = "") -> int | None:
+    """How many speeds a frame for this kind of board sets, on a base with this layout. None: your own board, which
+    takes as many as its layout has wheels."""
     facts = facts_of(kind)
+    if facts and layout == ACKERMANN and facts.steered:
+        return facts.steered
     return facts.speeds if facts else None
 
 
@@ -110,7 +113,7 @@ def wheel_count(kind: str, layout: str) -> int:
     """How many wheels are driven. Raises SettingError if the board can't drive that layout."""
     if layout == ACKERMANN and not steers(kind):
         raise SettingError(f'wheels.layout = "{layout}": board.kind {kind} has no servo that steers')
-    if (speeds := speeds_of(kind)) is None:
+    if (speeds := speeds_of(kind, layout)) is None:
         return LAYOUTS[layout][0]
     if fitting := [count for count in LAYOUTS[layout] if count <= speeds]:
         return fitting[-1]
@@ -138,9 +141,14 @@ def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
         if kind == BOARDS[0]:
             values["wheels.layout"] = robots.LAYOUT_OF.get(str(values["board.robot"]), values["wheels.layout"])
     layout = str(values["wheels.layout"])
-    for own in (DEFAULTS.get(layout, {}), facts.defaults if facts else {}):
+    steered = facts.steered_defaults if facts and layout == ACKERMANN else {}
+    for own in (DEFAULTS.get(layout, {}), facts.defaults if facts else {}, steered):
         values |= {key: value for key, value in own.items() if key not in changed}
     absent = _absent(layout, wheel_count(kind, layout))
+    if not (facts and facts.can):
+        absent["board.can_id"] = f"board.kind {kind} has no motor on a CAN"
+    elif speeds_of(kind, layout) == 1:
+        absent["board.can_id"] = f'with wheels.layout "{layout}" it has one motor'
     if kind != BOARDS[0]:
         absent["board.robot"] = f"it names a robot with the board {BOARDS[0]}, and board.kind is {kind}"
     for key, why in absent.items():
@@ -167,13 +175,17 @@ def check_base(values: Values) -> None:
     ids = {key: value for key, value in values.items() if key.startswith("wheels.id_")}
     all_differ(ids)
     kind = str(values["board.kind"])
-    most = (speeds_of(kind) or len(ids)) - 1
+    most = (speeds_of(kind, str(values["wheels.layout"])) or len(ids)) - 1
     for key, value in ids.items():
         if int(value) > most:
             raise SettingError(f"{key} = {value}: board.kind {kind} has the ids 0 to {most}")
     if "steering.servo" in values:
         steered, servo = str(values["steering.kind"]), int(values["steering.servo"])
-        least, most, highest = SERVO_PULSES[steered]
+        facts = facts_of(kind)
+        if not facts or steered not in facts.steers:
+            has = ", ".join(facts.steers) if facts else ""
+            raise SettingError(f'steering.kind = "{steered}": of board.kind {kind} it must be {has}')
+        least, most, highest = facts.steers[steered]
         centre, per_rad, angle = (float(values[f"steering.{key}"]) for key in ("centre", "per_rad", "most_deg"))
         far = per_rad * radians(angle)
         if servo > highest:

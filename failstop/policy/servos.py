@@ -23,8 +23,11 @@ def by_part(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> 
 
 
 def _wheels(settings: Settings) -> tuple[int, ...]:
-    """The servos of the wheels, where each wheel has one on the bus."""
+    """The servos of the wheels, where each wheel has one on the bus, or the motors' controllers that answer for
+    themselves."""
     facts = facts_of(settings.text("board.kind"))
+    if facts and facts.motors:
+        return tuple(facts.motors)[: settings.speeds]
     return facts.arm.wheels if facts and facts.arm else ()
 
 
@@ -36,6 +39,9 @@ def turn_wheels(settings: Settings) -> bool:
 def _parts(settings: Settings) -> dict[int, str]:
     """The part that each servo turns, by its id."""
     wheels = _wheels(settings)
+    facts = facts_of(settings.text("board.kind"))
+    if facts and facts.motors:
+        return {motor: facts.motors[motor] for motor in wheels}
     parts = {servo: f"{name} wheel" for servo, name in zip(wheels, WHEEL_NAMES.get(len(wheels), ()), strict=False)}
     parts |= {int(table["servo"]): f"joint {name}" for name, table in settings.named["joints"].items()}
     return {servo: f"{part} (servo {servo})" for servo, part in parts.items()}

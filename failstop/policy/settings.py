@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from math import radians
 
-from failstop.board.facts import SteeringServo
+from failstop.board.facts import USUAL_CAN_ID, SteeringServo
 from failstop.board.kinds import facts_of
 from failstop.policy import layouts, robots
 from failstop.policy.layouts import BOARDS, NUMBERS
@@ -45,13 +45,21 @@ DECLARED = (
         tuple(robots.EVERY_ROBOT),
     ),
     _word("board.baud", 0, "the baud rate that its firmware is built with; 0: as usual for this board", BAUDS),
-    Setting("board.per_rps", 0.0, "", 0.0, 10000.0, "a wheel's turn a second in the board's own unit; 0: as usual"),
+    Setting(
+        "board.can_id",
+        USUAL_CAN_ID,
+        "",
+        0,
+        253,
+        "the CAN id of the second motor's controller, where a board has it on a CAN",
+    ),
+    Setting("board.per_rps", 0.0, "", 0.0, 100000.0, "a wheel's turn a second in the board's own unit; 0: as usual"),
     Setting(
         "board.per_rps_confirmed",
         0.0,
         "",
         0.0,
-        10000.0,
+        100000.0,
         "the board.per_rps that a turn of a wheel has confirmed, so speeds are not capped; setup writes it; 0: none",
     ),
     _word("board.imu", "on", "off for a robot without an IMU, as a board that has none sets it by itself", SWITCH),
@@ -358,10 +366,10 @@ class Settings:
             for name, own in self.named["interlocks"].items()
         }
 
-    def board(self) -> tuple[str, float, float, SteeringServo | None, float, int]:
+    def board(self) -> tuple[str, float, float, SteeringServo | None, float, int, int]:
         """What board_of() of failstop/board/kinds.py takes: the kind of the board, the wheels' diameter in m, a wheel's
         turn a second in the board's own unit (0: as usual), the servo of a steered base, the turn a second that a turn
-        of a wheel has confirmed (0: none), and the baud rate (0: as usual)."""
+        of a wheel has confirmed (0: none), the baud rate (0: as usual), and the CAN id of the second motor."""
         steering = None
         if self.text("wheels.layout") == layouts.ACKERMANN:
             steering = SteeringServo(
@@ -372,13 +380,14 @@ class Settings:
                 most_rad=radians(self["steering.most_deg"]),
             )
         scale = self["board.per_rps"], self["board.per_rps_confirmed"]
-        baud = int(self["board.baud"])
-        return self.text("board.kind"), self["wheels.diameter_m"], scale[0], steering, scale[1], baud
+        baud, can_id = int(self["board.baud"]), int(self.values.get("board.can_id", 0))
+        return self.text("board.kind"), self["wheels.diameter_m"], scale[0], steering, scale[1], baud, can_id
 
     @property
     def speeds(self) -> int:
         """How many speeds a frame for the board has, one for each id on the wire."""
-        return layouts.speeds_of(self.text("board.kind")) or len(mounted_wheels(self.values))
+        layout = str(self.values["wheels.layout"])
+        return layouts.speeds_of(self.text("board.kind"), layout) or len(mounted_wheels(self.values))
 
     def servos(self) -> tuple[int, ...]:
         """The ids of the arm's servos, in the order of its joints; empty on a robot without an arm."""

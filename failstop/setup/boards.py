@@ -7,14 +7,16 @@ import os
 import time
 
 from failstop.board import asking
+from failstop.board.facts import USUAL_CAN_ID
 from failstop.board.interface import BY_WHEELS, HEARD_BATTERY, HEARD_IMU, HEARD_WHEELS, Board
-from failstop.board.kinds import board_of, is_own
+from failstop.board.kinds import board_of, facts_of, is_own
 from failstop.board.port import PortError, set_speed
 from failstop.board.tap import Tap
 from failstop.policy.layouts import BOARDS
 from failstop.setup.talk import Left, NotAnAnswer, Talk
 from failstop.supervisor.port_handover import OwnPort
 
+CAN_ID, HIGHEST_CAN_ID, NONE = "board.can_id", 253, "none"
 LIVE_S = 2.0
 ASK_S = 0.1
 
@@ -26,8 +28,16 @@ def kind_check(answer: str) -> str:
     raise NotAnAnswer(f"type {', '.join(BOARDS)}, or the path of a folder of your own")
 
 
-def step(talk: Talk, path: str) -> tuple[str, int]:
-    """The second step: the board's kind, and its baud rate, if that is not the usual one (0: it is). Raises Left."""
+def can_id_check(answer: str) -> str:
+    """The CAN id of a second motor's controller. Raises NotAnAnswer."""
+    text = answer.strip().lower()
+    if text == NONE or (text.isdigit() and int(text) <= HIGHEST_CAN_ID):
+        return text
+    raise NotAnAnswer(f"type a number from 0 to {HIGHEST_CAN_ID}, or {NONE}")
+
+
+def step(talk: Talk, path: str) -> tuple[str, dict[str, object]]:
+    """The second step: the board's kind, and its settings that are not the usual ones. Raises Left."""
     talk.step(2, "The board")
     wanted = talk.given.get("board") or talk.draft.answers.get("board", "")
     if wanted:
@@ -40,7 +50,9 @@ def step(talk: Talk, path: str) -> tuple[str, int]:
             heard = asking.seek(own.fd, boards, time.monotonic_ns(), strangers=bool(wanted) and is_own(wanted))
             first = next(iter(boards))
             known, text, remedy = asking.told_of(heard, first, boards[first])
-            kind = heard[-1].kind if heard[-1].known else first if known is None else ""
+            last = heard[-1]
+            lone = bool(last.missing) and _has_can(last.kind)
+            kind = last.kind if last.known or lone else first if known is None else ""
             if not kind:
                 sought = text if wanted or heard[-1].missing else f"no board that failstop knows answers at {path}"
                 talk.draft.forget("board", "port")
@@ -49,7 +61,10 @@ def step(talk: Talk, path: str) -> tuple[str, int]:
                 talk.draft.forget("board")
                 raise Left(f"{text}: give --board {kind}, or plug the other board in")
             baud = heard[-1].other_baud if heard[-1].known else 0
-            board = board_of(kind, 1.0, 0.0, baud=baud)
+            found: dict[str, object] = {"board.baud": baud} if baud else {}
+            if lone:
+                found |= _second(talk, own.fd, kind)
+            board = board_of(kind, 1.0, 0.0, baud=baud, can_id=int(str(found.get(CAN_ID, USUAL_CAN_ID))))
             talk.say(f"It is {board.name} ({kind}){f', at {baud} baud' if baud else ''}.")
             if heard[-1].firmware:
                 talk.say(f"Its firmware is {heard[-1].firmware}.")
@@ -59,7 +74,26 @@ def step(talk: Talk, path: str) -> tuple[str, int]:
         raise Left(f"{path} went away ({error.strerror}): is the plug in?") from None
     except (PortError, ValueError) as error:
         raise Left(str(error) if os.path.exists(path) else f"{path} went away: is the plug in?") from None
-    return kind, baud
+    return kind, found
+
+
+def _has_can(kind: str) -> bool:
+    facts = facts_of(kind)
+    return bool(facts and facts.can)
+
+
+def _second(talk: Talk, fd: int, kind: str) -> dict[str, object]:
+    """The setting for the second motor, of which nothing was heard under the usual id. Raises Left, OSError."""
+    talk.say(f"The controller at the port answers. No second one answers under CAN id {USUAL_CAN_ID}.")
+    question = f"Which CAN id has the second one? (VESC Tool shows it; {NONE}: there is one motor)"
+    answer = talk.ask("can_id", question, "", can_id_check)
+    if answer == NONE:
+        return {}
+    board = board_of(kind, 1.0, 0.0, can_id=int(answer))
+    if asking.ask(Tap(fd, board), board, stop=True) is None:
+        talk.draft.forget("can_id")
+        raise Left(f"no controller answers under CAN id {answer}; look at {asking.SERVO_PLACES}")
+    return {CAN_ID: int(answer)}
 
 
 def _live(talk: Talk, fd: int, board: Board) -> None:

@@ -30,6 +30,7 @@ failstop setup --afresh                # begin again
 QUESTIONS = {
     "port": "the board's port",
     "board": f"its kind: {', '.join(BOARDS)}, or the path of a folder of your own",
+    "can_id": "the CAN id of the second VESC; none: there is one motor",
     "robot": "the robot's name, or other",
     "layout": "the kind of base, for example mecanum, if the robot has no name here",
     "stand": "yes: the wheels are off the ground and free",
@@ -95,10 +96,11 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
     )
     _resume(talk)
     device = ports.step(talk, System())
-    kind, baud = boards.step(talk, device)
+    kind, found = boards.step(talk, device)
     robot, values, known = _robot(talk, kind)
-    values = {**values, **({"board.baud": baud} if baud else {})}
-    halt = Halt(device, board_of(kind, 1.0, 0.0, baud=baud), lambda text: talk.say(text, style.FAIL))
+    values = {**values, **found}
+    board = board_of(*Settings(dict(values)).board())
+    halt = Halt(device, board, lambda text: talk.say(text, style.FAIL))
     halts.append(halt)
     wheels = Trial(talk, device, values, halt).step()
     chosen = sizes.step(talk, {**values, **wheels}, known=known)
@@ -154,7 +156,7 @@ def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object], bool]:
         for layout, counts in LAYOUTS.items()
         if (speeds is None or counts[0] <= speeds) and (layout != ACKERMANN or steers(kind))
     ]
-    if speeds == 2 and not is_own(kind):
+    if speeds == 2 and not is_own(kind) and not steers(kind):
         return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": "differential"}, False
     layout = talk.ask("layout", f"How are its wheels? ({', '.join(layouts)})", "", word_of(layouts))
     return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": layout}, False

@@ -57,6 +57,9 @@ def alone(kind: str, speeds: int, id_: int, rim_mps: float, diameter_m: float) -
         "limits.acceleration_mps2": RAMP_MPS2,
         "limits.acceleration_radps2": RAMP_MPS2 / LEVER_M,
     }
+    if speeds == 1:
+        base |= {"wheels.layout": "ackermann", "wheels.id_1": 0, "wheels.sign_1": 1, "limits.vx_mps": rim_mps}
+        return base, (rim_mps, 0.0, 0.0)
     if speeds == 2:
         vx, wz = rim_mps / 2, rim_mps / 2 / LEVER_M
         base |= {"wheels.layout": "differential", "wheels.track_m": 2 * LEVER_M}

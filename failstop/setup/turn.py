@@ -148,7 +148,7 @@ def driven(talk: Talk, device: str, settings: Settings, halt: Halt, speeds: int,
     kind, diameter_m = settings.text("board.kind"), settings["wheels.diameter_m"]
     rps = SLOWEST_MPS / rim_mps(1.0, diameter_m)
     values, velocity = alone(kind, speeds, 0, SLOWEST_MPS, diameter_m)
-    values |= {"board.baud": int(settings["board.baud"])}
+    values |= {key: value for key, value in settings.flat().items() if key in ("board.baud", "board.can_id")}
     while True:
         talk.say(f"Mark the wheels. The one of id 0 turns for {SECONDS:g} s: count its turns, quarters too (2.25).")
         with Rig(device, values, halt) as rig:

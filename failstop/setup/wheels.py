@@ -71,7 +71,8 @@ class Trial:
         self._kind = settings.text("board.kind")
         self._diameter_m = settings["wheels.diameter_m"]
         self._count = wheel_count(self._kind, settings.text("wheels.layout"))
-        self._speeds = speeds_of(self._kind) or board_of(self._kind, 1.0, 0.0).wheels
+        layout = settings.text("wheels.layout")
+        self._speeds = speeds_of(self._kind, layout) or board_of(self._kind, 1.0, 0.0).wheels
         self._words = names(self._count)
         self._way = "the way that turns the robot to the left" if self._count == 3 else "forward"
         self._ratios: list[float] = []
@@ -186,7 +187,7 @@ class Trial:
     def _turn(self, id_: int) -> None:
         rim = rim_mps(self._rps, self._diameter_m)
         values, velocity = alone(self._kind, self._speeds, id_, rim, self._diameter_m)
-        values |= {key: value for key, value in self._values.items() if key in (*SCALE, "board.baud")}
+        values |= {key: value for key, value in self._values.items() if key in (*SCALE, "board.baud", "board.can_id")}
         self._talk.say(f"The wheel of id {id_} turns for {SECONDS:g} s, alone ...", style.DIM)
         with Rig(self._device, values, self._halt) as rig:
             rig.drive(velocity, SECONDS)

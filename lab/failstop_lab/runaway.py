@@ -20,6 +20,7 @@ from math import pi
 from multiprocessing import get_context
 
 from failstop.board.kinds import board_of
+from failstop.board.vesc.wire import HUB_PER_RPS
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry import runaway
 from failstop.procs.telemetry.runaway import Finding, RunawayJudge
@@ -34,9 +35,21 @@ NEVER_NS = 3_000 * MS
 
 TOO_FAST, OTHER_WAY, THOUGH_ZERO = "faster than told", "the other way", "although told zero"
 FAULTS = (TOO_FAST, OTHER_WAY, THOUGH_ZERO)
-SHARES = {"hoverboard": (0.75, 0.1), "arduino": (0.3, 0.05), "feetech": (0.3, 0.05), "ugv": (0.3, 0.05)}
+SHARES = {
+    "hoverboard": (0.75, 0.1),
+    "arduino": (0.3, 0.05),
+    "feetech": (0.3, 0.05),
+    "ugv": (0.3, 0.05),
+    "vesc": (0.3, 0.05),
+}
 """The documented margins: a share of what is told, and m/s at the rim."""
-REPORTS_MS = {"hoverboard": (20, 20), "ugv": (50, 100), "feetech": (50, 125), "arduino": (150, 300)}
+REPORTS_MS = {
+    "hoverboard": (20, 20),
+    "ugv": (50, 100),
+    "feetech": (50, 125),
+    "arduino": (150, 300),
+    "vesc": (50, 100),
+}
 """The time between two reports: the shortest, and the longest that the page names."""
 COUNTS = (12, 20, 44, 64, 200, 360, 680, 1320, 1992, 3436)
 JUDGED_BOARDS = tuple(SHARES)
@@ -78,7 +91,9 @@ def draw_robot(chance: random.Random, kind: str) -> Robot:
         **({"board.per_rps": counts / 30} if counts else {}),
     }
     settings, rim_m = Settings(values), pi * diameter_m
-    step = {"hoverboard": 1 / 60, "ugv": 0.001 / rim_m, "feetech": 1 / 4096, "arduino": 30 / counts if counts else 0.0}
+    step = {"hoverboard": 1 / 60, "ugv": 0.001 / rim_m, "feetech": 1 / 4096, "vesc": 1 / HUB_PER_RPS}
+    if counts:
+        step["arduino"] = 30 / counts
     return Robot(
         kind=kind,
         settings=settings,
@@ -247,7 +262,9 @@ class ReportStream:
         if robot.counts:
             return float(int(turned * robot.counts // 1)) / robot.counts
         noisy = wheel_rps * (1 + self._noise * self.chance.gauss(0.0, 1.0))
-        unit = {"hoverboard": 1 / 60, "ugv": 0.001 / robot.rim_m, "feetech": 1 / 4096}[robot.kind]
+        unit = {"hoverboard": 1 / 60, "ugv": 0.001 / robot.rim_m, "feetech": 1 / 4096, "vesc": 1 / HUB_PER_RPS}[
+            robot.kind
+        ]
         return round(noisy / unit) * unit
 
     def arrived(self, now_ns: int) -> Iterator[tuple[int, float]]:

@@ -58,6 +58,14 @@ class Odometry:
             self._ways = tuple(
                 tuple(scale * each for each in row) for scale, row in zip(self._scales, base.rolled(), strict=True)
             )
+        self._errors = self._ways
+        """The same factors for the errors that wheels make."""
+        self._bend = 0.0
+        """How far a base that is steered by one driven wheel turns on its way, in rad per m, by the commanded angle."""
+        self._bends = isinstance(base, kinematics.Steered) and base.turns_unseen
+        if self._bends:
+            aside = tuple(each / settings["wheels.wheelbase_m"] for each in self._ways[0])
+            self._errors = (*self._ways[:2], aside)
         rim_m = pi * settings["wheels.diameter_m"]
         self._slip_turns2 = SLIP[settings.text("wheels.layout")] ** 2 / rim_m
         """The variance of a wheel's turns per turn."""
@@ -100,6 +108,8 @@ class Odometry:
 
     def follow(self, velocity: tuple[float, float, float], t_ns: int) -> None:
         """The gate commands another velocity (m/s, m/s, rad/s) from `t_ns` on."""
+        if self._bends and velocity[0]:  # a stop leaves the steering as it is
+            self._bend = velocity[2] / velocity[0]
         if self.source == BY_ROLLING:
             return
         self.advance(t_ns)
@@ -154,6 +164,7 @@ class Odometry:
     def _go(self, steps: Sequence[float], lost: float) -> None:
         """`steps`: turns of each wheel; `lost`: turns that each may have made unseen."""
         dx, dy, dth = (sum(way * step for way, step in zip(row, steps, strict=True)) for row in self._ways)
+        dth += dx * self._bend
         self._gone = (self._gone[0] + dx, self._gone[1] + dy, self._gone[2] + dth)
         if not lost and not any(steps):
             return
@@ -166,7 +177,7 @@ class Odometry:
 
     def _grow(self, ahead: float, aside: float, dx: float, dy: float, variances: Sequence[float]) -> None:
         """Grow the covariance by a move in the robot's frame with these variances of the wheels' turns."""
-        xs, ys, ths = self._ways
+        xs, ys, ths = self._errors
         # A heading that is wrong by 1 rad turns the whole distance to the side.
         out_x, out_y = -(dx * aside + dy * ahead), dx * ahead - dy * aside
         xx, xy, xt, yy, yt, tt = self._covariance
@@ -189,6 +200,7 @@ class Odometry:
             self.vx_mps, self.vy_mps, self.wz_radps = (
                 sum(way * rps for way, rps in zip(row, measured.speeds_rps, strict=True)) for row in self._ways
             )
+            self.wz_radps += self.vx_mps * self._bend
             return
         recent, t_ns = self._recent, measured.t_ns
         while len(recent) > 1 and recent[1][0] <= t_ns - MEAN_NS:

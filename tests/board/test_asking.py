@@ -177,7 +177,7 @@ def test_a_bus_on_which_one_wheel_does_not_answer_is_known_and_the_servo_named(m
     known, text, remedy = told_of(on.asked(wanted), wanted, boards(wanted)[wanted])
     it = "it is feetech" if wanted == "feetech" else "it is feetech, and board.kind is rrc"
     assert (known, text) == (False, f"{it}; servo {missing} does not answer while others do")
-    assert remedy == "that servo's plug on the bus, its power and its id"
+    assert remedy == "its plug on the bus, its power and its id"
     assert not on.turned()
 
 
@@ -222,7 +222,7 @@ def test_half_a_motion_line_is_ended_by_the_stop_before_the_question(there: str,
 
 def test_the_order_in_which_boards_are_asked() -> None:
     """The wanted one first, again when it must have started; then those that are listened to; late ones last."""
-    order = [(0, "ugv"), (5 * NS, "ugv"), (0, "hoverboard"), (0, "rrc"), (0, "arduino"), (0, "feetech")]
+    order = [(0, "ugv"), (5 * NS, "ugv"), (0, "hoverboard"), (0, "rrc"), (0, "arduino"), (0, "feetech"), (0, "vesc")]
     order.append((2 * NS, "arduino"))
     assert list(turns(boards("ugv"), resets=True)) == order
     assert list(turns(boards("ugv"), resets=False)) == [turn for turn in order if not turn[0]]
@@ -305,3 +305,16 @@ def test_of_a_board_without_a_question_nobody_knows_whether_it_is_there() -> Non
     assert known is None
     assert text.startswith("/etc/tank has no question")
     assert "questions" in remedy
+
+
+@pytest.mark.parametrize("wanted", ["vesc", "rrc"])
+def test_a_second_vesc_that_does_not_answer_is_named_where_it_is_looked_for(wanted: str) -> None:
+    on = There("vesc", own_speed=True)
+    model: Any = on.model
+    model.receiver.can_dead = True
+    heard = on.asked(wanted)
+    known, text, remedy = told_of(heard, wanted, boards(wanted)[wanted])
+    it = "it is vesc" if wanted == "vesc" else "it is vesc, and board.kind is rrc"
+    assert (heard[-1].kind, known) == ("vesc", False)
+    assert text == f"{it}; motor 2 (the VESC on its CAN) does not answer while others do"
+    assert remedy == "its plug on the bus, its power and its id"

@@ -11,11 +11,13 @@ from pathlib import Path
 import pytest
 
 from failstop.board.feetech import codec as feetech
+from failstop.board.kinds import wire_of
 from failstop.board.wire import Battery, Obeyed, Wheels
 from failstop_lab.boards.arduino import Arduino
 from failstop_lab.boards.feetech import Bus
 from failstop_lab.boards.hoverboard import BYTE_NS, Hoverboard
 from failstop_lab.boards.ugv import Ugv
+from failstop_lab.boards.vesc import MOST_PAYLOAD, Vesc
 
 HERE = Path(__file__).parent
 MS = 1_000_000
@@ -101,6 +103,25 @@ def test_the_ugv_s_receiver_does_what_its_firmware_did() -> None:
                 board.beat()
             assert [*board.speeds, *board.pwm] == pytest.approx([*speeds, *pwm], rel=1e-5, abs=1e-5)
             assert (board.controlled, board.torque_off) == (controlled, torque_off)
+
+
+def test_the_vesc_s_receiver_does_what_its_firmware_did() -> None:
+    """A case: bytes in hex, a time in ms, or z for zeros that complete any packet and a stop; then what both motors are
+    told, the servo's place, and everything that was answered. Frames whole, cut, garbled and of other programs."""
+    stop = wire_of("vesc").motion.rest
+    board, now_ns = Vesc(), 0
+    for case in cases("vesc"):
+        for step, speeds, servo, said in case:
+            told = len(board.said)
+            if isinstance(step, int):
+                now_ns += step * MS
+                board.until(now_ns)
+            else:
+                for value in bytes(MOST_PAYLOAD + 8) + stop if step == "z" else bytes.fromhex(step):
+                    board.take(value, now_ns)
+            assert list(board.wheels) == speeds, step
+            assert board.servo == servo
+            assert b"".join(data for _, data in board.said[told:]).hex() == said, step
 
 
 def test_two_foreign_hosts_and_failstop_tell_feetech_s_servos_the_same() -> None:

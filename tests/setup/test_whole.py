@@ -26,6 +26,7 @@ ROBOTS = {
     "hoverboard": ("hoverboard", "", TWO),
     "feetech": ("feetech", "other", THREE),
     "lekiwi": ("feetech", "lekiwi", THREE),
+    "vesc": ("vesc", "other", TWO),
 }
 """Each: the kind of board, the robot's name where there are names for it, how it is wired."""
 UNNAMED = ("", "other")
@@ -63,9 +64,9 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
             listed = person.reads("The robot's number?")
             person.types(listed.split(f" {name} ")[0].split()[-1])
         if name == "other":
-            person.says("How are its wheels?", "omni3")
+            person.says("How are its wheels?", "omni3" if wheels is THREE else "differential")
         person.says("Type yes:", "yes")
-        if kind == "arduino":
+        if kind in ("arduino", "vesc"):
             person.reads("How many turns did it make?")
             board.turn_by_hand(1, -2.0)
             person.types("2")

@@ -181,6 +181,7 @@
 #define N_HEADER 80
 
 #define WHEEL_NAMES \
+    {1, {"rear"}}, \
     {2, {"left", "right"}}, \
     {3, {"left", "rear", "right"}}, \
     {4, {"front_left", "rear_left", "front_right", "rear_right"}}, \
@@ -313,7 +314,7 @@
      "look at the machine's load and at real-time rights (`failstop doctor`), since something held it up"}, \
     {52, "wheel_missing", \
      "wheel lost: {wheel} does not answer", \
-     "look at that servo's plug on the bus, its power and its id; if its wheel turns, use the POWER SWITCH"}, \
+     "look at its plug on the bus, its power and its id; if its wheel turns, use the POWER SWITCH"}, \
     {53, "ros_stranger", \
      "stop request: stranger on cmd_vel: {words} (says it is {who}, pid {pid:d})", \
      "end that node, or add its name to allowed_publishers of the bridge and start the bridge again"}, \

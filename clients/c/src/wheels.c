@@ -80,6 +80,9 @@ static bool least_squares(double back[3][MOST_SPEEDS], double rows[MOST_SPEEDS][
 
 static double rounded(double value) { return round(value * 1e15) / 1e15; }
 
+/* What one driven wheel follows: its axle gives no turn. */
+static const double AHEAD[3] = {1, 0, 0};
+
 bool fsi_wheels(struct fsi_wheels *wheels, const uint8_t *data, size_t size) {
   struct settings settings = {data, size, false};
   struct fsi_value layout;
@@ -119,9 +122,10 @@ bool fsi_wheels(struct fsi_wheels *wheels, const uint8_t *data, size_t size) {
       double side = wheel * 2 < wheels->count ? -1 : 1;
       rim[wheel][0] = 1;
       rim[wheel][1] = mecanum ? (wheel % 2 ? -side : side) : 0;
-      rim[wheel][2] = side * lever_m;
+      rim[wheel][2] = wheels->count == 1 ? 0 : side * lever_m;
     }
   }
+  if (wheels->count == 1) axes = AHEAD;
   double rows[MOST_SPEEDS][3] = {{0}};
   for (int wheel = 0; wheel < wheels->count; wheel++)
     for (int axis = 0; axis < 3; axis++)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from struct import Struct
 
 from failstop.board import checks
+from failstop.board.interface import SteeringFrames
 from failstop.board.rrc import framing, servos
 from failstop.board.rrc.framing import BUS_SERVO, HEAD, PWM_SERVO, crc8
 from failstop.board.servos import SERVO_MOVE
@@ -30,7 +31,7 @@ _PWM_HEAD = HEAD + bytes((PWM_SERVO, _PWM_DATA.size))
 _BUS_HEAD = HEAD + bytes((BUS_SERVO, _BUS_DATA.size, SERVO_MOVE))
 
 
-class Steering:
+class Steering(SteeringFrames):
     """The frames of one steering servo."""
 
     __slots__ = ("_limit", "servo")

@@ -20,7 +20,7 @@ from failstop.procs import rights
 from failstop.supervisor import starter
 from failstop.supervisor.port_handover import OwnPort
 
-DEVICE, KIND, BAUD = "device.path", "board.kind", "board.baud"
+DEVICE, KIND, BAUD, CAN_ID = "device.path", "board.kind", "board.baud", "board.can_id"
 REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError)
 """Errors that keep the service from starting."""
 
@@ -64,13 +64,14 @@ def main(arguments: Namespace) -> int:
 def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None]:
     """Where the stop goes, and to which board: what a file says, whatever else is wrong in it, else the default. And
     what the file sets, as it comes; None: it can't be read, the stop does not wait for why. Raises OwnBoardError."""
-    found, read = {key: BY_KEY[key].default for key in (DEVICE, KIND, BAUD)}, None
+    found, read = {key: BY_KEY[key].default for key in (DEVICE, KIND, BAUD, CAN_ID)}, None
     with contextlib.suppress(Exception):
         read = config.read(arguments.config)
         for key in found:
             with contextlib.suppress(SettingError):
                 found[key] = BY_KEY[key].check(read.get(key, found[key]))
-    return arguments.device or str(found[DEVICE]), board_of(str(found[KIND]), 1.0, 0.0, baud=int(found[BAUD])), read
+    board = board_of(str(found[KIND]), 1.0, 0.0, baud=int(found[BAUD]), can_id=int(found[CAN_ID]))
+    return arguments.device or str(found[DEVICE]), board, read
 
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:

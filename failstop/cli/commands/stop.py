@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 DEVICE = "device.path"
 WAIT = "stop.wait_s"
 KIND = "board.kind"
-BAUD = "board.baud"
-DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT, KIND, BAUD)}
+BAUD, CAN_ID = "board.baud", "board.can_id"
+DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT, KIND, BAUD, CAN_ID)}
 
 END_SERVICE_S = 12.0
 """With --end-service everything is through by then: below the unit's TimeoutStopSec, at which systemd would kill this
@@ -59,7 +59,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("reason", nargs="*", help="why; shown by `failstop status` and in the journal")
     add_name(parser)
     parser.add_argument(
-        "--config", metavar="FILE", help=f"TOML file, of which {DEVICE}, {KIND}, {BAUD} and {WAIT} are used"
+        "--config", metavar="FILE", help=f"TOML file, of which {DEVICE}, {KIND}, {BAUD}, {CAN_ID} and {WAIT} are used"
     )
     parser.add_argument(
         "--device", metavar="PATH", help=f"the board's port (default: the last run's, else {DEVICE}, else {device})"
@@ -290,11 +290,13 @@ class Target:
             return known
         baud = known.port.baud if known and last else int(self._file.get(BAUD, DEFAULTS[BAUD]))
         try:
-            return board_of(kind, 1.0, 0.0, baud=baud)
+            made = board_of(kind, 1.0, 0.0, baud=baud, can_id=int(self._file.get(CAN_ID, DEFAULTS[CAN_ID])))
         except ValueError:
             if known:
                 return known
             raise
+        # The last run's stop, if it differs: the file may name another motor by now.
+        return known if known and not self._stopped and known.burst != made.burst else made
 
     def described(self) -> str:
         """The port for people, with the reason for its choice."""

@@ -97,6 +97,10 @@ class ReceiverModel:
     """Whether pieces of two frames can pass its check as one frame, with any speed, until the next stop."""
     stalls: bool
     """Whether its stop holds behind an adapter that stalls, and then sends everything at once."""
+    cut_ns: int = BAR_NS
+    """From a stop's first write to the command at the wheels after the worst cut, where one or two write it."""
+    pending_ns: int = BAR_NS
+    """From a stop's first write to the command at the wheels in the worst of every_state(), where one writes it."""
     boot: bytes = b""
     """Text that it prints when it starts, before its program runs."""
     joints: Callable[[Receiver, int], Servos] | None = None

@@ -25,7 +25,18 @@ from failstop_lab.machine.system import modules
 
 HOME = os.path.dirname(os.path.abspath(failstop.__file__))
 HARMLESS = {
-    *("__future__", "abc", "argparse", "asyncio", "bisect", "collections", "contextlib", "copy", "dataclasses"),
+    *(
+        "__future__",
+        "abc",
+        "argparse",
+        "asyncio",
+        "binascii",
+        "bisect",
+        "collections",
+        "contextlib",
+        "copy",
+        "dataclasses",
+    ),
     *(
         "difflib",
         "enum",

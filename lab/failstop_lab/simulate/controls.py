@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from failstop.policy.layouts import BOARDS
 from failstop_lab.machine.loading import Patches
-from failstop_lab.simulate.equivalents import IS_HELD
+from failstop_lab.simulate.equivalents import ASKS, IS_HELD
 
 ADMISSION_MODULE = "failstop.procs.port_owner.admission"
 PORT_OWNER_MODULE = "failstop.procs.port_owner.main"
@@ -240,6 +240,19 @@ CONTROLS = (
         (("failstop.board.ugv.codec", r"""STOP = b'\n{"T":1,""", """STOP = b'{"T":1,"""), NOT_REPEATED),
         CUT_AND_ASKED,
         "ugv",
+    ),
+    Mutant(
+        "the second motor's stop is left out",
+        "drive",
+        (
+            (
+                "failstop.board.vesc.codec",
+                "self.burst = self.rest + bytes(BURST - 2 * len(self.rest)) + self.rest",
+                "self.burst = packet(_SPEED.pack(DUTY, 0)) + bytes(BURST)",
+            ),
+        ),
+        ASKS,
+        "vesc",
     ),
     Mutant("a stop is not repeated", "drive", (NOT_REPEATED,), CUT_AND_ASKED, "hoverboard"),
     Mutant(

@@ -37,7 +37,15 @@ from tests.support.typist import Typist
 
 T13 = b'{"T":13,"X":0.1,"Z":0}\n'
 ALONE = [name for name in ROWS if name != "plug"]
-BASES = {"hoverboard": None, "ugv": None, "arduino": None, "feetech": None, "rrc": None, "ugv by T:13": T13}
+BASES = {
+    "hoverboard": None,
+    "ugv": None,
+    "arduino": None,
+    "feetech": None,
+    "vesc": None,
+    "rrc": None,
+    "ugv by T:13": T13,
+}
 """Each kind of board, and what its driver sends where that is not the usual frame."""
 ENDLESS = ("feetech", "rrc", "ugv by T:13")
 """These have no watchdog, or one that this frame neither feeds nor arms (docs/boards.md)."""

@@ -117,7 +117,7 @@ def test_a_turn_that_skidding_wheels_explain_is_a_remark() -> None:
     assert "tracks and skidding wheels do that, but otherwise one of wheels.track_m" in robot.remarked[-1]
 
 
-@pytest.mark.parametrize("kind", ["arduino", "feetech"])
+@pytest.mark.parametrize("kind", ["arduino", "feetech", "vesc"])
 def test_reports_that_share_the_scale_say_nothing_of_it(kind: str) -> None:
     robot = Robot(kind, wheels=5.0)
     robot.drive(0.1, 0.0, 5.0)

@@ -1,0 +1,286 @@
+"""Packets of the VESC firmware: `02 | length | payload | CRC-16/XMODEM | 03`, big-endian. Source: vedderb/bldc b9d287b.
+
+A payload begins with its command. A controller on the CAN of the one at the port gets the payload behind FORWARD and
+its CAN id. The frame for several motors is one packet for each, in one write, the motor at the port first: a packet for
+the CAN waits there for up to 5 ms where nothing takes it (comm_can.c), and that must not hold up the other motor.
+
+The stop is a duty cycle of zero. The firmware brakes with as much current as the motor is configured for, and then
+holds the phases shorted. A current of zero lets the motor roll, a speed of zero follows a ramp (25,000 ERPM a second by
+default), and a brake current would need a number that fits the motor (mcpwm_foc.c, foc_math.c).
+
+A receiver that waits for the rest of a packet tries every place in it when that fails, so no stop in it is lost: it is
+only late (packet.c, since firmware 3.48). After a cut packet of this module that is a few bytes, or up to 260 if the
+speed in it looks like the head of a packet. After a length that was garbled, or a long packet of another program, it is
+up to PENDING bytes.
+"""
+
+from __future__ import annotations
+
+from binascii import crc_hqx
+from struct import Struct
+
+from failstop.board.checks import counted, integer, number
+from failstop.board.interface import SteeringFrames
+from failstop.board.wire import (
+    SERVO_CURRENT,
+    SERVO_HEAT,
+    SERVO_MISSING,
+    SERVO_VOLTAGE,
+    Answer,
+    Battery,
+    Health,
+    Reader,
+    Sample,
+    Wheels,
+    beyond,
+)
+from failstop.data import Data
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from failstop.board.facts import SteeringServo
+
+SHORT, LONG, END = 2, 3, 3
+"""The first byte of a packet, by how its length is written: in one byte or in two; and the last byte."""
+DUTY, RPM, SERVO, FORWARD, SELECTED = 5, 8, 12, 34, 50
+"""Commands: set a duty cycle, a speed in ERPM, the servo; pass on to the CAN; get some values."""
+LIMIT = 100_000.0
+"""The fastest that a controller turns a motor by default (mcconf_default.h)."""
+LEAST = 900.0
+"""By default a controller brakes when it is told a slower speed (MCCONF_S_PID_MIN_RPM)."""
+STILL = 50
+"""A slower speed, in ERPM, may be noise of a motor at rest; its tachometer tells whether it turns."""
+UNIT = "ERPM, the electrical revolutions a minute"
+STEPS = 6
+"""Steps of the tachometer in an electrical revolution."""
+MOST_PAYLOAD = 512
+PENDING = MOST_PAYLOAD + 6
+"""The longest packet that a receiver may wait for."""
+BURST = 130
+"""Bytes of a burst. Four of them, as many as each writer writes, are longer than PENDING; three take 34 ms on a serial
+line, so that a frame of motion behind the bursts of three writers is over before the next repeats."""
+LOCAL, BEHIND = 1, 2
+"""The controllers, as reports about them name them: at the port, and behind its CAN."""
+MISSES = 2
+"""Questions in a row that the second controller left unanswered while the first one answered: it is missing then."""
+TOLD_EVERY = 20
+"""Answers for one report of temperatures: about one a second."""
+WRONG = {1: SERVO_VOLTAGE, 2: SERVO_VOLTAGE, 4: SERVO_CURRENT, 5: SERVO_HEAT, 6: SERVO_HEAT}
+"""What failstop has a word for of a controller's faults (FAULT_CODE_ of datatypes.h)."""
+FIRST_US, WAY_US = 1000, 1000
+"""The shortest pulse of the servo output, and how much longer the longest one is (SERVO_OUT_PULSE_ of conf_general.h).
+A place on that way is sent in thousandths."""
+_PLACE = Struct(">Bh")
+_SPEED = Struct(">Bi")
+_ASK = Struct(">BI")
+_HEAT, _SPEED_NOW, _VOLTS, _TACHOMETER, _FAULT, _ID, _STATUS = (1 << bit for bit in (0, 7, 8, 13, 15, 17, 21))
+_MASK = _SPEED_NOW | _VOLTS | _TACHOMETER | _FAULT | _ID | _STATUS
+MASKS = (_MASK, _HEAT | _MASK)
+"""Which values the questions ask for; an answer repeats its mask, so it says which question it belongs to. No byte of
+them looks like the head of a packet: behind a cut question a receiver would wait for that packet."""
+_VALUES = {MASKS[0]: Struct(">BIihiBB"), MASKS[1]: Struct(">BIhihiBB")}
+"""The answers, without the status, which older firmware leaves out."""
+_LONGEST = 128
+"""More bytes than any packet has that a controller sends to failstop or a driver at the guard port."""
+
+_LEAST = {SHORT: 1, LONG: 255}
+"""The shortest payload with each kind of length."""
+
+
+def packet(payload: bytes) -> bytes:
+    """The packet with this payload, of at most 255 bytes."""
+    return bytes((SHORT, len(payload))) + payload + crc_hqx(payload, 0).to_bytes(2, "big") + bytes((END,))
+
+
+def payloads(data: bytes) -> tuple[list[bytes], bytes]:
+    """The payloads of all whole packets, and an incomplete packet at the end. What is no packet is skipped, one byte at
+    a time, as the firmware does."""
+    found: list[bytes] = []
+    at = 0
+    while at < len(data):
+        head = data[at]
+        size = int.from_bytes(data[at + 1 : at + head], "big") if head in (SHORT, LONG) else 0
+        begin = at + head
+        if head not in (SHORT, LONG) or (begin <= len(data) and not _LEAST[head] <= size <= MOST_PAYLOAD):
+            at += 1
+            continue
+        end = begin + size + 3
+        if begin > len(data) or end > len(data):
+            break
+        payload = data[begin : begin + size]
+        if data[end - 1] == END and crc_hqx(payload, 0) == int.from_bytes(data[end - 3 : end - 1], "big"):
+            at = end
+            found.append(payload)
+        else:
+            at += 1
+    return found, data[at:]
+
+
+VALUES, FIRMWARE = packet(b"\x04"), packet(b"\0")
+"""Questions of drivers: all values, and the version of the firmware."""
+
+
+def check_aux(frame: bytes) -> str:
+    """Why these bytes must not be written as another frame: nothing but two questions may."""
+    return "" if frame in (VALUES, FIRMWARE) else "no question for values or the firmware"
+
+
+class Steering(SteeringFrames):
+    """The servo at a controller. The settings have its pulses in us, and 1000 to 2000 are its whole way."""
+
+    __slots__ = ("_limit", "_servo")
+
+    def __init__(self, servo: SteeringServo) -> None:
+        self._servo = servo
+        self._limit = servo.most_rad * (1 + 2.0**-40)
+        """The largest angle, plus rounding errors."""
+
+    def frame(self, angle_rad: float) -> bytes:
+        """The packet for this angle to the left. Raises FrameError."""
+        angle = number("steering angle", angle_rad, -self._limit, self._limit, "rad")
+        place = self._servo.centre + round(angle * self._servo.per_rad) - FIRST_US
+        return packet(_PLACE.pack(SERVO, integer("place of the servo", place, 0, WAY_US)))
+
+    def check(self, frame: bytes) -> str:
+        """Why these bytes must not be written to steer; "" if they may. Never raises on bytes."""
+        payload = frame[2:-3]
+        if len(payload) != _PLACE.size or payload[0] != SERVO or packet(payload) != frame:
+            return "not a steering frame"
+        _, place = _PLACE.unpack(payload)
+        beyond_us = abs(place + FIRST_US - self._servo.centre) > abs(self._limit * self._servo.per_rad) + 1
+        return f"steering at {place + FIRST_US} us, straight ahead is {self._servo.centre}" if beyond_us else ""
+
+
+class Motors:
+    """The frames for one motor, at the port, or for two: left at the port, right behind its CAN."""
+
+    def __init__(self, can_ids: tuple[int, ...] = ()) -> None:
+        """`can_ids`: of the other controllers."""
+        self._heads = [b"", *(bytes((FORWARD, can_id)) for can_id in can_ids)]
+        self.wheels = len(self._heads)
+        self.rest = self.frame((0.0,) * self.wheels, 0.0)
+        self.burst = self.rest + bytes(BURST - 2 * len(self.rest)) + self.rest
+        self.questions = tuple(self._packets([_ASK.pack(SELECTED, mask)] * self.wheels) for mask in MASKS)
+
+    def _packets(self, every: Sequence[bytes]) -> bytes:
+        return b"".join(packet(head + payload) for head, payload in zip(self._heads, every, strict=True))
+
+    def _written(self, speeds: Sequence[float]) -> bytes:
+        """A motor that is told zero brakes. Speeds are truncated towards zero."""
+        whole = [int(speed) for speed in speeds]
+        return self._packets([_SPEED.pack(RPM if speed else DUTY, speed) for speed in whole])
+
+    def frame(self, speeds: Sequence[float], limit: float) -> bytes:
+        """The frame that sets all motors, each within plus or minus `limit`. Raises FrameError."""
+        counted("speeds", speeds, self.wheels, self.wheels)
+        number("limit", limit, 0.0, LIMIT, "ERPM")
+        return self._written([number("speed of a motor", speed, -limit, limit, "ERPM") for speed in speeds])
+
+    def speeds(self, frame: bytes) -> tuple[float, ...] | None:
+        """The speeds in a frame for all motors; None for other bytes."""
+        if len(frame) != len(self.rest):
+            return None
+        found: list[float] = []
+        for payload, head in zip(payloads(frame)[0], self._heads, strict=False):
+            if not payload.startswith(head) or len(payload) != len(head) + _SPEED.size:
+                return None
+            command, speed = _SPEED.unpack(payload[len(head) :])
+            if command != (RPM if speed else DUTY):
+                return None
+            found.append(float(speed))
+        return tuple(found) if len(found) == self.wheels else None
+
+    def check(self, frame: bytes, limit: float) -> str:
+        """Why these bytes must not be written as a motion frame; "" if they may. Never raises on bytes."""
+        found = self.speeds(frame)
+        if found is None:
+            return "not a frame for every motor"
+        if self._written(found) != frame:
+            return "not as this board's motion frames are written"
+        return beyond(found, limit, LIMIT)
+
+    def replies(self) -> Replies:
+        """A reader for what these controllers answer."""
+        return Replies(self._heads[-1][-1:])
+
+
+class Values(Data):
+    """What a controller reports about its motor and its supply."""
+
+    speed: float
+    """In ERPM; 0 below STILL."""
+    position: float
+    """Of its tachometer."""
+    volts: float
+
+
+class Replies(Reader):
+    """The controllers' answers. A question counts as answered when all controllers have: the one at the port answers
+    first, and what the other one answers must belong to the same question."""
+
+    def __init__(self, other: bytes) -> None:
+        """`other`: the CAN id of the second controller; empty if there is none."""
+        self._kept = b""
+        self._other = other
+        self._first: tuple[int, Values] | None = None
+        """The mask and the values that the controller at the port answered last, while the other one has not."""
+        self._misses = 0
+        self._heat = {LOCAL: 0}
+        self._wrong = {LOCAL: 0}
+        """Of each controller that has answered: its temperature, and what is wrong with it."""
+        self._told: dict[int, int] = {}
+        """What was wrong in the newest report."""
+        self._answers = 0
+
+    def feed(self, chunk: bytes) -> list[Sample]:
+        """The samples that these bytes complete."""
+        self._kept += chunk
+        found: list[Sample] = []
+        while True:
+            whole, self._kept = payloads(self._kept)
+            for payload in whole:
+                found += self._heard(payload)
+            # An incomplete packet that is longer than any answer is none: its head was garbled.
+            if len(self._kept) <= _LONGEST:
+                return found
+            self._kept = self._kept[1:]
+
+    def _heard(self, payload: bytes) -> list[Sample]:
+        mask = int.from_bytes(payload[1:5], "big")
+        form = _VALUES.get(mask)
+        if payload[0] != SELECTED or not form or len(payload) - form.size not in (0, 1):
+            return []
+        _, _, *heat, speed, decivolts, tachometer, fault, can_id = form.unpack_from(payload)
+        values = Values(float(speed) if abs(speed) >= STILL else 0.0, float(tachometer), decivolts / 10)
+        one = BEHIND if bytes((can_id,)) == self._other else LOCAL
+        self._wrong[one] = WRONG.get(fault, 0)
+        if heat:
+            self._heat[one] = max(0, min(heat[0] // 10, 255))
+        found = self._paired(mask, values, one)
+        due = any(isinstance(sample, Answer) for sample in found) and self._answers % TOLD_EVERY == 1
+        if due or self._wrong != self._told:
+            self._told = dict(self._wrong)
+            found.append(Health(tuple((each, 0.0, self._heat.get(each, 0), bits) for each, bits in self._told.items())))
+        return found
+
+    def _paired(self, mask: int, values: Values, one: int) -> list[Sample]:
+        """The samples of a question that every controller has answered."""
+        if not self._other:
+            return self._answered(mask, values)
+        first, self._first = self._first, None
+        if one == BEHIND:
+            self._misses = 0
+            return self._answered(mask, first[1], values) if first and first[0] == mask else []
+        self._misses += first is not None
+        if self._misses >= MISSES:
+            self._wrong[BEHIND] = SERVO_MISSING
+        self._first = mask, values
+        return []
+
+    def _answered(self, mask: int, *every: Values) -> list[Sample]:
+        self._answers += 1
+        volts = min(values.volts for values in every)
+        speeds, positions = tuple([values.speed for values in every]), tuple([values.position for values in every])
+        return [Wheels(speeds, positions), Battery(volts), Answer(str(MASKS.index(mask)))]

@@ -1,0 +1,117 @@
+"""The packets that a driver may write to a VESC, and what it hears.
+
+A driver sets speeds in ERPM and the servo's place, and asks for the firmware's version and for values (RoboRacer's
+vesc_driver, f1tenth/vesc 01f6304; pyvesc 1.0.5). Both questions are passed on, and so are their answers. A speed keeps
+the servo where it was sent before. A duty cycle or a current has no speed that could be limited, so it is refused
+unless it is zero. Bytes that are no packet are skipped as the firmware skips them.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+
+from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal
+from failstop.board.facts import USUAL_CAN_ID
+from failstop.board.vesc import codec
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
+
+PATIENCE_NS = 1_000_000_000
+_VALUE, _PLACE = Struct(">i"), Struct(">h")
+_VERSION, _VALUES, _CURRENT, _BRAKE, _POSITION, _HANDBRAKE, _ALIVE = 0, 4, 6, 7, 9, 10, 30
+_PASSED_ON = frozenset((_VERSION, _VALUES))
+_NO_PACKET = DriverRefusal("bytes that are no packet", "the board skips them too: is the driver made for this board?")
+_NO_SPEED = {
+    codec.DUTY: "a duty cycle",
+    _CURRENT: "a current",
+    _POSITION: "a position of the motor",
+    _HANDBRAKE: "a handbrake current",
+}
+
+
+class VescDriver:
+    """One driver's packets, and the answers to its questions."""
+
+    def __init__(self, can_id: int | None, steering: tuple[float, float] | None) -> None:
+        """`can_id`: of the second motor, None if there is none; `steering`: the servo's us for straight ahead, and what
+        is added for a radian to the left; None if the base is not steered."""
+        self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
+        self._can_id, self._steering = can_id, steering
+        self._speeds = [0.0] if can_id is None else [0.0, 0.0]
+        self._angle_rad: float | None = None if steering is None else 0.0
+        self._wrote = self._heard = b""
+
+    def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
+        """The driver's packets."""
+        data = self._wrote + chunk
+        found, self._wrote = codec.payloads(data)
+        rows = [row for payload in found for row in self._asked(payload, 0)]
+        if len(data) - len(self._wrote) > sum(len(codec.packet(payload)) for payload in found):
+            rows.append(_NO_PACKET)
+        return rows
+
+    def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
+        """The answers to a driver's questions; failstop's own are others."""
+        found, self._heard = codec.payloads(self._heard + chunk)
+        return [codec.packet(payload) for payload in found if payload[0] in _PASSED_ON]
+
+    def _asked(self, payload: bytes, motor: int) -> list[Row]:
+        command, data = payload[0], payload[1:]
+        if command == codec.FORWARD and not motor:
+            if self._can_id is None or len(data) < 2 or data[0] != self._can_id:
+                where = f"a packet for CAN id {data[0]}" if data else "a packet for the CAN"
+                known = "no motor on a CAN" if self._can_id is None else f"one on id {self._can_id} (board.can_id)"
+                return [DriverRefusal(where, f"failstop's settings have {known}")]
+            return self._asked(data[1:], 1)
+        if command in _PASSED_ON:
+            if motor:
+                return [DriverRefusal("a question for the second VESC", "failstop asks it itself, and passes none on")]
+            return [DriverFrame(codec.FIRMWARE if command == _VERSION else codec.VALUES, str(command))]
+        if command == codec.SERVO:
+            return self._steer(data)
+        if command == _ALIVE:
+            return [self._motion()]
+        if command == _BRAKE:
+            return self._set(motor, 0.0)
+        if command in (codec.RPM, *_NO_SPEED) and len(data) >= _VALUE.size:
+            (value,) = _VALUE.unpack_from(data)
+            if command == codec.RPM:
+                return self._set(motor, float(value))
+            if not value and command in (codec.DUTY, _CURRENT):
+                return self._set(motor, 0.0)
+            why = "it has no speed that could be limited, so the wheels were stopped: use a speed (SetRPM)"
+            return [DriverRefusal(_NO_SPEED[command], why), *self._stopped()]
+        return [DriverRefusal(f"command {command}", "failstop passes on no settings, tests or other questions")]
+
+    def _set(self, motor: int, erpm: float) -> list[Row]:
+        self._speeds[motor] = erpm
+        return [self._motion()]
+
+    def _motion(self) -> DriverMotion:
+        return DriverMotion(tuple(self._speeds), steering_rad=self._angle_rad)
+
+    def _stopped(self) -> list[Row]:
+        self._speeds = [0.0] * len(self._speeds)
+        return [DriverMotion(tuple(self._speeds), refused=True, steering_rad=self._angle_rad)]
+
+    def _steer(self, data: bytes) -> list[Row]:
+        if self._steering is None:
+            return [DriverRefusal("the servo", 'failstop steers a base with wheels.layout = "ackermann" alone')]
+        if len(data) < _PLACE.size:
+            return []
+        centre, per_rad = self._steering
+        (place,) = _PLACE.unpack_from(data)
+        self._angle_rad = (max(0, min(place, codec.WAY_US)) + codec.FIRST_US - centre) / per_rad
+        return [self._motion()] if any(self._speeds) else []
+
+
+def language(settings: Mapping[str, float | str]) -> VescDriver:
+    """A driver's conversation, by the wheels and the servo of the settings."""
+    if settings.get("wheels.layout") != "ackermann":
+        return VescDriver(int(settings.get("board.can_id", USUAL_CAN_ID)), None)
+    per_rad = float(settings["steering.sign"]) * float(settings["steering.per_rad"])
+    return VescDriver(None, (float(settings["steering.centre"]), per_rad))

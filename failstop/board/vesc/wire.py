@@ -1,0 +1,134 @@
+"""The VESC's wire: two controllers, the second behind the CAN of the first, each with packets of its own in one write.
+
+Between the two packets of a stop no process can die, because one write takes both. The kernel may take a part, which
+the writer's next burst or another writer's completes: the receiver finds every whole packet behind a cut one. So what
+remains is a controller that hears nothing, such as one whose CAN plug is out. Its motor stops by its own timeout, it
+answers no question, and without its answer no stop counts as acknowledged and no motion can be enabled.
+
+A burst holds two stops and zeros between them. Each writer's four are longer than the longest packet that a receiver
+may wait for, so a garbled length delays a stop by 0.14 s and loses none.
+"""
+
+from __future__ import annotations
+
+from failstop.board.facts import USUAL_CAN_ID
+from failstop.board.vesc import codec
+from failstop.board.wire import (
+    ANSWERED,
+    COAST,
+    OBSERVED,
+    Answer,
+    Commander,
+    Motion,
+    Pace,
+    Port,
+    Question,
+    Reports,
+    Sample,
+    TimedStop,
+    Watchdog,
+    Wire,
+    Write,
+)
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from failstop.board.driver import DriverLanguage
+
+_MS = 1_000_000
+IDLE_NS = 100_000
+HUB_PER_RPS, CAR_PER_RPS = 900.0, 1450.0
+"""ERPM of one turn a second: of a hub motor with 15 pairs of poles, as in a hoverboard; and of a RoboRacer car, which
+has 4614 ERPM for 1 m/s (f1tenth_system 03865a0, vesc.yaml) and wheels of 0.1 m."""
+
+
+def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
+    from failstop.board.vesc import driver  # for the guard port alone
+
+    return driver.language(settings)
+
+
+def _answers(index: int) -> Callable[[Sample], bool]:
+    return lambda sample: isinstance(sample, Answer) and sample.text == str(index)
+
+
+def wire(can_ids: tuple[int, ...]) -> Wire:
+    """The description for a controller at the port, and those with these CAN ids behind it."""
+    motors = codec.Motors(can_ids)
+    return Wire(
+        name=f"{'two VESCs' if can_ids else 'a VESC'}",
+        port=Port(baud=115_200, dtr=False, rts=False, deaf_ns=0, opening=()),
+        stop=TimedStop(
+            writes=(Write(0, motors.burst),),
+            after_ns=0,
+            repeats_ns=tuple(
+                tuple(at * _MS for at in row) for row in ((0, 23, 53, 103), (0, 29, 61, 113), (0, 37, 71, 127))
+            ),
+        ),
+        # The bursts of a stop take a while on a serial line: what comes behind them waits until they are out.
+        pace=Pace(idle_ns=IDLE_NS, unanswered=None),
+        watchdog=Watchdog(
+            after_ns=1000 * _MS,
+            does=COAST,
+            arm=None,
+            set_ns=0,
+            fed_by="every command to a motor feeds its own controller's, a question does not; VESC Tool sets its time "
+            "(0 switches it off) and a brake current instead of coasting",
+        ),
+        motion=Motion(
+            wheels=motors.wheels,
+            unit=codec.UNIT,
+            limit=codec.LIMIT,
+            per_rps=lambda _diameter_m: HUB_PER_RPS if can_ids else CAR_PER_RPS,
+            step=1.0,
+            apart=2 * codec.LIMIT,
+            frame=motors.frame,
+            rest=motors.rest,
+            check=motors.check,
+            speeds=motors.speeds,
+        ),
+        questions=tuple(
+            Question(f"values {mask:#x} of each motor", ask, _answers(index))
+            for index, (mask, ask) in enumerate(zip(codec.MASKS, motors.questions, strict=True))
+        ),
+        reader=motors.replies,
+        proofs=(ANSWERED, OBSERVED),
+        ping_ns=50 * _MS,
+        echo_ns=0,
+        # Every question asks for speeds and tachometers, which count six steps in an electrical revolution.
+        reports=Reports(
+            every_ns=100 * _MS,
+            speed_per_rps=lambda per_rps, _diameter_m: per_rps,
+            position_per_turn=lambda per_rps, _diameter_m: per_rps / 60 * codec.STEPS,
+            wraps=2.0**32,
+            holds_speed=True,
+            own_scale=False,
+            position_step=1.0,
+        ),
+        # A busy computer may lose a few answers in a row. A short restart shows in the tachometers.
+        silent_ns=700 * _MS,
+        commanders=(
+            Commander(
+                who="a remote control or a gamepad at a VESC (App to Use in VESC Tool: PPM, ADC, Nunchuk, NRF)",
+                remedy="set App to Use to UART, or to No App with USB, on each VESC",
+            ),
+            Commander(
+                who="VESC Tool, by Bluetooth or by the USB port of the other VESC",
+                remedy="close it, and switch Bluetooth off at a VESC that has it",
+            ),
+            Commander(
+                who="the ROS driver of RoboRacer (vesc_driver) writes to the port",
+                remedy="let it open the guard port instead (docs/guard.md), or start the bridge of failstop",
+                program="lib/vesc_driver/",
+            ),
+        ),
+        aux=codec.check_aux,
+        steering=codec.Steering,
+        driver=_driver,
+    )
+
+
+WIRE = wire((USUAL_CAN_ID,))
+"""Of two motors. The settings' own id takes the place of the usual one."""

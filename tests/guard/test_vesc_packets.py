@@ -1,0 +1,181 @@
+"""What a driver of a VESC may write, held against the board's own receiver, and the answers that it hears."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from failstop.board.driver import DriverFrame, DriverMotion, DriverRefusal, language_of
+from failstop.board.vesc import codec
+from failstop.guard.scale import Scale
+from failstop.policy.settings import Settings
+from failstop_lab.boards.vesc import Vesc, wrapped
+from tests.support.amounts import amount
+
+from .damage import damaged, judged
+
+if TYPE_CHECKING:
+    from failstop.board.driver import DriverLanguage
+
+HOST = Path(__file__).parent.parent / "board" / "recorded_vesc_host.json"
+BYTE_NS = 87_000
+RPM, DUTY, CURRENT, BRAKE, POSITION, HANDBRAKE, SERVO, MCCONF, ALIVE, FORWARD = 8, 5, 6, 7, 9, 10, 12, 13, 30, 34
+PAIR: dict[str, object] = {"board.kind": "vesc"}
+CAR: dict[str, object] = {"board.kind": "vesc", "wheels.layout": "ackermann"}
+
+
+def packet(command: int, value: int, size: int = 4) -> bytes:
+    return wrapped(bytes((command,)) + value.to_bytes(size, "big", signed=True))
+
+
+def behind(command: int, value: int, can_id: int = 1) -> bytes:
+    return wrapped(bytes((FORWARD, can_id, command)) + value.to_bytes(4, "big", signed=True))
+
+
+def made(settings: dict[str, object] | None = None) -> DriverLanguage:
+    language = language_of("vesc", Settings(settings or PAIR).flat())
+    assert language
+    return language
+
+
+def motions(chunk: bytes) -> list[tuple[float, ...]]:
+    return [tuple(row.speeds) for row in made().wrote(chunk, 0) if isinstance(row, DriverMotion)]
+
+
+def refusals(chunk: bytes, settings: dict[str, object] | None = None) -> list[str]:
+    return [row.what for row in made(settings).wrote(chunk, 0) if isinstance(row, DriverRefusal)]
+
+
+def commanded(chunk: bytes) -> list[tuple[float, ...]]:
+    board = Vesc(joined=False)
+    for at, value in enumerate(chunk, 1):
+        board.byte(at * BYTE_NS, value)
+    board.until(len(chunk) * BYTE_NS + 1_000_000)
+    return [speeds for _, speeds in board.commands]
+
+
+def test_what_pyvesc_writes_is_taken_as_it_is_meant() -> None:
+    """59 packets of pyvesc 1.0.5: a name, a value, the bytes."""
+    (rows,) = json.loads(HOST.read_text()).values()
+    assert len(rows) >= 50
+    for name, value, text in rows:
+        chunk = bytes.fromhex(text)
+        if name == "rpm":
+            assert motions(chunk) == [(value, 0.0)] == commanded(chunk)
+            assert chunk == codec.Motors().frame((value,), codec.LIMIT) or not value
+        elif name == "values":
+            (row,) = made().wrote(chunk, 0)
+            assert isinstance(row, DriverFrame)
+            assert row.data == chunk
+        else:
+            assert motions(chunk) == [(0.0, 0.0)]
+            assert bool(refusals(chunk)) == (value != 0 and name != "brake")
+
+
+def test_both_motors_are_driven_by_one_driver() -> None:
+    chunk = packet(RPM, 1000) + behind(RPM, -700) + packet(BRAKE, 2000) + behind(DUTY, 0)
+    assert motions(chunk) == [(1000, 0), (1000, -700), (0, -700), (0, 0)]
+    assert motions(chunk) == commanded(chunk)
+
+
+def test_packets_may_come_split_and_glued() -> None:
+    text = packet(RPM, 900) + behind(RPM, 5) + packet(ALIVE, 0, 1) + packet(RPM, 0)
+    for cut in range(len(text)):
+        language = made()
+        rows = language.wrote(text[:cut], 0) + language.wrote(text[cut:], 0)
+        assert [tuple(row.speeds) for row in rows if isinstance(row, DriverMotion)] == [
+            (900, 0),
+            (900, 5),
+            (900, 5),
+            (0, 5),
+        ]
+
+
+@pytest.mark.parametrize(
+    ("chunk", "what"),
+    [
+        (packet(DUTY, 20_000), "a duty cycle"),
+        (packet(CURRENT, -2000), "a current"),
+        (packet(POSITION, 90_000_000), "a position of the motor"),
+        (packet(HANDBRAKE, 1000), "a handbrake current"),
+        (behind(CURRENT, 1), "a current"),
+    ],
+)
+def test_what_would_turn_a_motor_without_a_speed_stops_both(chunk: bytes, what: str) -> None:
+    language = made()
+    language.wrote(packet(RPM, 1000) + behind(RPM, 1000), 0)
+    rows = language.wrote(chunk, 0)
+    assert what in [row.what for row in rows if isinstance(row, DriverRefusal)]
+    assert [(tuple(row.speeds), row.refused) for row in rows if isinstance(row, DriverMotion)] == [((0, 0), True)]
+
+
+@pytest.mark.parametrize(
+    ("chunk", "what"),
+    [
+        (behind(RPM, 1000, 9), "a packet for CAN id 9"),
+        (wrapped(bytes((FORWARD,))), "a packet for the CAN"),
+        (packet(MCCONF, 0), "command 13"),
+        (wrapped(b"\x01"), "command 1"),
+        (packet(SERVO, 500, 2), "the servo"),
+        (wrapped(bytes((FORWARD, 1, 4))), "a question for the second VESC"),
+        (b"m 100 100\r", "bytes that are no packet"),
+        (packet(RPM, 1000)[:-1] + b"\0", "bytes that are no packet"),
+    ],
+)
+def test_what_is_refused_is_named_and_moves_nothing(chunk: bytes, what: str) -> None:
+    assert refusals(chunk) == [what]
+    assert motions(chunk) == []
+
+
+def test_a_car_s_servo_and_speed_become_a_curve_within_its_limits() -> None:
+    """As RoboRacer's ackermann_to_vesc: -1.2135 of the way for a radian, straight ahead at 0.5304."""
+    settings = Settings(CAR)
+    language, scale = made(CAR), Scale(settings, 1450.0, 1 / 1450.0)
+    angle = 0.2
+    place = int((-1.2135 * angle + 0.5304) * 1000)
+    assert language.wrote(packet(SERVO, place, 2), 0) == []
+    (row,) = language.wrote(packet(RPM, 4614), 0)
+    assert isinstance(row, DriverMotion)
+    assert row.steering_rad == pytest.approx(angle, abs=0.002)
+    vx, vy, wz = scale.velocity(row.speeds, row.steering_rad)
+    assert (vx, vy) == (pytest.approx(1.0, rel=0.01), 0.0)
+    assert wz == pytest.approx(math.tan(angle) * vx / 0.33, rel=0.02)
+    (turned,) = language.wrote(packet(SERVO, 530, 2), 0)
+    assert isinstance(turned, DriverMotion)
+    assert scale.velocity(turned.speeds, turned.steering_rad)[2] == pytest.approx(0.0, abs=0.01)
+    assert refusals(behind(RPM, 1000), CAR) == ["a packet for CAN id 1"]
+
+
+def test_a_driver_hears_the_answers_to_its_own_questions_alone() -> None:
+    language, board = made(), Vesc(turns=True)
+    asked = codec.FIRMWARE + wire_questions() + codec.VALUES
+    for at, value in enumerate(asked, 1):
+        board.byte(at * BYTE_NS, value)
+    board.until(100_000_000)
+    said = b"".join(data for _, data in board.said)
+    heard = [found for value in said for found in language.heard(bytes((value,)), 0)]
+    assert [each[2] for each in heard] == [0, 4]
+    assert all(each in said for each in heard)
+
+
+def wire_questions() -> bytes:
+    return b"".join(codec.Motors((1,)).questions)
+
+
+def test_damaged_packets_turn_no_wheel_that_the_board_would_not_turn() -> None:
+    random_ = random.Random(31)
+
+    def one() -> bytes:
+        erpm = random_.choice((0, 1, 673, 900, -5000, 99_999))
+        return random_.choice((packet(RPM, erpm), behind(RPM, erpm), packet(DUTY, 0), packet(CURRENT, erpm)))
+
+    moved = 0
+    for _ in range(amount(1000, 60_000)):
+        chunk = damaged(random_, one, (2, 3, 8), b"\2\3\0\x22", 9)
+        moved += judged(chunk, motions, commanded)
+    assert moved > 100
