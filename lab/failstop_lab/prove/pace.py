@@ -25,7 +25,8 @@ def commanded_rps(settings: Settings, velocity: Turning, board: Board) -> tuple[
     chassis = kinematics.from_settings(settings)
     speeds = chassis.wheels_rps(*velocity.command)
     sent = board.speeds(board.motor_speeds(speeds, kinematics.max_wheel_rps(settings) * ROUNDING))
-    speeds = speeds if sent is None else tuple(sent)
+    if sent is not None:
+        return tuple(sent)
     return speeds[:-1] if chassis.steers else speeds
 
 

@@ -6,6 +6,7 @@ import dataclasses
 
 from failstop.messages.layout import GATE, PORT_OWNER, PROCESS_NAMES, STOPPER, SUPERVISOR, TELEMETRY
 from failstop.policy import causes
+from failstop.policy.layouts import ACKERMANN
 from failstop.policy.settings import Settings
 from failstop_lab.faults import arm_table, processes
 from failstop_lab.faults.arm_table import ArmFault
@@ -189,14 +190,16 @@ BY_ARM_PATH = {path.name: path for path in ARM_PATHS}
 
 
 def within(settings: Settings, at: tuple[str, ...] = ()) -> list[Turning]:
-    """The velocities of the table, each no faster than this robot's limits, and none twice. `at`: those of these names
-    alone."""
+    """The velocities of the table, each no faster than this robot's limits, and none twice. A steered base, which can't
+    turn on the spot, drives a curve instead. `at`: those of these names alone."""
     most_vx, most_wz = settings["limits.vx_mps"], settings["limits.wz_radps"]
+    slowest = TURNINGS[0].command[0] if settings.text("wheels.layout") == ACKERMANN else 0.0
     found: dict[tuple[float, float, float], Turning] = {}
     for velocity in TURNINGS:
         forward, aside, turn = velocity.command
+        forward = forward or slowest
         command = min(forward, most_vx), aside, min(turn, most_wz)
-        name = velocity.name if command[0] == forward else f"{command[0]:g}"
+        name = velocity.name if turn or command[0] == forward else f"{command[0]:g}"
         if not at or velocity.name in at:
             found.setdefault(command, dataclasses.replace(velocity, command=command, name=name))
     return list(found.values())

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from math import pi
+
 import pytest
 
 from failstop.board.kinds import board_of
+from failstop.policy.settings import Settings
 from failstop_lab.boards.hoverboard import LOOP_NS, Hoverboard
 from failstop_lab.prove import pace
 from failstop_lab.prove.sight import SeenSample
+from failstop_lab.prove.table import within
 from failstop_lab.prove.watch import Commanded
 
 MS = 1_000_000
@@ -55,3 +59,12 @@ def test_a_report_from_before_the_first_frame_says_nothing() -> None:
     reports = board_of("hoverboard", 0.08, 60.0).reports
     assert pace.measured(samples, reports, []) is None
     assert pace.measured(samples, reports, [(samples[-1][0] + 1, (1.0, 1.0))]) is None
+
+
+def test_a_car_is_judged_by_its_motor_and_drives_a_curve_where_others_turn() -> None:
+    settings = Settings({"board.kind": "vesc", "wheels.layout": "ackermann", "limits.vx_mps": 1.0})
+    board = board_of(*settings.board())
+    assert [velocity.command for velocity in within(settings)][-1] == (0.2, 0.0, 1.0)
+    for velocity in within(settings):
+        (rps,) = pace.commanded_rps(settings, velocity, board)
+        assert rps == pytest.approx(velocity.command[0] / (pi * 0.1), rel=0.01)
