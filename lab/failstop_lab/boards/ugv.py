@@ -25,7 +25,7 @@ from failstop_lab.boards.line import ReceiverModel, Rolling
 LOOP_NS = 1_000_000
 """How often its main loop comes round; its real time is not known."""
 HEARTBEAT_MS = 3000
-REPORT_NS = 50_000_000
+FLOW_NS = 50_000_000
 TRACK_M = 0.172
 FASTEST = 2.0
 _MS = 1_000_000
@@ -50,7 +50,7 @@ class Ugv(Rolling):
         self.gain = 1.0
         """How many m/s a unit of a command is."""
         self._odometers = [0.0, 0.0]
-        self._report_ns = REPORT_NS
+        self._report_ns = FLOW_NS
         self._compared = [0.0, 0.0]
         self._rates = [1.0, 1.0]
         self._heartbeat_ms = HEARTBEAT_MS
@@ -85,8 +85,8 @@ class Ugv(Rolling):
             self._report(at_ns)
 
     def _report(self, at_ns: int) -> None:
-        passed_s = (at_ns - self._report_ns + REPORT_NS) / 1e9
-        self._report_ns = at_ns + REPORT_NS
+        passed_s = (at_ns - self._report_ns + FLOW_NS) / 1e9
+        self._report_ns = at_ns + FLOW_NS
         wheels = tuple(speed * self.gain for speed in self.reported)
         self._odometers = [way + 100 * speed * passed_s for way, speed in zip(self._odometers, wheels, strict=True)]
         said = b'{"T":1001,"L":%g,"R":%g,"ax":0,"ay":0,"az":8192,"gx":0,"gy":0,"gz":0,"odl":%d,"odr":%d,"v":1180}\r\n'

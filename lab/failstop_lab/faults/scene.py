@@ -120,7 +120,9 @@ class Scene(Stand):
         """Do as ExecStopPost does, once the supervisor is gone."""
         if self.service.process:
             self.service.process.wait(GONE_S)
-        command = helpers.python("failstop", "stop", "--device", self.trial.link, "--wait", "5")
+        command = helpers.python(
+            "failstop", "stop", "--config", self._config, "--device", self.trial.link, "--wait", "5"
+        )
         self._tool = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
 
     def wait_for_stop_tool(self) -> None:

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 from failstop_lab.machine.calls import Module
 from failstop_lab.machine.process import Process, Replaced, Thread
 
-BOOTSTRAP = "bootstrap.py"
+BOOTSTRAP_FILE = "bootstrap.py"
 """The script that becomes whichever process its first word names."""
 
 
@@ -43,7 +43,7 @@ class Processes(Module):
         words = argv[argv.index(script) :]
         name = posixpath.basename(script)
         program = self._machine.programs.get(name)
-        called = words[1] if name == BOOTSTRAP else name
+        called = words[1] if name == BOOTSTRAP_FILE else name
 
         def run(child: Process) -> int:
             return program(child, words) if program else 0

@@ -18,9 +18,12 @@ from failstop_lab.faults.table import GUARD_ROWS
 from tests.support.amounts import LONG
 from tests.support.boards import EVERY_KIND
 
-FEW = ("kill-port_owner", "kill-gate+telemetry", "usb-drop-mid-frame", "board-wheel-runs-away", "kill-supervisor")
-"""Each writer stops once, and one of them a board that was left in the middle of a frame; and what the first board
-can't have."""
+FEW = (
+    *("kill-port_owner", "kill-gate+telemetry", "usb-drop-mid-frame", "board-wheel-runs-away", "kill-supervisor"),
+    "kill-supervisor+port_owner+telemetry+stopper",
+)
+"""Each writer stops once, the stop tool too, and one of them a board that was left in the middle of a frame; and what
+the first board can't have."""
 
 
 @pytest.mark.slow
