@@ -86,14 +86,23 @@ def twice(text: str, problem: str) -> str:
     if not problem.startswith(TWICE):
         return ""
     at = AT_LINE.search(problem)
-    lines = [line for line in outline(text) if not at or line.number <= int(at[1])]
+    whole = outline(text)
+    lines = [line for line in whole if not at or line.number <= int(at[1])]
     if not lines:
         return ""
     *before, second = lines
     key = shortened(second.whole)
     if second.name:
         first = next((line for line in before if line.name and line.whole == second.whole), None)
-        return f"line {second.number} sets {key}, which line {first.number} has set: keep one of them" if first else ""
+        if not first:
+            return ""
+        told = f"line {second.number} sets {key}, which line {first.number} has set"
+        set_before = {line.whole for line in lines if line.name}
+        more = (line for line in whole if line.number > second.number and line.name)
+        again = [line.number for line in more if line.whole in set_before]
+        if again:
+            return f"{told}, and {len(again)} more lines up to line {again[-1]} set what is set already: keep one of each"
+        return f"{told}: keep one of them"
     for line in before:
         if not line.name and line.table == second.table:
             return f"line {second.number} begins [{key}], as line {line.number} has: put its settings below that line"

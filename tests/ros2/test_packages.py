@@ -76,3 +76,11 @@ def test_the_launch_file_declares_what_it_uses() -> None:
 
 def test_the_page_is_that_of_the_code() -> None:
     assert ros2.text() in (ROOT / "docs/ros2.md").read_text(), "renew it: make docs"
+
+
+def test_the_line_for_the_launch_file_of_nav2_is_an_argument_of_a_node() -> None:
+    """launch_ros takes a list of pairs."""
+    page = (ROOT / "docs/ros2.md").read_text()
+    [shown] = re.findall(r"^\+? *(remappings ?=.*cmd_vel_nav.*)$", page, re.MULTILINE)
+    given = eval(f"dict({shown})", {"remappings": [("/tf", "tf")]})
+    assert given == {"remappings": [("/tf", "tf"), ("cmd_vel", "cmd_vel_nav")]}

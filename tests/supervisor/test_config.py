@@ -117,6 +117,12 @@ ABOVE = TABLES.replace("[device]", "{}[device]")
             "device.path = '/dev/y'\n",
         ),
         (
+            "board.kind = 'ugv'\nscan.gate = 'off'\n" * 2 + "gate.lease_s = 0.1\nscan.gate = 'on'\n",
+            "line 3 sets board.kind, which line 1 has set, and 2 more lines up to line 6 set what is set already: "
+            "keep one of each",
+            "board.kind = 'ugv'\nscan.gate = 'off'\n",
+        ),
+        (
             TABLES + "[device]\n#path = 1\n",
             "line 8 begins [device], as line 2 has: put its settings below that line",
             TABLES,

@@ -65,6 +65,16 @@ def _wrong(name: str, low: int, high: int) -> str:
     return ""
 
 
+def _read(path: str) -> Any:
+    """What is in the file. Raises ValueError, which says why it can't be read."""
+    try:
+        return json.loads(Path(path).read_text("utf-8"))
+    except OSError as error:
+        raise ValueError(f"{error.strerror}: check the path") from None
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"it is no JSON ({error}): is it LeKiwi's calibration?") from None
+
+
 def _check(made: str) -> None:
     """Have failstop look at the settings before anybody appends them. Raises ValueError."""
     with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as file:
@@ -82,10 +92,10 @@ def main(words: list[str]) -> int:
         sys.stderr.write("usage: python -m lerobot_robot_failstop CALIBRATION.json\n")
         return 2
     try:
-        made = HEAD + tables(json.loads(Path(words[0]).read_text("utf-8")))
+        made = HEAD + tables(_read(words[0]))
         _check(made)
         sys.stdout.write(made)
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError) as error:
         sys.stderr.write(f"{words[0]}: {error}\n")
         return 1
     return 0

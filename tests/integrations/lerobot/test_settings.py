@@ -53,8 +53,9 @@ def test_an_offset_is_kept_for_lerobot_s_host_at_the_guard_port(
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        (None, "No such file"),
-        ("{", "Expecting property name"),
+        (None, "kiwi.json: No such file or directory: check the path\n"),
+        ("{", "it is no JSON (Expecting property name"),
+        ("{", "is it LeKiwi's calibration?"),
         ("[]", "is it LeKiwi's calibration?"),
         (json.dumps(WITHOUT), "no arm_gripper with id, range_min, range_max: is it LeKiwi's calibration?"),
         (json.dumps(EMPTY), "arm_gripper has a range from 600 to 600: calibrate it again"),
