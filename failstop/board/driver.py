@@ -96,7 +96,11 @@ def language_of(kind: str, settings: Settings) -> DriverLanguage | None:
 
     if kinds.is_described(kind):
         make = kinds.wire_of(kind).driver
-        return make(settings) if make else None
+        try:
+            return make(settings) if make else None
+        except (ImportError, AttributeError, TypeError) as error:
+            remedy = 'correct it ("The guard port" in docs/dev/porting.md), or take `driver` out of its Wire'
+            raise ValueError(f"{kind}/wire.py: its `driver` raises {type(error).__name__}: {error}: {remedy}") from error
     try:
         module = __import__(f"failstop.board.{kind}.driver", fromlist=["language"])
     except ModuleNotFoundError:

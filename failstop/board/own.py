@@ -51,7 +51,7 @@ class OwnBoardError(ValueError):
     """The folder can't be used; the message names it, and says what to do."""
 
     def __init__(self, what: str) -> None:
-        super().__init__(f"board.kind: {what}; no stop can be written to it: use the POWER SWITCH")
+        super().__init__(f"board.kind: {what}")
         self.what = what
 
 
@@ -101,6 +101,8 @@ def _check_vocabulary(folder: str, offered: str) -> None:
         for line in lines
         if line.startswith(SAYS)
     ]
+    if len(said) > 1:
+        raise OwnBoardError(f"{path} has {len(said)} lines that begin with {SAYS.decode()}: keep one of them")
     if said != [offered]:
         written = f"was written for vocabulary {said[0]}" if said else f"has no line {SAYS.decode()}{offered}"
         offers = f"failstop {VERSION} offers vocabulary {offered} of failstop/board/wire.py"

@@ -17,6 +17,7 @@ import pytest
 
 from failstop import config
 from failstop.board import kept, own, wire
+from failstop.board.driver import language_of
 from failstop.board.kinds import board_of, wire_of
 from failstop.board.own import OwnBoardError
 from failstop.board.wire import VOCABULARY
@@ -64,6 +65,7 @@ def test_the_page_says_how_to_begin(tmp_path: Path) -> None:
     subprocess.run(["sh", "-e", "-c", told.replace("/etc/failstop/boards", str(tmp_path))], cwd=ROOT, check=True)
     folder = str(tmp_path / "tank")
     assert board_of(folder, 0.08, 0.0).burst == board_of("arduino", 0.08, 0.0).burst
+    assert type(language_of(folder, Settings({"board.kind": folder}).flat())).__module__ == f"{own.OWN_PACKAGE}.driver"
     assert type(model_of(folder).live()).__module__ == f"{own.OWN_PACKAGE}.receiver"
     assert not any("failstop.board.arduino" in path.read_text() for path in Path(folder).glob("*.py"))
 
@@ -119,6 +121,10 @@ WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
     "no vocabulary": (
         in_wire(SAYS, NO_IMPORT),
         rf"wire.py has no line VOCABULARY = {VOCABULARY}, and failstop .* offers",
+    ),
+    "two vocabularies": (
+        in_wire(SAYS, SAYS * 2),
+        "wire.py has 2 lines that begin with VOCABULARY = : keep one of them",
     ),
     "no field": (in_wire("        after_ns=0,\n", ""), "wire.py: TypeError: TimedStop lacks after_ns"),
     "no such field": (in_wire("ping_ns=", "pings_ns="), "wire.py: TypeError: Wire has no field pings_ns"),
@@ -258,14 +264,15 @@ def test_a_module_is_compiled_from_the_bytes_that_were_checked(folder: str, monk
 @pytest.mark.starts
 @pytest.mark.parametrize("words", [("config", "--check"), ("run", "--config"), ("stop", "--config")], ids=" ".join)
 def test_a_command_tells_of_it_in_a_line(words: tuple[str, ...], tmp_path: Path) -> None:
-    """A stop that can't be written says so."""
+    """A stop that can't be written says so; where none is to be written, nobody is sent to the switch."""
     file = tmp_path / "robot.toml"
     file.write_text(f'[board]\nkind = "{tmp_path}/none"\n[device]\npath = "{tmp_path}/port"\n')
     done = commands.failstop(*words, str(file))
     assert done.returncode == 1
     [line] = done.stderr.splitlines()
     assert f"{tmp_path}/none: No such file or directory" in line
-    assert "no stop can be written to it: use the POWER SWITCH" in line
+    assert line.endswith("; no stop was written: use the POWER SWITCH") is (words[0] != "config")
+    assert ("POWER SWITCH" in line) is (words[0] != "config")
 
 
 @pytest.mark.starts

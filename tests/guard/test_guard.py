@@ -157,6 +157,18 @@ def test_a_board_that_nobody_has_described_drivers_of_says_so(tmp_path: Path) ->
     assert f"{kind}/wire.py does not say what a driver program may write to this board: add `driver`" in done.stderr
 
 
+def test_a_board_whose_description_of_drivers_is_not_there_says_so(tmp_path: Path) -> None:
+    kind = own_folder(tmp_path / "tank")
+    (tmp_path / "tank" / "driver.py").unlink()
+    settings = tmp_path / "settings.toml"
+    write_settings(str(settings), {"board.kind": kind})
+    done = failstop("guard", "--dry-run", "--config", str(settings), "--path", str(tmp_path / "port"))
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"failstop: {kind}/wire.py: its `driver` raises ImportError: cannot import name 'driver'")
+    assert "or take `driver` out of its Wire" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
 @pytest.mark.parametrize("dry", [True, False], ids=["dry run", "service"])
 def test_a_pin_that_drives_a_motor_is_named_before_a_driver_can_open_the_port(tmp_path: Path, dry: bool) -> None:
     settings = tmp_path / "settings.toml"

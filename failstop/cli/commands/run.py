@@ -63,14 +63,17 @@ def main(arguments: Namespace) -> int:
 
 def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None]:
     """Where the stop goes, and to which board: what a file says, whatever else is wrong in it, else the default. And
-    what the file sets, as it comes; None: it can't be read, the stop does not wait for why. Raises OwnBoardError."""
+    what the file sets, as it comes; None: it can't be read, the stop does not wait for why. Raises FailstopError."""
     found, read = {key: BY_KEY[key].default for key in (DEVICE, KIND, BAUD, CAN_ID)}, None
     with contextlib.suppress(Exception):
         read = config.read(arguments.config)
         for key in found:
             with contextlib.suppress(SettingError):
                 found[key] = BY_KEY[key].check(read.get(key, found[key]))
-    board = board_of(str(found[KIND]), 1.0, 0.0, baud=int(found[BAUD]), can_id=int(found[CAN_ID]))
+    try:
+        board = board_of(str(found[KIND]), 1.0, 0.0, baud=int(found[BAUD]), can_id=int(found[CAN_ID]))
+    except ValueError as error:
+        raise FailstopError(f"{error}; no stop was written: use the POWER SWITCH") from None
     return arguments.device or str(found[DEVICE]), board, read
 
 

@@ -291,10 +291,10 @@ class Target:
         baud = known.port.baud if known and last else int(self._file.get(BAUD, DEFAULTS[BAUD]))
         try:
             made = board_of(kind, 1.0, 0.0, baud=baud, can_id=int(self._file.get(CAN_ID, DEFAULTS[CAN_ID])))
-        except ValueError:
+        except ValueError as error:
             if known:
                 return known
-            raise
+            raise FailstopError(f"{error}; no stop was written: use the POWER SWITCH") from None
         # The last run's stop, if it differs: the file may name another motor by now.
         return known if known and not self._stopped and known.burst != made.burst else made
 
