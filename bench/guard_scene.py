@@ -116,12 +116,12 @@ class GuardScene:
         self.start_guard()
         return self
 
-    def start_guard(self) -> Process:
+    def start_guard(self, *before: str) -> Process:
+        """Start it, or start it again; `before`: a command that runs it, such as one that puts it into a container."""
         if self.guard:
             self.guard.close()
-        self.guard = Process(
-            *helpers.python("failstop", "guard", "--name", self.trial.name, "--path", self.path), errors=True
-        )
+        guard = helpers.python("failstop", "guard", "--name", self.trial.name, "--path", self.path)
+        self.guard = Process(*before, *guard, errors=True)
         self.guard.until("your driver opens")
         return self.guard
 

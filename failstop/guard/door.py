@@ -31,6 +31,8 @@ class Door:
         """Those that /proc shows, by pid."""
         self.count = 0
         """How often it is open, as far as is known."""
+        self._opened = 0
+        """How often it is open by inotify alone, which also reports the programs that /proc does not show."""
         self.most = 1
         """How often it may be."""
         self._lives: dict[int, int] = {}
@@ -63,6 +65,7 @@ class Door:
                 news.ended = news.any = True
         for opened in self._watch.events():
             news.any = True
+            self._opened = max(0, self._opened + (1 if opened else -1))
             if opened:
                 self.count += 1
             elif not self._expected() and self.count:
@@ -89,7 +92,11 @@ class Door:
         found, hidden = openers(self._pty.name, meanwhile)
         seen = {pid: opener for pid, opener in found.items() if pid not in self._dying and not dying(pid)}
         shown = sum(opener.times for opener in seen.values())
-        self.count = max(self.count, shown) if hidden else shown
+        if not hidden:
+            self._opened = min(self._opened, shown)
+        closing = sum(left for _, left in self._dying.values())
+        # A child that inherits it is shown, and neither its beginning nor its end is an event.
+        self.count = max(self._opened - closing, shown) if hidden else shown
         self._update_lives(seen)
         self._pty.exclusive(on=self.count >= self.most)
 
@@ -111,7 +118,7 @@ class Door:
         self._pty.hang_up()
         self._dying.clear()
         self._update_lives({})
-        self.count = 0
+        self.count = self._opened = 0
         self._begin()
 
     def _close_watch(self) -> None:

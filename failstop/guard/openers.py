@@ -13,6 +13,7 @@ import os
 import struct
 
 from failstop.guard.news import Opener
+from failstop.shm.lifeline import pid_namespace
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 IN_CLOSE_WRITE, IN_CLOSE_NOWRITE, IN_OPEN = 0x8, 0x10, 0x20
 _EXITING = 0x4
 """PF_EXITING, of the flags in /proc/PID/stat."""
+_MACHINE = 0xEFFFFFFC
+"""The machine's own pid namespace, in which every process has a number (PROC_PID_INIT_INO of Linux)."""
 _EVENT = struct.Struct("iIII")
 _libc = ctypes.CDLL(None, use_errno=True)
 INTERPRETERS = ("python", "perl", "ruby", "node", "bash", "sh", "dash")
@@ -58,12 +61,15 @@ class Watch:
 
 
 def openers(path: str, meanwhile: Callable[[], None]) -> tuple[dict[int, Opener], bool]:
-    """The programs that have this terminal open, but for this process; and whether some process hid its files. Where
-    many programs run it takes longer than a driver waits, so `meanwhile` is called after each of them."""
+    """The programs that have this terminal open, but for this process; and whether there may be others that /proc does
+    not show. Where many programs run it takes longer than a driver waits, so `meanwhile` is called after each of
+    them."""
     wanted = _identity(path)
     found: dict[int, Opener] = {}
-    hidden = False
-    for pid in (int(name) for name in os.listdir("/proc") if name.isdigit()):
+    pids = [int(name) for name in os.listdir("/proc") if name.isdigit()]
+    # In a container, or with the mount option hidepid, the processes of others are not listed at all.
+    hidden = pid_namespace() != _MACHINE or 1 not in pids
+    for pid in pids:
         if pid == os.getpid():
             continue
         meanwhile()
@@ -78,12 +84,22 @@ def openers(path: str, meanwhile: Callable[[], None]) -> tuple[dict[int, Opener]
         times = 0
         for name in names:
             with contextlib.suppress(OSError):
-                # Only what is a device by its path is looked at: another file's server may be away.
-                if os.readlink(f"{folder}/{name}").startswith("/dev/"):
+                if _may_be(pid, name, wanted[1]):
                     times += _identity(f"{folder}/{name}") == wanted
         if times:
             found[pid] = Opener(pid, program(pid), times)
     return found, hidden
+
+
+def _may_be(pid: int, name: str, inode: int) -> bool:
+    """Whether a process's descriptor of that name may be open on a terminal with this inode number. What it is open on
+    is not touched, because the server of a file may be away. Raises OSError."""
+    path = os.readlink(f"/proc/{pid}/fd/{name}")
+    if path.startswith("/dev/") or not path.startswith("/"):
+        return path.startswith("/dev/")
+    # In a container or a unit of its own it may be mounted anywhere. Linux shows the inode since 5.14.
+    with open(f"/proc/{pid}/fdinfo/{name}", "rb") as file:
+        return b"\nino:\t%d\n" % inode in file.read(4096)
 
 
 def _identity(path: str) -> tuple[int, int, int]:

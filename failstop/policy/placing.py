@@ -101,7 +101,9 @@ def twice(text: str, problem: str) -> str:
         more = (line for line in whole if line.number > second.number and line.name)
         again = [line.number for line in more if line.whole in set_before]
         if again:
-            return f"{told}, and {len(again)} more lines up to line {again[-1]} set what is set already: keep one of each"
+            return (
+                f"{told}, and {len(again)} more lines up to line {again[-1]} set what is set already: keep one of each"
+            )
         return f"{told}: keep one of them"
     for line in before:
         if not line.name and line.table == second.table:

@@ -114,8 +114,8 @@ def test_without_a_robot_it_prints_what_a_driver_would_get(tmp_path: Path, diffd
         assert driver.line() == "start Invalid Command|OK"
         assert f"diffdrive (pid {driver.pid}) has the port open" in guard.line()
         assert "PID gains (u)" in guard.line()
-        assert "motion: wheels 900 900" in guard.line()
-        assert "limits.vx_mps allows 0.2" in guard.line()
+        guard.until("motion: wheels 900 900")  # a question may have come before it
+        guard.until("limits.vx_mps allows 0.2")
         driver.kill()
         guard.until("has ended or died while it drove")
     finally:
@@ -164,7 +164,7 @@ def test_a_board_whose_description_of_drivers_is_not_there_says_so(tmp_path: Pat
     write_settings(str(settings), {"board.kind": kind})
     done = failstop("guard", "--dry-run", "--config", str(settings), "--path", str(tmp_path / "port"))
     assert done.returncode == 1
-    assert done.stderr.startswith(f"failstop: {kind}/wire.py: its `driver` raises ImportError: cannot import name 'driver'")
+    assert done.stderr.startswith(f"failstop: {kind}/wire.py: its `driver` raises ImportError: cannot import")
     assert "or take `driver` out of its Wire" in done.stderr
     assert done.stderr.count("\n") == 1
 
