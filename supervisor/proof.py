@@ -248,6 +248,12 @@ class Link:
         self._answered_ns = max(self._answered_ns, newest_ping_ns)
         self._listened_ns = max(self._listened_ns, now_ns)
 
+    def answered_in_part(self, newest_ping_ns: int, now_ns: int) -> None:
+        """One of the board's parts does not answer, so no question is answered whole. While the others are heard, the
+        board is not deaf."""
+        if now_ns - self._said_ns < self._deaf_ns:
+            self.listen(newest_ping_ns)
+
     def held_up(self, now_ns: int) -> None:
         """The machine does not run a process that asks, listens or judges: who was silent until now is not known."""
         self._held_up_ns = now_ns

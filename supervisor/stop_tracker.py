@@ -189,6 +189,8 @@ class StopTracker:
         if not listening:
             link.listen(newest_ns, now_ns)
             return
+        if self.wheel_servos.waited_for():
+            link.answered_in_part(newest_ns, now_ns)
         link.check_silence(self._patience.get(), now_ns)
         link.check_echo(self._unheeded.get())
         link.gone_deaf(newest_ns, now_ns)

@@ -21,18 +21,36 @@ LOGIND = "/etc/systemd/logind.conf.d"
 OFF = "cut the motors' power with the POWER SWITCH"
 UNIT_USER = "failstop"
 """The user of the service's unit."""
+EACH_RUN_S = ("gate.lease_s", "device.path")
+MOST_NAMED = 4
+"""Settings that one row names."""
 ALONE = "nothing here measures speeds apart from it, so no drive can show that it is wrong"
 REMOVE_IPC = ("org.freedesktop.login1", "/org/freedesktop/login1", "org.freedesktop.login1.Manager", "RemoveIPC")
 """Where logind says whether it does."""
 
 
 def settings(look: Look) -> list[Finding]:
-    """The settings that a start would read."""
+    """The settings that a start would read, and whether the service that runs has others."""
     path, _, problem = look.settings
     if problem:
         text = f"{problem}: the service does not start with them"
         return fail(text, f"failstop config --check {shlex.quote(path)}", "after the correction")
+    if look.state and (others := _others(look)):
+        named = (
+            f"{', '.join(others[:MOST_NAMED])}{f' and {len(others) - MOST_NAMED} more' * (len(others) > MOST_NAMED)}"
+        )
+        if not path:
+            return ok(f"of a file that {look.name!r} was started with ({named})")
+        text = f"{look.name!r} runs with other settings than {path} has: {named}"
+        return warn(text, "", "start it again if they are to count, which stops the wheels")
     return ok(path or "no file: every setting has its default")
+
+
+def _others(look: Look) -> list[str]:
+    """The settings of the service that runs which a start would not give it. A lease may follow from its rights, and a
+    port from an option."""
+    found = look.settings[1].flat()
+    return [key for key, value in look.told.flat().items() if key not in EACH_RUN_S and found.get(key) != value]
 
 
 def running(look: Look) -> list[Finding]:

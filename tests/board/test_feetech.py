@@ -199,6 +199,28 @@ def test_a_base_whose_wheel_does_not_answer_is_not_enabled_and_says_which(missin
     simulated.enable()
 
 
+@pytest.mark.parametrize("missing", codec.WHEELS)
+def test_a_wheel_that_stops_answering_is_not_the_whole_board(missing: int) -> None:
+    """Two servos answer: the board hears, and nobody is sent to look at its wires. Once none answers, it is deaf."""
+    simulated = Simulated(kind="feetech")
+    simulated.wait(2.0)
+    bus_of(simulated).silent.add(missing)
+    simulated.wait(5.0)
+    assert simulated.robot.state.device.link == "alive"
+    with pytest.raises(simulated.failstop.Refused, match=re.escape(f"(servo {missing}), which does not answer; next:")):
+        simulated.robot.enable()
+    told = " ".join(simulated.command("why")[1].split())
+    assert f"(servo {missing}): its plug on the bus, its power and its id" in told
+    assert "POWER SWITCH" not in told
+    assert "does NOT hear" not in told
+    bus_of(simulated).silent |= set(codec.WHEELS)
+    simulated.wait(5.0)
+    assert simulated.robot.state.device.link == "deaf"
+    bus_of(simulated).silent.clear()
+    simulated.wait(2.0)
+    simulated.enable()
+
+
 def test_a_wheel_that_stops_answering_while_the_robot_drives_stops_it_by_name() -> None:
     simulated = Simulated(kind="feetech")
     simulated.enable()
@@ -208,6 +230,9 @@ def test_a_wheel_that_stops_answering_while_the_robot_drives_stops_it_by_name() 
     simulated.drive(0.6)
     assert str(simulated.robot.state.cause) == str(causes.WHEEL_MISSING("rear wheel (servo 8)"))
     assert not any(bus_of(simulated).wheels)
+    simulated.wait(5.0)
+    assert simulated.robot.state.device.link == "alive"
+    assert str(simulated.robot.state.cause) == str(causes.WHEEL_MISSING("rear wheel (servo 8)"))
 
 
 def test_what_is_wrong_with_a_servo_has_one_meaning_everywhere() -> None:

@@ -93,6 +93,12 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("console", look(files=on("agetty", command="/sbin/agetty -8 - ttyACM0 vt220")), FAIL, "agetty (pid 9)"),
     ("console", look(says={"systemctl": "active\n"}), FAIL, "a login waits on /dev/ttyACM0"),
     ("settings", look(settings=("x.toml", Settings(), "gate.lease_s = 9.0: allowed is")), FAIL, "gate.lease_s = 9.0"),
+    (
+        "settings",
+        look(told=of("ugv"), settings=("x.toml", Settings(), "")),
+        WARN,
+        "other settings than x.toml has: board",
+    ),
     ("deaths", look(early_news=False), WARN, "reports a death late"),
     ("service", look(service=NOBODY), WARN, "no service named 'failstop' is running"),
     ("service", look(service=(None, "", "is of failstop 0.0.9")), FAIL, "0.0.9"),
@@ -474,3 +480,17 @@ def test_rights_are_granted_by_who_starts_the_service(changed: dict[str, Any], c
     [(_, _, advice)] = said(look(**changed, contained=contained), "rights")
     assert advice.startswith("give it real-time rights: ")
     assert remedy in advice
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (look(told=of("ugv")), "of a file that 'failstop' was started with (board.kind,"),
+        (look(told=Settings({"gate.lease_s": 0.2})), "no file: every setting has its default"),
+        (look(told=of("ugv"), settings=("x.toml", of("ugv"), "")), "x.toml"),
+    ],
+)
+def test_settings_are_those_of_the_service_that_runs(given: Look, says: str) -> None:
+    [found] = [finding for name, finding in examine(given) if name == "settings"]
+    assert found.level == OK
+    assert found.text.startswith(says)

@@ -179,26 +179,27 @@ class Replies(Reader):
         wheel = servo in WHEELS and len(data) in SIZES
         if wheel or _of_the_arm(servo, data):
             self._errors[servo] = error & ~SERVO_MISSING
-        if wheel:
-            self._count_misses(WHEELS.index(servo), len(data))
+        missed = wheel and self._count_misses(WHEELS.index(servo), len(data))
         found = self._wheel(servo, data) if wheel else _of_the_arm(servo, data)
         if not wheel and len(data) == READS[POSITION][1]:
             self._health[servo] = _health(data[4:])
         due = any(isinstance(sample, Answer) for sample in found) and self._answers % TOLD_EVERY == 1
-        if due or self._wrong() != self._told:
+        # Where a wheel's answer is missing nothing else is reported, and the others are heard all the same.
+        if due or missed or self._wrong() != self._told:
             self._told = self._wrong()
             found.append(Health(self._rows()))
         return found
 
-    def _count_misses(self, at: int, size: int) -> None:
+    def _count_misses(self, at: int, size: int) -> bool:
         """A wheel has answered. Those are passed over that are between it and the last one that answered: they answer
-        in the order of WHEELS."""
+        in the order of WHEELS. Returns whether one of those is missing."""
         same = at > self._last and size == self._size
         passed = range(self._last + 1, at) if same else (*range(self._last + 1, len(WHEELS)), *range(at))
         for other in passed:
             self._misses[WHEELS[other]] += 1
         self._misses[WHEELS[at]] = 0
         self._last, self._size = at, size
+        return any(self._misses[WHEELS[other]] >= MISSES for other in passed)
 
     def _wrong(self) -> dict[int, int]:
         """What is wrong with each servo that has something wrong."""

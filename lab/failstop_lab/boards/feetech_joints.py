@@ -59,7 +59,7 @@ class Joints(Servos):
     def change(self, servo: int, t_ns: int, **values: object) -> None:
         """As of the other servos: blocked, silent, its position, temperature (degrees Celsius) and supply. Raises
         ValueError, KeyError."""
-        memory = self._bus.memory[self.by_id[servo].id]
+        memory = self._bus.memory[servo]
         for name, value in values.items():
             if name in ("blocked", "silent") and isinstance(value, bool):
                 those = self._bus.blocked if name == "blocked" else self._bus.silent
