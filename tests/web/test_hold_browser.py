@@ -192,3 +192,20 @@ def test_a_hold_of_enter_enables_and_its_end_cancels(ready: Trial, tab: Tab, tmp
         if ready.robot.state.enabled:
             break
     assert ready.robot.state.enabled, tab.text("#answer")
+
+
+def test_a_finger_that_stays_down_for_longer_than_it_must_is_no_second_touch(latched: Trial, tab: Tab) -> None:
+    """The click that a browser makes of it, once it is lifted, is not a screen reader's."""
+
+    def reset() -> bool:
+        """A busy machine may hold the page up, which then cancels the hold."""
+        pressed(tab, "reset")
+        if "cleared" not in tab.until(f"!['', 'asking ...'].includes({ANSWER}) && {ANSWER}"):
+            lift(tab)
+        return not latched.robot.state.estop
+
+    wait_for("the reset", reset)
+    time.sleep(STALL_S)
+    lift(tab)
+    tab.run("document.getElementById('reset').dispatchEvent(new MouseEvent('click', {bubbles: true}))")
+    assert "cleared" in tab.run(ANSWER)

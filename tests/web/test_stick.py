@@ -113,6 +113,20 @@ def test_no_limit_is_marked_as_chosen_before_it_was_and_the_reason_is_to_be_seen
     tab.size(412, 915)
 
 
+def test_a_stick_that_is_taken_before_the_device_attends_says_what_comes_first(trial: Trial, tab: Tab) -> None:
+    if tab.run("document.getElementById('attend').getAttribute('aria-pressed')") == "true":
+        tab.tap("#attend")
+    tab.until("document.getElementById('attend').getAttribute('aria-pressed') === 'false'")
+    finger(tab, 0.0, 0.5)
+    assert tab.text("#drive-why") == "Not now: press ATTEND first."
+    assert not tab.run(HELD)
+    tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    takes_stick(trial, tab)
+    finger(tab, 0.0, 0.5)
+    assert tab.text("#drive-why") == ""
+    tab.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+
+
 def test_a_thumb_drives_and_letting_go_stops(trial: Trial, tab: Tab) -> None:
     def to_the_right() -> Callable[[], None]:
         lift = thumb(tab)

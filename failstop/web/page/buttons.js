@@ -91,6 +91,7 @@ for (const button of document.querySelectorAll("#buttons button")) {
     begin(button);
   });
   button.addEventListener("pointermove", (event) => { if (!isOn(button, event)) cancel(); });
+  button.addEventListener("pointerup", (event) => { touched = event.timeStamp; });
   for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) button.addEventListener(end, cancel);
   button.addEventListener("contextmenu", (event) => event.preventDefault());
   button.addEventListener("keydown", (event) => {

@@ -40,6 +40,13 @@ export function command() {
   return wanted && !document.hidden ? wanted.map((value) => value.toFixed(2)).join(" ") : "";
 }
 
+// Nothing of the stick goes out before this device attends, so nothing would answer it.
+function ready() {
+  const attends = $("attend").getAttribute("aria-pressed") === "true";
+  $("drive-why").textContent = attends ? "" : "Not now: press ATTEND first.";
+  return attends;
+}
+
 function follow({clientX, clientY}) {
   const {left, top, width, height} = stick.getBoundingClientRect();
   set(1 - 2 * (clientY - top) / height, 1 - 2 * (clientX - left) / width);
@@ -49,8 +56,7 @@ stick.addEventListener("pointerdown", (event) => {
   if (!event.isPrimary || event.button) return;
   stick.setPointerCapture(event.pointerId);
   mode = "finger";
-  $("drive-why").textContent = "";
-  follow(event);
+  if (ready()) follow(event);
 });
 stick.addEventListener("pointermove", (event) => { if (wanted && mode === "finger") follow(event); });
 for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) stick.addEventListener(end, release);
@@ -58,7 +64,7 @@ stick.addEventListener("contextmenu", (event) => event.preventDefault());
 function press(event, down) {
   if (!(event.key in KEYS)) return;
   event.preventDefault();
-  if (event.repeat) return;
+  if (event.repeat || (down && !ready())) return;
   if (down) { pressed.add(event.key); mode = "keys"; } else pressed.delete(event.key);
   if (!pressed.size) { release(); return; }
   if (down || wanted) set(...[0, 1].map((axis) => [...pressed].reduce((sum, key) => sum + KEYS[key][axis], 0)));
