@@ -35,6 +35,8 @@ CLIENTS = "gate"
 NUMBER_BYTES = 2
 LAST_NODES = ("collision_monitor", "velocity_smoother", "twist_mux")
 """ROS nodes that are made to be the last before a base. The first of these that is there is the one."""
+INNER_NODES = ("behavior_server", "controller_server", "docking_server", "following_server")
+"""Nodes of Nav2 that are made to have another one between them and the base."""
 _TYPES = {"": str, "d": int, "X": int, "f": float}
 
 _TELL = "report it with its incident (`failstop incident list`), as it is a defect, or memory that somebody damaged"
@@ -200,7 +202,12 @@ def _to_remap(cause: Cause) -> str:
     words = str(cause.named().get("words", ""))
     nodes = [node.rpartition(" (")[0] if node.endswith(" times)") else node for node in words.split(", ")]
     last = next((node for name in LAST_NODES for node in nodes if node.rpartition("/")[2] == name), "")
-    return ", ".join(node for node in nodes if node != last) if last and len(nodes) > 1 else f"all but one of {words}"
+    if last and len(nodes) > 1:
+        return ", ".join(node for node in nodes if node != last)
+    inner = [node for node in nodes if node.rpartition("/")[2] in INNER_NODES]
+    # One of these alone may publish several times, before the node that is the last one has begun to.
+    alone = len(nodes) - len(inner) <= 1 and all(node in words.split(", ") for node in nodes if node not in inner)
+    return ", ".join(inner) if inner and alone else f"all but one of {words}"
 
 
 ADVISED = {"others": _to_remap}

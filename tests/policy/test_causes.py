@@ -294,6 +294,10 @@ BT, DOCK, SMOOTHER, MONITOR = "/behavior_server", "/docking_server", "/velocity_
     ("nodes", "others"),
     [
         (f"{BT} (4 times), {SMOOTHER}", BT),  # navigation_launch.py of Humble: each behavior has its own publisher
+        (f"{BT} (5 times)", BT),  # Humble starts it before the smoother
+        (f"/robot1{BT} (2 times), /nav", f"/robot1{BT}"),
+        (f"{BT}, /nav, /joystick", f"all but one of {BT}, /nav, /joystick"),
+        (f"{BT}, /nav (2 times)", f"all but one of {BT}, /nav (2 times)"),
         (f"{MONITOR}, {DOCK}", DOCK),  # of Jazzy
         (f"{BT}, {MONITOR}, {SMOOTHER}", f"{BT}, {SMOOTHER}"),
         (f"/robot1{BT}, /robot1{SMOOTHER}", f"/robot1{BT}"),

@@ -64,6 +64,15 @@ def test_stock_nav2_is_told_what_to_remap_and_moves_when_it_is_done(scene: Bridg
     scene.moving()
 
 
+def test_a_behavior_server_that_starts_before_the_smoother_is_the_node_to_remap(scene: BridgeTrial) -> None:
+    """Nav2 of Humble configures it first, and each of its behaviors has a publisher of its own."""
+    server = scene.node("behavior_server")
+    for _ in range(2):
+        server.ask("advertise", topic="cmd_vel", type=TWIST)
+    scene.state(lambda state: state["estop"] == "multiple cmd_vel publishers: /behavior_server (2 times)")
+    told(scene, "do remap cmd_vel of /behavior_server: for a node of Nav2 to cmd_vel_nav, ", "why")
+
+
 def test_the_second_publisher_is_named_everywhere(scene: BridgeTrial, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is silent, and the graph knows a new publisher before its name."""
     scene.drive()
