@@ -59,6 +59,7 @@ class Unknown(Board):
     usb_alone = False
     commanders = ()
     scale_assumed = False
+    observed_by = ""
 
     def __init__(self, why: str) -> None:
         """`why`: one line, with the remedy."""

@@ -50,7 +50,7 @@ def _others(look: Look) -> list[str]:
     """The settings of the service that runs which a start would not give it. A lease may follow from its rights, and a
     port from an option."""
     found = look.settings[1].flat()
-    return [key for key, value in look.told.flat().items() if key not in EACH_RUN_S and found.get(key) != value]
+    return [key for key, value in look.active_settings.flat().items() if key not in EACH_RUN_S and found.get(key) != value]
 
 
 def running(look: Look) -> list[Finding]:
@@ -121,6 +121,8 @@ def wheels_scale(look: Look) -> list[Finding]:
         return [row for text in known.remarks for row in ok(text)]
     if said:
         return ok(f"they turn {', and '.join(said)}")
+    if isinstance(look.board, Unknown):
+        return []  # the check of the board says why
     independent = look.board.reports.own_scale or look.active_settings.on("board.imu")
     return ok("not compared yet: the next drive will show it" if independent else ALONE)
 

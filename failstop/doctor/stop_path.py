@@ -35,7 +35,9 @@ UNANSWERED = "written; this board acknowledges nothing"
 def board(look: Look) -> list[Finding]:
     """The board that the settings name answers, and no other."""
     if isinstance(look.board, asking.Unknown):
-        return (warn if look.state else fail)(look.board.why, f"failstop config --check {look.settings[0]}")
+        path = look.settings[0]
+        fix, advice = (f"failstop config --check {path}", "") if path else ("", "correct it: the next start needs it")
+        return (warn if look.state else fail)(look.board.why, fix, advice)
     if look.state:
         return _known_by_the_service(look, look.state)
     return _left_alone(look) or _tried(look)[0]

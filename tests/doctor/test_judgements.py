@@ -95,7 +95,7 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("settings", look(settings=("x.toml", Settings(), "gate.lease_s = 9.0: allowed is")), FAIL, "gate.lease_s = 9.0"),
     (
         "settings",
-        look(told=of("ugv"), settings=("x.toml", Settings(), "")),
+        look(active_settings=of("ugv"), settings=("x.toml", Settings(), "")),
         WARN,
         "other settings than x.toml has: board",
     ),
@@ -485,12 +485,20 @@ def test_rights_are_granted_by_who_starts_the_service(changed: dict[str, Any], c
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        (look(told=of("ugv")), "of a file that 'failstop' was started with (board.kind,"),
-        (look(told=Settings({"gate.lease_s": 0.2})), "no file: every setting has its default"),
-        (look(told=of("ugv"), settings=("x.toml", of("ugv"), "")), "x.toml"),
+        (look(active_settings=of("ugv")), "of a file that 'failstop' was started with (board.kind,"),
+        (look(active_settings=Settings({"gate.lease_s": 0.2})), "no file: every setting has its default"),
+        (look(active_settings=of("ugv"), settings=("x.toml", of("ugv"), "")), "x.toml"),
     ],
 )
 def test_settings_are_those_of_the_service_that_runs(given: Look, says: str) -> None:
     [found] = [finding for name, finding in examine(given) if name == "settings"]
     assert found.level == OK
     assert found.text.startswith(says)
+
+
+def test_a_service_whose_own_board_can_not_be_described_any_more_is_looked_at_all_the_same() -> None:
+    """Its folder was edited while it ran; and the file that it was started with is not the installed one."""
+    given = look(active_settings=Settings({"board.kind": "/nowhere/tank"}), service=linked("alive", imu=None))
+    [(text, fix, advice)] = said(given, "board")
+    assert "/nowhere/tank" in text
+    assert (fix, advice) == ("", "correct it: the next start needs it")

@@ -73,7 +73,8 @@ def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None]
     try:
         board = board_of(str(found[KIND]), 1.0, 0.0, baud=int(found[BAUD]), can_id=int(found[CAN_ID]))
     except ValueError as error:
-        raise FailstopError(f"{error}; no stop was written: use the POWER SWITCH") from None
+        advice = "if a wheel turns, try `failstop stop`, or use the POWER SWITCH"
+        raise FailstopError(f"{error}; no stop was written: {advice}") from None
     return arguments.device or str(found[DEVICE]), board, read
 
 
