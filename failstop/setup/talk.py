@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
+import termios
 from collections.abc import Callable, Mapping, Sequence
 
 from failstop.api.errors import FailstopError
@@ -86,6 +89,9 @@ class Talk:
         if self.silent:
             raise Left(f"nobody is here to ask: {question} Give {option(key)}")
         while True:
+            # What was typed before, for example while a wheel turned, is no answer to this.
+            with contextlib.suppress(OSError, termios.error):
+                termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
             *lines, last = style.wrap(
                 [("   ", style.PLAIN), (f"{question}{f' [{default}]' if default else ''} ", style.PLAIN)],
                 min(WIDEST, style.width()) - 8,

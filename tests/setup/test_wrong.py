@@ -478,3 +478,19 @@ def test_a_wheel_alone_cancels_the_other_to_the_last_bit() -> None:
 
 def test_settings_are_written_table_by_table() -> None:
     assert toml({"a.x": 1, "b.y": "t", "a.z": 0.5}) == 'a.x = 1\na.z = 0.5\n\nb.y = "t"\n'
+
+
+def test_what_is_typed_before_a_question_is_no_answer_to_it(place: Path) -> None:
+    """Nobody can say which wheel turned before it has."""
+    answers = {key: value for key, value in GIVEN.items() if key in ("port", "board", "robot")}
+    with SimBoard(place / "b", board=KIND) as board, Person(place, *words(place, answers)) as person:
+        person.reads("Type yes:")
+        person.presses(b"yes\nleft+\nright+\n")
+        person.reads("Id 0: which wheel, which way?")
+        turned = [event for event in board.events() if is_motion(event)]
+        assert turned, "the wheel had turned"
+        person.types("right-")
+        person.reads("Id 1: which wheel, which way?")
+        assert json.loads((place / "state/setup.json").read_text())["wheel_0"] == "right-"
+        person.presses(CTRL_C)
+        assert person.ends() == 1
