@@ -50,7 +50,9 @@ def _others(look: Look) -> list[str]:
     """The settings of the service that runs which a start would not give it. A lease may follow from its rights, and a
     port from an option."""
     found = look.settings[1].flat()
-    return [key for key, value in look.active_settings.flat().items() if key not in EACH_RUN_S and found.get(key) != value]
+    return [
+        key for key, value in look.active_settings.flat().items() if key not in EACH_RUN_S and found.get(key) != value
+    ]
 
 
 def running(look: Look) -> list[Finding]:
