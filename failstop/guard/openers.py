@@ -13,7 +13,6 @@ import os
 import struct
 
 from failstop.guard.news import Opener
-from failstop.shm.lifeline import pid_namespace
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -67,8 +66,7 @@ def openers(path: str, meanwhile: Callable[[], None]) -> tuple[dict[int, Opener]
     wanted = _identity(path)
     found: dict[int, Opener] = {}
     pids = [int(name) for name in os.listdir("/proc") if name.isdigit()]
-    # In a container, or with the mount option hidepid, the processes of others are not listed at all.
-    hidden = pid_namespace() != _MACHINE or 1 not in pids
+    hidden = not _all_listed(pids)
     for pid in pids:
         if pid == os.getpid():
             continue
@@ -89,6 +87,14 @@ def openers(path: str, meanwhile: Callable[[], None]) -> tuple[dict[int, Opener]
         if times:
             found[pid] = Opener(pid, program(pid), times)
     return found, hidden
+
+
+def _all_listed(pids: list[int]) -> bool:
+    """Whether /proc lists every process. In a container, or with the mount option hidepid, it leaves others out."""
+    try:
+        return os.stat("/proc/self/ns/pid").st_ino == _MACHINE and 1 in pids
+    except OSError:
+        return False
 
 
 def _may_be(pid: int, name: str, inode: int) -> bool:
