@@ -33,11 +33,26 @@ WHEEL_NAMES = {
 """The wheels in the order of their numbers, for each number of wheels."""
 NUMBERS = (1, 2, 3, 4)
 OF_THE_BASE = (
-    Setting("wheels.layout", "mecanum", "", None, None, "how body velocity becomes wheel speeds", tuple(LAYOUTS)),
-    Setting("wheels.diameter_m", 0.08, "m", 0.02, 1.0, "wheel diameter"),
-    Setting("wheels.wheelbase_m", 0.17706, "m", 0.01, 3.0, "distance of front and rear axle"),
-    Setting("wheels.track_m", 0.17165, "m", 0.01, 3.0, "distance of left and right wheels"),
-    Setting("wheels.lever_m", 0.125, "m", 0.01, 3.0, "distance of each wheel from the middle (omni3)"),
+    Setting(
+        "wheels.layout",
+        "mecanum",
+        "",
+        None,
+        None,
+        "what kind of base it is, which decides how the robot's velocity becomes wheel speeds",
+        tuple(LAYOUTS),
+    ),
+    Setting(
+        "wheels.diameter_m",
+        0.08,
+        "m",
+        0.02,
+        1.0,
+        "wheel diameter. If the robot goes further than commanded, the true diameter is larger than this",
+    ),
+    Setting("wheels.wheelbase_m", 0.17706, "m", 0.01, 3.0, "distance between the front and the rear axle"),
+    Setting("wheels.track_m", 0.17165, "m", 0.01, 3.0, "distance between the left and the right wheels"),
+    Setting("wheels.lever_m", 0.125, "m", 0.01, 3.0, "distance of each wheel from the middle of the robot (omni3)"),
     *(
         Setting(
             f"wheels.angle_{number}_deg",
@@ -45,7 +60,7 @@ OF_THE_BASE = (
             "degrees",
             0.0,
             360.0,
-            f"the way wheel {number} rolls, counter-clockwise from forward (omni3)",
+            f"the direction in which wheel {number} rolls, counter-clockwise from forward (omni3)",
         )
         for number, way in zip(NUMBERS, (150.0, 270.0, 30.0), strict=False)
     ),
@@ -56,14 +71,19 @@ OF_THE_BASE = (
             "",
             None,
             None,
-            f"wheel {number}: -1 for a motor that turns it backward",
+            f"-1 if wheel {number} turns backward when the board is told to turn it forward",
             (1, -1),
         )
         for number, sign in zip(NUMBERS, (1, 1, -1, -1), strict=True)
     ),
     *(
         Setting(
-            f"wheels.id_{number}", number - 1, "", 0, 3, f"the id of wheel {number}'s motor on the wire; all differ"
+            f"wheels.id_{number}",
+            number - 1,
+            "",
+            0,
+            3,
+            f"which of the board's motors turns wheel {number}, by its id on the wire; no two wheels have the same",
         )
         for number in NUMBERS
     ),

@@ -24,40 +24,45 @@ failstop config --within 0.1            # how fast, to stand within 0.1 m
 """
 
 GROUPS = {
-    "device": "The board's port.",
+    "device": "The motor board's port.",
     "board": "The board, by its kind, and the unit of its speeds where that is not the usual one.",
-    "gate": "The gate decides every motor frame.",
-    "limits": "Speeds and ramps that no command passes. Defaults for LeKiwi's servos: 0.1, 0.1, 0.5.",
-    "wheels": "The base. Wheels 1 to 4: front left, rear left, front right, rear right; of two: left, right; of three: "
-    "left, rear, right. Defaults of omni3: LeKiwi's, 0.1 m; of ackermann: ROSOrin's, 0.085 m, ids 1 and 3.",
+    "gate": "The gate, which decides what the wheels do, and when commands stop counting.",
+    "limits": "How fast the robot may go and speed up, whatever a program commands. With LeKiwi's servos the speeds' "
+    "defaults are 0.1, 0.1 and 0.5.",
+    "wheels": "The base and its sizes. Four wheels are numbered front left, rear left, front right, rear right; two "
+    "are left, right; three are left, rear, right. Defaults of omni3: LeKiwi's, 0.1 m; of ackermann: ROSOrin's, "
+    "0.085 m, ids 1 and 3.",
     "steering": "The servo that steers a base of the layout ackermann; a stop leaves it as it is.",
-    "scan": "The sensor-validity interlock: software drives only while the obstacle sensor delivers.",
-    "attend": "An operator without whom nothing moves: the page, `failstop attend`, or a program proves one.",
-    "imu": "Inertial measurement: calibration, and the gyro's bias.",
-    "odometry": "Where the robot got to, from what its wheels did, or were told to.",
-    "battery": "Charger detection and the voltage log.",
-    "pad": "The gamepad at the board.",
-    "link": "The proof that the board hears: a question that it answers.",
-    "still": "Whether the wheels obeyed: the judgement of the IMU.",
-    "stop": "The stop tool, `failstop stop`.",
+    "scan": "The obstacle sensor: programs can drive only while it delivers scans.",
+    "attend": "An operator who must be present for the robot to move.",
+    "imu": "The IMU: correcting its acceleration and its gyro's bias.",
+    "odometry": "Where the robot is, computed from how its wheels turned or, if the board doesn't report that, from "
+    "what they were told.",
+    "battery": "The battery: stopping when it is low, detecting the charger, logging the voltage.",
+    "pad": "The gamepad whose receiver is plugged into the board.",
+    "link": "Pings to the board, whose answers prove that it hears.",
+    "still": "Whether the wheels came to rest after a stop, judged by what the board reports, or else by the IMU.",
+    "stop": "The command `failstop stop`.",
     "key": "The keys on the board.",
     "buzzer": "The board's buzzer.",
-    "incidents": "The black box: what is kept of each latched stop.",
-    "guard": "The guard port, `failstop guard`, by which a driver that was written for the bare board drives.",
-    "web": "The operator's page, `failstop web`: a process of its own, which the robot runs without.",
-    "restart": "What happens to a process that died.",
-    "sources": "Who may command, and who goes before whom: [sources.NAME]. "
-    f"{FIRST_SOURCE} is always there, with priority 0; give every other source a different one.",
-    "arm": "An arm on the same board: its stream, its poses, its warnings. Without joints there is none.",
-    "joints": "The arm's joints, [joints.NAME], in pulses. Defaults for LeKiwi's servos: zero 2048, high 4095.",
-    "interlocks": "What a client has to assert, again and again, for motion to be enabled: [interlocks.NAME].",
+    "incidents": "The black box: what is kept on disk after each latched stop.",
+    "guard": "The guard port, `failstop guard`: your driver opens it instead of the board, and works unchanged.",
+    "web": "The operator's page, `failstop web`. It is a separate process, so the robot also runs without it.",
+    "restart": "How often a failstop process that died is restarted.",
+    "sources": "Who may drive, and whose commands win: [sources.NAME]. "
+    f"{FIRST_SOURCE} always exists, with priority 0; give every other source a different priority.",
+    "arm": "An arm on the same board. These settings do nothing until the arm has joints ([joints.NAME]).",
+    "joints": "The arm's joints, [joints.NAME]. Positions are in pulses, the servo's own unit. With LeKiwi's servos "
+    "zero is 2048 and high 4095 by default.",
+    "interlocks": "Conditions that a program of yours must keep asserting for the robot to move: [interlocks.NAME].",
 }
 
 HEAD = """\
 # Every setting of failstop, with its default, unit and allowed range. Generated: `failstop config --example`.
-# A line that begins with # and no space is a default (## of another layout). To change one, take the # away, or add the
-# line at the end of this file: each has its whole name, so it may stand anywhere. What stays commented out follows the
-# installed version. `failstop config --check FILE` reads the file as `failstop run --config` will.
+# A line that begins with # and no space is a default (## if only another layout has this setting). To change a setting,
+# remove its #, or add the line at the end of this file: each line has the setting's whole name, so its place does not
+# matter. Settings that stay commented out keep the defaults of the installed version. Check your file with
+# `failstop config --check FILE`.
 """
 
 SAMPLES: dict[str, dict[str, dict[str, float | str]]] = {
