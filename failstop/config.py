@@ -97,8 +97,8 @@ def read(path: str | None) -> dict[str, object]:
 
 
 def _text(path: str) -> str:
-    """Of a regular file alone, and no more than a settings file can be: a device or a pipe may never end, and the
-    parser's time grows with the square of a key's parts."""
+    """The text of a settings file. Only a regular file is read, and only as much as a settings file can have, because a
+    device or a pipe may never end, and the parser's time grows with the square of the parts of a key."""
     fd = durable.open_regular(path)
     try:
         data = b""

@@ -102,7 +102,7 @@ def lock(runtime_dir: str) -> int:
 
 
 def _pid(fd: int) -> str:
-    """Of the lock's holder, as it has written it there."""
+    """The pid of the lock's holder, which it wrote into the file; `unknown` if it has not."""
     return os.pread(fd, 32, 0).decode("ascii", "replace").strip() or "unknown"
 
 

@@ -8,10 +8,10 @@ from failstop.board.wire import Port
 
 FIELDS = 7
 LONGEST_BURST = 4096
-"""Of a burst."""
+"""The longest stop burst that is accepted, bytes."""
 MOST_REPEATS = 8
 MOST_NS = 2_000_000_000
-"""Of each time."""
+"""The longest of each time that is accepted, ns."""
 
 
 def pack_stop(board: Board) -> str:

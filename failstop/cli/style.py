@@ -23,8 +23,9 @@ STRONG = "strong"
 PLAIN = ""
 
 _COLOURS = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244", STRONG: "1"}
-"""Of the 256 colours, which terminals show alike whatever their theme: each is legible on black and on white (contrast
-of at least 3.8; a theme's own yellow is 1.1 on white). A console with fewer shows the nearest that it has."""
+"""Colours out of the 256, because terminals show these alike whatever their theme. Each is legible on black and on
+white (a contrast of 3.8 or more; a theme's own yellow has 1.1 on white). A console with fewer colours shows the
+nearest."""
 NO_TERMINAL_COLUMNS = 80
 LEAST_COLUMNS = 20
 _WHOLE = re.compile(r'`failstop run [^`]*/[^`]*`|^\{"[^ ]*\}')

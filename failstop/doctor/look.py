@@ -107,12 +107,13 @@ class Look:
 
     @property
     def state(self) -> State | None:
-        """Of the running service; None: it can't be read, or none runs."""
+        """The state of the running service. None: no service runs, or its state can't be read."""
         return self.service[0]
 
     @property
     def pid(self) -> str:
-        """Of the running service, as a name in /proc; `self`, who would start it, where none runs."""
+        """The pid of the running service's supervisor, as a name in /proc. `self` if no service runs, because this user
+        would start it."""
         return str(self.state.processes[layout.SUPERVISOR].pid) if self.state else "self"
 
     @cached_property

@@ -31,7 +31,7 @@ from failstop.supervisor import refused, status
 
 SHM = "/dev/shm"
 PSEUDO_MAJORS = range(136, 144)
-"""Of the pseudo-terminals (the kernel's list of devices)."""
+"""Major numbers of pseudo-terminals (the kernel's list of devices)."""
 LOGINS = ("agetty", "getty", "mgetty", "login")
 T = TypeVar("T")
 TICKS_S = 5.0
@@ -152,7 +152,7 @@ class System:
         return _tried(lambda: sorted(os.listdir(self.path(path)))) or []
 
     def uid(self, path: str) -> int:
-        """Of whom a path belongs to; -1 when it is not there."""
+        """The uid of the path's owner; -1 if the path does not exist."""
         return found.st_uid if (found := _tried(lambda: os.stat(self.path(path)))) else -1
 
     def owner(self, path: str) -> str:

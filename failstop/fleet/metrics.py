@@ -65,7 +65,7 @@ def _states(label: str, names: Iterable[str], now: str) -> list[Sample]:
 
 
 def _ages(state: State) -> list[Sample]:
-    """Of each reading that there was."""
+    """The age of each kind of reading, if there was one."""
     ages = state.ages
     named = {
         "board": ages.board_s,
@@ -111,7 +111,7 @@ def _stop_cause(state: State) -> list[Sample]:
 
 
 def _wheel_speeds(state: State) -> list[Sample]:
-    """Of a reading that is old nobody knows whether it still holds."""
+    """The wheels' speeds. None if the reading is old, because nobody knows whether the wheels still turn like that."""
     known = state.turning
     if known.speeds_radps is None or not known.by:
         return []

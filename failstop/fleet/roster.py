@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from typing import Any
 
 MOST_BYTES = 65536
-"""Of a message: what is longer is not read."""
+"""The longest message, bytes. A longer one is not read."""
 MOST_VOLTS = 1000.0
 MOST_TEXT = 200
-"""Characters of a text that a robot gives."""
+"""The longest text that is kept from a robot, characters."""
 LONGEST_PERIOD_S = 30.0
 """Between two states of a robot that does not say its own period; robot.publish_s may be no longer."""
 MISSED_PERIODS = 3
@@ -47,20 +47,20 @@ class Robot:
     doubled: str = ""
     """What it says about another publisher of its name; empty: nothing."""
     period_s: float = LONGEST_PERIOD_S
-    """A state follows this often at least."""
+    """The robot publishes a state at least this often, s."""
     stamped_s: float | None = None
-    """Of its last state, by its own clock."""
+    """When the robot made its last state, by the robot's own clock (Unix, s)."""
     dated_s: float | None = None
-    """Of its newest message, by its own clock."""
+    """When the robot made its newest message, by the robot's own clock (Unix, s)."""
     heard_s: float | None = None
-    """When its last state came, by this monotonic clock; None: the broker had kept it."""
+    """When its last state came, by this machine's monotonic clock, s. None: the broker had kept it."""
     sign_s: float | None = None
     """When it last showed that it is alive, by this monotonic clock; None: not since this roster began."""
     first_s: float | None = None
-    """When its first message came, by this monotonic clock."""
+    """When its first message came, by this machine's monotonic clock, s."""
 
     def age_s(self, now_s: float, unix_s: float) -> float | None:
-        """Of its last state; None: there is none."""
+        """The age of its last state, s. None: there is no state."""
         if self.heard_s is not None:
             return now_s - self.heard_s
         return None if self.stamped_s is None else max(0.0, unix_s - self.stamped_s)

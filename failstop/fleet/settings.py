@@ -95,11 +95,12 @@ class FleetSettings:
         return float(self._values[key])
 
     def on(self, key: str) -> bool:
-        """A switch's."""
+        """True if a switch is on."""
         return self._values[key] == "on"
 
     def robot_id(self, name: str) -> str:
-        """Of the service of this name. Raises SettingError for a host whose name can't be one."""
+        """The robot's name in the fleet, for the service of this name. Raises SettingError if it comes from the host's
+        name and that is not allowed as a robot's name."""
         found = self.text("robot.id")
         if not found:
             found = socket.gethostname()

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 KEY_BYTES = 32
 MOST_BYTES = 4096
-"""Of a message: what is longer is refused unread."""
+"""The longest message, bytes. A longer one is refused unread."""
 STOP_PURPOSE = "failstop fleet stop 1"
 ANSWER_PURPOSE = "failstop fleet answer 1"
 OTHERS = stat.S_IRWXG | stat.S_IRWXO

@@ -54,7 +54,8 @@ class Tally:
         """`listed`: robots that must confirm whether the broker remembers them or not."""
         self._listed = listed or frozenset()
         self._connections: dict[str, tuple[str, str]] = {}
-        """Of every robot that the broker named, the last word on its connection and whose it is. None is dropped."""
+        """For every robot that the broker named: (the last report on its connection, whose connection that is). No
+        robot is ever dropped."""
         self._answers: dict[str, dict[str, float]] = {}
         self._whys: dict[str, str] = {}
         self._confirms: dict[str, str] = {}

@@ -18,7 +18,8 @@ LOST = "LOST"
 ENDED = "OFFLINE"
 OTHER = "other"
 ROBOT_COLUMNS, WORD_COLUMNS, WHY_COLUMNS = 64, 20, 240
-"""Of a table's cells: whoever may write on the broker may write texts that push all others off the screen."""
+"""The widest cells of a table. Anyone who may publish at the broker could otherwise send texts that push all others off
+the screen."""
 LEAST_ROBOT_COLUMNS = 16
 OLD_S = 40.0
 """A state older than this, of a robot that is connected, is worth a look: one comes every 30 s or sooner."""

@@ -8,12 +8,12 @@ for paho-mqtt.
 from __future__ import annotations
 
 Message = tuple[str, bytes, bool]
-"""One that was published: topic, payload, and whether the broker had kept it."""
+"""A published message: (topic, payload, whether the broker had kept it)."""
 MOST_BYTES = 1 << 17
-"""Of a packet: a longer one is skipped as it comes, and never held."""
+"""The longest packet, bytes. A longer one is skipped as it comes in, and never kept in memory."""
 LONGEST_HEAD = 5
 PUBLISH, KIND, QOS, RETAIN = 0x30, 0xF0, 0x06, 0x01
-"""Of a packet's first byte."""
+"""Bits of a packet's first byte."""
 
 
 class Malformed(ConnectionError):

@@ -36,7 +36,7 @@ class Door:
         self.most = 1
         """How often it may be."""
         self._lives: dict[int, int] = {}
-        """Of each of those, and of each that is dying, the descriptor that says when it is gone."""
+        """For each of these programs, and each that is dying, the descriptor that reports its end."""
         self._dying: dict[int, tuple[Opener, int]] = {}
         """Those whose end was noticed, with the closes that inotify has not reported of them yet."""
         self._begin()

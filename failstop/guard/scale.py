@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from failstop.policy.settings import Settings
 
 _NUDGE = 1e-3
-"""Of a step. The service rounds a speed towards zero to a multiple of the board's step. A driver's speed is such a
-multiple already, and must not lose a step because it comes back from the velocity a hair too small."""
+"""A speed is raised by this part of a step. The service rounds a speed towards zero to a multiple of the board's step.
+A driver's speed already is such a multiple, and must not lose a step because the velocity that it was computed from is
+a tiny bit too small."""
 _ROUNDING = 1.001
 AXES = (
     ("limits.vx_mps", "forward or backward", "m/s"),

@@ -35,7 +35,7 @@ class Service:
         self.note = ""
         """Why there is no service, or no slot, now."""
         self.settings: Settings | None = None
-        """Of the run that is there, or was there last."""
+        """The settings of the present run, or of the last one. None: no run was found yet."""
         self.runs = 0
         """How many runs were found."""
         self._reader: StateReader | None = None

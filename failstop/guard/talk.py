@@ -26,7 +26,7 @@ RENEW_NS = 100_000_000
 FRAME_EVERY_NS = 20_000_000
 """Frames that are not motion are handed over no closer together: the board's line is for motion first."""
 MOST_FRAMES = 8
-"""Of them, those that wait; one more is dropped."""
+"""How many such frames may wait. A further one is dropped."""
 MOST_REFUSALS = 32
 """Different refusals that are reported of one driver."""
 NOT_WHEELS = "a motion that is no motion"

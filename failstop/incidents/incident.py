@@ -55,9 +55,9 @@ class Tick(NamedTuple):
     drives: bool
     """The newest command is the one that drives."""
     commands: int
-    """That came since the tick before."""
+    """How many commands came since the tick before."""
     age_us: int | None
-    """Of the newest command; None: there was none yet."""
+    """The age of the newest command, us. None: no command came yet."""
     command: tuple[float, float, float]
     """m/s forward, m/s left, rad/s counter-clockwise; may be anything, NaN too."""
     velocity: tuple[float, float, float]
@@ -84,7 +84,7 @@ class PortWrite(NamedTuple):
     ns: int
     by: str
     sort: str
-    """Of WriteSort."""
+    """What was written: one of WriteSort."""
     length: int = 0
     taken: int = 0
     """Bytes that the kernel took at once."""
@@ -304,7 +304,7 @@ class Incident:
 def _write(
     board: Board | None, ids: list[int], ns: int, by: str, kind: int, length: int = 0, taken: int = 0, head: bytes = b""
 ) -> PortWrite:
-    """Of a kind of box.pack_wire; `ids`: of the wheels, on the wire."""
+    """One write to the port. `kind`: as box.pack_wire() recorded it; `ids`: the wheels' ids on the wire."""
     speeds: tuple[float, ...] | None = None
     if kind == box.WIRE_BURST:
         sort, speeds = WriteSort.STOP_BURST, (0.0,) * len(ids)

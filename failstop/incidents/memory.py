@@ -29,10 +29,11 @@ if TYPE_CHECKING:
     from failstop.shm.cell import Entry
 
     Segments = dict[str, dict[str, Any]]
-    """Of a run, by their names, each as segment() has it: what a file holds, too."""
+    """The segments of a run by their names, each as segment() returns it. An incident's file holds the same."""
 
 OUTLIVED_NS = 60_000_000
-"""Between two beats of whoever lives; who has beaten so long after the supervisor has outlived it."""
+"""The longest time between two beats of a live process. A process whose last beat is this long after the supervisor's
+has outlived the supervisor."""
 NOT_KNOWN = "not known"
 _LATER = ("acknowledged_us", "acknowledged_by", "observed_ms", "observed_by")
 PROOF_WORDS = ("noticed_by", "written_by", "written_us", *_LATER)

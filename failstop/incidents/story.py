@@ -41,7 +41,7 @@ class Line:
     ns: int
     what: str
     text: str
-    """Of several that are alike: what the last one is."""
+    """The event. If several alike are one line: the last of them."""
     until_ns: int = 0
     """When what began at `ns` was last seen; 0: it was a moment."""
     count: int = 1
@@ -152,7 +152,7 @@ def _wheels(incident: Incident) -> Iterator[Line]:
 
 
 def _silences(incident: Incident) -> Iterator[Line]:
-    """Of each process; of a run that has ended, its last sign of life."""
+    """A line for each silence of a process. If the run has ended, also one for each process's last sign of life."""
     for process, since_ns, until_ns in incident.silences():
         said = f"last beat of the {named(process)} for {(until_ns - since_ns) / 1e6:.0f} ms"
         yield Line(since_ns, "beat", said, until_ns)

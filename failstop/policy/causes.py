@@ -188,7 +188,7 @@ def unsigned(cause: Cause) -> str:
 
 
 def bare(cause: Cause) -> str:
-    """Of a stop that was asked for, the words alone."""
+    """The words that somebody gave as the reason of a stop, without who asked and how it came."""
     return unsigned(cause).removeprefix(f"{PIPED.template.partition('[')[0]}: ")
 
 

@@ -55,8 +55,9 @@ class Lag:
         """When this window began; the quickest of the one before it, and of this one."""
 
     def late_ns(self, publishers: Sequence[Publisher], sent_ns: int, received_ns: int) -> int:
-        """Of a message of these publishers, each time by its own wall clock. 0 for the first of them, and where DDS
-        does not say when it was sent (0). A clock that steps counts as late for two windows at most."""
+        """How much later than usual a message of these publishers came, ns. Each of the two times is of its own
+        computer's wall clock. 0 for the first message, and if DDS does not say when it was sent (`sent_ns` is 0). If a
+        clock steps, messages count as late for two windows at most."""
         if not sent_ns:
             return 0
         lag_ns, age_ns = received_ns - sent_ns, received_ns - self._begun_ns

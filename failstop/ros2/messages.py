@@ -15,7 +15,7 @@ from failstop.api.snapshot import ArmState, Imu, Odometry, Pad
 
 Fields = dict[str, Any]
 Values = tuple[Sequence[float], ...]
-"""Of the places of a stencil, in their order."""
+"""The values for the places of a stencil, in the order of the places."""
 
 CHARGE = {"plugged": 1, "unplugged": 2, "unknown": 0}
 """power_supply_status: charging, discharging, unknown."""
@@ -80,7 +80,8 @@ def odometry_constant(frame: str, child: str) -> Fields:
 
 
 def odometry_covariances(sample: Odometry) -> Fields:
-    """Of the twist, by the service's settings; that of the pose is one of the places."""
+    """The constant covariance of the twist, from the service's settings. The pose's covariance changes, so it is one of
+    the places."""
     twist = [0.0] * 36
     twist[X] = twist[Y] = sample.twist_std_mps**2
     twist[YAW] = sample.twist_std_radps**2
@@ -123,7 +124,7 @@ def transform(sample: Odometry, ros_ns: int) -> Values:
 
 GAMEPAD_PLACES = ("header.stamp", "axes", "buttons")
 GAMEPAD_CONSTANT: Fields = {"axes": [0.0] * 5, "buttons": [0] * BUTTONS}
-"""Of lasting length."""
+"""The lengths of these arrays never change."""
 
 
 def gamepad(sample: Pad, ros_ns: int) -> Values:
@@ -143,7 +144,7 @@ class Wheels:
 
     def __init__(self) -> None:
         self._names: list[str] = []
-        """Of the joints; empty before a service has said how many there are."""
+        """The joints' names. Empty until a service has reported how many there are."""
         self._steering_rad: dict[str, float] = {}
         """Empty: the base is not steered, or was not told to be yet."""
         self._position_rad: list[float] = []

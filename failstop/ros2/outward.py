@@ -43,7 +43,7 @@ FROM = {
     "wheels": "the wheels, as the board reports them",
     "commands": "what the wheels are told, because the board has reported nothing of them",
 }
-"""Of Odometry.source, for people."""
+"""Each Odometry.source in words for people."""
 
 
 class Outward:

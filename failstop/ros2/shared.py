@@ -17,7 +17,7 @@ class Shared:
     problem: str = "the bridge is starting"
     """Why there is no state."""
     settings: RobotSettings | None = None
-    """Of the run that is there; None: not known yet."""
+    """The settings of the present run. None: not known yet."""
     run: int = 0
     """The run of the service: the pid of its supervisor; 0: none was seen yet."""
     publishers: tuple[str, ...] = ()

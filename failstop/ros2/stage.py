@@ -10,7 +10,8 @@ from types import TracebackType
 from failstop import helpers
 
 DOMAINS = range(60, 100)
-"""Of ROS_DOMAIN_ID, in which robots are seldom; the highest are out of the range that Linux has ports for."""
+"""The values of ROS_DOMAIN_ID to choose from. Robots seldom use them, and Linux has ports for them, unlike for the
+highest values."""
 END_S = 5.0
 
 

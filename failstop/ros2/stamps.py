@@ -25,7 +25,7 @@ class Trouble(NamedTuple):
 
 
 class Stamps:
-    """Of the topics whose messages are judged by their stamps."""
+    """The newest stamps of the topics whose messages are judged by their stamps."""
 
     def __init__(self, ros_ns: Callable[[], int]) -> None:
         """`ros_ns`: ROS's time now, which may be a simulator's; 0 where it has none."""

@@ -15,7 +15,8 @@ from typing import Any
 FORMATS = {"double": "d", "float": "f", "int32": "i", "uint32": "I"}
 """Types of ROS, as struct has them."""
 MARK = 70_000
-"""Of this size are the numbers that are looked for: each float and each int has them, and no length does."""
+"""The numbers that are looked for are this large, because every float and every int can hold them and no length is as
+large."""
 Values = Sequence[Sequence[float]]
 
 

@@ -128,7 +128,7 @@ class TrajectoryFace:
         self._go, self._hold, self._timeout_s = go, hold, timeout_s
         self._shared = shared
         self._jobs: dict[int, Job] = {}
-        """Of goals that were accepted and are not carried out yet, by the identity of the message."""
+        """The jobs of goals that were accepted and are not finished yet, by the identity of the message."""
         self._feedback = Feedback(node, self._kind)
         self._server = ActionServer(
             node,

@@ -103,11 +103,11 @@ class Rig:
         self._robot: Robot | None = None
         self._drove = False
         self.turned: dict[int, float] = {}
-        """Of each wheel by its id the largest speed that the board has reported, in the unit of its motion, or 1 or -1
-        by the way that its position went; empty: it has reported nothing."""
+        """For each wheel's id the largest speed that the board has reported, in the unit of its motion. If the board
+        reports positions instead: 1 or -1, the direction in which the position went. Empty: nothing was reported."""
         self.moved: dict[int, float] = {}
-        """Of each wheel by its id how far its position went, either way, in the board's counts; empty: it reports
-        none."""
+        """For each wheel's id how far its position went in either direction, in the board's counts. Empty: the board
+        reports no positions."""
 
     def __enter__(self) -> Rig:
         try:

@@ -44,16 +44,23 @@ def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, 
     return chosen
 
 
+def _asked(key: str) -> str:
+    """What a setting is, in one line: the first sentence of its text, and its unit."""
+    declared = declaration(key)
+    return f"{declared.doc.partition('. ')[0]}, {declared.unit}"
+
+
 def _number(talk: Talk, key: str, offered: str) -> float:
     declared = declaration(key)
     assert declared.low is not None
     assert declared.high is not None
-    words = f"{declared.doc[0].upper()}{declared.doc[1:]}, {declared.unit}"
+    words = _asked(key)
+    words = f"{words[0].upper()}{words[1:]}"
     return float(talk.ask(answer_key(key), words, offered, number(declared.low, declared.high, declared.unit)))
 
 
 OPTIONS = {
-    answer_key(key): f"{declaration(key).doc}, {declaration(key).unit}"
+    answer_key(key): _asked(key)
     for key in (*dict.fromkeys(key for keys in OF_LAYOUT.values() for key in keys), *LIMITS)
 }
 """The questions of this step, with what each asks."""

@@ -36,7 +36,7 @@ def short(name: str) -> str:
 
 
 def names(count: int) -> list[str]:
-    """Of each wheel in the order of their numbers, the word for it."""
+    """The short name of each wheel, in the order of the wheels' numbers."""
     return [short(name) for name in WHEEL_NAMES[count]]
 
 

@@ -13,7 +13,8 @@ QUIET = 1
 
 
 def own_addresses() -> list[str]:
-    """Of this machine on its networks, those of a robot's first: no loopback, no link-local IPv6."""
+    """This machine's addresses on its networks, without loopback and link-local IPv6. Those that a robot's network
+    usually has come first."""
     import psutil
 
     rows = [row for each in psutil.net_if_addrs().values() for row in each]

@@ -56,7 +56,7 @@ class Driving:
         """Viewers whose stick counts only after it was let go: motion was disabled while they held it, even if it has
         been enabled again since."""
         self._taken: dict[Viewer, tuple[int, int]] = {}
-        """Of each stick that is held, the epoch when it was taken, and when motion had been enabled."""
+        """Each stick that is held: (epoch when it was first pushed, when motion had been enabled by then, ns)."""
 
     def has_chosen(self, device: Device | None) -> bool:
         """Whether the stick of this device waits for no choice of the speed limit."""

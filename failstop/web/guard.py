@@ -36,7 +36,7 @@ HEADERS = {
     "X-Frame-Options": "DENY",
     "Cache-Control": "no-store",
 }
-"""Of every answer."""
+"""Headers that every answer has."""
 
 
 @dataclasses.dataclass(frozen=True)

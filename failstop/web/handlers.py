@@ -32,7 +32,7 @@ class Guarded(RequestHandler):
         self.page = page
 
     def set_default_headers(self) -> None:
-        """Of every answer, refusals too."""
+        """Set the headers that every answer has, refusals too."""
         self.clear_header("Server")
         for name, value in guard.HEADERS.items():
             self.set_header(name, value)

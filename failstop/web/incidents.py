@@ -35,8 +35,8 @@ class Made:
 
 
 class Incidents:
-    """Of one service. One story or picture is made at a time, for the one who asked when nothing was being made: nobody
-    waits in a line, and no request waits at all."""
+    """The incidents of one service. It makes one story or picture at a time. A request that comes while another is
+    being made does not wait: it is answered at once that this one is not ready."""
 
     def __init__(self, name: str) -> None:
         self._name = name

@@ -26,7 +26,7 @@ def answer_to(nonce: str, key: bytes) -> str:
 
 
 class Lease:
-    """Of one operator, at one connection."""
+    """Whether one operator, at one connection, is still present."""
 
     def __init__(self, key: bytes) -> None:
         self._key = key

@@ -57,7 +57,7 @@ class Storage:
             _fail(place, error)
 
     def path(self, name: str) -> str:
-        """Of a file in it."""
+        """The path of a file in the folder."""
         return os.path.join(self.place, name)
 
     def devices(self) -> Devices:

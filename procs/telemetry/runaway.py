@@ -46,12 +46,12 @@ SELDOM_NS = 1_000_000_000
 
 
 class Margins(Data):
-    """How much a wheel may differ from what it is told."""
+    """How much a wheel's speed may differ from the commanded one."""
 
     share: float
-    """Of what it is told."""
+    """As a share of the commanded speed."""
     rim_mps: float
-    """And at its rim, in either direction."""
+    """Plus this speed at the wheel's rim, in either direction."""
 
 
 HOLDS_SPEED = Margins(0.3, 0.05)
@@ -127,11 +127,12 @@ class _Wheel:
     def __init__(self) -> None:
         self.beyond_ns = self.last_ns = self.rolls_ns = self.reports = self.second_ns = self.side = self.stands_ns = 0
         self.before_rps = 0.0
-        """The fastest that it was told since it was last within what it was told."""
+        """The fastest speed that was commanded since the wheel last turned as commanded."""
         self.halves = [0.0, 0.0, 0.0, 0.0]
-        """Of the first half of the time and of the second: speed times weight, and weight."""
+        """For the first half of the time, then for the second: the sum of speed times weight, and the sum of the
+        weights."""
         self.stand_noted = False
-        """That it stands was noted."""
+        """Whether it was noted that the wheel is stopped."""
 
     def within(self) -> None:
         self.beyond_ns, self.before_rps = 0, 0.0

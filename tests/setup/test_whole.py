@@ -80,12 +80,14 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
         person.reads("Did all three turn" if wheels is THREE else "Did the left wheels turn backward")
         assert wiring.together() == {name: -1 if name in LEFT and wheels is not THREE else 1 for name in named}
         person.types("yes")
-        across = "Distance of each wheel from the middle" if wheels is THREE else "Distance of left and right"
-        for question in ("Wheel diameter", across, "Fastest forward", "Fastest turn"):
-            if question == "Distance of left and right" and robot == "rrc":
-                person.says("Distance of front and rear axle", "")
-            if question == "Fastest turn" and (robot == "rrc" or wheels is THREE):
-                person.says("Fastest sideways", "")
+        across = (
+            "Distance of each wheel from the middle" if wheels is THREE else "Distance between the left and the right"
+        )
+        for question in ("Wheel diameter", across, "Highest speed forward", "Highest turn rate"):
+            if question == "Distance between the left and the right" and robot == "rrc":
+                person.says("Distance between the front and the rear axle", "")
+            if question == "Highest turn rate" and (robot == "rrc" or wheels is THREE):
+                person.says("Highest speed sideways", "")
             measured = {"Wheel diameter": "0.08", across: "0.15"} if name in UNNAMED else {}
             person.says(question, measured.get(question, ""))
         (proved if LONG else unproved)(person)

@@ -22,8 +22,8 @@ WIRES = {0: "rr-", 1: "fl+", 2: "fr-", 3: "rl+"}
 FORWARD = {name[:-1]: 1 for name in WIRES.values()}
 TO_THE_LEFT = FORWARD | {"fl": -1, "rl": -1}
 WHICH_FILE = "Write them to which file?"
-SIZES = ("Wheel diameter", "Distance of front and rear", "Distance of left and right")
-LIMITS = ("Fastest forward", "Fastest sideways", "Fastest turn")
+SIZES = ("Wheel diameter", "Distance between the front and the rear", "Distance between the left and the right")
+LIMITS = ("Highest speed forward", "Highest speed sideways", "Highest turn rate")
 PULLED = 2
 """The id while whose wheel turns the plug is pulled."""
 NEVER_S = 10.0

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 _CR, _SPACE = 13, 32
 _ARGUMENT = 15
-"""Bytes of an argument that the firmware has room for."""
+"""How many bytes of an argument the firmware has room for."""
 _MOST = 32767
-"""Of its 16-bit integers; a larger number would wrap around to another speed."""
+"""The largest number that the firmware's 16-bit integers hold. A larger one would wrap around to another speed."""
 _NUMBER = re.compile(rb"[ \t\n\v\f\r]*([+-]?\d+)")
 _FASTEST = codec.LIMIT * codec.PERIODS
 """Counts a second, more than which no wheel makes."""
@@ -58,8 +58,8 @@ _WITHOUT_EFFECT = {
     ord("s"): (_OK, "moving a servo (s)", "failstop knows no servos on this board"),
     ord("t"): (b"0\r\n", "a servo's angle (t)", "failstop knows no servos on this board: it was answered 0"),
 }
-"""Of each command that changes nothing: its answer, what it is, and why it has no effect. `r` sets the counts that the
-driver sees to zero, and is no refusal."""
+"""Commands that change nothing on the board, each with (answer, what it is, why it has no effect). `r` only sets the
+counts that the driver sees to zero, so it is not refused."""
 
 
 class ArduinoDriver:

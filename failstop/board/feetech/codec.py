@@ -49,9 +49,9 @@ _SIGN = 0x8000
 _LOAD_SIGN = 0x400
 _SPEEDS = Struct("<BHBHBH")
 _WHEEL = Struct("<H10xHxxB")
-"""Of a wheel's memory from the goal speed on: that, the present speed, the supply in V / 10."""
+"""A wheel's memory from the goal speed on: the goal speed, the present speed, the supply in 0.1 V."""
 _HEALTH = Struct("<HxB")
-"""Of a servo's memory from the load on: that, the temperature."""
+"""A servo's memory from the load on: the load, the temperature."""
 
 
 def packet(servo: int, instruction: int, data: bytes) -> bytes:
@@ -110,7 +110,7 @@ QUESTIONS = tuple(packet(EVERY_SERVO, SYNC_READ, bytes((GOAL_SPEED, size, *WHEEL
 
 
 def speeds(frame: bytes) -> tuple[float, ...] | None:
-    """Of all wheels, in steps a second; None for other bytes."""
+    """The speeds of all wheels in a motion frame, steps a second. None if the bytes are no motion frame."""
     if len(frame) != len(STOP) or frame[:7] != _MOTION_HEAD or sum(frame[2:]) & 0xFF != 0xFF:
         return None
     fields = _SPEEDS.unpack(frame[7:-1])

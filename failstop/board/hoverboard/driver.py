@@ -52,7 +52,7 @@ class HoverboardDriver:
         self._kept_ns = 0
         self._heard = b""
         self._length = 0
-        """Of the board's feedback; 0: not known yet."""
+        """The length of the board's feedback frames, bytes. 0: not known yet."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
         """The driver's frames."""

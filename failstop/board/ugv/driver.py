@@ -22,11 +22,12 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 OPENERS = 2
-"""Of the vendor's ROS 2 nodes ugv_driver writes and ugv_bringup reads."""
+"""Two programs may have the port open: of the vendor's ROS 2 nodes, ugv_driver writes and ugv_bringup reads."""
 PATIENCE_NS = 1_000_000_000
 """A question that has waited longer is answered only if it is the newest."""
 _TRACK_M = 0.172
-"""Of the widest base of this firmware, by which it turns T:13's Z into speeds. The setting may say that it is less."""
+"""The track of the widest base that this firmware knows, m. The firmware turns T:13's Z into wheel speeds with it. The
+setting may give a smaller one."""
 _LONGEST = 4096
 """Bytes of a line that are kept. The board keeps any number, and no driver writes as many."""
 _REST = (0.0, 0.0)

@@ -33,7 +33,7 @@ PLACES = 60
 """Different columns in turn: with a question every 0.1 s they repeat after 6 s."""
 ANSWER = re.compile(rb"\x1b\[(\d{1,4});(\d{1,4})R")
 PART = re.compile(rb"\x1b(\[[\d;]{0,30})?\Z")
-"""Of an answer that comes in two pieces."""
+"""The first piece of an answer that comes in two."""
 
 
 class Questions:

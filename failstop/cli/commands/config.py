@@ -127,8 +127,8 @@ def _fastest(settings: Settings, metres: float) -> str:
 
 
 def rows(path: str | None) -> dict[str, dict[str, float | str]]:
-    """Of every setting, by its whole key: value, unit, origin and what is allowed; the origin is "default" or the
-    file's path. Raises SettingError."""
+    """Every setting by its whole key: its value, unit, origin and allowed values. The origin is "default" or the file's
+    path. Raises SettingError."""
     read = config.read(path)
     return {
         key: {

@@ -41,7 +41,8 @@ END_SERVICE_S = 12.0
 """With --end-service everything is through by then: below the unit's TimeoutStopSec, at which systemd would kill this
 program and leave what it has not killed yet alive."""
 STALLED_S = 1.0
-"""Of these, for a port that is there and takes nothing: another unit goes on trying after the service's end."""
+"""How much of END_SERVICE_S a port gets that exists but accepts no bytes. Another unit goes on trying after the
+service's end."""
 REST_S = 1.0
 """How long killed processes may take to end: a write to a port that hangs can hold one up."""
 
@@ -316,7 +317,8 @@ class Target:
         return instance.last(self._name)
 
     def _servos(self) -> tuple[int, ...]:
-        """Of the arm, where there is one: which ones is in a file, or known of the run that had this port."""
+        """The ids of the arm's servos, from the file or from the last run that had this port. Empty: there is no
+        arm."""
         joints = [key for key in self._file if key.startswith("joints.") and key.endswith(".servo")]
         found = [value for key in joints if type(value := self._file[key]) is int]
         found += self._last.servos if self._last.device == self.device() else ()

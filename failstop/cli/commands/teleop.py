@@ -118,9 +118,9 @@ class Pilot:
         self._commanded_s = 0.0
         self.enabling: threading.Thread | None = None
         self._seen: object = None
-        """Of the state, what the lines for people depend on, as it was seen last."""
+        """The part of the state that the lines for people depend on, as it was last time."""
         self._told: Span = self.note
-        """The note as it was then."""
+        """The note as it was last time."""
         self._asked = False
         """An arm was on its way to the drive pose then, to enable motion."""
         self._rival = ""
