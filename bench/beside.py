@@ -63,7 +63,7 @@ class Compared:
 
     @property
     def verdict(self) -> str:
-        """Of the whole row."""
+        """The verdict on the whole row: the worst of its percentiles'."""
         return ratio.worst([one.verdict for one in self.ratios.values()])
 
     def lines(self) -> Iterator[str]:

@@ -16,7 +16,7 @@ from types import TracebackType
 
 _KTHREADD = 2
 _PRIORITY = 50
-"""Of interrupt threads: Linux, kernel/sched/syscalls.c, sched_set_fifo()."""
+"""The real-time priority of interrupt threads (Linux, kernel/sched/syscalls.c, sched_set_fifo())."""
 
 
 class Kernel:

@@ -38,7 +38,7 @@ NAMESPACES = ("--pid", "--mount", "--uts", "--ipc", "--net", "--cgroup")
 DIRECTORY = "failstop-container-"
 END_S = 10.0
 TIMEOUT_S = 120.0
-"""Of a command inside: an installation waits for the disk."""
+"""How long a command in the container may take. It is long because an installation waits for the disk."""
 POLL_S = 0.03  # each look at a unit costs some 10 ms of a processor
 
 BASE = (
@@ -167,9 +167,9 @@ class Container:
         self._process: subprocess.Popen[bytes] | None = None
         self._directory = tempfile.TemporaryDirectory(prefix=f"{DIRECTORY}{os.getpid()}-")
         self.base = Path(self._directory.name)
-        """Its files, out here."""
+        """The container's files, as seen from outside."""
         self.pid = 0
-        """Of its systemd, out here."""
+        """The pid of the container's systemd, as seen from outside."""
         self.boot_s = 0.0
         try:
             self._group = _new_group(f"failstop-{os.getpid()}-{next(self._numbers)}")

@@ -62,9 +62,9 @@ class Soak:
     stops: list[tuple[float, Cause]] = dataclasses.field(default_factory=list)
     """Stops that nobody asked for: seconds since the start, the reason."""
     caused_ns: list[int] = dataclasses.field(default_factory=list)
-    """Of each of them: when its cause was noticed (CLOCK_MONOTONIC)."""
+    """When the cause of each such stop was noticed (CLOCK_MONOTONIC)."""
     memory: list[dict[str, tuple[float, float]]] = dataclasses.field(default_factory=list)
-    """Of each process: what _memory_mb() says."""
+    """At each sample, what _memory_mb() returned for each process."""
     sampled_s: list[float] = dataclasses.field(default_factory=list)
     cpu_percent: dict[str, float] = dataclasses.field(default_factory=dict)
     imu_sent: int = 0
@@ -261,8 +261,8 @@ def stop_row(soak: Soak, realtime: bool) -> stats.Row:
 
 
 def explained(soak: Soak, control: stalls.Control) -> list[float]:
-    """Of each stop that nobody asked for: the longest stall of the control in the time that its cause took, in ms. It
-    explains nothing but silence."""
+    """For each stop that nobody asked for, the longest stall of the control while its cause lasted, ms. 0 if the cause
+    was not a silence, because a stall explains nothing else."""
     return [
         control.longest_ms(ns - LOOK_BACK_NS, ns) if cause.kind in SILENCE else 0.0
         for (_, cause), ns in zip(soak.stops, soak.caused_ns, strict=True)

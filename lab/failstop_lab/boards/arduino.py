@@ -60,7 +60,7 @@ class Arduino(Rolling):
         self.pwm = (0, 0)
         """By a raw line, which switches the controllers off."""
         self.counts = (0, 0)
-        """Of its encoders, which it answers."""
+        """The encoders' counts, which the board answers with."""
         self.turns = turns
         """Whether its encoders count as its wheels turn."""
         self._way = [0.0, 0.0]

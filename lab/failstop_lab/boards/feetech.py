@@ -214,7 +214,7 @@ class Bus(Rolling):
         self.commands.append((at_ns, self.wheels))
 
     def word(self, servo: int, address: int) -> int:
-        """Of a servo's memory."""
+        """Two bytes of a servo's memory, as a number."""
         return int.from_bytes(self.memory[servo][address : address + 2], "little")
 
     def _answer(self, asked: list[int], address: int, size: int, ear: Ear, at_ns: int) -> None:

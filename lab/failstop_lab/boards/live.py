@@ -22,7 +22,7 @@ QUIET_STEP_NS = 5 * STEP_NS
 """How often, once it has answered what it was sent last."""
 ANSWERED_NS = 20 * STEP_NS
 DIAMETER_M = 0.08
-"""Of its wheels, as the settings have it by default."""
+"""The wheels' diameter, as in the default settings."""
 _HEAD, _WHEEL = Struct("<BB"), Struct("<Bf")
 _SET_MANY = 1
 

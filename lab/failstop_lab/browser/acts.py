@@ -18,7 +18,7 @@ class Act(NamedTuple):
     label: str
     kind: str = PRESS
     off: str = ""
-    """Of a switch: the label while it is off."""
+    """If this is a switch: its label while it is off."""
 
 
 ASK, DRIVER, SENSES, OF_PROCESSES, OF_BOARD, MACHINE = GROUPS = (

@@ -32,7 +32,7 @@ NO_SPEED = (0.0, 0.0, 0.0)
 EVERY_S = 0.02
 IMU_HZ = 50.0
 RESTART_NS, WATCHDOG_NS = 100 * MS, 1000 * MS
-"""Of the unit: RestartSec and WatchdogSec."""
+"""RestartSec and WatchdogSec of the systemd unit."""
 NAP_NS = 20_000 * MS
 FROZEN_NS = 300 * MS
 STEP_NS = 3600 * 1000 * MS

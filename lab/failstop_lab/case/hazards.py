@@ -12,7 +12,7 @@ PEOPLE = "people and settings"
 HAZARD_CLASSES = (SOFTWARE, OUTSIDE, OF_STOPPING, PEOPLE)
 
 NOTHING_HELPS = "nothing helps here"
-"""Of a hazard that no claim carries: what is said instead of one."""
+"""The answer to a hazard that no claim covers begins with this."""
 
 
 @dataclasses.dataclass(frozen=True)

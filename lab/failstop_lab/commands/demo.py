@@ -29,7 +29,7 @@ LATE_MS = 50.0
 """A stop later than this fails the demo: generous, for slow and busy machines; `make bench` has the real bars."""
 
 STRIKES = 3
-"""Of a kill that found the wheels at rest."""
+"""How often a kill is tried at most, because one that found the wheels at rest shows nothing."""
 STEP_COLUMNS = 28
 MEANING = (
     "All times are in milliseconds from the kill, measured on the board's side of the wire: when the first stop frame "

@@ -17,7 +17,7 @@ from failstop_lab.trial import TrialError
 
 GONE_S = (0.01, 0.15)
 WATCHDOG_S = 1.0
-"""Of the units (WatchdogSec)."""
+"""WatchdogSec of the systemd units, s."""
 GARBLED = 0.01
 IDLE_KEY = 2
 PRESSED = 0x01

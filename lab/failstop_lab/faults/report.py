@@ -38,7 +38,7 @@ CONDITIONS = (
     "any machine: they find a stop that does not come, and a campaign judges the bar.",
 )
 COLUMNS = ("n", "p50", "p99", "max", "bar", "held")
-"""Of what is measured, at the end of each row of the page."""
+"""The columns with what was measured, at the end of each row of the page."""
 UNRECORDED = "what rights it had and how busy the machine was is not recorded"
 EVERY: dict[str, Fault | ArmFault] = {**table.FAULT_BY_NAME, **arm_table.ARM_FAULT_BY_NAME}
 """The rows of both tables."""

@@ -30,8 +30,8 @@ SETTINGS: dict[str, object] = {
     f"interlocks.{INTERLOCK}.timeout_s": 0.5,
     status.LEASE: status.LEASE_S,
 }
-"""Of a campaign, over the user's: so many deaths are no crash loop here, and the lease is that of the bars, whatever
-rights the service has."""
+"""Settings that a campaign needs, which replace the user's. A campaign's many deaths are no crash loop, and the lease
+is the one that the bars assume, whatever rights the service has."""
 GONE_S = 5.0
 
 

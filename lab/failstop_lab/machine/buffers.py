@@ -19,7 +19,7 @@ HALVES = {
     FIRST_HALF_BEFORE: (-2, True),
     SECOND_HALF_BEFORE: (-2, False),
 }
-"""Of which store, counted from the last, and whether its first half."""
+"""For each late half: (the store, counted from the last one as -1; whether it is the first half)."""
 
 
 @dataclass(eq=False, slots=True)

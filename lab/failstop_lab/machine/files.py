@@ -34,7 +34,7 @@ class Node:
         self.changed_ns = self.number
         self.device = 0
         self.locks: dict[int, Open] = {}
-        """Of single bytes, by the open file that has each; -1: the whole of it (flock)."""
+        """Which open file has each locked byte. -1: the lock on the whole file (flock)."""
         self.opened: list[Open] = []
 
     def size(self) -> int:

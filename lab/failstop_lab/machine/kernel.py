@@ -23,12 +23,13 @@ from failstop_lab.machine.files import Directory
 from failstop_lab.machine.process import Death, Process, Thread
 
 STEP_NS = 2_000
-"""Of a call of the system."""
+"""How long a system call takes."""
 SPAWN_NS = 40_000_000
 CLOCK_READ_NS = 50
-"""Of a look at the clock."""
+"""How long it takes to read the clock."""
 TAKEDOWN_NS = 400_000
-"""From a death to its late news: the kernel takes the memory down first (docs/dev/architecture.md, Choices)."""
+"""How long after a death the late news of it comes, because the kernel frees the memory first
+(docs/dev/architecture.md, Choices)."""
 SIGHUP, SIGINT, SIGKILL, SIGTERM, SIGCHLD, SIGCONT, SIGSTOP, SIGTSTP = 1, 2, 9, 15, 17, 18, 19, 20
 IGNORED = (SIGCHLD, SIGCONT)
 """Signals that do nothing by default."""

@@ -60,10 +60,10 @@ class WeakMachine(Machine):
         self.lowered: dict[int, int] = {}
         """Threads that run behind all others, by their numbers, each further one lower."""
         self._held_back: dict[int, View] = {}
-        """Of the threads, by their numbers, whose stores are late."""
+        """The views of the threads whose stores are late, by the threads' numbers."""
         self._race: Race | None = None
         self.stamp = 1
-        """Of the newest store."""
+        """The number of the newest store."""
         self._stores: deque[Store] = deque(maxlen=REMEMBERED)
         self._orderings: dict[tuple[str, int], int] = {}
         self.on_load: Callable[[Thread, Mapped, int, int], None] | None = None

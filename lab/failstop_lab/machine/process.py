@@ -59,7 +59,7 @@ class Thread:
         self.number = number
         self.greenlet = hub or greenlet(self._run, process.machine.hub)
         self.ready = False
-        """Of a thread that runs inline: its turn has come."""
+        """If the thread runs inline: its turn has come."""
         self.robust: list[Any] = []
         """Futexes that the kernel marks at its death."""
         self.scheduling = (SCHED_FIFO, 10)
@@ -131,7 +131,7 @@ class Process:
         return fd
 
     def random_bytes(self, most: int) -> bytes:
-        """Of the machine's seed and this process's number."""
+        """Random bytes that depend only on the machine's seed, this process's number and the calls before."""
         self._random = (self._random * 6364136223846793005 + self.machine.seed + 1442695040888963407) % (1 << 64)
         return (self._random.to_bytes(8, "little") * (most // 8 + 1))[:most]
 

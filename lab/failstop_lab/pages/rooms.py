@@ -99,7 +99,7 @@ def imports(path: Path) -> tuple[Import, ...]:
 
 
 def _imports(node: ast.AST, *, types: bool) -> Iterator[Import]:
-    """Of the statements within this one: no expression holds an import."""
+    """The imports in the statements of this node. Expressions are not searched, because none can hold an import."""
     types = types or (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
     for block in ("body", "orelse", "finalbody", "handlers", "cases"):
         for each in getattr(node, block, ()):

@@ -154,7 +154,7 @@ class Card:
 
     @property
     def slowest_s(self) -> float:
-        """Of the rows that stopped."""
+        """The slowest stop of all rows that stopped, s."""
         return max((row.stands_s or 0.0 for row in self.tried), default=0.0)
 
     def heads(self) -> list[tuple[str, str]]:

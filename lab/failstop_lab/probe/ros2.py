@@ -79,10 +79,10 @@ class Publisher:
             raise FailstopError(f"no publisher on {topic}: does `ros2 topic list` work in this shell?")
 
         self.orders = Orders(self.process)
-        """Of a guard."""
+        """Gives orders to the process, if it is a guard."""
 
     def send(self, word: str) -> None:
-        """Send it a line."""
+        """Send the process a line."""
         assert self.process.stdin
         with contextlib.suppress(OSError):
             self.process.stdin.write(f"{word}\n")
@@ -123,7 +123,7 @@ class Listener:
         self.samples: list[SeenSample] = []
         self.topic = arguments.imu or arguments.odom
         self.shaking: judge.Shaking | None = None
-        """Of an IMU, once it has shown rest and turning."""
+        """Tells rest from turning by the IMU, once the IMU has shown both. None: not yet, or the odometry judges."""
         kind, take = (IMU_TYPE, self._add_gyro) if arguments.imu else (ODOM_TYPE, self._add_odometry)
         # It hears reliable publishers too.
         profile = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)

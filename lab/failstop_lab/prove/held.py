@@ -19,8 +19,8 @@ has a core to spare within ten."""
 OTHERS_S = 0.1
 """How often the kernel is asked for how long the others have waited for a processor."""
 WAITED_SHARE = 0.2
-"""Of the time, waiting for a processor. The test sleeps for a millisecond at a time: on a quiet machine it waits for
-some percent, on one with four programs to a core for half of it."""
+"""The share of its time that the test may wait for a processor. The test sleeps for a millisecond at a time. On a quiet
+machine it waits for a few percent of the time, with four programs per core for half of it."""
 Mark = tuple[int, int]
 """A moment (ns), and for how long this process had waited for a processor until then (ns)."""
 BUSY = (causes.STARVED, causes.HELD_UP)

@@ -80,7 +80,7 @@ class Means:
 
 
 def means_of(kind: str, board: Board, *, imu: bool = True) -> Means:
-    """Of the board of a kind; `imu`: whether the robot has one (setting board.imu). Raises OwnBoardError, a
+    """The means of this kind of board. `imu`: whether the robot has an IMU (setting board.imu). Raises OwnBoardError, a
     ValueError."""
     seen = observer(board.observed_by, imu=imu)
     if not is_described(kind):

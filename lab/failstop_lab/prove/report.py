@@ -57,7 +57,7 @@ class Evidence:
     tool: str = "prove"
     """The command."""
     means: Means | None = None
-    """Of the board; None: nothing is said of them."""
+    """The proofs that the board can give. None: the report says nothing about them."""
     outcome: Halted | None = None
     """What is known of the wheels at its end; None: they are a simulated board's, or were never to turn."""
     user: Settings | None = None
@@ -70,7 +70,7 @@ class Evidence:
 
     @property
     def exit_code(self) -> int:
-        """Of the command."""
+        """The exit code of the command."""
         if self.ended == INTERRUPTED:
             return self.outcome.interrupted() if self.outcome else OF_CTRL_C
         return 0 if self.passed else 1

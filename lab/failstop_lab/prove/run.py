@@ -48,11 +48,11 @@ class Result:
     acknowledged_ms: float | None = None
     rest_s: float | None = None
     bar_s: float | None = None
-    """Of the time to rest, as this robot's sight has it; None: that of the path."""
+    """The bar of the time to rest, s, for what this robot can observe. None: the path's bar."""
     blind_s: float = 0.0
     """Nothing was reported for so long before the moment of rest, which is then the latest it can have been."""
     board_ms: float | None = None
-    """The simulated board's own word: its first stop frame."""
+    """When the simulated board itself got its first stop frame."""
     back_s: float | None = None
     """Scan: from the sensor's return to turning wheels."""
     latched: str | None = None
@@ -68,7 +68,8 @@ class Result:
     starved: str = ""
     """The sign that the machine did not run everybody in time meanwhile; empty: there is none."""
     arm: dict[str, Any] | None = None
-    """Of a joint that swung: name and rate, where it was told to be at the cause, where it was read to be (pulses)."""
+    """The joint that swung: its name and rate, its commanded position at the cause and its measured positions
+    (pulses)."""
     samples: list[SeenSample] = dataclasses.field(default_factory=list)
     """Around the cause; the times count from it, ns."""
     again: list[str] = dataclasses.field(default_factory=list)

@@ -62,7 +62,8 @@ def windows(samples: Sequence[GyroSample]) -> list[float]:
 
 
 def noise(samples: Sequence[GyroSample]) -> Noise | None:
-    """Of a stretch of one kind; None when it is too short, or the IMU too slow or dead."""
+    """How much the samples of one stretch vary, all of it rest or all of it turning. None if the stretch is too short,
+    or if the IMU is too slow or dead."""
     levels = windows(samples)
     if not levels or not max(levels):
         return None
@@ -140,6 +141,6 @@ def blind_ns(samples: Sequence[GyroSample], begin_ns: int, end_ns: int, long_ns:
 
 
 def longest_silence_ns(samples: Sequence[GyroSample], begin_ns: int, end_ns: int) -> int:
-    """Of the IMU within this time; 0 when no two samples were far apart."""
+    """The IMU's longest silence within this time, ns. 0 if no two samples were far apart."""
     times = [t_ns for t_ns, _, _ in samples if begin_ns - BLIND_NS <= t_ns <= end_ns]
     return max((gap_ns for one, two in pairwise(times) if (gap_ns := two - one) > BLIND_NS), default=0)

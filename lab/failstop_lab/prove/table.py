@@ -22,11 +22,11 @@ class Turning:
     command: tuple[float, float, float]
     """m/s forward, m/s left, rad/s counter-clockwise."""
     coast_s: float
-    """From the stop to rest, as measured on the robot with the driver before (stop request)."""
+    """The time from the stop request to rest, s, as measured on the robot with its previous driver."""
     said: str = ""
-    """For people, where no wheel turns."""
+    """The words for people, if no wheel turns."""
     column: int = 0
-    """Of MEASURED_S."""
+    """Its column in MEASURED_S."""
 
     @property
     def words(self) -> str:
@@ -62,7 +62,7 @@ ARM_ROW = "arm"
 """A row of the arm's faults."""
 DISABLE_MS = STOP_MS = 5.0
 WATCHDOG_MS = 500.0
-"""Of a board's own watchdog, until it is known which board it is (means.py)."""
+"""The bar of a board's own watchdog, until the kind of board is known (means.py)."""
 LEASED_MS = (processes.LEASE_MS, processes.DEADLINES_MS[PORT_OWNER])
 """The bars of the fault table that are a lease, or a deadline that is never shorter than one."""
 
@@ -78,9 +78,11 @@ MEASURED_S: dict[str, tuple[float, float, float]] = {
 """Cause to rest, in the order of TURNINGS: what the driver before took on the robot, the bar to beat."""
 
 REST_RESOLUTION_S = 0.1
-"""Of the moment of rest: 110 samples a second, of which five to ten are needed to tell rest from turning."""
+"""How exactly the moment of rest is known. The IMU gives 110 samples a second, and five to ten are needed to tell rest
+from turning."""
 ARM_RESOLUTION_S = 0.03
-"""Of the moment at which a joint stood, by where it is read to be: 5 pulses at 0.8 rad/s."""
+"""How exactly the moment is known at which a joint came to rest, judged by its measured position: 5 pulses at
+0.8 rad/s."""
 ACKNOWLEDGED_MS = 1000.0
 """From the stop to the answer; a board that is silent for longer counts as deaf."""
 SLACK_MS = {False: 20.0, True: 100.0}

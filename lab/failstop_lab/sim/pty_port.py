@@ -112,7 +112,8 @@ class PtyPort:
         return descriptor == self.master
 
     def reported(self, mask: int) -> None:
-        """Of this descriptor; a hang-up may be the last client's."""
+        """Handle what epoll reported of this descriptor. A hang-up may mean that the last client has closed the
+        port."""
         if mask & select.EPOLLHUP:
             self.free()
 

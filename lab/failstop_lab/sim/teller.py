@@ -36,7 +36,7 @@ class Teller:
         self._told: Speeds = ()
         self._told_ns = 0
         self._stops = 0
-        """Of those that follow each other closely."""
+        """How many stop frames have come in close succession."""
         self._stop_ns = 0
         self._counts: dict[str, int] = {}
         self._counted_ns = 0

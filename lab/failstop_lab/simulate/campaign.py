@@ -85,7 +85,7 @@ class Result:
     equivalent: int = 0
     """Runs that were not played, since each is the same as one that was (equivalents.py)."""
     used_s: float = 0.0
-    """Of a processor."""
+    """How long a processor was used, s."""
     calls: int = 0
     wrong: list[JudgedRun] = field(default_factory=list)
     marks: Counter[str] = field(default_factory=Counter)
@@ -125,10 +125,11 @@ class Plan:
     first: bool = False
     """The campaign ends with the first run that is wrong."""
     branches: tuple[str, ...] = ()
-    """Of a plan for what so many scenarios begin with, the plan's own first: a run that comes to its end is forked for
-    each of them, one that does not is the same in all. Without a first name: the scenario alone, from there on."""
+    """The scenarios that begin alike and share this plan, the plan's own one first. A run that reaches the end of the
+    common part is forked for each of them; a run that doesn't is the same in all. If the first name is empty, the plan
+    has one scenario alone, from the end of the common part on."""
     board: str = BOARDS[0]
-    """Its kind, as the setting board.kind."""
+    """The kind of board, as in the setting board.kind."""
 
 
 class Explorer:

@@ -75,7 +75,7 @@ class Order:
     def __init__(self, machine: WeakMachine, witness: Witness) -> None:
         self.machine, self._witness = machine, witness
         self._files: dict[int, dict[int, Watched]] = {}
-        """Of each file, by its Node's number: the watched places."""
+        """The watched places of each file, by the number of its Node."""
         self._runs: dict[str, ServiceRun] = {}
         self.asks = False
         """The supervisor asks whether anything moves, and will spare a process by the answer; or the stopper does."""

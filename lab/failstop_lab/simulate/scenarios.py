@@ -12,7 +12,7 @@ from failstop_lab.simulate.stage import FROM_THE_START, NEEDS, SETTINGS, Continu
 Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
 DRIVEN: dict[str, Continuation] = {}
-"""Of the scenarios that begin alike, by driving(): what comes then, with the program that drives."""
+"""The scenarios that all begin with driving(), by name: what each does then, with the program that drives."""
 JOINTS = {"base": (1, 500, 500), "shoulder": (2, 600, 540)}
 """Servo, pulses of the tuck pose and of the drive pose."""
 SLOW_MPS = 0.01

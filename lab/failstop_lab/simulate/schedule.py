@@ -165,16 +165,17 @@ class Schedule:
         machine.at_seam = self._at
 
     def end(self) -> None:
-        """The faults are off."""
+        """Inject no more faults."""
         self._machine.at_seam = None
         self._machine.calm()
 
     def kind(self, event: Event) -> str:
-        """Its kind, of DRAWN_EVENTS."""
+        """The kind of the event, one of DRAWN_EVENTS."""
         return DRAWN_EVENTS[(self._decisions.drawn[event.label] - 1) // MEASURES]
 
     def digest(self) -> int:
-        """Of all that the board was told, when, and of the number of calls."""
+        """A checksum of everything that was written to the board and when, and of the number of calls. Equal runs have
+        equal ones."""
         return crc32(f"{self._machine.now_ns} {self.calls}".encode(), self._crc)
 
     def _gap(self) -> int:

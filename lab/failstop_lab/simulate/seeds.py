@@ -53,7 +53,8 @@ RUN_S = 60
 """A run that takes a processor for longer has gone astray."""
 EVENT_WORDS = 2
 SUFFIXES = (1, 2, 4, 8, 16, 32)
-"""Of a failure's events only so many are kept, the last of them, before parts are left out: most need no others."""
+"""When a failure is shrunk, first only its last 1, 2, 4 ... events are kept, because most failures need no others. Only
+then are parts left out."""
 MOST_SHRUNK = 5
 """So many failures of a campaign are shrunk."""
 COLD = 0.1
@@ -73,7 +74,7 @@ class Seeded:
     story: list[tuple[int, str]] = field(default_factory=list)
     marks: dict[str, int] = field(default_factory=dict)
     digest: int = 0
-    """Of all that the board was told."""
+    """A checksum of everything that was written to the board."""
     groups: dict[str, int] = field(default_factory=dict)
     """How many events of each group came."""
     options: str = ""
@@ -109,12 +110,12 @@ class Seeds:
     runs: int = 0
     events: int = 0
     took_s: float = 0.0
-    """Of a processor."""
+    """How long a processor was used, s."""
     rounds: int = 0
     twice: int = 0
-    """So many runs were made twice, and were the same to the byte."""
+    """How many runs were made twice and were equal to the byte."""
     found_s: float = 0.0
-    """Of a processor, to the first that was wrong."""
+    """How long a processor was used until the first wrong run, s."""
     wrong: list[Seeded] = field(default_factory=list)
     marks: Counter[str] = field(default_factory=Counter)
     groups: Counter[str] = field(default_factory=Counter)

@@ -27,9 +27,9 @@ from failstop_lab.simulate.witness import ANY_REPORTS, ASKED_NS, BACK_NS, COMPAR
 
 Continuation = Callable[["Stage", Any], object]
 SETTINGS: dict[Callable[[Stage], object], dict[str, object]] = {}
-"""Of the scenarios that need some."""
+"""The settings of the scenarios that need some."""
 NEEDS: dict[Callable[[Stage], object], frozenset[str]] = {}
-"""Of the scenarios that need a board with certain parts (lab/boards/traits.py)."""
+"""The parts that the board must have for a scenario (lab/boards/traits.py), if it needs any."""
 FROM_THE_START: set[Callable[[Stage], object]] = set()
 """The scenarios in which faults come before the service is ready."""
 LONG_RUN: dict[str, object] = {"restart.deaths": 100_000, "restart.window_s": 1.0, "restart.backoff_s": 0.001}

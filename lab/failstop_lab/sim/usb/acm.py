@@ -65,7 +65,7 @@ class Done(NamedTuple):
     token: Token
     data: bytes = b""
     length: int = 0
-    """Of what went out by it."""
+    """How many bytes the transfer carried to the device."""
 
 
 class _Out(NamedTuple):

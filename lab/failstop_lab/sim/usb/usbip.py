@@ -52,7 +52,7 @@ class UsbIp:
         """The end of the connection is the end of the device."""
 
     def _size(self) -> int:
-        """Of the message that begins here; 0 while that is not known."""
+        """The size of the message at the beginning of the input, bytes. 0: not known yet."""
         if len(self._input) < SIZE:
             return 0
         command, _, _, inward, _ = _HEAD.unpack_from(self._input)
