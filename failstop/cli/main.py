@@ -19,39 +19,39 @@ GROUPS = {
     "drive": {
         "enable": ("cli.commands.requests", "enable motion"),
         "disable": ("cli.commands.requests", "disable motion: the wheels stop"),
-        "drive": ("cli.commands.requests", "drive for a while"),
-        "teleop": ("cli.commands.teleop", "drive with the keyboard, holding keys"),
-        "attend": ("cli.commands.attend", "be the operator who has to be present for the robot to move"),
-        "stop": ("cli.commands.stop", "stop now: through the service or, without one, on the port itself"),
+        "drive": ("cli.commands.requests", "drive at a given speed for some seconds"),
+        "teleop": ("cli.commands.teleop", "drive with the keyboard, for as long as you hold a key"),
+        "attend": ("cli.commands.attend", "confirm that an operator is present, if the robot needs one to move"),
+        "stop": ("cli.commands.stop", "stop now, even if the service is dead"),
         "estop": ("cli.commands.stop", "the same as stop"),
-        "reset": ("cli.commands.requests", "clear a latched stop; nothing moves before the next enable"),
-        "limit": ("cli.commands.requests", "limit the speed of every driver, in percent of the settings' limits"),
-        "arm": ("cli.commands.arm", "the arm: where it is, move, jog, poses, hold, release"),
+        "reset": ("cli.commands.requests", "clear a latched stop; nothing moves until the next enable"),
+        "limit": ("cli.commands.requests", "limit the robot's speed, whoever drives, in percent of its settings"),
+        "arm": ("cli.commands.arm", "move the arm, hold it, release it, or show where it is"),
     },
     "look": {
-        "status": ("cli.commands.status", "what the wheels do and why, processes, last stop; live with -w"),
-        "why": ("cli.commands.status", "why the wheels are stopped, since when, and what to do next"),
-        "events": ("cli.commands.events", "what happened: stops, deaths, requests"),
-        "incident": ("cli.commands.incident", "the minute before each latched stop: as a story, a picture, MCAP"),
-        "metrics": ("fleet.metrics_command", "the state in the format of Prometheus, once or over HTTP"),
-        "fleet": ("fleet.command", "many robots: see and stop all of them, add this one"),
+        "status": ("cli.commands.status", "show what the wheels do and why, and the last stop; -w: live"),
+        "why": ("cli.commands.status", "show why the wheels are stopped, and what to do next"),
+        "events": ("cli.commands.events", "list what happened: stops, crashes, requests"),
+        "incident": ("cli.commands.incident", "show the minute before a latched stop: as text, a plot or MCAP"),
+        "metrics": ("fleet.metrics_command", "print the state for Prometheus, or serve it over HTTP"),
+        "fleet": ("fleet.command", "watch and stop many robots at once, or add this robot to them"),
     },
     "check": {
-        "setup": ("setup.command", "set up a robot by answering questions, and test its stops"),
-        "demo": ("failstop_lab.commands.demo", "drive a simulated robot, kill every process, time the stops"),
+        "setup": ("setup.command", "set up your robot by answering questions, and test its stops"),
+        "demo": ("failstop_lab.commands.demo", "see it work: a simulated robot, every process killed, stops timed"),
         "probe": ("failstop_lab.commands.probe", "measure whether a robot without failstop stops"),
-        "doctor": ("cli.commands.doctor", "check the machine, the port and the service, and say what to fix"),
-        "prove": ("failstop_lab.commands.prove", "the stand test: time every kind of stop on a real robot"),
-        "chaos": ("failstop_lab.commands.chaos", "random faults on a simulated board, judged by it"),
-        "config": ("cli.commands.config", "show and check settings: values, and where they come from"),
+        "doctor": ("cli.commands.doctor", "check the computer, the port and the service; say what to fix"),
+        "prove": ("failstop_lab.commands.prove", "time every kind of stop on your robot, on a stand"),
+        "chaos": ("failstop_lab.commands.chaos", "inject random faults, and let a simulated board judge the stops"),
+        "config": ("cli.commands.config", "show the settings and where each comes from, or check a file"),
     },
     "service": {
         "run": ("cli.commands.run", "run the service in the foreground"),
-        "simulate": ("failstop_lab.commands.simulate", "try every fault on a simulated machine"),
-        "sim": ("failstop_lab.commands.sim", "start a simulated board"),
-        "guard": ("guard.command", "keep your driver: open a serial port that behaves like the board"),
+        "simulate": ("failstop_lab.commands.simulate", "inject every fault at every step of a simulated computer"),
+        "sim": ("failstop_lab.commands.sim", "start a simulated motor board"),
+        "guard": ("guard.command", "keep your driver: give it a serial port that behaves like the board"),
         "web": ("web.command", "serve the operator's page: stop the robot from a phone"),
-        "ros2": ("ros2.command", "start the bridge to ROS 2: nodes drive through the service"),
+        "ros2": ("ros2.command", "connect ROS 2: its nodes drive through the service"),
     },
 }
 """Groups of `failstop --help`: each command with its module and its purpose."""
@@ -68,9 +68,9 @@ EXAMPLES = "examples:"
 DESCRIPTION = """Stops your robot when its software crashes or hangs.
 No robot yet? Try `failstop demo`. With a robot on a stand, begin with
 `failstop setup`.
-Exit codes: 0 done, 1 error, 2 refused, 3 no service of that name, 78 this
-Python lacks a package, 128 and the signal's number when a signal ended it
-(130: Ctrl-C; run and sim: 0)."""
+Exit codes: 0 done, 1 error, 2 refused, 3 no service of that name runs, 78 a
+Python package is missing, 128 plus the number of the signal that ended it
+(Ctrl-C: 130, but 0 for run and sim)."""
 
 
 SYSTEM = "/usr"

@@ -30,8 +30,8 @@ from failstop.notify import Notify
 
 EXAMPLES = """\
 failstop fleet                       # every robot, live
-failstop fleet stop smoke in hall 2  # all; says who has not confirmed
-failstop fleet key                   # once: then copy it to all of them
+failstop fleet stop smoke in hall 2  # stop all of them
+failstop fleet key                   # once; then copy it to every robot
 failstop fleet publish               # on the robot
 """
 
@@ -52,20 +52,20 @@ def add_arguments(parser: ArgumentParser) -> None:
     below = parser.add_subparsers(dest="action", metavar="ACTION")
     actions = {name: below.add_parser(name, help=what) for name, (_, what) in ACTIONS.items()}
     stop = actions["stop"].add_argument
-    stop("reason", nargs="*", help="why; each robot shows it")
+    stop("reason", nargs="*", help="why you stop them; each robot shows it")
     stop("--by", metavar="NAME", help="who stops them (default: USER@HOST)")
-    wait = "how long to try at most (default: 5, and longer while robots may be reconnecting after a broker's restart)"
+    wait = "how long to keep trying (default: 5 s, or longer if robots may be reconnecting after the broker restarted)"
     stop("--wait", type=_seconds, metavar="S", help=wait)
     for name in ("list", "stop"):
-        actions[name].add_argument("--json", action="store_true", help="for programs")
-    actions["forget"].add_argument("robot", help="its name in the fleet")
+        actions[name].add_argument("--json", action="store_true", help="print it as JSON")
+    actions["forget"].add_argument("robot", help="the robot's name in the fleet")
     add_name(actions["publish"])
     del actions["config"]
     for name, action in {"": parser, **actions}.items():
         default = SUPPRESS if name else None
-        action.add_argument("--config", metavar="FILE", default=default, help="settings of the fleet, as TOML")
+        action.add_argument("--config", metavar="FILE", default=default, help="TOML file with the fleet's settings")
         if name != "key":
-            action.add_argument("--broker", metavar="HOST[:PORT]", default=default, help="where the broker is")
+            action.add_argument("--broker", metavar="HOST[:PORT]", default=default, help="address of the MQTT broker")
 
 
 def main(arguments: Namespace) -> int:

@@ -19,7 +19,9 @@ failstop metrics > /var/lib/node_exporter/failstop.prom
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop metrics`."""
-    parser.add_argument("--serve", metavar="HOST:PORT", help="serve them over HTTP until Ctrl-C, instead of one print")
+    parser.add_argument(
+        "--serve", metavar="HOST:PORT", help="serve it over HTTP until Ctrl-C, instead of printing it once"
+    )
     add_name(parser)
 
 

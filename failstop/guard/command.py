@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\
 failstop guard                    # your driver opens the port that it prints
-failstop guard --path /run/port   # at a path of your own
+failstop guard --path /run/port   # at your own path
 failstop guard --dry-run          # no robot: what your driver would get
 """
 PORT = "port"
@@ -45,8 +45,12 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop guard`."""
     add = parser.add_argument
     add("--path", metavar="PATH", help="where your driver opens it (default: the setting guard.path)")
-    add("--dry-run", action="store_true", help="without a robot: print what a driver writes and what it would get")
-    add("--config", metavar="FILE", help="with --dry-run: TOML file with settings (default: the installed service's)")
+    add(
+        "--dry-run",
+        action="store_true",
+        help="try it without a robot: print what your driver writes and what it would get",
+    )
+    add("--config", metavar="FILE", help="with --dry-run: TOML file with settings (default: the installed file)")
     add_name(parser)
 
 

@@ -29,7 +29,7 @@ class NoRos(FailstopError):
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop ros2`."""
     add_name(parser)
-    words = "all that follows is ROS's: -r FROM:=TO, -p NAME:=VALUE, --params-file FILE, ..."
+    words = "arguments for ROS 2: -r FROM:=TO, -p NAME:=VALUE, --params-file FILE, ..."
     parser.add_argument("--ros-args", nargs=REMAINDER, default=[], metavar="ARG", help=words)
 
 

@@ -23,17 +23,17 @@ from failstop.setup.talk import AGAIN, NO, YES, Left, Talk, one_of, option, word
 from failstop.setup.wheels import Trial
 
 EXAMPLES = """\
-failstop setup                         # a conversation of ten minutes
-failstop setup --port /dev/ttyUSB0     # asks only what you have not given
+failstop setup                         # takes about ten minutes
+failstop setup --port /dev/ttyUSB0     # asks only the rest
 failstop setup --afresh                # begin again
 """
 QUESTIONS = {
     "port": "the board's port",
-    "board": f"its kind: {', '.join(BOARDS)}, or the path of a folder of your own",
+    "board": f"the kind of board: {', '.join(BOARDS)}, or the folder of your own",
     "can_id": "the CAN id of the second VESC; none: there is one motor",
-    "robot": "the robot's name, or other",
-    "layout": "the kind of base, for example mecanum, if the robot has no name here",
-    "stand": "yes: the wheels are off the ground and free",
+    "robot": "the robot's name, or other if failstop does not know it",
+    "layout": "the kind of base, for example mecanum, if failstop does not know the robot",
+    "stand": "yes: the wheels are off the ground and can turn freely",
     "per_rps": "the speed of one wheel turn per second in the board's own unit, instead of turning a wheel by hand (on "
     "an Arduino: encoder counts of a turn, divided by 30); the speed stays capped, because no turn has confirmed the "
     "number; or: unknown",
@@ -44,7 +44,7 @@ QUESTIONS = {
     "forward": "yes: every wheel turned forward",
     "turn": "yes: the robot would have turned to the left",
     **sizes.OPTIONS,
-    "prove": "yes: make the stand test without asking; no: skip it",
+    "prove": "yes: do the stand test without asking; no: skip it",
     "unproved": "yes: write the settings even if the stand test did not pass",
     "file": "where to write the settings",
     "replace": "replace: overwrite an existing file (the old one is kept)",
@@ -61,7 +61,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop setup`."""
     for key, what in QUESTIONS.items():
         parser.add_argument(option(key), dest=key, metavar="ANSWER", help=what.replace("%", "%%"))
-    parser.add_argument("--afresh", action="store_true", help="forget the answers of a setup that you left early")
+    parser.add_argument(
+        "--afresh",
+        action="store_true",
+        help="start from the beginning, and forget the answers of a setup that you left early",
+    )
     add_name(parser)
 
 

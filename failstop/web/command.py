@@ -17,9 +17,9 @@ from failstop.web.source import Source
 EXAMPLES = """\
 failstop web                          # http://127.0.0.1:8477/
 failstop web --listen 0.0.0.0         # https, for the network
-failstop web pair                     # a code, and as a picture to photograph
+failstop web pair                     # prints a code and a QR code
 failstop web devices                  # which devices are paired
-failstop web revoke 1a2b3c4d          # not that one any more
+failstop web revoke 1a2b3c4d          # unpair this device
 """
 
 
@@ -27,10 +27,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop web`."""
     add = parser.add_argument
     add("action", nargs="?", choices=tuple(ACTIONS), default="serve", help="what to do (default: serve)")
-    add("device", nargs="?", metavar="ID", help="the device to revoke, as `failstop web devices` says")
-    add("--listen", metavar="ADDRESS", help="where to listen (default: the setting web.address)")
-    add("--port", type=int, metavar="N", help="on which port, 0: any (default: the setting web.port)")
-    add("--config", metavar="FILE", help="TOML file with settings (default: those of the service that runs)")
+    add("device", nargs="?", metavar="ID", help="the device to revoke; `failstop web devices` lists them")
+    add("--listen", metavar="ADDRESS", help="address to listen at (default: the setting web.address)")
+    add("--port", type=int, metavar="N", help="port to listen at; 0: any free one (default: the setting web.port)")
+    add("--config", metavar="FILE", help="TOML file with settings (default: the running service's settings)")
     add_name(parser)
 
 

@@ -17,13 +17,13 @@ from failstop.cli.screen import summary
 from failstop.cli.screen.progress import Progress
 
 EXAMPLES = """\
-failstop arm                           # where each joint is, what is wrong
+failstop arm                           # where each joint is, and any faults
 failstop arm drive                     # to the drive pose, slowly; also tuck
 failstop arm move base=0.5 wrist=-0.3  # rad, as fast as the settings allow
-failstop arm move base=0 --over 3      # within 3 s
+failstop arm move base=0 --over 3      # in 3 s
 failstop arm jog base=0.2 --for 1      # rad/s
 failstop arm hold                      # stop where it is; torque stays
-failstop arm release                   # torque off: it falls
+failstop arm release                   # torque off: the arm falls
 """
 
 TORQUES = {True: "on", False: "off", None: "not read"}
@@ -33,11 +33,22 @@ VERBS = ("status", "move", "jog", "drive", "tuck", "hold", "release", "read")
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop arm`."""
     add = parser.add_argument
-    add("verb", nargs="?", default="status", choices=VERBS, help="default: status")
-    add("joints", nargs="*", metavar="JOINT=VALUE", help="rad (move) or rad/s (jog)")
-    add("--over", type=seconds, default=0.0, metavar="S", help="move: how long it takes")
-    add("--for", dest="seconds", type=seconds, default=1.0, metavar="S", help="jog: how long (default: 1)")
-    add("--json", action="store_true", help="status: the same for programs")
+    add("verb", nargs="?", default="status", choices=VERBS, help="what to do (default: status)")
+    add(
+        "joints",
+        nargs="*",
+        metavar="JOINT=VALUE",
+        help="where each joint goes, rad (move), or how fast it turns, rad/s (jog)",
+    )
+    add(
+        "--over",
+        type=seconds,
+        default=0.0,
+        metavar="S",
+        help="move: take this long (default: as fast as the settings allow)",
+    )
+    add("--for", dest="seconds", type=seconds, default=1.0, metavar="S", help="jog: for how long (default: 1)")
+    add("--json", action="store_true", help="status: print it as JSON")
     add_name(parser)
 
 

@@ -22,7 +22,7 @@ from failstop.cli.style import DIM, FAIL, STRONG, WARN, Line
 
 EXAMPLES = """\
 failstop attend                       # q leaves, space stops
-ssh -t robot failstop attend          # from elsewhere
+ssh -t robot failstop attend          # from another computer
 failstop attend --as Anna
 """
 
@@ -77,7 +77,7 @@ class Questions:
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop attend`."""
-    parser.add_argument("--as", dest="who", default="", metavar="NAME", help="who attends (default: this user)")
+    parser.add_argument("--as", dest="who", default="", metavar="NAME", help="the operator's name (default: this user)")
     add_name(parser)
 
 

@@ -20,7 +20,7 @@ failstop config                         # every value, unit and origin
 failstop config --config robot.toml
 failstop config --check robot.toml
 failstop config --example > robot.toml
-failstop config --within 0.1            # how fast, to stand within 0.1 m
+failstop config --within 0.1            # how fast, to stop within 0.1 m
 """
 
 GROUPS = {
@@ -78,12 +78,14 @@ SAMPLES: dict[str, dict[str, dict[str, float | str]]] = {
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop config`."""
-    parser.add_argument("--config", metavar="FILE", help="the TOML file to read over the defaults")
-    parser.add_argument("--json", action="store_true", help="the same for programs")
-    parser.add_argument("--within", metavar="M", type=float, help="only the speed at which the robot stands within M")
+    parser.add_argument("--config", metavar="FILE", help="show the settings of this TOML file")
+    parser.add_argument("--json", action="store_true", help="print it as JSON")
+    parser.add_argument(
+        "--within", metavar="M", type=float, help="print only how fast the robot may drive to stop within M metres"
+    )
     other = parser.add_mutually_exclusive_group()
-    other.add_argument("--check", metavar="FILE", help="only say whether this file is right (exit code 0) or not (1)")
-    whole = "a TOML file with every setting and what it means, all commented out"
+    other.add_argument("--check", metavar="FILE", help="only check this file; exit code 0: it is right, 1: it is not")
+    whole = "print a TOML file with every setting and its meaning, all commented out"
     other.add_argument("--example", action="store_true", help=whole)
 
 

@@ -22,9 +22,9 @@ from failstop.incidents import files, story
 from failstop.incidents.incident import Incident
 
 EXAMPLES = """\
-failstop doctor             # everything: 5 s; 10 s where no board answers
+failstop doctor             # everything: 5 s, 10 s if no board answers
 failstop doctor --quick
-failstop doctor --report report.json    # to be sent along with a question
+failstop doctor --report report.json    # send it with your question
 failstop doctor --json | jq '.findings[] | select(.level != "ok")'
 """
 
@@ -49,9 +49,13 @@ def add_arguments(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("--config", metavar="FILE", help="the service's settings (default: the installed file, if there is one)")
     add("--device", metavar="PATH", help="the board's port (default: the running service's, else device.path)")
-    add("--quick", action="store_true", help="without the timing self-test, which takes 5 s")
-    add("--json", action="store_true", help="for programs")
-    add("--report", metavar="FILE", help="write it with versions, settings and the last incident, without secrets")
+    add("--quick", action="store_true", help="skip the timing test, which takes 5 s")
+    add("--json", action="store_true", help="print it as JSON")
+    add(
+        "--report",
+        metavar="FILE",
+        help="also write a report to send with a question: versions, settings, last incident, no secrets",
+    )
     add_name(parser)
 
 

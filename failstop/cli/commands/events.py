@@ -20,8 +20,8 @@ from failstop.supervisor.events import PREFIX, fitted
 from failstop.supervisor.kinds import EVENT_KINDS
 
 EXAMPLES = """\
-failstop events                        # all that the service still remembers
-failstop events --follow               # and what comes, until Ctrl-C
+failstop events                        # all events that the service remembers
+failstop events --follow               # and new ones, until Ctrl-C
 failstop events --since 10m --kind stop,died
 failstop events --json | jq -r .text   # for programs
 """
@@ -34,10 +34,10 @@ UNITS_S = {"s": 1, "m": 60, "min": 60, "h": 3600, "d": 86400}
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop events`."""
     add = parser.add_argument
-    add("-f", "--follow", action="store_true", help="go on with what comes, over restarts of the service too")
-    add("--since", metavar="AGE", help="no older than 30s, 10m, 2h, 1d")
-    add("--kind", metavar="KIND,...", help="these alone, such as stop,died,enabled")
-    add("--json", action="store_true", help="one object a line")
+    add("-f", "--follow", action="store_true", help="keep printing new events, even after the service restarts")
+    add("--since", metavar="AGE", help="only events of the last 30s, 10m, 2h, 1d")
+    add("--kind", metavar="KIND,...", help="only events of these kinds, for example stop,died,enabled")
+    add("--json", action="store_true", help="print one JSON object per line")
     add_name(parser)
 
 

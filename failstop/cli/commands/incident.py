@@ -21,14 +21,16 @@ from failstop.incidents.left import left
 
 EXAMPLES = """\
 failstop incident list
-failstop incident show                       # the last one, what matters
+failstop incident show                       # the last one
 failstop incident show 42                    # by its number
-failstop incident show 20260130-0214 --all   # by its date and time
+failstop incident show 20260130-0214 --all   # by its date and time, in full
 failstop incident plot                       # the last one, as ./ID.png
 failstop incident export last -o stop.mcap   # for Foxglove, rosbag2
 """
 
-WHICH = "the incident's id, its number, its date or the beginning of one, a file's path, or `last` (default)"
+WHICH = (
+    "which incident: its id, its number, its date, the beginning of any of these, a file's path, or `last` (default)"
+)
 SUFFIXES = {"plot": ".png", "export": ".mcap"}
 SAVED_S = 3.0
 """A stop's file is there 2.4 s after it."""
@@ -39,19 +41,29 @@ TOGETHER_NS = 500_000_000
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop incident`."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="list|show|plot|export")
-    listing = actions.add_parser("list", help="every incident that is kept, the newest last")
-    told = actions.add_parser("show", help="what happened: the facts, and the story in order")
-    plot = actions.add_parser("plot", help="a picture of one, as PNG, SVG or PDF; needs matplotlib")
-    export = actions.add_parser("export", help="one as MCAP with ROS 2 messages, for Foxglove; needs mcap")
+    listing = actions.add_parser("list", help="list all saved incidents, the newest last")
+    told = actions.add_parser("show", help="print what happened: the facts, then the events in order")
+    plot = actions.add_parser("plot", help="plot an incident, as PNG, SVG or PDF; needs matplotlib")
+    export = actions.add_parser(
+        "export", help="export an incident as MCAP with ROS 2 messages, for Foxglove; needs mcap"
+    )
     for action in (told, plot, export):
         action.add_argument("id", nargs="?", default=files.LAST, help=WHICH)
-    told.add_argument("--all", action="store_true", help="every line of the story, the machine, settings, versions")
+    told.add_argument(
+        "--all", action="store_true", help="print everything: each event, the computer, settings and versions"
+    )
     for action in (listing, told):
-        action.add_argument("--json", action="store_true", help="for programs: everything")
+        action.add_argument("--json", action="store_true", help="print everything as JSON")
     for name, action in (("plot", plot), ("export", export)):
         where = f"the file to write (default: ID{SUFFIXES[name]} in this folder)"
         action.add_argument("-o", "--output", metavar="FILE", help=where, default="")
-    plot.add_argument("--seconds", type=seconds, default=5.0, metavar="S", help="from S before the cause (default: 5)")
+    plot.add_argument(
+        "--seconds",
+        type=seconds,
+        default=5.0,
+        metavar="S",
+        help="begin this many seconds before the cause (default: 5)",
+    )
     for action in (listing, told, plot, export):
         add_name(action)
 

@@ -19,19 +19,19 @@ from failstop.policy.kinematics import AXES
 EXAMPLES = {
     "enable": """\
 failstop enable
-failstop enable --name left  # of the service that runs with this name
+failstop enable --name left  # the service of this name
 """,
     "disable": """\
-failstop disable             # zero at once, no ramp; nothing is latched
+failstop disable             # stops at once; enable to drive again
 failstop disable --name left
 """,
     "reset": """\
 failstop reset   # moves nothing
-failstop enable  # a second decision: look at the robot first
+failstop enable  # look at the robot first
 """,
     "limit": """\
 failstop limit      # print the limit
-failstop limit 30   # of every driver, until another is set
+failstop limit 30   # for all drivers, until you change it
 failstop limit 100  # lift it
 """,
     "drive": """\
@@ -52,12 +52,18 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of one of them, whose name ends the parser's."""
     add, command = parser.add_argument, parser.prog.rpartition(" ")[2]
     if command == "limit":
-        add("percent", nargs="?", type=float, metavar="PERCENT", help=f"{ALLOWED_PERCENT} (default: print the limit)")
+        add(
+            "percent",
+            nargs="?",
+            type=float,
+            metavar="PERCENT",
+            help=f"{ALLOWED_PERCENT} percent (without it: print the limit)",
+        )
     if command == "drive":
-        add("vx", type=float, help="m/s forward")
-        add("vy", type=float, help="m/s left")
-        add("wz", type=float, help="rad/s counter-clockwise")
-        add("--for", dest="seconds", type=seconds, default=1.0, metavar="S", help="how long (default: 1)")
+        add("vx", type=float, help="speed forward, m/s")
+        add("vy", type=float, help="speed to the left, m/s")
+        add("wz", type=float, help="turn rate counter-clockwise, rad/s")
+        add("--for", dest="seconds", type=seconds, default=1.0, metavar="S", help="for how long (default: 1)")
     add_name(parser)
 
 

@@ -26,7 +26,7 @@ EXAMPLES = {
     "status": """\
 failstop status                        # one screen
 failstop status -w                     # live; q or Ctrl-C ends it
-ssh -t robot failstop status -w        # from elsewhere
+ssh -t robot failstop status -w        # from another computer
 failstop status --json | jq .blocked   # for programs
 """,
     "why": """\
@@ -55,9 +55,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of the two."""
     how = parser.add_mutually_exclusive_group()
     if parser.prog.endswith("status"):
-        live = "live, with velocity and vibration, until q or Ctrl-C"
+        live = "keep showing it, with velocity and vibration, until q or Ctrl-C"
         how.add_argument("-w", "--watch", action="store_true", help=live)
-    how.add_argument("--json", action="store_true", help="for programs")
+    how.add_argument("--json", action="store_true", help="print it as JSON")
     add_name(parser)
 
 

@@ -57,24 +57,28 @@ failstop stop --config /etc/failstop/failstop.toml
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of the two."""
     device, wait_s = DEFAULTS[DEVICE], DEFAULTS[WAIT]
-    parser.add_argument("reason", nargs="*", help="why; shown by `failstop status` and in the journal")
+    parser.add_argument("reason", nargs="*", help="why you stop it; `failstop status` and the journal show it")
     add_name(parser)
     parser.add_argument(
-        "--config", metavar="FILE", help=f"TOML file, of which {DEVICE}, {KIND}, {BAUD}, {CAN_ID} and {WAIT} are used"
+        "--config",
+        metavar="FILE",
+        help=f"TOML file with settings; {DEVICE}, {KIND}, {BAUD}, {CAN_ID} and {WAIT} are used",
     )
     parser.add_argument(
         "--device", metavar="PATH", help=f"the board's port (default: the last run's, else {DEVICE}, else {device})"
     )
-    parser.add_argument("--wait", metavar="S", type=float, help=f"how long to try (default: {WAIT}, else {wait_s:g} s)")
+    parser.add_argument(
+        "--wait", metavar="S", type=float, help=f"how long to keep trying (default: {WAIT}, else {wait_s:g} s)"
+    )
     parser.add_argument(
         "--services",
         action="store_true",
-        help="ask every service that runs, whatever its name, and write to no port; for the unit before a sleep",
+        help="ask every running service to stop, and write to no port; only the unit that runs before a sleep uses it",
     )
     parser.add_argument(
         "--end-service",
         action="store_true",
-        help="first SIGKILL what is left of the service; for ExecStopPost in the systemd unit alone",
+        help="first SIGKILL what is left of the service; only the systemd unit uses it (ExecStopPost)",
     )
 
 

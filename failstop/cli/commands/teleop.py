@@ -27,8 +27,8 @@ from failstop.policy.settings import FIRST_SOURCE
 
 EXAMPLES = """\
 failstop teleop                         # e enables, space stops, q leaves
-failstop teleop --source teleop         # as one of the settings' [sources]
-ssh -t robot failstop teleop            # from elsewhere
+failstop teleop --source teleop         # as the source [sources.teleop]
+ssh -t robot failstop teleop            # from another computer
 """
 
 LIMITS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
@@ -58,7 +58,9 @@ HOW = "hold a key to drive: a tap drives 0.3 s, going on when the terminal repea
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop teleop`."""
-    parser.add_argument("--source", default=FIRST_SOURCE, help=f"command as this source (default: {FIRST_SOURCE})")
+    parser.add_argument(
+        "--source", default=FIRST_SOURCE, help=f"drive as this command source (default: {FIRST_SOURCE})"
+    )
     add_name(parser)
 
 

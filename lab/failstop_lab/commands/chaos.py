@@ -28,7 +28,7 @@ failstop chaos                          # a minute of random faults
 failstop chaos --list
 failstop chaos --each 5 --only 'kill-*'
 failstop chaos --count 100 --seed 7 --json chaos.json
-failstop chaos --board hoverboard       # another, or a folder of your own
+failstop chaos --board hoverboard       # another board, or your own
 failstop chaos --device /dev/ttyACM0 --on-the-stand --wheels-are-free
 """
 
@@ -41,25 +41,30 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop chaos`."""
     add = parser.add_argument
     length = parser.add_mutually_exclusive_group()
-    length.add_argument("--seconds", type=float, metavar="S", help=f"how long (default: {CAMPAIGN_S:g} s)")
-    length.add_argument("--count", type=int, metavar="N", help="this many faults instead")
-    length.add_argument("--each", type=int, metavar="N", help="every row this many times instead, in order")
-    add("--seed", type=int, metavar="K", help="of the random choices; a campaign says its own")
+    length.add_argument("--seconds", type=float, metavar="S", help=f"for how long (default: {CAMPAIGN_S:g} s)")
+    length.add_argument("--count", type=int, metavar="N", help="inject this many faults instead")
+    length.add_argument("--each", type=int, metavar="N", help="inject every fault this many times instead, in order")
+    add("--seed", type=int, metavar="K", help="seed of the random choices; every campaign prints its seed")
     add(
         "--first",
         type=int,
         default=0,
         metavar="I",
-        help="begin at this index of the seed's campaign (a story names it)",
+        help="begin at this fault of the seed's campaign; a failure prints its number",
     )
-    add("--only", metavar="ROW,...", help="these rows alone; * stands for anything")
+    add("--only", metavar="ROW,...", help="only these faults; * stands for anything")
     add_board(parser)
-    add("--config", metavar="FILE", help="settings for the service, under those that a campaign needs")
-    add("--list", action="store_true", help="list the rows")
-    add("--json", metavar="FILE", help="write the result there")
+    add("--config", metavar="FILE", help="TOML file with settings; those that a campaign needs replace yours")
+    add("--list", action="store_true", help="list the faults")
+    add("--json", metavar="FILE", help="write the result to this file")
     add("--markdown", action="store_true", help="print the result as docs/reference/faults.md")
-    add("--from", dest="source", metavar="FILE", help="with --markdown: of this result (--json), without a run")
-    add("--device", metavar="PATH", help="a real board on a stand, judged by its IMU; needs both consents")
+    add(
+        "--from",
+        dest="source",
+        metavar="FILE",
+        help="with --markdown: use this result (of --json) instead of a new run",
+    )
+    add("--device", metavar="PATH", help="use a real board on a stand, judged by its IMU; needs both consents")
     add("--on-the-stand", action="store_true", help="consent: the robot stands on a stand")
     add("--wheels-are-free", action="store_true", help="consent: nobody and nothing is near the wheels")
 

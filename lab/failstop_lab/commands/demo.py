@@ -47,15 +47,15 @@ EXAMPLES = """\
 failstop demo                # exit code 1 if any stop was missing or late
 failstop demo --rounds 5
 failstop demo --board hoverboard
-failstop demo --ros2         # and ROS 2 nodes, where there is rclpy
+failstop demo --ros2         # with ROS 2 nodes, if rclpy is installed
 """
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop demo`."""
-    parser.add_argument("--ros2", action="store_true", help="ROS 2 nodes drive too, and their bridge is killed")
+    parser.add_argument("--ros2", action="store_true", help="let ROS 2 nodes drive too, and kill their bridge")
     add_board(parser)
-    parser.add_argument("--rounds", type=int, default=1, help="how often each is killed (default: 1)")
+    parser.add_argument("--rounds", type=int, default=1, help="how often to kill each process (default: 1)")
 
 
 class Row:

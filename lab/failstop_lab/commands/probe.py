@@ -57,29 +57,34 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_board(by_port, None, "the board's kind: {}")
     add = by_port.add_argument
     add("--port", required=True, metavar="PATH", help="the board's port")
-    add("--baud", type=int, default=0, metavar="RATE", help="of its firmware (default: as usual for this board)")
+    add("--baud", type=int, default=0, metavar="RATE", help="the firmware's baud rate (default: the board's usual one)")
     add("--frame", metavar="TEXT", help=r"what your driver sends, as text with \n or 0x.. (default: slow wheels)")
-    add("--guard", action="store_true", help="measure it again through failstop's guard port: a second column")
+    add("--guard", action="store_true", help="measure again through failstop's guard port, as a second column")
     add = by_ros.add_argument
-    add("--cmd-vel", default="/cmd_vel", metavar="TOPIC", help="where it takes velocities (default: %(default)s)")
-    add("--odom", default="/odom", metavar="TOPIC", help="where it says how it moves (default: %(default)s)")
+    add(
+        "--cmd-vel",
+        default="/cmd_vel",
+        metavar="TOPIC",
+        help="the topic of its velocity commands (default: %(default)s)",
+    )
+    add("--odom", default="/odom", metavar="TOPIC", help="the topic that reports how it moves (default: %(default)s)")
     add(
         "--imu",
         metavar="TOPIC",
-        help="judge by this IMU instead: an odometry may be what it was told, not what it does",
+        help="judge by this IMU instead, because some odometry only repeats what was commanded",
     )
-    add("--stamped", action="store_true", help="it takes TwistStamped")
-    add("--driver-pid", type=int, metavar="PID", help="its driver's process, which is killed as the last row")
+    add("--stamped", action="store_true", help="its commands are TwistStamped")
+    add("--driver-pid", type=int, metavar="PID", help="its driver's process, to be killed as the last row")
     for way, rows in ((by_port, serial.ROWS), (by_ros, ros2.ROWS)):
         add = way.add_argument
-        add("--rows", metavar="ROW,...", help=f"these alone: {', '.join(rows)}")
-        add("--key", action="store_true", help="your key says when the wheels stand")
+        add("--rows", metavar="ROW,...", help=f"only these rows: {', '.join(rows)}")
+        add("--key", action="store_true", help="you press a key when the wheels have stopped")
         add("--robot", default="", metavar="TEXT", help="for the card: which robot")
-        add("--firmware", default="", metavar="TEXT", help="for the card: its firmware, with the version")
-        add("--driver", default="", metavar="TEXT", help="for the card: its driver, with the version")
-        add("--out", metavar="BASE", help="where the card goes: BASE.txt, .json, .svg (default: card-DATE)")
-        add("--json", action="store_true", help="print the card for programs instead")
-        add("--yes", action="store_true", help="the wheels are off the ground: begin without asking")
+        add("--firmware", default="", metavar="TEXT", help="for the card: the firmware and its version")
+        add("--driver", default="", metavar="TEXT", help="for the card: the driver and its version")
+        add("--out", metavar="BASE", help="where to write the card: BASE.txt, .json, .svg (default: card-DATE)")
+        add("--json", action="store_true", help="print the card as JSON")
+        add("--yes", action="store_true", help="begin without asking, because the wheels are off the ground")
 
 
 def main(arguments: Namespace) -> int:

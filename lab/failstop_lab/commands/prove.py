@@ -34,7 +34,7 @@ failstop prove --sim --quick            # on a simulated board, half a minute
 failstop prove --sim --board hoverboard # another kind of board
 sudo systemctl stop failstop && sudo failstop prove
 failstop prove --sim --quick --pack evidence.html
-failstop prove --check evidence.html    # is it whole, and whose?
+failstop prove --check evidence.html    # is it unchanged, and who signed it?
 failstop prove --only timeout,stop-request --at 0.2 --out /tmp/evidence
 """
 
@@ -67,19 +67,23 @@ Type "{word}" to begin, anything else to leave it: """
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop prove`."""
     add = parser.add_argument
-    add("--sim", action="store_true", help="on a simulated board of its own, without questions")
+    add("--sim", action="store_true", help="use a simulated board, and ask nothing")
     add_board(parser, None, "with --sim: {} (default: the setting board.kind)")
-    add("--quick", action="store_true", help="the main paths, each at one velocity in turn")
-    add("--only", metavar="PATH,...", help=f"these stop paths alone: {', '.join(KNOWN)}")
-    add("--at", metavar="V,...", help=f"these velocities alone, within the limits: {', '.join(BY_TURNING)}")
-    add("--pad", action="store_true", help="ask a person to press a button of the gamepad")
+    add("--quick", action="store_true", help="test only the main stop paths, each at one velocity")
+    add("--only", metavar="PATH,...", help=f"only these stop paths: {', '.join(KNOWN)}")
+    add("--at", metavar="V,...", help=f"only these velocities, within the limits: {', '.join(BY_TURNING)}")
+    add("--pad", action="store_true", help="also test the gamepad: you are asked to press a button")
     add("--device", metavar="PATH", help="the board's port (default: the setting device.path)")
     add("--config", metavar="FILE", help="the service's settings (default: the installed file, if there is one)")
-    add("--out", metavar="DIR", help="where evidence is kept (default: prove/ in the state directory; --sim: nowhere)")
+    add(
+        "--out",
+        metavar="DIR",
+        help="where to keep the evidence (default: prove/ in the state directory; with --sim: nowhere)",
+    )
     add("--pack", metavar="FILE", help="write the evidence as one page (FILE.html) that opens without a network")
     add("--key", metavar="FILE", help="with --pack: sign it with this OpenSSH key")
-    add("--check", metavar="FILE", help="only say whether an evidence pack is whole, and whose signature it has")
-    add("--json", action="store_true", help="print the result for programs instead")
+    add("--check", metavar="FILE", help="only check whether an evidence pack is unchanged, and who signed it")
+    add("--json", action="store_true", help="print the result as JSON")
     add_name(parser)
 
 

@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\
 failstop simulate                 # one call of each line of code, every fault
-failstop simulate --part 3/16     # of that a sixteenth
-failstop simulate --own           # only what befalls the caller itself
+failstop simulate --part 3/16     # one sixteenth of that
+failstop simulate --own           # only faults of the calling process
 failstop simulate --whole         # every call
-failstop simulate --board ugv     # another board, or a folder of your own
+failstop simulate --board ugv     # another board, or your own
 failstop simulate --scenario replug --call 1041 --fault dies
-failstop simulate --seeds 60      # faults and orders by chance, a minute long
-failstop simulate --seed 537      # one of them again
-failstop simulate --decisions FILE  # a failure again, from what it printed
-failstop simulate --controls      # parts of the protocol are taken out
+failstop simulate --seeds 60      # random faults and orders, for a minute
+failstop simulate --seed 537      # repeat one of them
+failstop simulate --decisions FILE  # repeat a failure from its printout
+failstop simulate --controls      # remove parts of the protocol
 """
 CONTROL_S = 60.0
 EVERY = "*"
@@ -38,26 +38,37 @@ STORIES = 3
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop simulate`."""
     add = parser.add_argument
-    add("--scenario", metavar="NAME,...", help="these scenarios alone; * stands for anything")
+    add("--scenario", metavar="NAME,...", help="only these scenarios; * stands for anything")
     add_board(parser)
-    add("--whole", action="store_true", help="every call, not one of each line of code")
-    add("--own", action="store_true", help="only what happens to the process that makes the call")
-    add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one a core)")
-    add("--part", type=_part, default=(0, 1), metavar="K/N", help="the K-th of N parts of it")
-    add("--call", type=int, metavar="N", help="one run alone: the fault comes at this call")
-    add("--fault", metavar="NAME", help="with --call: the fault")
-    add("--seeds", type=float, metavar="SECONDS", help="runs that are drawn, for so much time of each processor")
-    add("--seed", type=int, metavar="N", help="this run alone, as a story; with --seeds: the first one")
-    add("--decisions", metavar="FILE", help="one run, from the decisions that a failure printed: a file, or the text")
-    add("--day", action="store_true", help="with --seeds: the first seed is the date")
+    add("--whole", action="store_true", help="inject at every call, instead of one call per line of code")
+    add("--own", action="store_true", help="only faults of the process that makes the call")
+    add(
+        "--jobs",
+        type=int,
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="how many processes to use (default: one per core)",
+    )
+    add("--part", type=_part, default=(0, 1), metavar="K/N", help="only the K-th of N parts")
+    add("--call", type=int, metavar="N", help="only one run, with the fault at this call")
+    add("--fault", metavar="NAME", help="with --call: which fault")
+    add("--seeds", type=float, metavar="SECONDS", help="random runs, for this long on each processor")
+    add(
+        "--seed",
+        type=int,
+        metavar="N",
+        help="only this random run, printed event by event; with --seeds: begin with this one",
+    )
+    add("--decisions", metavar="FILE", help="repeat a failed run from the decisions it printed: a file, or the text")
+    add("--day", action="store_true", help="with --seeds: begin with today's date as the seed")
     add(
         "--controls",
         nargs="?",
         const=EVERY,
         metavar="ROW",
-        help="take parts of the protocol out, and see that each is missed; ROW: those alone, each with its story",
+        help="remove parts of the protocol, and check that the runs notice; ROW: only this part, event by event",
     )
-    add("--page", metavar="FILE", help="with --controls: those of every board, and renew their rows in this page")
+    add("--page", metavar="FILE", help="with --controls: do it for every board, and renew their rows in this page")
     add("--list", action="store_true", help="list the scenarios")
     add("--marks", action="store_true", help="print how often each mark was reached")
 

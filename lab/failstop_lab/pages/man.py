@@ -27,40 +27,46 @@ EXITS = (
     ("1", "An error; one line says what happened and what to do."),
     ("2", "Refused, by the service or by the command itself, with the reason."),
     ("3", "No service of that name runs."),
-    ("78", "This Python lacks a package that failstop needs; one line names both."),
+    ("78", "A Python package that failstop needs is missing; one line names it and the Python."),
     (
-        "128 and the signal's number",
-        "A signal ended it, as 130: Ctrl-C. run and sim take SIGTERM and Ctrl-C as an order to end, and end with 0.",
+        "128 plus the signal's number",
+        "A signal ended it, for example 130 for Ctrl-C. SIGTERM and Ctrl-C are the normal way to end run and sim, "
+        "which then exit with 0.",
     ),
 )
 
 FILES = (
-    ("/etc/failstop/failstop.toml", "Settings, where the system's service reads them."),
+    ("/etc/failstop/failstop.toml", "The settings of the service that systemd runs."),
     (
         "/run/failstop/NAME",
-        "Runtime directory of a service: lock, claims, the pipe for stop requests, the gate's bell, how the last run "
-        "was started, and which run's shared memory it is. One that somebody else could have put there is "
-        "not believed.",
+        "The runtime directory of a service: its lock, its claims, the pipe for stop requests, the gate's bell, how "
+        "the last run was started, and which shared memory belongs to it. failstop ignores one that another user "
+        "could have put there.",
     ),
-    ("/var/lib/failstop", "State directory."),
+    ("/var/lib/failstop", "The state directory, with incidents, evidence and the battery log."),
 )
 
 ENVIRONMENT = (
-    ("NO_COLOR", "Set: no colours on a terminal."),
+    ("NO_COLOR", "If it is set, the output has no colours."),
     (
         "XDG_RUNTIME_DIR",
-        "The runtime directory is below it (default: /run/user/UID) where /run/failstop can't be used; where neither "
-        "can, it is below /dev/shm/failstop-UID, but for root.",
+        "If /run/failstop can't be used, the runtime directory is below this folder (default: /run/user/UID). If "
+        "neither can be used, it is below /dev/shm/failstop-UID, except for root.",
     ),
-    (root.VARIABLE, "The root of /run/failstop, /var/lib/failstop and /etc/failstop, for a run apart from these."),
+    (
+        root.VARIABLE,
+        "A folder that takes the place of / in /run/failstop, /var/lib/failstop and /etc/failstop, to keep runs apart.",
+    ),
     ("STATE_DIRECTORY", "The state directory, as systemd sets it for a service."),
     (
         "XDG_STATE_HOME",
-        "The state directory is below it (default: ~/.local/state) where /var/lib/failstop can't be used.",
+        "If /var/lib/failstop can't be used, the state directory is below this folder (default: ~/.local/state).",
     ),
 )
 
-SEE_ALSO = "The pages in docs/ of the source: quickstart.md, robot.md, safety.md, causes.md, configuration.md."
+SEE_ALSO = (
+    "The pages in docs/ of the source: quickstart.md, robot.md, safety.md, reference/causes.md, reference/settings.md."
+)
 
 
 def page() -> str:

@@ -68,8 +68,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--battery-mv", type=_millivolts, default=BATTERY_MV, metavar="N", help="battery, mV (default %(default)s)")
     add("--seed", type=int, default=0, metavar="N", help="seed of the noise and the faults (default %(default)s)")
     add("--first-invalid-func", type=int, choices=(10, 11, 12), default=12, help="by firmware (default %(default)s)")
-    add("--mode", type=_octal, metavar="OCTAL", help="permissions of the port, 0660 for one (default: the system's)")
-    add("--cooked", action="store_true", help="begin in the kernel's terminal mode, echo and all, as a real port does")
+    add(
+        "--mode", type=_octal, metavar="OCTAL", help="permissions of the port, for example 0660 (default: the system's)"
+    )
+    add(
+        "--cooked",
+        action="store_true",
+        help="begin with the kernel's terminal mode (echo and so on), as a real port does",
+    )
     add(
         "--usb",
         nargs="?",
@@ -79,7 +85,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a USB board with the kernel's own driver before it, instead of a pty: by this machine's vhci_hcd (root), "
         "or on the virtual machine whose usb-redir listens at PLACE (HOST:PORT, or a socket's path)",
     )
-    add("--verbose", action="store_true", help="tell what the wheels do, stop bursts, and how much else came in 10 s")
+    add(
+        "--verbose",
+        action="store_true",
+        help="print what the wheels do, stop bursts, and every 10 s how much else came",
+    )
     add("--until-eof", action="store_true", help="end when standard input is closed")
 
 
