@@ -167,7 +167,7 @@ class Events:
         left_out, self._left_out = self._left_out, Counter()
         for (kind, level, asked), count in left_out.items():
             what = "stop requests while a stop was latched" if asked else f"events of the kind {kind}"
-            text = f"{count} {what} were left out: too many to tell of each"
+            text = f"{count} {what} were left out: too many to log each one"
             self.log("left_out", text, {"of": kind, "count": count}, level=level)
 
 

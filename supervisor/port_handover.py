@@ -213,7 +213,7 @@ class PortHandover:
         for each in self._bells:
             each.ring()  # the others must close it too
         path = self.opener.finder.at
-        text = f"{path} is gone; the stop is written the moment it is back; wheels that turn: POWER SWITCH"
+        text = f"{path} is gone; the stop is written the moment it is back; if the wheels turn, use the POWER SWITCH"
         if not gone:
             text = f"{path} is not the board, which is at another port now; the stop is written there at once"
         self._events.log("device_lost", text, {"path": path})
@@ -236,7 +236,7 @@ class PortHandover:
         if not self.sure:
             text = (
                 f"{path} may not be the board: a device like it came after {away_s:.1f} s; the stop is written to it, "
-                "which proves nothing until it answers; wheels that turn: POWER SWITCH"
+                "which proves nothing until it answers; if the wheels turn, use the POWER SWITCH"
             )
         self._events.log("device_back", text, {"path": path, "away_s": round(away_s, 3)})
         return written_ns

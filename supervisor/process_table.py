@@ -84,12 +84,12 @@ class ProcessTable:
             self._restart_in(child, wait_ns, now_ns)
             return
         child.on(GIVEN_UP)
-        text, step = f"{name} died too often and is down, the wheels stopped", ""
+        text, step = f"{name} died too often, so it stays down and the wheels stay stopped", ""
         if name == layout.GATE:
             child.restart.set(now_ns + GATE_AGAIN_NS)
-            text += f"; it is restarted in {GATE_AGAIN_NS / 1e9:g} s, since nobody else could hear a reset"
+            text += f"; it is restarted in {GATE_AGAIN_NS / 1e9:g} s, because only it can hear a reset"
         else:
-            step = f"see to the cause, then {self._events.command('reset')} restarts it"
+            step = f"fix the cause, then {self._events.command('reset')} restarts it"
         self._events.log("down", text, {"process": name}, step=step)
 
     def _restart_in(self, child: Child, wait_ns: int, now_ns: int) -> None:
@@ -182,7 +182,7 @@ class ProcessTable:
         if self._starved_logged_ns and now_ns - self._starved_logged_ns < STARVED_EVERY_NS:
             return
         self._starved_logged_ns = now_ns
-        text = f"the machine starves the service: {name} was not run for {silent_ms} ms; {self._advice}"
+        text = f"the computer is too busy: {name} did not run for {silent_ms} ms; {self._advice}"
         self._events.log("starved", text, {"process": name, "silent_ms": silent_ms, "times": self._starved_times})
 
     def _shown_starved(self, now_ns: int) -> tuple[int, str]:

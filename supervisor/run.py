@@ -152,13 +152,13 @@ class Run:
         for name in gone:
             del self.named[name]
         if vital := [name for name in gone if not name.startswith(A_SLOT)]:
-            text = f"{', '.join(vital)}: removed; ending, for a new run to make it again"
+            text = f"{', '.join(vital)}: removed, so the service ends; a new start creates it again"
             step = "is RemoveIPC=yes in logind.conf? `failstop doctor` looks"
             self.events.log("note", text, level="error", step=step)
             return causes.REMOVED(vital[0])
         for name in gone:
-            text = f"{name} was removed: that client slot is out of use"
-            self.events.log("note", text, level="warning", step="restart the service when it may stop")
+            text = f"{name} was removed, so that client slot can't be used"
+            self.events.log("note", text, level="warning", step="restart the service when the robot may stop")
         return None
 
     def remove(self) -> None:

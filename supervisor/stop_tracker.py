@@ -41,9 +41,9 @@ from failstop.supervisor.stops import BY_SUPERVISOR, Stop
 SENTENCES_KEPT = 64
 STOPS_FOR = {LINK_DEAF: causes.DEAF, LINK_SILENT: causes.BOARD_SILENT}
 UNCONNECTED = {
-    LINK_DEAF: "the board does not hear any more: POWER SWITCH, then look at its wires",
-    LINK_SILENT: "the board says nothing any more. It has lost power, or hangs, or the wire from it is broken, which "
-    "nobody can tell from here: POWER SWITCH, then look at its wires",
+    LINK_DEAF: "the board no longer hears: use the POWER SWITCH, then check its cable",
+    LINK_SILENT: "the board has stopped reporting. It lost power, or it hangs, or the wire from it is broken; failstop "
+    "can't tell which: use the POWER SWITCH, then check its cable",
 }
 """What happened to the link, in words for people."""
 
@@ -135,9 +135,9 @@ class StopTracker:
             text = f"STOP latched: {stop.cause.alarm()}; {wrote}"
             self._run.events.log("stop", text, fields, level=level, step=todo)
         elif self._news_of(stop.cause):
-            text = f"stopped again: {stop.cause.alarm()}; {wrote}; latched is still: {stop.behind.cause}"
+            text = f"stopped again: {stop.cause.alarm()}; {wrote}; the latched cause is still: {stop.behind.cause}"
             if stop.behind.cause == stop.cause:
-                text = f"the cause of what is latched is known better: {stop.cause}"
+                text = f"more is known about the latched cause: {stop.cause}"
                 if self._last:
                     self._publish(self._last)
             self._run.events.log("stop_again", text, {**fields, "latched": str(stop.behind.cause)}, level=level)
@@ -195,7 +195,7 @@ class StopTracker:
         link.check_echo(self._unheeded.get())
         link.gone_deaf(newest_ns, now_ns)
         if link.missed(now_ns):
-            text = "nothing has answered since the port came back, so it may not be the board: POWER SWITCH"
+            text = "nothing has answered since the port came back, so it may not be the board: use the POWER SWITCH"
             self._run.events.log("link", text, {"state": LINK_UNHEARD}, level="critical")
 
     def _stops_for_link(self, now_ns: int) -> list[Stop]:
@@ -316,11 +316,14 @@ class StopTracker:
         elif link == LINK_UNASKED and self._by[0]:
             heard, level = UNMOVED, ""
         elif link == LINK_UNPROVEN:
-            heard, level = "whether the board hears is not known (link unproven)", "warning"
+            heard, level = "nobody knows whether the board hears (link unproven)", "warning"
         elif link == LINK_UNASKED:
             heard, level = "this board acknowledges nothing (link unasked)", ""
         else:
-            heard, level = f"NOT acknowledged by the board (link {link}); wheels that turn: POWER SWITCH", "critical"
+            heard, level = (
+                f"NOT acknowledged by the board (link {link}); if the wheels turn, use the POWER SWITCH",
+                "critical",
+            )
         self._run.events.log("stopped", f"stopped; {told}, {heard}", fields, level=level if sent else "critical")
 
     def _log_link(self, before: str, state: str) -> None:
@@ -332,7 +335,7 @@ class StopTracker:
         elif before == LINK_SILENT:
             self._run.events.log("link", "the board reports again", {"state": state})
         elif before and state in (LINK_UNPROVEN, LINK_UNHEARD):
-            text = "whether the board hears is not known until it answers"
+            text = "nobody knows whether the board hears until it answers"
             self._run.events.log("link", text, {"state": state}, level="info")
 
     def _publish(self, proof: Proof) -> None:

@@ -67,7 +67,7 @@ def _for_the_gate(state: State) -> tuple[str, str]:
     gate = state.processes.get(GATE)
     left_s = (gate.starts_in_s if gate else None) or 0.0
     wait = f"wait {left_s:.0f} s for the {GATE}" if left_s >= 1 else f"wait for the {GATE}"
-    return wait, f"{wait}: it died too often, and starts again then"
+    return wait, f"{wait}: it died too often, so it restarts after a pause"
 
 
 def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[object, Step]]]:
@@ -80,14 +80,14 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
     remedy = causes.remedied(state.cause, verdict.reached(state)) if state.cause else ""
     heed = "" if dead else f"{remedy}; then {how['reset']}"
     start = host.start(state.name) if dead else ""
-    go_on = f"let the suspended service go on (`fg` in its terminal, or `kill -CONT {suspended}`)"
+    go_on = f"resume the suspended service (`fg` in its terminal, or `kill -CONT {suspended}`)"
     lost = f"{POWER} if the wheels turn; then plug the board in"
     attend, press = "have somebody attend (`failstop attend`, or the page)", f"somebody has to attend: {how['attend']}"
     complains = ", ".join(client.name for client in state.clients if client.wrong)
     idle = state.block is Block.NO_COMMAND
     dumb = next((part for part, text in state.servos_wrong.items() if servos.SILENT_SERVO in text), "")
     held, silent = (found.who if (found := state.source_that(name)) else "" for name in ("held", "silent"))
-    off, interlock = not state.enabled and not dead, f"see to the interlock ({state.unmet})"
+    off, interlock = not state.enabled and not dead, f"satisfy the interlock ({state.unmet})"
     return [
         [(remedy and not doubt and not suspended, Step(Purpose.HEED, remedy, heed))],
         [
@@ -96,16 +96,16 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
             (state.device.state != "open", Step(Purpose.MEND, f"plug the board in ({path})", lost)),
             (doubt, Step(Purpose.POWER, f"{POWER} and on{unless}", f"{POWER} and on again{unless}")),
             (GATE in down, Step(Purpose.MEND, *_for_the_gate(state))),
-            (dumb, Step(Purpose.ALLOW, f"look at the {dumb}: its plug on the bus, its power and its id")),
+            (dumb, Step(Purpose.ALLOW, f"check the {dumb}: its plug on the bus, its power and its id")),
             (waits and not down, Step(Purpose.ALLOW, f"wait for {waits}")),
         ],
         [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", how["reset"]))],
         [(off and state.attended_by == (), Step(Purpose.ALLOW, attend, press))],
-        [(off and state.unmet, Step(Purpose.ALLOW, "see to that interlock" if told else interlock))],
+        [(off and state.unmet, Step(Purpose.ALLOW, "satisfy that interlock" if told else interlock))],
         [
             (
                 state.block is Block.NO_COMMAND and complains,
-                Step(Purpose.COMMAND, f"see to what {complains} says is wrong"),
+                Step(Purpose.COMMAND, f"fix what {complains} reports"),
             )
         ],
         [

@@ -204,13 +204,13 @@ def troubles(state: State, events: Sequence[Event]) -> list[str]:
             found.append(f"{name} {verdict.absence(process, ends[name] if process.last_exit else '')}")
     if state.device.state == "open" and state.device.link == "unproven":
         unknown = f"{verdict.NEVER_ANSWERED}, so no stop is known to reach the wheels"
-        found.append(f"{unknown}: see to its power and its cable; {PORT_SHARED}")
+        found.append(f"{unknown}: check its power and its cable; {PORT_SHARED}")
     found += [text for text in (state.scale.capped, *state.scale.wrong) if text]
     found += [f"{part}: {text}" for part, text in state.servos_wrong.items()]
     if state.starved:
         found.append(f"{state.starved} (`failstop doctor` says what helps)")
     if not all(process.early_news for process in state.processes.values() if process.pid):
-        found.append("this kernel tells of deaths late, and stops after one come later (`failstop doctor` says more)")
+        found.append("this kernel reports deaths late, so stops after a death come later (`failstop doctor` says more)")
     if state.age_s > verdict.STALE_S:
         found.append(f"the gate has said nothing for {words.span(state.age_s)}, so this may be old")
     if state.arm:

@@ -69,7 +69,7 @@ def _left_alone(look: Look) -> list[Finding]:
         return skip(text, f"failstop doctor --device {node.path}", resets)
     else:
         return []
-    return skip(f"not tested: {why}", "", "see to that first")
+    return skip(f"not tested: {why}", "", "fix that first")
 
 
 def _known_by_the_service(look: Look, state: State) -> list[Finding]:
@@ -131,7 +131,7 @@ def by_hand(path: str, boards: Mapping[str, Board], again: str) -> tuple[list[Fi
             known, text, remedy = asking.told_of(heard, kind, board)
             told = fail(text, again, remedy) if known is False else (ok if known else skip)(text, "", remedy)
             if known is False:
-                return told, skip("not tested: it is not known to be the board", "", "see to that first")
+                return told, skip("not tested: it is not known to be the board", "", "fix that first")
             set_speed(own.fd, board.port)
             tap = Tap(own.fd, board)
             for writer, write in WRITERS.items():

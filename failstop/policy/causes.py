@@ -39,12 +39,12 @@ INNER_NODES = ("behavior_server", "controller_server", "docking_server", "follow
 """Nodes of Nav2 that are made to have another one between them and the base."""
 _TYPES = {"": str, "d": int, "X": int, "f": float}
 
-_TELL = "report it with its incident (`failstop incident list`), as it is a defect, or memory that somebody damaged"
-_AGAIN = "look at what came before it (`failstop events`) if it is not the first time"
-_BUSY = "look at the machine's load and at real-time rights (`failstop doctor`), since something held it up"
+_TELL = "report it with its incident (`failstop incident list`), because it is a bug in failstop or damaged memory"
+_AGAIN = "look at what happened before it (`failstop events`), if it is not the first time"
+_BUSY = "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"
 POWER = "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels"
 """The first remedy for a cause with a doubt."""
-PORT_SHARED = "`failstop doctor` finds a login or another program on the port, which would take the board's answers"
+PORT_SHARED = "`failstop doctor` shows whether a login or another program takes the answers from the port"
 USE_THE_SWITCH = "use the POWER SWITCH"
 
 
@@ -243,12 +243,12 @@ HANGS = Kind(
 )  # fmt: skip
 STARVED = Kind(
     3, "starved", "{process} hangs: {ms:d} ms silent (the machine is starved)", "supervisor",
-    "the machine was busy with other things and did not run the process {process}, which {role}, for {ms} ms",
+    "the computer was too busy to run the process {process}, which {role}, for {ms} ms",
     "give the service real-time rights (`failstop doctor` has the command), or the machine less to do",
 )  # fmt: skip
 HELD_UP = Kind(
     4, "held_up", "supervisor was held up for {ms:d} ms", "supervisor",
-    "the supervisor could not run for {ms} ms, so nobody watched the others", _BUSY,
+    "the supervisor could not run for {ms} ms, so nobody watched the other processes", _BUSY,
 )  # fmt: skip
 MUTE = Kind(
     5, "mute", "gate beats but sends nothing: {ms:d} ms", "port_owner",
@@ -260,88 +260,89 @@ BAD_FRAME = Kind(
 )  # fmt: skip
 DEFECT = Kind(
     28, "defect", "internal error: {process}: {event} while {state}", "port_owner supervisor",
-    "the service found an error of its own, at the process {process}, which {role}: {event} while {state}", _TELL,
+    "failstop found a bug of its own in how it runs the process {process}, which {role}: {event} while {state}", _TELL,
 )  # fmt: skip
 SUSPENDED = Kind(
     7, "suspended", "the machine was suspended for {s:.1f} s", "port_owner",
-    "the machine slept for {s:.1f} s, so everything that it knew of the robot was old",
-    "keep it from sleeping while the robot is on (`systemctl mask sleep.target`)",
+    "the computer slept for {s:.1f} s, so everything that failstop knew about the robot was old",
+    "keep the computer from sleeping while the robot is on (`systemctl mask sleep.target`)",
 )  # fmt: skip
 SUPERVISOR_SUSPENDED = Kind(
     27, "supervisor_suspended", "supervisor was suspended for {s:.1f} s by a signal", "port_owner gate supervisor",
-    "somebody suspended the supervisor for {s:.1f} s, as Ctrl-Z in its terminal does, so nobody watched the others",
+    "a signal suspended the supervisor for {s:.1f} s, as Ctrl-Z in its terminal does, so nobody watched the other "
+    "processes",
     "leave the service running in its terminal, or end it with Ctrl-C",
 )  # fmt: skip
 REMOVED = Kind(
     8, "removed", "{what} was removed: restart the service", "supervisor",
-    "{what}, which others need to find the service, was removed while it ran",
-    "look at `failstop doctor`: logind's RemoveIPC=yes removes it when the service's user logs out",
+    "somebody removed {what} while the service ran, and programs need it to find the service",
+    "run `failstop doctor`: with RemoveIPC=yes, logind removes it when the service's user logs out",
     NEW_RUN,
 )  # fmt: skip
 DEVICE_LOST = Kind(
     9, "device_lost", "device lost", "port_owner",
-    "the board's USB connection was lost; the stop was to be written the moment that it is back",
-    "look at the cable, the plug and the board's power",
+    "the board's USB connection was lost, so the stop could only be written once it was back",
+    "check the cable, the plug and the board's power",
 )  # fmt: skip
 STUCK = Kind(
     10, "stuck", "port does not drain", "port_owner",
-    "the port took bytes, but they did not leave for the board within 0.1 s",
-    "look at the board and at the cable to it",
-    doubt="so the board may not have the stop",
+    "the port accepted bytes, but did not send them to the board within 0.1 s",
+    "check the board and the cable to it",
+    doubt="so the board may not have got the stop",
 )  # fmt: skip
 DEAF = Kind(
     11, "deaf", "the board is deaf", "supervisor",
     "the board stopped answering, or it reported zero speed while motion was written to it",
-    f"look at the wire to the board; {PORT_SHARED}",
+    f"check the cable to the board; {PORT_SHARED}",
     doubt="so it may hear nothing",
 )  # fmt: skip
 BOARD_SILENT = Kind(
     44, "board_silent", "the board is silent", "supervisor",
-    "the board had reported all the time and then said nothing any more. It had lost power, or it hung, or the wire "
-    "from it was broken, which look the same from here",
-    f"look at the board's supply and at the wire from it; {PORT_SHARED}",
-    doubt="so nobody knows whether it has stopped",
+    "the board stopped reporting. It lost power, or it hangs, or the wire from it is broken; failstop can't tell these "
+    "apart",
+    f"check the board's power and its cable; {PORT_SHARED}",
+    doubt="so nobody knows whether the wheels stopped",
 )  # fmt: skip
 NOT_HEARD = Kind(
     48, "not_heard", "no answer from the board for {ms:d} ms (the machine is starved)", "supervisor",
-    "the machine was too busy to tell whether the board answers: nothing was heard from it for {ms} ms",
+    "the computer was too busy to tell whether the board answers: failstop heard nothing from it for {ms} ms",
     "give the service real-time rights (`failstop doctor` has the command), or the machine less to do",
     doubt="so a stop may not have reached it",
 )  # fmt: skip
 UNSTILL = Kind(
     12, "unstill", "the wheels do not come to rest", "supervisor telemetry",
-    "the wheels turned on after a stop, as the board reported, or the IMU felt the robot shake on as it does then",
-    "see whether somebody carried or pushed the robot, because that looks the same",
+    "the wheels kept turning after a stop, as the board reported, or the IMU felt the robot shake as if they did",
+    "check whether somebody carried or pushed the robot, because that looks the same",
     doubt="so they may still turn",
 )  # fmt: skip
 RUNAWAY = Kind(
     43, "runaway", "the {wheel} wheel ran away: told {told:.2f} turns a second, and it turned {seen:.2f}", "telemetry",
-    "the board reported that the {wheel} wheel turned {seen:.2f} turns a second when it was told {told:.2f}",
-    "look at that wheel's motor, encoder and wiring, at wheels.sign_* and board.per_rps, and at the slope it stands on",
+    "the board reported {seen:.2f} turns a second for the {wheel} wheel, but the command was {told:.2f}",
+    "check that wheel's motor, encoder and wiring, wheels.sign_* and board.per_rps, and whether it stands on a slope",
 )  # fmt: skip
 WHEEL_MISSING = Kind(
     52, "wheel_missing", "wheel lost: {wheel} does not answer", "telemetry",
-    "the {wheel} answered nothing while another wheel's did, so the robot would have turned without it",
-    "look at its plug on the bus, its power and its id; if its wheel turns, use the POWER SWITCH",
+    "the {wheel} did not answer while another wheel's did, so the robot would have turned without it",
+    "check its plug on the bus, its power and its id; if its wheel turns, use the POWER SWITCH",
 )  # fmt: skip
 NOT_FINITE = Kind(
     13, "not_finite", "command from {who} is not finite", CLIENTS,
     "{who} commanded a velocity that is not a number",
-    "fix that program, for example a division by zero, before it drives again",
+    "fix that program before it drives again; a division by zero is a usual reason",
 )  # fmt: skip
 TWO_PUBLISHERS = Kind(
     14, "two_publishers", "multiple {source} publishers: {who}, {rival}", CLIENTS,
     "{who} and {rival} both commanded as {source}",
-    "end one of them (in one program use one Robot for all), or give it a source of its own in the settings "
+    "end one of them (in one program, use one Robot for everything), or give it its own source in the settings "
     "(sources.NAME.priority)",
 )  # fmt: skip
 BUTTON = Kind(
     15, "button", "gamepad button 0x{buttons:04X}", "telemetry",
-    "somebody pressed {names} on the gamepad", "ask whoever holds it",
+    "somebody pressed {names} on the gamepad", "ask the person who holds it",
 )  # fmt: skip
 KEY = Kind(
     16, "key", "key{key:d}", "telemetry",
-    "somebody pressed key {key} on the board", "ask whoever stands by the robot",
+    "somebody pressed key {key} on the board", "ask the people near the robot",
 )  # fmt: skip
 REQUESTED = Kind(
     17, "requested", "stop request[: {words}] (says it is {who}, pid {pid:d})", "port_owner",
@@ -364,24 +365,24 @@ ROS_ARM_PUBLISHERS = Kind(
     47, "ros_arm_publishers", "stop request: multiple arm/goal publishers: {words} (says it is {who}, pid {pid:d})",
     "port_owner",
     'a program that says it is {who} (pid {pid}) asked for a stop: "multiple arm/goal publishers: {words}"',
-    "end all but one of these nodes, since one at a time moves the arm; a node that was killed counts for up to 20 s",
+    "end all but one of these nodes, because only one may move the arm; a node that was killed counts for up to 20 s",
 )  # fmt: skip
 ROS_STRANGER = Kind(
     53, "ros_stranger", "stop request: stranger on cmd_vel: {words} (says it is {who}, pid {pid:d})", "port_owner",
     'a program that says it is {who} (pid {pid}) asked for a stop: "stranger on cmd_vel: {words}"',
-    "end that node, or add its name to allowed_publishers of the bridge and start the bridge again",
+    "end that node, or add its name to the bridge's allowed_publishers and start the bridge again",
 )  # fmt: skip
 ROS_NOT_FINITE = Kind(
     49, "ros_not_finite", "stop request: command from {words} is not finite (says it is {who}, pid {pid:d})",
     "port_owner",
     'a program that says it is {who} (pid {pid}) asked for a stop: "command from {words} is not finite"',
-    "fix that node, for example a division by zero, before it drives again",
+    "fix that node before it drives again; a division by zero is a usual reason",
 )  # fmt: skip
 ROS_ARM_NOT_HELD = Kind(
     50, "ros_arm_not_held", "stop request: the arm could not be held: {words} (says it is {who}, pid {pid:d})",
     "port_owner",
     'a program that says it is {who} (pid {pid}) asked for a stop: "the arm could not be held: {words}"',
-    "look at the arm, which may have gone on to its goal, and at `failstop status`",
+    "look at the arm, because it may have moved on to its goal, and at `failstop status`",
 )  # fmt: skip
 ROS_NO_ANSWER = Kind(
     51, "ros_no_answer", "stop request: no answer from the gate in {words}: wheels stopped "
@@ -398,11 +399,11 @@ FLEET = Kind(
 BATTERY = Kind(
     23, "battery", "the battery is at {volts:.2f} V", "telemetry",
     "the battery was at {volts:.2f} V, below the setting battery.stop_mv",
-    "charge it; after a reset the robot may drive to its charger, since it stops for this once a charge",
+    "charge it; you may reset and drive to the charger, because failstop stops for this only once per charge",
 )  # fmt: skip
 STOPPING = Kind(
     19, "stopping", "service is stopping", "supervisor",
-    "the service was told to end", "start it again",
+    "the service was told to end", "start the service again",
     NEW_RUN,
 )  # fmt: skip
 ALL_DIED = Kind(
@@ -412,37 +413,37 @@ ALL_DIED = Kind(
 )  # fmt: skip
 SILENT = Kind(
     21, "silent", "the supervisor is silent", "",
-    "the supervisor, which starts and watches the others, is silent past its lease", _BUSY,
+    "the supervisor, which starts and watches the other processes, has been silent for too long", _BUSY,
 )  # fmt: skip
 UNKNOWN = Kind(
     22, "unknown", "stopped by the supervisor", "",
-    "the supervisor stopped the wheels, and why can't be read any more",
-    "look at `failstop events`, which may still know",
+    "the supervisor stopped the wheels, but the reason can't be read any more",
+    "look at `failstop events`, which may still show it",
 )  # fmt: skip
 DRIVER_DIED = Kind(
     41, "driver_died", "driver died: {who}", CLIENTS,
-    "the program {who}, which had commanded motion, ended without a word: it crashed or was killed",
-    "look at that program's own log",
+    "the program {who} crashed or was killed after it had driven",
+    "look at that program's log",
 )  # fmt: skip
 DRIVER_SILENT = Kind(
     42, "driver_silent", "driver silent: {who}, {ms:d} ms", CLIENTS,
     "the program {who} stopped sending commands while it drove, and sent none for {ms} ms",
-    "look at that program: it may hang, or be suspended (Ctrl-Z)",
+    "check that program: it may hang, or be suspended (Ctrl-Z)",
 )  # fmt: skip
 OPERATOR_GONE = Kind(
     40, "operator_gone", "operator gone: {who}, {how}", CLIENTS,
     "the operator {who}, without whom this robot may not move, {how}",
-    "see to it that somebody attends again, by the page or by `failstop attend`",
+    "have somebody attend again, on the page or with `failstop attend`",
 )  # fmt: skip
 RESTARTED = Kind(
     45, "restarted", "the board restarted: {sign}", "telemetry",
-    "the board restarted while motion was enabled, so it had forgotten what it was told ({sign})",
-    "look at the battery, the motors' supply and the board's plugs: a dip of the voltage is the usual reason",
+    "the board restarted while motion was enabled, so it had forgotten its commands ({sign})",
+    "check the battery, the motors' supply and the board's plugs, because a dip in the voltage is the usual reason",
 )  # fmt: skip
 TWO_MOVE_THE_ARM = Kind(
     30, "two_move_the_arm", "multiple arm/goal publishers: {who}, {rival}", CLIENTS,
     "{who} and {rival} both moved the arm",
-    "end one of them: one program at a time moves the arm",
+    "end one of them, because only one program may move the arm at a time",
 )  # fmt: skip
 
 BY_NUMBER = {kind.number: kind for kind in tuple(globals().values()) if isinstance(kind, Kind)}
@@ -491,4 +492,4 @@ def refused(why: str, latched: Cause | None = None) -> Reply:
 
 def asked_before(cause: Cause) -> Reply:
     """The refusal of a request that was made before the last stop, so the client did not know about it."""
-    return Reply(False, f"asked before the last stop ({records.CAUSE}): see to that, then ask again", cause)
+    return Reply(False, f"asked before the last stop ({records.CAUSE}): deal with that stop, then ask again", cause)

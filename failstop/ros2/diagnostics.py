@@ -24,7 +24,10 @@ LINKS = {
         ERROR,
         "silent: the board says nothing any more, so nobody knows whether it hears: use the POWER SWITCH",
     ),
-    "unheard": (ERROR, "unheard: nothing answers since the port came back, so it may not be the board: POWER SWITCH"),
+    "unheard": (
+        ERROR,
+        "unheard: nothing answers since the port came back, so it may not be the board: use the POWER SWITCH",
+    ),
 }
 
 

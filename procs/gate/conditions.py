@@ -54,7 +54,7 @@ class ScanGate:
             text = f"scan is back (age {age_s:.2f} s): motion resumes by itself"
             return Note("scan", text, {"state": "back", "age_s": age_s}, level="info")
         if not self.delivered_ns:
-            return Note("scan", "no scan yet: wheels stand", {"state": "silent"})
+            return Note("scan", "no scan yet: programs can't move the wheels", {"state": "silent"})
         return Note("scan", f"no scan for {age_s:.2f} s: wheels stopped", {"state": "silent", "age_s": age_s})
 
 

@@ -76,8 +76,8 @@ class Budget:
 def disabled_by_death(driver: Command, *, moved: bool) -> Note:
     """A driver has died, so motion was disabled. Always noted, because only an enable allows motion again. `moved`: its
     commands have turned the wheels."""
-    did = "had driven" if moved else "had commanded but not moved the robot"
-    text = f"motion disabled: {driver.who}, which {did}, has died"
+    did = "died after it had driven" if moved else "died; it had commanded but not moved the robot"
+    text = f"motion disabled: {driver.who} {did}"
     return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
 
 
@@ -103,14 +103,14 @@ class DriverLosses:
         last = f"last command {silent_ms:.0f} ms ago, so the wheels are told to stop"
         if driver.by_hand:
             return self._note("driver_ended", driver, f"let go: {last}", now_ns)
-        text = f"fell silent while it drove: {last}"
+        text = f"stopped sending commands while it drove: {last}"
         return self._note("driver_silent", driver, text, now_ns, silent_ms=round(silent_ms, 1))
 
     def gone(self, driver: Command, now_ns: int, *, parted: bool) -> list[Note]:
         """The driver has died or ended without a goodbye; `parted`: it gave its slot back, which ends its command."""
         if parted:
             return self._note("driver_ended", driver, "ended its command, so the wheels are told to stop", now_ns)
-        return self._note("driver_gone", driver, "has gone while it drove, so the wheels are told to stop", now_ns)
+        return self._note("driver_gone", driver, "ended or died while it drove, so the wheels are told to stop", now_ns)
 
     def _note(self, kind: str, driver: Command, text: str, now_ns: int, **fields: float) -> list[Note]:
         budget = self._ended if kind == "driver_ended" else self._failed

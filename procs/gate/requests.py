@@ -80,7 +80,7 @@ class Requests:
         if request.asked_ns < stopped_ns and request.verb in GIVES_WAY:
             return asked_before(last)
         if request.asked_ns < self._oldest_ns:
-            return refused("the gate has started since: ask again")
+            return refused("the gate restarted after you asked: ask again")
         if request.verb == records.RESET:
             _, seen = request.about("seen") or (0, 0)
             # A stop that comes after this look is newer than the request, so the supervisor refuses it.
@@ -123,7 +123,7 @@ class Requests:
             self._notes.append(note)
             if unsaid := self._budget.unsaid:
                 self._budget.unsaid = 0
-                self._notes.append(Note("note", f"and {unsaid} more requests, too many to tell of each"))
+                self._notes.append(Note("note", f"and {unsaid} more requests, too many to log each one"))
 
     def ask_reset(self, request: Request) -> None:
         """Pass a reset on when it is its turn. One waits for each slot: the newest."""

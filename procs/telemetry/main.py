@@ -419,8 +419,8 @@ class Telemetry:
             self._raise(causes.RUNAWAY(name, told, seen))
         else:
             slow = ", or board.per_rps is far too small" if self._board.reports.own_scale else ""
-            told_text = f"the {name} wheel stands although it is told {told:.2f} turns a second"
-            text = f"{told_text}: stalled, or unplugged{slow}"
+            told_text = f"the {name} wheel does not turn although the command is {told:.2f} turns a second"
+            text = f"{told_text}: it is stalled or unplugged{slow}"
             self._note("wheel_stands", text, {"wheel": name, "told": told, "seen": seen})
 
     def _publish_wheels(self, now_ns: int) -> None:
@@ -479,7 +479,7 @@ class Telemetry:
         if self._charger.add(millivolts, t_ns):
             name = records.PLUGGED[self._charger.state]
             self._files.replace(CHARGER, CHARGER_FILE, f"{name}\n")
-            text = f"charger {name}: the battery stepped to {millivolts} mV"
+            text = f"charger {name}: the battery's voltage jumped to {millivolts} mV"
             self._note("charger", text, {"state": name, "battery_mv": millivolts})
         self._latest["battery"].write(records.BATTERY.pack(millivolts, self._charger.state), t_ns)
         self._box.put(box.pack_board(box.BATTERY_KIND, millivolts, self._charger.state), t_ns)

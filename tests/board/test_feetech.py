@@ -191,7 +191,7 @@ def test_a_base_whose_wheel_does_not_answer_is_not_enabled_and_says_which(missin
         simulated.robot.enable()
     told = " ".join(simulated.command("why")[1].split())
     assert f"also {name}: it does not answer" in told
-    assert f"do look at the {name}: its plug on the bus, its power and its id, then" in told
+    assert f"do check the {name}: its plug on the bus, its power and its id, then" in told
     assert f"{name}: it does not answer" in " ".join(simulated.command("status")[1].split())
     bus.silent.discard(missing)
     simulated.wait(2.0)

@@ -100,9 +100,9 @@ def test_restarts_and_missing_rights_are_remarked() -> None:
     assert "gate was restarted 2 times; it was killed by SIGKILL" in said
     assert "without real-time rights" in said
     assert "none" in said
-    assert "this kernel tells of deaths late" not in said
+    assert "this kernel reports deaths late" not in said
     late = process(early_news=False)
-    assert "this kernel tells of deaths late" in shown(summary.lines(state(processes={"gate": late}), NOW_S, 120))
+    assert "this kernel reports deaths late" in shown(summary.lines(state(processes={"gate": late}), NOW_S, 120))
 
 
 def _live(rows: int = 40, columns: int = 100) -> tuple[Live, list[style.Line]]:

@@ -173,7 +173,7 @@ def test_sigkill(pilot: Typist, trial: Trial) -> None:
     killed_ns = time.monotonic_ns()
     pilot.process.kill()
     stopped(trial, killed_ns)
-    assert "which had driven, has died" in str(trial.robot.why())
+    assert "died after it had driven" in str(trial.robot.why())
 
 
 def test_a_hang_stops_by_the_command_timeout_and_what_was_typed_meanwhile_is_old(pilot: Typist, trial: Trial) -> None:

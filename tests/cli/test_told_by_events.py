@@ -20,8 +20,9 @@ BLOCKED = driving(blocked="cmd timeout", body_vel=(0.0, 0.0, 0.0), wheels_radps=
 
 
 TEXTS = {
-    "driver_silent": "nav (pid 42) fell silent while it drove: last command 301 ms ago, so the wheels are told to stop",
-    "driver_gone": "nav (pid 42) has gone while it drove, so the wheels are told to stop",
+    "driver_silent": "nav (pid 42) stopped sending commands while it drove: last command 301 ms ago, so the wheels are "
+    "told to stop",
+    "driver_gone": "nav (pid 42) ended or died while it drove, so the wheels are told to stop",
 }
 
 
@@ -58,30 +59,30 @@ def test_a_death_after_that_one_is_a_death() -> None:
 
 def test_who_fell_silent_is_named_while_nobody_commands() -> None:
     events = [told("enabled", t=NOW_S - 9), told("driver_silent", NAV)]
-    assert "nobody commands; nav (pid 42) fell silent while it drove: last command 301 ms" in shown(BLOCKED, events)
+    assert "nobody commands; nav (pid 42) stopped sending commands while it drove: last command 301 ms" in shown(
+        BLOCKED, events
+    )
     assert ", 3.0 s ago)" in shown(BLOCKED, events)
-    assert "its timeout: nav (pid 42) fell silent while it drove" in why(BLOCKED, events)
+    assert "its timeout: nav (pid 42) stopped sending commands while it drove" in why(BLOCKED, events)
     assert why(BLOCKED, events).splitlines()[0].endswith(", 3.0 s ago)")
 
 
 def test_who_ended_while_it_drove_is_named() -> None:
     events = [told("driver_gone", NAV)]
     found = driving(blocked="cmd timeout", sources=(), clients=())
-    assert "nav (pid 42) has gone while it drove" in shown(found, events)
-    assert "nav (pid 42) has gone while it drove" in why(found, events)
+    assert "nav (pid 42) ended or died while it drove" in shown(found, events)
+    assert "nav (pid 42) ended or died while it drove" in why(found, events)
 
 
 def test_whose_death_disabled_motion_is_told_whoever_commands_now() -> None:
-    dead = dataclasses.replace(
-        told("driver_gone", NAV), text="motion disabled: nav (pid 42), which had driven, has died"
-    )
+    dead = dataclasses.replace(told("driver_gone", NAV), text="motion disabled: nav (pid 42) died after it had driven")
     for disabled in (state(blocked="disabled"), driving(blocked="disabled", enabled=False)):
         found = " ".join(shown(disabled, [told("enabled"), dead]).split())
-        assert "driver motion disabled: nav (pid 42), which had driven, has died (" in found
-        assert "motion disabled: nav (pid 42), which had driven, has died" in why(disabled, [told("enabled"), dead])
+        assert "driver motion disabled: nav (pid 42) died after it had driven (" in found
+        assert "motion disabled: nav (pid 42) died after it had driven" in why(disabled, [told("enabled"), dead])
         for since in ("disabled", "stop", "enabled"):
-            assert "has died" not in shown(disabled, [dead, told(since)])
-    assert "has died" not in shown(driving(), [dead])
+            assert "died after" not in shown(disabled, [dead, told(since)])
+    assert "died after" not in shown(driving(), [dead])
 
 
 def test_a_driver_of_before_is_no_news() -> None:

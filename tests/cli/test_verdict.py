@@ -76,7 +76,7 @@ def test_the_page_begins_with_the_step_that_a_terminal_begins_with(found: Any, w
 
 def test_what_an_enable_would_be_refused_without_comes_before_it() -> None:
     unmet = state(unmet="the arm is not folded")
-    assert steps.typed(unmet) == ["see to the interlock (the arm is not folded)", "`failstop enable`"]
+    assert steps.typed(unmet) == ["satisfy the interlock (the arm is not folded)", "`failstop enable`"]
     assert steps.pressed(unmet) == "See to the interlock (the arm is not folded)."
     nobody = state(attended_by=(), unmet="the arm is not folded")
     assert [step.purpose for step in steps.todo(nobody)] == [Purpose.ALLOW, Purpose.ALLOW, Purpose.ENABLE]
@@ -87,7 +87,7 @@ def test_what_an_enable_would_be_refused_without_comes_before_it() -> None:
     ("found", "goal", "begins"),
     [
         (state(), Purpose.ENABLE, ""),  # whatever refused it, the state does not show it: nobody is sent in a circle
-        (state(unmet="no"), Purpose.ENABLE, "see to that interlock, then `failstop enable`"),
+        (state(unmet="no"), Purpose.ENABLE, "satisfy that interlock, then `failstop enable`"),
         (state(attended_by=()), Purpose.ENABLE, "have somebody attend"),
         (state(waiting_for="gate"), Purpose.ENABLE, "wait for gate, then"),
         (latched(), Purpose.ENABLE, "`failstop reset`, then `failstop enable`"),

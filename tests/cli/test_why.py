@@ -77,7 +77,7 @@ def test_disabled_since_the_event_that_made_it_so() -> None:
     assert why(state()).since is None
     assert set(json.loads(json.dumps(dataclasses.asdict(found)))) == {"what", "proof", "do", "also", "since"}
     assert why(state(name="left", unmet="the arm is not folded")).do == (
-        "see to the interlock (the arm is not folded)",
+        "satisfy the interlock (the arm is not folded)",
         "`failstop enable --name left`",
     )
 
@@ -174,8 +174,8 @@ def test_a_board_that_never_answered_proves_nothing() -> None:
     assert found.what == "STOPPED, unproven: the board has never answered; motion is disabled"
     assert found.proof == f"the board is told zero; the board has never answered{SEEN}"
     [also] = found.also
-    assert also.startswith("the board has never answered, so no stop is known to reach the wheels: see to its power")
-    assert "`failstop doctor` finds a login or another program on the port" in also
+    assert also.startswith("the board has never answered, so no stop is known to reach the wheels: check its power")
+    assert "`failstop doctor` shows whether a login or another program takes the answers" in also
 
 
 def test_a_board_that_answers_nothing_by_its_nature_is_not_warned_of() -> None:

@@ -49,7 +49,7 @@ def stays(trial: Trial, who: str, pid: int) -> None:
     state = trial.robot.state
     assert not state.enabled
     assert not trial.turning()
-    assert f"{who} (pid {pid}), which had driven, has died" in " ".join(str(trial.robot.why()).split())
+    assert f"{who} (pid {pid}) died after it had driven" in " ".join(str(trial.robot.why()).split())
 
 
 @pytest.mark.claim("CLIENT-1", "MOVE-2")

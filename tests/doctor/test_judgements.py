@@ -335,7 +335,7 @@ ACM = "/dev/ttyACM0"
 def test_where_the_stop_path_is_left_alone(changed: dict[str, Any], why: str, fix: str) -> None:
     given = look(**{"service": NOBODY, **changed})
     for check in ("board", "stop path"):
-        assert said(given, check) == [(f"not tested: {why}", fix, "" if fix else "see to that first")]
+        assert said(given, check) == [(f"not tested: {why}", fix, "" if fix else "fix that first")]
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def test_however_a_driver_dies_nothing_drives_before_an_enable(
     assert not simulated.turning()
     simulated.stops(fault_ns, 21)
     assert (again.state.enabled, again.state.cause) == (False, None)
-    whose = f"motion disabled: nav (pid {driver.pid}), which had driven, has died"
+    whose = f"motion disabled: nav (pid {driver.pid}) died after it had driven"
     for told in (str(again.why()), simulated.printed("status"), simulated.printed("why"), simulated.printed("events")):
         assert whose in " ".join(told.split())
     again.enable()
@@ -74,4 +74,4 @@ def test_the_command_line_s_drive_is_a_driver_as_any_other(simulated: Simulated)
     simulated.board.wait_wheels(turning=False)
     simulated.wait(0.1)
     assert not simulated.robot.state.enabled
-    assert f"failstop drive (pid {killed[0].pid}), which had driven, has died" in str(simulated.robot.why())
+    assert f"failstop drive (pid {killed[0].pid}) died after it had driven" in str(simulated.robot.why())

@@ -97,7 +97,10 @@ def test_a_board_that_does_not_hear_the_last_stop_is_an_error(simulated: Simulat
     assert simulated.end() == 1
     assert simulated.turning(), "it could not be stopped"
     link = "deaf" if told else "alive"
-    assert f"written twice, NOT acknowledged by the board (link {link}); wheels that turn: POWER" in simulated.said
+    assert (
+        f"written twice, NOT acknowledged by the board (link {link}); if the wheels turn, use the POWER"
+        in simulated.said
+    )
 
 
 def test_a_last_stop_that_nothing_takes_is_an_error(simulated: Simulated) -> None:

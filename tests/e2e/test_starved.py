@@ -49,7 +49,7 @@ def test_while_idle_it_is_left_alone_and_that_is_told(simulated: Simulated, proc
     assert (state.estop, state.epoch) == (None, 1), "nothing was stopped either"
     assert state.starved.process == process
     assert state.starved.longest_s == pytest.approx(long_s(process), abs=0.1)
-    assert "the machine starves the service: " in simulated.said
+    assert "the computer is too busy: " in simulated.said
     for command in ("status", "why"):
         assert "the machine starved the service: " in simulated.printed(command).lower(), command
 
@@ -114,7 +114,7 @@ def test_a_service_without_rights_says_how_to_get_them_and_outlives_its_starving
     wait_for("the service to be ready", running.service.ready)
     assert running.service.pids() == before, running.service.said()
     assert running.robot.state.estop is None
-    starved = "the machine starves the service"
+    starved = "the computer is too busy"
     wait_for("it again", lambda: "give it real-time rights" in running.service.said().partition(starved)[2])
 
 

@@ -31,9 +31,7 @@ def test_a_suspended_service_stops_and_tells_what_has_happened(fresh: Trial) -> 
     long = "it to be told, longer than a stop is followed"
     wait_for(long, lambda: shown(fresh) == "suspended" and time.monotonic() - begun_s > 2.0)
     why = " ".join(failstop("why", "--name", fresh.name).stdout.split())
-    assert (
-        f"do let the suspended service go on (`fg` in its terminal, or `kill -CONT {pid}`), then `failstop res" in why
-    )
+    assert f"do resume the suspended service (`fg` in its terminal, or `kill -CONT {pid}`), then `failstop res" in why
     assert "real-time rights" not in why
 
     continued_s = time.time()

@@ -332,7 +332,7 @@ def test_its_first_answer_ends_that(mute: Simulated) -> None:
 def test_its_end_is_no_error(mute: Simulated) -> None:
     """A board without pings is such a one, or one with another firmware."""
     assert mute.end() == 0
-    assert "whether the board hears is not known (link unproven)" in mute.said
+    assert "nobody knows whether the board hears (link unproven)" in mute.said
 
 
 # Words of a client.

@@ -73,7 +73,7 @@ def test_a_driver_that_is_killed_stops_and_nothing_drives_before_an_enable(
         assert again.line().startswith("start "), "the exclusive mode of the dead one is gone"
         arduino.stands()
         wait_for("motion to be disabled", lambda: not arduino.trial.robot.state.enabled)
-        assert f"diffdrive (pid {driver.pid}), which had driven, has died" in str(arduino.trial.robot.why())
+        assert f"diffdrive (pid {driver.pid}) died after it had driven" in str(arduino.trial.robot.why())
         arduino.trial.board.events()
         [again.line() for _ in range(6)]
         assert arduino.motion() == []

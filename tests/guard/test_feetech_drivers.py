@@ -162,7 +162,7 @@ def test_a_host_that_is_killed_stops_and_nothing_drives_before_an_enable(lekiwi:
         lekiwi.stands()
         wait_for("motion to be disabled", lambda: not lekiwi.trial.robot.state.enabled)
         name = os.path.basename(str(driver.child.args[1]))  # type: ignore[index]
-        assert f"{name} (pid {driver.pid}), which had driven, has died" in str(lekiwi.trial.robot.why())
+        assert f"{name} (pid {driver.pid}) died after it had driven" in str(lekiwi.trial.robot.why())
         again = lekiwi.python(HOST, "300", PATIENCE_S)
         assert again.line() == "open"
         lekiwi.trial.board.events()

@@ -126,7 +126,7 @@ def test_a_driver_that_is_killed_stops_and_nothing_drives_before_an_enable(hover
         hoverboard.stands()
         wait_for("motion to be disabled", lambda: not hoverboard.trial.robot.state.enabled)
         name = os.path.basename(str(driver.child.args[1]))  # type: ignore[index]
-        assert f"{name} (pid {driver.pid}), which had driven, has died" in str(hoverboard.trial.robot.why())
+        assert f"{name} (pid {driver.pid}) died after it had driven" in str(hoverboard.trial.robot.why())
         again = hoverboard.python(source, "30", "30", "100")
         assert again.line() == "open"
         pid = again.pid

@@ -147,7 +147,7 @@ def test_a_driver_that_is_killed_stops_and_nothing_drives_before_an_enable(rrc: 
         if source is NODE:  # a demo may have fallen silent before
             wait_for("motion to be disabled", lambda: not rrc.trial.robot.state.enabled)
             name = os.path.basename(str(driver.child.args[1]))  # type: ignore[index]
-            assert f"{name} (pid {driver.pid}), which had driven, has died" in str(rrc.trial.robot.why())
+            assert f"{name} (pid {driver.pid}) died after it had driven" in str(rrc.trial.robot.why())
             again = rrc.python(source, "0.3", "0.02")
             assert again.line().startswith("open")
             rrc.trial.board.events()

@@ -88,7 +88,7 @@ def test_a_driver_that_is_killed_stops_and_nothing_drives_before_an_enable(ugv: 
         ugv.stands()
         wait_for("motion to be disabled", lambda: not ugv.trial.robot.state.enabled)
         name = os.path.basename(str(driver.child.args[1]))  # type: ignore[index]
-        assert f"{name} (pid {driver.pid}), which had driven, has died" in str(ugv.trial.robot.why())
+        assert f"{name} (pid {driver.pid}) died after it had driven" in str(ugv.trial.robot.why())
 
 
 @pytest.mark.parametrize("dies", ["writer", "reader"])

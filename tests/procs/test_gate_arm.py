@@ -205,7 +205,7 @@ def test_faults_of_servos_are_told_once_and_their_end(scene: Scene) -> None:
     for servo in FAULTS:
         scene.servos.change(servo, scene.clock(), silent=False, temperature_c=69, supply_mv=6000)
     scene.run(10.0)
-    assert sorted(news()) == sorted(("", f"joint {of} is well again") for of in TOLD)
+    assert sorted(news()) == sorted(("", f"joint {of} is fine again") for of in TOLD)
     assert scene.state()["wrong"] == []
 
 
@@ -223,7 +223,7 @@ def test_arm_that_is_left_alone_says_so_and_tucks_itself_on_time(arm_with: Make)
     scene.run(2.9)
     assert news() == []
     scene.run(0.2)
-    assert news() == [("", "the arm was left alone: it goes to its tuck pose in 2 s")]
+    assert news() == [("", "nobody uses the arm, so it goes to its tuck pose in 2 s")]
     assert scene.state()["tucks"]
     assert scene.state()["auto_tuck_s"] == 2
     count = len(scene.moves)

@@ -109,7 +109,7 @@ def test_a_successor_refuses_the_request_that_a_gate_left_under_way(scene: Scene
     scene.clock.now_ns += 80 * MS
     scene.start_gate()
     scene.turn()
-    text = "asked before the last stop (gate died): see to that, then ask again"
+    text = "asked before the last stop (gate died): deal with that stop, then ask again"
     assert scene.answered() == (records.REFUSED, text)
 
 

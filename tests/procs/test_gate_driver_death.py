@@ -14,7 +14,7 @@ from .client_side import Service
 from .gate_bench import MS, NO_SPEEDS, TICK, Gate, stands
 
 VELOCITY = (0.2, 0.0, 0.0)
-TOLD = "motion disabled: client 1, which had driven, has died"
+TOLD = "motion disabled: client 1 died after it had driven"
 DRIVER = {"who": "client 1", "source": "cmd_vel"}
 
 
@@ -91,7 +91,7 @@ def test_who_never_moved_the_robot_had_not_driven() -> None:
     dying.step(TICK)
     assert (dying.blocked, dying.core.velocity) == ("no scan", REST)
     dying.gone(1)
-    assert dying.told()[-1] == "motion disabled: client 1, which had commanded but not moved the robot, has died"
+    assert dying.told()[-1] == "motion disabled: client 1 died; it had commanded but not moved the robot"
 
 
 def test_a_death_latches_or_leaves_motion_enabled_where_the_settings_say_so() -> None:

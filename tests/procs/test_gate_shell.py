@@ -133,7 +133,7 @@ def test_after_a_flood_of_refusals_how_many_were_left_out_is_told_once(scene: Sc
         scene.ask(99)
     refused = "refused to 99, test: unknown request 99"
     assert scene.told() == [refused] * MOST_AT_ONCE
-    left_out = "and 5 more requests, too many to tell of each"
+    left_out = "and 5 more requests, too many to log each one"
     for expected in ([refused, left_out], [refused]):
         scene.turn(EVERY_NS)
         scene.ask(99)
@@ -158,7 +158,7 @@ def test_a_reset_that_no_gate_has_heard_is_answered_by_the_next_one_while_it_wai
     scene.clock.now_ns += records.ANSWER_WITHIN_NS + (0 if waits else 1)
     scene.start_gate()
     scene.turn()
-    late = (records.REFUSED, "the gate has started since: ask again")
+    late = (records.REFUSED, "the gate restarted after you asked: ask again")
     assert scene.answered() == ((records.DONE, scene.answered()[1]) if waits else late)
     assert scene.latched() == (None if waits else "gate died")
     assert not scene.gate.core.enabled
@@ -173,7 +173,7 @@ def test_what_was_asked_of_a_gate_before_its_death_moves_nothing_by_the_next_one
     assert (scene.replied(), scene.told()) == (before, []), "what was answered is not done again"
     scene.ask_for(records.ENABLE)
     restarted(scene)
-    text = "asked before the last stop (gate died): see to that, then ask again"
+    text = "asked before the last stop (gate died): deal with that stop, then ask again"
     assert scene.answered() == (records.REFUSED, text)
 
 

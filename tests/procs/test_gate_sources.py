@@ -145,7 +145,7 @@ def test_before_the_first_scan_or_with_a_clock_that_is_ahead_nothing_moves(ahead
     assert gate.tick() == 0
     assert gate.blocked == "no scan"
     assert [(note.text, note.fields) for note in gate.core.notes] == [
-        ("no scan yet: wheels stand", {"state": "silent"})
+        ("no scan yet: programs can't move the wheels", {"state": "silent"})
     ]
 
 

@@ -86,7 +86,7 @@ def test_the_second_publisher_is_named_everywhere(scene: BridgeTrial, monkeypatc
     assert any(name in found for name in names), found
     assert "written by the port owner after" in found, "the proofs of the first stop stay"
     if "not known yet" in scene.bridge.said():
-        told(scene, "the cause of what is latched is known better: ", "events")
+        told(scene, "more is known about the latched cause: ", "events")
     monkeypatch.setenv("STATE_DIRECTORY", scene.trial.state)
     told(scene, "/joystick", "incident", "list")
 

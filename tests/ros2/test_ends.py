@@ -41,7 +41,7 @@ def test_a_killed_bridge_stops_the_wheels_at_once_and_leaves_nothing(scene: Brid
         state = robot.state
         assert (state.enabled, state.estop) == (False, None), "as with any driver: motion is disabled, nothing latched"
         if not restart:
-            told = re.compile(r"motion disabled: ros2 \(pid \d+\), which had driven, has died")
+            told = re.compile(r"motion disabled: ros2 \(pid \d+\) died after it had driven")
             assert told.search(str(robot.why())), "and not since its last command was too old"
         scene.trial.board.events()
         scene.bridge.start()
@@ -78,7 +78,7 @@ def test_told_to_end(scene: BridgeTrial, number: int) -> None:
     assert scene.bridge.process.wait(10) == 0
     assert "Traceback" not in scene.bridge.said()
     why = str(scene.trial.robot.why())
-    assert "has died" not in why, why
+    assert "died after it had driven" not in why, why
 
 
 def test_the_namespace_and_remaps_are_roses(scene: BridgeTrial) -> None:

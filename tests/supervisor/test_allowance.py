@@ -25,7 +25,7 @@ def flush(scene: Scene, *, end: bool = False) -> list[str]:
 def request(scene: Scene, number: int, kind: str = "stop_again") -> None:
     reason = f"stop request: {number:0100}"
     fields = {"reason": reason, "cause": "piped", "latched": "key1"}
-    scene.run.events.log(kind, f"stopped again: {reason}; latched is still: key1", fields)
+    scene.run.events.log(kind, f"stopped again: {reason}; the latched cause is still: key1", fields)
 
 
 def left_out(lines: list[str]) -> int:
@@ -73,7 +73,7 @@ def test_the_number_comes_when_the_flood_has_ended(scene: Scene) -> None:
     assert flush(scene) == []
     scene.now_ns += 1
     assert flush(scene) + flush(scene) == [
-        f"failstop: {200 - told} stop requests while a stop was latched were left out: too many to tell of each"
+        f"failstop: {200 - told} stop requests while a stop was latched were left out: too many to log each one"
     ]
     request(scene, 1000)
     assert len(flush(scene)) == 1, "and the next is told again"
@@ -88,7 +88,7 @@ def test_every_kind_is_bounded(scene: Scene, kind: str) -> None:
     assert OWN_BYTES - 400 < size <= OWN_BYTES
     (line,) = flush(scene, end=True)
     assert (
-        line == f"failstop: {2000 - OWN_BYTES // 201} events of the kind {kind} were left out: too many to tell of each"
+        line == f"failstop: {2000 - OWN_BYTES // 201} events of the kind {kind} were left out: too many to log each one"
     )
 
 
@@ -120,7 +120,7 @@ def test_a_spent_allowance_tells_nothing_until_the_minute_is_over(scene: Scene) 
     scene.run.events.log("note", "y")
     assert flush(scene) + flush(scene) == [
         "failstop: y",
-        "failstop: 2 events of the kind note were left out: too many to tell of each",
+        "failstop: 2 events of the kind note were left out: too many to log each one",
     ]
 
 

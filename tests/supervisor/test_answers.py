@@ -57,7 +57,7 @@ def test_the_advice_to_a_starved_service_depends_on_its_rights(granted: int) -> 
     scene.supervisor.processes.log_starved("gate", MS, scene.now_ns)
     ((_, _, text, _),) = scene.said()
     expected = advice(realtime=bool(granted), managed=False)
-    assert text == f"the machine starves the service: gate was not run for 1 ms; {expected}"
+    assert text == f"the computer is too busy: gate did not run for 1 ms; {expected}"
     assert expected != advice(realtime=not granted, managed=False)
 
 
@@ -216,7 +216,7 @@ def test_a_stop_and_a_reset_that_did_not_know_of_it(scene: Scene) -> None:
     scene.turn(MS)
     assert scene.decided() == (
         False,
-        "asked before the last stop (stop request: the second): see to that, then ask again",
+        "asked before the last stop (stop request: the second): deal with that stop, then ask again",
     )
     assert scene.cause() == (2, "the first")
     scene.reset()

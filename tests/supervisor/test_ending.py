@@ -74,7 +74,7 @@ def test_a_board_that_has_never_answered_is_waited_for_a_while_and_is_no_failure
     began_ns = scene.now_ns
     well, told = end(scene)
     assert well
-    assert told[1][1].endswith("whether the board hears is not known (link unproven)")
+    assert told[1][1].endswith("nobody knows whether the board hears (link unproven)")
     assert scene.now_ns == began_ns + main.HEAR_NS + KILLED_NS
     assert scene.word("beat_ns").get() > began_ns, "its own beat goes on: nobody stops for its silence"
 
@@ -104,7 +104,7 @@ def test_a_board_that_does_not_hear_the_last_stop_is_a_failure(scene: Scene) -> 
     answer(scene, scene.now_ns - 1)
     well, told = end(scene)
     assert not well
-    assert told[1][1].endswith("NOT acknowledged by the board (link alive); wheels that turn: POWER SWITCH")
+    assert told[1][1].endswith("NOT acknowledged by the board (link alive); if the wheels turn, use the POWER SWITCH")
     assert scene.wire.read() == BURST
 
 
@@ -115,7 +115,7 @@ def test_a_board_that_goes_deaf_at_the_end_is_told_of(scene: Scene) -> None:
     scene.port_owner.word("asked_ns").set(scene.now_ns - deaf_ns)
     well, told = end(scene)
     assert not well
-    assert told[1][1].endswith("NOT acknowledged by the board (link deaf); wheels that turn: POWER SWITCH")
+    assert told[1][1].endswith("NOT acknowledged by the board (link deaf); if the wheels turn, use the POWER SWITCH")
 
 
 @pytest.mark.parametrize("full", [True, False])

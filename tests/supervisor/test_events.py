@@ -209,7 +209,7 @@ def test_a_stop_that_can_not_be_written_does_not_hold_events_for_ever(scene: Sce
 def test_programs_are_told_how_much_was_left_out(scene: Scene) -> None:
     for _ in range(MOST_EVENTS_WAITING + 7):
         scene.run.events.log("stop", "x", {"reason": "x"}, level="critical")
-    text = "7 events of the kind stop were left out: too many to tell of each"
+    text = "7 events of the kind stop were left out: too many to log each one"
     assert scene.said()[-1] == ("left_out", "critical", text, {"of": "stop", "count": 7})
 
 

@@ -147,7 +147,10 @@ def test_its_loss_and_its_return_are_told_once_each(scene: Scene) -> None:
         turn(scene)
     told = [event for event in scene.events() if event["kind"].startswith("device_")]
     assert [(event["kind"], event["text"]) for event in told] == [
-        ("device_lost", f"{DEVICE} is gone; the stop is written the moment it is back; wheels that turn: POWER SWITCH"),
+        (
+            "device_lost",
+            f"{DEVICE} is gone; the stop is written the moment it is back; if the wheels turn, use the POWER SWITCH",
+        ),
         ("device_back", f"{DEVICE} is back after 1.2 s; the stop is written"),
     ]
     assert [event["fields"] for event in told] == [{"path": DEVICE}, {"path": DEVICE, "away_s": 1.234}]

@@ -167,8 +167,8 @@ def test_people_are_told_of_deaths_and_restarts_until_one_is_down(scene: Scene, 
         ("restarting", f"restarting telemetry {when}", {"process": "telemetry", "wait_s": wait_s})
         for wait_s, when in waits
     ]
-    todo = "next: see to the cause, then `failstop reset --name stage` restarts it"
-    text = f"telemetry died too often and is down, the wheels stopped; {todo}"
+    todo = "next: fix the cause, then `failstop reset --name stage` restarts it"
+    text = f"telemetry died too often, so it stays down and the wheels stay stopped; {todo}"
     assert told == [*restarts, ("down", text, {"process": "telemetry"})]
     assert (telemetry.state, telemetry.restart.ns) == ("down", NEVER)
     processes.recall(scene.now_ns)

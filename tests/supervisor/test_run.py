@@ -253,7 +253,7 @@ def lost(scene: Scene, *names: str, elapsed_ns: int = LOOK_EVERY_NS) -> str:
     [
         ((), "", ()),
         *(((name,), "error", (TEXT[name], "RemoveIPC")) for name in VITAL),
-        (("client.7",), "warning", ("client.7", "; next: restart the service when it may stop")),
+        (("client.7",), "warning", ("client.7", "; next: restart the service when the robot may stop")),
         ((*VITAL, *SLOTS), "error", ("shared memory gate", "lifelines")),
     ],
 )

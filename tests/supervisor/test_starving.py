@@ -120,7 +120,7 @@ def test_a_starving_machine_is_told_of_at_most_every_ten_seconds(scene: Scene) -
         found.log_starved(name, silent_ns, scene.now_ns + round(at_s * 1e9))
     first, second = scene.said()
     advice = scene.load("failstop.supervisor.status").advice(realtime=False, managed=False)
-    text = f"the machine starves the service: gate was not run for 300 ms; {advice}"
+    text = f"the computer is too busy: gate did not run for 300 ms; {advice}"
     assert first[::2] == ("starved", text)
     assert first[3] == {"process": "gate", "silent_ms": 300, "times": 1}
     assert second[3] == {"process": "gate", "silent_ms": 300, "times": 3}

@@ -127,7 +127,7 @@ def test_people_are_told_of_each_change_of_the_link(scene: Scene) -> None:
     scene.now_ns += 500 * MS
     scene.pings(answered=False)
     assert follow(scene, 600 * MS) == [], "motion is disabled"
-    text = "the board does not hear any more: POWER SWITCH, then look at its wires"
+    text = "the board no longer hears: use the POWER SWITCH, then check its cable"
     assert scene.said() == [("link", "critical", text, {"state": "deaf"})]
     scene.port_owner.word("moving").set(1)
     assert follow(scene, 600 * MS) == [(scene.now_ns, layout.SUPERVISOR, DEAF_REASON)], "it was enabled all the same"
@@ -140,12 +140,12 @@ def test_people_are_told_of_each_change_of_the_link(scene: Scene) -> None:
     scene.supervisor.tracker.link.opened(scene.now_ns)
     scene.said()
     follow(scene, MS)
-    text = "whether the board hears is not known until it answers"
+    text = "nobody knows whether the board hears until it answers"
     assert scene.said() == [("link", "info", text, {"state": "unheard"})]
     scene.pings(answered=False)
     follow(scene, MS)
     follow(scene, 1_000 * MS)
-    text = "nothing has answered since the port came back, so it may not be the board: POWER SWITCH"
+    text = "nothing has answered since the port came back, so it may not be the board: use the POWER SWITCH"
     assert scene.said() == [("link", "critical", text, {"state": "unheard"})]
     follow(scene, 1_000 * MS)
     assert scene.said() == [], "once"

@@ -98,7 +98,10 @@ def test_who_asked_before_the_last_stop_did_not_know_of_it() -> None:
     latch = Latch()
     latch.add([stop("key1")], 2, 110)
     latch.add([stop("gate died")], 3, 200)
-    assert told(latch.reset(3, 199)) == (False, "asked before the last stop (gate died): see to that, then ask again")
+    assert told(latch.reset(3, 199)) == (
+        False,
+        "asked before the last stop (gate died): deal with that stop, then ask again",
+    )
     assert latched(latch) == "key1"
     assert latch.reset_epoch == 0
     assert latch.reset(3, 200).done

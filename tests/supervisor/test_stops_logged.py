@@ -72,7 +72,7 @@ def test_the_monitor_forgets_the_oldest_of_many_reasons_and_hides_no_death(scene
 
 TWICE = "stopped; the stop was written twice, "
 ONCE = "stopped; the second stop could NOT be written, "
-DEAF = "NOT acknowledged by the board (link deaf); wheels that turn: POWER SWITCH"
+DEAF = "NOT acknowledged by the board (link deaf); if the wheels turn, use the POWER SWITCH"
 
 
 HANDED = "stopped; the second stop was handed over, NOT sent: the board takes no bytes, "
@@ -82,7 +82,7 @@ HANDED = "stopped; the second stop was handed over, NOT sent: the board takes no
     ("heard_ns", "link", "written", "sent", "level", "text"),
     [
         (3_150_001, "alive", True, True, "", f"{TWICE}acknowledged by the board after 3.2 ms"),
-        (0, "unproven", True, True, "warning", f"{TWICE}whether the board hears is not known (link unproven)"),
+        (0, "unproven", True, True, "warning", f"{TWICE}nobody knows whether the board hears (link unproven)"),
         (0, "deaf", True, True, "critical", TWICE + DEAF),
         (0, "deaf", True, False, "critical", HANDED + DEAF),
         (3_150_001, "alive", False, False, "critical", f"{ONCE}acknowledged by the board after 3.2 ms"),
@@ -109,13 +109,20 @@ STEP = "next: `failstop reset --name stage`, then `failstop enable --name stage`
         (KEY, 80_260, False, "stop", f"STOP latched: key1; {{wrote}} 80 us; {STEP}", ""),
         (KEY, -1, False, "stop", f"STOP latched: key1; {{wrote}} 0 us; {STEP}", ""),
         (KEY, None, False, "stop", f"STOP latched: key1; stop frame NOT written; {STEP}", "critical"),
-        (DEATH, 80_260, False, "stop_again", "stopped again: gate died; {wrote} 80 us; latched is still: key1", ""),
+        (
+            DEATH,
+            80_260,
+            False,
+            "stop_again",
+            "stopped again: gate died; {wrote} 80 us; the latched cause is still: key1",
+            "",
+        ),
         (
             DEATH,
             None,
             False,
             "stop_again",
-            "stopped again: gate died; stop frame NOT written; latched is still: key1",
+            "stopped again: gate died; stop frame NOT written; the latched cause is still: key1",
             "critical",
         ),
         (KEY, 80_260, True, "stopping", "key1; {wrote} 80 us", ""),

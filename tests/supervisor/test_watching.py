@@ -296,8 +296,8 @@ def test_a_reset_starts_one_anew_that_is_down(scene: Scene, name: str) -> None:
 def test_a_gate_that_is_down_is_tried_again_since_it_hears_the_resets(scene: Scene) -> None:
     die_too_often(scene, layout.GATE)
     down_ns = scene.now_ns
-    text = "gate died too often and is down, the wheels stopped"
-    again = "it is restarted in 60 s, since nobody else could hear a reset"
+    text = "gate died too often, so it stays down and the wheels stay stopped"
+    again = "it is restarted in 60 s, because only it can hear a reset"
     assert scene.events()[-1]["text"] == f"{text}; {again}"
     while scene.state(layout.GATE) == "down" and scene.now_ns < down_ns + 2 * GATE_AGAIN_NS:
         scene.pass_time(200 * MS)

@@ -114,7 +114,7 @@ def test_what_stands_in_the_way() -> None:
     assert can(states.state(**DRIVING))["disable"] == ""
     assert can(states.state(waiting_for="the gate"))["enable"] == "wait for the gate"
     assert can(states.state(attended_by=()))["enable"] == "somebody has to attend: press ATTEND"
-    assert can(states.state(unmet="it is open"))["enable"] == "see to the interlock (it is open)"
+    assert can(states.state(unmet="it is open"))["enable"] == "satisfy the interlock (it is open)"
     assert can(states.latched(device=DEAF))["reset"] == ""
 
 

@@ -197,52 +197,52 @@
 #define CAUSES \
     {1, "died", \
      "{process} died", \
-     "look at what came before it (`failstop events`) if it is not the first time"}, \
+     "look at what happened before it (`failstop events`), if it is not the first time"}, \
     {2, "hangs", \
      "{process} hangs: {ms:d} ms silent", \
-     "look at the machine's load and at real-time rights (`failstop doctor`), since something held it up"}, \
+     "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"}, \
     {3, "starved", \
      "{process} hangs: {ms:d} ms silent (the machine is starved)", \
      "give the service real-time rights (`failstop doctor` has the command), or the machine less to do"}, \
     {4, "held_up", \
      "supervisor was held up for {ms:d} ms", \
-     "look at the machine's load and at real-time rights (`failstop doctor`), since something held it up"}, \
+     "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"}, \
     {5, "mute", \
      "gate beats but sends nothing: {ms:d} ms", \
-     "report it with its incident (`failstop incident list`), as it is a defect, or memory that somebody damaged"}, \
+     "report it with its incident (`failstop incident list`), because it is a bug in failstop or damaged memory"}, \
     {6, "bad_frame", \
      "the gate's frame was refused: {fault}", \
-     "report it with its incident (`failstop incident list`), as it is a defect, or memory that somebody damaged"}, \
+     "report it with its incident (`failstop incident list`), because it is a bug in failstop or damaged memory"}, \
     {7, "suspended", \
      "the machine was suspended for {s:.1f} s", \
-     "keep it from sleeping while the robot is on (`systemctl mask sleep.target`)"}, \
+     "keep the computer from sleeping while the robot is on (`systemctl mask sleep.target`)"}, \
     {8, "removed", \
      "{what} was removed: restart the service", \
-     "look at `failstop doctor`: logind's RemoveIPC=yes removes it when the service's user logs out"}, \
+     "run `failstop doctor`: with RemoveIPC=yes, logind removes it when the service's user logs out"}, \
     {9, "device_lost", \
      "device lost", \
-     "look at the cable, the plug and the board's power"}, \
+     "check the cable, the plug and the board's power"}, \
     {10, "stuck", \
      "port does not drain", \
-     "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels; then look at the board and at the cable to it"}, \
+     "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels; then check the board and the cable to it"}, \
     {11, "deaf", \
      "the board is deaf", \
-     "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels; then look at the wire to the board; `failstop doctor` finds a login or another program on the port, which would take the board's answers"}, \
+     "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels; then check the cable to the board; `failstop doctor` shows whether a login or another program takes the answers from the port"}, \
     {12, "unstill", \
      "the wheels do not come to rest", \
-     "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels; then see whether somebody carried or pushed the robot, because that looks the same"}, \
+     "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels; then check whether somebody carried or pushed the robot, because that looks the same"}, \
     {13, "not_finite", \
      "command from {who} is not finite", \
-     "fix that program, for example a division by zero, before it drives again"}, \
+     "fix that program before it drives again; a division by zero is a usual reason"}, \
     {14, "two_publishers", \
      "multiple {source} publishers: {who}, {rival}", \
-     "end one of them (in one program use one Robot for all), or give it a source of its own in the settings (sources.NAME.priority)"}, \
+     "end one of them (in one program, use one Robot for everything), or give it its own source in the settings (sources.NAME.priority)"}, \
     {15, "button", \
      "gamepad button 0x{buttons:04X}", \
-     "ask whoever holds it"}, \
+     "ask the person who holds it"}, \
     {16, "key", \
      "key{key:d}", \
-     "ask whoever stands by the robot"}, \
+     "ask the people near the robot"}, \
     {17, "requested", \
      "stop request[: {words}] (says it is {who}, pid {pid:d})", \
      "make sure that whatever it was for is over"}, \
@@ -251,19 +251,19 @@
      "make sure that whatever it was for is over"}, \
     {19, "stopping", \
      "service is stopping", \
-     "start it again"}, \
+     "start the service again"}, \
     {20, "all_died", \
      "all of the service died", \
-     "look at what came before it (`failstop events`) if it is not the first time"}, \
+     "look at what happened before it (`failstop events`), if it is not the first time"}, \
     {21, "silent", \
      "the supervisor is silent", \
-     "look at the machine's load and at real-time rights (`failstop doctor`), since something held it up"}, \
+     "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"}, \
     {22, "unknown", \
      "stopped by the supervisor", \
-     "look at `failstop events`, which may still know"}, \
+     "look at `failstop events`, which may still show it"}, \
     {23, "battery", \
      "the battery is at {volts:.2f} V", \
-     "charge it; after a reset the robot may drive to its charger, since it stops for this once a charge"}, \
+     "charge it; you may reset and drive to the charger, because failstop stops for this only once per charge"}, \
     {24, "fleet", \
      "stop request[: {words}] (says it is the fleet, for {who})", \
      "make sure that whatever it was for is over"}, \
@@ -272,51 +272,51 @@
      "leave the service running in its terminal, or end it with Ctrl-C"}, \
     {28, "defect", \
      "internal error: {process}: {event} while {state}", \
-     "report it with its incident (`failstop incident list`), as it is a defect, or memory that somebody damaged"}, \
+     "report it with its incident (`failstop incident list`), because it is a bug in failstop or damaged memory"}, \
     {30, "two_move_the_arm", \
      "multiple arm/goal publishers: {who}, {rival}", \
-     "end one of them: one program at a time moves the arm"}, \
+     "end one of them, because only one program may move the arm at a time"}, \
     {40, "operator_gone", \
      "operator gone: {who}, {how}", \
-     "see to it that somebody attends again, by the page or by `failstop attend`"}, \
+     "have somebody attend again, on the page or with `failstop attend`"}, \
     {41, "driver_died", \
      "driver died: {who}", \
-     "look at that program's own log"}, \
+     "look at that program's log"}, \
     {42, "driver_silent", \
      "driver silent: {who}, {ms:d} ms", \
-     "look at that program: it may hang, or be suspended (Ctrl-Z)"}, \
+     "check that program: it may hang, or be suspended (Ctrl-Z)"}, \
     {43, "runaway", \
      "the {wheel} wheel ran away: told {told:.2f} turns a second, and it turned {seen:.2f}", \
-     "look at that wheel's motor, encoder and wiring, at wheels.sign_* and board.per_rps, and at the slope it stands on"}, \
+     "check that wheel's motor, encoder and wiring, wheels.sign_* and board.per_rps, and whether it stands on a slope"}, \
     {44, "board_silent", \
      "the board is silent", \
-     "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels; then look at the board's supply and at the wire from it; `failstop doctor` finds a login or another program on the port, which would take the board's answers"}, \
+     "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels; then check the board's power and its cable; `failstop doctor` shows whether a login or another program takes the answers from the port"}, \
     {45, "restarted", \
      "the board restarted: {sign}", \
-     "look at the battery, the motors' supply and the board's plugs: a dip of the voltage is the usual reason"}, \
+     "check the battery, the motors' supply and the board's plugs, because a dip in the voltage is the usual reason"}, \
     {46, "ros_publishers", \
      "stop request: multiple cmd_vel publishers: {words} (says it is {who}, pid {pid:d})", \
      "remap cmd_vel of all but one of them: for a node of Nav2 to cmd_vel_nav, for another node to an input of twist_mux (docs/ros2.md, Nav2), and start it again; a node that was killed counts for up to 20 s"}, \
     {47, "ros_arm_publishers", \
      "stop request: multiple arm/goal publishers: {words} (says it is {who}, pid {pid:d})", \
-     "end all but one of these nodes, since one at a time moves the arm; a node that was killed counts for up to 20 s"}, \
+     "end all but one of these nodes, because only one may move the arm; a node that was killed counts for up to 20 s"}, \
     {48, "not_heard", \
      "no answer from the board for {ms:d} ms (the machine is starved)", \
      "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels; then give the service real-time rights (`failstop doctor` has the command), or the machine less to do"}, \
     {49, "ros_not_finite", \
      "stop request: command from {words} is not finite (says it is {who}, pid {pid:d})", \
-     "fix that node, for example a division by zero, before it drives again"}, \
+     "fix that node before it drives again; a division by zero is a usual reason"}, \
     {50, "ros_arm_not_held", \
      "stop request: the arm could not be held: {words} (says it is {who}, pid {pid:d})", \
-     "look at the arm, which may have gone on to its goal, and at `failstop status`"}, \
+     "look at the arm, because it may have moved on to its goal, and at `failstop status`"}, \
     {51, "ros_no_answer", \
      "stop request: no answer from the gate in {words}: wheels stopped (says it is {who}, pid {pid:d})", \
-     "look at the machine's load and at real-time rights (`failstop doctor`), since something held it up"}, \
+     "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"}, \
     {52, "wheel_missing", \
      "wheel lost: {wheel} does not answer", \
-     "look at its plug on the bus, its power and its id; if its wheel turns, use the POWER SWITCH"}, \
+     "check that servo's plug on the bus, its power and its id; if its wheel turns, use the POWER SWITCH"}, \
     {53, "ros_stranger", \
      "stop request: stranger on cmd_vel: {words} (says it is {who}, pid {pid:d})", \
-     "end that node, or add its name to allowed_publishers of the bridge and start the bridge again"}, \
+     "end that node, or add its name to the bridge's allowed_publishers and start the bridge again"}, \
 
 #endif

@@ -84,7 +84,7 @@ def main(arguments: Namespace) -> int:
             standard.print_line(said)
             if command == "enable" and (state := robot.state):
                 if why := verdict.unproven(state):
-                    see_to = "next: see to its power and its cable, then `failstop doctor`"
+                    see_to = "next: check its power and its cable, then `failstop doctor`"
                     standard.say(f"unproven: {why}, so no stop is known to reach the wheels; {see_to}")
                 if doubt := verdict.doubt(state):
                     standard.say(f"{doubt}; next: {steps.line(state)}")

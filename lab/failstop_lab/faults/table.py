@@ -72,7 +72,7 @@ RUN_DOWN_MS = 1_700.0
 """The run-down time of the board that reports least often, at the trials' speed, and 0.2 s (docs/dev/runaway.md)."""
 IN_TURN_MS = 60.0
 """Two turns of a controller manager's loop at 50 Hz, and the time of a stop."""
-DRIVER_HAS_DIED = "which had driven, has died"
+DRIVER_HAS_DIED = "died after it had driven"
 
 
 def _asked(

@@ -279,7 +279,7 @@ class Arm:
             core.active_ns = 0  # it is tucked
         elif not self._tuck_announced:
             self._tuck_announced = True
-            self._add_note(f"the arm was left alone: it goes to its tuck pose in {self._notice_s:g} s")
+            self._add_note(f"nobody uses the arm, so it goes to its tuck pose in {self._notice_s:g} s")
         elif left_s <= 0.0:
             core.execute(trajectory, now_ns)
             core.active_ns = 0
@@ -306,7 +306,7 @@ class Arm:
             if text != self._joint_notes.get(joint.name, "") and (text or joint.known):
                 self._joint_notes[joint.name] = text
                 self._add_note(
-                    f"joint {joint.name} (servo {joint.servo}) {text or 'is well again'}", "warning" if text else ""
+                    f"joint {joint.name} (servo {joint.servo}) {text or 'is fine again'}", "warning" if text else ""
                 )
 
     def state(self, closed: str, now_ns: int) -> dict[str, object]:

@@ -16,7 +16,7 @@ from tests.support.waiting import until
 from .scene import drive, managed, needs_compiler, stopped, turns, urdf
 
 pytestmark = [needs_compiler(), pytest.mark.slow]
-SILENT = "fell silent while it drove"
+SILENT = "stopped sending commands while it drove"
 """The service says it of a driver whose command's timeout stopped the wheels."""
 HUNG_NS = 3_000_000_000
 """Later than this no command's timeout stops the wheels."""

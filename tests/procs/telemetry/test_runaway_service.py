@@ -150,7 +150,9 @@ def test_a_wheel_that_stands_is_a_warning_and_no_stop(kind: str) -> None:
     simulated.drive(5.0, forward(kind))
     assert simulated.robot.state.estop is None
     (told,) = events(simulated, "wheel_stands")
-    assert told.text.startswith(f"the left wheel stands although it is told {told_rps(kind):.2f} turns a second")
+    assert told.text.startswith(
+        f"the left wheel does not turn although the command is {told_rps(kind):.2f} turns a second"
+    )
     own_scale = board_of(kind, 0.08, 0.0).reports.own_scale
     assert own_scale == ("board.per_rps is far too small" in told.text), "where the scale would show, were it not zero"
 

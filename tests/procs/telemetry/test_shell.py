@@ -198,7 +198,7 @@ def test_the_charger_is_seen_told_and_remembered(scene: Scene) -> None:
     assert scene.latest("battery") == (11_800, 0)
     scene.battery(12_049)
     assert scene.latest("battery") == (12_049, 1)
-    assert scene.notes() == ["charger plugged: the battery stepped to 12049 mV"]
+    assert scene.notes() == ["charger plugged: the battery's voltage jumped to 12049 mV"]
     scene.turn()
     assert scene.read_text(f"{FOLDER}/charger") == "plugged\n"
     scene.start_telemetry()
