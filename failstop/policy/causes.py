@@ -317,7 +317,7 @@ UNSTILL = Kind(
 )  # fmt: skip
 RUNAWAY = Kind(
     43, "runaway", "the {wheel} wheel ran away: told {told:.2f} turns a second, and it turned {seen:.2f}", "telemetry",
-    "the board reported {seen:.2f} turns a second for the {wheel} wheel, but the command was {told:.2f}",
+    "the board reported that the {wheel} wheel turned {seen:.2f} turns a second, but the command was {told:.2f}",
     "check that wheel's motor, encoder and wiring, wheels.sign_* and board.per_rps, and whether it stands on a slope",
 )  # fmt: skip
 WHEEL_MISSING = Kind(

@@ -78,7 +78,7 @@ DECLARED = (
         "changed. Lower it for a board that stops its wheels when it hears nothing for a while"),
     Setting("gate.lease_s", 0.06, "s", 0.04, 1.0,
         "how long the gate or the supervisor may be silent before failstop stops the robot. If you don't set it, it "
-        "is longer on a computer that gives failstop no real-time priority: up to 0.2 s"),
+        "is up to 0.2 s without real-time rights, because a busy computer then runs the processes later"),
     _word("gate.driver_death", "disable",
         "what happens when a program that has driven crashes or is killed. disable: motion must be enabled again; "
         "latch: somebody must also reset; stay: motion stays enabled, so the program drives again as soon as it is "
@@ -154,7 +154,7 @@ DECLARED = (
         "if the voltage jumps by this much while motion is disabled, the charger was plugged in (up) or pulled out "
         "(down)"),
     Setting("battery.stop_mv", -1, "mV", -1, 60000,
-        "latch a stop when the voltage stays below this for 5 readings in a row. -1: never"),
+        "latch a stop when the voltage stays below this for 5 readings in a row, about 5 s. -1: never"),
     _word("battery.log", "on", "write the battery's voltage to a file, a new one each day (UTC)", SWITCH),
     Setting("battery.log_s", 10.0, "s", 1.0, 3600.0, "time between two lines of the battery log"),
     _word("battery.directory", "", "where the battery log is kept. Empty: the service's state directory"),

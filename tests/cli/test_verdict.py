@@ -77,7 +77,7 @@ def test_the_page_begins_with_the_step_that_a_terminal_begins_with(found: Any, w
 def test_what_an_enable_would_be_refused_without_comes_before_it() -> None:
     unmet = state(unmet="the arm is not folded")
     assert steps.typed(unmet) == ["satisfy the interlock (the arm is not folded)", "`failstop enable`"]
-    assert steps.pressed(unmet) == "See to the interlock (the arm is not folded)."
+    assert steps.pressed(unmet) == "Satisfy the interlock (the arm is not folded)."
     nobody = state(attended_by=(), unmet="the arm is not folded")
     assert [step.purpose for step in steps.todo(nobody)] == [Purpose.ALLOW, Purpose.ALLOW, Purpose.ENABLE]
     assert steps.typed(driving(unmet="the arm is not folded")) == []

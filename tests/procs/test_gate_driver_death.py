@@ -134,7 +134,7 @@ def test_a_driver_that_falls_silent_is_told_of_once_with_its_name(driving: Gate)
     driving.step(281 * MS)
     (note,) = driving.core.notes
     assert (note.kind, note.fields) == ("driver_silent", note.fields | DRIVER | {"silent_ms": 301})
-    assert "client 1 fell silent" in note.text
+    assert "client 1 stopped sending commands" in note.text
     kinds(driving)
     for _ in range(100):
         driving.step()

@@ -145,4 +145,4 @@ def test_no_rights_never_make_settings_wrong_that_were_right(
 
 
 def test_the_meaning_of_the_setting_names_the_lease_without_rights() -> None:
-    assert f"{status.LEASE_WITHOUT_S:g} without real-time rights" in BY_KEY[status.LEASE].doc
+    assert f"up to {status.LEASE_WITHOUT_S:g} s without real-time rights" in BY_KEY[status.LEASE].doc

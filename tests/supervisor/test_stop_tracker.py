@@ -170,7 +170,7 @@ def test_a_board_that_reports_no_more_is_silent_until_it_reports_again(scene: Sc
     assert scene.read("link") == b"silent"
     [(kind, level, text, fields)] = scene.said()
     assert (kind, level, fields) == ("link", "critical", {"state": "silent"})
-    assert "nobody can tell from here" in text
+    assert "failstop can't tell which" in text
     assert follow(scene, MS) == [], "once"
     said.set(scene.now_ns)
     follow(scene, MS)

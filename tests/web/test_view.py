@@ -49,7 +49,7 @@ def shown(state: State) -> dict[str, Any]:
         (states.state(waiting_for="the port"), "STOPPED", "Motion is disabled", "Wait for the port."),
         (states.state(device=dataclasses.replace(PORT, state="lost")), "WHEELS MAY TURN", "is lost", "POWER SWITCH"),
         (states.latched(device=DEAF), "WHEELS MAY TURN", "does not hear", "POWER SWITCH"),
-        (states.latched(causes.UNSTILL()), "STOPPED", "shake on", "then hold RESET"),
+        (states.latched(causes.UNSTILL()), "STOPPED", "shake as if they did", "then hold RESET"),
         (
             states.latched(turning=states.TURNS_ON),
             "WHEELS TURN",
