@@ -187,7 +187,7 @@ def test_a_base_whose_wheel_does_not_answer_is_not_enabled_and_says_which(missin
     state = simulated.robot.state
     assert state.servos_wrong == {name: "it does not answer"}
     assert name not in state.servos
-    with pytest.raises(simulated.failstop.Refused, match=re.escape(f"{name}, which does not answer; next: look at")):
+    with pytest.raises(simulated.failstop.Refused, match=re.escape(f"{name}, which does not answer; next: check")):
         simulated.robot.enable()
     told = " ".join(simulated.command("why")[1].split())
     assert f"also {name}: it does not answer" in told
