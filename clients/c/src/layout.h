@@ -314,7 +314,7 @@
      "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"}, \
     {52, "wheel_missing", \
      "wheel lost: {wheel} does not answer", \
-     "check that servo's plug on the bus, its power and its id; if its wheel turns, use the POWER SWITCH"}, \
+     "check its plug on the bus, its power and its id; if its wheel turns, use the POWER SWITCH"}, \
     {53, "ros_stranger", \
      "stop request: stranger on cmd_vel: {words} (says it is {who}, pid {pid:d})", \
      "end that node, or add its name to the bridge's allowed_publishers and start the bridge again"}, \
