@@ -145,7 +145,7 @@ DECLARED = (
         "metres, and divide the true distance by the reported one"),
     Setting("odometry.sideways_scale", 0.765, "", 0.1, 2.0,
         "how far the robot goes for each metre that its wheels roll sideways. Less than 1 where they slip, as "
-        "mecanum wheels do. The default is ROSOrin's; with a board other than rrc it is 1"),
+        f"mecanum wheels do. The default is ROSOrin's; with a board other than {BOARDS[0]} it is 1"),
     Setting("odometry.twist_std_mps", 0.05, "m/s", 0.0, 10.0,
         "standard deviation of the odometry's speeds, which ROS 2 gets as their covariance"),
     Setting("odometry.twist_std_radps", 0.2, "rad/s", 0.0, 10.0,
