@@ -87,7 +87,7 @@ def test_a_number_that_is_given_is_taken_and_an_unknown_one_stays_unset(place: P
     with pytest.raises(Left, match="nobody is here to turn a wheel"):
         asked(place, dict(VALUES))
     assert asked(place, dict(VALUES), per_rps="unknown") == {}
-    with pytest.raises(Left, match="type a number above 0, up to 10000, or unknown"):
+    with pytest.raises(Left, match="type a number above 0, up to 100000, or unknown"):
         asked(place, dict(VALUES), per_rps="0")
 
 
