@@ -213,6 +213,28 @@ def _moves(frame: bytes, end: int) -> bool:
     return any(struct.unpack("<BfBfBfBf", filled)[1::2])
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("wheel", range(4))
+def test_a_speed_is_sent_smaller_by_no_more_than_its_cuts_need(wheel: int, sign: float) -> None:
+    """Floats of one sign are in the order of their bits."""
+
+    def speeds(bits: int) -> tuple[float, float, float, float]:
+        (rps,) = struct.unpack("<f", struct.pack("<I", bits))
+        a, b, c, d = (rps if at == wheel else 0.0 for at in range(4))
+        return a, b, c, d
+
+    def moves_if_cut(frame: bytes) -> bool:
+        return any(framing.crc8(frame[2:end]) == 0 and _moves(frame, end) for end in range(8, 27))
+
+    (first,) = struct.unpack("<I", struct.pack("<f", sign))
+    smaller = 0
+    for asked in range(first, first + 512):
+        sent = next(bits for bits in range(asked, 0, -1) if not moves_if_cut(unguarded(speeds(bits))))
+        assert codec.motor_speeds(speeds(asked), MAX_RPS) == unguarded(speeds(sent))
+        smaller += sent != asked
+    assert smaller, "the test can fail"
+
+
 def test_a_burst_after_any_cut_of_one_or_with_a_byte_garbled_or_lost_still_stops() -> None:
     streams = [part + BURST for part in cuts(BURST)]
     flips = [*(1 << n for n in range(8)), 255]

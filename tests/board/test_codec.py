@@ -3,6 +3,7 @@ two checks before the wire."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Callable
@@ -46,24 +47,27 @@ ENCODED: dict[str, Callable[[], bytes]] = {
     "bus servo 1 read position": lambda: servos.bus_servo_read(1, POSITION),
 }
 
-# Encoders without a published example, against bytes written out from the protocol description.
-DESCRIBED: list[tuple[bytes, int, str]] = [
-    (frames.motor_type(3), framing.MOTOR, "05 03"),
-    (frames.pwm_servo_move([(1, 500), (4, 2500)], 30_000), framing.PWM_SERVO, "01 3075 02 01 F401 04 C409"),
-    (frames.pwm_servo_deviation(2, -1), framing.PWM_SERVO, "07 02 FF"),
-    (frames.pwm_servo_deviation(2, 100), framing.PWM_SERVO, "07 02 64"),
-    (frames.pwm_servo_read_deviation(4), framing.PWM_SERVO, "09 04"),
-    (servos.bus_servo_stop([3, 253]), framing.BUS_SERVO, "03 02 03 FD"),
-    (servos.bus_servo_stop([254]), framing.BUS_SERVO, "03 01 FE"),
-    (servos.bus_servo_move([(1, 500)], 40), framing.BUS_SERVO, "01 2800 01 01 F401"),
-    (servos.bus_servo_read(2, SUPPLY), framing.BUS_SERVO, "07 02"),
-    (servos.bus_servo_read(2, TEMPERATURE), framing.BUS_SERVO, "09 02"),
-    (servos.bus_servo_read(2, TORQUE), framing.BUS_SERVO, "0D 02"),
-    (frames.oled(2, "10.0.0.7"), framing.OLED, "02 08 31302E302E302E37"),
-    (frames.oled(1, ""), framing.OLED, "01 00"),
-    (frames.rgb([(1, 255, 128, 0), (0, 1, 2, 3)]), framing.RGB, "01 02 01FF8000 00010203"),
-    (frames.battery_alarm(6800), framing.SYS, "01 901A"),
-]
+
+def described() -> list[tuple[bytes, int, str]]:
+    """Encoders without a published example, and the bytes written out from the protocol description."""
+    return [
+        (frames.motor_type(3), framing.MOTOR, "05 03"),
+        (frames.pwm_servo_move([(1, 500), (4, 2500)], 30_000), framing.PWM_SERVO, "01 3075 02 01 F401 04 C409"),
+        (frames.pwm_servo_deviation(2, -1), framing.PWM_SERVO, "07 02 FF"),
+        (frames.pwm_servo_deviation(2, 100), framing.PWM_SERVO, "07 02 64"),
+        (frames.pwm_servo_read_deviation(4), framing.PWM_SERVO, "09 04"),
+        (servos.bus_servo_stop([3, 253]), framing.BUS_SERVO, "03 02 03 FD"),
+        (servos.bus_servo_stop([254]), framing.BUS_SERVO, "03 01 FE"),
+        (servos.bus_servo_move([(1, 500)], 40), framing.BUS_SERVO, "01 2800 01 01 F401"),
+        (servos.bus_servo_read(2, SUPPLY), framing.BUS_SERVO, "07 02"),
+        (servos.bus_servo_read(2, TEMPERATURE), framing.BUS_SERVO, "09 02"),
+        (servos.bus_servo_read(2, TORQUE), framing.BUS_SERVO, "0D 02"),
+        (frames.oled(2, "10.0.0.7"), framing.OLED, "02 08 31302E302E302E37"),
+        (frames.oled(1, ""), framing.OLED, "01 00"),
+        (frames.rgb([(1, 255, 128, 0), (0, 1, 2, 3)]), framing.RGB, "01 02 01FF8000 00010203"),
+        (frames.battery_alarm(6800), framing.SYS, "01 901A"),
+    ]
+
 
 NAN, INF = math.nan, math.inf
 
@@ -76,6 +80,7 @@ BAD: list[tuple[Callable[..., bytes], tuple[Any, ...], str]] = [
     *[(codec.motor_speeds, ((0.0,) * 4, bad), "max_rps") for bad in (NAN, INF, -1.0, 1000.5, True, None, "1")],
     *[(codec.pwm_servo_read, (bad,), "servo id") for bad in (0, 5, True)],
     *[(servos.bus_servo_move, (bad, 40), "moves") for bad in ([], [(1, 500), (2, 500), (3, 500)], None)],
+    *[(servos.bus_servo_move, ([bad], 40), "move") for bad in ((1,), (1, 500, 40), "19", {1: 500, 2: 500}, 1, None)],
     *[(servos.bus_servo_move, ([(bad, 500)], 40), "servo id") for bad in (0, 254, 255, -1, True, NAN)],
     *[(servos.bus_servo_move, ([(1, bad)], 40), "position") for bad in (-1, 1001, True, NAN, INF)],
     *[(servos.bus_servo_move, ([(1, 500)], bad), "duration_ms") for bad in (0, -1, 61, 30_000, True)],
@@ -105,8 +110,8 @@ def receive(frame: bytes) -> tuple[int, bytes]:
 
 def test_frames_are_those_that_are_published_or_described() -> None:
     assert {name: ENCODED[name]().hex() for name in DOWN} == {name: frame.hex() for name, frame in DOWN.items()}
-    expected = [(func, bytes.fromhex(data)) for _, func, data in DESCRIBED]
-    assert [receive(frame) for frame, _, _ in DESCRIBED] == expected
+    rows = described()
+    assert [receive(frame) for frame, _, _ in rows] == [(func, bytes.fromhex(data)) for _, func, data in rows]
     assert (DOWN["stop"], DOWN["pwm servo 1 read position (the ping)"], len(STOP)) == (STOP, PING, 27)
 
 
@@ -114,6 +119,15 @@ def test_crc_check_value_and_continuation() -> None:
     assert framing.crc8(b"123456789") == 0xA1
     assert framing.crc8(b"") == 0
     assert framing.crc8(memoryview(b"6789"), framing.crc8(bytearray(b"12345"))) == 0xA1
+
+
+def test_the_table_has_the_crc_of_every_byte() -> None:
+    def bit_by_bit(crc: int) -> int:
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x8C if crc & 1 else 0)
+        return crc
+
+    assert framing._crc_table() == bytes(bit_by_bit(byte) for byte in range(256)) == framing.CRC_TABLE
 
 
 def refusal(encoder: Callable[..., bytes], arguments: tuple[Any, ...]) -> str:
@@ -135,6 +149,8 @@ def test_messages_give_value_and_range() -> None:
         codec.motor_speeds((0.0, 9.9, 0.0, 0.0), 1.4)
     with pytest.raises(FrameError, match=r"^servo id is 0, must be an integer from 1 to 4$"):
         codec.pwm_servo_read(0)
+    with pytest.raises(FrameError, match=r"^data is a str, must be bytes$"):
+        framing.frame(framing.LED, "on")  # type: ignore[arg-type]
 
 
 def test_every_encoder_is_in_the_tables() -> None:
@@ -189,6 +205,13 @@ def test_a_limit_of_zero_lets_only_stops_pass() -> None:
     assert check_motion(STOP, 0.0) == ""
     with pytest.raises(FrameError):
         codec.motor_speeds((0.0, 0.0, 0.0, 1e-9), 0.0)
+
+
+@pytest.mark.parametrize(("limit", "over"), [(0.0, 2.0**-149), (1.0, 1.0 + 2.0**-23)])
+def test_the_least_speed_over_a_limit_that_was_not_rounded_is_refused(limit: float, over: float) -> None:
+    for wheel, rps in itertools.product(range(4), (over, -over)):
+        frame = wheels(*((at, rps if at == wheel else 0.0) for at in range(4)))
+        assert check_motion(frame, limit) == f"wheel {wheel} at {rps:.2f} rps, limit {limit:.2f}"
 
 
 @pytest.mark.parametrize("func", [framing.SYS, framing.LED, framing.KEY_FUNC, framing.IMU_FUNC, framing.RGB])

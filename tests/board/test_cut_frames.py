@@ -56,6 +56,28 @@ def test_it_is_what_the_board_s_receiver_makes_of_it() -> None:
     assert codec.buzzer(tone, 500, 100, 3) == seal(BUZZER, pack("<4H", tone - 1, 500, 100, 3))
 
 
+@pytest.mark.parametrize("asked", [20, 21, 22, 27, 28, 255, 256, 19_999, 20_000])
+def test_a_tone_is_sent_as_near_as_its_cuts_let_it_and_a_lower_one_first(asked: int) -> None:
+    near = [tone for tone in (*range(asked, asked - 9, -1), *range(asked + 1, asked + 9)) if 20 <= tone <= 20_000]
+    others = 0
+    for on_ms in range(1, 600):
+        made = (seal(BUZZER, pack("<4H", tone, on_ms, 300, 773)) for tone in near)
+        tone, frame = next((tone, each) for tone, each in zip(near, made, strict=False) if not completed(each))
+        assert codec.buzzer(asked, on_ms, 300, 773) == frame
+        others += tone != asked
+    assert others, "the test can fail"
+
+
+@pytest.mark.parametrize("cut", range(1, 8))
+def test_a_sound_is_changed_for_any_one_of_its_cuts(cut: int) -> None:
+    def completed_at(tone: int) -> bool:
+        return crc8(seal(BUZZER, pack("<4H", tone, 100, 100, 773))[2 : 4 + cut]) == 0
+
+    tone = next(tone for tone in range(300, 20_001) if completed_at(tone))
+    assert check_aux(seal(BUZZER, pack("<4H", tone, 100, 100, 773))) != ""
+    assert codec.buzzer(tone, 100, 100, 773)[4:6] != pack("<H", tone)
+
+
 def sounds() -> Iterator[bytes]:
     random = Random("sounds")
 
@@ -116,6 +138,7 @@ def test_a_cut_stop_stops_some_of_its_servos_and_a_servo_0() -> None:
     found = 0
     for ids in permutations(range(1, 11), 3):
         frame = servos.bus_servo_stop(ids)
+        assert servos.check_bus(frame, ids, 60) == ""
         for data in completed(frame):
             assert data[0] == SERVO_STOP
             assert set(data[2:]) <= {*ids, 0}

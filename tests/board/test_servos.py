@@ -19,12 +19,13 @@ from failstop.board.rrc import codec, servos
 from failstop.board.rrc.board import BOARD
 from failstop.board.rrc.burst import BURST, FIRST_STOP_END
 from failstop.board.rrc.codec import STOP, check_aux, check_motion
-from failstop.board.rrc.framing import BUS_SERVO, MOTOR, seal
-from failstop.board.rrc.servos import bus_ns, bus_servo_move, bus_servo_stop, check_bus
-from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, READS, SERVO_STOP
+from failstop.board.rrc.framing import BUS_SERVO, MOTOR, PWM_SERVO, seal
+from failstop.board.rrc.servos import bus_servo_move, bus_servo_stop, check_bus
+from failstop.board.servos import HELD_NS, LONGEST_MOVE_MS, MOVE_NS, READS, SERVO_STOP, SILENT_NS
 from failstop.policy.settings import declaration
 from failstop_lab.sim.motors import Motors
 from failstop_lab.sim.receiver import Receiver
+from failstop_lab.sim.servos import Servos
 
 ARM = (1, 2, 3, 4, 5, 10)
 WRITE = BURST + BOARD.arm.stops(ARM)
@@ -68,8 +69,9 @@ def cut_anywhere(frame: bytes) -> None:
 
 
 def test_the_arm_s_stop_is_the_end_of_one_write() -> None:
-    assert BURST + bus_servo_stop((1, 2, 3)) + bus_servo_stop((4, 5, 10)) == WRITE
-    assert (BOARD.burst, BOARD.arm.stops(())) == (BURST, b"")
+    stops = bus_servo_stop((1, 2, 3)) + bus_servo_stop((4, 5, 10))
+    assert (BOARD.burst, BOARD.arm.stops(ARM), BOARD.arm.stops(())) == (BURST, stops, b"")
+    assert [BOARD.arm.stops((servo,)) for servo in ARM] == [bus_servo_stop([servo]) for servo in ARM]
     assert BOARD.first_stop == BURST[:FIRST_STOP_END]
 
 
@@ -151,7 +153,8 @@ def test_whatever_passes_holds_the_receiver_for_no_longer_than_it_may(data: byte
         assert check_aux(frame)
         assert check_motion(frame, 1000.0)
         if check_bus(frame, ARM, LONGEST_MOVE_MS) == "":
-            assert bus_ns(BUS_SERVO, frame[4:-1]) <= HELD_NS or body[0] in READS
+            assert Servos(0, 0).holds_ns(frame[4:-1]) <= BOARD.arm.held_ns(frame)
+            assert BOARD.arm.held_ns(frame) <= HELD_NS or body[0] in READS
             cut_anywhere(frame)
 
 
@@ -162,10 +165,14 @@ def move(*servos_to: tuple[int, int], ms: int = 40, count: int | None = None) ->
 
 
 NOT_COUNTED = "a count that is not its data's"
+HEADLESS = [b"\0" + STOPS[0][1:], STOPS[0][:1] + b"\0" + STOPS[0][2:], seal(PWM_SERVO, STOPS[0][4:-1])]
+CUT = [STOPS[0][:size] for size in range(5)]
 REFUSED = [
-    *((frame, "not a bus servo's frame") for frame in (b"", STOP, WRITE)),
+    *((frame, "not a bus servo's frame") for frame in (*CUT, *HEADLESS, STOP, WRITE)),
     (seal(BUS_SERVO, b""), "no sub-command"),
     (STOPS[0] + b"\0", "9 bytes, its length byte says 8"),
+    (STOPS[1] + b"\0", "10 bytes, its length byte says 9"),
+    (STOPS[1][:-1], "8 bytes, its length byte says 9"),
     (STOPS[0][:-1] + b"\0", "bad crc"),
     (move(*((at, 500) for at in range(1, 84))), "83 servos hold the receiver for 72.2 ms, limit 2"),
     (move(*((at, 500) for at in range(1, 4))), "3 servos hold the receiver for 2.6 ms, limit 2"),
@@ -176,8 +183,8 @@ REFUSED = [
     (move((1, 1001)), "position 1001, limit 1000"),
     (move((6, 500)), "servo 6 is none of the arm's"),
     (move((1, 500), (1, 600)), "a servo twice"),
-    *((frame, NOT_COUNTED) for frame in (move(count=1), move(count=255))),
-    *((seal(BUS_SERVO, data), NOT_COUNTED) for data in (b"\x03", b"\x03\xff\x01")),
+    *((frame, NOT_COUNTED) for frame in (move(), move(count=1), move(count=255), seal(BUS_SERVO, b"\x01"))),
+    *((seal(BUS_SERVO, data), NOT_COUNTED) for data in (b"\x03", b"\x03\0", b"\x03\xff\x01")),
     (seal(BUS_SERVO, b"\x05"), "0 servos, must be 1"),
     (seal(BUS_SERVO, b"\x0b\x01\x02"), "2 servos, must be 1"),
     *(
@@ -189,7 +196,69 @@ REFUSED = [
 
 
 def test_a_frame_is_refused_with_its_reason() -> None:
-    assert [(frame, check_bus(frame, ARM, LONGEST_MOVE_MS)) for frame, _ in REFUSED] == REFUSED
+    assert [(frame, BOARD.arm.check(frame, ARM, LONGEST_MOVE_MS)) for frame, _ in REFUSED] == REFUSED
+    assert BOARD.arm.check(move((1, 500), ms=41), ARM, 40) == "a move of 41 ms, limit 40"
+
+
+def test_questions_and_torques_are_those_of_the_encoders() -> None:
+    arm = BOARD.arm
+    assert [arm.read(servo, what) for servo in ARM for what in READS] == QUESTIONS
+    assert [arm.torque(servo, on, 500) for servo in ARM for on in (True, False)] == TORQUES
+
+
+def test_how_long_a_frame_holds_the_receiver_is_no_less_than_its_bytes_take_on_the_servos_bus() -> None:
+    arm, servos_bus = BOARD.arm, Servos(0, 0)
+    some = [*STOPS, *TORQUES, move((1, 500)), move((1, 500), (2, 500))]
+    for frame in some:
+        takes_ns = servos_bus.holds_ns(frame[4:-1])
+        assert takes_ns <= arm.held_ns(frame) <= 1.01 * takes_ns
+    assert [arm.held_ns(frame) for frame in some[-2:]] == [MOVE_NS, 2 * MOVE_NS]
+    assert {arm.held_ns(frame) for frame in QUESTIONS} == {SILENT_NS}
+
+
+DURATIONS = [
+    ([(1, 500)], 40, 60, 40),
+    ([(1, 500)], 60, 60, 60),
+    ([(1, 500)], 1, 1, 1),
+    ([(3, 459)], 40, 60, 41),
+    ([(3, 459)], 40, 41, 41),
+    ([(3, 459)], 40, 40, 39),
+    ([(2, 517), (4, 461)], 40, 60, 42),
+    ([(2, 517), (4, 461)], 40, 41, 39),
+    ([(1, 769), (10, 834)], 40, 40, 38),
+    ([(3, 416)], 2, 2, 1),
+    # Zeros complete a cut of it before its first servo, but that moves none.
+    ([(1, 500)], 5, 60, 5),
+]
+"""Moves, the time that is asked for and the longest one, and the time that is sent, in ms."""
+
+
+def moves_if_cut(frame: bytes) -> bool:
+    """Whether the board moves a servo when zeros come after a cut of this frame."""
+    streams = (frame[:cut] + bytes(32) for cut in range(4, len(frame) - 1))
+    return any(moved(data) for stream in streams for _, func, data in Receiver().feed(stream) if func == BUS_SERVO)
+
+
+@pytest.mark.parametrize(("positions", "asked_ms", "longest_ms", "sent_ms"), DURATIONS)
+def test_a_move_takes_the_nearest_time_that_its_cuts_let_it_and_a_longer_one_first(
+    positions: list[tuple[int, int]], asked_ms: int, longest_ms: int, sent_ms: int
+) -> None:
+    assert BOARD.arm.move(positions, asked_ms, longest_ms) == move(*positions, ms=sent_ms)
+    assert not moves_if_cut(move(*positions, ms=sent_ms))
+    last_ms = sent_ms if sent_ms >= asked_ms else longest_ms + 1
+    nearer = [*range(asked_ms, last_ms), *range(asked_ms - 1, sent_ms, -1)]
+    assert all(moves_if_cut(move(*positions, ms=ms)) for ms in nearer)
+
+
+def test_a_move_with_no_time_that_its_cuts_let_it_is_refused() -> None:
+    assert moves_if_cut(move((10, 948), ms=1))
+    with pytest.raises(
+        FrameError, match=r"^moves \[\(10, 948\)\] within 1 ms: zeros would complete every frame for it$"
+    ):
+        BOARD.arm.move([(10, 948)], 1, 1)
+    with pytest.raises(FrameError, match=r"^duration_ms is 41, must be an integer from 1 to 40$"):
+        BOARD.arm.move([(1, 500)], 41, 40)
+    assert BOARD.arm.move([(1, 500)], 60) == move((1, 500), ms=60)
 
 
 def test_an_encoder_keeps_to_the_settings_bound() -> None:
@@ -210,11 +279,13 @@ def test_every_servo_of_the_settings_can_be_sent_everywhere() -> None:
 
 def test_where_a_frame_sends_its_servos() -> None:
     arm = BOARD.arm
-    found = arm.moves(arm.move([(1, 500), (2, 600)], 40))
-    assert [(servo, position) for servo, position, _ in found] == [(1, 500), (2, 600)]
-    assert all(40_000_000 <= takes_ns <= 60_000_000 for *_, takes_ns in found)
-    for other in (bus_servo_stop([1, 2]), *QUESTIONS, *TORQUES, BOARD.stop, b""):
-        assert arm.moves(other) == []
+    assert arm.moves(arm.move([(1, 500), (2, 600)], 40)) == [(1, 500, 40_000_000), (2, 600, 40_000_000)]
+    one = move((1, 500))
+    assert arm.moves(one) == [(1, 500, 40_000_000)]
+    not_a_move = seal(BUS_SERVO, b"\x02" + one[5:-1])
+    others = [not_a_move, b"\0" + one[1:], seal(PWM_SERVO, one[4:-1]), *STOPS, *QUESTIONS, *TORQUES, BOARD.stop, b""]
+    others += [move(), move((1, 500), count=2), move((1, 1001)), move((1, 500), ms=0)]
+    assert [arm.moves(other) for other in others] == [[]] * len(others)
 
 
 @given(st.binary(max_size=64))

@@ -57,4 +57,4 @@ class RrcArm(ServoBus):
 
     def held_ns(self, frame: bytes) -> int:
         """How long the servos' own bus takes for it."""
-        return bus.frame_ns(frame)
+        return bus.held_ns(frame)

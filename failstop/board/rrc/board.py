@@ -61,7 +61,7 @@ def _servo(data: bytes) -> list[Said]:
 
 
 def _pong(data: bytes) -> list[Said]:
-    index = decoder.pong(framing.PWM_SERVO, data)
+    index = decoder.pong(data)
     return [] if index is None else [(HEARD_PONG, (index,))]
 
 

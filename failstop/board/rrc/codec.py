@@ -118,7 +118,7 @@ def check_motion(frame: bytes, max_rps: float) -> str:
         return f"limit {max_rps} rps, must be 0 to {RPS_CEILING:g}"
     limit = max_rps * _ROUNDING + _SMALLEST_F32
     for wheel, rps in enumerate(speeds):
-        if not -limit <= rps <= limit:  # a chained comparison is false for NaN
+        if not -limit < rps < limit:  # a chained comparison is false for NaN
             return f"wheel {wheel} at {rps:.2f} rps, limit {max_rps:.2f}"
     return ""
 

@@ -52,21 +52,16 @@ class Decoder:
     """Turns bytes, in pieces of any size, into frames; keeps at most one frame's worth between calls.
 
     After a wrong CRC or an impossible head it looks for the next head inside the rejected bytes, so that garbage does
-    not cost the whole frame after it (the board's own receiver does not do that). `frames` counts good frames,
-    `crc_errors` frames that failed their CRC, `skipped_bytes` bytes that were part of no good frame.
+    not cost the whole frame after it (the board's own receiver does not do that).
     """
 
-    __slots__ = ("_pending", "crc_errors", "frames", "skipped_bytes")
+    __slots__ = ("_pending",)
 
     def __init__(self) -> None:
         self._pending = b""
-        self.frames = 0
-        self.crc_errors = 0
-        self.skipped_bytes = 0
 
     def reset(self) -> None:
-        """Forget an incomplete frame, for example after the port was reopened; the counters stay."""
-        self.skipped_bytes += len(self._pending)
+        """Forget an incomplete frame, for example after the port was reopened."""
         self._pending = b""
 
     def feed(self, chunk: bytes) -> list[tuple[int, bytes]]:
@@ -80,31 +75,24 @@ class Decoder:
             if head < 0:
                 # The last byte may be the first half of a head.
                 head = end - 1 if end > at and stream[-1] == HEAD[0] else end
-            self.skipped_bytes += head - at
             at = head
             if end - at < 4:
                 break
             func, length = stream[at + 2], stream[at + 3]
             if func > RGB or length > LONGEST:
-                at = self._reject(at)
+                at += len(HEAD)
                 continue
             after = at + 5 + length
             if after > end:
                 break
             # Over a good frame with its CRC, the CRC is zero.
             if crc8(stream[at + 2 : after]):
-                self.crc_errors += 1
-                at = self._reject(at)
+                at += len(HEAD)
                 continue
             found.append((func, stream[at + 4 : after - 1]))
-            self.frames += 1
             at = after
         self._pending = stream[at:]
         return found
-
-    def _reject(self, at: int) -> int:
-        self.skipped_bytes += len(HEAD)
-        return at + len(HEAD)
 
 
 def battery_mv(data: bytes) -> int | None:
@@ -152,9 +140,10 @@ def servo_reply(func: int, data: bytes) -> tuple[int, int, int | None] | None:
     return data[0], data[1], form.unpack_from(data, at)[0] if answered else None
 
 
-def pong(func: int, data: bytes) -> int | None:
-    """The index, 0 to 3, of the ping that a frame answers (the position of PWM servo 1 to 4), or None for any other."""
-    reply = servo_reply(func, data) if func == PWM_SERVO else None
+def pong(data: bytes) -> int | None:
+    """PWM SERVO: the index, 0 to 3, of the ping that it answers (the position of servo 1 to 4), or None if it answers
+    none."""
+    reply = servo_reply(PWM_SERVO, data)
     if reply and reply[1] == _READ_POSITION and 1 <= reply[0] <= _PINGED_SERVOS:
         return reply[0] - 1
     return None

@@ -52,9 +52,9 @@ def seal(func: int, data: bytes) -> bytes:
     return HEAD + body + bytes((crc8(body),))
 
 
-def zeros_complete(func: int, data: bytes, least: int = 0) -> int:
-    """After how many bytes of data (`least` or more) a cut of this frame would be completed by zeros; 0: after none.
-    Zeros leave a CRC of zero unchanged, and the next zero passes as the CRC."""
+def zeros_complete(func: int, data: bytes, least: int = 1) -> int:
+    """After how many bytes of data (`least` or more, at least 1) zeros would complete a cut of this frame; 0 if after
+    no number of them. Zeros leave a CRC of zero unchanged, and the next zero passes as the CRC."""
     crc = crc8((func, len(data)))
     for end, byte in enumerate(data):
         if not crc and end >= least:

@@ -40,8 +40,10 @@ EVERY_SERVO = 254
 HIGHEST_POSITION = 1000
 PULSES_PER_RAD = 1500 / tau
 """A pulse is 0.24 degrees."""
-STOP_NS = 520_000
+STOP_NS = 521_000
+"""Six bytes on the servos' bus."""
 TORQUE_NS = 610_000
+"""Seven bytes."""
 MOST_STOPS = HELD_NS // STOP_NS
 
 _U16 = Struct("<H")
@@ -49,21 +51,14 @@ _ID_U16 = Struct("<BH")
 _MOVES_AT = 4
 
 
-def bus_ns(func: int, data: bytes) -> int:
-    """The longest that a frame holds the receiver, computed from its content, because the firmware does not check the
-    count."""
-    if func != BUS_SERVO or not data:
-        return 0
+def held_ns(frame: bytes) -> int:
+    """The longest time that a servo's frame holds the receiver, in ns; its form and its count must be right."""
+    data = frame[4:]
     if data[0] == SERVO_MOVE:
-        return MOVE_NS * (data[3] if len(data) > 3 else 255)
+        return MOVE_NS * data[3]
     if data[0] == SERVO_STOP:
-        return STOP_NS * (data[1] if len(data) > 1 else 255)
+        return STOP_NS * data[1]
     return TORQUE_NS if data[0] in (TORQUE_OFF, TORQUE_ON) else SILENT_NS
-
-
-def frame_ns(frame: bytes) -> int:
-    """How long a whole frame takes on the bus, in ns."""
-    return bus_ns(frame[2], frame[4:-1])
 
 
 def _id(servo: int, highest: int = HIGHEST_ID) -> int:
@@ -151,8 +146,8 @@ def check_bus(frame: bytes, servos: Collection[int], longest_ms: int) -> str:
         return f"bus servo sub-command {command:02X}"
     if fault:
         return fault
-    if command not in READS and (held_ns := bus_ns(BUS_SERVO, data)) > HELD_NS:
-        return f"{len(ids)} servos hold the receiver for {held_ns / 1e6:.1f} ms, limit {HELD_NS / 1e6:g}"
+    if command not in READS and (longest_ns := held_ns(frame)) > HELD_NS:
+        return f"{len(ids)} servos hold the receiver for {longest_ns / 1e6:.1f} ms, limit {HELD_NS / 1e6:g}"
     if len(set(ids)) < len(ids):
         return "a servo twice"
     strange = next((f"servo {servo} is none of the arm's" for servo in ids if servo not in servos), "")

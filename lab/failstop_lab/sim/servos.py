@@ -11,7 +11,6 @@ from random import Random
 from struct import unpack_from
 
 from failstop.board.rrc import servos as wire
-from failstop.board.rrc.framing import BUS_SERVO
 from failstop.board.servos import (
     POSITION,
     READS,
@@ -35,6 +34,11 @@ NOISE = 2
 PULSES_PER_S = 1400.0
 """Faster no servo turns, whatever it is told: 60 degrees in 0.18 s."""
 TRACK_KEPT = 100_000
+BUS_BYTE_NS = 10e9 / 115_200
+"""Ten bits on the servos' bus."""
+_BUS_BYTES = {SERVO_MOVE: 10, SERVO_STOP: 6, TORQUE_OFF: 7, TORQUE_ON: 7}
+"""Bytes on the servos' bus for one servo, by command."""
+_COUNT_AT = {SERVO_MOVE: 3, SERVO_STOP: 1}
 FAULTS = ("silent", "blocked", "unloaded", "late")
 READINGS = ("temperature_c", "supply_mv")
 
@@ -89,12 +93,20 @@ class Servos:
         self.track: list[Leg] = [servo.leg for servo in self.by_id.values()]
 
     def holds_ns(self, data: bytes) -> int:
-        """How long this frame keeps the receiver from all that follow."""
-        if data and data[0] in READS:
+        """How long this frame keeps the receiver from the frames after it, in ns. The firmware does not check the
+        count, so a missing one may be anything, and is assumed to be the largest."""
+        if not data:
+            return 0
+        command = data[0]
+        if command in READS:
             servo = self.by_id.get(data[1]) if len(data) > 1 else None
             quick = self._stale or (servo and not servo.silent and not servo.late)
             return SERVO_REPLY_NS if quick else SILENT_NS
-        return wire.bus_ns(BUS_SERVO, data)
+        if command not in _BUS_BYTES:
+            return SILENT_NS
+        at = _COUNT_AT.get(command)
+        count = 1 if at is None else data[at] if at < len(data) else 255
+        return round(count * _BUS_BYTES[command] * BUS_BYTE_NS)
 
     def execute(self, data: bytes, t_ns: int) -> bytes:
         """Carry out a frame's data; returns the answer's frame, or nothing. The firmware checks no count."""
