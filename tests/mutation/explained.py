@@ -381,4 +381,21 @@ ARM = (
     ),
 )
 
-REASONS = (*EVERYWHERE, *PROCS, *ARM, *TELEMETRY, *SHM, *SUPERVISOR)
+CODEC = (
+    Reason("board/rrc/codec.py", r"\+.*3, d, 1\)\[2:-1\]", "the byte is cut off: it keeps the room of the CRC"),
+    Reason(
+        "board/rrc/codec.py",
+        r"\+.*range\(freq_hz \+ 1, highest (- 1|\+ 2)\)",
+        "of nine tones below one so high seven at most are excluded",
+    ),
+    Reason("board/rrc/decoder.py", r"\+.*end - at (<= 4|< 5):", "four bytes are no frame, whatever they say"),
+    Reason("board/rrc/decoder.py", r"\+.*len\(data\) >= 2 else", "two bytes are no reply, whatever they say"),
+    Reason(
+        "board/rrc/servos.py", r"\+.*longest_ns := held_ns\(frame\)\) >= HELD_NS", "no number of servos takes just that"
+    ),
+    Reason("board/rrc/servos.py", r"/ 1000001\.0", "a millionth is not seen in what is rounded", same=False),
+    Reason("board/rrc/servos.py", r"\+.*not in servos\), None\)", "both are false, and what follows is returned"),
+    Reason("board/rrc/servos.py", r"\+.*_move_fault\(data, 65536\)", "a time of two bytes is at most 65535"),
+)
+
+REASONS = (*EVERYWHERE, *PROCS, *ARM, *CODEC, *TELEMETRY, *SHM, *SUPERVISOR)

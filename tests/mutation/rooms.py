@@ -47,7 +47,9 @@ ROOMS = {
             "failstop/board/checks.py",
             *(f"failstop/board/rrc/{name}.py" for name in ("arm", "codec", "decoder", "framing", "servos")),
         ),
-        tuple(f"tests/board/test_{name}.py" for name in ("codec", "cut_frames", "decoder", "receiver", "servos")),
+        tuple(
+            f"tests/board/test_{name}.py" for name in ("burst", "codec", "cut_frames", "decoder", "receiver", "servos")
+        ),
     ),
     "stopper": Room(
         ("procs/stopper/*.py", "failstop/stop_tool.py"),
