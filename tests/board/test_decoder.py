@@ -117,6 +117,12 @@ def test_a_flipped_bit_costs_one_frame() -> None:
         assert got == [(IMU_FUNC, frame[4:-1])] * 3, bit
 
 
+def test_frames_on_both_sides_of_a_damaged_one_are_read_once() -> None:
+    before, damaged, after = upward.key_frame(1, 1), bytearray(upward.battery(7400)), upward.key_frame(2, 1)
+    damaged[-1] ^= 1
+    assert Decoder().feed(before + damaged + after) == [(KEY_FUNC, b"\x01\x01"), (KEY_FUNC, b"\x02\x01")]
+
+
 def test_the_longest_data_is_read_and_a_longer_length_is_noise_at_once() -> None:
     longest, longer = (seal(SBUS, bytes(size)) for size in (decoder.LONGEST, decoder.LONGEST + 1))
     battery = upward.battery(7400)

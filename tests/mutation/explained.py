@@ -389,6 +389,7 @@ CODEC = (
         "of nine tones below one so high seven at most are excluded",
     ),
     Reason("board/rrc/decoder.py", r"\+.*end - at (<= 4|< 5):", "four bytes are no frame, whatever they say"),
+    Reason("board/rrc/decoder.py", r"\+.*head = end - 2 if end > at", "a byte more is kept, which begins no head"),
     Reason("board/rrc/decoder.py", r"\+.*len\(data\) >= 2 else", "two bytes are no reply, whatever they say"),
     Reason(
         "board/rrc/servos.py", r"\+.*longest_ns := held_ns\(frame\)\) >= HELD_NS", "no number of servos takes just that"
