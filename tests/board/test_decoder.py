@@ -181,8 +181,9 @@ def test_the_answer_to_a_ping_names_the_ping_and_no_other_answer_does() -> None:
     ]
     assert [ping[-2] for ping in pings] == [1, 2, 3, 4], "the servos that they ask"
     others = [upward.pwm_servo_position(servo, 1500) for servo in (0, 5, 255)]
-    others += [upward.pwm_servo_deviation(1, 20), seal(PWM_SERVO, b"\x01\x05")]
-    assert [RRC.hearing().feed(other) for other in others] == [[]] * len(others)
+    others += [upward.pwm_servo_deviation(1, 20), upward.bus_servo(1, 0x05, 500), upward.key_frame(1, 1), *pings]
+    others += [seal(PWM_SERVO, data) for data in (b"", b"\x01\x05", b"\x01\x05\xdc")]
+    assert [kind for other in others for kind, _ in RRC.hearing().feed(other) if kind == HEARD_PONG] == []
 
 
 NONSENSE: list[tuple[Callable[[bytes], object], tuple[bytes, ...]]] = [

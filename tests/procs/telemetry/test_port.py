@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from failstop.board.interface import HEARD_PONG
 from failstop.board.rrc import framing
 from failstop.board.rrc.board import BOARD
-from failstop.board.rrc.decoder import Decoder, pong
 from failstop.messages import layout, records
 from failstop.procs.telemetry import port
 from failstop_lab.sim import upward
@@ -184,20 +184,11 @@ def test_no_cut_of_a_ping_is_completed_to_anything(ping: bytes, behind: bytes) -
             assert executed - {(framing.SYS, b"")}, "nothing came through"
 
 
-def test_other_frames_answer_none() -> None:
-    for frame in (
-        *(upward.pwm_servo_position(0, 1500), upward.pwm_servo_position(5, 1500), upward.pwm_servo_deviation(1, 0)),
-        *(upward.bus_servo(1, 0x05, 500), upward.key_frame(1, 5), BOARD.pings[1]),
-        *(framing.frame(framing.PWM_SERVO, data) for data in (b"\x01\x05\xdc", b"")),
-    ):
-        assert pong(frame[2], frame[4:-1]) is None, frame.hex()
-
-
 def test_the_board_answers_every_ping_in_order_with_no_servo_connected() -> None:
     board = BoardModel(0, imu_hz=0)
     board.receive(b"".join(BOARD.pings), 0)
-    answers = Decoder().feed(b"".join(board.advance(S)))
-    assert [pong(*frame) for frame in answers] == list(ALL)
+    answers = BOARD.hearing().feed(b"".join(board.advance(S)))
+    assert answers == [(HEARD_PONG, (index,)) for index in ALL]
     assert board.wheels == (0.0, 0.0, 0.0, 0.0)
 
 
