@@ -259,7 +259,7 @@ SUPERVISOR = (
     Reason("supervisor/stop_tracker.py", r"(written_ns|sent_ns) >= ", "two times in ns at exact equality"),
     Reason(
         "supervisor/stop_tracker.py",
-        r"_seen_pong = (self\._seen_obeyed = )?1$|\.heard = \((0, 1|1, 0)\)$",
+        r"_seen_answer = (self\._seen_proof = )?1$|\.heard = \((0, 1|1, 0)\)$",
         "nothing is asked or written so early",
     ),
     Reason(
@@ -395,7 +395,9 @@ CODEC = (
         "board/rrc/servos.py", r"\+.*longest_ns := held_ns\(frame\)\) >= HELD_NS", "no number of servos takes just that"
     ),
     Reason("board/rrc/servos.py", r"/ 1000001\.0", "a millionth is not seen in what is rounded", same=False),
-    Reason("board/rrc/servos.py", r"\+.*not in servos\), None\)", "both are false, and what follows is returned"),
+    Reason(
+        "board/rrc/servos.py", r"\+.*if servo not in servos\), None\)", "both are false, and what follows is returned"
+    ),
     Reason("board/rrc/servos.py", r"\+.*_move_fault\(data, 65536\)", "a time of two bytes is at most 65535"),
 )
 

@@ -2,11 +2,36 @@
 
 from __future__ import annotations
 
+import re
+from fnmatch import fnmatch
+
 import pytest
 
+from tests.mutation.explained import REASONS, Reason
+from tests.mutation.rooms import ROOMS
+from tests.mutation.run import ROOT, matches
 from tests.mutation.survivors import NOT_CALLED, SURVIVED, Outcome, report
 
 KILLED = 1
+SOURCES = {
+    str(path.relative_to(ROOT)).removeprefix("failstop/"): path.read_text()
+    for room in ROOMS.values()
+    for path in matches(ROOT, room.files)
+}
+
+
+def absent(row: Reason) -> list[str]:
+    """Names in a row that none of its files has, but for the mutants' None; without any file, its path."""
+    texts = [text for path, text in SOURCES.items() if fnmatch(path, row.path)]
+    names = re.findall(r"(?<!\\)\b[A-Za-z_]{4,}", row.changed.replace(r"\n", " ")) if texts else [row.path]
+    return [name for name in names if name != "None" and not any(name in text for text in texts)]
+
+
+def test_rows_name_what_their_files_have() -> None:
+    """A row with a name that is gone explains nothing, so the survivor that it was for has no row."""
+    assert [(row.path, row.changed, names) for row in REASONS if (names := absent(row))] == []
+    assert absent(Reason("procs/gate/core.py", r"\+\s+self\._is_gone = 1$", "")) == ["_is_gone"]
+    assert absent(Reason("procs/gate/gone.py", r"\+\s+self\.epoch = 1$", "")) == ["procs/gate/gone.py"]
 
 
 def outcome(function: str, code: int | None) -> Outcome:
