@@ -78,6 +78,7 @@ ROOMS = {
             "tests/shm/test_spoiled.py",
             "tests/shm/test_cell.py",
             "tests/shm/test_truncated.py",
+            "tests/test_data.py",
         ),
     ),
     "supervisor": Room(

@@ -171,3 +171,51 @@ def test_a_draft_that_can_not_get_its_name_is_not_left(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["file"]
     with pytest.raises(FileNotFoundError):
         durable.publish(str(tmp_path / "draft"), str(tmp_path / "other"))
+
+
+def test_what_is_written_in_parts_is_written_whole_and_then_synced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, calls = tmp_path / "file", []
+    write, fsync = os.write, os.fsync
+    monkeypatch.setattr(os, "write", lambda fd, data: calls.append(bytes(data)) or write(fd, data[:3]))
+    monkeypatch.setattr(os, "fsync", lambda fd: calls.append(fd) or fsync(fd))
+    with path.open("wb") as file:
+        durable.write_all(file.fileno(), b"a whole one")
+        assert calls == [b"a whole one", b"hole one", b"e one", b"ne", file.fileno()]
+    assert path.read_bytes() == b"a whole one"
+
+
+ROOM = {"f_bavail": 1000, "f_frsize": 1000, "f_flag": os.ST_NOSUID, "f_files": 9, "f_favail": 1}
+"""As little as is enough: durable.LEAST_ROOM."""
+
+
+@pytest.mark.parametrize(
+    ("disk", "told"),
+    [
+        ({}, ""),
+        ({"f_flag": os.ST_NOSUID | os.ST_RDONLY}, "the disk of {} is read-only"),
+        ({"f_bavail": 999}, "the disk of {} is full (999 kB free)"),
+        ({"f_bavail": 1999, "f_frsize": 500}, "the disk of {} is full (999 kB free)"),
+        ({"f_bavail": 1}, "the disk of {} is full (1 kB free)"),
+        ({"f_favail": 0}, "the disk of {} has no room for another file"),
+        ({"f_files": 0, "f_favail": 0}, ""),
+    ],
+)
+def test_a_disk_that_takes_no_file_is_told_for_a_folder_that_is_still_to_be_made(
+    disk: dict[str, int], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert durable.LEAST_ROOM == ROOM["f_bavail"] * ROOM["f_frsize"]
+    asked = []
+    monkeypatch.setattr(os, "statvfs", lambda path: asked.append(path) or SimpleNamespace(**ROOM | disk))
+    for path in (tmp_path, tmp_path / "not" / "yet"):
+        assert durable.no_room(str(path)) == told.format(tmp_path)
+    assert asked == [str(tmp_path)] * 2
+
+
+def test_a_disk_that_says_nothing_keeps_no_file_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(path: str) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO), path)
+
+    monkeypatch.setattr(os, "statvfs", refused)
+    assert durable.no_room("/") == ""

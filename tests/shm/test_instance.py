@@ -296,6 +296,26 @@ def test_find_looks_everywhere_for_the_one_that_runs(on: SimpleNamespace, bases:
         kill(on, first)
 
 
+@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE])
+def test_a_program_without_descriptors_does_not_say_that_no_service_runs(
+    on: SimpleNamespace, bases: list[str], number: int
+) -> None:
+    path = on.instances.make_runtime_dir("robot")
+    on.instance.publish_run(path, 7)
+    holder(on, path)
+    why = os.strerror(number)
+    with refusing(on, "open", number):
+        with pytest.raises(on.instance.InstanceError, match=rf"^{path}/stop can't be opened: {why}$"):
+            on.instance.find("robot")
+        with pytest.raises(on.instance.InstanceError, match=rf"^{path}/run can't be opened: {why}$"):
+            on.instance.current_run(path)
+    with refusing(on, "open", errno.EIO):
+        with pytest.raises(on.instance.NoService):
+            on.instance.find("robot")
+        with pytest.raises(on.instance.NoService):
+            on.instance.current_run(path)
+
+
 def test_everyone_can_find_a_service_of_root_s_that_everyone_may_stop(on: SimpleNamespace) -> None:
     on.own.umask = 0o077
     path = on.instances.make_runtime_dir("robot")

@@ -92,6 +92,22 @@ def test_how_the_last_run_was_started_outlives_it(on: SimpleNamespace, bases: li
     assert remembered(on, "robot") == ("/dev/x", "", (), ""), "what would write on the terminal is not shown"
 
 
+@pytest.mark.parametrize("stop", ["", "ugv 115200 7b7d", "stop stop "])
+def test_the_board_s_stop_and_whose_file_says_so_are_kept(on: SimpleNamespace, bases: list[str], stop: str) -> None:
+    path = on.instances.make_runtime_dir("robot")
+    on.instance.remember(path, on.instance.Last("/dev/x", "failstop run", (1, 2), "ugv", stop, owner=7))
+    found = on.instance.last("robot")
+    assert (found.servos, found.board, found.stop, found.owner) == ((1, 2), "ugv", stop, USER)
+
+
+@pytest.mark.parametrize("servos", [(), (4,)])
+def test_a_file_without_a_stop_is_read(on: SimpleNamespace, bases: list[str], servos: tuple[int, ...]) -> None:
+    words = ("/dev/x", "failstop run", "rrc", *map(str, servos))
+    put(on, on.instance.last_path(on.instances.make_runtime_dir("robot")), "\0".join(words))
+    found = on.instance.last("robot")
+    assert (found.board, found.servos, found.stop) == ("rrc", servos, "")
+
+
 def test_of_two_places_the_newer_run_counts(on: SimpleNamespace, bases: list[str]) -> None:
     for base in (*bases, bases[0]):
         on.os.makedirs(f"{base}/robot")

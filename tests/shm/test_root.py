@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -35,3 +36,25 @@ def test_a_file_in_the_place_of_the_state_directory_is_passed_over(base: Path) -
     (base / "robot").write_text("in the way")
     assert state_directory("robot", {"XDG_STATE_HOME": "/home/x"}) == "/home/x/failstop/robot"
     assert state_directory("left", {"XDG_STATE_HOME": "/home/x"}) == str(base / "left")
+
+
+@pytest.mark.parametrize("made", [False, True])
+def test_who_is_asked_of_another_user_s_directory_is_asked_of_the_nearest_that_is_there(base: Path, made: bool) -> None:
+    (base / "robot" if made else base).mkdir(parents=True)
+    asked = []
+    for answer, found in ((True, f"{base}/robot"), (False, "/home/x/.local/state/failstop/robot")):
+
+        def writable(path: str, answer: bool = answer) -> bool:
+            asked.append(path)
+            return answer
+
+        assert state_directory("robot", {"HOME": "/home/x"}, writable=writable) == found
+    assert asked == [f"{base}/robot" if made else str(base)] * 2
+
+
+def test_a_directory_is_this_user_s_if_files_can_be_made_in_it(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(os, "access", lambda *about: asked.append(about))
+    base.mkdir()
+    assert state_directory("robot", {"XDG_STATE_HOME": "/home/x"}) == "/home/x/failstop/robot"
+    assert asked == [(str(base), os.W_OK | os.X_OK)]
