@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from failstop.policy.processes import SUPERVISOR_PRIORITY
 from failstop.supervisor import refused
 
-LIMITS = "Limit                     Soft Limit           Hard Limit\nMax realtime priority     {0}   {0}\n"
+LIMITS = "Limit                     Soft Limit           Hard Limit\nMax realtime priority     {0}   {1}\n"
 ALL, NONE = "000001ffffffffff", "0000000000000000"
 FIRST, CONTAINED = "         0          0 4294967295\n", "         0     100000      65536\n"
 
@@ -33,8 +34,8 @@ class Machine:
         file.write_text(text)
         return file
 
-    def process(self, rtprio: str = "0", caps: str = ALL, users: str = FIRST) -> None:
-        self.write("PROC", "7/limits", LIMITS.format(rtprio))
+    def process(self, rtprio: str = "0", caps: str = ALL, users: str = FIRST, *, hard: str = "0") -> None:
+        self.write("PROC", "7/limits", LIMITS.format(rtprio, hard))
         self.write("PROC", "7/status", f"Name:\tfs\nCapEff:\t{caps}\n")
         self.write("PROC", "7/uid_map", users)
 
@@ -45,10 +46,11 @@ class Machine:
         for at, runtime in enumerate(runtimes):
             self.write("GROUP_FOLDER", "/".join(("cpu", *parts[: at + 1], refused.RUNTIME)), f"{runtime}\n")
 
-    def v2(self, group: str, controllers: str = "cpu memory", config: str = "y") -> None:
+    def v2(self, group: str, controllers: str = "cpu memory", config: str = "y") -> Path:
+        """In this group of cgroup v2, on a kernel with this configuration, whose file is returned."""
         self.write("PROC", "7/cgroup", f"0::{group}\n")
         self.write("GROUP_FOLDER", f"{group.strip('/')}/cgroup.controllers", f"{controllers}\n")
-        self.write("BOOT", f"config-{os.uname().release}", f"CONFIG_X=y\n{refused.OPTION}{config}\n")
+        return self.write("BOOT", f"config-{os.uname().release}", f"CONFIG_X=y\n{refused.OPTION}{config}\n")
 
 
 @pytest.fixture
@@ -77,6 +79,15 @@ def test_what_is_not_granted_is_another_s_advice(
     assert bool(refused.advice_if_allowed("7", priority=40)) is allowed
 
 
+def test_the_soft_limit_counts_and_the_supervisor_s_priority_where_none_is_named(machine: Machine) -> None:
+    machine.v1("/robot", "0")
+    for soft, allowed in ((SUPERVISOR_PRIORITY - 1, False), (SUPERVISOR_PRIORITY, True)):
+        machine.process(str(soft), NONE, hard="99")
+        assert bool(refused.advice_if_allowed("7")) is allowed
+    machine.process(str(SUPERVISOR_PRIORITY - 1), NONE)
+    assert refused.advice_if_allowed("7", priority=SUPERVISOR_PRIORITY - 1) != ""
+
+
 def test_on_cgroup_v1_each_group_from_the_top_gets_time(machine: Machine, tmp_path: Path) -> None:
     machine.v1("/system.slice/failstop.service", "0", "0")
     cpu = tmp_path / "GROUP_FOLDER" / "cpu"
@@ -90,10 +101,22 @@ def test_on_cgroup_v1_each_group_from_the_top_gets_time(machine: Machine, tmp_pa
     unit = refused.advice_if_allowed("7", unit="failstop.service")
     assert f"`sudo systemctl edit failstop.service`, with ExecStartPre=+/bin/sh -c '{writes}' under" in unit
     assert "--cpu-rt-runtime=950000" in refused.advice_if_allowed("7", container=True)
+    assert refused.advice_if_allowed("7", unit="failstop.service", container=True) == unit, "it has systemd of its own"
     machine.v1("/system.slice/failstop.service", "950000", "0")
     assert "system.slice/cpu.rt_runtime_us" not in refused.advice_if_allowed("7"), "it has some"
     machine.v1("/system.slice/failstop.service", "950000", "950000")
     assert refused.advice_if_allowed("7") == refused.FILTER
+
+
+def test_the_root_group_of_cgroup_v1_has_its_time_in_the_controller_s_folder(machine: Machine, tmp_path: Path) -> None:
+    machine.v1("/", "0")
+    said = refused.advice_if_allowed("7")
+    assert f"`sudo sh -c 'echo 950000 > {tmp_path}/GROUP_FOLDER/cpu/cpu.rt_runtime_us'`" in said
+
+
+def test_a_kernel_that_does_not_say_how_it_was_built_may_have_the_option(machine: Machine) -> None:
+    machine.v2("/robot").unlink()
+    assert refused.advice_if_allowed("7") == refused.V2
 
 
 @pytest.mark.parametrize(
@@ -115,6 +138,8 @@ def test_on_cgroup_v2_no_group_can_have_any(
 def test_files_that_cannot_be_read_are_no_reason(machine: Machine) -> None:
     assert refused.advice_if_allowed("8") == ""
     machine.process("nonsense", "0")
+    assert refused.advice_if_allowed("7") == ""
+    machine.write("PROC", "7/status", "Name:\tfs\n")
     assert refused.advice_if_allowed("7") == ""
 
 
