@@ -205,7 +205,7 @@ ROOM = {"f_bavail": 1000, "f_frsize": 1000, "f_flag": os.ST_NOSUID, "f_files": 9
 def test_a_disk_that_takes_no_file_is_told_for_a_folder_that_is_still_to_be_made(
     disk: dict[str, int], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert durable.LEAST_ROOM == ROOM["f_bavail"] * ROOM["f_frsize"]
+    assert ROOM["f_bavail"] * ROOM["f_frsize"] == durable.LEAST_ROOM
     asked = []
     monkeypatch.setattr(os, "statvfs", lambda path: asked.append(path) or SimpleNamespace(**ROOM | disk))
     for path in (tmp_path, tmp_path / "not" / "yet"):

@@ -272,3 +272,26 @@ def test_a_word_that_can_t_be_written_is_not_looked_into_later(lines: Segment) -
     assert lines.futex("held", 71, write=True).hold()
     futex.let_go()
     assert call(attempt) == (False, True), "nobody's, and the list is empty"
+
+
+@pytest.mark.parametrize(
+    ("hard", "soft"),
+    [(resource.RLIM_INFINITY, futex.NO_DUMP), (4096, futex.NO_DUMP), (futex.NO_DUMP, futex.NO_DUMP), (0, 0)],
+)
+def test_a_process_leaves_no_dump_and_keeps_its_hard_limit(
+    hard: int, soft: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    set_to: list[object] = []
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (hard, hard) if kind == resource.RLIMIT_CORE else (7, 7))
+    monkeypatch.setattr(resource, "setrlimit", lambda *about: set_to.append(about))
+    futex.leave_no_dump()
+    assert set_to == [(resource.RLIMIT_CORE, (soft, hard))]
+
+
+@pytest.mark.parametrize("error", [OSError, ValueError])
+def test_a_process_that_may_not_set_its_limit_goes_on(error: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*about: object) -> None:
+        raise error
+
+    monkeypatch.setattr(resource, "setrlimit", refuse)
+    futex.leave_no_dump()

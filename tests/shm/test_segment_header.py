@@ -36,6 +36,16 @@ def test_a_segment_that_is_absent_is_told(name: str) -> None:
         assert "failstop run" in message
 
 
+def test_the_version_that_made_a_run_is_read_where_another_one_looks(name: str) -> None:
+    assert segments.version(name) == ""
+    segments.create(name, "supervisor", RUN).close()
+    assert segments.version(name) == VERSION
+    write_header(name, "supervisor", layout=LAYOUT_HASH ^ 1)
+    assert segments.version(name) == VERSION, "a layout that this program can't attach to"
+    cut(HEADER.size)(name, "supervisor")
+    assert segments.version(name) == ""
+
+
 Spoil = Callable[[str, str], object]
 
 
