@@ -316,6 +316,11 @@ def test_what_the_port_owner_says_of_one_port_is_not_said_of_another(state: int)
     assert records.port_state(None, 7) == closed
 
 
+def test_of_more_servos_than_a_record_has_room_for_the_first_are_reported() -> None:
+    rows = [(servo, 0.25, 30, 0) for servo in range(1, records.MOST_SERVOS + 2)]
+    assert records.HEALTH.unpack(records.HEALTH.pack(*rows)) == tuple(rows[:-1])
+
+
 @pytest.mark.parametrize("before", [b"", b"damaged"])
 def test_a_goodbye_where_none_lay_is_of_its_session_alone(before: bytes) -> None:
     said = records.goodbye(7, before)
@@ -331,5 +336,7 @@ def test_who_asks_for_a_stop_is_told_only_where_somebody_is_named() -> None:
     assert records.asking(" wall \n ahead ", " nav\t2 ", 7) == b"wall ahead\tnav 2\t7\n"
     assert records.asking("wall") == b"wall\n"
     assert records.asking("wall", "nav") == b"wall\tnav\t0\n"
+    assert records.asking("wall", "nav", 7, "held") == b"wall\tnav\t7\theld\n"
+    assert records.asking("wall", row="held") == b"wall\n", "a cause is a client's, who has a name"
     assert records.asking("", "n" * 100, 7) == b"\t" + b"n" * records.WHO_BYTES + b"\t7\n"
     assert records.asking("x" * records.ASKED_BYTES) == b"x" * records.ASKED_BYTES + b"\n", "just fits"
