@@ -305,7 +305,7 @@ reproduce: $(VENV)/.installed
 # The Debian packages by lintian, autopkgtest and piuparts, then their life in a container with the systemd of Debian 12 and of 13: installed,
 # upgraded from the last release while a program drives, removed, purged. Needs root. VERSION: those of a release, in dist/VERSION; LAST: a .deb, or the commit to
 # build it from.
-JUDGES := lintian piuparts mmdebstrap
+JUDGES := autopkgtest lintian piuparts mmdebstrap
 SUITES ?=
 LAST ?=
 package-test: $(VENV)/.installed

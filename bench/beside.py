@@ -39,6 +39,8 @@ ONCE = (50,)
 OFTEN = (50, 99)
 """The percentiles of what a visit measures once, and of what it samples."""
 FAILED = "visits that failed"
+OURS = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE")
+"""Variables of this process that a side does not get."""
 Said = dict[str, Any] | None
 """Values and counts that a visit told; None when it failed."""
 
@@ -102,7 +104,7 @@ def main(ref: str, much: visit.Amounts, rounds: int, margin: float, out: str | N
     try:
         commit = _git("rev-parse", "--verify", "--quiet", f"{ref}^{{commit}}", what=f"no such commit: {ref}")
         with _checked_out(commit) as there:
-            said = visit_both(there, Side("this tree", ROOT, sys.executable), much, rounds, _visit)
+            said = visit_both(there, Side("this tree", ROOT, sys.executable), much, rounds, visited)
     except BenchError as error:
         progress("")
         print(error, file=sys.stderr)
@@ -197,10 +199,10 @@ def visit_both(
     return said
 
 
-def _visit(side: Side, much: visit.Amounts) -> Said:
+def visited(side: Side, much: visit.Amounts) -> Said:
+    """Visit one side; None when that fails, which is printed."""
     command = [side.python, "-m", "bench.visit", json.dumps(dataclasses.asdict(much))]
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    process = subprocess.Popen(command, cwd=side.tree, env=environment, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, cwd=side.tree, env=environment(), stdout=subprocess.PIPE, text=True)
     try:
         said, _ = process.communicate()
     finally:
@@ -213,6 +215,11 @@ def _visit(side: Side, much: visit.Amounts) -> Said:
     return found
 
 
+def environment() -> dict[str, str]:
+    """That of a side: it finds the modules of its own tree, and compiles each once, as on a robot."""
+    return {name: value for name, value in os.environ.items() if name not in OURS}
+
+
 @contextlib.contextmanager
 def _checked_out(commit: str) -> Iterator[Side]:
     """Another commit in a worktree and an environment of its own, with the versions of this one's packages."""
@@ -223,12 +230,9 @@ def _checked_out(commit: str) -> Iterator[Side]:
             progress(f"an environment for {commit[:9]}")
             python = str(tree / ".venv/bin/python")
             versions = Path(directory, "versions.txt")
-            versions.write_text(_run(sys.executable, "-m", "pip", "freeze", "--exclude-editable") + "\n", "utf-8")
-            _run(sys.executable, "-m", "venv", str(tree / ".venv"))
-            pip = (python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
-            parts = [part for part in (tree, tree / "lab") if (part / "pyproject.toml").exists()]
-            editable = ("--config-settings", "editable_mode=compat", *(f"--editable={part}" for part in parts))
-            _run(*pip, "--constraint", str(versions), *editable)
+            freeze(versions)
+            run(sys.executable, "-m", "venv", str(tree / ".venv"))
+            install(python, tree, versions)
             if not (tree / "bench/visit.py").exists():
                 shutil.copy(visit.__file__, tree / "bench/visit.py")
             yield Side(commit[:9], tree, python)
@@ -236,11 +240,25 @@ def _checked_out(commit: str) -> Iterator[Side]:
             _git("worktree", "remove", "--force", str(tree))
 
 
+def freeze(versions: Path) -> None:
+    """Write the versions of this environment's packages, as constraints for pip. Raises BenchError."""
+    versions.write_text(run(sys.executable, "-m", "pip", "freeze", "--exclude-editable") + "\n", "utf-8")
+
+
+def install(python: str, tree: Path, versions: Path) -> None:
+    """Install the failstop of a tree into the environment of `python`, with these versions of what it needs. Raises
+    BenchError."""
+    pip = (python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+    parts = [part for part in (tree, tree / "lab") if (part / "pyproject.toml").exists()]
+    editable = ("--config-settings", "editable_mode=compat", *(f"--editable={part}" for part in parts))
+    run(*pip, "--constraint", str(versions), *editable)
+
+
 def _git(*words: str, what: str = "") -> str:
-    return _run("git", "-C", str(ROOT), *words, what=what)
+    return run("git", "-C", str(ROOT), *words, what=what)
 
 
-def _run(*command: str, what: str = "") -> str:
+def run(*command: str, what: str = "") -> str:
     """The output of a command. Raises BenchError with what it complained of, or with `what`."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=True)

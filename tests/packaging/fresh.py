@@ -1,8 +1,9 @@
 """What a new user does, in a fresh Debian 12, 13 and testing: `python -m tests.packaging.fresh` (`make fresh`).
 
 The packages of a release are installed by apt, or its wheels by pip. Then the demo runs, a program of the user's own
-drives and is killed, and the stand test runs on the simulated board. Debian 13 on arm64 is an emulated one: qemu-user
-runs its programs, and this machine's kernel serves them.
+drives and is killed, and the stand test runs on the simulated board. A C program is compiled on Debian 12, and the same
+file drives on Debian 13. Debian 13 on arm64 is an emulated one: qemu-user runs its programs, and this machine's kernel
+serves them.
 """
 
 from __future__ import annotations
@@ -33,9 +34,11 @@ import subprocess
 import sys
 import time
 
+from failstop import Robot
 from failstop_lab.sim.client import SimBoard
 
 BOARD, LIMIT_S = "/run/board", float(sys.argv[1])
+PROGRAM = sys.argv[2:]
 DRIVE = """
 import time
 from failstop import Robot
@@ -52,12 +55,16 @@ with SimBoard(BOARD) as board:
     while subprocess.run(["failstop", "enable"], check=False).returncode:
         assert time.monotonic() < until, "motion can't be enabled"
         time.sleep(0.5)
-    program = subprocess.Popen([sys.executable, "-c", DRIVE])
+    program = subprocess.Popen(PROGRAM or [sys.executable, "-c", DRIVE])
     board.wait_wheels(True, LIMIT_S)
     program.send_signal(signal.SIGKILL)
     start = time.monotonic()
     board.wait_wheels(False, LIMIT_S)
     print(f"own program: killed while it drove, the wheels stood after {(time.monotonic() - start) * 1e3:.0f} ms")
+    with Robot() as robot:
+        while "has died" not in str(robot.why()):
+            assert time.monotonic() < until, robot.why()
+            time.sleep(0.1)
     service.send_signal(signal.SIGINT)
     assert service.wait(LIMIT_S) == 0, service.returncode
 '''
@@ -81,6 +88,22 @@ echo "step: failstop prove --sim --quick"
 {prove}
 echo "step: the end"
 """
+COMPILE = """
+apt-get update -qq
+DEBIAN_FRONTEND=noninteractive apt-get install --yes -qq {debs} >/run/apt 2>&1 || {{ cat /run/apt; exit 1; }}
+cd /packages
+gcc -Wall -Werror -o patrol /usr/share/doc/libfailstop-dev/examples/patrol.c $(pkg-config --cflags --libs failstop)
+sha256sum patrol
+echo "step: the end"
+"""
+RUN = """
+echo "step: a C program"
+cd /packages
+sha256sum patrol
+timeout {limit_s} $python /packages/own.py {limit_s} ./patrol
+echo "step: the end"
+"""
+COMPILERS = ("gcc", "libc6-dev", "pkg-config")
 LAST = "step: the end"
 TIMEOUT_S, EMULATED_S = 900.0, 3600.0
 """How long one may take; an emulated processor is twenty times slower."""
@@ -94,11 +117,16 @@ class Trial(NamedTuple):
     """apt or pip."""
     architecture: str = ""
     """An emulated one, by Debian's word; empty: this machine's."""
+    compiled: str = ""
+    """The suite on which a C program is compiled that drives here, in place of the demo and the rest; empty: none."""
 
     def name(self) -> str:
         """As people name it."""
         suite = debian.SUITES[self.suite]
         machine = f"{self.architecture} (emulated), " if self.architecture else ""
+        if self.compiled:
+            there = debian.SUITES[self.compiled].number
+            return f"Debian {suite.number}, {machine}C program compiled on Debian {there}, {self.how} install"
         return f"Debian {suite.number}, {machine}Python {suite.python}, {self.how} install"
 
 
@@ -108,10 +136,11 @@ TRIALS = {
     "testing": Trial("forky", "pip"),
     "12-pip": Trial("bookworm", "pip"),
     "13-pip": Trial("trixie", "pip"),
+    "c": Trial("trixie", "apt", compiled="bookworm"),
     "arm64": Trial("trixie", "apt", "arm64"),
     "arm64-pip": Trial("trixie", "pip", "arm64"),
 }
-USUAL = ("12", "13", "testing")
+USUAL = ("12", "13", "testing", "c")
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -145,26 +174,53 @@ def tried(trial: Trial, release: Path) -> str:
         if trial.architecture:
             stack.enter_context(debian.emulated())
         machine = trial.architecture or debian_architecture()
-        if trial.how == "apt":
-            debs = [path for path in sorted(release.glob("failstop*.deb")) if path.stem.endswith((machine, "_all"))]
-            if not debs:
-                raise BenchError(f"no package for {machine} in {release}: make release VERSION=x builds them")
-            for path in debs:
-                shutil.copy(path, folder)
-            include: tuple[str, ...] = ()
-            script = APT.format(debs=" ".join(f"/packages/{path.name}" for path in debs))
+        # An emulated processor is twenty times slower, so the times that the stand test asks for say nothing there.
+        prove = "true" if trial.architecture else "failstop prove --sim --quick"
+        limit_s = 120 if trial.architecture else 30
+        use = USE.format(prove=prove, limit_s=limit_s)
+        include: tuple[str, ...] = ()
+        if trial.compiled:
+            debs = packages(release, machine, folder, "libfailstop*.deb")
+            step = f"set -eu\necho 'step: compiling on {trial.compiled}'\n{COMPILE.format(debs=debs)}"
+            done = debian.run(debian.unpacked(trial.compiled, COMPILERS), step, folder, TIMEOUT_S)
+            print(done.stdout, flush=True)
+            if wrong := failed_step(done):
+                return wrong
+            script = APT.format(debs=packages(release, machine, folder, "*.deb", without="libfailstop-dev"))
+            use = RUN.format(limit_s=limit_s)
+        elif trial.how == "apt":
+            script = APT.format(debs=packages(release, machine, folder, "failstop*.deb"))
         else:
             wheelhouse(release, folder / "wheels", debian.SUITES[trial.suite].python, machine)
             include, script = ("python3-venv",), PIP
         system = debian.unpacked(trial.suite, include, trial.architecture)
-        # An emulated processor is twenty times slower, so the times that the stand test asks for say nothing there.
-        prove = "true" if trial.architecture else "failstop prove --sim --quick"
-        use = USE.format(prove=prove, limit_s=120 if trial.architecture else 30)
-        limit_s = EMULATED_S if trial.architecture else TIMEOUT_S
-        done = debian.run(system, f"set -eu\necho 'step: {trial.how} install'\n{script}{use}", folder, limit_s)
+        done = debian.run(
+            system,
+            f"set -eu\necho 'step: {trial.how} install'\n{script}{use}",
+            folder,
+            EMULATED_S if trial.architecture else TIMEOUT_S,
+        )
     print(done.stdout, flush=True)
+    return failed_step(done)
+
+
+def failed_step(done: subprocess.CompletedProcess[str]) -> str:
+    """The last step that began, where not all of them were done; else nothing."""
+    if done.returncode == 0 and LAST in done.stdout:
+        return ""
     steps = [line.removeprefix("step: ") for line in done.stdout.splitlines() if line.startswith("step: ")]
-    return "" if done.returncode == 0 and LAST in done.stdout else steps[-1]
+    return steps[-1]
+
+
+def packages(release: Path, machine: str, folder: Path, names: str, without: str = "nothing") -> str:
+    """Copy the packages of these names that a machine can install; returns their paths inside. Raises BenchError."""
+    found = [path for path in sorted(release.glob(names)) if path.stem.endswith((f"_{machine}", "_all"))]
+    debs = [path for path in found if not path.name.startswith(without)]
+    if not debs:
+        raise BenchError(f"no package {names} for {machine} in {release}: make release VERSION=x builds them")
+    for path in debs:
+        shutil.copy(path, folder)
+    return " ".join(f"/packages/{path.name}" for path in debs)
 
 
 def wheelhouse(release: Path, out: Path, python: str, machine: str) -> None:

@@ -1,6 +1,6 @@
 """The life of the Debian packages: `python -m tests.packaging.life` (`make package-test`). lintian, piuparts and
 autopkgtest judge them; in a container with a systemd the last release is installed, upgraded as a program drives,
-removed, purged.
+removed, purged. Then the system's Python becomes the next Debian's under the installed package, as a program drives.
 
 The simulated board judges the wheels, and systemd's own clock how long the service was away.
 """
@@ -27,7 +27,7 @@ from bench.container import ContainerMissing
 from bench.report import progress
 from bench.service_scene import READY
 from failstop_lab.sim.client import Event
-from tests.packaging import debian_tests
+from tests.packaging import debian, debian_tests
 from tests.support.package_scene import BOARD, OLDER, SETTINGS, UNIT, Place, machine
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,6 +41,17 @@ NOBODY = 65534
 KEPT = (SETTINGS, "/var/lib/failstop", "/etc/failstop")
 """Paths that a removal leaves: settings, logs and incidents."""
 DRIVER = "/run/driver.py"
+FOLLOWING = {"bookworm": "trixie", "trixie": "forky"}
+"""The Debian whose Python becomes the system's, as in an upgrade of Debian."""
+FETCH = """
+set -eu
+sed -nE 's/^deb (\\[[^]]*\\] )?(\\S+) {suite} .*/deb \\2 {following} main/p' /etc/apt/sources.list |
+  head -n 1 >/etc/apt/sources.list.d/next.list
+mkdir -p /packages/partial
+apt-get -qq -o '{valid}' update
+apt-get install --download-only --yes -qq -o Dir::Cache::Archives=/packages -t {following} python3
+"""
+FETCHED_S, CHANGED_S = 300.0, 600.0
 
 
 class Away(NamedTuple):
@@ -76,6 +87,7 @@ def main() -> int:
                 # The last release may be for one Debian alone; elsewhere it is this one, as an older version.
                 before = old if suite == SUITES[0] else older(ours[0], Path(folder))
                 rows += lived(before, ours[0], arguments.rounds, suite)
+                rows += another_python(ours[0], suite)
         except (BenchError, ContainerMissing) as error:
             print(f"failstop: {error}", file=sys.stderr)
             return 1
@@ -274,6 +286,55 @@ def gone(place: Place, before: set[str]) -> list[stats.Row]:
     rows.append(verdict("a purge leaves nothing", [*left, *place.accounts(), *known]))
     processes = place.box.run("pgrep", "--full", "/opt/failstop", check=False).stdout.split()
     return [*rows, verdict("and no process", processes)]
+
+
+def another_python(package: Path, suite: str) -> list[stats.Row]:
+    """The next Debian's Python takes the place of the system's while a program drives: the wheels are stopped, and what
+    runs afterwards runs on the new one. Raises BenchError, ContainerMissing."""
+    was, following = debian.SUITES[suite].python, debian.SUITES[FOLLOWING[suite]]
+    change = f"{debian_tests.title(suite)}: Python {was} becomes {following.python}"
+    if not allows(debian_tests.field(package, "Depends"), following.python):
+        return [stats.Row(change, "skipped: the package is for one Python alone (VERSION=x)", "-", None, {})]
+    with machine(debian_tests.booted(suite)) as place:
+        progress(change)
+        script = FETCH.format(suite=suite, following=following.name, valid=debian.NOT_VALID)
+        done = debian.run(debian_tests.booted(suite), script, place.packages, FETCHED_S)
+        if done.returncode:
+            raise BenchError(f"the Python of {following.name} can't be fetched: {done.stdout[-2000:]}")
+        fetched = [f"/packages/{path.name}" for path in sorted(place.packages.glob("*.deb"))]
+        shutil.copy(package, place.packages / "new.deb")
+        place.box.write(SETTINGS, f'[device]\npath = "{BOARD}"\n')
+        place.dpkg("-i", "/packages/new.deb")
+        place.box.wait(UNIT, 60.0, **READY)
+        wrong = [f"{name} before" for name in interpreters(place) if name != f"python{was}"]
+        words = ("env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "install", "--yes", "--no-install-recommends")
+        with driving(place):
+            place.board.events()
+            place.box.run(*words, *fetched, timeout_s=CHANGED_S)
+            place.box.wait(UNIT, 60.0, **READY)
+            away = judged(place, place.board.events())
+        wrong += [f"{name} after" for name in interpreters(place) if name != f"python{following.python}"]
+        compiled = f"__init__.cpython-{following.python.replace('.', '')}.pyc"
+        if not place.box.path(f"/opt/failstop/site-packages/failstop/__pycache__/{compiled}").exists():
+            wrong.append(f"no {compiled}")
+        place.dpkg("-P", "failstop")
+        wrong += ["/opt/failstop stays"] * place.box.path("/opt/failstop").exists()
+    return [
+        verdict(f"{change}: the wheels are stopped", [] if away.stopped else ["they turn"]),
+        stats.count(f"{change}: motion frames after the stop", away.moved, away.frames),
+        verdict(f"{change}: what runs, runs on it", wrong),
+    ]
+
+
+def allows(depends: str, python: str) -> bool:
+    """A package that depends on this can be installed with this Python."""
+    found = re.search(r"python3 \(<< (\d+)\.(\d+)\)", depends)
+    return not found or tuple(map(int, python.split("."))) < tuple(map(int, found.groups()))
+
+
+def interpreters(place: Place) -> set[str]:
+    """The names of the programs that the service's processes are."""
+    return {os.path.basename(os.readlink(f"/proc/{pid}/exe")) for pid in place.box.pids(UNIT)}
 
 
 def upgrade_rows(upgrades: list[Away]) -> list[stats.Row]:

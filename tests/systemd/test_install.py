@@ -10,7 +10,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from bench.guard_scene import Process
 from bench.service_scene import READY
+from failstop.board.rrc import codec
 from failstop_lab.sim.client import SimBoard
 from failstop_lab.trial import wait_for
 from tests.support.deb import tree
@@ -19,6 +21,29 @@ from tests.support.pages import ROOT
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 BRIDGE = "failstop-ros2@daemon.service"
+GUARD = "failstop-guard@daemon.service"
+FRAME = codec.motor_speeds((-0.3, -0.3, 0.3, 0.3), 1.0).hex()
+"""All wheels forward; on the left the motors are mounted the other way round."""
+DRIVER = """
+import os, sys, time, tty
+while True:
+    try:
+        port = os.open("/run/failstop-guard/port", os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(port)
+        os.set_blocking(port, False)
+        print("open", flush=True)
+        while True:
+            os.write(port, bytes.fromhex(sys.argv[1]))
+            time.sleep(0.02)
+            try:
+                os.read(port, 65536)
+            except BlockingIOError:
+                pass
+    except OSError as error:
+        print(error.strerror, flush=True)
+        time.sleep(0.1)
+"""
+"""It knows nothing of failstop: it writes one speed again and again, and after an error it opens the port again."""
 CONFIGURES = ("env", "DPKG_MAINTSCRIPT_PACKAGE=failstop", "/var/lib/dpkg/info/failstop.postinst", "configure")
 """The script that dpkg runs once the files are there."""
 
@@ -176,6 +201,90 @@ def test_a_second_robot_page_fleet_and_bridge_live_and_go_with_the_package(place
     links = [path.replace("private/", "") for path in kept]
     assert not [path for path in (*kept, *links) if os.path.lexists(place.box.path(path))]
     place.box.run("rm", "-r", "/opt/ros", OPERATES, "/run/failstop")
+
+
+def test_a_service_that_runs_and_is_not_enabled_runs_again_after_an_upgrade(place: Place, package: str) -> None:
+    place.plug()
+    place.dpkg("-i", package)
+    place.box.ctl("disable", UNIT)
+    pid = place.pid(UNIT)
+    place.board.events()
+    with place.driving():
+        place.dpkg("-i", package)
+        assert stopped(place.board)
+    assert place.ready()
+    assert place.pid(UNIT) not in (0, pid)
+    assert place.box.show(UNIT, "UnitFileState") == {"UnitFileState": "disabled"}, "an administrator's choice stays"
+    place.box.ctl("stop", UNIT)
+    place.dpkg("-i", package)
+    assert not place.active(UNIT), "neither enabled nor running: an upgrade starts nothing"
+    place.dpkg("-P", "failstop")
+
+
+def test_a_driver_at_the_guard_port_is_stopped_by_an_upgrade_and_opens_the_port_again(
+    place: Place, package: str
+) -> None:
+    place.plug()
+    place.box.write(SETTINGS, f'[device]\npath = "{LINK}"\n[scan]\ngate = "off"\n')
+    place.box.write("/run/driver.py", DRIVER)
+    place.dpkg("-i", package)
+    place.box.ctl("enable", "--now", GUARD)
+    wait_for("the guard port", place.box.path("/run/failstop-guard/port").is_symlink)
+    place.box.run("failstop", "enable")
+    guard = place.pid(GUARD)
+    as_user = ("setpriv", "--reuid=daemon", "--regid=daemon", "--init-groups", "--")
+    driver = Process(*place.box.entering(*as_user, "/usr/bin/python3", "/run/driver.py", FRAME))
+    try:
+        driver.until("open")
+        place.board.wait_wheels(True, 10.0)
+        place.board.events()
+        place.dpkg("-i", package)
+        assert driver.line() == "Input/output error", "the guard's port goes with its old version"
+        driver.until("open", 20.0)
+        assert place.pid(GUARD) not in (0, guard)
+        wait_for("the service to know it", lambda: "python3" in place.box.run("failstop", "status").stdout)
+        motor = [event for event in place.board.events() if event.is_motor]
+        first = next(at for at, event in enumerate(motor) if event.is_stop)
+        assert not [event for event in motor[first:] if any(event.speeds)], "nobody has enabled motion since"
+        assert not any(place.board.wheels())
+    finally:
+        driver.close()
+    place.dpkg("-P", "failstop")
+
+
+def python_package(place: Place) -> str:
+    """The path inside of another package that brings /usr/bin/python3, as an upgrade of Debian's Python does."""
+    folder = place.packages / "other"
+    (folder / "DEBIAN").mkdir(parents=True)
+    fields = {"Package": "other-python", "Version": "1", "Architecture": "all", "Maintainer": "a", "Description": "b"}
+    (folder / "DEBIAN/control").write_text("".join(f"{name}: {text}\n" for name, text in fields.items()))
+    (folder / "usr/bin").mkdir(parents=True)
+    (folder / "usr/bin/python3").symlink_to(os.readlink(place.box.path("/usr/bin/python3")))
+    out = folder.with_suffix(".deb")
+    subprocess.run(["dpkg-deb", "--root-owner-group", "--build", folder, out], check=True, capture_output=True)
+    return f"/packages/{out.name}"
+
+
+def test_what_runs_restarts_once_the_system_has_another_python(place: Place, package: str) -> None:
+    """`make package-test` upgrades Debian's Python. Here it is the same Python, and what was compiled for it is taken
+    away."""
+    place.plug()
+    place.dpkg("-i", package)
+    other, pid = python_package(place), place.pid(UNIT)
+    installs = ("--force-overwrite", "-i", other)
+    assert "another Python" not in place.dpkg(*installs), "the modules are there for this one"
+    assert place.pid(UNIT) == pid
+    compiled = "/opt/failstop/site-packages/failstop/__pycache__"
+    place.box.run("rm", "-r", compiled)
+    place.board.events()
+    with place.driving():
+        said = place.dpkg(*installs)
+        assert stopped(place.board)
+    assert "the system has another Python now, so what runs of failstop restarts, with motion disabled" in said
+    assert list(place.box.path(compiled).glob("*.pyc"))
+    assert place.ready()
+    assert place.pid(UNIT) not in (0, pid)
+    place.dpkg("-P", "failstop")
 
 
 @contextlib.contextmanager
