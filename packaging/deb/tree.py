@@ -156,8 +156,11 @@ def compiled(directory: Path, interpreter: str) -> bytes:
     """An archive of the modules in a written environment, compiled by this interpreter: they are unpacked there.
     Raises BuildError."""
     with tempfile.TemporaryDirectory(prefix="failstop-compiled-") as out:
-        words = (interpreter, "-I", "-S", "-c", COMPILE, str(directory / SITE), out, f"{PREFIX}/{SITE}")
-        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        # Not -I, which would have it draw its own hash seed: up to Python 3.10 a compiled set has the order of its hashes.
+        words = (interpreter, "-s", "-S", "-c", COMPILE, str(directory / SITE), out, f"{PREFIX}/{SITE}")
+        environ = {name: text for name, text in os.environ.items() if not name.startswith("PYTHON")}
+        environ["PYTHONHASHSEED"] = "0"
+        done = subprocess.run(words, env=environ, cwd=out, capture_output=True, text=True, check=False)
         if done.returncode:
             raise BuildError(f"{interpreter} can't compile the modules: {done.stderr.strip()}")
         packed = io.BytesIO()

@@ -32,7 +32,7 @@ rm -f /etc/apt/sources.list /etc/apt/sources.list.d/*
 """
 INSIDE = (
     *("systemd", "systemd-sysv", "init-system-helpers", "udev", "procps", "python3", "openssl"),
-    *("apt-utils", "gcc", "libc6-dev", "libstdc++6"),
+    *("apt-utils", "dpkg-dev", "gcc", "libc6-dev", "libstdc++6"),
 )
 """Packages of a system that boots in a container: what a machine has, what autopkgtest installs packages with, what the
 tests need, and libstdc++6 for packages of before 0.2, which depend on it."""

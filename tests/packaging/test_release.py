@@ -146,7 +146,8 @@ def test_the_bill_has_the_hash_of_every_wheel(tmp_path: Path) -> None:
 def test_built_twice_it_is_equal_to_the_byte(tmp_path: Path) -> None:
     names = {path.name for path in release.twice("0.9.0", tmp_path, tmp_path / "wheels")}
     assert {Path(name).suffix for name in names} >= {".whl", ".gz", ".deb", ".json", ".md"}
-    assert names >= {f"failstop_0.9.0_{architecture}.deb" for architecture in ("amd64", "arm64")}
+    of_each = ("failstop", "libfailstop0", "libfailstop-dev")
+    assert names >= {f"{name}_0.9.0_{machine}.deb" for name in of_each for machine in ("amd64", "arm64")}
 
 
 def test_two_releases_that_are_not_equal_are_told_apart(tmp_path: Path) -> None:

@@ -96,6 +96,22 @@ def test_the_modules_are_compiled_for_their_place(tmp_path: Path) -> None:
     assert f"matches {site / 'module.py'}" in said.stderr
 
 
+def test_modules_are_compiled_with_the_same_hashes_each_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up to Python 3.10 the order of a compiled set depends on them."""
+    tree.write([tree.Entry("site-packages/module.py", "x = 1\n")], tmp_path / "new")
+    python, log = tmp_path / "python3", tmp_path / "log"
+    python.write_text(
+        '#!/bin/sh\nflags=\nfor word; do [ "$word" != -c ] || break; flags="$flags $word"; done\n'
+        f"""{BASE} $flags -c 'print(hash("a"))' >>{log}\nexec {BASE} "$@"\n"""
+    )
+    python.chmod(0o755)
+    for seed in ("1", "2", "random"):
+        monkeypatch.setenv("PYTHONHASHSEED", seed)
+        tree.compiled(tmp_path / "new", str(python))
+    hashes = log.read_text().split()
+    assert hashes == hashes[:1] * 3
+
+
 def here(find: Any) -> dict[str, Any]:
     """It finds what is for this Python."""
     return {tree.VERSION_HERE: find}
