@@ -156,7 +156,7 @@ def compiled(directory: Path, interpreter: str) -> bytes:
     """An archive of the modules in a written environment, compiled by this interpreter: they are unpacked there.
     Raises BuildError."""
     with tempfile.TemporaryDirectory(prefix="failstop-compiled-") as out:
-        # Not -I, which would have it draw its own hash seed: up to Python 3.10 a compiled set has the order of its hashes.
+        # Not -I, which draws a hash seed of its own: until Python 3.11 a compiled set has the order of its hashes.
         words = (interpreter, "-s", "-S", "-c", COMPILE, str(directory / SITE), out, f"{PREFIX}/{SITE}")
         environ = {name: text for name, text in os.environ.items() if not name.startswith("PYTHON")}
         environ["PYTHONHASHSEED"] = "0"
