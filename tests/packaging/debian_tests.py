@@ -37,8 +37,9 @@ INSIDE = (
 """Packages of a system that boots in a container: what a machine has, what autopkgtest installs packages with, what the
 tests need, and libstdc++6 for packages of before 0.2, which depend on it."""
 TESTBED = Path(__file__).with_name("testbed.py")
-LEFT = ("--ignore=/var/cache/debconf/tmp.ci",)
-"""debconf of Debian 13 leaves its folder for any package that it has unpacked."""
+LEFT = ("--ignore=/var/cache/debconf/tmp.ci/",)
+"""debconf of Debian 13 leaves its folder for any package that it has unpacked; piuparts names folders with a / at the
+end."""
 BOOTS = ("systemd", "systemd-sysv", "init-system-helpers")
 """Packages of every Debian that boots. As dependencies that piuparts installs and purges, they would leave folders of
 systemd's own (/root/.ssh, /var/lib/private and others), which count as failstop's then."""

@@ -48,7 +48,7 @@ set -eu
 sed -nE 's/^deb (\\[[^]]*\\] )?(\\S+) {suite} .*/deb \\2 {following} main/p' /etc/apt/sources.list |
   head -n 1 >/etc/apt/sources.list.d/next.list
 mkdir -p /packages/partial
-apt-get -qq -o '{valid}' update
+apt-get -qq -o Acquire::Check-Valid-Until=false update
 apt-get install --download-only --yes -qq -o Dir::Cache::Archives=/packages -t {following} python3
 """
 FETCHED_S, CHANGED_S = 300.0, 600.0
@@ -297,7 +297,7 @@ def another_python(package: Path, suite: str) -> list[stats.Row]:
         return [stats.Row(change, "skipped: the package is for one Python alone (VERSION=x)", "-", None, {})]
     with machine(debian_tests.booted(suite)) as place:
         progress(change)
-        script = FETCH.format(suite=suite, following=following.name, valid=debian.NOT_VALID)
+        script = FETCH.format(suite=suite, following=following.name)
         done = debian.run(debian_tests.booted(suite), script, place.packages, FETCHED_S)
         if done.returncode:
             raise BenchError(f"the Python of {following.name} can't be fetched: {done.stdout[-2000:]}")
