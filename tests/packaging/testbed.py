@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from typing import Any
 
 LIBRARY = "/usr/share/autopkgtest/lib"
 """Where autopkgtest keeps the module that speaks its protocol."""
@@ -19,6 +20,7 @@ SHARED = "downtmp-host="
 """Before the path out here of the folder that both sides see."""
 
 root, command = sys.argv[1], sys.argv[2:]
+protocol: Any = None
 capabilities = list(CAPABILITIES)
 
 
