@@ -1,4 +1,5 @@
-"""autopkgtest's tests of the packages: none is skipped for what the container is said to lack."""
+"""Debian's judges: none of autopkgtest's tests is skipped for what the container is said to lack, and a warning of
+piuparts is no failure."""
 
 from __future__ import annotations
 
@@ -41,3 +42,8 @@ def test_the_container_offers_what_each_test_asks_for(answers: list[str], tmp_pa
     wanted = {ROOT_NEEDED.get(word, word) for line in asked for word in line.split(", ")}
     assert {"isolation-container", "root-on-testbed"} == wanted
     assert wanted <= set(capabilities.split())
+
+
+def test_a_warning_of_piuparts_is_not_said_to_be_wrong() -> None:
+    text = "2m14.7s ERROR: WARN: Broken symlinks:\n2m17.8s ERROR: FAIL: Package purging left files on system:\n"
+    assert debian_tests.complaints(text) == ["FAIL: Package purging left files on system:"]
