@@ -80,6 +80,9 @@ def attempt(name: str) -> list[tried.Attempt]:
     """Try a row, showing what it prints; its records."""
     row = ROWS[name]
     print(f"== {name}: make {' '.join(row.command)}", flush=True)
+    # Before it runs: somebody may go on working meanwhile.
+    dirty = "+" if said("git", "status", "--porcelain", "--untracked-files=no") else ""
+    commit = said("git", "rev-parse", "--short=8", "HEAD") + dirty
     lines = []
     with subprocess.Popen(
         ("make", *row.command), cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
@@ -89,8 +92,6 @@ def attempt(name: str) -> list[tried.Attempt]:
             sys.stdout.write(line)
             lines.append(line)
     version = said("sh", "-c", row.probe) if row.probe else ""
-    dirty = "+" if said("git", "status", "--porcelain", "--untracked-files=no") else ""
-    commit = said("git", "rev-parse", "--short=8", "HEAD") + dirty
     day = time.strftime("%Y-%m-%d", time.gmtime())
     again = f"make tried ROWS={name}"
     return [
