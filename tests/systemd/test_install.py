@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from bench.service_scene import READY
 from failstop.board.rrc import codec
 from failstop_lab.sim.client import SimBoard
 from failstop_lab.trial import wait_for
+from tests.support.c_client import Driver, driver, library
 from tests.support.deb import tree
 from tests.support.package_scene import BOARD, LINK, OPERATES, SETTINGS, UNIT, Place, stopped
 from tests.support.pages import ROOT
@@ -44,6 +46,8 @@ while True:
         time.sleep(0.1)
 """
 """It knows nothing of failstop: it writes one speed again and again, and after an error it opens the port again."""
+OK, NO_SERVICE = 0, -1
+"""Of failstop.h."""
 CONFIGURES = ("env", "DPKG_MAINTSCRIPT_PACKAGE=failstop", "/var/lib/dpkg/info/failstop.postinst", "configure")
 """The script that dpkg runs once the files are there."""
 
@@ -249,6 +253,37 @@ def test_a_driver_at_the_guard_port_is_stopped_by_an_upgrade_and_opens_the_port_
         assert not any(place.board.wheels())
     finally:
         driver.close()
+    place.dpkg("-P", "failstop")
+
+
+def test_a_c_program_is_stopped_by_an_upgrade_and_can_still_stop(place: Place, package: str) -> None:
+    """It is told that its service has gone. Its stop is heard by the new one, with and without a new connection."""
+    place.plug()
+    place.box.write(SETTINGS, f'[device]\npath = "{LINK}"\n[scan]\ngate = "off"\n')
+    place.dpkg("-i", package)
+    for path in (driver(), library() / "libfailstop.so.0"):
+        shutil.copy(path, place.box.path("/run"))
+    words = place.box.entering("env", "LD_LIBRARY_PATH=/run", f"/run/{driver().name}")
+    with Driver(command=tuple(words)) as program:
+        program.connect("failstop")
+        assert program.do("enable 5") == OK
+        program.tell("for 20 0.2")
+        place.board.wait_wheels(True, 10.0)
+        place.board.events()
+        place.dpkg("-i", package)
+        assert int(program.answer()) == NO_SERVICE
+        motor = [event for event in place.board.events() if event.is_motor]
+        first = next(at for at, event in enumerate(motor) if event.is_stop)
+        assert not [event for event in motor[first:] if any(event.speeds)], "it went on commanding"
+        assert program.text("error").startswith("the service has gone: start it, then call fs_connect()")
+        assert place.ready()
+        assert program.do("stop by a C program of before") == OK
+        wait_for("the stop", lambda: "by a C program of before" in place.box.run("failstop", "why").stdout)
+        wait_for("the reset", lambda: not place.box.run("failstop", "reset", check=False).returncode)
+        assert program.do("connect") == OK
+        assert program.state()["enabled"] == 0
+        assert program.do("stop by a C program, connected again") == OK
+        wait_for("the stop", lambda: "connected again" in place.box.run("failstop", "why").stdout)
     place.dpkg("-P", "failstop")
 
 
