@@ -95,7 +95,7 @@ def attempt(name: str) -> list[tried.Attempt]:
     day = time.strftime("%Y-%m-%d", time.gmtime())
     again = f"make tried ROWS={name}"
     return [
-        dict(zip(tried.FIELDS, (row.what, one, machine(), result, day, commit, again), strict=True))
+        dict(zip(tried.IN_A_RECORD, (row.what, one, machine(), result, day, commit, again), strict=True))
         for one, result in results(row, "".join(lines), run.returncode, version or "version not known").items()
     ]
 

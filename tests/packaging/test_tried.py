@@ -57,6 +57,15 @@ def test_an_unknown_row_is_named_and_nothing_is_tried(tried: Any, capsys: pytest
     assert "no row 'nothing': there are versions, test," in capsys.readouterr().err
 
 
+@pytest.mark.starts
+def test_a_run_becomes_a_record_of_what_it_was_tried_with(tried: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(tried.ROWS, "make", tried.Row("make itself", ("--version",), "echo GNU make"))
+    (found,) = tried.attempt("make")
+    assert tuple(found) == page.IN_A_RECORD
+    assert (found["what"], found["with"], found["result"]) == ("make itself", "GNU make", "passed")
+    assert found["row"] == "make tried ROWS=make"
+
+
 def test_every_row_is_a_target_of_make(tried: Any) -> None:
     makefile = (ROOT / "Makefile").read_text()
     for row in tried.ROWS.values():
