@@ -52,7 +52,7 @@ EXTRA = re.compile(r"extra == [\"'](\w+)")
 """In a requirement's condition: of which extra it is."""
 
 COMMAND = f"""\
-#!{PREFIX}/bin/python3 -I
+#!{PREFIX}/bin/python3 -IB
 import sys
 
 from failstop.cli.main import main

@@ -66,7 +66,7 @@ def test_written_it_runs_by_itself(running: list[Any], tmp_path: Path) -> None:
     )
     assert all(path.startswith(str(place)) for path in said.stdout.split())
     script = (place / "bin/failstop").read_text()
-    assert script.startswith("#!/opt/failstop/bin/python3 -I\n")
+    assert script.startswith("#!/opt/failstop/bin/python3 -IB\n"), "what root runs leaves no modules when it is removed"
     config = [str(place / "bin/python3"), "-I", str(place / "bin/failstop"), "config", "--json"]
     assert "device.path" in json.loads(subprocess.run(config, check=True, capture_output=True, cwd="/").stdout)
     modules = sorted(place.rglob("*.py"))
