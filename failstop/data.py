@@ -24,7 +24,7 @@ class Data:
             setattr(self, name, value)
         for name, value in named.items():
             setattr(self, name, value)
-        if len(values) + len(named) < len(fields) or named:
+        if named or len(values) < len(fields):
             self._check(values, named)
         elif len(values) > len(fields):
             raise TypeError(f"{type(self).__name__} has {len(fields)} fields, and {len(values)} were given")

@@ -46,11 +46,33 @@ def test_segments_are_made_alike_where_posix_ipc_has_no_wheel(
     of = SERVICE[0]
     made = segments.create(name, of, RUN)
     assert stat.S_IMODE(os.stat(path_of(name, of)).st_mode) == SEGMENT_BY_NAME[of].mode
-    with pytest.raises(segments.AttachError, match="can't be made"):
+    with pytest.raises(segments.AttachError, match=r"can't be made: .*exists"):
         segments.create(name, of, RUN)
     made.close()
     segments.unlink(name, of)
     assert not os.path.exists(path_of(name, of))
+
+
+@pytest.mark.parametrize("lacking", [False, True], ids=["posix-ipc", "no posix-ipc"])
+def test_a_segment_is_its_maker_s_alone_until_it_is_given(
+    name: str, lacking: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever opened it before could keep it open."""
+    modes, fchmod = [], os.fchmod
+
+    def seen(fd: int, mode: int) -> None:
+        modes.append(stat.S_IMODE(os.fstat(fd).st_mode))
+        fchmod(fd, mode)
+
+    if lacking:
+        monkeypatch.setitem(sys.modules, "posix_ipc", None)
+    monkeypatch.setattr(os, "fchmod", seen)
+    mask = os.umask(0)
+    try:
+        segments.create(name, SERVICE[0], RUN).close()
+    finally:
+        os.umask(mask)
+    assert modes == [0o600]
 
 
 @pytest.mark.parametrize(("own", "gid", "group"), [(0, NOBODY, NOBODY), (NOBODY, 0, 0), (NOBODY, -1, NOBODY)])
