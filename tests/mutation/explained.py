@@ -221,6 +221,7 @@ SHM: tuple[Reason, ...] = (
     Reason("messages/segments.py", r"\n\+.*mmap\(fd, spec\.size, prot=prot\)", "MAP_SHARED is the default"),
     Reason("messages/segments.py", r"\n\+.*found\.get\(.*, 1\)\)", "no file is of the first nanosecond of 1970"),
     Reason("shm/segment.py", r"\n\+\s+self\.view\.fd = -2", "neither is a descriptor"),
+    Reason("messages/segments.py", r"\n\+.*file\.read\(None\)", "what is behind the header is not looked at"),
     Reason("messages/segments.py", r"\n\+.*O_CREX, \)", "0600 is the default"),
     Reason("messages/segments.py", r"\n\+.*path_of\(memory, SUPERVISOR, \)", "nobody gives a folder", same=False),
     Reason(
