@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from failstop_lab.stopped import Stopped, judge
 from failstop_lab.trial import Trial, wait_for
 from tests.support.c_client import Driver
 
@@ -10,6 +11,8 @@ NO_SERVICE, NO_PERMISSION, OTHER_LAYOUT, NO_SLOT, NOT_CONNECTED = -1, -2, -3, -4
 REFUSED, NO_ANSWER, UNDECLARED, INVALID, FORKED, DAMAGED = -6, -7, -8, -9, -10, -11
 DISABLED, HELD, NO_COMMAND = 2, 3, 4
 DRIVING, BLOCKED = 1, 3
+LATE_NS = 250_000_000
+"""Less than the 0.3 s after which a silent client's command would have stopped the wheels anyway."""
 
 
 def set_off(trial: Trial, driver: Driver, velocity: float = 0.2) -> None:
@@ -18,3 +21,18 @@ def set_off(trial: Trial, driver: Driver, velocity: float = 0.2) -> None:
     trial.robot.enable()
     wait_for("the wheels to turn", lambda: driver.do(f"for 0.05 {velocity}") or trial.turning())
     trial.board.events()
+
+
+def seen(trial: Trial, fault_ns: int) -> Stopped:
+    """What the board saw, while a successor commands motion, as a program does that is started again at once."""
+    with Driver() as again:
+        again.connect(trial.name)
+        again.do("for 0.3 0.2")
+    return judge(trial.board.events(), fault_ns, was_turning=True)
+
+
+def stays(trial: Trial, who: str, pid: int) -> None:
+    state = trial.robot.state
+    assert not state.enabled
+    assert not trial.turning()
+    assert f"{who} (pid {pid}) died after it had driven" in " ".join(str(trial.robot.why()).split())

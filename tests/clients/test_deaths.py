@@ -11,13 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from failstop_lab.stopped import Stopped, judge
 from failstop_lab.trial import Trial, wait_for
-from tests.clients.scene import OK, set_off
+from tests.clients.scene import LATE_NS, OK, seen, set_off, stays
 from tests.support.c_client import Driver
 
-LATE_NS = 250_000_000
-"""Less than the 0.3 s after which a silent client's command would have stopped the wheels anyway."""
 ENDS = {
     "kill -9": lambda driver: os.kill(driver.pid, signal.SIGKILL),
     "SIGHUP": lambda driver: os.kill(driver.pid, signal.SIGHUP),
@@ -35,21 +32,6 @@ def driving(trial: Trial, driver: Driver) -> None:
     assert driver.answer() == "driving"
     trial.board.wait_wheels(turning=True, timeout_s=5.0)
     trial.leave()
-
-
-def seen(trial: Trial, fault_ns: int) -> Stopped:
-    """What the board saw, while a successor commands motion, as a program does that is started again at once."""
-    with Driver() as again:
-        again.connect(trial.name)
-        again.do("for 0.3 0.2")
-    return judge(trial.board.events(), fault_ns, was_turning=True)
-
-
-def stays(trial: Trial, who: str, pid: int) -> None:
-    state = trial.robot.state
-    assert not state.enabled
-    assert not trial.turning()
-    assert f"{who} (pid {pid}) died after it had driven" in " ".join(str(trial.robot.why()).split())
 
 
 @pytest.mark.claim("CLIENT-1", "MOVE-2")

@@ -18,8 +18,7 @@ from failstop.messages import layout, segments
 from failstop.shm import cell
 from failstop_lab.stopped import judge
 from failstop_lab.trial import Trial, wait_for
-from tests.clients.scene import DAMAGED, INVALID, NO_ANSWER, NO_SERVICE, OK, set_off
-from tests.clients.test_deaths import LATE_NS, seen, stays
+from tests.clients.scene import DAMAGED, INVALID, LATE_NS, NO_ANSWER, NO_SERVICE, OK, seen, set_off, stays
 from tests.support.c_client import SOURCE, Driver, compiled, library
 
 
