@@ -34,7 +34,7 @@ def test_one_that_died_too_often_is_started_anew_by_a_reset(process: str) -> Non
     simulated.die(process)
     simulated.wait_for("the end of it", lambda: robot.state.processes[process].state == "down")
     robot.wait_for("latched", 1.0)
-    assert f"{process} died too often and is down" in simulated.said
+    assert f"{process} died too often, so it stays down" in simulated.said
     shown = simulated.command("status")[1]
     assert "next      `failstop reset" in shown
     assert f"{process} died too often and is down until a reset" in shown

@@ -67,7 +67,7 @@ def test_a_driver_in_another_container_drives_and_its_death_stops_it(
         driver.kill()
         scene.stands()
         wait_for("motion to be disabled", lambda: not scene.trial.robot.state.enabled)
-        assert "which had driven, has died" in str(scene.trial.robot.why())
+        assert "died after it had driven" in str(scene.trial.robot.why())
 
 
 def test_in_a_container_the_next_driver_gets_the_port_after_one_that_had_a_child(

@@ -25,6 +25,9 @@ ALLOWED = {
     ("lab/failstop_lab/machine/memory.py", "memoryview"),  # the simulated machine's own, of one Python process
     ("lab/failstop_lab/machine/mapped.py", "memoryview"),  # likewise
     ("failstop/ros2/stencil.py", "pack_into"),  # a message for ROS, in a buffer of this process alone
+    ("failstop/board/vesc/codec.py", BIG_ENDIAN),  # packets of a board that talks big-endian
+    ("failstop/board/vesc/driver.py", BIG_ENDIAN),
+    ("lab/failstop_lab/boards/vesc.py", BIG_ENDIAN),
 }
 
 

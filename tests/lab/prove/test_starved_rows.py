@@ -152,10 +152,10 @@ def test_a_stop_for_somebody_who_was_not_run_spoils_the_row(cause: Cause | None,
 
 
 def test_an_invalid_row_says_what_to_do() -> None:
-    found = result(starved="this test did not run for 210 ms")
+    found = result(starved="this test was not run for 210 ms")
     found.doubt("written after 190.0 ms, the bar is 102")
     line = report.row(found)
-    assert "INVALID the machine was starved (this test did not run for 210 ms): repeat on a quieter one" in line
+    assert "INVALID the machine was starved (this test was not run for 210 ms): repeat on a quieter one" in line
     assert "written after 190.0 ms" in line
 
 
@@ -201,7 +201,7 @@ def test_lateness_is_counted_since_a_moment() -> None:
     held.woken(0, 80 * MS)
     held.woken(1_000 * MS, 1_060 * MS)
     assert held.longest(0) == (80 * MS, "this test")
-    assert held.starved((81 * MS, now_ns)) == "this test did not run for 60 ms"
+    assert held.starved((81 * MS, now_ns)) == "this test was not run for 60 ms"
     assert held.starved((2_000 * MS, now_ns)) == ""
     assert held.starved((2_000 * MS, now_ns), causes.HELD_UP(300)) == str(causes.HELD_UP(300))
     assert held.starved((2_000 * MS, now_ns), causes.KEY(1)) == ""
