@@ -1,7 +1,8 @@
 """Openers: the programs that have the pseudo-terminal open, by inotify and, where it shows them, by /proc.
 
-The kernel merges events that are alike and follow each other, so events say that somebody opened or closed it, and only
-/proc says how many have it open. A child that inherited the descriptor keeps it open when its parent dies, so each
+The kernel merges events that are alike and follow each other, so that two programs which close it in one moment would
+count as one. Its directory is therefore watched too: each open and close is then two events of two watches, and no two
+that follow each other are alike. A child that inherited the descriptor keeps it open when its parent dies, so each
 program that was seen is watched by a pidfd too.
 """
 
@@ -37,7 +38,8 @@ class Watch:
         if self.fd < 0:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), "inotify")
         wanted = IN_OPEN | IN_CLOSE_WRITE | IN_CLOSE_NOWRITE
-        if _libc.inotify_add_watch(self.fd, os.fsencode(path), wanted) < 0:
+        self._path = _libc.inotify_add_watch(self.fd, os.fsencode(path), wanted)
+        if self._path < 0 or _libc.inotify_add_watch(self.fd, os.fsencode(os.path.dirname(path)), wanted) < 0:
             error = ctypes.get_errno()
             os.close(self.fd)
             raise OSError(error, os.strerror(error), path)
@@ -49,9 +51,9 @@ class Watch:
             while data := os.read(self.fd, 65536):
                 at = 0
                 while at < len(data):
-                    _, mask, _, length = _EVENT.unpack_from(data, at)
+                    watch, mask, _, length = _EVENT.unpack_from(data, at)
                     at += _EVENT.size + length
-                    if mask & (IN_OPEN | IN_CLOSE_WRITE | IN_CLOSE_NOWRITE):
+                    if watch == self._path and mask & (IN_OPEN | IN_CLOSE_WRITE | IN_CLOSE_NOWRITE):
                         found.append(bool(mask & IN_OPEN))
         return found
 
