@@ -113,8 +113,9 @@ def test_a_service_that_was_just_starting_is_asked_once_it_listens(
 
 
 def test_the_setting_is_declared_once() -> None:
-    of_the_board = {"board.kind": "rrc", "board.baud": 0, "board.can_id": 1}
-    assert stop.DEFAULTS == {"device.path": "/dev/ttyACM0", "stop.wait_s": 30.0, **of_the_board}
+    port = {"device.path": "/dev/ttyACM0", "stop.wait_s": 30.0}
+    board = {"board.kind": "rrc", "board.baud": 0, "board.can_id": 1}
+    assert stop.DEFAULTS == port | board
 
 
 @pytest.mark.parametrize("named", [True, False], ids=["port named", "port of the file"])
