@@ -115,7 +115,7 @@ def test_a_service_that_was_just_starting_is_asked_once_it_listens(
 def test_the_setting_is_declared_once() -> None:
     port = {"device.path": "/dev/ttyACM0", "stop.wait_s": 30.0}
     board = {"board.kind": "rrc", "board.baud": 0, "board.can_id": 1}
-    assert stop.DEFAULTS == port | board
+    assert port | board == stop.DEFAULTS
 
 
 @pytest.mark.parametrize("named", [True, False], ids=["port named", "port of the file"])
