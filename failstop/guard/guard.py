@@ -88,6 +88,10 @@ class Guard:
             self._end()
         if news.any:
             self._recount(news.orphans)
+        elif self._pty.master in ready and not self._door.count:
+            # Whoever opens it is seen before what they write, so this is of somebody who has gone. It would keep this
+            # loop from sleeping, and the next driver would be taken for its writer.
+            self._pty.clean()
         if now_ns - self._looked_ns >= LOOK_NS:
             self._looked_ns = now_ns
             self._look(now_ns)
@@ -130,7 +134,11 @@ class Guard:
         self._talk = self._talk or self._conversation()
         self._answer_early()
         self._flooded = False
+        before = self._door.count
         self._door.recount(self._read_meanwhile)
+        if before and not self._door.count:
+            # It has gone while it was looked who it is: what it wrote must not wait for the next one.
+            self._end()
         if orphans and self._door.count:
             self._door.hang_up()
             self._tell(f"a child of {orphans[0]}, which has died, had the port open: hung up")

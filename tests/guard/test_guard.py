@@ -223,6 +223,22 @@ def test_what_was_written_before_it_is_known_by_whom_is_answered_and_moves_nothi
         pty.close()
 
 
+def test_what_was_written_by_nobody_who_is_there_is_thrown_away(tmp_path: Path) -> None:
+    """Else the guard would never sleep again, and the next driver would be taken for its writer."""
+    lines: list[str] = []
+    pty = Pty(str(tmp_path / "port"))
+    door = Door(pty)
+    guard = Guard(Nothing(config.load(None, {"board.kind": "arduino"}), lines.append), pty, door, lines.append)
+    try:
+        os.write(pty.slave, b"m 10 10\r")
+        guard.turn()
+        assert pty.master not in door.wait(0)
+        assert not any("motion:" in line for line in lines)
+    finally:
+        guard.close()
+        pty.close()
+
+
 TWICE = """
 import os, sys
 path, first, then = sys.argv[1], bytes.fromhex(sys.argv[2]), bytes.fromhex(sys.argv[3])

@@ -136,7 +136,7 @@ class _Pipe:
     def __init__(self, system: Any) -> None:
         self._system = system
         # Open for both: with no writer the pipe would be ready without end.
-        self.fd = system.open(DRIVER_PIPE, os.O_RDWR | os.O_NONBLOCK)
+        self.master = system.open(DRIVER_PIPE, os.O_RDWR | os.O_NONBLOCK)
 
     def linked(self) -> bool:
         return True
@@ -145,7 +145,7 @@ class _Pipe:
         """All that waits; a driver of this machine never writes so much that the rest has to wait."""
         found = b""
         with contextlib.suppress(BlockingIOError):
-            while part := self._system.read(self.fd, 4096):
+            while part := self._system.read(self.master, 4096):
                 found += part
         return found, True
 
@@ -165,7 +165,7 @@ class _Door:
         self._system = guarded.system["os"]
         self._news = guarded.load("failstop.guard.news")
         self._poll = guarded.system["select"].epoll()
-        self._poll.register(pty.fd, select.EPOLLIN)
+        self._poll.register(pty.master, select.EPOLLIN)
         self.most, self.count, self.crowded = 1, 0, False
         self.seen: dict[int, Any] = {}
         self._life = -1

@@ -262,6 +262,8 @@ class Nursery:
                 return again.draws
             return None
 
+        if not run.rounds:
+            return run  # it went astray, so it says of no round what it was
         number = int(run.rounds[-1].split()[0])
         for skipped in (number - 1, number - 2):
             kept = {label: value for label, value in run.draws.items() if not _before(label, skipped)}
