@@ -22,6 +22,9 @@ PING_GAP_NS = 50_000_000
 QUICK = 10
 """How many pings are sent at once after the start. Telemetry, which hears the answers, takes some tenths of a second to
 start, and until it has heard an answer nobody knows whether the board hears."""
+AGAIN_AFTER_STOP = 4
+"""How many more pings follow the one right after a stop. If answers were lost shortly before, because telemetry died,
+the first answer after the stop may belong to one of those questions; a few more tell them apart."""
 
 
 class Repeats:
@@ -77,7 +80,8 @@ class Pings:
         self.index = 0
 
     def stopped(self, now_ns: int) -> None:
-        """A stop was written, so ask soon whether the board heard it."""
+        """A stop was written, so ask soon whether the board heard it, and then a few times more."""
+        self._quick = max(self._quick, AGAIN_AFTER_STOP)
         self._due.set(max(now_ns, self._sent_ns + PING_GAP_NS))
 
     def due(self, now_ns: int) -> bool:

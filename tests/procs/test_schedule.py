@@ -7,11 +7,13 @@ from typing import Any
 
 import pytest
 
+from failstop.board.handled import Answers
 from failstop.board.rrc.board import BOARD
 from failstop.messages import records
 from failstop.procs.loop import NEVER, Timer
 from failstop.procs.schedule import PING_GAP_NS, QUICK, REFRESH, REPEAT, Pings, Repeats
 from failstop.procs.suspend import SLEPT_NS, SuspendWatch
+from failstop.supervisor.main import HEAR_NS
 from tests.support.port_scene import MOTION, TICK, Scene
 from tests.support.stage import MS, PortMachine
 
@@ -86,6 +88,30 @@ def test_a_ping_is_due_right_after_a_stop_but_for_the_gap(after_ns: int, due_ns:
     pings.stopped(T0 + after_ns)
     assert not pings.due(T0 + due_ns - 1)
     assert pings.due(T0 + due_ns)
+
+
+@pytest.mark.parametrize("lost", [1, 2, 3, 4])
+def test_a_stop_is_acknowledged_before_the_service_gives_up_though_answers_were_lost_just_before(lost: int) -> None:
+    """A telemetry that dies takes an answer with it. The next answer may then belong to the lost question too."""
+    for seed in range(500):
+        due, answers = Timer(), Answers()
+        pings = Pings(4, PERIOD, due, T0 + 7_919 * seed, quick=0)
+
+        def ask(pings: Pings = pings, due: Timer = due, answers: Answers = answers) -> tuple[int, int]:
+            index, asked_ns = pings.index, due.ns
+            answers.asked(index, asked_ns)
+            pings.sent(asked_ns)
+            return index, asked_ns
+
+        for _ in range(lost):
+            ask()
+        stop_ns = due.ns - PERIOD // 2
+        pings.stopped(stop_ns)
+        proved_ns = 0
+        while proved_ns < stop_ns and due.ns + MS < stop_ns + HEAR_NS:
+            index, asked_ns = ask()
+            proved_ns = answers.answered((index,), asked_ns + MS)
+        assert proved_ns >= stop_ns, seed
 
 
 def test_a_ping_that_was_put_off_is_due_then_whatever_is_stopped_meanwhile() -> None:
