@@ -26,13 +26,14 @@ from failstop.board.interface import (
     WheelReports,
 )
 from failstop.board.servos import ServoAnswer
+from failstop.board.steered import SteeringMixin
 from failstop.board.wire import ECHOED, OBSERVED, Battery, Firmware, Health, Imu, Obeyed, Restarted, Sample, Wheels
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from failstop.board.interface import Said
+    from failstop.board.interface import Said, SteeringFrames
     from failstop.board.wire import Wire
 
 MOST_SAMPLES = 10_000
@@ -208,3 +209,13 @@ class Described(Board):
             return self._wire.aux(frame)
         except Exception as error:  # an error in the check of your own board must not end the process
             return f"its check failed: {type(error).__name__}"
+
+
+class SteeredBoard(SteeringMixin, Described):
+    """A described board of a steered base."""
+
+    __slots__ = ("_steering",)
+
+    def __init__(self, wire: Wire, per_rps: float, diameter_m: float, baud: int, steering: SteeringFrames) -> None:
+        super().__init__(wire, per_rps, diameter_m, baud)
+        self._steering = steering

@@ -82,13 +82,11 @@ def board_of(
     `can_id`: of the second motor, if it is on a CAN; `tried`: as for wire_of(). Nothing of another board is imported.
     Raises OwnBoardError, a ValueError."""
     if is_described(kind):
-        from failstop.board.described import Described
+        from failstop.board.described import Described, SteeredBoard
 
         wire = wire_of(kind, tried=tried, steered=steering is not None, can_id=can_id)
         made = Described(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m, baud)
         if steering and wire.steering:
-            from failstop.board.steered import SteeredBoard
-
             made = SteeredBoard(wire, made.per_rps, diameter_m, baud, wire.steering(steering))
         made.scale_assumed = _assumed(wire, made, diameter_m, confirmed_per_rps)
         return made

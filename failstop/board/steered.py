@@ -1,26 +1,24 @@
-"""Steered: a described board whose base has a steering servo. The angle comes after the speeds, and its frame after
-theirs."""
+"""Steering: a board whose base has a steering servo. The angle comes after the speeds, and its frame after theirs."""
 
 from __future__ import annotations
 
-from failstop.board.described import Described
+from failstop.board import checks
+from failstop.board.interface import Board, SteeringFrames
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from failstop.board.interface import SteeringFrames
-    from failstop.board.wire import Wire
+    from failstop.board.facts import SteeringServo
 
 
-class SteeredBoard(Described):
-    """The wire's motion frame, whose length is always the same, and the steering frame behind it."""
+class SteeringMixin(Board):
+    """For a class of boards to inherit from first: its motion frame, whose length is always the same, and the steering
+    frame behind it."""
 
-    __slots__ = ("_steering",)
+    __slots__ = ()
 
-    def __init__(self, wire: Wire, per_rps: float, diameter_m: float, baud: int, steering: SteeringFrames) -> None:
-        super().__init__(wire, per_rps, diameter_m, baud)
-        self._steering = steering
+    _steering: SteeringFrames
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
         """Both frames. Wheels at rest are not steered, so that the frame is the stop."""
@@ -38,3 +36,24 @@ class SteeredBoard(Described):
     def speeds(self, frame: bytes) -> Sequence[float] | None:
         """The speeds of all wheels, by the frame before the steering's."""
         return super().speeds(frame[: len(self.stop)])
+
+
+class ServoSteering(SteeringFrames):
+    """A servo that is told its place in pulses; `servo` says which are straight ahead, and how many a radian has."""
+
+    __slots__ = ("_limit", "servo")
+
+    def __init__(self, servo: SteeringServo) -> None:
+        self.servo = servo
+        self._limit = servo.most_rad * (1 + 2.0**-40)
+        """The largest angle, plus rounding errors."""
+
+    def _pulses(self, angle_rad: float) -> int:
+        """The pulses for this angle to the left. Raises FrameError for a larger angle than allowed."""
+        angle = checks.number("steering angle", angle_rad, -self._limit, self._limit, "rad")
+        return self.servo.centre + round(angle * self.servo.per_rad)
+
+    def _beyond(self, pulses: int) -> str:
+        """Why the servo may not be told these pulses; "" if it may."""
+        beyond = abs(pulses - self.servo.centre) > abs(self._limit * self.servo.per_rad) + 1
+        return f"steering at {pulses}, straight ahead is {self.servo.centre}" if beyond else ""

@@ -220,6 +220,11 @@ class Question(Data):
     """Whether a sample is the answer to it."""
 
 
+def answer_is(text: str) -> Callable[[Sample], bool]:
+    """For a question whose answer is an Answer with this text and no other."""
+    return lambda sample: isinstance(sample, Answer) and sample.text == text
+
+
 class Reader:
     """Takes bytes from the board, and returns samples. It keeps incomplete ones."""
 

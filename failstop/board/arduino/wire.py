@@ -14,7 +14,6 @@ from failstop.board.wire import (
     ANSWERED,
     OBSERVED,
     ZERO,
-    Answer,
     Commander,
     Motion,
     Pace,
@@ -26,6 +25,7 @@ from failstop.board.wire import (
     Wheels,
     Wire,
     Write,
+    answer_is,
 )
 
 TYPE_CHECKING = False
@@ -74,7 +74,7 @@ WIRE = Wire(
         speeds=codec.MOTION.speeds,
     ),
     questions=(
-        Question("baud rate", codec.BAUD_RATE, lambda sample: isinstance(sample, Answer) and sample.text == "57600"),
+        Question("baud rate", codec.BAUD_RATE, answer_is("57600")),
         Question("positions", codec.POSITIONS, lambda sample: isinstance(sample, Wheels)),
     ),
     reader=codec.answers,

@@ -13,22 +13,21 @@ from failstop.board.wire import (
     ECHOED,
     NO_WATCHDOG,
     OBSERVED,
-    Answer,
     Commander,
     Motion,
     Pace,
     Port,
     Question,
     Reports,
-    Sample,
     TimedStop,
     Wire,
     Write,
+    answer_is,
 )
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from failstop.board.driver import DriverLanguage
     from failstop.board.interface import ServoBus
@@ -37,10 +36,6 @@ _MS = 1_000_000
 ANSWERS_NS = 2_500_000
 """Three answers of 25 bytes, and before each the longest return delay that a servo comes with, 0.51 ms (LeRobot sets it
 to 0)."""
-
-
-def _answers(size: int) -> Callable[[Sample], bool]:
-    return lambda sample: isinstance(sample, Answer) and sample.text == str(size)
 
 
 def _arm(port: Port) -> ServoBus:
@@ -81,7 +76,7 @@ WIRE = Wire(
         scale_known=True,
     ),
     questions=tuple(
-        Question(f"{size} bytes of each wheel", ask, _answers(size))
+        Question(f"{size} bytes of each wheel", ask, answer_is(str(size)))
         for size, ask in zip(codec.SIZES, codec.QUESTIONS, strict=True)
     ),
     reader=codec.Replies,

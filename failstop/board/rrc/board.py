@@ -21,6 +21,7 @@ from failstop.board.rrc import codec, decoder, framing
 from failstop.board.rrc.arm import RrcArm
 from failstop.board.rrc.burst import BURST, FIRST_STOP_END
 from failstop.board.rrc.steering import Steering
+from failstop.board.steered import SteeringMixin
 from failstop.board.wire import Commander, Port
 
 TYPE_CHECKING = False
@@ -123,7 +124,6 @@ class Rrc(Board):
     echo_ns = fades_ns = 0
     silent_ns = 600_000_000
     """A busy computer or adapter explains any shorter pause of the IMU."""
-    """Six samples of the IMU."""
     arming = b""
     acknowledged_by = BY_ANSWER
     observed_by = BY_IMU
@@ -178,26 +178,13 @@ class Rrc(Board):
         return codec.check_aux(frame)
 
 
-class SteeredRrc(Rrc):
-    """The board of a base with a steering servo: the angle comes after the speeds, and its frame after theirs."""
+class SteeredRrc(SteeringMixin, Rrc):
+    """The board of a base with a steering servo."""
 
     __slots__ = ("_steering",)
 
-    def __init__(self, steering: Steering) -> None:
-        self._steering = steering
-
-    def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """Both frames. Wheels at rest are not steered, so that the frame is the stop."""
-        *speeds, angle_rad = rps
-        motor = codec.motor_speeds(speeds, max_rps)
-        return motor if motor == self.stop else motor + self._steering.frame(angle_rad)
-
-    def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """Both frames, or the stop."""
-        motor, steers = frame[: codec.MOTOR_BYTES], frame[codec.MOTOR_BYTES :]
-        if why := codec.check_motion(motor, max_rps):
-            return why
-        return "" if motor == self.stop and not steers else self._steering.check(steers)
+    def __init__(self, servo: SteeringServo) -> None:
+        self._steering = Steering(servo)
 
 
 BOARD = Rrc()
@@ -205,4 +192,4 @@ BOARD = Rrc()
 
 def board(_diameter_m: float, _per_rps: float, steering: SteeringServo | None) -> Board:
     """Its speeds are in turns per second already."""
-    return SteeredRrc(Steering(steering)) if steering else BOARD
+    return SteeredRrc(steering) if steering else BOARD

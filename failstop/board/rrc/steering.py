@@ -9,15 +9,14 @@ from __future__ import annotations
 
 from struct import Struct
 
-from failstop.board import checks
-from failstop.board.interface import SteeringFrames
 from failstop.board.rrc import framing, servos
 from failstop.board.rrc.framing import BUS_SERVO, HEAD, PWM_SERVO, crc8
 from failstop.board.servos import SERVO_MOVE
+from failstop.board.steered import ServoSteering
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop.board.facts import SteeringServo
+    pass
 
 PWM, BUS = "pwm", "bus"
 STEER = 3
@@ -31,15 +30,10 @@ _PWM_HEAD = HEAD + bytes((PWM_SERVO, _PWM_DATA.size))
 _BUS_HEAD = HEAD + bytes((BUS_SERVO, _BUS_DATA.size, SERVO_MOVE))
 
 
-class Steering(SteeringFrames):
+class Steering(ServoSteering):
     """The frames of one steering servo."""
 
-    __slots__ = ("_limit", "servo")
-
-    def __init__(self, servo: SteeringServo) -> None:
-        self.servo = servo
-        self._limit = servo.most_rad * (1 + 2.0**-40)
-        """The largest angle, plus rounding errors."""
+    __slots__ = ()
 
     def frame(self, angle_rad: float) -> bytes:
         """The frame for this angle to the left. Raises FrameError for a larger angle than allowed.
@@ -47,8 +41,7 @@ class Steering(SteeringFrames):
         The servo's time may be a few milliseconds longer, so that no frame is made that the zeros of the stop burst
         could complete if it were cut short.
         """
-        checks.number("steering angle", angle_rad, -self._limit, self._limit, "rad")
-        pulses = self.servo.centre + round(angle_rad * self.servo.per_rad)
+        pulses = self._pulses(angle_rad)
         if self.servo.kind == BUS:
             return servos.bus_servo_move(((self.servo.id, pulses),), TAKES_MS, LONGEST_WAY_MS)
         # Each cut excludes at most one of these times, so one of this many is left.
@@ -74,7 +67,3 @@ class Steering(SteeringFrames):
         if end := framing.zeros_complete(PWM_SERVO, frame[4:-1]):
             return f"another angle if cut after {end} bytes of data"
         return self._beyond(pulses)
-
-    def _beyond(self, pulses: int) -> str:
-        beyond = abs(pulses - self.servo.centre) > abs(self._limit * self.servo.per_rad) + 1
-        return f"steering at {pulses}, straight ahead is {self.servo.centre}" if beyond else ""

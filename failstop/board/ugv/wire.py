@@ -13,7 +13,6 @@ from failstop.board.wire import (
     ANSWERED,
     OBSERVED,
     ZERO,
-    Answer,
     Commander,
     Motion,
     Pace,
@@ -24,6 +23,7 @@ from failstop.board.wire import (
     Watchdog,
     Wire,
     Write,
+    answer_is,
 )
 
 TYPE_CHECKING = False
@@ -79,8 +79,8 @@ WIRE = Wire(
         speeds=codec.MOTION.speeds,
     ),
     questions=(
-        Question("speed rate", codec.SPEED_RATE, lambda sample: isinstance(sample, Answer) and sample.text == "139"),
-        Question("attitude", codec.ATTITUDE, lambda sample: isinstance(sample, Answer) and sample.text == "1002"),
+        Question("speed rate", codec.SPEED_RATE, answer_is("139")),
+        Question("attitude", codec.ATTITUDE, answer_is("1002")),
     ),
     reader=codec.reports,
     proofs=(ANSWERED, OBSERVED),

@@ -20,7 +20,7 @@ from binascii import crc_hqx
 from struct import Struct
 
 from failstop.board.checks import counted, integer, number
-from failstop.board.interface import SteeringFrames
+from failstop.board.steered import ServoSteering
 from failstop.board.wire import (
     SERVO_CURRENT,
     SERVO_HEAT,
@@ -40,7 +40,6 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from failstop.board.facts import SteeringServo
 
 SHORT, LONG, END = 2, 3, 3
 """The first byte of a packet, by how its length is written: in one byte or in two; and the last byte."""
@@ -127,20 +126,14 @@ def check_aux(frame: bytes) -> str:
     return "" if frame in (VALUES, FIRMWARE) else "no question for values or the firmware"
 
 
-class Steering(SteeringFrames):
+class Steering(ServoSteering):
     """The servo at a controller. The settings have its pulses in us, and 1000 to 2000 are its whole way."""
 
-    __slots__ = ("_limit", "_servo")
-
-    def __init__(self, servo: SteeringServo) -> None:
-        self._servo = servo
-        self._limit = servo.most_rad * (1 + 2.0**-40)
-        """The largest angle, plus rounding errors."""
+    __slots__ = ()
 
     def frame(self, angle_rad: float) -> bytes:
         """The packet for this angle to the left. Raises FrameError."""
-        angle = number("steering angle", angle_rad, -self._limit, self._limit, "rad")
-        place = self._servo.centre + round(angle * self._servo.per_rad) - FIRST_US
+        place = self._pulses(angle_rad) - FIRST_US
         return packet(_PLACE.pack(SERVO, integer("place of the servo", place, 0, WAY_US)))
 
     def check(self, frame: bytes) -> str:
@@ -149,8 +142,7 @@ class Steering(SteeringFrames):
         if len(payload) != _PLACE.size or payload[0] != SERVO or packet(payload) != frame:
             return "not a steering frame"
         _, place = _PLACE.unpack(payload)
-        beyond_us = abs(place + FIRST_US - self._servo.centre) > abs(self._limit * self._servo.per_rad) + 1
-        return f"steering at {place + FIRST_US} us, straight ahead is {self._servo.centre}" if beyond_us else ""
+        return self._beyond(place + FIRST_US)
 
 
 class Motors:

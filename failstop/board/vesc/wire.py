@@ -17,23 +17,22 @@ from failstop.board.wire import (
     ANSWERED,
     COAST,
     OBSERVED,
-    Answer,
     Commander,
     Motion,
     Pace,
     Port,
     Question,
     Reports,
-    Sample,
     TimedStop,
     Watchdog,
     Wire,
     Write,
+    answer_is,
 )
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from failstop.board.driver import DriverLanguage
 
@@ -50,15 +49,11 @@ def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
     return driver.language(settings)
 
 
-def _answers(index: int) -> Callable[[Sample], bool]:
-    return lambda sample: isinstance(sample, Answer) and sample.text == str(index)
-
-
 def wire(can_ids: tuple[int, ...]) -> Wire:
     """The description for a controller at the port, and those with these CAN ids behind it."""
     motors = codec.Motors(can_ids)
     return Wire(
-        name=f"{'two VESCs' if can_ids else 'a VESC'}",
+        name="two VESCs" if can_ids else "a VESC",
         port=Port(baud=115_200, dtr=False, rts=False, deaf_ns=0, opening=()),
         stop=TimedStop(
             writes=(Write(0, motors.burst),),
@@ -90,7 +85,7 @@ def wire(can_ids: tuple[int, ...]) -> Wire:
             speeds=motors.speeds,
         ),
         questions=tuple(
-            Question(f"values {mask:#x} of each motor", ask, _answers(index))
+            Question(f"values {mask:#x} of each motor", ask, answer_is(str(index)))
             for index, (mask, ask) in enumerate(zip(codec.MASKS, motors.questions, strict=True))
         ),
         reader=motors.replies,
