@@ -70,7 +70,12 @@ def _refuse(event: str, _: object) -> None:
 
 LONGEST = (
     *("lab/prove/test_prove.py", "lab/faults/test_table.py", "systemd/test_install.py", "model/test_model.py"),
-    *("lab/machine/test_campaign.py", "docs/test_docs.py", "systemd/test_service.py", "lab/prove/test_campaign.py"),
+    *(
+        "lab/machine/test_single_faults.py",
+        "docs/test_docs.py",
+        "systemd/test_service.py",
+        "lab/prove/test_random_runs.py",
+    ),
     *("ros2/test_arm_live.py", "incidents/test_live.py", "web/test_sockets.py", "lab/prove/test_arm.py"),
     *("board/test_proofs.py", "e2e/test_hostile_clients.py", "e2e/test_package.py", "docs/test_readme.py"),
     *("lab/machine/test_both_worlds.py", "cli/test_teleop.py", "ros2/test_driving.py", "e2e/test_kills.py"),

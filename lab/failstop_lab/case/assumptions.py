@@ -36,7 +36,7 @@ ASSUMPTIONS = (
     Assumption(
         "MODEL", "The steps of the model are the looks and changes of the code.", "model",
         "An interleaving that the model has not seen; the simulation runs the code itself.",
-        "tests/lab/machine/test_campaign.py", EACH,
+        "tests/lab/machine/test_single_faults.py", EACH,
     ),
     Assumption(
         "PAIRS", "The table of docs/dev/memory-order.md has every pair of accesses whose order matters.",

@@ -16,8 +16,8 @@ from failstop.policy.layouts import BOARDS
 from failstop.setup.ending import noted
 from failstop_lab.boards.traits import traits_of
 from failstop_lab.commands import check_json, matching
-from failstop_lab.faults import campaign, report
-from failstop_lab.faults.campaign import Row
+from failstop_lab.faults import injection, report
+from failstop_lab.faults.injection import Row
 from failstop_lab.faults.scene import Scene
 from failstop_lab.sim.client import SimBoardError
 from failstop_lab.sim.options import add_board
@@ -174,12 +174,14 @@ def _inject(
 
 def _outcomes(
     arguments: Namespace, scene: Scene, rows: tuple[Row, ...], tally: report.Tally
-) -> Iterator[campaign.Outcome]:
+) -> Iterator[injection.Outcome]:
     if arguments.each is not None:
         return (
-            campaign.inject_one(scene, fault, index, tally.seed) for fault in rows for index in range(arguments.each)
+            injection.inject_one(scene, fault, index, tally.seed) for fault in rows for index in range(arguments.each)
         )
     if arguments.count is not None:
-        return campaign.campaign(scene, rows, tally.seed, lambda injected: injected >= arguments.count, arguments.first)
+        return injection.campaign(
+            scene, rows, tally.seed, lambda injected: injected >= arguments.count, arguments.first
+        )
     until_s = tally.begun_s + (arguments.seconds or CAMPAIGN_S)
-    return campaign.campaign(scene, rows, tally.seed, lambda _: time.monotonic() >= until_s, arguments.first)
+    return injection.campaign(scene, rows, tally.seed, lambda _: time.monotonic() >= until_s, arguments.first)

@@ -15,8 +15,8 @@ from failstop.api.errors import FailstopError, Refused
 from failstop.files.instance import DEFAULT_NAME
 from failstop.setup.ending import interruptible
 from failstop_lab.commands import check_json, matching
-from failstop_lab.prove import campaign, report
-from failstop_lab.prove.campaign import Draw
+from failstop_lab.prove import random_runs, report
+from failstop_lab.prove.random_runs import Draw
 from failstop_lab.prove.session import check_free, session
 from failstop_lab.prove.stand import ProveStand
 from failstop_lab.prove.table import Path, Turning, within
@@ -46,7 +46,7 @@ def run(arguments: Namespace, seed: int, default_s: float) -> int:
         velocities = within(stand.settings)
         draws = _draws(arguments, chosen, seed, default_s, velocities)
         evidence = session(draws, velocities, stand, say=report.print_now, tool="chaos", keep_all=False, width=width)
-    print("\n" + "\n".join([*campaign.table_lines(evidence.results), "", *report.last_lines(evidence)]), flush=True)
+    print("\n" + "\n".join([*random_runs.table_lines(evidence.results), "", *report.last_lines(evidence)]), flush=True)
     if arguments.json:
         with open(arguments.json, "w", encoding="utf-8") as file:
             json.dump({"seed": seed, **evidence.as_dict()}, file, indent=1)
@@ -65,13 +65,13 @@ def _check(arguments: Namespace, device: str) -> None:
 
 def _chosen(only: str | None) -> list[Path]:
     missing = "no stop path {} on a stand; `failstop chaos --device PATH --list` has them"
-    return matching(only, campaign.paths(), missing)
+    return matching(only, random_runs.paths(), missing)
 
 
 def list_paths(only: str | None) -> None:
     """Print what can be done on a stand."""
     for path in _chosen(only):
-        print(f"{path.name:<{campaign.WIDTH}} {path.words}")
+        print(f"{path.name:<{random_runs.WIDTH}} {path.words}")
 
 
 def _draws(
@@ -79,11 +79,11 @@ def _draws(
 ) -> Iterator[Draw]:
     if arguments.each is not None:
         plan = [path for path in chosen for _ in range(arguments.each)]
-        return ((path, *campaign.draw([path], index, seed, velocities)[1:]) for index, path in enumerate(plan))
+        return ((path, *random_runs.draw([path], index, seed, velocities)[1:]) for index, path in enumerate(plan))
     if arguments.count is not None:
-        return campaign.draws(chosen, seed, lambda made: made >= arguments.count, arguments.first, velocities)
+        return random_runs.draws(chosen, seed, lambda made: made >= arguments.count, arguments.first, velocities)
     seconds = default_s if arguments.seconds is None else arguments.seconds
-    return campaign.draws(chosen, seed, _after(seconds), arguments.first, velocities)
+    return random_runs.draws(chosen, seed, _after(seconds), arguments.first, velocities)
 
 
 def _after(seconds: float) -> Callable[[int], bool]:

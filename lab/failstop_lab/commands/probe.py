@@ -23,7 +23,7 @@ from failstop.policy.settings import BAUDS
 from failstop.setup.ending import interruptible
 from failstop_lab.probe import judge, ros2, serial
 from failstop_lab.probe.card import Card, Row
-from failstop_lab.probe.guarded import GuardProbe
+from failstop_lab.probe.guard_port import GuardProbe
 from failstop_lab.prove.session import check_free
 from failstop_lab.sim.options import add_board
 

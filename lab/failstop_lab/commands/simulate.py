@@ -15,7 +15,7 @@ from failstop_lab.sim.options import add_board
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from failstop_lab.simulate.campaign import Result
+    from failstop_lab.simulate.single_faults import Result
 
 EXAMPLES = """\
 failstop simulate                 # one call of each line of code, every fault
@@ -77,7 +77,7 @@ def main(arguments: Namespace) -> int:
     """Run the campaign; exit code 1 when anything was wrong, or a mark was not reached by all scenarios together."""
     try:
         from failstop_lab.boards.traits import traits_of
-        from failstop_lab.simulate import campaign, coverage
+        from failstop_lab.simulate import coverage, single_faults
         from failstop_lab.simulate.for_seeds import for_seeds_of, play_of
         from failstop_lab.simulate.scenarios import scenarios_of
     except ModuleNotFoundError as error:
@@ -94,7 +94,7 @@ def main(arguments: Namespace) -> int:
     if arguments.call is not None:
         if len(names) != 1 or not arguments.fault:
             raise FailstopError("--call needs one --scenario and a --fault")
-        run = campaign.one(campaign.Plan(names[0], only=(arguments.call, arguments.fault), board=board))
+        run = single_faults.one(single_faults.Plan(names[0], only=(arguments.call, arguments.fault), board=board))
         print(run.text())
         return int(bool(run.violations))
     if arguments.controls:
@@ -108,10 +108,10 @@ def main(arguments: Namespace) -> int:
     if arguments.seed is not None:
         return _seed(arguments.seed, chosen, board)
     whole = len(names) == len(known) and arguments.part[1] == 1
-    total, begun_s = campaign.Result(), time.monotonic()
-    todo = campaign.plans(names, 0 if arguments.whole else 1, board, own=arguments.own)
+    total, begun_s = single_faults.Result(), time.monotonic()
+    todo = single_faults.plans(names, 0 if arguments.whole else 1, board, own=arguments.own)
     todo = todo[arguments.part[0] :: arguments.part[1]]
-    for done, (plan, result) in enumerate(campaign.results(todo, arguments.jobs), 1):
+    for done, (plan, result) in enumerate(single_faults.results(todo, arguments.jobs), 1):
         total.merge(result)
         took_s = time.monotonic() - begun_s
         told = f"{plan.scenario} {plan.share[0] + 1}/{plan.share[1]}"

@@ -17,8 +17,8 @@ from failstop_lab.boards.line import BAR_NS
 from failstop_lab.boards.traits import HAS_ARM, HAS_ARM_BESIDE, PARTS, Traits, traits_of
 from failstop_lab.faults import arm_table, table
 from failstop_lab.faults.arm_table import ArmFault
-from failstop_lab.faults.campaign import Outcome
 from failstop_lab.faults.fault import FAULT_CLASSES, Fault, in_words
+from failstop_lab.faults.injection import Outcome
 from failstop_lab.faults.table import BEYOND
 
 USUAL, LONGER = (f"{1000 * lease_s:.0f} ms" for lease_s in (LEASE_S, LEASE_WITHOUT_S))

@@ -7,9 +7,9 @@ import multiprocessing
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
-from failstop_lab.simulate.campaign import Plan, explore, of_board
 from failstop_lab.simulate.controls import CONTROLS, NOT_EXPRESSED, Mutant
 from failstop_lab.simulate.seeds import ROUNDS, commit, seeds, stays_down, used_s
+from failstop_lab.simulate.single_faults import Plan, explore, of_board
 from failstop_lab.simulate.weak_controls import WEAK_CONTROLS
 
 BOTH = (*CONTROLS, *WEAK_CONTROLS)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from failstop_lab.boards.traits import HAS_ARM, HAS_DRIVERS, HAS_KEYS, HAS_REPORTS, HAS_WHEEL_REPORTS, Traits
-from failstop_lab.simulate.guarded import Guarded
+from failstop_lab.simulate.guard_driver import Guarded
 from failstop_lab.simulate.stage import FROM_THE_START, NEEDS, SETTINGS, Continuation, Stage
 
 Play = Callable[[Stage], object]
@@ -53,7 +53,7 @@ def driving(stage: Stage, seconds: float = 0.04) -> Any:
 
 def driven(rest: Continuation, name: str = "", told: str = "", needs: tuple[str, ...] = ()) -> Continuation:
     """Declare a scenario that begins by driving(), with the settings of most: a fault before its rest is tried for all
-    of them at once (campaign.py)."""
+    of them at once (single_faults.py)."""
 
     def play(stage: Stage) -> None:
         robot = driving(stage)

@@ -28,13 +28,13 @@ from failstop_lab.machine.files import Node
 from failstop_lab.machine.loading import HOME, Patches
 from failstop_lab.machine.memory import WeakMachine
 from failstop_lab.machine.robot import MS
-from failstop_lab.simulate.campaign import of_board
 from failstop_lab.simulate.decisions import Decisions, Draws, shrunk
 from failstop_lab.simulate.events import GROUP_OF
 from failstop_lab.simulate.for_seeds import for_seeds_of, play_of
 from failstop_lab.simulate.hot_records import RECORDS, StoredRecords
 from failstop_lab.simulate.scenarios import scenarios_of
 from failstop_lab.simulate.schedule import Event, Schedule
+from failstop_lab.simulate.single_faults import of_board
 from failstop_lab.simulate.stage import FROM_THE_START, SETTINGS, Stage
 
 WARM_NS = 300 * MS

@@ -17,7 +17,7 @@ import pytest
 from failstop.cli import main as cli
 from failstop.policy.layouts import BOARDS
 from failstop_lab.boards.traits import traits_of
-from failstop_lab.faults.campaign import draw
+from failstop_lab.faults.injection import draw
 from failstop_lab.faults.report import rows_of
 from tests.support.amounts import amount
 from tests.support.commands import FAILSTOP, failstop

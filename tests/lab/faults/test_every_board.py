@@ -10,8 +10,8 @@ import pytest
 from failstop.policy.layouts import BOARDS
 from failstop_lab.boards.traits import HAS_ARM_BESIDE, HAS_DRIVERS, HAS_GAMEPAD, HAS_KEYS, SHOWS_DEAF, traits_of
 from failstop_lab.faults.arm_table import BESIDE_BY_NAME
-from failstop_lab.faults.campaign import inject_one
 from failstop_lab.faults.fault import Fault
+from failstop_lab.faults.injection import inject_one
 from failstop_lab.faults.report import EVERY, rows_of
 from failstop_lab.faults.scene import Scene
 from failstop_lab.faults.table import GUARD_ROWS

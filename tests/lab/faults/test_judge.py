@@ -14,7 +14,7 @@ import pytest
 from failstop.api import distance
 from failstop.policy.causes import KEY
 from failstop_lab.faults import report
-from failstop_lab.faults.campaign import Outcome, _Injection, draw, inject_one
+from failstop_lab.faults.injection import Outcome, _Injection, draw, inject_one
 from failstop_lab.faults.judge import verdict
 from failstop_lab.faults.scene import Scene
 from failstop_lab.faults.table import FAULT_BY_NAME, TABLE

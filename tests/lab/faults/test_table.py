@@ -13,7 +13,6 @@ from failstop.policy import causes
 from failstop.policy.layouts import BOARDS
 from failstop_lab.boards.traits import traits_of
 from failstop_lab.faults import arm_table, injectors, report
-from failstop_lab.faults.campaign import inject_one
 from failstop_lab.faults.fault import (
     BY_ITSELF,
     BY_NEW_RUN,
@@ -26,6 +25,7 @@ from failstop_lab.faults.fault import (
     Fault,
     fits,
 )
+from failstop_lab.faults.injection import inject_one
 from failstop_lab.faults.scene import Scene
 from failstop_lab.faults.table import FAULT_BY_NAME, TABLE
 from tests.support.amounts import LONG

@@ -17,11 +17,11 @@ from failstop_lab.boards.traits import (
     HAS_WHEEL_REPORTS,
     traits_of,
 )
-from failstop_lab.simulate.campaign import Plan, explore
 from failstop_lab.simulate.controls import CONTROLS, Mutant
 from failstop_lab.simulate.faults import REPORT_FAULTS
 from failstop_lab.simulate.scenarios import SCENARIOS, scenarios_of
 from failstop_lab.simulate.seeds import Nursery
+from failstop_lab.simulate.single_faults import Plan, explore
 from failstop_lab.simulate.stage import NEEDS, Stage
 from tests.support.amounts import LONG, amount
 from tests.support.boards import EVERY_KIND, own_folder

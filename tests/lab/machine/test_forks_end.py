@@ -7,8 +7,8 @@ import sys
 
 PROGRAM = """\
 import os
-from failstop_lab.simulate import campaign
-from failstop_lab.simulate.campaign import Explorer, Plan
+from failstop_lab.simulate import single_faults
+from failstop_lab.simulate.single_faults import Explorer, Plan
 
 me = os.getpid()
 

@@ -8,10 +8,10 @@ from failstop.policy.layouts import BOARDS
 from failstop_lab.boards.traits import HAS_DRIVERS, traits_of
 from failstop_lab.machine.loading import Patches
 from failstop_lab.sim.model import Frame
-from failstop_lab.simulate.campaign import Plan, explore
-from failstop_lab.simulate.guarded import LATE_MS, Guarded
+from failstop_lab.simulate.guard_driver import LATE_MS, Guarded
 from failstop_lab.simulate.scenarios import SCENARIOS
 from failstop_lab.simulate.seeds import Nursery
+from failstop_lab.simulate.single_faults import Plan, explore
 from failstop_lab.simulate.stage import NEEDS, Stage
 from tests.support.amounts import amount
 

@@ -15,7 +15,7 @@ from failstop.cli.main import main
 from failstop_lab.faults.fault import CONTINUE, HANG, KILL
 from failstop_lab.faults.steps import Steps
 from failstop_lab.faults.table import FAULT_BY_NAME
-from failstop_lab.prove import campaign
+from failstop_lab.prove import random_runs
 from failstop_lab.prove.run import PathRun, Result
 from failstop_lab.prove.stand import ProveStand
 from failstop_lab.prove.table import BY_PATH, BY_TURNING, of_fault
@@ -28,7 +28,7 @@ PIDS = {"supervisor": 1, "port_owner": 2, "gate": 3, "telemetry": 4, "stopper": 
 
 
 def test_a_campaign_takes_every_path_of_any_board_without_a_person_and_rows_survived() -> None:
-    found = campaign.paths()
+    found = random_runs.paths()
     assert set(BY_PATH) - set(found) == {"pad", "frozen"}
     rows = [FAULT_BY_NAME[name] for name in found if name not in BY_PATH]
     assert {"kill-gate+stopper", "kill-gate-hang-stopper", "hang-gate-continued", "kill-port_owner+gate+telemetry"} <= {
@@ -43,9 +43,9 @@ def test_a_campaign_takes_every_path_of_any_board_without_a_person_and_rows_surv
 
 
 def test_a_seed_says_every_draw_from_any_index_on() -> None:
-    chosen = list(campaign.paths().values())
-    drawn = [(p.name, v.name, c.random()) for p, v, c in campaign.draws(chosen, 7, lambda made: made >= 20)]
-    again = [(p.name, v.name, c.random()) for p, v, c in campaign.draws(chosen, 7, lambda made: made >= 5, 15)]
+    chosen = list(random_runs.paths().values())
+    drawn = [(p.name, v.name, c.random()) for p, v, c in random_runs.draws(chosen, 7, lambda made: made >= 20)]
+    again = [(p.name, v.name, c.random()) for p, v, c in random_runs.draws(chosen, 7, lambda made: made >= 5, 15)]
     assert drawn[15:] == again
     assert len({name for name, _, _ in drawn}) > 10
     assert len({name for _, name, _ in drawn}) == len(BY_TURNING)
@@ -67,7 +67,7 @@ def test_the_table_counts_and_spreads() -> None:
     path, velocity = of_fault(FAULT_BY_NAME["kill-gate+stopper"]), BY_TURNING["turn"]
     results = [Result(path, velocity, False, acknowledged_ms=ms, rest_s=ms / 100) for ms in (10.0, 30.0, 20.0)]
     results.append(Result(path, velocity, False, wrong=["NO STOP written"]))
-    (line,) = campaign.table_lines(results)[1:]
+    (line,) = random_runs.table_lines(results)[1:]
     assert line.split() == ["kill-gate+stopper", "4", "1", "20", "/", "30", "0.20", "/", "0.30"]
 
 
@@ -122,5 +122,5 @@ def test_a_run_that_breaks_off_is_stopped_looked_at_and_begun_anew(tmp_path: Pat
 def test_the_list_on_a_stand(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["chaos", "--device", "/dev/any", "--list"]) == 0
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    assert listed == list(campaign.paths())
+    assert listed == list(random_runs.paths())
     assert not any(name.startswith(("client-", "usb-")) for name in listed)

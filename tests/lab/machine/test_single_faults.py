@@ -10,10 +10,10 @@ import pytest
 
 from failstop.policy.layouts import BOARDS
 from failstop_lab.boards.traits import traits_of
-from failstop_lab.simulate import campaign, coverage
-from failstop_lab.simulate.campaign import Plan
+from failstop_lab.simulate import coverage, single_faults
 from failstop_lab.simulate.controls import CONTROLS, Mutant
 from failstop_lab.simulate.scenarios import SCENARIOS, scenarios_of
+from failstop_lab.simulate.single_faults import Plan
 from failstop_lab.simulate.stage import Stage
 
 pytestmark = pytest.mark.slow
@@ -31,16 +31,16 @@ PLAYED = (
 """Controls that their scenario needs no fault for."""
 
 
-def explored(plan: Plan) -> campaign.Result:
+def explored(plan: Plan) -> single_faults.Result:
     """The plan's result, from a process of its own: a fork of one with all tests in its memory takes twice as long."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(campaign.explore, (plan,))
+        return pool.apply(single_faults.explore, (plan,))
 
 
 def test_no_single_fault_turns_a_wheel_or_keeps_the_service_down() -> None:
     """One call of each line: each day another of the campaign's plans, and of that one call in PARTS. A plan for what
     many scenarios begin with has few calls, each of which is tried in all of them."""
-    todo = campaign.plans(scenarios_of(traits_of(BOARDS[0])), 1)
+    todo = single_faults.plans(scenarios_of(traits_of(BOARDS[0])), 1)
     part, number = divmod(int(time.time()) // DAY_S, len(todo))
     share, shares = todo[number].share
     parts = 1 if len(todo[number].branches) > 1 else PARTS
