@@ -34,9 +34,9 @@ GOAL_MS = 500.0
 """After so long without a new goal the gate holds the arm (arm.goal_timeout_s)."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class ArmFault:
-    """One row."""
+    """One row; every column is given by its name."""
 
     name: str
     cause: str
@@ -84,7 +84,14 @@ def _kill(process: str) -> ArmFault:
     latched, cleared = ((), BY_NEW_RUN) if process == SUPERVISOR else (((causes.DIED, process),), BY_RESET)
     cause = f"SIGKILL of the {process} while the arm moves"
     return ArmFault(
-        f"arm-kill-{process}", cause, DEATH_OF[process], KILL, process, latched, cleared, BY_ITSELF_MS + STOP_MS
+        name=f"arm-kill-{process}",
+        cause=cause,
+        first=DEATH_OF[process],
+        what=KILL,
+        process=process,
+        latched=latched,
+        cleared=cleared,
+        bar_ms=BY_ITSELF_MS + STOP_MS,
     )
 
 
@@ -96,13 +103,28 @@ def _hang(process: str) -> ArmFault:
     latched: tuple[Wanted, ...] = ((causes.HANGS, process), (causes.STARVED, process))
     latched, cleared = ((), BY_NEW_RUN) if process == SUPERVISOR else (latched, BY_RESET)
     cause = f"SIGSTOP of the {process} while the arm moves"
-    return ArmFault(f"arm-hang-{process}", cause, first, HANG, process, latched, cleared, BY_ITSELF_MS + deadline_ms)
+    return ArmFault(
+        name=f"arm-hang-{process}",
+        cause=cause,
+        first=first,
+        what=HANG,
+        process=process,
+        latched=latched,
+        cleared=cleared,
+        bar_ms=BY_ITSELF_MS + deadline_ms,
+    )
 
 
 def _servo(name: str, cause: str, refused: str, **values: float) -> ArmFault:
     first = "gate: motion is not enabled"
     return ArmFault(
-        f"arm-servo-{name}", cause, first, SERVO_FAULT, bar_ms=None, servo=tuple(values.items()), refused=refused
+        name=f"arm-servo-{name}",
+        cause=cause,
+        first=first,
+        what=SERVO_FAULT,
+        bar_ms=None,
+        servo=tuple(values.items()),
+        refused=refused,
     )
 
 
@@ -115,22 +137,52 @@ TIME = "gate (no goal for 0.5 s)"
 ROWS = (
     *map(_kill, PROCESS_NAMES),
     *map(_hang, PROCESS_NAMES),
-    ArmFault("arm-client-killed", "SIGKILL of who moves it", CLAIM, CLIENT_KILL, bar_ms=BY_ITSELF_MS + STOP_MS),
-    ArmFault("arm-client-hung", "SIGSTOP of who moves it", TIME, CLIENT_HANG, bar_ms=BY_ITSELF_MS + GOAL_MS),
-    ArmFault("arm-second-client", "a second client moves it", "gate", SECOND, "", SECOND_CLIENT, BY_RESET),
     ArmFault(
-        "arm-stop-request", "a stop request while it moves", "port owner", STOP_REQUEST, "", STOP_REQUESTED, BY_RESET
+        name="arm-client-killed",
+        cause="SIGKILL of who moves it",
+        first=CLAIM,
+        what=CLIENT_KILL,
+        bar_ms=BY_ITSELF_MS + STOP_MS,
     ),
     ArmFault(
-        "arm-stop-posing",
-        "a stop request on its way to the drive pose",
-        "port owner",
-        POSING,
-        "",
-        STOP_REQUESTED,
-        BY_RESET,
+        name="arm-client-hung",
+        cause="SIGSTOP of who moves it",
+        first=TIME,
+        what=CLIENT_HANG,
+        bar_ms=BY_ITSELF_MS + GOAL_MS,
     ),
-    ArmFault("arm-usb-drop", "unplugged while it moves", "each servo, at its move's end", UNPLUG, "", LOST, BY_RESET),
+    ArmFault(
+        name="arm-second-client",
+        cause="a second client moves it",
+        first="gate",
+        what=SECOND,
+        latched=SECOND_CLIENT,
+        cleared=BY_RESET,
+    ),
+    ArmFault(
+        name="arm-stop-request",
+        cause="a stop request while it moves",
+        first="port owner",
+        what=STOP_REQUEST,
+        latched=STOP_REQUESTED,
+        cleared=BY_RESET,
+    ),
+    ArmFault(
+        name="arm-stop-posing",
+        cause="a stop request on its way to the drive pose",
+        first="port owner",
+        what=POSING,
+        latched=STOP_REQUESTED,
+        cleared=BY_RESET,
+    ),
+    ArmFault(
+        name="arm-usb-drop",
+        cause="unplugged while it moves",
+        first="each servo, at its move's end",
+        what=UNPLUG,
+        latched=LOST,
+        cleared=BY_RESET,
+    ),
     _servo("silent", "a servo does not answer, motion is to be enabled", ": no answer from servo 3", silent=True),
     _servo("blocked", "a joint is blocked, motion is to be enabled", ELSEWHERE, blocked=True),
     _servo("unloaded", "a servo has let go, motion is to be enabled", ELSEWHERE, unloaded=True),

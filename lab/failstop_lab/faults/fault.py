@@ -93,9 +93,9 @@ def in_words(wanted: tuple[Wanted, ...]) -> str:
     return " or ".join(" ".join((kind.name, *map(str, first))) for kind, *first in wanted)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Fault:
-    """One row."""
+    """One row; every column is given by its name."""
 
     name: str
     event: str
@@ -104,11 +104,11 @@ class Fault:
     """The fault, in words."""
     first: str
     """The process that stops first; "nobody" where nothing is to stop."""
-    latched: tuple[Wanted, ...]
+    latched: tuple[Wanted, ...] = ()
     """The cause that stays latched is one of these; empty: nothing does."""
     cleared: str
     """BY_RESET, BY_ENABLE, BY_ITSELF or BY_NEW_RUN."""
-    logged: str
+    logged: str = ""
     """Words of the service besides those on the latched stop; empty: none."""
     bar_ms: float | None
     """The longest time to the first stop frame, as the p99 of a campaign; None: this must not stop the wheels."""
