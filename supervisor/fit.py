@@ -15,10 +15,10 @@ def checked_board(settings: Settings, path: str | None) -> Board:
     """The board that the settings of this file name. Raises SettingError (the board can't do what the settings ask) or
     OwnBoardError."""
     board, kind = board_of(*settings.board()), settings.text("board.kind")
-    if (baud := int(settings["board.baud"])) and (baud < usual_baud(kind) or board.port.baud != baud):
-        usual = usual_baud(kind)
-        why = "a stop would take longer than its repeats allow" if baud < usual else "its firmware has no other"
-        text = f"board.baud = {baud}: board.kind {kind} has {usual}, and {why}"
+    if 0 < (baud := int(settings["board.baud"])) < (usual := usual_baud(kind)):
+        text = (
+            f"board.baud = {baud}: board.kind {kind} has {usual}, and a stop would take longer than its repeats allow"
+        )
         raise SettingError(f"{path or 'settings'}: {text}: set 0, or build the firmware for {usual} or more")
     if board.wheels != settings.speeds:
         layout = settings.text("wheels.layout")

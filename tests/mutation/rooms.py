@@ -26,9 +26,10 @@ ROOMS = {
         ("tests/procs/test_gate_arm*.py", "tests/policy/test_capsules.py"),
     ),
     "port_owner": Room(
-        ("procs/peer.py", "procs/schedule.py", "procs/port_owner/*.py"),
+        ("procs/handover.py", "procs/peer.py", "procs/schedule.py", "procs/port_owner/*.py"),
         (
             "tests/procs/test_admission.py",
+            "tests/procs/test_handover.py",
             "tests/procs/test_port_owner*.py",
             "tests/procs/test_schedule.py",
             "tests/procs/test_stopper.py",
@@ -45,15 +46,16 @@ ROOMS = {
     "codec": Room(
         (
             "failstop/board/checks.py",
-            *(f"failstop/board/rrc/{name}.py" for name in ("arm", "codec", "decoder", "framing", "servos")),
+            *(f"failstop/board/rrc/{name}.py" for name in ("arm", "codec", "decoder", "framing", "servos", "steering")),
         ),
         tuple(
-            f"tests/board/test_{name}.py" for name in ("burst", "codec", "cut_frames", "decoder", "receiver", "servos")
+            f"tests/board/test_{name}.py"
+            for name in ("burst", "codec", "cut_frames", "decoder", "layouts", "receiver", "servos")
         ),
     ),
     "stopper": Room(
-        ("procs/stopper/*.py", "failstop/stop_tool.py"),
-        ("tests/procs/test_stop_tool.py", "tests/procs/test_stopper.py"),
+        ("procs/stopper/*.py", "failstop/stop_tool.py", "failstop/board/stop_port.py"),
+        ("tests/board/test_stop_port.py", "tests/procs/test_stop_tool.py", "tests/procs/test_stopper.py"),
     ),
     "shm": Room(
         (
@@ -84,6 +86,6 @@ ROOMS = {
     "supervisor": Room(
         ("supervisor/*.py",),
         # But test_imports.py: what is mutated imports the tool.
-        ("tests/cli/test_fold.py", "tests/supervisor/test_[!i]*.py"),
+        ("tests/cli/test_fold.py", "tests/e2e/test_look_alikes.py", "tests/supervisor/test_[!i]*.py"),
     ),
 }

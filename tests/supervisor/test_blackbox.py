@@ -150,6 +150,13 @@ def test_the_black_box_starts_few_savers_at_one_time_and_the_rest_as_these_end(s
     assert [given["epoch"] for given in savers(scene)] == [str(epoch) for epoch in range(7, 18)], "each has one"
 
 
+def test_a_saver_that_is_on_time_does_not_wait_for_the_robot_to_rest(scene: Scene) -> None:
+    scene.own[layout.PORT_OWNER].word("moving").set(1)
+    latched(scene, 7)
+    follow(scene, T0 + 2 * START_NS)
+    assert [given["epoch"] for given in savers(scene)] == ["7"]
+
+
 def test_a_late_saver_waits_until_nothing_moves(scene: Scene) -> None:
     moving = scene.own[layout.PORT_OWNER].word("moving")
     for epoch in range(7, 12):
@@ -172,6 +179,8 @@ def test_a_stop_that_gets_no_file_gets_a_word(scene: Scene) -> None:
     assert scene.said() == [lost(why, step)]
     for _ in range(20):
         follow(scene, T0 + START_NS)
+    follow(scene, T0 + START_NS + GIVE_UP_NS)
+    assert scene.said() == [], "not yet"
     for _ in range(20):
         follow(scene, T0 + START_NS + GIVE_UP_NS + 1)
     driven = lost("too many stops at once, and then the robot drove again", TOO_OFTEN)

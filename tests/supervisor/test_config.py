@@ -15,8 +15,9 @@ from failstop import config
 from failstop.board.kinds import wire_of
 from failstop.cli import main as cli
 from failstop.policy.kinematics import max_wheel_rps
+from failstop.policy.layouts import BOARDS
 from failstop.policy.setting import SettingError
-from failstop.policy.settings import DECLARED, Settings
+from failstop.policy.settings import BAUDS, DECLARED, Settings
 from failstop.supervisor.fit import checked_board
 from tests.support.boards import own_folder
 from tests.support.supervisor_scene import Scene
@@ -396,12 +397,29 @@ def test_what_a_board_does_not_take_is_refused_with_the_file_it_is_in(path: str 
             f"board.kind {folder} takes 2 speeds, and wheels.layout omni3 has 3 wheels",
         ),
         (asked("arduino", most=2.0), FAST),
+        (
+            Settings({"board.kind": "rrc", "board.baud": 921600}),
+            "board.baud = 921600: board.kind rrc has 1000000, and a stop would take longer than its repeats allow: "
+            "set 0, or build the firmware for 1000000 or more",
+        ),
         (asked("arduino", least=0.5), SLOW),
     ]
     for settings, text in refused:
         with pytest.raises(SettingError) as error:
             checked_board(settings, path)
         assert str(error.value) == f"{path or 'settings'}: {text}"
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_each_baud_rate_is_refused_or_the_port_has_it(kind: str) -> None:
+    usual = checked_board(Settings({"board.kind": kind}), None).port.baud
+    for baud in BAUDS[1:]:
+        settings = Settings({"board.kind": kind, "board.baud": baud})
+        if baud >= usual:
+            assert checked_board(settings, None).port.baud == baud
+        else:
+            with pytest.raises(SettingError, match=f"board.baud = {baud}: board.kind {kind} has {usual}, and"):
+                checked_board(settings, None)
 
 
 @pytest.mark.parametrize(

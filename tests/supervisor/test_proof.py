@@ -14,6 +14,7 @@ from failstop.policy.proofs import (
     LINK_UNHEARD,
     LINK_UNPROVEN,
     NEVER_SEEN,
+    UNMOVED,
     observer,
     still_after,
 )
@@ -27,11 +28,12 @@ T0 = 10_000 * MS
 AFTER = 1_500 * MS
 
 
-def proof(written_ms: float = 0.5, by: str = "IMU", followed_ms: float = 0) -> Proof:
-    """`written_ms`: after the cause, 0 for never; `followed_ms`: when the supervisor began to follow it."""
+def proof(written_ms: float = 0.5, by: str = "IMU", followed_ms: float = 0, acknowledges: str = "answer") -> Proof:
+    """`written_ms`: after the cause, 0 for never; `followed_ms`: when the supervisor began to follow it; `by`: what
+    observes the stop; `acknowledges`: what acknowledges it, "" for nothing."""
     stop = Stop(T0, "gate", why("gate died"))
     stop.answered_by("port owner", T0 + round(written_ms * MS) if written_ms else 0, stop, 2)
-    return Proof(stop, AFTER, T0 + round(followed_ms * MS), 1.0 + followed_ms / 1e3, ("answer", by))
+    return Proof(stop, AFTER, T0 + round(followed_ms * MS), 1.0 + followed_ms / 1e3, (acknowledges, by))
 
 
 def test_a_stop_that_is_followed_late_has_its_cause_s_time_and_a_whole_wait() -> None:
@@ -157,6 +159,29 @@ def test_what_the_kernel_still_holds_is_not_said_to_be_sent() -> None:
     assert last.as_record()["sent"] is True
 
 
+def test_a_stop_that_another_device_may_have_taken_is_believed_once_the_board_has_answered() -> None:
+    last = proof()
+    assert last.as_record()["believed"] is True, "the supervisor says when it is not"
+    last.believed = False
+    assert last.as_record()["believed"] is False
+    assert last.ponged(T0 + MS, T0 + 2 * MS)
+    assert last.as_record()["believed"] is True
+
+
+@pytest.mark.parametrize(
+    ("acknowledges", "by", "link", "told"),
+    [
+        ("echo", "", LINK_UNASKED, UNMOVED),
+        ("", "wheels", LINK_UNASKED, "not acknowledged (link unasked)"),
+        ("echo", "wheels", LINK_DEAF, "not acknowledged (link deaf)"),
+    ],
+)
+def test_a_board_whose_echo_acknowledges_had_nothing_to_obey(acknowledges: str, by: str, link: str, told: str) -> None:
+    """Its echo changes only if it obeyed motion before."""
+    last = proof(by=by, acknowledges=acknowledges)
+    assert last.outcome(link).startswith(f"gate died: {told}, ")
+
+
 def test_a_rest_within_the_resolution_is_told_as_that() -> None:
     assert still_after(0.19) == "less than 0.2 s"
     assert still_after(0.2) == "about 0.2 s"
@@ -274,7 +299,9 @@ def test_silence_while_nobody_listened_does_not_count() -> None:
     assert link.gone_deaf(T0 + 2_500 * MS, T0 + 3_010 * MS)
 
 
-@pytest.mark.parametrize(("held_up_ms", "deaf_ms"), [(None, 1_020), (300, 2_020), (980, 2_020), (-100, 1_020)])
+@pytest.mark.parametrize(
+    ("held_up_ms", "deaf_ms"), [(None, 1_020), (0, 2_020), (300, 2_020), (980, 2_020), (-100, 1_020)]
+)
 def test_a_silence_in_which_the_machine_held_the_service_up_is_counted_again(
     held_up_ms: int | None, deaf_ms: int
 ) -> None:
@@ -301,6 +328,15 @@ def test_a_busy_machine_excuses_no_board_for_long() -> None:
     assert LONGEST_NS // MS <= ms <= LONGEST_NS // MS + 1_100
 
 
+@pytest.mark.parametrize(("silent_ns", "state"), [(LONGEST_NS - 1, LINK_ALIVE), (LONGEST_NS, LINK_SILENT)])
+def test_a_silence_is_excused_for_as_long_as_a_healthy_service_may_be_held_up(silent_ns: int, state: str) -> None:
+    link = heard(T0)
+    link.said(T0, T0)
+    link.held_up(T0 + silent_ns)
+    link.check_silence(silent_ns, T0 + silent_ns)
+    assert link.state == state
+
+
 def test_a_machine_that_was_held_up_makes_no_board_silent() -> None:
     link = heard(T0)
     link.said(T0, T0)
@@ -322,7 +358,7 @@ def test_at_another_port_a_board_that_was_heard_is_to_be_heard_again(sure: bool)
     assert deaf_after_ms(link, list(range(0, 5_000, 500))) is None
     link.answered(T0)
     assert link.state == LINK_UNHEARD, "that was the device before this one"
-    link.answered(T0 + 2 * MS)
+    link.answered(T0 + MS)
     assert (link.state, link.believed) == (LINK_ALIVE, True)
 
 
@@ -353,9 +389,10 @@ def test_a_device_that_should_have_answered_by_now_is_missed_once(asked: bool) -
     link = Link(DEAF_NS, asked=asked)
     link.opened(T0, sure=False)
     link.gone_deaf(T0 + MS, T0 + MS)
-    assert not link.missed(T0 + DEAF_NS - 1)
-    assert link.missed(T0 + MS + DEAF_NS)
-    assert not link.missed(T0 + 2 * DEAF_NS)
+    since_ns = T0 + MS if asked else T0  # the first ping, or the opening, after which it should have reported
+    assert not link.missed(since_ns + DEAF_NS - 1)
+    assert link.missed(since_ns + DEAF_NS)
+    assert not link.missed(since_ns + 2 * DEAF_NS)
 
 
 def test_a_board_that_says_nothing_at_all_is_silent_and_not_deaf() -> None:
@@ -367,6 +404,48 @@ def test_a_board_that_says_nothing_at_all_is_silent_and_not_deaf() -> None:
         assert not link.gone_deaf(T0 + 500 * MS, T0 + ms * MS)
     link.check_silence(700 * MS, T0 + 1_150 * MS)
     assert link.state == LINK_SILENT
+
+
+@pytest.mark.parametrize(
+    ("patience_ms", "said_ms", "deaf"),
+    [
+        (0, 500, True),  # it reports nothing by itself
+        (0, 1_100, True),
+        (700, None, True),  # it has not reported at all, so it does not go silent either
+        (700, 751, True),
+        (700, 750, False),  # half of its patience has gone
+        (1_000, 600, False),
+        (1_001, 100, True),  # it would be known to be deaf before it is known to be silent
+    ],
+)
+def test_a_board_is_deaf_unless_it_may_soon_be_known_to_be_silent(
+    patience_ms: int, said_ms: int | None, deaf: bool
+) -> None:
+    link = heard(T0)
+    if said_ms is not None:
+        link.said(T0 + said_ms * MS, T0)
+    link.check_silence(patience_ms * MS, T0 + (said_ms or 0) * MS)
+    assert not link.gone_deaf(T0 + 500 * MS, T0 + 500 * MS)
+    assert link.gone_deaf(T0 + 500 * MS, T0 + 1_100 * MS) is deaf
+
+
+def test_a_board_of_which_one_part_does_not_answer_is_not_deaf_while_the_others_are_heard() -> None:
+    link = heard(T0)
+    for ms in range(0, 6_520, 20):
+        now_ns, ping_ns = T0 + ms * MS, T0 + ms // 500 * 500 * MS
+        if ms < 5_000:
+            link.said(now_ns, ping_ns)
+        link.answered_in_part(ping_ns, now_ns)
+        assert not link.gone_deaf(ping_ns, now_ns)
+    assert link.gone_deaf(T0 + 6_500 * MS, T0 + 6_520 * MS)
+
+
+def test_a_part_that_does_not_answer_excuses_no_whole_second_of_silence() -> None:
+    link = heard(T0)
+    link.said(T0, T0)
+    assert not link.gone_deaf(T0 + 400 * MS, T0 + 400 * MS)
+    link.answered_in_part(T0 + 400 * MS, T0 + DEAF_NS)
+    assert link.gone_deaf(T0 + 400 * MS, T0 + DEAF_NS)
 
 
 def echoing() -> Link:
@@ -387,6 +466,18 @@ def test_zeros_while_motion_is_written_are_deafness_until_the_reset() -> None:
     assert link.state == LINK_DEAF, "after the stop it says zero whether it hears or not"
     link.cleared()
     assert link.state == LINK_UNASKED
+
+
+def test_an_answer_after_an_echo_of_zeros_counts_only_once_the_stop_is_cleared() -> None:
+    link = Link(DEAF_NS, echo_ns=50 * MS)
+    link.said(T0 + 350 * MS, 0)
+    link.check_echo(T0 + 100 * MS)
+    link.answered(T0 + 400 * MS)
+    assert link.state == LINK_DEAF
+    link.cleared()
+    assert link.state == LINK_UNPROVEN
+    link.answered(T0 + 500 * MS)
+    assert link.state == LINK_ALIVE
 
 
 def test_a_pause_of_the_reports_is_no_echo_of_zeros() -> None:

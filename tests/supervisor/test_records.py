@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from failstop.messages import layout
+from failstop.messages import layout, records
 from failstop.policy.processes import PROCESS_BY_NAME
 from failstop.supervisor.main import STOP_ANSWER_NS
 from failstop.supervisor.status import NOTIFY_EVERY_NS
@@ -65,6 +65,17 @@ def heard(scene: Scene) -> list[str]:
     notify.say = lambda message: not said.extend(message.split("\n"))
     scene.supervisor.status.notify = notify
     return said
+
+
+def test_the_service_manager_is_told_first_of_wheels_that_turn_although_told_zero(scene: Scene) -> None:
+    said = heard(scene)
+    seen = records.WHEELS_SEEN.pack(2, 2, True, 2, 1, scene.now_ns, *[0.8] * 4, *[0.0] * 4)
+    scene.telemetry.latest_writer("wheels").write(seen)
+    scene.pass_time()
+    assert said == [
+        "STATUS=THE WHEELS TURN ALTHOUGH THEY ARE TOLD ZERO; "
+        "motion disabled, waiting for port_owner, stopper, gate, telemetry"
+    ]
 
 
 def test_the_service_manager_is_told_what_is_new(scene: Scene) -> None:

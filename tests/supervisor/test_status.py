@@ -64,7 +64,8 @@ def test_the_line(missing: str, down: str, latched: str, gate: dict[str, Any], l
         (2, True, 100, "the wheels turn although they are told zero"),
         (1, True, 100, "the robot moves, or is being moved, although its wheels are told zero"),
         (2, False, 100, ""),
-        (2, True, 600, ""),
+        (2, True, 500, "the wheels turn although they are told zero"),
+        (2, True, 501, ""),
     ],
 )
 def test_wheels_that_turn_although_told_zero(by: int, unexpected: bool, age_ms: int, told: str) -> None:

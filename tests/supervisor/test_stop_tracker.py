@@ -8,6 +8,8 @@ import pytest
 
 from failstop.messages import layout
 from failstop.policy import causes
+from failstop.policy.processes import PROCESS_BY_NAME
+from failstop.policy.proofs import LINK_DEAF, LINK_UNHEARD, WAITS_FOR
 from failstop.procs.loop import GONE
 from failstop_lab.machine.process import Process
 from tests.support.stage import MS
@@ -152,6 +154,27 @@ def test_people_are_told_of_each_change_of_the_link(scene: Scene) -> None:
     scene.pings()
     follow(scene, 2 * MS)
     assert scene.said() == [("link", "notice", "the board answers again", {"state": "alive"})]
+
+
+@pytest.mark.parametrize("state", [LINK_DEAF, LINK_UNHEARD])
+def test_motion_waits_for_a_board_that_was_heard_and_is_heard_no_more(state: str) -> None:
+    scene = Scene(*PROCESS_BY_NAME)
+    for name in (layout.STOPPER, layout.TELEMETRY):
+        scene.has_port(name)
+    scene.answers()
+    scene.pings()
+    scene.tick(2 * MS, beating=tuple(PROCESS_BY_NAME))
+    assert scene.waits_for() == ""
+    if state == LINK_UNHEARD:
+        scene.supervisor.tracker.link.opened(scene.now_ns)
+    for _ in range(5):
+        scene.pings(answered=False)
+        scene.tick(400 * MS, beating=tuple(PROCESS_BY_NAME))
+    assert scene.read("link") == state.encode()
+    assert scene.waits_for() == WAITS_FOR[state]
+    scene.pings()
+    scene.tick(2 * MS, beating=tuple(PROCESS_BY_NAME))
+    assert scene.waits_for() == "", "it answers again"
 
 
 def test_a_board_that_reports_no_more_is_silent_until_it_reports_again(scene: Scene) -> None:

@@ -9,6 +9,7 @@ import pytest
 from failstop.messages import layout
 from failstop.messages.packing import Note
 from failstop.policy import causes
+from failstop.policy.proofs import LINK_UNASKED, UNMOVED
 from failstop.supervisor.kinds import EVENT_BY_NAME
 from failstop.supervisor.status import WAITED_NS
 from failstop.supervisor.stop_tracker import SENTENCES_KEPT
@@ -81,11 +82,11 @@ HANDED = "stopped; the second stop was handed over, NOT sent: the board takes no
 @pytest.mark.parametrize(
     ("heard_ns", "link", "written", "sent", "level", "text"),
     [
-        (3_150_001, "alive", True, True, "", f"{TWICE}acknowledged by the board after 3.2 ms"),
+        (3_150_160, "alive", True, True, "", f"{TWICE}acknowledged by the board after 3.2 ms"),
         (0, "unproven", True, True, "warning", f"{TWICE}nobody knows whether the board hears (link unproven)"),
         (0, "deaf", True, True, "critical", TWICE + DEAF),
         (0, "deaf", True, False, "critical", HANDED + DEAF),
-        (3_150_001, "alive", False, False, "critical", f"{ONCE}acknowledged by the board after 3.2 ms"),
+        (3_150_160, "alive", False, False, "critical", f"{ONCE}acknowledged by the board after 3.2 ms"),
         (0, "deaf", False, False, "critical", ONCE + DEAF),
     ],
 )
@@ -93,8 +94,20 @@ def test_the_end_is_told_with_what_is_known_of_the_stop(
     scene: Scene, tracker: Any, heard_ns: int, link: str, written: bool, sent: bool, level: str, text: str
 ) -> None:
     tracker.ended(heard_ns, link, written=written, sent=sent)
-    acknowledged = {"acknowledged_us": 3150.0} if heard_ns else {}
+    acknowledged = {"acknowledged_us": 3150.2} if heard_ns else {}
     assert told(scene) == [("stopped", text, {"link": link, **acknowledged}, level)]
+
+
+@pytest.mark.parametrize(
+    ("by", "text"),
+    [(("", "wheels"), "this board acknowledges nothing (link unasked)"), (("echo", ""), UNMOVED)],
+)
+def test_the_end_of_a_board_that_is_asked_nothing_is_told_with_what_acknowledges_its_stops(
+    scene: Scene, tracker: Any, by: tuple[str, str], text: str
+) -> None:
+    tracker._by = by
+    tracker.ended(0, LINK_UNASKED, written=True, sent=True)
+    assert [text for _, text, _, _ in told(scene)] == [TWICE + text]
 
 
 KEY = Stop(T0, layout.PORT_OWNER, why("key1"))
