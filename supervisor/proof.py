@@ -281,7 +281,7 @@ class Link:
         self._said_ns = said_ns
         if self._silent:
             self._silent = False
-            self.listen(newest_ping_ns, said_ns)
+            self.listen(newest_ping_ns)
         if not self._asked:
             self._heard = True
             if self._answers == LINK_UNHEARD:

@@ -158,7 +158,6 @@ class StopTracker:
         """Look at everything once and return the stops that this brings. `listening`: telemetry, which decodes the
         answers, and the port owner, which asks, both run; `held_up`: the machine does not run one of them, or did not
         run the supervisor."""
-        stops = []
         self._read_answer()
         if self._last and self.link.believed and not self._last.believed:
             self._last.believed = True
@@ -166,7 +165,7 @@ class StopTracker:
         if held_up:
             self.link.held_up(now_ns)
         self._check_link(now_ns, listening=listening)
-        stops += self._stops_for_link(now_ns)
+        stops = self._stops_for_link(now_ns)
         self._reap_command()
         if self._last and self._unstill(self._last, now_ns):
             stops.append(Stop(now_ns, layout.SUPERVISOR, causes.UNSTILL()))

@@ -303,7 +303,20 @@ SUPERVISOR = (
         r"\n\+.*segments\.attach\(self\.memory, (layout\.SUPERVISOR|each), (None)?(, )?(write=True)?\)",
         "the names are of the run: under them there is no other one's",
     ),
-    Reason("supervisor/main.py", r"\n\+.*(gap|silent)_ns / MS\)", "a cause makes a whole number of its ms"),
+    Reason("supervisor/*.py", r"\n\+.*(gap|silent|unheard)_ns / MS\)", "a cause makes a whole number of its ms"),
+    Reason("supervisor/proof.py", r"now_ns: int = 1\)", "the first nanosecond of the machine"),
+    Reason(
+        "supervisor/proof.py",
+        r"1 < self\._patience_ns|self\._said_ns > 1 and",
+        "no board pauses for just a nanosecond, or said anything in the machine's first",
+    ),
+    Reason("supervisor/proof.py", r"quiet_ns >= self\._patience_ns / 2", "a whole number is compared with the half"),
+    Reason("supervisor/fit.py", r"board_of\(kind, (2\.0, 0\.0|1\.0, 1\.0)\)", "no baud rate depends on the wheel"),
+    Reason(
+        "supervisor/stop_tracker.py",
+        r"\n\+.*(proved\[1\] != self\._seen_proof|_seen_proof = proved\[1\])",
+        "an answer that is read again acknowledges nothing again",
+    ),
     Reason("supervisor/main.py", r"silent_ns <= child\.allowed_ns", "two times in ns at exact equality"),
     Reason(
         "supervisor/*.py",

@@ -177,6 +177,7 @@ def test_a_port_that_has_gone_is_let_go_and_who_else_holds_it_told(scene: Scene,
     assert fd not in scene.fds()
     assert scene.port.fd == -1
     assert [scene.rung(name) for name in (layout.STOPPER, layout.TELEMETRY)] == [True, True]
+    assert not scene.supervisor.handover.lost({}, scene.now_ns), "once"
 
 
 def test_the_loop_writes_a_burst_that_the_opener_could_not_and_tells_of_it(scene: Scene) -> None:

@@ -404,6 +404,8 @@ def test_a_board_that_says_nothing_at_all_is_silent_and_not_deaf() -> None:
         assert not link.gone_deaf(T0 + 500 * MS, T0 + ms * MS)
     link.check_silence(700 * MS, T0 + 1_150 * MS)
     assert link.state == LINK_SILENT
+    link.said(T0 + 450 * MS, T0)
+    assert link.state == LINK_SILENT, "that is what it had said before"
 
 
 @pytest.mark.parametrize(

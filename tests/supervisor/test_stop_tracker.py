@@ -200,6 +200,19 @@ def test_a_board_that_reports_no_more_is_silent_until_it_reports_again(scene: Sc
     assert scene.said() == [("link", "notice", "the board reports again", {"state": "unproven"})]
 
 
+def test_a_board_that_obeyed_zeros_while_motion_was_written_is_deaf_until_the_reset() -> None:
+    scene = Scene(layout.PORT_OWNER, settings={"board.kind": "hoverboard"})
+    scene.stops("the first")
+    link = scene.supervisor.tracker.link
+    link.said(scene.now_ns, 0)
+    link.check_echo(scene.now_ns - 1_000 * MS)
+    follow(scene, MS)
+    assert scene.read("link") == b"deaf"
+    scene.reset()
+    follow(scene, MS)
+    assert scene.read("link") == b"unasked"
+
+
 def test_a_board_is_not_deaf_while_nobody_listens(scene: Scene) -> None:
     scene.pings()
     follow(scene, 2 * MS)
