@@ -123,6 +123,7 @@ def test_a_kernel_that_does_not_say_how_it_was_built_may_have_the_option(machine
     ("group", "controllers", "config", "told"),
     [
         ("/system.slice/failstop.service", "cpu memory", "y", refused.V2),
+        ("/system.slice/robot:left.service", "cpu memory", "y", refused.V2),
         ("/system.slice/failstop.service", "cpu memory", "n", refused.FILTER),
         ("/system.slice/failstop.service", "cpuset memory", "y", refused.FILTER),
         ("/", "cpu memory", "y", refused.FILTER),

@@ -17,7 +17,7 @@ from failstop.policy.processes import PROCESSES, Process
 from failstop.policy.settings import Settings
 from failstop.supervisor.run import LOOK_EVERY_NS, Run
 from failstop_lab.machine.kernel import TAKEDOWN_NS
-from tests.support.supervisor_scene import RUNTIME_DIR, Scene
+from tests.support.supervisor_scene import DEVICE, RUNTIME_DIR, Scene
 
 GROUP = 4321
 
@@ -276,3 +276,9 @@ def test_a_run_looks_for_its_names_once_a_second(scene: Scene) -> None:
     assert lost(scene) == ""
     assert lost(scene, "stop", elapsed_ns=LOOK_EVERY_NS - 1) == ""
     assert lost(scene, elapsed_ns=1)
+
+
+def test_the_next_program_finds_how_the_run_was_started_and_the_stop_of_its_board(scene: Scene) -> None:
+    scene.run.publish("a stop")
+    last = scene.load("failstop.files.instance").last("stage")
+    assert (last.device, last.board, last.stop) == (DEVICE, "rrc", "a stop")
