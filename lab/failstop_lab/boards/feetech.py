@@ -133,6 +133,10 @@ class Bus(Rolling):
                 data[at] = self._garble.randrange(256)
         self._hear(value, at_ns)
 
+    def answers_until_ns(self) -> int:
+        """When the last answer is over; 0: there is none."""
+        return self._answers[-1][0] + len(self._answers[-1][2]) * BYTE_NS if self._answers else 0
+
     def until(self, at_ns: int) -> None:
         """The answers until then, and the joints' way."""
         while self._answers:

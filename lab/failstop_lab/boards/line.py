@@ -63,6 +63,10 @@ class Rolling:
     claims = 0.0
     """And by so much more, in the unit of the board's motion."""
 
+    def answers_until_ns(self) -> int:
+        """When its answers have left the line that the host writes on too. 0: there is no such line, or no answer."""
+        return 0
+
     @property
     def rolls(self) -> tuple[float, ...]:
         """Speeds in the unit of its motion."""

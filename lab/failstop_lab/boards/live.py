@@ -53,8 +53,9 @@ class LiveModel(BoardModel):
         self.wheels = (0.0,) * wire.motion.wheels
         self.turned = (0.0,) * wire.motion.wheels
         self._passed_ns = start_ns
-        self._coming: deque[tuple[int, int, int]] = deque()
-        """When a byte has come through, which, and when it was read."""
+        self._coming: deque[tuple[int, int, int, int]] = deque()
+        """When a byte has come through, which, when it was read, and in which read."""
+        self._reads = 0
         self._read_ns = start_ns
         """When the last byte that has come through was read."""
         self._busy_ns = 0
@@ -76,6 +77,7 @@ class LiveModel(BoardModel):
     def receive(self, chunk: bytes, t_ns: int) -> None:
         """Take in bytes that were read at t_ns."""
         at_ns = max(self._down_free_ns, t_ns)
+        self._reads += 1
         self._down_free_ns = at_ns + self._byte_ns * len(chunk)
         if self.garble_down:
             chunk = self._garbled(chunk, self.garble_down)
@@ -84,7 +86,7 @@ class LiveModel(BoardModel):
             if self.cut_bytes:
                 self.cut_bytes -= 1
             elif not self.deaf and at_ns > self._hears_ns:
-                self._coming.append((at_ns, value, t_ns))
+                self._coming.append((at_ns, value, t_ns, self._reads))
         self._busy_ns = at_ns + ANSWERED_NS
 
     def restart(self, t_ns: int, deaf_ns: int) -> None:
@@ -111,10 +113,12 @@ class LiveModel(BoardModel):
     def advance(self, now_ns: int) -> list[bytes]:
         """Let everything happen that is due by now_ns; return what it says."""
         while self._coming and self._coming[0][0] <= now_ns:
-            at_ns, value, read_ns = self._coming.popleft()
+            at_ns, value, read_ns, read = self._coming.popleft()
             self._pass(at_ns - self._byte_ns)
             self._read_ns = read_ns
             self.receiver.byte(at_ns - self._start_ns, value)
+            if self._coming and self._coming[0][3] == read:
+                self._let_answer()
         # A line on which a byte has begun is not idle.
         self._pass(min(now_ns, self._coming[0][0] - self._byte_ns) if self._coming else now_ns)
         said = self.receiver.said[self._said :]
@@ -122,6 +126,18 @@ class LiveModel(BoardModel):
         if self.silent:
             return []
         return [self._garbled(data, self.garble_up) if self.garble_up else data for _, data in said]
+
+    def _let_answer(self) -> None:
+        """Let the bytes behind a question that were read together with it wait for the answer. A pseudo-terminal's bytes
+        are carried by a worker of the kernel with ordinary priority. On a busy machine it brings writes that were tens
+        of milliseconds apart together, so what looks like a collision on the line was none."""
+        if not isinstance(self.receiver, Rolling) or not (over_ns := self.receiver.answers_until_ns()):
+            return
+        late_ns = over_ns + self._start_ns + self._byte_ns - self._coming[0][0]
+        if late_ns > 0:
+            self._coming = deque((at_ns + late_ns, value, t_ns, read) for at_ns, value, t_ns, read in self._coming)
+            self._down_free_ns += late_ns
+            self._busy_ns += late_ns
 
     def _pass(self, until_ns: int) -> None:
         """Time until then, in steps."""
