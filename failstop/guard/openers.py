@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 IN_CLOSE_WRITE, IN_CLOSE_NOWRITE, IN_OPEN = 0x8, 0x10, 0x20
 _EXITING = 0x4
 """PF_EXITING, of the flags in /proc/PID/stat."""
+_KILLED = 1 << 9 - 1
+"""SIGKILL, of the signals in /proc/PID/stat that wait for the main thread."""
 _MACHINE = 0xEFFFFFFC
 """The machine's own pid namespace, in which every process has a number (PROC_PID_INIT_INO of Linux)."""
 _EVENT = struct.Struct("iIII")
@@ -116,15 +118,22 @@ def _identity(path: str) -> tuple[int, int, int]:
 
 
 def dying(pid: int) -> bool:
-    """Whether a process is on its way out. The kernel takes its memory down first, which lasts long for a large one,
-    and closes its files afterwards."""
+    """Whether a process is on its way out. A kill that waits for it is seen first, because a busy machine may let tens
+    of milliseconds pass before the process runs again and begins to end. Then the kernel takes its memory down, which
+    lasts long for a large one, and closes its files afterwards."""
     try:
         with open(f"/proc/{pid}/stat", "rb") as file:
-            state, *numbers = file.read().rpartition(b") ")[2].split()
+            return is_ending(file.read())
     except OSError:
         return True
+
+
+def is_ending(stat: bytes) -> bool:
+    """The same, of what /proc/PID/stat says. A signal that ends a process without a core dump becomes a SIGKILL of each
+    of its threads when it is sent, and no SIGKILL is ever taken back."""
+    state, *numbers = stat.rpartition(b") ")[2].split()
     # A main thread may end before the others do; it is then a zombie while they go on.
-    return state != b"Z" and bool(int(numbers[5]) & _EXITING)
+    return state != b"Z" and bool(int(numbers[5]) & _EXITING or int(numbers[27]) & _KILLED)
 
 
 def program(pid: int) -> str:

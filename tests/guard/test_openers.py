@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
 
-from failstop.guard.openers import Watch
+from failstop.guard.openers import Watch, dying, is_ending
 
 
 @pytest.fixture
@@ -38,3 +41,45 @@ def test_other_terminals_say_nothing_of_it(watch: Watch) -> None:
     assert watch.events() == []
     for fd in (master, other):
         os.close(fd)
+
+
+STAT = b"4711 (a (driver) Z) %s 1 4711 4711 34822 4711 %d 99 0 0 0 1 2 0 0 20 0 3 0 170 2359296 880 %d 1 2 3 0 0 %d 0 0 0"
+LIMIT = (1 << 64) - 1
+
+
+@pytest.mark.parametrize(
+    ("state", "flags", "pending", "ends"),
+    [
+        (b"S", 0x400000, 0, False),
+        (b"R", 0x400004, 0, True),
+        (b"S", 0x400000, 1 << signal.SIGKILL - 1, True),
+        (b"D", 0x400000, 1 << signal.SIGKILL - 1 | 1 << signal.SIGUSR1 - 1, True),
+        (b"S", 0x400000, 1 << signal.SIGTERM - 1, False),
+        (b"T", 0x400000, 1 << signal.SIGTERM - 1, False),
+        (b"Z", 0x40000C, 0, False),
+    ],
+    ids=["lives", "exits", "is killed", "is killed in the kernel", "may catch it", "is suspended", "its threads live"],
+)
+def test_a_program_is_dying_from_the_kill_on(state: bytes, flags: int, pending: int, ends: bool) -> None:
+    assert is_ending(STAT % (state, flags, LIMIT, pending)) is ends
+
+
+def test_a_kill_is_seen_before_the_process_has_run_again() -> None:
+    """It has only what is left of a processor that a program of higher priority never leaves."""
+    if not hasattr(os, "SCHED_IDLE"):
+        pytest.skip("no SCHED_IDLE here")
+    core = {min(os.sched_getaffinity(0))}
+    spin = [sys.executable, "-c", "print(flush=True)\nwhile True: pass"]
+    with subprocess.Popen(["sleep", "1000"]) as driver, subprocess.Popen(spin, stdout=subprocess.PIPE) as busy:
+        try:
+            for process in (driver, busy):
+                os.sched_setaffinity(process.pid, core)
+            assert busy.stdout
+            busy.stdout.readline()
+            os.sched_setscheduler(driver.pid, os.SCHED_IDLE, os.sched_param(0))
+            assert not dying(driver.pid)
+            driver.kill()
+            assert dying(driver.pid)
+        finally:
+            for process in (driver, busy):
+                process.kill()
