@@ -1,5 +1,8 @@
 """`python -m bench.guard`: the guard port, with a driver in C that makes diffdrive_arduino's calls.
 
+The floor of the guard's answers is the same driver, at the same time, at a pseudo-terminal that a C program with the
+guard's priority answers (answers.c). On a busy machine both wait for the processor and for the kernel's own worker.
+
 Times are taken on the board's side of the wire, up to the last byte of the zero that stops the wheels; what the board's
 own line takes comes on top.
 """
@@ -7,6 +10,7 @@ own line takes comes on top.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import random
 import signal
@@ -15,10 +19,13 @@ import time
 from pathlib import Path
 
 from bench import report, stats
-from bench.guard_scene import GuardScene, Process, diffdrive
+from bench.guard_scene import GuardScene, Process, compiled, diffdrive
+from failstop.guard.command import NICE
 from failstop_lab.trial import TrialError, wait_for
 
 PERIOD_MS = 10.0
+FLOORS = 1.5
+"""An answer is late when it takes longer than a period and than so many times the floor's latest."""
 STOP_S = 2.0
 TRIES = 5
 """How often a trial may begin again: on a busy machine the service may stop by itself before the driver is killed."""
@@ -82,22 +89,46 @@ class Measure:
         """Rows of a driver that asks and commands so often."""
         report.progress(f"a driver at {hertz} Hz for {seconds:g} s")
         driver = self._drives(str(hertz))
+        floor = self._floor(hertz)
         until_s = time.monotonic() + seconds
         took_ms: list[float] = []
+        floor_ms: list[float] = []
         lost = 0
         while time.monotonic() < until_s:
             counts, answer, first, second = driver.line().split("|")
             took_ms += [float(first), float(second)]
             lost += (len(counts.split()) != 2) + (answer != "OK")
+            floor_ms += [float(each) for each in floor.line().split("|")[2:]]
         driver.kill()
+        floor.kill()
         self._scene.end_drivers()
-        late = sum(each > PERIOD_MS for each in took_ms)
+        bar_ms = max(PERIOD_MS, FLOORS * max(floor_ms))
+        late = sum(each > bar_ms for each in took_ms)
         what = f"a driver at {hertz} Hz for {seconds:g} s"
+        least = sum(each > PERIOD_MS for each in floor_ms)
+        _, floor_p99_ms, _ = stats.percentiles([round(each * 1e6) for each in floor_ms])
+        beside = f"{sum(each > PERIOD_MS for each in took_ms)} later than {PERIOD_MS:g} ms, of the floor's {least}"
+        row = stats.count(f"{what}: answers later than {PERIOD_MS:g} ms and {FLOORS:g} x floor", late, len(took_ms))
+        row.result += f"  ({beside})"
         return [
-            stats.timing(f"{what}: its answers", [round(each * 1e6) for each in took_ms], p50_ms=1.0, p99_ms=3.0),
+            self._timing(f"{what}: its answers", took_ms, 1.0, max(3.0, FLOORS * floor_p99_ms)),
+            self._timing(f"{what}: the floor, a C program that answers", floor_ms, None, None),
             stats.count(f"{what}: lines without their answer", lost, len(took_ms)),
-            stats.count(f"{what}: answers later than {PERIOD_MS:g} ms", late, len(took_ms)),
+            row,
         ]
+
+    @staticmethod
+    def _timing(what: str, took_ms: list[float], p50_ms: float | None, p99_ms: float | None) -> stats.Row:
+        return stats.timing(what, [round(each * 1e6) for each in took_ms], p50_ms=p50_ms, p99_ms=p99_ms)
+
+    def _floor(self, hertz: int) -> Process:
+        """The same driver at the C program."""
+        answers = self._scene.driver(compiled(self._scene.folder, "answers"))
+        with contextlib.suppress(OSError):  # as the guard, which does without
+            os.setpriority(os.PRIO_PROCESS, answers.pid, NICE)
+        floor = self._scene.driver(self._program, answers.line(), "serial", "0", "0", str(hertz))
+        floor.line()
+        return floor
 
     def disabled(self, lines: int) -> stats.Row:
         """The row of a driver that writes as fast as it can while motion is disabled."""

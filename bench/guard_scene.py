@@ -18,15 +18,20 @@ from failstop_lab.trial import Trial, TrialError, wait_for, write_settings
 LINE_S = 10.0
 
 
-def diffdrive(folder: Path) -> str:
-    """Compile the driver that makes diffdrive_arduino's calls (diffdrive.c). Raises TrialError without a compiler."""
+def compiled(folder: Path, name: str) -> str:
+    """Compile a program of this folder. Raises TrialError without a compiler."""
     compiler = shutil.which("cc") or shutil.which("gcc")
     if not compiler:
         raise TrialError("a driver in C needs a C compiler")
-    made = folder / "diffdrive"
-    source = Path(__file__).with_name("diffdrive.c")
+    made = folder / name
+    source = Path(__file__).with_name(f"{name}.c")
     subprocess.run([compiler, "-O1", "-Wall", "-o", str(made), str(source)], check=True)
     return str(made)
+
+
+def diffdrive(folder: Path) -> str:
+    """Compile the driver that makes diffdrive_arduino's calls (diffdrive.c). Raises TrialError without a compiler."""
+    return compiled(folder, "diffdrive")
 
 
 class Process:

@@ -1,8 +1,9 @@
 """Door: who has the pseudo-terminal open, as far as anybody can see, and how many may.
 
 A program that is killed is seen first in /proc, by the SIGKILL that waits for it or by its flags, which are looked at a
-few hundred times a second. Then the kernel takes its memory down, closes its files, which inotify reports, and at last its pidfd says that it is gone. A
-program whose pidfd has said so, and of which no close was reported, has left the port open with a child of its.
+few hundred times a second. Then the kernel takes its memory down, closes its files, which inotify reports, and at last
+its pidfd says that it is gone. A program whose pidfd has said so, and of which no close was reported, has left the port
+open with a child of its.
 """
 
 from __future__ import annotations

@@ -43,7 +43,9 @@ def test_other_terminals_say_nothing_of_it(watch: Watch) -> None:
         os.close(fd)
 
 
-STAT = b"4711 (a (driver) Z) %s 1 4711 4711 34822 4711 %d 99 0 0 0 1 2 0 0 20 0 3 0 170 2359296 880 %d 1 2 3 0 0 %d 0 0 0"
+STAT = (
+    b"4711 (a (driver) Z) %s 1 4711 4711 34822 4711 %d 99 0 0 0 1 2 0 0 20 0 3 0 170 2359296 880 %d 1 2 3 0 0 %d 0 0 0"
+)
 LIMIT = (1 << 64) - 1
 
 

@@ -128,9 +128,9 @@ class LiveModel(BoardModel):
         return [self._garbled(data, self.garble_up) if self.garble_up else data for _, data in said]
 
     def _let_answer(self) -> None:
-        """Let the bytes behind a question that were read together with it wait for the answer. A pseudo-terminal's bytes
-        are carried by a worker of the kernel with ordinary priority. On a busy machine it brings writes that were tens
-        of milliseconds apart together, so what looks like a collision on the line was none."""
+        """Let the bytes behind a question that were read together with it wait for the answer. A worker of the kernel
+        with ordinary priority carries the bytes of a pseudo-terminal. On a busy machine it brings writes that were tens
+        of milliseconds apart together, and to take that for a collision on the line would be wrong."""
         if not isinstance(self.receiver, Rolling) or not (over_ns := self.receiver.answers_until_ns()):
             return
         late_ns = over_ns + self._start_ns + self._byte_ns - self._coming[0][0]
