@@ -6,6 +6,7 @@ Facts of Linux that this depends on:
 - The exclusive mode that a driver sets (TIOCEXCL) outlives the driver, and only a descriptor of the slave can clear it.
   So the guard holds one, and uses that mode itself to keep out more programs than may have the port open.
 - What a driver wrote before it died can still be read, and what it did not read is still there for the next one.
+- Output that a driver has stopped (TCOOFF) stays stopped for the next one.
 """
 
 from __future__ import annotations
@@ -145,6 +146,8 @@ class Pty:
         while part := self.read()[0]:
             found = (found + part)[-MOST_READ:]
         self._left = b""
+        # A driver that stopped its output (tcflow, or XOFF) would leave the next one's writes where nobody reads them.
+        termios.tcflow(self.slave, termios.TCOON)
         tty.setraw(self.slave, termios.TCSANOW)
         # Not what is on its way here: the next driver may have written already.
         termios.tcflush(self.slave, termios.TCIFLUSH)
