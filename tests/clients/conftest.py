@@ -11,6 +11,7 @@ import pytest
 
 from failstop_lab.trial import Trial
 from tests.support.c_client import Driver
+from tests.support.comma import comma_locale
 from tests.support.shared_trial import IMU_HZ, Keeper, patient
 
 _numbers = itertools.count()
@@ -35,6 +36,12 @@ def fresh(tmp_path: Path) -> Iterator[Trial]:
     """A trial of the test's own, which may damage what no state shows; the service must end well."""
     with Trial(f"clients-{os.getpid()}-{next(_numbers)}", patient(tmp_path), imu_hz=IMU_HZ) as running:
         yield running
+
+
+@pytest.fixture
+def comma(tmp_path: Path) -> dict[str, str]:
+    """The environment of a program in whose locale a comma is the decimal point."""
+    return comma_locale(tmp_path)
 
 
 @pytest.fixture

@@ -18,8 +18,9 @@ from failstop.messages import layout, segments
 from failstop.shm import cell
 from failstop_lab.stopped import judge
 from failstop_lab.trial import Trial, wait_for
-from tests.clients.scene import DAMAGED, INVALID, LATE_NS, NO_ANSWER, NO_SERVICE, OK, seen, set_off, stays
+from tests.clients.scene import DAMAGED, INVALID, LATE_NS, NO_ANSWER, NO_SERVICE, OK, SYSTEM, seen, set_off, stays
 from tests.support.c_client import SOURCE, Driver, compiled, library
+from tests.support.c_client import driver as driver_program
 
 
 def test_files_that_get_the_numbers_of_closed_descriptors_are_left_alone(
@@ -214,6 +215,79 @@ def test_a_record_that_is_longer_than_its_place_is_damage(fresh: Trial, driver: 
         file.write(cell.build(number, known[1], known[2].ljust(longest, b"\0"), seed, longest))
     assert driver.do(f"open {fresh.name} 0") == DAMAGED
     assert driver.do("stop it") == OK
+
+
+def test_what_a_program_prints_without_its_standard_streams_reaches_nothing_of_the_service(
+    trial: Trial, tmp_path: Path
+) -> None:
+    """As a daemon that has closed them: the next file that is opened gets their numbers."""
+    source = tmp_path / "daemon.c"
+    source.write_text(
+        "#include <failstop.h>\n#include <fcntl.h>\n#include <stdio.h>\n#include <unistd.h>\n"
+        "int main(void) {\n"
+        "  fs_robot *robot, *other;\n"
+        "  for (int fd = 0; fd < 3; fd++) close(fd);\n"
+        f'  if (fs_open(&robot, "{trial.name}", "daemon") || fs_connect(robot)) return 10;\n'
+        f'  if (fs_open(&other, "{trial.name}", "other") || fs_connect(other)) return 11;\n'
+        "  fs_drive(robot, 0, 0, 0);\n"
+        "  for (int fd = 0; fd < 3; fd++) if (fcntl(fd, F_GETFD) >= 0) return 1 + fd;\n"
+        '  printf("on my way\\n"), fflush(stdout), perror("daemon");\n'
+        "  fs_close(other), fs_close(robot);\n"
+        "  return 0;\n}\n"
+    )
+    done = subprocess.run((compiled(source, tmp_path / "daemon"),), check=False)
+    assert done.returncode == 0
+    assert trial.robot.state.cause is None
+
+
+def test_a_program_that_may_not_write_its_slot_is_told_and_lives(trial: Trial) -> None:
+    """By default the kernel ends one that writes into a file after its limit."""
+    with Driver(command=("sh", "-c", 'ulimit -f 1 && exec "$0" "$@"', str(driver_program()))) as limited:
+        assert limited.do(f"open {trial.name} 0") == OK
+        assert limited.do("connect") == SYSTEM
+        assert "`ulimit -f`" in limited.text("error")
+        assert limited.do("stop it") == OK
+    wait_for("the stop to be latched", lambda: trial.robot.state.cause)
+
+
+def test_a_program_without_descriptors_learns_that_its_stop_was_not_sent(fresh: Trial, driver: Driver) -> None:
+    """The service was started after the handle was made, which therefore keeps no pipe of it."""
+    fresh.leave()
+    fresh.service.end()
+    assert driver.do(f"open {fresh.name} 0") == NO_SERVICE
+    fresh.service.start()
+    assert driver.do("stop with descriptors") == OK
+    assert driver.do("no-descriptors") == OK
+    assert driver.do("stop without") == SYSTEM
+    assert driver.do("connect") == SYSTEM
+
+
+def test_a_program_without_descriptors_stops_by_the_pipe_that_it_keeps(trial: Trial, driver: Driver) -> None:
+    driver.connect(trial.name)
+    assert driver.do("no-descriptors") == OK
+    assert driver.do("stop it still works") == OK
+    wait_for("the stop to be latched", lambda: trial.robot.state.cause)
+
+
+def test_a_program_that_has_another_shm_is_told_and_stops(trial: Trial) -> None:
+    """As in a container that shares the service's directory alone."""
+    words = ("unshare", "--mount", "sh", "-c", 'mount -t tmpfs none /dev/shm && exec "$0" "$@"', str(driver_program()))
+    with Driver(command=words) as apart:
+        if os.geteuid():
+            pytest.skip("only root may mount")
+        assert apart.do(f"open {trial.name} 0") == NO_SERVICE
+        assert "is not there" in apart.text("error")
+        assert apart.do("connect") == NO_SERVICE
+        assert apart.do("stop it") == OK
+    wait_for("the stop to be latched", lambda: trial.robot.state.cause)
+
+
+def test_numbers_are_those_of_the_service_in_every_locale(trial: Trial, comma: dict[str, str]) -> None:
+    with Driver(environment=comma) as german:
+        assert german.do("locale") == OK
+        german.connect(trial.name)
+        assert german.text("setting gate.lease_s") == str(trial.robot.settings["gate.lease_s"])
+        assert "." in german.text("setting gate.lease_s")
 
 
 @pytest.mark.parametrize("size", [0, 8, 65537, -1])

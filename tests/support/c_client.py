@@ -73,7 +73,9 @@ def whole_library() -> ctypes.CDLL:
 class Driver:
     """A running C client; each command is a line, and so is each answer."""
 
-    def __init__(self, megabytes: int = 0, command: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, megabytes: int = 0, command: tuple[str, ...] = (), environment: dict[str, str] | None = None
+    ) -> None:
         """`megabytes`: memory that the kernel has to free when it dies; `command`: another program than driver()."""
         self.process = subprocess.Popen(
             (*(command or (str(driver()),)), str(megabytes)),
@@ -81,6 +83,7 @@ class Driver:
             stdout=subprocess.PIPE,
             text=True,
             bufsize=1,
+            env={**os.environ, **(environment or {})},
             # Tests that were started by nohup hand down that it is ignored.
             preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
         )

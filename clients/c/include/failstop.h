@@ -345,7 +345,8 @@ FS_API int fs_reset(fs_robot *robot, uint64_t seen, double timeout_s);
  * is inside another function. It may be called from a signal handler. **Real-time.**
  *
  * FS_OK: the request is in the service's pipe; the service writes the stop within a millisecond. FS_NO_SERVICE: nobody
- * listens, so run `failstop stop`, which writes to the port itself.
+ * listens, so run `failstop stop`, which writes to the port itself. FS_SYSTEM: this program has no descriptor left, and
+ * fs_open() had found no service, so nothing was sent; run `failstop stop`.
  */
 FS_API int fs_stop(const fs_robot *robot, const char *reason);
 

@@ -108,6 +108,10 @@ FSI int fsi_places(struct fsi_places *places, const char *name);
 /* A descriptor or -1. Safe in a signal handler. */
 FSI int fsi_open_in(const struct fsi_places *places, int which, const char *file, int flags, bool pipe,
                     struct fsi_refusal *refusal);
+/* The same file under a number after those of the standard streams. A program may run without these, and then whatever
+ * it prints goes to the next file that it opens: into the stop pipe, or over its slot. Closes `fd` if it moves it; -1
+ * and errno if no number is left. Safe in a signal handler. */
+FSI int fsi_above_streams(int fd);
 /* The stop pipe, to write. `which`: where it is. Safe in a signal handler. */
 FSI int fsi_open_stop(const struct fsi_places *places, int *which, struct fsi_refusal *refusal);
 FSI void fsi_describe(char *text, size_t size, const struct fsi_places *places, int which, const char *file,
@@ -190,7 +194,8 @@ FSI void fsi_forget(struct fsi_life *life);
 
 /* -- run.c: a run of the service that is mapped to read ------------------------------------------------------------------- */
 
-#define FSI_MOST_NAMES 64
+/* As many as the rules have room for: a name of one character has two bytes there. */
+#define FSI_MOST_NAMES (CAP_SUPERVISOR_RULES / 2)
 
 struct fsi_run {
   uint64_t incarnation;

@@ -65,7 +65,7 @@ struct fsi_life *fsi_hold(int fd, off_t at) {
   life->page = page;
   life->word = life->page + (at - start);
   /* A descriptor of its own: the number of the caller's may soon name another file. */
-  life->fd = fcntl(fd, F_DUPFD_CLOEXEC, 0);
+  life->fd = fcntl(fd, F_DUPFD_CLOEXEC, STDERR_FILENO + 1);
   if (life->fd < 0) goto no_descriptor;
   sem_init(&life->held, 0, 0);
   sem_init(&life->end, 0, 0);

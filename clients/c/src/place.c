@@ -34,6 +34,14 @@ int fsi_places(struct fsi_places *places, const char *name) {
   return FS_OK;
 }
 
+int fsi_above_streams(int fd) {
+  if (fd < 0 || fd > STDERR_FILENO) return fd;
+  int moved = fcntl(fd, F_DUPFD_CLOEXEC, STDERR_FILENO + 1), error = errno;
+  close(fd);
+  errno = error;
+  return moved;
+}
+
 /* The directory that is open as `fd`, if it belongs to root, to this user, to the base's owner, or to a user to whom
  * only root can have given it. In a sticky base nobody can replace what exists. Closes it otherwise. */
 static int checked(int fd, const struct stat *base, struct fsi_refusal *refusal) {
@@ -72,7 +80,8 @@ int fsi_open_in(const struct fsi_places *places, int which, const char *file, in
   refusal->why = errno;
   close(base);
   if (inner < 0 || (inner = checked(inner, &above, refusal)) < 0) return -1;
-  int fd = fstat(inner, &where) ? -1 : openat(inner, file, flags | O_NONBLOCK | O_NOFOLLOW | O_NOCTTY | O_CLOEXEC);
+  const int how = flags | O_NONBLOCK | O_NOFOLLOW | O_NOCTTY | O_CLOEXEC;
+  int fd = fstat(inner, &where) ? -1 : fsi_above_streams(openat(inner, file, how));
   refusal->why = errno == ELOOP ? FSI_LINK : errno;
   close(inner);
   if (fd < 0) return -1;

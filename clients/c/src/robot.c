@@ -7,6 +7,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <sys/random.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
@@ -111,6 +112,13 @@ static void wipe(int fd) {
   }
 }
 
+/* Whether wipe() may: the kernel ends a program that writes more into a file than its limit. */
+static bool may_write(int fd) {
+  struct rlimit most;
+  struct stat file;
+  return !getrlimit(RLIMIT_FSIZE, &most) && !fstat(fd, &file) && (rlim_t)file.st_size <= most.rlim_cur;
+}
+
 static int claim(int fd, int slot, bool take) {
   struct flock lock = {.l_type = (short)(take ? F_WRLCK : F_UNLCK), .l_whence = SEEK_SET, .l_start = slot, .l_len = 1};
   return fcntl(fd, F_OFD_SETLK, &lock);
@@ -198,6 +206,10 @@ static int take_slot(fs_robot *robot) {
     int fd = fsi_open_segment(robot->run, name, true, why, sizeof why);
     int result = fd > 0 ? fsi_check_segment(fd - 1, name, robot->run->incarnation, &size, why, sizeof why) : fd;
     if (result == FS_OK && size < AT_CLIENT_SAID + 2 * CELL_BYTES(CAP_CLIENT_SAID)) result = FS_DAMAGED;
+    if (result == FS_OK && !may_write(fd - 1)) {
+      snprintf(why, sizeof why, "this program may not write files as large as its client slot: raise `ulimit -f`");
+      result = FS_SYSTEM;
+    }
     if (result == FS_OK) {
       robot->slot = slot;
       robot->segment = fd - 1;

@@ -34,7 +34,7 @@ int fsi_open_segment(const struct fsi_run *run, const char *name, bool write, ch
   char path[FSI_PATH];
   struct stat found;
   path_of(path, sizeof path, run, name);
-  int fd = open(path, (write ? O_RDWR : O_RDONLY) | SEGMENT_FLAGS);
+  int fd = fsi_above_streams(open(path, (write ? O_RDWR : O_RDONLY) | SEGMENT_FLAGS));
   if (fd < 0) {
     int error = errno;
     char reason[128] = "";

@@ -55,20 +55,22 @@ bool fsi_is_pipe(int fd) {
 static int send_line(const struct fsi_places *places, int kept, const char *client, const char *reason) {
   char line[FSI_STOP_LINE];
   struct fsi_refusal refusal;
-  int which, error = EPIPE, cancels;
+  int which, result = FS_NO_SERVICE, cancels;
   /* A thread that was cancelled would end at the first of these calls, and the stop would not be sent. */
   pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, &cancels);
   size_t size = fsi_stop_line(line, reason, client, getpid());
   /* The pipe of the service that runs now. The kept one is for a program that can't open another. */
   int fd = fsi_open_stop(places, &which, &refusal);
   if (fd >= 0) {
-    error = fsi_send(fd, line, size);
+    if (!fsi_send(fd, line, size)) result = FS_OK;
     close(fd);
-  } else if (fsi_is_pipe(kept)) {
-    error = fsi_send(kept, line, size);
+  } else if (fsi_is_pipe(kept) && !fsi_send(kept, line, size)) {
+    result = FS_OK;
+  } else if (refusal.why == EMFILE || refusal.why == ENFILE) {
+    result = FS_SYSTEM;
   }
   pthread_setcancelstate(cancels, NULL);
-  return error ? FS_NO_SERVICE : FS_OK;
+  return result;
 }
 
 int fs_stop(const fs_robot *robot, const char *reason) {

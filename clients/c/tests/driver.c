@@ -1,5 +1,6 @@
 /* A client for the tests: it reads one command a line and prints one line for each. */
 #include <fcntl.h>
+#include <locale.h>
 #include <pthread.h>
 #include <signal.h>
 #include <stdatomic.h>
@@ -286,6 +287,11 @@ int main(int count, char **words) {
       abort();
     } else if (!strcmp(line, "exit")) {
       exit(0);
+    } else if (!strcmp(line, "locale")) {
+      printf("%d\n", setlocale(LC_ALL, "") ? 0 : -1);
+    } else if (!strcmp(line, "no-descriptors")) {
+      while (dup(0) >= 0) continue;
+      printf("0\n");
     } else if (!strcmp(line, "pid")) {
       printf("%d\n", (int)getpid());
     } else {
