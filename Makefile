@@ -7,7 +7,7 @@ EDITABLE := --config-settings editable_mode=compat --editable
 # Behind failstop itself, which it needs: pip looks for what a requirement needs among those before it.
 LAB := --editable lab
 
-.PHONY: demo test quick tried versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech guard lock apt fresh ros2-control abi
+.PHONY: demo test quick tried versions interpreter bounds workflows fuzz campaigns lint bench soak chaos simulate faults seeds controls model board mutants docs site browser screens fleet ros2 web deb release reproduce package-test vm wheels clean vm-arm64 lerobot feetech guard lock apt fresh ros2-control abi c-client
 
 demo: $(VENV)/.installed
 	@$(BIN)/failstop demo
@@ -101,6 +101,14 @@ lint: $(VENV)/.dev
 bench: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[dev,bench]' $(LAB)
 	$(BIN)/python -m bench
+
+# The C library at length (docs/c.md), in an hour: a million records each way between C and Python, all its tests with gcc's and clang's
+# sanitizers and under valgrind, on foreign processors, then bench/c_client.py and the faults of a controller manager, for which nothing else
+# should run. What is missing here is skipped, and the last lines of the tests say what to install.
+c-client: $(VENV)/.dev
+	FAILSTOP_CAMPAIGN=long $(BIN)/pytest -rs --numprocesses $(JOBS) --dist loadfile --override-ini timeout=7200 tests/clients
+	$(BIN)/python -m bench.c_client
+	$(BIN)/python -m tests.integrations.ros2_control.trials --each 100
 
 # The binary interface of the C library (clients/c/abi.txt). WRITE=yes: record what was added. REF: compare with the library of that
 # commit, by abidiff (Debian: abigail-tools).

@@ -3,7 +3,8 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <cstdlib>
+#include <locale>
+#include <sstream>
 #include <thread>
 #include <utility>
 
@@ -28,11 +29,13 @@ std::string parameter(const std::unordered_map<std::string, std::string> & param
   return found == parameters.end() ? "" : found->second;
 }
 
+/// Whether the text is a number as the URDF and the service write it, whatever the program's locale is.
 bool is_number(const std::string & text, double & value)
 {
-  char * end = nullptr;
-  value = std::strtod(text.c_str(), &end);
-  return !text.empty() && *end == '\0' && std::isfinite(value);
+  std::istringstream in(text);
+  in.imbue(std::locale::classic());
+  char more = 0;
+  return in >> value && !(in >> more) && std::isfinite(value);
 }
 }  // namespace
 
@@ -211,12 +214,15 @@ CallbackReturn System::on_configure(const rclcpp_lifecycle::State &)
   }
   const bool steers = robot_.setting("wheels.layout") == "ackermann";
   double track = 0.0, base = 0.0;
-  if (steers && is_number(robot_.setting("wheels.track_m"), track) &&
-      is_number(robot_.setting("wheels.wheelbase_m"), base) && base > 0.0)
-  {
-    ratio_ = track / base;
-  }
   std::string wrong = plan(joints_, wheels_, steers);
+  if (steers) {
+    const bool known = is_number(robot_.setting("wheels.track_m"), track) &&
+                       is_number(robot_.setting("wheels.wheelbase_m"), base) && base > 0.0;
+    ratio_ = known ? track / base : 0.0;
+    if (!known && wrong.empty()) {
+      wrong = "the service's settings wheels.track_m and wheels.wheelbase_m can't be read: restart the service";
+    }
+  }
   if (wrong.empty() && !source_.empty() && !robot_.has_source(source_.c_str())) {
     wrong = "the parameter source = " + source_ + ": the service's settings declare no such source; add [sources." +
             source_ + "]";

@@ -11,6 +11,7 @@ import pytest
 from failstop.policy import causes
 from failstop_lab.controller_manager import Manager
 from failstop_lab.trial import Trial
+from tests.support.comma import comma_locale
 from tests.support.waiting import until
 
 from .scene import drive, managed, needs_compiler, trials, turns, urdf
@@ -88,6 +89,20 @@ def test_each_wheel_of_a_mecanum_base_follows_its_joint(mecanum: Trial, tmp_path
 
 @pytest.mark.parametrize("middle", [0.25, -0.25])
 def test_the_steered_wheels_of_an_ackermann_base(ackermann: Trial, tmp_path: Path, middle: float) -> None:
+    steered(ackermann, tmp_path, middle)
+
+
+def test_numbers_are_the_same_where_a_comma_is_the_decimal_point(
+    ackermann: Trial, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in comma_locale(tmp_path).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("FAILSTOP_STANDIN_LOCALE", "")
+    steered(ackermann, tmp_path / "manager", 0.25)
+
+
+def steered(ackermann: Trial, tmp_path: Path, middle: float) -> None:
+    """Have a controller turn each steered wheel as a base does that turns by this angle in the middle, rad."""
     with managed("kilted", urdf("ackermann", service=ackermann.name), tmp_path) as manager:
         drive(manager, ackermann, 1.0)
         # By the point about which all wheels turn, on the line of the rear axle.

@@ -16,6 +16,7 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
+#include <clocale>
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
@@ -253,6 +254,10 @@ int main(int count, char ** arguments)
     std::fprintf(stderr, "usage: manager PLUGIN HZ\n");
     return 2;
   }
+  const locale_t plain = newlocale(LC_ALL_MASK, "C", locale_t{});
+  if (std::getenv("FAILSTOP_STANDIN_LOCALE") && !std::setlocale(LC_ALL, std::getenv("FAILSTOP_STANDIN_LOCALE"))) {
+    return 2;
+  }
   void * const library = dlopen(arguments[1], RTLD_NOW);
   if (library == nullptr) {
     std::fprintf(stderr, "%s\n", dlerror());
@@ -316,7 +321,7 @@ int main(int count, char ** arguments)
       words >> verb;
       if (verb == "set") {
         words >> name >> line;
-        value = std::strtod(line.c_str(), nullptr);
+        value = strtod_l(line.c_str(), nullptr, plain);
         wanted[name] = value;
       } else if (verb == "claim" || verb == "unclaim") {
         std::vector<std::string> names;
