@@ -46,7 +46,7 @@ def checked(changed: dict[str, object], path: str | None = None) -> Settings:
         # Two bits would be two buttons that do not stop.
         if type(button) in (int, float) and button not in [1 << bit for bit in range(16)]:
             found = f"0x{button:04X}" if isinstance(button, int) and abs(button) < 1 << 32 else shown(button)
-            raise SettingError(f"{MODE_BUTTON} = {found}: allowed is exactly one bit, 0x0001, 0x0002 ... 0x8000")
+            raise SettingError(f"{MODE_BUTTON} = {found}: it must be exactly one bit, 0x0001, 0x0002 ... 0x8000")
         return Settings(changed)
     except SettingError as error:
         raise SettingError(f"{path}: {misplaced(path, changed, is_setting) or error}" if path else str(error)) from None
@@ -123,10 +123,10 @@ def _flat(prefix: str, table: dict[str, object]) -> list[tuple[str, object]]:
     for key, value in table.items():
         whole = prefix + key
         if len(whole) > LONGEST_KEY or not whole.isprintable():
-            raise SettingError(f"{shown(whole)}: no such setting; `failstop config` lists them all")
+            raise SettingError(f"{shown(whole)} is not a setting; `failstop config` lists them all")
         if "." in key or not key:
             # It would pass for the table and the key on either side of its dot, and hide what those say.
-            raise SettingError(f'{prefix}"{key}": no such setting; write tables as [gate], keys without quotes')
+            raise SettingError(f'{prefix}"{key}" is not a setting; write tables as [gate], keys without quotes')
         # An empty table says something too: a source or an interlock with every default, or a name that is wrong.
         if isinstance(value, dict) and value:
             found += _flat(f"{whole}.", value)

@@ -13,6 +13,11 @@ from failstop.api.client import attach, send_stop, unread
 from failstop.api.errors import FailstopError
 from failstop.files import instance
 from failstop.messages import layout, records
+from failstop.policy.causes import unsigned
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from failstop.policy.causes import Cause
 
 LATCH_S = 1.0
 """How long to wait until a request is seen latched; the service needs a few milliseconds."""
@@ -57,7 +62,7 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
                 latched_s = latched_s or time.monotonic()
                 doubt = verdict.doubt(state) or verdict.unproven(state)
                 if not doubt or time.monotonic() - latched_s >= HEAR_S:
-                    text = f"stop latched ({state.cause}) by the service {name!r}; next: {steps.line(state)}"
+                    text = f"stop latched ({_why(state.cause)}) by the service {name!r}; next: {steps.line(state)}"
                     return text, f"{doubt}: use the POWER SWITCH" if doubt else "", bool(doubt)
         except Exception as error:  # the request is in the pipe, even if the shared memory is damaged
             problem = str(error)
@@ -69,6 +74,12 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
             False,
         )
     return "", problem or f"the service {name!r} has not latched it within {LATCH_S:g} s", False
+
+
+def _why(cause: Cause | None) -> str:
+    """The cause in words. Of this program's own request it leaves out who asked, because the reader knows."""
+    own = cause and cause.named().get("pid") == os.getpid()
+    return unsigned(cause) if cause and own else str(cause)
 
 
 def port_of(name: str) -> str:

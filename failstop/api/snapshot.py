@@ -10,6 +10,7 @@ from failstop.messages import box, records
 from failstop.policy.causes import Cause
 from failstop.policy.layouts import WHEEL_NAMES
 from failstop.policy.proofs import LINK_SILENT, LINK_UNHEARD
+from failstop.policy.settings import FIRST_SOURCE
 
 PadMode = Literal["locked", "drive", "joint"]
 
@@ -244,6 +245,10 @@ class Source:
     state: Literal["drives", "waits", "held", "silent"]
     """drives; waits: a higher one drives; held: it commanded before motion was enabled and must send zero or pause
     first; silent: it drove, and stopped sending commands while the wheels turned."""
+
+    def __str__(self) -> str:
+        """The program, and its source unless that is the one that every program has by default."""
+        return self.who if self.source == FIRST_SOURCE else f"{self.who} as {self.source}"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -51,12 +51,16 @@ NO_SERVICE = Step(
     Purpose.MEND, "start the service", "if the wheels turn: turn the robot's power switch off. Then start the service"
 )
 """The step when no service is running, so that no state describes the robot."""
-HERE = {"reset": "hold RESET", "attend": "press ATTEND", "enable": "hold ENABLE"}
+YOUR_PROGRAM = "start your driving program"
+HERE = {"reset": "hold RESET", "attend": "press ATTEND", "enable": "hold ENABLE", "drive": YOUR_PROGRAM}
 """How a paired device does it, with the page's buttons."""
+BY_STICK = {**HERE, "drive": "hold the stick to drive"}
+"""How a paired device does it that has the stick."""
 ELSEWHERE = {
     "reset": "reset it with a paired device or failstop reset",
     "attend": "with a paired device or failstop attend",
     "enable": "enable motion with a paired device or failstop enable,",
+    "drive": YOUR_PROGRAM,
 }
 """How everyone else gets it done, because their page has no such buttons."""
 
@@ -72,7 +76,7 @@ def _for_the_gate(state: State) -> tuple[str, str]:
 
 def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[object, Step]]]:
     """When each step is needed. The rows of one group exclude each other: the first that holds counts. `told`: the
-    reader already knows about the interlock; `how`: HERE or ELSEWHERE."""
+    reader already knows about the interlock; `how`: HERE, BY_STICK or ELSEWHERE."""
     named = {process.state: process.pid for process in state.processes.values()}
     dead, suspended, down = "dead" in named, named.get("suspended"), verdict.down(state)
     doubt, waits, path = verdict.doubt(state), state.waiting_for, state.device.path
@@ -123,7 +127,7 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
                     f"look at {silent}, or disable motion to keep the robot still if it resumes",
                 ),
             ),
-            (idle, Step(Purpose.COMMAND, DRIVE, "start your driving program")),
+            (idle, Step(Purpose.COMMAND, DRIVE, how["drive"])),
             (state.block is None, Step(Purpose.COMMAND, DRIVE, "")),
         ],
     ]

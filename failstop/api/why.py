@@ -55,8 +55,8 @@ HOLDS = {
     Block.LATCHED: ("a stop is latched", "A stop is latched."),
     Block.DISABLED: ("motion is disabled", "Motion is disabled, as after every start and every stop."),
     Block.NO_COMMAND: (
-        "nobody commands: no command is younger than its timeout",
-        "Motion is enabled, and nobody commands.",
+        "no program sends commands, or its newest one is older than its timeout",
+        "Motion is enabled, but no program sends commands.",
     ),
     Block.HELD: (
         "a program commanded before motion was enabled, so it must send zero or pause before it can drive",
@@ -68,6 +68,8 @@ HOLDS = {
     ),
 }
 """Each block in words: for a terminal, and as a sentence for the page."""
+SINCE = {Block.LATCHED: "a stop has been latched", Block.DISABLED: "motion has been disabled"}
+"""The same, before the time when it began."""
 WAITS = (Block.NO_SCAN, Block.NO_COMMAND)
 """Blocks in which the wheels wait for a client, so that what a client sees may be the answer."""
 
@@ -75,8 +77,9 @@ WAITS = (Block.NO_SCAN, Block.NO_COMMAND)
 def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
     """The whole answer. `events`: those of this run, oldest first; without them less is known."""
     start, began = since(state, events, now_s)
-    when = "" if start is None else f" since {words.ago(start, now_s)}"
-    what = f"{_holds(state)}{when}" if state.block else _free(state)
+    what = _holds(state) if state.block else _free(state)
+    if state.block and start is not None:
+        what = f"{SINCE.get(state.block, what)} since {words.ago(start, now_s)}"
     also = troubles(state, events)
     if doubt := verdict.doubt(state):
         row = verdict.row(state)
@@ -127,11 +130,9 @@ def _free(state: State) -> str:
     how = words.velocity(*state.body_vel) or "zero"
     driver = state.driver
     if driver and verdict.unheeded(state):
-        return (
-            f"nothing holds the wheels: {driver.who} commands {how} as {driver.source}, which does not reach the board"
-        )
+        return f"nothing holds the wheels: {driver} commands {how}, which does not reach the board"
     if driver:
-        return f"nothing holds the wheels: {driver.who} drives as {driver.source}, {how}"
+        return f"nothing holds the wheels: {driver} drives, {how}"
     return f"nothing holds the wheels: the command is {how}"
 
 
@@ -147,7 +148,7 @@ def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | 
         return None, never if age_s is None else f"it delivered last {words.span(age_s)} ago"
     if state.block is Block.DISABLED:
         change = verdict.newest(events, verdict.CHANGES)
-        return (change.t, change.what) if change else (None, "")
+        return (change.t, change.what.removeprefix("motion disabled: ")) if change else (None, "")
     if state.block is Block.NO_COMMAND and (event := verdict.left_off(events)):
         # It may have driven since then, because not every start is reported.
         return None, f"{event.text} ({words.ago(event.t, now_s)})"

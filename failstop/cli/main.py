@@ -25,7 +25,7 @@ GROUPS = {
         "stop": ("cli.commands.stop", "stop now, even if the service is dead"),
         "estop": ("cli.commands.stop", "the same as stop"),
         "reset": ("cli.commands.requests", "clear a latched stop; nothing moves until the next enable"),
-        "limit": ("cli.commands.requests", "limit the robot's speed, whoever drives, in percent of its settings"),
+        "limit": ("cli.commands.requests", "limit the speed of every driver, in percent of the settings"),
         "arm": ("cli.commands.arm", "move the arm, hold it, release it, or show where it is"),
     },
     "look": {

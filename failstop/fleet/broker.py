@@ -111,7 +111,7 @@ class Broker:
         if user := settings.text("broker.user"):
             self.client.username_pw_set(user, read_secret(path) if path else None)
         elif path:
-            raise FleetError(f"{path} is a password, and broker.user is not set: a password needs a user's name")
+            raise FleetError(f"{path} holds a password, but broker.user is not set: set the user name too")
         if not settings.on("broker.tls"):
             return
         authority, certificate = settings.text("broker.ca_file"), settings.text("broker.cert_file")
@@ -226,9 +226,9 @@ class Broker:
         return True
 
     def close(self) -> None:
-        """In order: the last will is not said. The connection stays open until the broker has ended it, or for CLOSE_S:
-        bytes that come to a closed one reset it, and a broker that meets the reset before it has read the
-        end takes the client for lost."""
+        """Disconnect cleanly, so that the broker does not publish the last will. The connection stays open until the
+        broker has ended it, or for CLOSE_S: bytes that come to a closed one reset it, and a broker that meets the reset
+        before it has read the end takes the client for lost."""
         self._closing = True
         if (fd := self.fileno()) < 0:
             return
@@ -270,7 +270,7 @@ class Broker:
         self.listening = False
         if self.problem in ("", NOT_YET) and not self._closing:
             why = "" if str(reason) == NO_REASON else f": {reason}"
-            self.problem = f"the broker at {self.where} has ended the connection{why}"
+            self.problem = f"the broker at {self.where} closed the connection{why}"
 
 
 def _check_readable(key: str, path: str, credential: str) -> None:
@@ -297,5 +297,5 @@ def read_secret(path: str) -> str:
     except UnicodeError as error:
         raise FleetError(f"broker.password_file {path}: {error}") from None
     if found.st_mode & 0o007:
-        raise FleetError(f"broker.password_file {path} may be read by everybody: chmod 600 {path}")
+        raise FleetError(f"everybody may read broker.password_file {path}: chmod 600 {path}")
     return line

@@ -16,7 +16,7 @@ def check(look: Look) -> list[Finding]:
     if found.get("LoadState") != "loaded" or not (active or enabled):
         return ok("the robot is in no fleet")
     if not active:
-        text = f"{UNIT} is enabled and {found.get('ActiveState')}: the robot obeys no stop of the fleet"
+        text = f"{UNIT} is enabled but {found.get('ActiveState')}, so the robot obeys no fleet stop"
         return warn(text, f"journalctl -xeu {UNIT}")
     if found.get("StatusErrno", "0") != "0":
         return warn(f"the robot {found.get('StatusText')}", f"journalctl -u {UNIT}", "docs/fleet.md says more")

@@ -80,7 +80,7 @@ def _seconds(text: str) -> float:
     except ValueError:
         found = 0.0
     if not 0.0 < found <= LONGEST_STOP_S:
-        raise ArgumentTypeError(f"{text!r}: allowed is more than 0, and {LONGEST_STOP_S:.0f} s at most")
+        raise ArgumentTypeError(f"{text!r}: it must be more than 0 s, and at most {LONGEST_STOP_S:.0f} s")
     return found
 
 
@@ -129,7 +129,7 @@ def _status(deaf: str, doubled: str) -> str:
 def _key(arguments: Namespace) -> int:
     path = _settings(arguments).text("stop.key_file")
     signed.make_key(path)
-    standard.print_line(f"{path} is the fleet's key: copy it to every robot, and to who may stop them")
+    standard.print_line(f"{path} is the fleet's key: copy it to every robot, and to the computers that may stop them")
     return 0
 
 
@@ -190,7 +190,7 @@ def _list(arguments: Namespace) -> int:
         print(json.dumps(rows, indent=2))
     elif not robots:
         standard.print_line(
-            f"the broker at {broker.where} shows no robot: it knows none, or its access list hides them"
+            f"the broker at {broker.where} shows no robot: either it knows none, or its access list hides them"
         )
     else:
         style.show([view.counts(robots, now_s, unix_s), *view.table(robots, now_s, unix_s)])
@@ -216,7 +216,7 @@ def _stop(arguments: Namespace) -> int:
     if code == INTERRUPTED:
         if stopping.sent_s is None:
             raise FleetError(f"NO ROBOT WAS STOPPED: interrupted before a broker took the stop; {BY_HAND}")
-        standard.say("interrupted: no robot is asked again; this is what was confirmed until now")
+        standard.say("interrupted, so no robot is asked again; this was confirmed until now")
     if arguments.json:
         found = report.as_dict(stopping.tally, stopping.doubts)
         print(json.dumps({**found, "interrupted": code == INTERRUPTED}, indent=2))
@@ -265,12 +265,14 @@ def _check_gone(robot: Robot, broker: Broker) -> None:
     limit_s = 0.0
     if not over():
         limit_s = robot.silent_after_s()
-        standard.say(f"the broker calls {robot.id} connected: listening for a sign of life, {limit_s:.0f} s at most")
+        standard.say(f"the broker reports {robot.id} as connected, so wait for a sign of life, {limit_s:.0f} s at most")
     _listen(broker, limit_s, over)
     if broker.problem:
         raise FleetError(broker.problem)
     if robot.connection not in (message.OFFLINE, message.LOST) and robot.sign_s is not None:
-        raise FleetError(f"{robot.id} is connected: end its publisher first, or it is back at its next message")
+        raise FleetError(
+            f"{robot.id} is connected: end its publisher first, or the robot reappears with its next message"
+        )
 
 
 def _forget(arguments: Namespace) -> int:
@@ -284,21 +286,21 @@ def _forget(arguments: Namespace) -> int:
             raise FleetError(broker.problem)
         known = {robot.id: in_topic for in_topic, robot in roster.robots.items()}
         if (in_topic := known.get(name)) is None:
-            raise FleetError(f"no robot {name!r} is known to the broker at {broker.where}")
+            raise FleetError(f"the broker at {broker.where} knows no robot {name!r}")
         _check_gone(roster.robots[in_topic], broker)
         for last in (topics.CONNECTION, topics.STATE, topics.EVENT):
             broker.say(topics.of_robot(found.text("robot.fleet"), in_topic, last), b"", retain=True)
         _listen(broker, LIST_S, lambda: in_topic not in roster.robots)
-    standard.print_line(f"{name} is forgotten: a fleet stop does not miss it any more")
+    standard.print_line(f"{name} is forgotten: a fleet stop no longer waits for it")
     return 0
 
 
 ACTIONS: dict[str, tuple[Callable[[Namespace], int], str]] = {
-    "watch": (_watch, "every robot, live; the same as `failstop fleet`"),
-    "list": (_list, "every robot, once"),
-    "stop": (_stop, "stop all of them, and say who has not confirmed"),
-    "publish": (_publish, "publish this robot, and obey a stop of the fleet"),
-    "key": (_key, "make the fleet's key, once"),
-    "forget": (_forget, "take a robot that is gone for good off the broker"),
-    "config": (_config, "a file of settings, every value its default"),
+    "watch": (_watch, "show every robot, live; the same as `failstop fleet`"),
+    "list": (_list, "list every robot, once"),
+    "stop": (_stop, "stop all robots, and show which have not confirmed"),
+    "publish": (_publish, "run on the robot: publish its state, and obey fleet stops"),
+    "key": (_key, "make the fleet's key; do this once for all robots"),
+    "forget": (_forget, "remove a robot that is gone for good from the broker"),
+    "config": (_config, "print a file with every setting at its default"),
 }

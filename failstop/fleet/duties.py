@@ -19,8 +19,8 @@ FOLLOWED_S = 6.0
 AGAIN_EVERY_S = 0.25
 """An id that comes again is answered this often at most."""
 MOST_DUTIES = 32
-UNWRITTEN = "latched, but NOT written: the board did not get it"
-FORGOTTEN = "asked for before its publisher was restarted, which does not know what became of it"
+UNWRITTEN = "latched but NOT written, so the board did not get it"
+FORGOTTEN = "requested, but then its publisher was restarted, so nobody knows whether the robot stopped"
 
 
 class Duty:

@@ -148,11 +148,13 @@ class Publisher:
         was = self.broker.problem
         self.broker.turn(min(longest_s, max(0.0, self._look_at_s - time.monotonic())))
         if self.broker.problem != was and not self.twins.others:  # two may end each other's connection every second
-            standard.say(self.broker.problem or f"the broker at {self.broker.where} knows this robot {self.robot_id}")
+            standard.say(
+                self.broker.problem or f"the broker at {self.broker.where} knows this robot as {self.robot_id}"
+            )
         if (denied := self._denied()) != self._said_denied:
             self._said_denied = denied
             if denied:
-                standard.say(f"WARNING: no stop of the fleet is obeyed here: {denied}")
+                standard.say(f"WARNING: this robot obeys no fleet stop: {denied}")
         if (doubled := self.doubled()) != self._said_doubled:
             self._said_doubled = doubled
             standard.say(f"WARNING: {doubled}")
@@ -187,7 +189,7 @@ class Publisher:
 
     def _denied(self) -> str:
         denied = " and ".join(topic for topic in self.broker.denied if topic in self._stop_topics())
-        return f"the broker does not let this robot read {denied}: see its access list" if denied else ""
+        return f"the broker does not let this robot read {denied}: check its access list" if denied else ""
 
     def doubled(self) -> str:
         """What is wrong, and what to do, if another publisher uses this robot's name; empty: none is known."""
@@ -214,7 +216,9 @@ class Publisher:
         if self.broker.confirmed(CLOSE_S):
             self.broker.close()
         else:
-            standard.say(f"the broker at {self.broker.where} has not confirmed the end: it shows this robot as lost")
+            standard.say(
+                f"the broker at {self.broker.where} did not confirm that this robot signed off, so it shows it as lost"
+            )
             self.broker.drop()
         if self.unsaved:
             self._remember()
@@ -259,8 +263,8 @@ class Publisher:
             text = f"another publisher also calls itself {self.robot_id}: set robot.id on one, restart both"
             found.append(message.warning(message.DOUBLED, text, f"robot.id is in {PLACE}"))
         if now_s - self._forged_s < FORGED_S:
-            text = f"messages on {self._stop_topic} that nobody with the fleet's key has made"
-            found.append(message.warning("forged_stop", text, "see who may write there, by the broker's access list"))
+            text = f"somebody without the fleet's key sends messages on {self._stop_topic}"
+            found.append(message.warning("forged_stop", text, "check the broker's access list: who may write there?"))
         return tuple(found)
 
     def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
@@ -289,7 +293,7 @@ class Publisher:
     def _note_forged(self, now_s: float) -> None:
         if self.duties.forged > self._said_forged:
             if now_s - self._forged_s > FORGED_S:
-                standard.say(f"a message on {self._stop_topic} is not the fleet's: {self.duties.last_forged}")
+                standard.say(f"ignored a message on {self._stop_topic}: {self.duties.last_forged}")
             self._said_forged, self._forged_s = self.duties.forged, now_s
 
     def _answer(self, answer: StopAnswer) -> None:
@@ -309,7 +313,9 @@ class Publisher:
             durable.write_draft(draft, self._seen.dump())
             durable.publish(draft, self._store)
         except OSError as error:
-            standard.say(f"{self._store} can't be written ({error.strerror}): a restart forgets what was obeyed")
+            standard.say(
+                f"{self._store} can't be written ({error.strerror}), so a restart forgets which stops were obeyed"
+            )
 
 
 def _key(settings: FleetSettings) -> tuple[bytes, str]:
@@ -317,7 +323,7 @@ def _key(settings: FleetSettings) -> tuple[bytes, str]:
     try:
         return signed.read_key(settings.secret("stop.key_file", KEY)), ""
     except FleetError as error:
-        standard.say(f"no stop of the fleet is obeyed here: {error}")
+        standard.say(f"this robot obeys no fleet stop: {error}")
         return b"", str(error)
 
 
@@ -331,7 +337,7 @@ def _remembered(path: str, tolerance_s: float) -> Seen:
     except FileNotFoundError:
         return Seen(tolerance_s)
     except (OSError, ValueError) as error:
-        standard.say(f"{path} can't be read ({error}): which stops were obeyed before is not known")
+        standard.say(f"{path} can't be read ({error}), so it is not known which stops were obeyed before")
         return Seen(tolerance_s)
 
 

@@ -26,7 +26,7 @@ def lines(tally: Tally, doubts: Sequence[str] = (), *, listed: bool = False) -> 
     names those that there are."""
     robots, missing = tally.robots(), tally.missing()
     if not robots:
-        return [[("NO ROBOT is known to this broker, so none has confirmed", FAIL)], *_doubts(doubts)]
+        return [[("This broker knows NO ROBOT, so none has confirmed", FAIL)], *_doubts(doubts)]
     role = FAIL if missing or doubts else OK
     # Of a fleet that may be larger no count is shown that reads like all of it.
     total = f"at least {len(robots)}" if doubts else f"{len(robots)}"
@@ -38,13 +38,13 @@ def lines(tally: Tally, doubts: Sequence[str] = (), *, listed: bool = False) -> 
         found.append([(f"  {level:<13}", PLAIN), (f"{len(times_s)} of {total}", STRONG), (slowest, DIM)])
     for robot, level in tally.confirmed_by().items():
         if level != levels.ACKNOWLEDGED:
-            found.append([(f"  {_name(robot)} confirms as {level}: its board acknowledges nothing", DIM)])
+            found.append([(f"  {_name(robot)} confirms as {level}, because its board can't acknowledge", DIM)])
     if missing:
         found.append([("NOT confirmed, so go and look, or use the POWER SWITCH:", FAIL)])
         found += style.table([[("", PLAIN), (_name(row.robot), STRONG), (row.why, PLAIN)] for row in missing])
     found += _doubts(doubts)
     if not listed and not doubts:
-        text = "This counts the robots that the broker still remembers. List yours in stop.robots_file to miss none."
+        text = "This counts only robots that the broker still remembers. To miss none, list yours in stop.robots_file."
         found.append([(text, DIM)])
     return found
 

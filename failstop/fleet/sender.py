@@ -100,12 +100,13 @@ class Sender:
         if self.broker.connected_s() < self._away_s and (oldest_s is None or after_s - oldest_s < self._away_s):
             return (
                 f"the broker may have been restarted less than {self._away_s:.0f} s ago, and a robot may need that "
-                "long to connect again: stop once more, and list your robots in stop.robots_file"
+                "long to connect again: stop them again, and list your robots in stop.robots_file"
             )
         if young := self.tally.young(after_s):
             return (
-                f"{young[0]} connected less than {STABLE_S:g} s before it answered, as two robots of one name do by "
-                "turns: stop once more"
+                f"{young[0]} connected less than {STABLE_S:g} s before it answered. Two robots with the same "
+                "name do that "
+                "in turn: stop them again"
             )
         return ""
 
@@ -117,15 +118,15 @@ class Sender:
         elif self.sent_s is None:
             return found
         if denied := self.broker.denied:
-            found.append(f"the broker does not let you read {' and '.join(denied)}: see its access list")
+            found.append(f"the broker does not let you read {' and '.join(denied)}: check its access list")
         elif not self.heard_all and not self.broker.problem:
             found.append(
-                "the broker has not said that it has named every robot it remembers: its access list must let you read "
+                "the broker may not have listed every robot that it remembers: its access list must let you read "
                 f"and write failstop/v1/{self._fleet}/#"
             )
         if hidden := self.tally.hidden():
             found.append(
-                f"{hidden[0]} answered, and the broker does not show you its connection, so it may hide others that do "
+                f"{hidden[0]} answered, but the broker does not show you its connection, so it may hide robots that do "
                 f"not answer: its access list must let you read {self._connections}"
             )
         if self._all_confirmed() and (late := self._late(now_s)):

@@ -1,7 +1,7 @@
-"""Settings of the fleet: the broker, this robot's name there, the key. A file of their own.
+"""The fleet's settings: the broker, this robot's name there, the key. They have their own file.
 
-The service does not read them, so that nothing in them can keep it from starting; and they are needed where there is no
-robot: on the machine that somebody stops the fleet from.
+The service does not read this file, so a mistake in it can't keep the service from starting. It is also needed on a
+computer without a robot, from which somebody stops the fleet.
 """
 
 from __future__ import annotations
@@ -23,25 +23,65 @@ UNIT = "failstop-fleet.service"
 KEY, PASSWORD, CERT_KEY = "fleet.key", "broker.password", "broker.cert_key"
 """The names of the credentials that the unit may hand over (LoadCredential)."""
 ID = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
-"""What a name of a robot or a fleet may be: no `/`, `+` and `#`, which mean something in a topic."""
+"""The allowed names of a robot or a fleet: without `/`, `+` and `#`, which mean something in a topic."""
 
 DECLARED = (
-    Setting("broker.host", "127.0.0.1", "", None, None, "where the MQTT broker is"),
-    Setting("broker.port", 1883, "", 1, 65535, "its port; 8883 is usual with TLS"),
-    Setting("broker.tls", "off", "", None, None, "encrypt, and check the broker's certificate", SWITCH),
-    Setting("broker.ca_file", "", "", None, None, "who has signed that certificate; empty: whom the machine trusts"),
-    Setting("broker.cert_file", "", "", None, None, "this client's own certificate, if the broker asks for one"),
-    Setting("broker.cert_key_file", "", "", None, None, "the key to it"),
-    Setting("broker.user", "", "", None, None, "the user's name at the broker; empty: none"),
-    Setting("broker.password_file", "", "", None, None, "a file that holds the password, and that nobody else reads"),
-    Setting("broker.keepalive_s", 10, "s", 2, 600, "silent for one and a half of these, a robot is lost"),
-    Setting("robot.id", "", "", None, None, "this robot's name in the fleet; empty: the host's name"),
-    Setting("robot.fleet", "failstop", "", None, None, "the fleet's name, the same on all its robots"),
-    Setting("robot.publish_s", 5.0, "s", 0.5, 30.0, "its state is published at changes, and this often at least"),
-    Setting("stop.key_file", KEY_PLACE, "", None, None, "the fleet's key (`failstop fleet key`)"),
-    Setting("stop.tolerance_s", 10.0, "s", 1.0, 300.0, "a fleet stop dated further from this robot's clock is refused"),
+    Setting("broker.host", "127.0.0.1", "", None, None, "the host name or address of the MQTT broker"),
+    Setting("broker.port", 1883, "", 1, 65535, "the broker's port; with TLS it is usually 8883"),
     Setting(
-        "stop.robots_file", "", "", None, None, "robots that must confirm, a name a line, known to the broker or not"
+        "broker.tls",
+        "off",
+        "",
+        None,
+        None,
+        "encrypt the connection and check the broker's certificate. Turn it on unless you trust the network",
+        SWITCH,
+    ),
+    Setting(
+        "broker.ca_file",
+        "",
+        "",
+        None,
+        None,
+        "the certificate authority that signed the broker's certificate. Empty: the ones that this computer trusts",
+    ),
+    Setting("broker.cert_file", "", "", None, None, "this robot's own certificate, if the broker asks for one"),
+    Setting("broker.cert_key_file", "", "", None, None, "the private key of that certificate"),
+    Setting("broker.user", "", "", None, None, "the user name for the broker. Empty: log in without one"),
+    Setting("broker.password_file", "", "", None, None, "a file with the user's password, which nobody else may read"),
+    Setting(
+        "broker.keepalive_s",
+        10,
+        "s",
+        2,
+        600,
+        "the broker reports a robot as lost after one and a half times this long without a sign of life",
+    ),
+    Setting("robot.id", "", "", None, None, "this robot's name in the fleet. Empty: the computer's host name"),
+    Setting("robot.fleet", "failstop", "", None, None, "the fleet's name, which must be the same on all its robots"),
+    Setting(
+        "robot.publish_s", 5.0, "s", 0.5, 30.0, "the robot publishes its state when it changes, and at least this often"
+    ),
+    Setting(
+        "stop.key_file", KEY_PLACE, "", None, None, "the file with the fleet's key, which `failstop fleet key` makes"
+    ),
+    Setting(
+        "stop.tolerance_s",
+        10.0,
+        "s",
+        1.0,
+        300.0,
+        "a robot refuses a fleet stop whose date differs from its own clock by more than this. Raise it if your clocks "
+        "differ",
+    ),
+    Setting(
+        "stop.robots_file",
+        "",
+        "",
+        None,
+        None,
+        "a file with the names of the robots that must confirm a fleet stop, one per line. Without it, only robots "
+        "that the broker remembers are counted",
     ),
 )
 BY_KEY = {row.key: row for row in DECLARED}
@@ -53,39 +93,39 @@ GONE = {
 
 
 class FleetSettings:
-    """Every setting with its value."""
+    """A complete, checked set of values."""
 
     def __init__(self, given: dict[str, object]) -> None:
         """`given`: by whole key; the rest are defaults. Raises SettingError."""
         for key in sorted(set(given) & set(GONE)):
             raise SettingError(f"{key}: {GONE[key]}")
         if unknown := sorted(set(given) - set(BY_KEY)):
-            raise SettingError(f"{unknown[0]}: no such setting of the fleet; there are {', '.join(BY_KEY)}")
+            raise SettingError(f"{unknown[0]} is not a setting of the fleet; there are {', '.join(BY_KEY)}")
         self._values = {row.key: row.check(given.get(row.key, row.default)) for row in DECLARED}
         for key in ("robot.id", "robot.fleet"):
             if (value := self.text(key)) and not ID.fullmatch(value):
-                raise SettingError(f"{key} = {value!r}: letters, digits, `_`, `.`, `:` and `-` are allowed, 64 at most")
+                raise SettingError(f"{key} = {value!r}: it may have at most 64 letters, digits, `_`, `.`, `:` and `-`")
         self._check_together()
 
     def _check_together(self) -> None:
-        """Settings that would be passed over without a word, with less protection than their owner asked for."""
+        """Refuse settings that would be ignored, so that their owner would have less protection than expected."""
         if not self.on("broker.tls"):
             for key in ("broker.ca_file", "broker.cert_file", "broker.cert_key_file"):
                 if self.text(key):
                     raise SettingError(
-                        f'{key} is set and broker.tls is "off", so nothing would be encrypted: set broker.tls = "on", '
-                        f"or leave {key} out"
+                        f'{key} is set but broker.tls is "off", so nothing would be encrypted: set broker.tls = "on", '
+                        f"or remove {key}"
                     )
         for key, needed in (("broker.password_file", "broker.user"), ("broker.cert_key_file", "broker.cert_file")):
             if self.text(key) and not self.text(needed):
-                raise SettingError(f"{key} is set and {needed} is not, so it would not be used: set {needed} too")
+                raise SettingError(f"{key} is set but {needed} is not, so it would not be used: set {needed} too")
 
     def text(self, key: str) -> str:
         """A text's value."""
         return str(self._values[key])
 
     def secret(self, key: str, credential: str) -> str:
-        """The path of a secret: what systemd has handed over under that name, else the one that is set."""
+        """The path of a secret: the credential that systemd hands over under that name, else the setting."""
         folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
         handed = os.path.join(folder, credential)
         return handed if folder and os.path.exists(handed) else self.text(key)
@@ -105,12 +145,13 @@ class FleetSettings:
         if not found:
             found = socket.gethostname()
             if not ID.fullmatch(found):
-                raise SettingError(f"this host's name {found!r} can't be a robot's: set robot.id")
+                raise SettingError(f"the host name {found!r} can't be a robot's name: set robot.id")
         return found if name == DEFAULT_NAME else f"{found}-{name}"
 
 
 def load(path: str | None, changed: dict[str, object] | None = None) -> FleetSettings:
-    """Those of a file (none: of the installed one, if there is one) with `changed` over them. Raises SettingError."""
+    """The settings of a file, replaced by `changed` where it has a value. Without a path it reads the installed file,
+    if that exists. Raises SettingError."""
     if path is None and os.path.exists(installed := root.at(PLACE)):
         path = installed
     found = config.read(path)
@@ -123,7 +164,7 @@ def load(path: str | None, changed: dict[str, object] | None = None) -> FleetSet
 
 
 def robots(found: FleetSettings) -> frozenset[str] | None:
-    """The robots that a fleet stop must reach, if a file lists them; None: there is no file. Raises FleetError."""
+    """The robots that a fleet stop must reach, from stop.robots_file; None if that is not set. Raises FleetError."""
     path = found.text("stop.robots_file")
     if not path:
         return None
@@ -136,7 +177,7 @@ def robots(found: FleetSettings) -> frozenset[str] | None:
         raise FleetError(f"stop.robots_file {path}: {wrong[0]!r} can't be a robot's name")
     if not names:
         raise FleetError(
-            f"stop.robots_file {path} lists no robot: write one name a line into it, or leave stop.robots_file empty"
+            f"stop.robots_file {path} lists no robot: write one name per line into it, or leave stop.robots_file empty"
         )
     return frozenset(names)
 
@@ -148,18 +189,18 @@ def unreadable(key: str, path: str, error: OSError, credential: str) -> FleetErr
     if not isinstance(error, PermissionError):
         return FleetError(text)
     if not credential:
-        return FleetError(f"{text}: it is no secret, so let everybody read it: chmod 644 {path}")
+        return FleetError(f"{text}. It is not a secret, so let everybody read it: chmod 644 {path}")
     return FleetError(
-        f"{text}. {UNIT} runs as nobody's user: `systemctl edit {UNIT}`, and there under [Service] "
-        f"LoadCredential={credential}:{path}. Elsewhere let this user alone read it: chown, and chmod 600"
+        f"{text}. {UNIT} runs as a user without rights, so hand it the file: `systemctl edit {UNIT}`, and add under "
+        f"[Service] LoadCredential={credential}:{path}. Without systemd, chown the file to this user and chmod 600 it"
     )
 
 
 def example() -> str:
     """A complete file: every default, commented out, so that a setting can be added at the end too."""
     lines = [
-        "# The robot in its fleet: docs/fleet.md. Each line shows a default. To set another value, take the # away, or",
-        "# add a line of your own with the whole name, anywhere.",
+        "# The robot in its fleet: docs/fleet.md. Each line shows a default. To change one, remove its #, or add",
+        "# a line with the whole name anywhere.",
     ]
     table = ""
     for row in DECLARED:

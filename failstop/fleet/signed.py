@@ -50,15 +50,15 @@ def verify(key: bytes, purpose: str, message: bytes) -> dict[str, Any]:
         expected = _mac(key, purpose, text)
         genuine = hmac.compare_digest(expected.encode(), mac.encode())
     except (ValueError, TypeError, KeyError, RecursionError):
-        raise Forged("no signed message") from None
+        raise Forged("it is not signed") from None
     if not genuine:
-        raise Forged("signed with another key")
+        raise Forged("it is signed with another key")
     try:
         body = json.loads(text)
     except (ValueError, RecursionError):
         body = None
     if not isinstance(body, dict):
-        raise Forged("no message")
+        raise Forged("it is not a message")
     return body
 
 
@@ -72,7 +72,9 @@ def make_key(path: str) -> None:
         os.makedirs(os.path.dirname(path) or ".", exist_ok=True)
         fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     except FileExistsError:
-        raise FleetError(f"{path} is there already: a fleet has one key; for another, remove it") from None
+        raise FleetError(
+            f"{path} exists already, and a fleet has one key. To make a new one, remove it first"
+        ) from None
     except OSError as error:
         raise FleetError(f"{path} can't be made: {error.strerror}") from None
     with os.fdopen(fd, "w") as file:
@@ -94,13 +96,13 @@ def read_key(path: str) -> bytes:
             f"the fleet's key {path}: {error.strerror}; `failstop fleet key` makes one, and all robots need the same"
         ) from None
     if found.st_mode & OTHERS and not _handed_over(path):
-        raise FleetError(f"the fleet's key {path} may be read by others: chmod 600 {path}")
+        raise FleetError(f"other users may read the fleet's key {path}: chmod 600 {path}")
     try:
         key = bytes.fromhex(text.decode("ascii").strip())
     except ValueError:
         key = b""
     if len(key) != KEY_BYTES:
-        raise FleetError(f"{path} is no fleet's key: {2 * KEY_BYTES} hexadecimal digits are expected")
+        raise FleetError(f"{path} is not a fleet's key, which has {2 * KEY_BYTES} hexadecimal digits")
     return key
 
 

@@ -59,13 +59,13 @@ def word(robot: Robot, now_s: float, unix_s: float) -> str:
 def why(robot: Robot, now_s: float, unix_s: float) -> str:
     """A line on why."""
     if robot.connection == message.OFFLINE:
-        return "its publisher was ended; what it does now is not known here"
+        return "its publisher was ended, so nobody here knows what the robot does"
     if robot.lost(now_s, unix_s):
         last = f"last seen {robot.word}" if robot.word else "never seen"
-        return f"{_lost(robot, now_s, unix_s)}; {last}, and what it does now is not known here"
+        return f"{_lost(robot, now_s, unix_s)}; {last}; nobody here knows what it does now"
     found = robot.why
     if not robot.connection:
-        found = f"the broker hides its connection (see the access list): a fleet stop may miss robots; {found}"
+        found = f"the broker hides its connection (check the access list), so a fleet stop may miss robots; {found}"
     if robot.doubled:
         found = f"TWO ROBOTS OF THIS NAME: {robot.doubled}; {found}"
     return f"OBEYS NO FLEET STOP: {robot.deaf}; {found}" if robot.deaf else found
@@ -73,8 +73,8 @@ def why(robot: Robot, now_s: float, unix_s: float) -> str:
 
 def _lost(robot: Robot, now_s: float, unix_s: float) -> str:
     if robot.connection == message.ONLINE:
-        return f"no state for {words.span(robot.silent_s(now_s, unix_s))}, though the broker calls it connected"
-    return "connection broken" if robot.connection else "the broker says nothing of its connection"
+        return f"no state for {words.span(robot.silent_s(now_s, unix_s))}, although the broker reports it as connected"
+    return "connection broken" if robot.connection else "the broker reports nothing about its connection"
 
 
 def counts(robots: Sequence[Robot], now_s: float, unix_s: float) -> Line:
@@ -130,10 +130,13 @@ def lines(
     title: Line = [(left, STRONG), (" " * max(1, columns - len(left) - len(right)), PLAIN), (right, DIM)]
     head: list[Line] = [title, []]
     if problem:
-        head += [[("NO BROKER  ", FAIL), (problem, STRONG)], [("what is below is old", WARN)], []]
+        head += [[("NO BROKER  ", FAIL), (problem, STRONG)], [("everything below is old", WARN)], []]
     if blind:
         head += [[("MAY LACK ROBOTS  ", FAIL), (blind, STRONG)], []]
-    head += [counts(robots, now_s, unix_s), []] if robots else [[("no robot is known to this broker yet", DIM)]]
+    head += [counts(robots, now_s, unix_s), []] if robots else [[("this broker knows no robot yet", DIM)]]
     body = table(robots, now_s, unix_s, columns) if robots else []
-    foot: list[Line] = [[], [("news of a lost robot takes seconds: this shows, it guards nobody", DIM)]]
+    foot: list[Line] = [
+        [],
+        [("A lost robot shows up here only after seconds, so don't rely on this list for safety.", DIM)],
+    ]
     return style.fit([*head, *body, *foot], rows)

@@ -26,21 +26,23 @@ ARGUMENTS_BYTES = 280
 BETWEEN = "\x1f"
 LONGEST_PID = 10
 NOT_KNOWN = "not known yet"
-"""Stands for a name that is not known yet. The asker completes its cause by asking once more."""
+"""Stands for a name that is not known yet. The program that asked for the stop asks again when it knows the name."""
 A_RESET = "a reset"
 SECOND_ROBOT = "a second Robot in the same program"
 NEW_RUN = "a new start of the service"
 CLIENTS = "gate"
-"""The process that notices what clients do."""
+"""The process that watches the clients."""
 NUMBER_BYTES = 2
 LAST_NODES = ("collision_monitor", "velocity_smoother", "twist_mux")
-"""ROS nodes that are made to be the last before a base. The first of these that is there is the one."""
+"""ROS nodes that are usually the last one before a base. The first of these that is running counts."""
 INNER_NODES = ("behavior_server", "controller_server", "docking_server", "following_server")
-"""Nodes of Nav2 that are made to have another one between them and the base."""
+"""Nodes of Nav2 that usually have another node between them and the base."""
 _TYPES = {"": str, "d": int, "X": int, "f": float}
 
-_TELL = "report it with its incident (`failstop incident list`), because it is a bug in failstop or damaged memory"
-_AGAIN = "look at what happened before it (`failstop events`), if it is not the first time"
+_TELL = (
+    "report it with its incident (`failstop incident list`), because either failstop has a bug or memory was damaged"
+)
+_AGAIN = "if this is not the first time, look at what happened before it (`failstop events`)"
 _BUSY = "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"
 POWER = "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels"
 """The first remedy for a cause with a doubt."""
@@ -63,7 +65,8 @@ class Kind(Data):
     doubt: str = ""
 
     def first(self, reached: str = "") -> str:
-        """The thing to do first; `reached`: how the stop is known to have reached the wheels, empty: it is not."""
+        """What people must do first. `reached`: how the stop is known to have reached the wheels; empty if it is
+        not."""
         return f"{POWER}; then {self.remedy}" if self.doubt and not reached else self.remedy
 
     @cached_property
@@ -97,11 +100,11 @@ class Cause:
         return f"{self}: {USE_THE_SWITCH}" if self.kind.doubt else str(self)
 
     def as_map(self) -> dict[str, Value]:
-        """For programs: the name of the row, and the arguments."""
+        """The cause for programs: the row's name, and the arguments."""
         return {"name": self.kind.name, **self.named()}
 
     def fields(self) -> dict[str, str]:
-        """The fields of an event: for people, and for programs."""
+        """The cause as fields of an event: its text for people, and its name for programs."""
         return {"reason": str(self), "cause": self.kind.name}
 
     def __str__(self) -> str:
@@ -183,22 +186,22 @@ def _quoted(text: str) -> str:
 
 
 def unsigned(cause: Cause) -> str:
-    """The text of a cause without who asked for it."""
+    """The cause's text, without the name of the program that asked for the stop."""
     return str(cause).rpartition(BY)[0] if cause.kind in SIGNED else str(cause)
 
 
 def bare(cause: Cause) -> str:
-    """The words that somebody gave as the reason of a stop, without who asked and how it came."""
+    """Only the words that somebody gave as the reason of a stop."""
     return unsigned(cause).removeprefix(f"{PIPED.template.partition('[')[0]}: ")
 
 
 def remedied(cause: Cause, reached: str = "") -> str:
-    """What people do first, with the names of this case. `reached`: as for Kind.first()."""
+    """What people must do first, with the names of this case filled in. `reached`: as for Kind.first()."""
     return cause.kind.first(reached).format_map({name: advise(cause) for name, advise in ADVISED.items()})
 
 
 def _to_remap(cause: Cause) -> str:
-    """The nodes that must publish something else, so that one remains."""
+    """The nodes that must publish on another topic, so that one node remains."""
     words = str(cause.named().get("words", ""))
     nodes = [node.rpartition(" (")[0] if node.endswith(" times)") else node for node in words.split(", ")]
     last = next((node for name in LAST_NODES for node in nodes if node.rpartition("/")[2] == name), "")
@@ -211,22 +214,22 @@ def _to_remap(cause: Cause) -> str:
 
 
 ADVISED = {"others": _to_remap}
-"""What a remedy may name, by the word that stands for it there."""
+"""What a remedy may name, by its placeholder in the remedy."""
 BY = " (says it is "
-"""What follows the words in the text of a stop that was asked for."""
+"""In the text of a requested stop, this follows the words of the reason."""
 
 
 def rival_of(who: str, other: str) -> str:
-    """A second client as the rival of `who`; both are a name and a pid. Two clients of one process are two Robots in
-    one program, and not two programs."""
+    """How to name a second client as the rival of `who`; both are given as a name and a pid. Two clients with one pid
+    are two Robots in one program."""
     pid = who.rpartition(" (pid ")[2]
     known = pid.endswith(")") and pid != "0)"  # 0: of another pid namespace
     return SECOND_ROBOT if known and pid == other.rpartition(" (pid ")[2] else other
 
 
 def completed(latched: Cause, later: Cause) -> bool:
-    """Whether a later stop fills in what the latched cause lacked: both are from one program, which had said at first
-    that something was not known yet. It happens once, because nothing is missing afterwards."""
+    """True if a later stop fills in what the latched cause lacked: the same program asked for both, and the first time
+    it did not know everything yet. This happens once, because nothing is missing afterwards."""
     if latched.kind is not later.kind or latched.kind not in SIGNED:
         return False
     (words, *who), (more, *same) = latched.arguments, later.arguments
@@ -251,7 +254,7 @@ HELD_UP = Kind(
     "the supervisor could not run for {ms} ms, so nobody watched the other processes", _BUSY,
 )  # fmt: skip
 MUTE = Kind(
-    5, "mute", "gate beats but sends nothing: {ms:d} ms", "port_owner",
+    5, "mute", "gate runs but has sent nothing for {ms:d} ms", "port_owner",
     "the gate was alive, but sent no motor frame for {ms} ms while the wheels turned", _TELL,
 )  # fmt: skip
 BAD_FRAME = Kind(
@@ -275,7 +278,7 @@ SUPERVISOR_SUSPENDED = Kind(
 )  # fmt: skip
 REMOVED = Kind(
     8, "removed", "{what} was removed: restart the service", "supervisor",
-    "somebody removed {what} while the service ran, and programs need it to find the service",
+    "somebody removed {what} while the service was running, but programs need it to find the service",
     "run `failstop doctor`: with RemoveIPC=yes, logind removes it when the service's user logs out",
     NEW_RUN,
 )  # fmt: skip
@@ -294,7 +297,7 @@ DEAF = Kind(
     11, "deaf", "the board is deaf", "supervisor",
     "the board stopped answering, or it reported zero speed while motion was written to it",
     f"check the cable to the board; {PORT_SHARED}",
-    doubt="so it may hear nothing",
+    doubt="so it may not have heard the stop",
 )  # fmt: skip
 BOARD_SILENT = Kind(
     44, "board_silent", "the board is silent", "supervisor",
@@ -313,17 +316,18 @@ UNSTILL = Kind(
     12, "unstill", "the wheels do not come to rest", "supervisor telemetry",
     "the wheels kept turning after a stop, as the board reported, or the IMU felt the robot shake as if they did",
     "check whether somebody carried or pushed the robot, because that looks the same",
-    doubt="so they may still turn",
+    doubt="so they may still be turning",
 )  # fmt: skip
 RUNAWAY = Kind(
-    43, "runaway", "the {wheel} wheel ran away: told {told:.2f} turns a second, and it turned {seen:.2f}", "telemetry",
-    "the board reported that the {wheel} wheel turned {seen:.2f} turns a second, but the command was {told:.2f}",
-    "check that wheel's motor, encoder and wiring, wheels.sign_* and board.per_rps, and whether it stands on a slope",
+    43, "runaway", "the {wheel} wheel ran away: it turned {seen:.2f} turns a second instead of {told:.2f}", "telemetry",
+    "the board reported that the {wheel} wheel turned at {seen:.2f} turns a second, but it was commanded {told:.2f}",
+    "check that wheel's motor, encoder and wiring, wheels.sign_* and board.per_rps, and whether the robot is "
+    "on a slope",
 )  # fmt: skip
 WHEEL_MISSING = Kind(
     52, "wheel_missing", "wheel lost: {wheel} does not answer", "telemetry",
     "the {wheel} did not answer while another wheel's did, so the robot would have turned without it",
-    "check its plug on the bus, its power and its id; if its wheel turns, use the POWER SWITCH",
+    "check its plug on the bus, its power and its id; if that wheel still turns, use the POWER SWITCH",
 )  # fmt: skip
 NOT_FINITE = Kind(
     13, "not_finite", "command from {who} is not finite", CLIENTS,
@@ -347,12 +351,12 @@ KEY = Kind(
 REQUESTED = Kind(
     17, "requested", "stop request[: {words}] (says it is {who}, pid {pid:d})", "port_owner",
     'a program that says it is {who} (pid {pid}) asked for a stop[: "{words}"]',
-    "make sure that whatever it was for is over",
+    "make sure that the reason for the stop is gone",
 )  # fmt: skip
 PIPED = Kind(
     18, "piped", "stop request[: {words}]", "port_owner",
     'somebody wrote to the stop pipe[: "{words}"]',
-    "make sure that whatever it was for is over",
+    "make sure that the reason for the stop is gone",
 )  # fmt: skip
 ROS_PUBLISHERS = Kind(
     46, "ros_publishers", "stop request: multiple cmd_vel publishers: {words} (says it is {who}, pid {pid:d})",
@@ -394,7 +398,7 @@ ROS_NO_ANSWER = Kind(
 FLEET = Kind(
     24, "fleet", "stop request[: {words}] (says it is the fleet, for {who})", "port_owner",
     'a program that says it is the fleet asked for a stop for {who}[: "{words}"]',
-    "make sure that whatever it was for is over",
+    "make sure that the reason for the stop is gone",
 )  # fmt: skip
 BATTERY = Kind(
     23, "battery", "the battery is at {volts:.2f} V", "telemetry",
@@ -403,11 +407,11 @@ BATTERY = Kind(
 )  # fmt: skip
 STOPPING = Kind(
     19, "stopping", "service is stopping", "supervisor",
-    "the service was told to end", "start the service again",
+    "the service was asked to end", "start the service again",
     NEW_RUN,
 )  # fmt: skip
 ALL_DIED = Kind(
-    20, "all_died", "all of the service died", "",
+    20, "all_died", "the whole service died", "",
     "every process of the service died at once", _AGAIN,
     NEW_RUN,
 )  # fmt: skip
@@ -457,7 +461,7 @@ SIGNED = (
     ROS_ARM_NOT_HELD,
     ROS_NO_ANSWER,
 )
-"""Rows of a stop that a program asked for by the stop pipe, which says who it is: words, who, pid."""
+"""Rows of a stop that a program requested through the stop pipe and signed with its name: words, who, pid."""
 
 
 class Reply(Data):

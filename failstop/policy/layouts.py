@@ -20,8 +20,8 @@ BOARDS = ALL_KINDS
 """The kinds of boards. Each is a folder of failstop/board that describes it."""
 ACKERMANN = "ackermann"
 LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), "omni3": (3,), ACKERMANN: (1, 2)}
-"""The numbers of wheels that each layout may have. A known board drives as many as it has speeds for; your own board
-starts with the fewest."""
+"""How many wheels each layout may have. A known board drives as many as its frame has speeds; your own board drives
+the smallest number."""
 SERVOS = ("pwm", "bus")
 """The kinds of servos that can steer."""
 WHEEL_NAMES = {
@@ -39,7 +39,7 @@ OF_THE_BASE = (
         "",
         None,
         None,
-        "what kind of base it is, which decides how the robot's velocity becomes wheel speeds",
+        "what kind of base the robot has. failstop uses it to turn the robot's velocity into wheel speeds",
         tuple(LAYOUTS),
     ),
     Setting(
@@ -71,7 +71,7 @@ OF_THE_BASE = (
             "",
             None,
             None,
-            f"-1 if wheel {number} turns backward when the board is told to turn it forward",
+            f"-1 if wheel {number} turns backward when it should turn forward. `failstop setup` finds it",
             (1, -1),
         )
         for number, sign in zip(NUMBERS, (1, 1, -1, -1), strict=True)
@@ -83,18 +83,32 @@ OF_THE_BASE = (
             "",
             0,
             3,
-            f"which of the board's motors turns wheel {number}, by its id on the wire; no two wheels have the same",
+            f"the id of the motor that turns wheel {number}. No two wheels may have the same; `failstop setup` "
+            "finds it",
         )
         for number in NUMBERS
     ),
     Setting(
-        "steering.kind", "pwm", "", None, None, "pulses of a pwm servo are us, of a bus servo 0.24 degrees", SERVOS
+        "steering.kind",
+        "pwm",
+        "",
+        None,
+        None,
+        "what kind of servo steers. A pulse of a pwm servo is 1 us, and one of a bus servo is 0.24 degrees",
+        SERVOS,
     ),
-    Setting("steering.servo", 3, "", 1, 253, "the id of the servo that steers; of a pwm servo 1 to 4"),
-    Setting("steering.centre", 1500, "", 1, 2500, "pulses of the steering servo for straight ahead"),
-    Setting("steering.per_rad", 636.62, "", 1.0, 2000.0, "pulses of the steering servo for a radian"),
-    Setting("steering.sign", -1, "", None, None, "-1: more pulses are an angle to the right", (1, -1)),
-    Setting("steering.most_deg", 34.0, "degrees", 1.0, 60.0, "the largest angle of the steered wheels"),
+    Setting("steering.servo", 3, "", 1, 253, "the id of the servo that steers. A pwm servo has 1 to 4"),
+    Setting("steering.centre", 1500, "", 1, 2500, "the steering servo's position for straight ahead, in pulses"),
+    Setting(
+        "steering.per_rad",
+        636.62,
+        "",
+        1.0,
+        2000.0,
+        "by how many pulses the steering servo moves to steer by one radian",
+    ),
+    Setting("steering.sign", -1, "", None, None, "-1 if more pulses steer to the right", (1, -1)),
+    Setting("steering.most_deg", 34.0, "degrees", 1.0, 60.0, "the largest angle to which the wheels may be steered"),
 )
 DEFAULTS: dict[str, dict[str, float | str]] = {
     "omni3": {"wheels.diameter_m": 0.1, "wheels.sign_3": 1},
@@ -111,7 +125,7 @@ _GEOMETRY: dict[str, tuple[str, ...]] = {
     **{f"wheels.angle_{number}_deg": ("omni3",) for number in NUMBERS[:3]},
     **{f"steering.{key}": (ACKERMANN,) for key in ("kind", "servo", "centre", "per_rad", "sign", "most_deg")},
 }
-"""Settings that only some layouts have."""
+"""Settings that exist only for some layouts."""
 
 
 def speeds_of(kind: str, layout: str = "") -> int | None:
@@ -132,14 +146,14 @@ def steers(kind: str) -> bool:
 def wheel_count(kind: str, layout: str) -> int:
     """How many wheels are driven. Raises SettingError if the board can't drive that layout."""
     if layout == ACKERMANN and not steers(kind):
-        raise SettingError(f'wheels.layout = "{layout}": board.kind {kind} has no servo that steers')
+        raise SettingError(f'wheels.layout = "{layout}": board.kind {kind} can\'t move a servo that steers')
     if (speeds := speeds_of(kind, layout)) is None:
         return LAYOUTS[layout][0]
     if fitting := [count for count in LAYOUTS[layout] if count <= speeds]:
         return fitting[-1]
     others = " or ".join(f'"{name}"' for name, counts in LAYOUTS.items() if counts[0] <= speeds and name != ACKERMANN)
-    has = f"it has {LAYOUTS[layout][0]} wheels, and board.kind {kind} takes {speeds} speeds"
-    raise SettingError(f'wheels.layout = "{layout}": {has}; allowed is {others}')
+    has = f"such a base has {LAYOUTS[layout][0]} wheels, but board.kind {kind} drives {speeds}"
+    raise SettingError(f'wheels.layout = "{layout}": {has}; use {others}')
 
 
 def wheel_ids(given: Mapping[str, str]) -> list[int]:
@@ -166,14 +180,14 @@ def fill_base(values: dict[str, float | str], changed: Collection[str]) -> None:
         values |= {key: value for key, value in own.items() if key not in changed}
     absent = _absent(layout, wheel_count(kind, layout))
     if not (facts and facts.can):
-        absent["board.can_id"] = f"board.kind {kind} has no motor on a CAN"
+        absent["board.can_id"] = f"board.kind {kind} has no motor on CAN"
     elif speeds_of(kind, layout) == 1:
-        absent["board.can_id"] = f'with wheels.layout "{layout}" it has one motor'
+        absent["board.can_id"] = f'with wheels.layout "{layout}" there is only one motor'
     if kind != BOARDS[0]:
-        absent["board.robot"] = f"it names a robot with the board {BOARDS[0]}, and board.kind is {kind}"
+        absent["board.robot"] = f"it is only for robots with the board {BOARDS[0]}, but board.kind is {kind}"
     for key, why in absent.items():
         if key in changed:
-            raise SettingError(f"{key}: {why}; take it out")
+            raise SettingError(f"{key}: {why}, so remove it")
         del values[key]
     if "board.robot" in values:
         robots.fill_figures(values, changed)
@@ -186,7 +200,9 @@ def _absent(layout: str, count: int) -> dict[str, str]:
     named = ", ".join(f"{number} {name}" for number, name in zip(NUMBERS, WHEEL_NAMES[count], strict=False))
     beyond = f"this robot has {count} wheels ({named})"
     found = {f"wheels.{what}_{number}": beyond for what in ("sign", "id") for number in NUMBERS[count:]}
-    return found | {key: f'wheels.layout "{layout}" has none' for key, of in _GEOMETRY.items() if layout not in of}
+    return found | {
+        key: f'a base with wheels.layout "{layout}" has none' for key, of in _GEOMETRY.items() if layout not in of
+    }
 
 
 def check_base(values: Values) -> None:
@@ -198,18 +214,18 @@ def check_base(values: Values) -> None:
     most = (speeds_of(kind, str(values["wheels.layout"])) or len(ids)) - 1
     for key, value in ids.items():
         if int(value) > most:
-            raise SettingError(f"{key} = {value}: board.kind {kind} has the ids 0 to {most}")
+            raise SettingError(f"{key} = {value}: on board.kind {kind}, ids go from 0 to {most}")
     if "steering.servo" in values:
         steered, servo = str(values["steering.kind"]), int(values["steering.servo"])
         facts = facts_of(kind)
         if not facts or steered not in facts.steers:
             has = ", ".join(facts.steers) if facts else ""
-            raise SettingError(f'steering.kind = "{steered}": of board.kind {kind} it must be {has}')
+            raise SettingError(f'steering.kind = "{steered}": on board.kind {kind} it must be {has}')
         least, most, highest = facts.steers[steered]
         centre, per_rad, angle = (float(values[f"steering.{key}"]) for key in ("centre", "per_rad", "most_deg"))
         far = per_rad * radians(angle)
         if servo > highest:
-            raise SettingError(f"steering.servo = {servo}: a {steered} servo has an id of 1 to {highest}")
+            raise SettingError(f"steering.servo = {servo}: the id of a {steered} servo is 1 to {highest}")
         if far > min(centre - least, most - centre):
             reach = f"steering.most_deg = {angle:g} is {far:.0f} pulses to each side of steering.centre = {centre:g}"
-            raise SettingError(f"{reach}: a {steered} servo has {least} to {most}")
+            raise SettingError(f"{reach}, but a {steered} servo goes only from {least} to {most}")

@@ -24,7 +24,7 @@ def shown(value: object) -> str:
     try:
         return shortened(repr(value))
     except (ValueError, RecursionError):  # a number with thousands of digits, a list within lists within lists
-        return f"{type(value).__name__} beyond all bounds"
+        return f"{type(value).__name__} that is too large to show"
 
 
 class Setting(Data):
@@ -52,16 +52,16 @@ class Setting(Data):
     def _problem(self, value: object) -> str:
         if self.allowed:
             fits = type(value) is type(self.default) and (value in self.allowed or self._is_folder(value))
-            return "" if fits else f"allowed is {self.range()}"
+            return "" if fits else f"it must be {self.range()}"
         if isinstance(self.default, str):
             fits = isinstance(value, str) and value.isprintable() and len(value) <= LONGEST_TEXT
-            return "" if fits and (value or not self.default) else f"a text is expected, {self.range()}"
+            return "" if fits and (value or not self.default) else f"it must be a text of {self.range()}"
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            return f"a number is expected, {self.range()}"
+            return f"it must be a number, {self.range()}"
         if self.low is not None and self.high is not None and not self.low <= value <= self.high:
-            return f"allowed is {self.range()}"
+            return f"it must be {self.range()}"
         if isinstance(self.default, int) and value != int(value):
-            return f"a whole number is expected, {self.range()}"
+            return f"it must be a whole number, {self.range()}"
         return ""
 
     def _is_folder(self, value: object) -> bool:
@@ -83,5 +83,5 @@ def all_differ(values: dict[str, float | str]) -> None:
     seen: dict[float | str, str] = {}
     for key, value in values.items():
         if value in seen:
-            raise SettingError(f"{key} = {value}: {seen[value]} is {value} too; no two may be equal")
+            raise SettingError(f"{key} = {value}: {seen[value]} is {value} too, but they must differ")
         seen[value] = key

@@ -41,12 +41,14 @@ DECLARED = (
     _word("device.path", "/dev/ttyACM0",
         "the motor board's serial port. Prefer a path below /dev/serial/by-id/ if it has one: it stays the same when "
         "other devices are plugged in"),
-    Setting("board.kind", BOARDS[0], "", None, None, "the motor board", BOARDS, or_folder=True),
+    Setting("board.kind", BOARDS[0], "", None, None, "which motor board the robot has, or the folder that "
+                                                     "describes your own", BOARDS,
+        or_folder=True),
     _word("board.robot", robots.USUAL_ROBOT,
-        f"which robot it is, if it has the board {BOARDS[0]}. Its sizes become the defaults",
+        f"which robot you have, if its board is {BOARDS[0]}. The robot's sizes become the defaults",
         tuple(robots.EVERY_ROBOT)),
     _word("board.baud", 0,
-        "the serial port's baud rate, if your board's firmware was built with another one than usual. 0: the board's "
+        "the serial port's baud rate. Set it if your board's firmware was built with an unusual one. 0: the board's "
         "usual rate", BAUDS),
     Setting(
         "board.can_id",
@@ -54,16 +56,20 @@ DECLARED = (
         "",
         0,
         253,
-        "the CAN id of the second motor's controller, where a board has it on a CAN",
+        "the CAN id of the second motor's controller, for a board that reaches its second motor by CAN",
     ),
-    Setting("board.per_rps", 0.0, "", 0.0, 100000.0, "a wheel's turn a second in the board's own unit; 0: as usual"),
+    Setting("board.per_rps", 0.0, "", 0.0, 100000.0,
+        "the board's own unit of speed: how much of it is one turn of a wheel per second. `failstop setup` "
+        "measures it. "
+        "0: as such boards usually have it"),
     Setting(
         "board.per_rps_confirmed",
         0.0,
         "",
         0.0,
         100000.0,
-        "the board.per_rps that a turn of a wheel has confirmed, so speeds are not capped; setup writes it; 0: none",
+        "the value of board.per_rps that somebody confirmed by turning a wheel; then speeds are not capped. "
+        "`failstop setup` writes it. 0: not confirmed",
     ),
     _word("board.imu", "on",
         "whether the robot has an IMU. Turn it off if yours has none; for a board that can't have one it is always "
@@ -187,7 +193,7 @@ DECLARED = (
         "switches off the motors' power. Empty: none"),
     Setting("stop.wait_s", 30.0, "s", 0.0, 3600.0,
         "how long `failstop stop` keeps trying to open the board's port when no service answers it"),
-    Setting("key.stop", 1, "", 1, 255, "the number of the key on the board that stops the robot"),
+    Setting("key.stop", 1, "", 1, 255, "which key on the board stops the robot, by its number"),
     Setting("arm.period_s", 0.04, "s", 0.02, 0.055,
         "a moving joint gets a new move this often, and each move lasts this long"),
     Setting("arm.goal_timeout_s", 0.5, "s", 0.1, 5.0,
@@ -306,8 +312,8 @@ FAMILIES = {
         Setting("tuck", -1, "", -1, 4095,
             "where the joint is in the tuck pose, in pulses. -1: the pose leaves this joint where it is"),
         Setting("drive", -1, "", -1, 4095,
-            "where the joint is in the drive pose, in pulses. -1: the pose leaves this joint where it is. Of the "
-            "base joint, arm.drive_pan decides instead"),
+            "where the joint is in the drive pose, in pulses. -1: the pose leaves this joint where it is. For the "
+            "base joint, arm.drive_pan replaces it"),
         _word("turns", "none",
             "the axis about which the joint turns the rest of the arm, for arm.collision. yaw: vertical; pitch: "
             "across; roll: along the link; none: it doesn't, as a gripper", TURNS),
@@ -316,8 +322,8 @@ FAMILIES = {
         Setting("radius_m", 0.03, "m", 0.0, 0.5,
             "radius of the link from this joint to the next one, for arm.collision"),
         _word("judged", "on",
-            "whether this joint must be in the drive pose for motion to be enabled. Turn it off for a gripper. Of "
-            "the base joint, arm.drive_pan decides instead", SWITCH),
+            "whether this joint must be in the drive pose for motion to be enabled. Turn it off for a gripper. For "
+            "the base joint, arm.drive_pan replaces it", SWITCH),
     ),
 }
 # fmt: on
@@ -325,6 +331,7 @@ MOST_OF_A_FAMILY = 8
 LONGEST_NAME = 16
 NAME_CHARACTERS = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
 FIRST_SOURCE = "cmd_vel"
+"""The source under which a program commands that names none."""
 PAD_SOURCE = "gamepad"
 
 BY_KEY = {setting.key: setting for setting in DECLARED}
@@ -385,16 +392,16 @@ class Settings:
         if value == {} and not rest:
             return
         if not name or not (last or value == {}):
-            raise SettingError(f"{key} = {shown(value)}: a table is expected, [{family}.NAME]")
+            raise SettingError(f"{key} = {shown(value)}: it must be a table, [{family}.NAME]")
         if len(name) > LONGEST_NAME or not NAME_CHARACTERS.issuperset(name):
-            raise SettingError(f"{family}.{name!r}: allowed as a name is 1 to {LONGEST_NAME} of a-z 0-9 _ -")
+            raise SettingError(f"{family}.{name!r}: a name has 1 to {LONGEST_NAME} characters, of a-z 0-9 _ -")
         if family == "sources" and name == PAD_SOURCE:
-            raise SettingError(f"{key}: the board's gamepad is a source above all others, with no settings")
+            raise SettingError(f"{key}: the board's gamepad always has the highest priority, so it has no settings")
         table = self.named[family].setdefault(name, {})
         if len(self.named[family]) > MOST_OF_A_FAMILY:
             most = f"at most {MOST_OF_A_FAMILY} {family} are allowed"
             hint = f" ({FIRST_SOURCE} is one)" if family == "sources" else ""
-            raise SettingError(f"{family}.{name}: one too many, {most}{hint}")
+            raise SettingError(f"{family}.{name}: {most}{hint}")
         if last:
             table[last] = declaration(key).check(value, key)
 
@@ -439,7 +446,7 @@ class Settings:
         facts = facts_of(kind)
         joints = {f"joints.{name}": table for name, table in self.named["joints"].items()}
         if joints and not (facts and facts.arm):
-            raise SettingError(f"{next(iter(joints))}: board.kind {kind} has no servos")
+            raise SettingError(f"{next(iter(joints))}: board.kind {kind} can't move servos")
         servos = {f"{key}.servo": table["servo"] for key, table in joints.items()}
         all_differ(servos)
         if self.values.get("steering.kind") == "bus":
@@ -456,7 +463,7 @@ class Settings:
         return value
 
     def text(self, key: str) -> str:
-        """A text, or one of the words that are allowed."""
+        """The value of a text setting."""
         return str(self.values[key])
 
     def on(self, key: str) -> bool:
@@ -483,9 +490,9 @@ class Settings:
         }
 
     def board(self) -> tuple[str, float, float, SteeringServo | None, float, int, int]:
-        """What board_of() of failstop/board/kinds.py takes: the kind of the board, the wheels' diameter in m, a wheel's
-        turn a second in the board's own unit (0: as usual), the servo of a steered base, the turn a second that a turn
-        of a wheel has confirmed (0: none), the baud rate (0: as usual), and the CAN id of the second motor."""
+        """The arguments for board_of() of failstop/board/kinds.py: the kind of board, the wheel diameter in m, one
+        wheel turn per second in the board's own unit (0: as usual), the servo of a steered base, the confirmed value of
+        that unit (0: none), the baud rate (0: as usual), and the CAN id of the second motor."""
         steering = None
         if self.text("wheels.layout") == layouts.ACKERMANN:
             steering = SteeringServo(
@@ -501,7 +508,7 @@ class Settings:
 
     @property
     def speeds(self) -> int:
-        """How many speeds a frame for the board has, one for each id on the wire."""
+        """The number of speeds in a frame for the board, one for each id on the wire."""
         layout = str(self.values["wheels.layout"])
         return layouts.speeds_of(self.text("board.kind"), layout) or len(mounted_wheels(self.values))
 
@@ -534,12 +541,14 @@ class Settings:
 def _check_joint(key: str, table: dict[str, float | str], kind: str, arm: ArmFacts) -> None:
     servo, low, high = (int(table[name]) for name in ("servo", "low", "high"))
     if not servo:
-        raise SettingError(f"{key}.servo is missing: every joint has the id of its servo, 1 to 100")
+        raise SettingError(f"{key}.servo is missing: set it to the id of the joint's servo, 1 to 100")
     if servo in arm.wheels:
-        raise SettingError(f"{key}.servo = {servo}: that is a wheel's on board.kind {kind}")
+        raise SettingError(f"{key}.servo = {servo}: on board.kind {kind}, that is the id of a wheel")
     for name in ("zero", "low", "high", "tuck", "drive"):
         if int(table[name]) > arm.highest:
-            raise SettingError(f"{key}.{name} = {table[name]:g}: board.kind {kind} has the pulses 0 to {arm.highest}")
+            raise SettingError(
+                f"{key}.{name} = {table[name]:g}: on board.kind {kind}, pulses go from 0 to {arm.highest}"
+            )
     if low >= high:
         raise SettingError(f"{key}.low = {low} must be less than {key}.high = {high}")
     for name in ("tuck", "drive"):
@@ -559,7 +568,7 @@ def declaration(key: str) -> Setting:
 
 
 def is_setting(key: str) -> bool:
-    """Whether there is a setting of this whole key, a named table's too."""
+    """True if this whole key names a setting, also in a named table."""
     family, _, rest = key.partition(".")
     return key in BY_KEY or any(setting.key == rest.partition(".")[2] for setting in FAMILIES.get(family, ()))
 
@@ -572,4 +581,4 @@ def _unknown(key: str) -> SettingError:
     named = [f"{family}.{name}.{setting.key}" for family, declared in FAMILIES.items() for setting in declared]
     nearest = get_close_matches(key, [*BY_KEY, *named], 1, 0.5)
     advice = f"did you mean {nearest[0]}?" if nearest else "`failstop config` lists them all"
-    return SettingError(f"{key}: no such setting; {advice}")
+    return SettingError(f"{key} is not a setting; {advice}")

@@ -1,4 +1,5 @@
-"""Boards: which one answers at a port, and what it says of itself. Questions that move no wheel, behind a stop."""
+"""Boards: find out which board answers at a port, and show what it reports. It writes a stop first and moves
+nothing."""
 
 from __future__ import annotations
 
@@ -42,7 +43,7 @@ def step(talk: Talk, path: str) -> tuple[str, dict[str, object]]:
     wanted = talk.given.get("board") or talk.draft.answers.get("board", "")
     if wanted:
         wanted = talk.ask("board", "Which board is it?", "", kind_check)
-    talk.say("Each kind of board is asked what it is. No wheel turns by that; a stop goes first.")
+    talk.say("failstop sends a stop, then asks which board it is. No wheel turns.")
     kinds = dict.fromkeys([*([wanted] if wanted else []), *BOARDS])
     try:
         boards = {kind: board_of(kind, 1.0, 0.0) for kind in kinds}
@@ -71,9 +72,11 @@ def step(talk: Talk, path: str) -> tuple[str, dict[str, object]]:
             talk.draft.keep("board", kind)
             _live(talk, own.fd, board)
     except OSError as error:
-        raise Left(f"{path} went away ({error.strerror}): is the plug in?") from None
+        raise Left(f"{path} has disappeared ({error.strerror}): is the board plugged in?") from None
     except (PortError, ValueError) as error:
-        raise Left(str(error) if os.path.exists(path) else f"{path} went away: is the plug in?") from None
+        raise Left(
+            str(error) if os.path.exists(path) else f"{path} has disappeared: is the board plugged in?"
+        ) from None
     return kind, found
 
 
@@ -84,15 +87,15 @@ def _has_can(kind: str) -> bool:
 
 def _second(talk: Talk, fd: int, kind: str) -> dict[str, object]:
     """The setting for the second motor, of which nothing was heard under the usual id. Raises Left, OSError."""
-    talk.say(f"The controller at the port answers. No second one answers under CAN id {USUAL_CAN_ID}.")
-    question = f"Which CAN id has the second one? (VESC Tool shows it; {NONE}: there is one motor)"
+    talk.say(f"The controller at the port answers, but no second one answers at CAN id {USUAL_CAN_ID}.")
+    question = f"What is the CAN id of the second one? (VESC Tool shows it; {NONE}: there is only one motor)"
     answer = talk.ask("can_id", question, "", can_id_check)
     if answer == NONE:
         return {}
     board = board_of(kind, 1.0, 0.0, can_id=int(answer))
     if asking.ask(Tap(fd, board), board, stop=True) is None:
         talk.draft.forget("can_id")
-        raise Left(f"no controller answers under CAN id {answer}; look at {asking.SERVO_PLACES}")
+        raise Left(f"no controller answers at CAN id {answer}; look at {asking.SERVO_PLACES}")
     return {CAN_ID: int(answer)}
 
 
@@ -119,4 +122,4 @@ def _live(talk: Talk, fd: int, board: Board) -> None:
         if counts[kind]:
             talk.say(f"{what:<9} {counts[kind] / LIVE_S:.0f} reports a second")
     if board.observed_by != BY_WHEELS:
-        talk.say("It does not report its wheels: you will be asked what they do.")
+        talk.say("It does not report what its wheels do, so setup will ask you.")

@@ -1,4 +1,4 @@
-"""`failstop setup`: from a cable to a proved robot."""
+"""`failstop setup`: asks about the robot, turns its wheels, tests its stops, and writes the settings file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import sys
 from argparse import ArgumentParser, Namespace
 
-from failstop.board.kinds import board_of, is_own
+from failstop.board.kinds import board_of
 from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.doctor.system import System
@@ -49,12 +49,12 @@ QUESTIONS = {
     "file": "where to write the settings",
     "replace": "replace: overwrite an existing file (the old one is kept)",
 }
-"""Every question, with what its option says."""
-ROWS_SAY = "see the rows above: a loose plug, or a size that is not so"
-REMEDIES = {"INVALID": "this computer was too busy to judge: end other programs, then make it once more"}
-"""By the verdict of a stand test that did not pass."""
+"""Every question, with the help text of its option."""
+ROWS_SAY = "see the rows above; usual reasons are a loose plug or a wrong size"
+REMEDIES = {"INVALID": "this computer was too busy to judge: end other programs, then run it again"}
+"""The remedy for each verdict of a stand test that did not pass."""
 UNMOVED = "no wheel was turned"
-NOTHING = "nothing is written"
+NOTHING = "no settings were written"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -70,7 +70,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """The conversation. Raises Left, with what helps."""
+    """Hold the conversation. Raises Left, whose text says what is wrong and what helps."""
     draft = Draft(check_name(arguments.name), os.environ)
     if arguments.afresh:
         draft.forget()
@@ -93,11 +93,9 @@ def main(arguments: Namespace) -> int:
 
 
 def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
-    """The steps. `halts` gets what stops the wheels of the board, once it is known."""
+    """Go through the steps. Appends a Halt, which stops this board's wheels, to `halts` once the board is known."""
     style.show([[("failstop setup", style.STRONG), (": set up a robot and test its stops, in six steps", style.PLAIN)]])
-    talk.say(
-        "Ctrl-C stops the wheels and leaves; what you have said is kept. Nothing is written before you have seen it."
-    )
+    talk.say("Ctrl-C stops the wheels and quits, and keeps your answers. You see the settings before they are written.")
     _resume(talk)
     device = ports.step(talk, System())
     kind, found = boards.step(talk, device)
@@ -113,13 +111,13 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
     finish.watchdog(talk, kind)
     evidence = finish.proof(talk, settings, device, name, halt)
     while evidence and not evidence["passed"]:
-        talk.warn(f"The stand test said {evidence['verdict']}.", REMEDIES.get(evidence["verdict"], ROWS_SAY))
-        if talk.silent or not talk.agreed("repeat", "Make it once more? (yes, no)", YES):
+        talk.warn(f"The stand test ended with {evidence['verdict']}.", REMEDIES.get(evidence["verdict"], ROWS_SAY))
+        if talk.silent or not talk.agreed("repeat", "Run it again? (yes, no)", YES):
             break
         evidence = finish.proof(talk, settings, device, name, halt)
     proved = not evidence or evidence["passed"]
-    if not (proved or talk.agreed("unproved", "Write the settings all the same? (yes, no)", NO)):
-        raise Left("the robot is not proved")
+    if not (proved or talk.agreed("unproved", "Write the settings anyway? (yes, no)", NO)):
+        raise Left("the robot did not pass the stand test")
     path = finish.write(talk, finish.text(settings, robot, evidence), name)
     talk.draft.forget()
     finish.doctor(talk, path, device, name)
@@ -127,40 +125,41 @@ def _converse(talk: Talk, name: str, halts: list[Halt]) -> None:
 
 
 def _resume(talk: Talk) -> None:
-    """Ask whether a setup that was left goes on."""
+    """Ask whether to go on with a setup that was left early."""
     answers = talk.draft.answers
     if not answers:
         return
     said = ", ".join(f"{key.replace('_', ' ')} {answer}" for key, answer in answers.items())
-    talk.say(f"A setup was left with: {said}.")
+    talk.say(f"You left a setup early, with these answers: {said}.")
     if (
         not talk.silent
-        and talk.ask("take_up", "Go on with it? (yes, no: begin again)", YES, yes_or_no, keep=False) != YES
+        and talk.ask("take_up", "Go on with it? (yes; no: start from the beginning)", YES, yes_or_no, keep=False) != YES
     ):
         talk.draft.forget()
 
 
+def layouts_of(kind: str) -> list[str]:
+    """The kinds of base that this kind of board can drive."""
+    speeds = speeds_of(kind) or board_of(kind, 1.0, 0.0).wheels
+    return [name for name, counts in LAYOUTS.items() if counts[0] <= speeds and (name != ACKERMANN or steers(kind))]
+
+
 def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object], bool]:
-    """The robot's name, what is known of it, and whether its sizes are."""
+    """Return the robot's name, its settings as far as they are known, and whether its sizes are known."""
     known = robots.of_kind(kind)
     choices = {**{key: robot.name for key, robot in known.items()}, robots.OTHER: "another one"}
     chosen = robots.OTHER
     if known:
-        talk.say("Which robot is it? Its sizes are then known.")
+        talk.say("Which robot is it? For these, failstop knows the sizes.")
         for number, (key, what) in enumerate(choices.items(), 1):
             talk.say(f"{number}  {key:<16} {what}")
-        chosen = talk.ask("robot", "The robot's number?", "", one_of(choices))
+        chosen = talk.ask("robot", "Which number is your robot?", "", one_of(choices))
     if chosen in known:
         if known[chosen].remark:
             talk.say(known[chosen].remark, style.WARN)
         return known[chosen].name, known[chosen].settings, True
-    speeds = speeds_of(kind)
-    layouts = [
-        layout
-        for layout, counts in LAYOUTS.items()
-        if (speeds is None or counts[0] <= speeds) and (layout != ACKERMANN or steers(kind))
-    ]
-    if speeds == 2 and not is_own(kind) and not steers(kind):
-        return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": "differential"}, False
-    layout = talk.ask("layout", f"How are its wheels? ({', '.join(layouts)})", "", word_of(layouts))
+    layouts = layouts_of(kind)
+    if len(layouts) == 1:
+        return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": layouts[0]}, False
+    layout = talk.ask("layout", f"What kind of drive does it have? ({', '.join(layouts)})", "", word_of(layouts))
     return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": layout}, False

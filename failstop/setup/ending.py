@@ -1,5 +1,5 @@
-"""Ending: whatever ends a program that turns wheels by a service of its own ends it by way of wheels at rest. The
-laboratory's programs end so too."""
+"""Ending: a program that turns wheels through its own service stops them before it ends, whatever ends it. The
+laboratory's programs do the same."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """A lost terminal and a kill end it as Ctrl-C does: by way of wheels at rest."""
+    """A lost terminal or a kill ends the program like Ctrl-C does: the wheels are stopped first."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -31,7 +31,7 @@ def interruptible() -> Iterator[None]:
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """None of these signals is heard: an end that is interrupted would leave the wheels to chance."""
+    """Ignore these signals, because a program that is interrupted while it ends might leave the wheels turning."""
     held = {number: signal.getsignal(number) for number in SIGNALS}
     for number in held:
         signal.signal(number, signal.SIG_IGN)

@@ -1,4 +1,4 @@
-"""Finish: the board's own watchdog, the proof, the settings file, doctor, and what to type next."""
+"""Finish: the last steps of the setup, from the board's own watchdog to the commands to type next."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ def watchdog(talk: Talk, kind: str) -> None:
     seconds, does = watchdog_of(kind)
     if not seconds:
         talk.say(
-            "This board has none: it keeps its last speed forever when this computer freezes or the cable is pulled."
+            "This board has none. If this computer freezes or the cable is pulled, it keeps its last speed forever."
         )
-        talk.warn("What failstop can't do then, the power switch does.", "keep it at hand")
+        talk.warn("Only the power switch helps then.", "keep it within reach")
         return
     talk.say(f"It acts {seconds:g} s after the last frame: {WATCHDOGS[does]}. failstop arms it at each start.")
-    talk.say("The proof comes with the next step: the whole service is frozen, and the wheels are watched.")
+    talk.say("The next step tests it: it freezes the whole service and watches the wheels.")
 
 
 def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt: Halt) -> dict[str, Any]:
@@ -66,17 +66,17 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
     talk.step(6, "The proof")
     if not here("prove"):
         talk.warn(
-            "The stand test is not installed here, so that nothing is proved.", fix="sudo apt install failstop-lab"
+            "The stand test is not installed here, so nothing is proved yet.", fix="sudo apt install failstop-lab"
         )
-        talk.say("Then make it by the command that is named at the end.")
+        talk.say("Then run the stand test with the command shown at the end.")
         return {}
     agreed = talk.given.pop("prove", "")
     if agreed and agreed != YES:
-        talk.warn("Not proved: it was left out.", "the command for it is named at the end")
+        talk.warn("You skipped the stand test, so nothing is proved yet.", "the command for it is shown at the end")
         return {}
     if talk.silent and not agreed:
-        raise Left("nobody is here to agree to the proof: give --prove yes, or --prove no")
-    talk.say("Every stop path is taken once on the robot. It must still be on its stand.")
+        raise Left("there is no terminal to ask you at: give --prove yes, or --prove no")
+    talk.say("failstop tests every stop path once on the robot, which must still be on its stand.")
     folder = os.path.join(state_directory(name, os.environ), "prove")
     before = _runs(folder)
     with tempfile.TemporaryDirectory(prefix="failstop-setup-") as place:
@@ -133,8 +133,8 @@ def _runs(folder: str) -> set[str]:
 def text(values: Mapping[str, object], robot: str, evidence: Mapping[str, Any]) -> str:
     """The settings file."""
     day = time.strftime("%Y-%m-%d")
-    proved = f"the stand test said {evidence['verdict']}" if evidence else "not proved yet: failstop prove"
-    head = f"# {robot}, by `failstop setup`, {day}.\n# {proved[0].upper()}{proved[1:]}.\n"
+    proved = f"stand test: {evidence['verdict']}" if evidence else "not proved yet: run failstop prove"
+    head = f"# {robot}. Written by `failstop setup` on {day}.\n# {proved[0].upper()}{proved[1:]}.\n"
     head += "# Every setting: failstop config --example\n\n"
     return head + toml(values)
 
@@ -152,19 +152,21 @@ def write(talk: Talk, made: str, name: str) -> str:
             return NO
         path = os.path.abspath(os.path.expanduser(answer))
         if not os.access(os.path.dirname(path), os.W_OK):
-            raise NotAnAnswer(f"this user may not write to {os.path.dirname(path)}: type another path, or {NO}")
+            raise NotAnAnswer(f"you may not write to {os.path.dirname(path)}: type another path, or {NO}")
         if os.path.lexists(path) and not os.path.isfile(path):
-            raise NotAnAnswer(f"{path} is no file: type another path, or {NO}")
+            raise NotAnAnswer(f"{path} is not a file: type another path, or {NO}")
         return path
 
-    path = talk.ask("file", f"Write them to which file? ({NO}: leave it)", default, check, keep=False)
+    path = talk.ask(
+        "file", f"Which file should they be written to? ({NO}: don't write them)", default, check, keep=False
+    )
     if path == NO:
-        raise Left("you left the settings out")
+        raise Left("you chose not to write the settings")
     if os.path.exists(path):
         _differ(talk, path, made)
-        question = f"{path} exists. Replace it by these settings? ({REPLACE}, {NO})"
+        question = f"{path} exists. Replace it with these settings? ({REPLACE}, {NO})"
         if talk.ask("replace", question, "", _replace, keep=False) != REPLACE:
-            raise Left(f"{path} stays as it is")
+            raise Left(f"{path} was left unchanged")
     try:
         durable.write_draft(f"{path}.new", made.encode())
         if os.path.exists(path):
@@ -204,10 +206,10 @@ def _differ(talk: Talk, path: str, made: str) -> None:
 
 def doctor(talk: Talk, path: str, device: str, name: str) -> None:
     """Show the faults of this machine that weaken the promises."""
-    style.show([[], [("The machine, as `failstop doctor --quick` sees it", style.STRONG)]])
+    style.show([[], [("This computer, checked by `failstop doctor --quick`", style.STRONG)]])
     looked = table.examine(Look(name, path, device, True))
     found = [row for row in looked if row[1].level in (FAIL, WARN) and row[0] != NOT_YET]
-    style.show(screen(found, min(80, style.width())) if found else [[("   nothing to say", style.OK)]])
+    style.show(screen(found, min(80, style.width())) if found else [[("   nothing to fix", style.OK)]])
 
 
 def closing(
@@ -221,13 +223,13 @@ def closing(
         talk.warn("Nothing yet.", fix=_prove(path, name))
     else:
         passed = sum(row["verdict"] == "PASS" for row in rows)
-        talk.say(f"{passed} of {len(rows)} stop paths on this robot, its wheels in the air.", style.OK)
+        talk.say(f"{passed} of {len(rows)} stop paths, on this robot with its wheels off the ground.", style.OK)
         if any(row["path"] == FROZEN and row["verdict"] == "PASS" for row in rows):
-            talk.say("The board's own watchdog: it stopped the wheels while the whole service was frozen.", style.OK)
+            talk.say("The board's own watchdog stopped the wheels while the whole service was frozen.", style.OK)
     failed = {row["path"]: row["verdict"] for row in rows if row["verdict"] != "PASS"}
     for path_, verdict in failed.items():
-        talk.say(f"not proved: {path_}: the stand test said {verdict}", style.WARN)
-    for reason in (*evidence.get("unproved", ()), "on the ground: wheels take longer to stop there"):
+        talk.say(f"not proved: {path_} (the stand test ended with {verdict})", style.WARN)
+    for reason in (*evidence.get("unproved", ()), "stops on the ground, where wheels take longer to stop"):
         talk.say(f"not proved: {reason}", style.DIM)
     style.show([[], [("Next", style.STRONG)]])
     # Whole lines, whatever their length: they are copied.
@@ -237,21 +239,21 @@ def closing(
 
 
 def _guard(talk: Talk, settings: Settings, path: str, name: str) -> None:
-    """Offer the guard port, where somebody has said what a driver may write to this board."""
+    """Offer the guard port, if this board has one."""
     if language_of(settings.text("board.kind"), settings.flat()) is None:
         return
     style.show([[], [("Your own driver", style.STRONG)]])
     talk.say(
-        "A driver that was written for the bare board can keep its code. It opens the guard port instead of "
-        f"{settings.text('device.path') or 'its port'}, and the wheels stop when it dies or hangs:"
+        f"If you have a driver for the bare board, keep it. Let it open the guard port instead of "
+        f"{settings.text('device.path') or 'its port'}, and the wheels stop when it crashes or hangs:"
     )
     in_systemd = name == DEFAULT_NAME and path == config.installed(name) and os.path.isdir("/run/systemd/system")
     start = "sudo systemctl enable --now failstop-guard@$USER" if in_systemd else f"failstop guard{option(name)}"
     style.show([[(f"   {start}", style.STRONG)]])
     if settings.on("scan.gate"):
         talk.say(
-            'Such a driver reports no obstacle sensor, so it moves nothing while scan.gate is "on": set it to "off", '
-            "or have a program call Robot.sensed().",
+            'Such a driver does not report an obstacle sensor, so it can move nothing while scan.gate is "on". Set it '
+            'to "off", or let a program call Robot.sensed().',
             style.WARN,
         )
 
@@ -274,4 +276,4 @@ def commands(path: str, name: str) -> list[str]:
         begin = [f"sudo install -m 644 {shlex.quote(path)} {installed}", start]
     else:
         begin = [f"failstop run --config {shlex.quote(path)}{where} &"]
-    return [*begin, f"failstop enable{where}", f"failstop teleop{where}      # drive by keys; space stops"]
+    return [*begin, f"failstop enable{where}", f"failstop teleop{where}      # drive with the keyboard; space stops"]

@@ -1,4 +1,4 @@
-"""Ports: which of them the board is at, and what keeps this user from it, each with its remedy."""
+"""Ports: find the port that the board is at, and what keeps this user from using it, with the remedy."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from failstop.setup.rig import RIG
 from failstop.setup.talk import Left, NotAnAnswer, Talk
 
 UNPLUG = "unplug"
-OTHER_PATH = "or type the path of another"
+OTHER_PATH = "or the path of another port"
 NODES = ("/dev/ttyACM*", "/dev/ttyUSB*", "/dev/ttyAMA*", "/dev/ttyTHS*", "/dev/ttyS[0-9]", "/dev/serial0")
 BY = "/dev/serial"
 """udev's names for serial ports: by-id, what a device says of itself, and by-path, the socket that it is in."""
@@ -30,7 +30,7 @@ RASPBERRY = "Raspberry Pi"
 
 
 def listed(system: System) -> dict[str, str]:
-    """Each port's path, with what it says of itself; what can't be a board's is left out."""
+    """The path of each port that could be a board's, with a description."""
     own = {usb for kind in BOARDS for usb in board_of(kind, 1.0, 0.0).usb}
     found = {}
     for path, what in system.ports(own):
@@ -44,7 +44,7 @@ def listed(system: System) -> dict[str, str]:
 
 
 def nodes() -> set[str]:
-    """The serial devices that are there now."""
+    """The serial devices that exist now."""
     return {path for pattern in NODES for path in glob.glob(pattern)}
 
 
@@ -69,13 +69,13 @@ def went(talk: Talk, look: Callable[[], Collection[str]] = nodes, comes_s: float
     if len(gone) != 1:
         what = f"{', '.join(sorted(gone))} disappeared" if gone else "no port disappeared"
         raise Left(f"{what} when the cable was pulled: is the board connected to this computer by a data cable?")
-    talk.say(f"{min(gone)} has gone.")
+    talk.say(f"{min(gone)} disappeared.")
     without = set(look())
     talk.ask("plugged", "Plug it in again, then press Enter.", "done", keep=False)
     until_s = time.monotonic() + comes_s
     while not (came := set(look()) - without):
         if time.monotonic() > until_s:
-            raise Left("no port came back: look at the cable, and at what `sudo dmesg | tail` says")
+            raise Left("no port came back: check the cable, and look at `sudo dmesg | tail`")
         time.sleep(LOOK_S)
     return min(came)
 
@@ -88,12 +88,15 @@ def is_serial(path: str) -> bool:
 
 
 def choose(talk: Talk, system: System) -> str:
-    """The board's port, by the person. Raises Left."""
+    """Ask the person for the board's port. Raises Left."""
     found = {} if talk.known("port") else listed(system)
     for number, (path, what) in enumerate(found.items(), 1):
         talk.say(f"{number}  {path}   {what}")
     if not found and not talk.known("port"):
-        talk.warn("There is no serial port here.", "plug the board in; `sudo dmesg | tail` says whether it came")
+        talk.warn(
+            "This computer has no serial port.",
+            "plug the board in; `sudo dmesg | tail` shows whether the computer sees it",
+        )
         for row in (*taken(system), *pins(system)):
             _say(talk, row)
 
@@ -107,14 +110,14 @@ def choose(talk: Talk, system: System) -> str:
             numbers = f"a number from 1 to {len(found)}, " if found else ""
             raise NotAnAnswer(f"type {numbers}a path such as /dev/ttyACM0, or {UNPLUG}")
         if not os.path.exists(path):
-            raise NotAnAnswer(f"there is no {path}: plug the board in, or type another")
+            raise NotAnAnswer(f"{path} does not exist: plug the board in, or type another path")
         if system.node(path) is None or not is_serial(path):
-            raise NotAnAnswer(f"{path} is no serial port")
+            raise NotAnAnswer(f"{path} is not a serial port")
         return path
 
     numbers = f"its number, {OTHER_PATH}" if found else "type its path"
     default = next(iter(found)) if len(found) == 1 else ""
-    question = f"Which port is the board at? ({numbers}; {UNPLUG}: find it)"
+    question = f"Which port is the board at? ({numbers}; {UNPLUG}: find it by unplugging it)"
     while (path := talk.ask("port", question, default, check)) == UNPLUG:
         talk.draft.forget("port")  # that was no port yet
         try:
@@ -122,7 +125,7 @@ def choose(talk: Talk, system: System) -> str:
         except Left as error:
             if talk.silent:
                 raise
-            talk.warn(f"{str(error)[0].upper()}{str(error)[1:]}.", f"type another answer, or {UNPLUG} once more")
+            talk.warn(f"{str(error)[0].upper()}{str(error)[1:]}.", f"type another answer, or {UNPLUG} to try again")
             continue
         talk.draft.keep("port", path)
         talk.say(f"The board is at {path}.")
@@ -131,16 +134,16 @@ def choose(talk: Talk, system: System) -> str:
 
 
 def pins(system: System) -> list[Finding]:
-    """Reasons why the serial pins of a small computer are no port."""
+    """Reasons why a small computer's serial pins can't be used as a port."""
     raspberry = RASPBERRY in (system.read("/proc/device-tree/model") or "")
     if raspberry and not os.path.exists(system.path("/dev/serial0")):
-        advice = "then restart; on a Pi 5 that is dtparam=uart0 in config.txt"
-        return fail("the serial pins are off", "sudo raspi-config nonint do_serial_hw 0", advice)
+        advice = "then restart; on a Pi 5, set dtparam=uart0 in config.txt instead"
+        return fail("the serial pins are switched off", "sudo raspi-config nonint do_serial_hw 0", advice)
     return []
 
 
 def hindrances(path: str, system: System) -> list[Finding]:
-    """Reasons why failstop can't have this port, or not for itself."""
+    """Reasons why failstop can't open this port, or can't have it to itself."""
     look = Look(device_path=path, system=system)
     found = [row for check in (permission, held, grabbers) for row in check(look)]
     if service := next((holder for holder in look.holders[0] if holder.instance), None):
@@ -171,7 +174,7 @@ def step(talk: Talk, system: System) -> str:
             _say(talk, row)
             serious = serious or row.level == FAIL
         if serious:
-            raise Left(f"{path} can't be used so: do what is said above")
+            raise Left(f"{path} can't be used yet: follow the steps above, then run setup again")
     except port.PortError as error:
         raise Left(str(error)) from None
     return path

@@ -190,7 +190,7 @@ class Rig:
         except (FailstopError, Refused) as error:
             blocked = str(error)
         if blocked:
-            raise Left(f"the wheels could not be turned to the end: {self._why() or blocked}")
+            raise Left(f"the wheels stopped before the test was over: {self._why() or blocked}")
         self._stand()
         for entry in iter(view.next, None):
             self._hear(entry[2], places)
@@ -212,7 +212,7 @@ class Rig:
             self._robot.estop("setup: the wheels have turned")
             self._robot.wait_for(stands, STANDS_S)
         except FailstopError:
-            raise Left(f"the board did not say within {STANDS_S:g} s that it has stopped the wheels") from None
+            raise Left(f"the board did not report within {STANDS_S:g} s that the wheels are stopped") from None
 
     def _hear(self, data: bytes, places: dict[int, list[float]]) -> None:
         for kind, said in self._hearing.feed(data):

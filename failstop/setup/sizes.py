@@ -1,4 +1,4 @@
-"""Sizes and limits: the robot's figures, how fast it may drive, and the way that it then needs to stand."""
+"""Sizes and limits: the robot's sizes, how fast it may drive, and how far it goes before it stands."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def answer_key(key: str) -> str:
 
 
 def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, object]:
-    """The fourth step. `known`: the robot has a name, by which its sizes are known; nobody else's are offered. Raises
+    """The fourth step. `known`: failstop knows this robot's sizes and offers them; otherwise it offers none. Raises
     Left."""
     talk.step(4, "Sizes and limits")
     if not known:
-        talk.say("Measure the wheels: speeds and distances follow from their sizes.")
-    talk.say("An empty line takes the value in brackets.", style.DIM)
+        talk.say("Measure the wheels, because failstop computes speeds and distances from their sizes.")
+    talk.say("Press Enter to accept the value in brackets.", style.DIM)
     settings = Settings(dict(values))
     chosen: dict[str, object] = {}
     layout = settings.text("wheels.layout")

@@ -12,7 +12,7 @@ from failstop.cli import style
 from failstop.setup.draft import Draft
 
 WIDEST = 80
-AGAIN = "`failstop setup` goes on from here"
+AGAIN = "run `failstop setup` again to go on from here"
 YES, NO = "yes", "no"
 
 
@@ -87,7 +87,7 @@ class Talk:
 
     def _typed(self, key: str, question: str, default: str, check: Check) -> str:
         if self.silent:
-            raise Left(f"nobody is here to ask: {question} Give {option(key)}")
+            raise Left(f"there is no terminal to ask you at ({question}): give {option(key)}")
         while True:
             # What was typed before, for example while a wheel turned, is no answer to this.
             with contextlib.suppress(OSError, termios.error):
@@ -101,7 +101,7 @@ class Talk:
             try:
                 answer = input(style.plain(last).rstrip() + " ").strip() or default
             except EOFError:
-                raise Left("the terminal has gone") from None
+                raise Left("the terminal was closed") from None
             self.asked += 1
             try:
                 return check(answer)

@@ -44,7 +44,7 @@ def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, spe
     board = board_of(*settings.board())
     if not board.scale_assumed:
         return {}
-    talk.say("How far a wheel turns depends on its motor and its encoder, and nothing but you can tell.")
+    talk.say("How far a wheel turns depends on its motor and its encoder, and the board does not know it.")
     before = talk.draft.answers.get(KEY)
     if KEY in talk.given:
         answer = talk.ask(KEY, "", "", _check, keep=False)
@@ -52,17 +52,17 @@ def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, spe
         answer = talk.ask(KEY, "", "", _check)
     else:
         if talk.silent:
-            raise Left(f"nobody is here to turn a wheel: give --per-rps, a number or {UNKNOWN}")
+            raise Left(f"there is no terminal to ask you at: give --per-rps, a number or {UNKNOWN}")
         found = by_hand(talk, device, board) if board.reports.position_per_turn else None
         answer = before = found or driven(talk, device, settings, halt, speeds, board)
         talk.draft.keep(KEY, answer)
     if answer == UNKNOWN:
-        talk.warn(f"Speeds stay capped at {SLOWEST_MPS:g} m/s until it is known.", "run setup again, and turn a wheel")
+        talk.warn(f"Speeds stay capped at {SLOWEST_MPS:g} m/s until it is known.", "run setup again and turn a wheel")
         return {}
     if answer != before:
         talk.warn(
             f"No wheel was turned to confirm this number, so speeds stay capped at {SLOWEST_MPS:g} m/s.",
-            "run setup without --per-rps, and turn a wheel",
+            "run setup without --per-rps and turn a wheel",
         )
         return {PER_RPS: float(answer)}
     return {PER_RPS: float(answer), PER_RPS_CONFIRMED: float(answer)}
@@ -92,8 +92,8 @@ def by_hand(talk: Talk, device: str, board: Board) -> str | None:
             tap = Tap(own.fd, board)
             while True:
                 before = _positions(tap, board)
-                talk.say("Mark one wheel. Turn it by hand: whole turns, one at least, and leave the others alone.")
-                how = f"How many turns did it make? ({NO}: it can't be turned by hand; {UNKNOWN}: leave it)"
+                talk.say("Mark one wheel, and turn it by hand one or more whole turns. Leave the other wheels alone.")
+                how = f"How many turns did it make? ({NO}: it can't be turned by hand; {UNKNOWN}: skip this)"
                 answer = talk.ask("turned", how, "1", _turns, keep=False)
                 if answer == NO:
                     return None
@@ -103,9 +103,9 @@ def by_hand(talk: Talk, device: str, board: Board) -> str | None:
                     return _found(
                         talk, board, max(counts) / board.reports.position_per_turn, float(answer), max(counts)
                     )
-                talk.warn(problem, "turn one wheel once more")
+                talk.warn(problem, "turn one wheel again")
     except (PortError, OSError, ValueError) as error:
-        text = str(error) if os.path.exists(device) else f"{device} went away: is the plug in?"
+        text = str(error) if os.path.exists(device) else f"{device} has disappeared: is the board plugged in?"
         raise Left(text) from None
 
 
@@ -122,7 +122,7 @@ def _positions(tap: Tap, board: Board) -> tuple[float, ...]:
         found = [said[1] for _, kind, said in tap.read() if kind == HEARD_WHEELS and said[1]]
         if found:
             return tuple(found[-1])
-    raise Left("the board does not say where its wheels are: are the encoders plugged in?")
+    raise Left("the board does not report the positions of its wheels: are the encoders plugged in?")
 
 
 def _moved(before: tuple[float, ...], after: tuple[float, ...], wraps: float) -> list[float]:
@@ -137,9 +137,9 @@ def _wrong(counts: list[float]) -> str:
     """Why these are no turn of one wheel; empty: they are."""
     *others, most = sorted(counts)
     if most < LEAST_COUNTS:
-        return "The board has counted nothing: is the encoder of that wheel plugged in?"
+        return "The board counted nothing: is that wheel's encoder plugged in?"
     if others and others[-1] > OTHERS * most:
-        return "More than one wheel has turned."
+        return "More than one wheel turned."
     return ""
 
 
@@ -150,10 +150,12 @@ def driven(talk: Talk, device: str, settings: Settings, halt: Halt, speeds: int,
     values, velocity = alone(kind, speeds, 0, SLOWEST_MPS, diameter_m)
     values |= {key: value for key, value in settings.flat().items() if key in ("board.baud", "board.can_id")}
     while True:
-        talk.say(f"Mark the wheels. The one of id 0 turns for {SECONDS:g} s: count its turns, quarters too (2.25).")
+        talk.say(f"Mark the wheels. Id 0 turns its wheel for {SECONDS:g} s: count the turns, quarters too (2.25).")
         with Rig(device, values, halt) as rig:
             rig.drive(velocity, SECONDS)
-        answer = talk.ask("counted", f"How many turns did it make? (again; {UNKNOWN})", "", _counted, keep=False)
+        answer = talk.ask(
+            "counted", f"How many turns did it make? (again; {UNKNOWN}: skip this)", "", _counted, keep=False
+        )
         if answer == UNKNOWN:
             return answer
         if answer != "again":

@@ -1,4 +1,4 @@
-"""Wheels: which id is which wheel, and which way its motor is wired; each turned alone, then all together."""
+"""Wheels: find out which id turns which wheel, and which way, by turning each alone and then all together."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def parsed(answer: str, words: list[str], spare: bool) -> str:
 
 
 def stand(talk: Talk) -> None:
-    """The person's word that the wheels may turn; asked each time. Raises Left."""
+    """Ask the person whether the wheels may turn; asked each time. Raises Left if not."""
     talk.say(STAND, style.STRONG)
-    if talk.ask("stand", "Is it so? Type yes:", "", yes_or_no, keep=False) != YES:
+    if talk.ask("stand", "Is all of this true? Type yes:", "", yes_or_no, keep=False) != YES:
         raise Left("nothing was moved: put the robot on a stand")
 
 
@@ -76,11 +76,11 @@ class Trial:
         self._words = names(self._count)
         self._way = "the way that turns the robot to the left" if self._count == 3 else "forward"
         self._ratios: list[float] = []
-        """Measured speed over the told one, of each wheel that turned."""
+        """Measured speed divided by commanded speed, for each wheel that turned."""
         self._set_speeds()
 
     def _set_speeds(self) -> None:
-        """By the settings so far: a scale that nobody has confirmed caps them."""
+        """Set the speeds of the trial from the settings so far; a scale that nobody has confirmed caps them."""
         board = self._board = board_of(*Settings(dict(self._values)).board())
         # Half of what the board takes: a wheel has to turn for two ways at once.
         self._fastest = min(FASTEST_RPS, board.most_rps / 2)
@@ -98,7 +98,7 @@ class Trial:
         self._set_speeds()
         by_hand = self._speeds == self._count == 4 and self._kind.startswith("/")
         if by_hand:
-            talk.warn("Of a board of your own with four wheels no single wheel can be turned.", "set [wheels] by hand")
+            talk.warn("On your own board with four wheels, setup can't turn a single wheel.", "set [wheels] by hand")
         while True:
             if not by_hand:
                 found |= self._ids()
@@ -110,14 +110,14 @@ class Trial:
             talk.draft.forget("forward", "turn")
             if wrong == "turn" and STEERED_BY in Settings(values).flat():
                 found[STEERING] = sign = -int(Settings(values)[STEERING])
-                talk.warn("Then the steering servo turns the other way.", f"{STEERING} is {sign} now: look once more")
+                talk.warn("So the steering servo turns the other way.", f"{STEERING} is {sign} now; watch it again")
                 continue
             if by_hand:
                 raise Left("the settings [wheels] of your board's wheels must be wrong: correct them by hand")
             talk.draft.forget(*(f"wheel_{id_}" for id_ in range(self._speeds)))
             text = "one of the answers about the wheels must be wrong"
             if talk.silent:
-                raise Left(f"{text}: give them again")
+                raise Left(f"{text}: give them all again")
             talk.warn(f"{text[0].upper()}{text[1:]}.", "let's go through the wheels again")
 
     def _ids(self) -> dict[str, object]:
@@ -131,10 +131,10 @@ class Trial:
             twin = next((other for other, said in answers.items() if answer != NONE and said[:-1] == answer[:-1]), None)
             if twin is not None:
                 self._talk.draft.forget(f"wheel_{id_}", f"wheel_{twin}")
-                text = f"{answer[:-1]} was said of id {twin} and of id {id_}: one wheel can't have two"
+                text = f"{answer[:-1]} can't be the wheel of both id {twin} and id {id_}"
                 if self._talk.silent:
                     raise Left(text)
-                self._talk.warn(f"{text}. Both are turned once more.")
+                self._talk.warn(f"{text}. Both turn again.")
                 del answers[twin]
                 left = [twin, id_, *left]
             elif len(answers) + 1 == self._speeds and sum(said != NONE for said in (*answers.values(), answer)) == 0:
@@ -148,8 +148,8 @@ class Trial:
         return found
 
     def _scale(self) -> dict[str, object]:
-        """The setting by which the wheels would turn as fast as they are told, where the board reports in a unit of its
-        own that they do not."""
+        """The corrected scale, if the board reports in its own unit that the wheels turn at another speed than
+        commanded; else nothing."""
         if not self._ratios:
             return {}
         ratio, board = median(self._ratios), self._board
@@ -162,21 +162,23 @@ class Trial:
         return found
 
     def _legend(self) -> None:
-        """How the questions are answered, once."""
+        """Explain once how to answer the questions."""
         wheels = ", ".join(f"{word} {name}" for word, name in zip(self._words, WHEEL_NAMES[self._count], strict=True))
-        self._talk.say("One wheel after the other turns slowly for a second. Type which it was, and which way:")
+        self._talk.say(
+            "The wheels turn slowly, one after the other, for a second each. Type which wheel it was, and which way:"
+        )
         self._talk.say(f"wheel   {wheels}" if self._count == 4 else f"wheel   {', '.join(self._words)}", indent=5)
-        self._talk.say(f"way     + {self._way}, - the other way; as {self._words[0]}+", indent=5, hang=8)
-        self._talk.say(f"else    {AGAIN_WORD}: once more; {FASTER}: twice as fast", indent=5)
+        self._talk.say(f"way     + {self._way}, - the other way; for example {self._words[0]}+", indent=5, hang=8)
+        self._talk.say(f"or      {AGAIN_WORD}: turn it again; {FASTER}: turn it twice as fast", indent=5)
 
     def _asked(self, id_: int, spare: bool) -> str:
-        """The person's word of one id; the wheel turns before each question."""
+        """The person's answer for one id; its wheel turns before each question."""
         talk, key = self._talk, f"wheel_{id_}"
         while True:
             if key not in talk.given and key not in talk.draft.answers:
                 self._turn(id_)
             none = f"; {NONE}" if spare else ""
-            question = f"Id {id_}: which wheel, which way? ({', '.join(self._words)} with + or -{none})"
+            question = f"Id {id_}: which wheel turned, and which way? ({', '.join(self._words)} with + or -{none})"
             answer = talk.ask(key, question, "", lambda said: parsed(said, self._words, spare))
             if answer not in (AGAIN_WORD, FASTER):
                 return answer
@@ -188,7 +190,7 @@ class Trial:
         rim = rim_mps(self._rps, self._diameter_m)
         values, velocity = alone(self._kind, self._speeds, id_, rim, self._diameter_m)
         values |= {key: value for key, value in self._values.items() if key in (*SCALE, "board.baud", "board.can_id")}
-        self._talk.say(f"The wheel of id {id_} turns for {SECONDS:g} s, alone ...", style.DIM)
+        self._talk.say(f"Id {id_} turns its wheel alone for {SECONDS:g} s ...", style.DIM)
         with Rig(self._device, values, self._halt) as rig:
             rig.drive(velocity, SECONDS)
         if not rig.turned:
@@ -202,8 +204,8 @@ class Trial:
             self._ratios += [abs(speed) / per_rps / self._rps for speed in moved.values()]
 
     def _together(self, values: Mapping[str, object]) -> str:
-        """All of them, as a robot: forward, then to the left. Returns the question that was answered with no, empty
-        where none was. Raises Left."""
+        """Turn all wheels together, forward and then to the left. Returns the key of the question that was answered
+        with no; empty if there was none. Raises Left."""
         talk = self._talk
         rim = rim_mps(self._rps, self._diameter_m)
         settings = Settings(dict(values))
@@ -214,7 +216,11 @@ class Trial:
         ]
         if self._count == 3:
             tries = [
-                ("forward", "Did the left wheel turn -, the right one +, and the rear one stand?", (rim, 0.0, 0.0)),
+                (
+                    "forward",
+                    "Did the left wheel turn -, the right one +, and the rear one not at all?",
+                    (rim, 0.0, 0.0),
+                ),
                 ("turn", "Did all three turn the way that turns the robot to the left?", (0.0, 0.0, rim / reach_m)),
             ]
         elif STEERED_BY in settings.flat():
@@ -223,7 +229,7 @@ class Trial:
         limits = {"limits.vx_mps": rim, "limits.vy_mps": 0.01, "limits.wz_radps": max(0.01, rim / reach_m)}
         for key, question, velocity in tries:
             if key in wanted:
-                talk.say("All wheels together, for a second ...", style.DIM)
+                talk.say("All wheels turn together for a second ...", style.DIM)
                 with Rig(self._device, {**values, **limits}, self._halt) as rig:
                     rig.drive(velocity, SECONDS)
             if talk.ask(key, question + " (yes, no)", "", yes_or_no) != YES:

@@ -89,7 +89,7 @@ def _devices(arguments: Namespace) -> int:
     for row in rows:
         print(f"{row['id']}  {time.strftime('%Y-%m-%d %H:%M', time.localtime(row['made']))}  {row['name']}")
     if not rows:
-        print("no device is paired: `failstop web pair`")
+        print("no device is paired; next: `failstop web pair`")
     return 0
 
 
@@ -97,11 +97,11 @@ def _revoke(arguments: Namespace) -> int:
     from failstop.web import control
 
     if not arguments.device:
-        raise FailstopError("revoke which device? `failstop web devices` lists them")
+        raise FailstopError("which device should be revoked? `failstop web devices` lists them")
     name = control.ask(arguments.name, os.environ, "POST", "/devices", {"id": arguments.device})["revoked"]
     if not name:
-        raise FailstopError(f"no device {arguments.device!r}: `failstop web devices` lists them")
-    print(f"{name} may see and stop, and nothing else any more")
+        raise FailstopError(f"no paired device is {arguments.device!r}: `failstop web devices` lists them")
+    print(f"{name} can now only watch and stop the robot")
     return 0
 
 

@@ -35,7 +35,7 @@ class _Asked(RequestHandler):
     def write_error(self, status_code: int, **given: Any) -> None:
         """The command tells its user what was wrong here."""
         error = given.get("exc_info", (None, self._reason))[1]
-        self.finish({"error": str(error) if isinstance(error, FailstopError) else f"a defect of the page: {error!r}"})
+        self.finish({"error": str(error) if isinstance(error, FailstopError) else f"a bug in the page: {error!r}"})
 
     def log_exception(self, typ: Any, value: BaseException | None, tb: Any) -> None:
         """An error that is told is no defect."""
@@ -49,7 +49,7 @@ class _Pair(_Asked):
             self.set_status(REFUSED)
             source = self.page.source
             remedy = source.remedy('web.pairing = "on"')
-            self.finish({"error": f"pairing is off (by {source.described()}): {remedy}"})
+            self.finish({"error": f"pairing is switched off ({source.described()}): {remedy}"})
             return
         code = devices.code_of(secrets.token_bytes(5))
         self.page.pairing.offer(code, time.monotonic())
@@ -99,14 +99,14 @@ def ask(name: str, environ: Mapping[str, str], method: str, path: str, body: obj
             answer = connection.getresponse()
             said = answer.read()
         except PermissionError:
-            denied = f"{folder} belongs to another user: sudo failstop web ..."
+            denied = f"{folder} belongs to another user, so use sudo: sudo failstop web ..."
             continue
         except (OSError, http.client.HTTPException):
             continue
         finally:
             connection.close()
         return _understood(answer.status, said)
-    raise FailstopError(denied or f"no page of {name!r} runs: start it with `failstop web`")
+    raise FailstopError(denied or f"the page of {name!r} is not running: start it with `failstop web`")
 
 
 def _understood(status: int, said: bytes) -> dict[str, Any]:
@@ -114,7 +114,9 @@ def _understood(status: int, said: bytes) -> dict[str, Any]:
     try:
         found: dict[str, Any] = json.loads(said)
     except ValueError:
-        raise FailstopError(f"the page answered {status} and in words of another version's") from None
+        raise FailstopError(
+            f"the page answered {status}, as another version of failstop would: restart `failstop web`"
+        ) from None
     if status == REFUSED:
         raise Refused(str(found["error"]))
     if status != 200:

@@ -71,7 +71,7 @@ class Devices:
     def add(self, device: Device) -> None:
         """Raises NotPaired when there are too many."""
         if len(self._by_digest) >= MOST:
-            raise NotPaired(f"{MOST} devices are paired: revoke one (failstop web devices)")
+            raise NotPaired(f"{MOST} devices are paired already, so revoke one first (failstop web devices)")
         self._by_digest[device.digest] = device
 
     def of(self, token: str) -> Device | None:
@@ -98,7 +98,7 @@ class Devices:
                 Device(str(row["id"]), clean(str(row["name"])), str(row["digest"]), float(row["made"])) for row in rows
             )
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
-            raise ValueError(f"no list of devices ({error})") from None
+            raise ValueError(f"it is not a list of devices ({error})") from None
         return cls(found)
 
 
@@ -110,7 +110,7 @@ def code_of(data: bytes) -> str:
 
 
 def typed(code: str) -> str:
-    """A code as it was meant by whoever typed it."""
+    """The code that a person meant, with letters that look like digits replaced."""
     return code.upper().translate(str.maketrans("OIL", "011", " -_")).strip()
 
 
@@ -130,11 +130,13 @@ class Pairing:
         """Use it up. Raises NotPaired for a wrong code, and when there is none to be had."""
         if not self._code or now_s > self._until_s:
             self._code = ""
-            raise NotPaired("no code is on offer now: failstop web pair, on the robot, shows one for two minutes")
+            raise NotPaired(
+                "there is no code to enter now: run failstop web pair on the robot, which shows one for two minutes"
+            )
         if not hmac.compare_digest(self._code.encode(), typed(code).encode("utf-8", "replace")):
             self._left -= 1
             if not self._left:
                 self._code = ""
-            left = f"{self._left} tries are left" if self._left else "ask for a new one on the robot"
-            raise NotPaired(f"that is not the code; {left}")
+            left = f"{self._left} tries are left" if self._left else "run failstop web pair on the robot again"
+            raise NotPaired(f"wrong code; {left}")
         self._code = ""

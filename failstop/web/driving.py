@@ -22,9 +22,9 @@ SOURCE = "page"
 """Commands are given as this source where the settings declare it, else as the one that is always there."""
 OTHER_S = 0.5
 """The pause between one person's driving with the stick and another's."""
-OFF = "driving from the page is off (web.drive, attend.required)"
+OFF = "driving from the page is switched off (settings web.drive and attend.required)"
 LIMIT_FIRST = "choose the speed limit first"
-DISABLED = "motion is not enabled: enable it, then take the stick again"
+DISABLED = "motion is disabled: enable it, then hold the stick again"
 
 
 def share(said: str) -> tuple[float, float] | None:

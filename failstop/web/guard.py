@@ -62,7 +62,7 @@ def origin_of(setting: str) -> str:
     found = setting.lower().rstrip("/")
     scheme, _, host = found.partition("://")
     if found and not (scheme in ("http", "https") and host_of(host) and host.isascii() and " " not in host):
-        raise FailstopError(f"web.origin = {setting!r} is no address of a page: give one such as https://robot.example")
+        raise FailstopError(f"web.origin = {setting!r} is not the address of a page, such as https://robot.example")
     return found
 
 
@@ -115,19 +115,19 @@ def _own_origin(request: PageRequest, known: frozenset[str], proxied: str) -> bo
 
 ROWS: tuple[tuple[str, int, Callable[[PageRequest, frozenset[str], str], bool], str], ...] = (
     ("method", 405, lambda request, known, proxied: request.method in METHODS, "only GET, HEAD and POST are answered"),
-    ("host", 421, _own_host, "this robot does not answer to that name: the setting web.hosts adds names"),
+    ("host", 421, _own_host, "this robot does not answer to that host name: add it to the setting web.hosts"),
     ("site", 403, lambda request, known, proxied: request.site in SAME, "a page of another site may not call this one"),
     (
         "origin",
         403,
         _own_origin,
-        "a page of another site may not call this one; behind a proxy that ends TLS: set web.origin",
+        "a page of another site may not call this one; behind a proxy that handles HTTPS, set web.origin",
     ),
     (
         "header",
         403,
         lambda request, known, proxied: request.method in READS or request.header == "1",
-        f"a request that changes something carries the header {HEADER}: 1",
+        f"a request that changes something must have the header {HEADER}: 1",
     ),
 )
 """Name, status, what must hold, what is said otherwise."""

@@ -15,8 +15,8 @@ GAP_S = 0.6
 """The page says ten times a second that it is held still; it takes as long as this to do so at most."""
 SURE_S = 0.6
 """How long the page has to say that it lasts even now."""
-LATE = "this page or its network was held up meanwhile: hold again"
-NEWER_STOP = "another stop has come since: look at it first, then hold again"
+LATE = "this page or its network was held up, so hold again"
+NEWER_STOP = "the robot was stopped again: look at that stop first, then hold again"
 
 
 @dataclasses.dataclass

@@ -79,7 +79,7 @@ class Page:
         return self._storage.tls(sorted(self.names))
 
     def addresses(self) -> dict[str, Any]:
-        """Where it listens, for whoever is to find it."""
+        """The addresses at which the page listens."""
         scheme = "https" if self.tls else "http"
         where = {"scheme": scheme, "address": self.address, "port": self.port, "fingerprint": self.fingerprint}
         return {**where, "origin": self.origin}

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tornado.iostream import IOStream
 
 HOST = re.compile(rb"\r\nHost:[ \t]*([A-Za-z0-9.:\[\]-]{1,255})[ \t]*\r\n", re.IGNORECASE)
-SENTENCE = "This is the port of HTTPS: the page's address begins with https://"
+SENTENCE = "This port speaks HTTPS: use an address that begins with https://"
 MOST = 16 * 1024
 
 

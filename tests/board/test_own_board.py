@@ -25,6 +25,7 @@ from failstop.data import Data
 from failstop.messages import layout
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings, mounted_wheels
+from failstop.setup.command import layouts_of
 from failstop.supervisor.fit import checked_board
 from failstop_lab.boards.line import model_of
 from failstop_lab.trial import Trial
@@ -59,6 +60,10 @@ def test_a_layout_that_its_wire_does_not_drive_is_refused(folder: str, tmp_path:
     assert str(refused.value) == f"{file}: board.kind {folder} takes 2 speeds, and wheels.layout omni3 has 3 wheels"
 
 
+def test_setup_offers_only_layouts_that_its_speeds_can_drive(folder: str) -> None:
+    assert layouts_of(folder) == ["differential"]
+
+
 def test_the_page_says_how_to_begin(tmp_path: Path) -> None:
     """Its commands make a folder that drives as the smallest board does, judged by a receiver of its own."""
     [told] = re.findall(r"```sh\n(mkdir .*?)```", (ROOT / "docs" / "dev" / "porting.md").read_text(), re.DOTALL)
@@ -79,7 +84,7 @@ def test_its_wire_and_its_receiver_are_those_of_the_folder(folder: str) -> None:
 def test_it_takes_two_speeds(folder: str) -> None:
     settings = Settings({"board.kind": folder})
     assert (settings.text("wheels.layout"), mounted_wheels(settings.values)) == ("differential", [(0, 1), (1, 1)])
-    with pytest.raises(SettingError, match="has no servos"):
+    with pytest.raises(SettingError, match="can't move servos"):
         Settings({"board.kind": folder, "joints.base.servo": 1})
 
 

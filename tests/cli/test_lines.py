@@ -79,7 +79,7 @@ def test_what_the_screen_says() -> None:
     assert "wheels    MAY TURN" in said
     both = driving(sources=(*driving().sources, Source("x", -1, "y", "waits")))
     said = shown(summary.lines(both, NOW_S, 120))
-    assert "driver    nav (pid 42) as cmd_vel, priority 0" in said
+    assert "driver    nav (pid 42)" in said
     assert "waits     y as x, priority -1" in said
 
 

@@ -79,7 +79,7 @@ def test_whose_death_disabled_motion_is_told_whoever_commands_now() -> None:
     for disabled in (state(blocked="disabled"), driving(blocked="disabled", enabled=False)):
         found = " ".join(shown(disabled, [told("enabled"), dead]).split())
         assert "driver motion disabled: nav (pid 42) died after it had driven (" in found
-        assert "motion disabled: nav (pid 42) died after it had driven" in why(disabled, [told("enabled"), dead])
+        assert "ago: nav (pid 42) died after it had driven" in why(disabled, [told("enabled"), dead])
         for since in ("disabled", "stop", "enabled"):
             assert "died after" not in shown(disabled, [dead, told(since)])
     assert "died after" not in shown(driving(), [dead])

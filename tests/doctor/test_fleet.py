@@ -16,7 +16,7 @@ from tests.doctor.parts import NOBODY, look, serving
 
 INSTALLED = {"LoadState": "loaded", "ActiveState": "inactive", "UnitFileState": "disabled", "StatusErrno": "0"}
 RUNS = {**INSTALLED, "ActiveState": "active", "UnitFileState": "enabled"}
-DOWN = f"{UNIT} is enabled and failed: the robot obeys no stop of the fleet"
+DOWN = f"{UNIT} is enabled but failed, so the robot obeys no fleet stop"
 TWIN = {**RUNS, "StatusText": "obeys a fleet stop, but another publisher also calls itself r1", "StatusErrno": "76"}
 DEAF = {**RUNS, "StatusText": "obeys no fleet stop: no key", "StatusErrno": "107"}
 

@@ -92,7 +92,7 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("console", look(files={"/proc/cmdline": "quiet console=ttyACM0,115200"}), FAIL, "the kernel writes its messages"),
     ("console", look(files=on("agetty", command="/sbin/agetty -8 - ttyACM0 vt220")), FAIL, "agetty (pid 9)"),
     ("console", look(says={"systemctl": "active\n"}), FAIL, "a login waits on /dev/ttyACM0"),
-    ("settings", look(settings=("x.toml", Settings(), "gate.lease_s = 9.0: allowed is")), FAIL, "gate.lease_s = 9.0"),
+    ("settings", look(settings=("x.toml", Settings(), "gate.lease_s = 9.0: it must be")), FAIL, "gate.lease_s = 9.0"),
     (
         "settings",
         look(active_settings=of("ugv"), settings=("x.toml", Settings(), "")),

@@ -149,7 +149,7 @@ def test_a_full_file_system(name: str, board: SimBoard, full: str) -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("[gate]\nlease_s = 9.0\n", "gate.lease_s = 9.0: allowed is 0.04 to 1 s"),
+        ("[gate]\nlease_s = 9.0\n", "gate.lease_s = 9.0: it must be 0.04 to 1 s"),
         ("nonsense", "is not TOML"),
         (None, "check the path"),
     ],
@@ -168,7 +168,7 @@ def test_the_device_is_taken_from_settings_that_are_refused(name: str, board: Si
     file = tmp_path / "failstop.toml"
     file.write_text(f'[device]\npath = "{board.link}"\n[gate]\nlease_s = 9.0\n')
     said = refused(board, *FAILSTOP, "run", "--name", name, "--config", str(file))
-    assert "gate.lease_s = 9.0: allowed is" in said
+    assert "gate.lease_s = 9.0: it must be" in said
     assert f"the stop is written to {board.link}" in said
 
 

@@ -137,7 +137,7 @@ def test_a_wait_that_is_not_allowed_costs_the_wait_alone(tool: Tool) -> None:
     tool.lab.write(FILE, '[device]\npath = "/dev/board"\n[stop]\nwait_s = "long"\n')
     assert tool.waits("--config", FILE) == ("/dev/board", pytest.approx(30.0, abs=0.1))
     code, device, _, err = tool.goes("--config", FILE)
-    said = "failstop: stop.wait_s = 'long': a number is expected, 0 to 3600 s; going on without it\n"
+    said = "failstop: stop.wait_s = 'long': it must be a number, 0 to 3600 s; going on without it\n"
     assert (code, device, err) == (0, "/dev/board", said)
 
 

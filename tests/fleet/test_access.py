@@ -134,12 +134,12 @@ def test_a_robot_that_may_not_hear_the_stops_says_so(
         assert publisher.broker.denied == (topics.stop(FLEET), topics.stop(FLEET, "r1"), own)
         assert publisher.deaf() == (
             f"the broker does not let this robot read {topics.stop(FLEET)} and {topics.stop(FLEET, 'r1')}: "
-            "see its access list"
+            "check its access list"
         )
         [error] = [row for row in publisher.own_errors(0.0) if row["kind"] == message.FLEET_STOP_OFF]
         assert error["text"] == publisher.deaf()
         publisher.turn(0.0)
-        assert "WARNING: no stop of the fleet is obeyed here" in " ".join(capsys.readouterr().err.split())
+        assert "WARNING: this robot obeys no fleet stop" in " ".join(capsys.readouterr().err.split())
         complete, sender = stop_all(broker.settings(stop__key_file=key), wait_s=0.5)
         assert not complete
         [doubt] = sender.doubts

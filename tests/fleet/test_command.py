@@ -225,7 +225,7 @@ def test_a_robot_that_was_switched_off_while_the_broker_was_down_is_forgotten(co
     """The broker calls it connected for ever."""
     keep(somebody, "r2", message.ONLINE)
     done = failstop("fleet", "forget", "r2", "--config", config)
-    assert (done.returncode, done.stdout) == (0, "r2 is forgotten: a fleet stop does not miss it any more\n")
+    assert (done.returncode, done.stdout) == (0, "r2 is forgotten: a fleet stop no longer waits for it\n")
     assert "the broker calls r2 connected: listening for a sign of life, 4 s at most" in " ".join(done.stderr.split())
     topic = topics.of_robot(FLEET, "r2", topics.CONNECTION)
     pump("it to be taken off", lambda: somebody.last[topic] == b"", somebody)

@@ -187,7 +187,7 @@ def test_over_a_restart_it_is_answered_and_not_carried_out() -> None:
 def test_another_key_is_counted_and_not_answered(robot: Duties) -> None:
     for _ in range(3):
         assert robot.hear(order().message(bytes(32)), 0.0, UNIX_S) == (None, None)
-    assert (robot.forged, robot.last_forged) == (3, "signed with another key")
+    assert (robot.forged, robot.last_forged) == (3, "it is signed with another key")
 
 
 def test_it_is_followed_for_a_while_and_no_longer(robot: Duties) -> None:

@@ -50,8 +50,8 @@ def test_a_robot_that_falls_silent_is_lost_whatever_the_broker_calls_it() -> Non
     assert word(roster, 1.1 + AFTER_S) == view.LOST
     [robot] = roster.sorted()
     assert view.why(robot, 30.0, NOW_S + 30.0) == (
-        "no state for 29 s, though the broker calls it connected; last seen DRIVING, "
-        "and what it does now is not known here"
+        "no state for 29 s, although the broker reports it as connected; last seen DRIVING; "
+        "nobody here knows what it does now"
     )
     drive(roster, 40.0)
     assert word(roster, 40.0) == verdict.DRIVING
@@ -88,7 +88,7 @@ def test_states_without_a_connection_show_that_the_list_is_blind() -> None:
     drive(roster, 0.0)
     [robot] = roster.sorted()
     assert word(roster, 1.0) == verdict.DRIVING
-    assert view.why(robot, 1.0, NOW_S + 1.0).startswith("the broker hides its connection (see the access list)")
+    assert view.why(robot, 1.0, NOW_S + 1.0).startswith("the broker hides its connection (check the access list)")
     assert word(roster, 1000.0) == view.LOST
 
 

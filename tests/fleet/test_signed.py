@@ -117,7 +117,7 @@ def test_a_key_is_made_once_and_nobody_else_reads_it(tmp_path: Path) -> None:
     signed.make_key(str(path))
     assert path.stat().st_mode & 0o777 == 0o600
     assert len(signed.read_key(str(path))) == 32
-    with pytest.raises(FleetError, match="there already"):
+    with pytest.raises(FleetError, match="exists already"):
         signed.make_key(str(path))
 
 
@@ -143,7 +143,7 @@ def test_a_file_that_is_no_key(tmp_path: Path, text: str) -> None:
     path = tmp_path / "key"
     path.touch(0o600)
     path.write_text(text)
-    with pytest.raises(FleetError, match="no fleet's key"):
+    with pytest.raises(FleetError, match="not a fleet's key"):
         signed.read_key(str(path))
 
 

@@ -42,7 +42,7 @@ def test_nobody_is_known() -> None:
     tally = Tally(None)
     assert not tally.all_reached(levels.WRITTEN)
     assert not tally.all_confirmed()
-    assert "NO ROBOT is known" in text(tally)
+    assert "This broker knows NO ROBOT" in text(tally)
 
 
 def test_all_of_them() -> None:
@@ -227,6 +227,6 @@ def test_a_robot_confirms_by_what_its_board_can_give() -> None:
     tally.answer(answer("b", levels.OBSERVED, confirms=levels.OBSERVED), 0.2)
     assert tally.all_confirmed()
     assert text(tally).startswith("3 of 3 robots have confirmed the stop\n")
-    assert "c confirms as written: its board acknowledges nothing" in text(tally)
+    assert "c confirms as written, because its board can't acknowledge" in text(tally)
     by = {"a": levels.ACKNOWLEDGED, "b": levels.OBSERVED, "c": levels.WRITTEN}
     assert report.as_dict(tally)["confirmed_by"] == by

@@ -55,7 +55,7 @@ def test_the_page_and_the_incident_name_the_driver_that_died(scene: GuardScene, 
 
     driver = driving(scene, diffdrive)
     who = f"diffdrive (pid {driver.pid})"
-    wait_for("the page to name it", lambda: page()["driver"] == f"{who} as cmd_vel")
+    wait_for("the page to name it", lambda: page()["driver"] == who)
     assert who in page()["clients"]
     os.kill(driver.pid, signal.SIGKILL)
     driver.child.wait()

@@ -162,7 +162,7 @@ def test_a_dead_run_that_was_ready_once_is_saved_and_another_is_not(saving: Savi
     assert not saving.state.exists()
     saving.supervisor.word("beat_state").set(BEAT_RUNNING)
     assert saving.save()["run"] == "before"
-    assert saving.newest().reason == "all of the service died"
+    assert saving.newest().reason == "the whole service died"
 
 
 def lose_port(saving: Saving, state: int) -> None:

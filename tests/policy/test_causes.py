@@ -162,7 +162,7 @@ def test_damage_is_told_apart_and_arguments_are_those_of_the_row() -> None:
         (causes.HANGS("gate", 251), "gate hangs: 251 ms silent"),
         (causes.STARVED("gate", 251), "gate hangs: 251 ms silent (the machine is starved)"),
         (causes.HELD_UP(300), "supervisor was held up for 300 ms"),
-        (causes.MUTE(260), "gate beats but sends nothing: 260 ms"),
+        (causes.MUTE(260), "gate runs but has sent nothing for 260 ms"),
         (causes.BAD_FRAME("bad crc"), "the gate's frame was refused: bad crc"),
         (causes.SUSPENDED(1.23), "the machine was suspended for 1.2 s"),
         (causes.REMOVED("the stop pipe"), "the stop pipe was removed: restart the service"),

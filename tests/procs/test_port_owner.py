@@ -245,7 +245,7 @@ def test_nothing_cuts_into_motion_but_that_the_gate_beats_and_sends_nothing(scen
         assert scene.answer(10 * MS) == (b"", [])
     assert scene.next_ns() == scene.clock() + 10 * MS + 1, "it wakes just then"
     assert scene.turn(10 * MS) == b""
-    assert scene.answer(1) == (BURST, ["gate beats but sends nothing: 400 ms"])
+    assert scene.answer(1) == (BURST, ["gate runs but has sent nothing for 400 ms"])
 
 
 def test_it_wakes_for_its_repeats_and_does_not_spin(scene: Scene) -> None:

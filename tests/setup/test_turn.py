@@ -84,7 +84,7 @@ def asked(place: Path, values: dict[str, object], **given: str) -> dict[str, obj
 
 def test_a_number_that_is_given_is_taken_and_an_unknown_one_stays_unset(place: Path) -> None:
     assert asked(place, dict(VALUES), per_rps="22") == {"board.per_rps": 22.0}, "no wheel was turned for it"
-    with pytest.raises(Left, match="nobody is here to turn a wheel"):
+    with pytest.raises(Left, match="there is no terminal to ask you at"):
         asked(place, dict(VALUES))
     assert asked(place, dict(VALUES), per_rps="unknown") == {}
     with pytest.raises(Left, match="type a number above 0, up to 100000, or unknown"):
@@ -100,7 +100,7 @@ def test_a_turn_of_before_the_setup_was_left_confirms_its_number_and_no_other(pl
 
 
 def test_without_a_person_the_scale_has_to_be_given(place: Path) -> None:
-    with pytest.raises(Left, match="nobody is here to turn a wheel: give --per-rps"):
+    with pytest.raises(Left, match="there is no terminal to ask you at: give --per-rps"):
         asked(place, dict(VALUES))
 
 
@@ -134,7 +134,7 @@ def test_counts_are_told_either_way_and_over_a_wrap(
 
 
 def test_sizes_of_a_robot_without_a_name_are_asked_for_and_nobody_elses_are_offered(place: Path) -> None:
-    with pytest.raises(Left, match="nobody is here to ask: Wheel diameter, m Give --diameter-m"):
+    with pytest.raises(Left, match="there is no terminal to ask you at"):
         sizes.step(talk(place), VALUES, known=False)
     measured = {"diameter_m": "0.065", "track_m": "0.3", "vx_mps": "0.2", "wz_radps": "1"}
     assert sizes.step(talk(place, **measured), VALUES, known=False)["wheels.track_m"] == 0.3

@@ -42,13 +42,13 @@ def proved(person: Person) -> None:
         person.reads(" skipped")
         if "INVALID" not in person.reads("Proved is what was done here"):
             return
-        person.says("Make it once more?", "")
+        person.says("Run it again?", "")
     pytest.skip("the machine is too busy")
 
 
 def unproved(person: Person) -> None:
     """The proof is left out, and the settings are written all the same."""
-    person.reads("Not proved: it was left out.")
+    person.reads("You skipped the stand test, so nothing is proved yet.")
 
 
 @pytest.mark.slow
@@ -61,10 +61,10 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
         person.says("Which port is the board at?", port)
         person.reads(f"({kind})")
         if name:
-            listed = person.reads("The robot's number?")
+            listed = person.reads("Which number is your robot?")
             person.types(listed.split(f" {name} ")[0].split()[-1])
         if name == "other":
-            person.says("How are its wheels?", "omni3" if wheels is THREE else "differential")
+            person.says("What kind of drive does it have?", "omni3" if wheels is THREE else "differential")
         person.says("Type yes:", "yes")
         if kind in ("arduino", "vesc"):
             person.reads("How many turns did it make?")
@@ -72,7 +72,7 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
             person.types("2")
         wiring = Wiring(board, wheels)
         for id_ in wheels:
-            person.reads(f"Id {id_}: which wheel, which way?")
+            person.reads(f"Id {id_}: which wheel turned, and which way?")
             person.types(wiring.seen())
         person.reads("and the rear one stand?" if wheels is THREE else "Did every wheel turn forward?")
         assert wiring.together() == ({"left": -1, "right": 1} if wheels is THREE else dict.fromkeys(named, 1))
@@ -91,7 +91,7 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
             measured = {"Wheel diameter": "0.08", across: "0.15"} if name in UNNAMED else {}
             person.says(question, measured.get(question, ""))
         (proved if LONG else unproved)(person)
-        person.says("Write them to which file?", "")
+        person.says("Which file should they be written to?", "")
         person.reads("Next")
         assert person.ends() == 0
         assert not any(board.wheels())

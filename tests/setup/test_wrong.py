@@ -54,13 +54,13 @@ def talk(place: Path, **given: str) -> Talk:
 UNKEPT = ("stand", "prove", "file")
 """These are asked each time."""
 WHEELS_TOO = ("wheel_0", "wheel_1")
-WRONG_WHEELS = "answers about the wheels must be wrong: give them again"
-LEAVES = "nothing is written; `failstop setup` goes on from here"
+WRONG_WHEELS = "answers about the wheels must be wrong: give them all again"
+LEAVES = "no settings were written; run `failstop setup` again to go on from here"
 WRONG: dict[str, tuple[dict[str, str], tuple[str, ...], str]] = {
     "no port": ({"port": "/nowhere"}, (), "there is no /nowhere: plug the board in, or type another"),
     "no path": ({"port": "ttyUSB0"}, (), "type a path such as /dev/ttyACM0, or unplug"),
-    "no serial port": ({"port": "/dev/null"}, (), "/dev/null is no serial port"),
-    "a folder": ({"port": "/tmp"}, (), "/tmp is no serial port"),
+    "no serial port": ({"port": "/dev/null"}, (), "/dev/null is not a serial port"),
+    "a folder": ({"port": "/tmp"}, (), "/tmp is not a serial port"),
     "no kind": (
         {"board": "esp32"},
         (),
@@ -74,7 +74,7 @@ WRONG: dict[str, tuple[dict[str, str], tuple[str, ...], str]] = {
     "no robot": ({"robot": "9"}, (), "type a number from 1 to 4"),
     "not on a stand": ({"stand": "no"}, (), "nothing was moved: put the robot on a stand"),
     "no wheel": ({"wheel_0": "middle+"}, (), "type the wheel (left, right), then + for forward or - for backward"),
-    "two of one": ({"wheel_1": "left-"}, WHEELS_TOO, "left was said of id 0 and of id 1: one wheel can't have two"),
+    "two of one": ({"wheel_1": "left-"}, WHEELS_TOO, "left can't be the wheel of both id 0 and id 1"),
     "none": (
         {"wheel_0": "none"},
         (),
@@ -84,9 +84,9 @@ WRONG: dict[str, tuple[dict[str, str], tuple[str, ...], str]] = {
     "to the right": ({"turn": "no"}, (*WHEELS_TOO, "forward"), WRONG_WHEELS),
     "in millimetres": ({"diameter_m": "80"}, (), "type a number from 0.02 to 1, in m"),
     "no number": ({"wz_radps": "fast"}, (), "in rad/s"),
-    "no folder": ({"file": "/nowhere/made.toml"}, (), "this user may not write to /nowhere: type another path, or no"),
+    "no folder": ({"file": "/nowhere/made.toml"}, (), "you may not write to /nowhere: type another path, or no"),
     "no file": ({"file": "/tmp"}, (), "/tmp is no file: type another path, or no"),
-    "unwritten": ({"file": "no"}, (), "you left the settings out"),
+    "unwritten": ({"file": "no"}, (), "you chose not to write the settings"),
     "no word": ({"replace": "yes"}, (), "type the whole word replace, or no"),
 }
 """Each wrong answer at each step: what is said, which answers before it are asked anew, and the sentence."""
@@ -139,7 +139,7 @@ def test_a_wrong_answer_ends_with_what_helps_and_is_taken_up_again(
     assert done.returncode == 1
     assert sentence in flat(done)
     assert LEAVES in flat(done)
-    assert "nothing was written; nothing is written" not in flat(done)
+    assert "nothing was written; no settings were written" not in flat(done)
     if "replace" in said:
         assert (place / "made.toml").read_text() == "there"
         (place / "made.toml").unlink()
@@ -159,8 +159,11 @@ def test_a_wrong_answer_ends_with_what_helps_and_is_taken_up_again(
 @pytest.mark.parametrize(
     ("mode", "sentences"),
     [
-        (0o600, ("User nobody may not open ", "which is of the group root. -> the Debian package", "can't be used so")),
-        (0o666, ("this user may not write to ",)),
+        (
+            0o600,
+            ("User nobody may not open ", "which is of the group root. -> the Debian package", "can't be used yet"),
+        ),
+        (0o666, ("you may not write to ",)),
     ],
 )
 def test_missing_rights_are_told_with_what_gives_them(
@@ -195,11 +198,11 @@ def test_missing_rights_are_told_with_what_gives_them(
 UNPLUGGED = f"is unplugged: {MAY_TURN}"
 DEAF = f"the board did not confirm it: {MAY_TURN}"
 STOPPED = "the wheels are stopped, as the board reports"
-UNPROVED = "the robot is not proved"
+UNPROVED = "the robot did not pass the stand test"
 FAULTS: dict[tuple[str, str], str] = {
     ("ask", "silent"): "no board that failstop knows answers at",
     ("ask", "deaf"): "it does not hear; look at the board's power; its cable, whose TX and RX cross",
-    ("ask", "unplug"): "went away",
+    ("ask", "unplug"): "has disappeared",
     **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("ctrl-c", "hang-up")), STOPPED),
     **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("unplug",)), UNPLUGGED),
     **dict.fromkeys(product(("wheel_0", "forward"), ("deaf",)), DEAF),
@@ -253,7 +256,7 @@ def test_a_fault_ends_it_with_what_helps_and_the_wheels_stand(step: str, fault: 
                 person.reads(f"{UNPLUGGED}. Plug it in again")
                 person.presses(CTRL_C)
             if sentence == UNPROVED:
-                person.says("Make it once more?", "no")
+                person.says("Run it again?", "no")
             if sentence:
                 person.reads(sentence)
                 person.reads(LEAVES)
@@ -286,11 +289,11 @@ def test_an_unplugged_board_is_waited_for_and_stopped(back: bool, place: Path) -
             assert any(board.wheels())
             if back:
                 board.replug()
-                person.reads(f"failstop: {CONFIRMED}; nothing is written")
+                person.reads(f"failstop: {CONFIRMED}; no settings were written")
                 assert not any(board.wheels())
             else:
                 person.presses(CTRL_C)
-                person.reads(f"failstop: {port} {UNPLUGGED}; nothing is written")
+                person.reads(f"failstop: {port} {UNPLUGGED}; no settings were written")
             assert person.ends() == 1
         wait_for_its_end(port)
         assert any(board.wheels()) is not back
@@ -325,7 +328,7 @@ def test_a_no_to_all_wheels_together_has_the_wheels_asked_again(wrong: str, plac
         with Person(place, *words(place, {**given, "port": port, "file": str(place / "made.toml")})) as person:
             for wheels, fits in ((("left-", "right-"), False), (("left+", "right-"), True)):
                 for id_, wheel in enumerate(wheels):
-                    person.says(f"Id {id_}: which wheel, which way?", wheel)
+                    person.says(f"Id {id_}: which wheel turned, and which way?", wheel)
                 for key, question in (
                     ("forward", "Did every wheel turn forward?"),
                     ("turn", "Did the left wheels turn"),
@@ -393,8 +396,10 @@ def test_what_was_not_proved_is_named(place: Path, capsys: pytest.CaptureFixture
     rows = [{"path": path, "verdict": verdict} for path, verdict in (("scan", "PASS"), ("kill-gate", "INVALID"))]
     finish.closing(talk(place), "/x/s.toml", "left", {"rows": rows, "unproved": ["pad: this board has no gamepad"]})
     said = " ".join(capsys.readouterr().out.split())
-    assert "1 of 2 stop paths on this robot" in said
-    assert "not proved: kill-gate: the stand test said INVALID not proved: pad: this board has no gamepad" in said
+    assert "1 of 2 stop paths, on this robot with its wheels off the ground" in said
+    assert (
+        "not proved: kill-gate (the stand test ended with INVALID) not proved: pad: this board has no gamepad" in said
+    )
     assert "failstop run --config /x/s.toml --name left & failstop enable --name left" in said
     finish.closing(talk(place), "/x/s.toml", "left", {})
     assert "-> failstop prove --quick --config /x/s.toml --name left" in capsys.readouterr().out
@@ -409,7 +414,7 @@ def test_the_guard_port_is_offered_for_a_board_that_has_one(
     settings = {"board.kind": "arduino", "device.path": "/dev/ttyACM0", "scan.gate": gate}
     finish.closing(talk(place), "/x/s.toml", "left", {}, settings)
     said = " ".join(capsys.readouterr().out.split())
-    assert "It opens the guard port instead of /dev/ttyACM0" in said
+    assert "Let it open the guard port instead of /dev/ttyACM0" in said
     assert "failstop guard --name left" in said
     assert ('scan.gate is "on"' in said) == (gate == "on")
 
@@ -486,11 +491,11 @@ def test_what_is_typed_before_a_question_is_no_answer_to_it(place: Path) -> None
     with SimBoard(place / "b", board=KIND) as board, Person(place, *words(place, answers)) as person:
         person.reads("Type yes:")
         person.presses(b"yes\nleft+\nright+\n")
-        person.reads("Id 0: which wheel, which way?")
+        person.reads("Id 0: which wheel turned, and which way?")
         turned = [event for event in board.events() if is_motion(event)]
         assert turned, "the wheel had turned"
         person.types("right-")
-        person.reads("Id 1: which wheel, which way?")
+        person.reads("Id 1: which wheel turned, and which way?")
         assert json.loads((place / "state/setup.json").read_text())["wheel_0"] == "right-"
         person.presses(CTRL_C)
         assert person.ends() == 1

@@ -39,7 +39,7 @@ def test_the_source_that_is_always_there_can_be_set() -> None:
 
 def test_the_gamepad_is_a_source_without_settings() -> None:
     assert refusal({"sources.gamepad.priority": 5}) == (
-        f"sources.{PAD_SOURCE}.priority: the board's gamepad is a source above all others, with no settings"
+        f"sources.{PAD_SOURCE}.priority: the board's gamepad always has the highest priority, so it has no settings"
     )
     assert BY_PRIORITY.high is not None
     assert BY_PRIORITY.high < sources.PAD_PRIORITY
@@ -58,35 +58,34 @@ def test_names_that_are_allowed(name: str) -> None:
 @pytest.mark.parametrize("name", ["A", "a b", "ä", "abcdefghijklmnopq", "a=b", "a\nb"])
 @pytest.mark.parametrize("processes", FAMILIES)
 def test_names_that_are_not(processes: str, name: str) -> None:
-    assert refusal({f"{processes}.{name}": {}}) == f"{processes}.{name!r}: allowed as a name is 1 to 16 of a-z 0-9 _ -"
+    assert (
+        refusal({f"{processes}.{name}": {}}) == f"{processes}.{name!r}: a name has 1 to 16 characters, of a-z 0-9 _ -"
+    )
 
 
 def test_at_most_eight_of_each() -> None:
     seven = {f"sources.s{n}.priority": n for n in range(1, 8)}
     assert len(Settings(dict(seven)).sources()) == 8
-    assert (
-        refusal({**seven, "sources.s8.priority": 8})
-        == "sources.s8: one too many, at most 8 sources are allowed (cmd_vel is one)"
-    )
+    assert refusal({**seven, "sources.s8.priority": 8}) == "sources.s8: at most 8 sources are allowed (cmd_vel is one)"
     eight: dict[str, object] = {f"interlocks.i{n}": {} for n in range(8)}
     assert len(Settings(dict(eight)).interlocks()) == 8
-    told = "interlocks.i8: one too many, at most 8 interlocks are allowed"
+    told = "interlocks.i8: at most 8 interlocks are allowed"
     assert refusal({**eight, "interlocks.i8": {}}) == told
 
 
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"sources.a.priority": 101}, "sources.a.priority = 101: allowed is 0 to 100"),
-        ({"sources.a.priority": 1.5}, "sources.a.priority = 1.5: a whole number is expected, 0 to 100"),
-        ({"sources.a.timeout_s": 9}, "sources.a.timeout_s = 9: allowed is 0.05 to 2 s"),
-        ({"interlocks.a.timeout_s": 0}, "interlocks.a.timeout_s = 0: allowed is 0.05 to 10 s"),
-        ({"interlocks.a.refusal": 5}, "interlocks.a.refusal = 5: a text is expected, 0 to 255 characters of one line"),
-        ({"sources.a.prio": 5}, "sources.a.prio: no such setting; did you mean sources.a.priority?"),
-        ({"interlocks.a.b.c": 5}, "interlocks.a.b.c: no such setting; did you mean interlocks.a.refusal?"),
-        ({"sources.a": 5}, "sources.a = 5: a table is expected, [sources.NAME]"),
-        ({"sources": 5}, "sources = 5: a table is expected, [sources.NAME]"),
-        ({"sources.a": [{}]}, "sources.a = [{}]: a table is expected, [sources.NAME]"),
+        ({"sources.a.priority": 101}, "sources.a.priority = 101: it must be 0 to 100"),
+        ({"sources.a.priority": 1.5}, "sources.a.priority = 1.5: it must be a whole number, 0 to 100"),
+        ({"sources.a.timeout_s": 9}, "sources.a.timeout_s = 9: it must be 0.05 to 2 s"),
+        ({"interlocks.a.timeout_s": 0}, "interlocks.a.timeout_s = 0: it must be 0.05 to 10 s"),
+        ({"interlocks.a.refusal": 5}, "interlocks.a.refusal = 5: it must be a text of 0 to 255 characters of one line"),
+        ({"sources.a.prio": 5}, "sources.a.prio is not a setting; did you mean sources.a.priority?"),
+        ({"interlocks.a.b.c": 5}, "interlocks.a.b.c is not a setting; did you mean interlocks.a.refusal?"),
+        ({"sources.a": 5}, "sources.a = 5: it must be a table, [sources.NAME]"),
+        ({"sources": 5}, "sources = 5: it must be a table, [sources.NAME]"),
+        ({"sources.a": [{}]}, "sources.a = [{}]: it must be a table, [sources.NAME]"),
     ],
 )
 def test_what_a_named_table_must_not_say(changed: dict[str, object], message: str) -> None:

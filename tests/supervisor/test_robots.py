@@ -51,33 +51,36 @@ REFUSALS: dict[str, tuple[dict[str, object], str]] = {
     ),
     "a robot of another board": (
         {"board.kind": "ugv", "board.robot": "jetrover"},
-        "board.robot: it names a robot with",
+        "board.robot: it is only for robots with",
     ),
     "a third wheel of two": (
         {"board.kind": "ugv", "wheels.sign_3": 1},
-        "wheels.sign_3: this robot has 2 wheels (1 left, 2 right); take it out",
+        "wheels.sign_3: this robot has 2 wheels (1 left, 2 right), so remove it",
     ),
-    "a fourth of three": ({"wheels.layout": "omni3", "wheels.id_4": 3}, "(1 left, 2 rear, 3 right); take it out"),
+    "a fourth of three": ({"wheels.layout": "omni3", "wheels.id_4": 3}, "(1 left, 2 rear, 3 right), so remove it"),
     "more wheels than speeds": (
         {"board.kind": "ugv", "wheels.layout": "omni3"},
-        'it has 3 wheels, and board.kind ugv takes 2 speeds; allowed is "differential"',
+        'such a base has 3 wheels, but board.kind ugv drives 2; use "differential"',
     ),
-    "an id that the board has not": ({"board.kind": "ugv", "wheels.id_2": 3}, "board.kind ugv has the ids 0 to 1"),
-    "one id twice": ({"wheels.id_2": 0}, "wheels.id_1 is 0 too; no two may be equal"),
-    "a lever of a base without": ({"wheels.lever_m": 0.1}, 'wheels.lever_m: wheels.layout "mecanum" has none'),
+    "an id that the board has not": ({"board.kind": "ugv", "wheels.id_2": 3}, "on board.kind ugv, ids go from 0 to 1"),
+    "one id twice": ({"wheels.id_2": 0}, "wheels.id_1 is 0 too, but they must differ"),
+    "a lever of a base without": (
+        {"wheels.lever_m": 0.1},
+        'wheels.lever_m: a base with wheels.layout "mecanum" has none',
+    ),
     "steering without a servo": (
         {"board.kind": "ugv", "wheels.layout": "ackermann"},
-        "board.kind ugv has no servo that steers",
+        "board.kind ugv can't move a servo that steers",
     ),
     "steering by a joint of the arm": (
         {"wheels.layout": "ackermann", "steering.kind": "bus", "steering.servo": 9, "steering.centre": 500}
         | {"steering.per_rad": 200.0, "joints.base.servo": 9},
         "steering.servo is 9 too",
     ),
-    "a fifth PWM servo": ({"wheels.layout": "ackermann", "steering.servo": 5}, "a pwm servo has an id of 1 to 4"),
+    "a fifth PWM servo": ({"wheels.layout": "ackermann", "steering.servo": 5}, "the id of a pwm servo is 1 to 4"),
     "steering past the servo's end": (
         {"wheels.layout": "ackermann", "steering.most_deg": 60.0, "steering.per_rad": 1000.0},
-        "a pwm servo has 500 to 2500",
+        "a pwm servo goes only from 500 to 2500",
     ),
 }
 

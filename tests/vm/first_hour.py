@@ -16,12 +16,12 @@ from tests.vm.table import Result
 SAYS_S = 400.0
 """The guest takes ten seconds to start a command of failstop's, and a stand test has some twenty rows."""
 TURNS_S = 60.0
-LEAVES = "nothing is written; `failstop setup` goes on from here"
+LEAVES = "no settings were written; run `failstop setup` again to go on from here"
 WIRES = {0: "rr-", 1: "fl+", 2: "fr-", 3: "rl+"}
 """The wheel at each id, and its motor's sign, for setup to find out."""
 FORWARD = {name[:-1]: 1 for name in WIRES.values()}
 TO_THE_LEFT = FORWARD | {"fl": -1, "rl": -1}
-WHICH_FILE = "Write them to which file?"
+WHICH_FILE = "Which file should they be written to?"
 SIZES = ("Wheel diameter", "Distance between the front and the rear", "Distance between the left and the right")
 LIMITS = ("Highest speed forward", "Highest speed sideways", "Highest turn rate")
 PULLED = 2
@@ -101,7 +101,7 @@ def _until_the_pull(scene: Scene, found: Result) -> int:
         scene.board.events()
         person.says("Type yes:", "yes")
         for id_ in range(PULLED):
-            person.reads(f"Id {id_}: which wheel, which way?")
+            person.reads(f"Id {id_}: which wheel turned, and which way?")
             person.types(one(scene))
         scene.board.wait_wheels(True, TURNS_S)
         scene.board.unplug()
@@ -123,7 +123,7 @@ def _to_the_end(scene: Scene, found: Result) -> int:
         scene.board.events()
         person.says("Type yes:", "yes")
         for id_ in range(PULLED, len(WIRES)):
-            person.reads(f"Id {id_}: which wheel, which way?")
+            person.reads(f"Id {id_}: which wheel turned, and which way?")
             person.types(one(scene))
         person.reads("Did every wheel turn forward?")
         wrong_unless(found, not_all_forward=turned(scene) == FORWARD)
@@ -134,14 +134,14 @@ def _to_the_end(scene: Scene, found: Result) -> int:
         for question in (*SIZES, *LIMITS):
             person.says(question)
         person.says('Type "spin"', "spin")
-        said = person.reads("Make it once more?", WHICH_FILE)
+        said = person.reads("Run it again?", WHICH_FILE)
         found.note = "proved"
         if not said.endswith(WHICH_FILE):
             # The guest may be too slow for it.
             found.note = "the stand test: INVALID"
-            wrong_unless(found, the_stand_test_fails="said INVALID" in said)
+            wrong_unless(found, the_stand_test_fails="ended with INVALID" in said)
             person.types("no")
-            person.says("all the same?", "yes")
+            person.says("anyway?", "yes")
             person.reads(WHICH_FILE)
         person.types()
         person.says("to replace it:", "replace")

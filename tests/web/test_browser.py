@@ -89,7 +89,7 @@ def test_a_wrong_code_is_told(tab: Tab) -> None:
     tab.tap("#pair summary")
     tab.run("document.getElementById('code').value = '0000-0000'")
     tab.tap("#pair button")
-    tab.until("document.getElementById('pair-why').textContent.includes('no code is on offer')")
+    tab.until("document.getElementById('pair-why').textContent.includes('there is no code to enter now')")
 
 
 def test_space_in_a_field_is_a_space(trial: Trial, tab: Tab) -> None:

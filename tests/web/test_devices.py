@@ -38,22 +38,22 @@ def test_different_bytes_are_different_codes() -> None:
 def test_a_code_pairs_once() -> None:
     pairing = offered()
     pairing.redeem("ab12 cd34", 100.0)
-    with pytest.raises(NotPaired, match="no code is on offer"):
+    with pytest.raises(NotPaired, match="there is no code to enter now"):
         pairing.redeem(CODE, 100.0)
 
 
 def test_a_code_ends_after_two_minutes() -> None:
     offered().redeem(CODE, 100.0 + CODE_S)
-    with pytest.raises(NotPaired, match="no code is on offer"):
+    with pytest.raises(NotPaired, match="there is no code to enter now"):
         offered().redeem(CODE, 100.1 + CODE_S)
 
 
 def test_guessing_ends_the_offer() -> None:
     pairing = offered()
     for _ in range(TRIES):
-        with pytest.raises(NotPaired, match="not the code"):
+        with pytest.raises(NotPaired, match="wrong code"):
             pairing.redeem("AB12-CD35", 100.0)
-    with pytest.raises(NotPaired, match="no code is on offer"):
+    with pytest.raises(NotPaired, match="there is no code to enter now"):
         pairing.redeem(CODE, 100.0)
 
 
@@ -112,7 +112,7 @@ def test_no_two_devices_have_one_name() -> None:
 
 @pytest.mark.parametrize("data", [b"", b"{", b"[1]", b"[{}]", b"{}x", b'[{"id": 1}]', b"7"])
 def test_a_damaged_list_lets_nobody_in(data: bytes) -> None:
-    with pytest.raises(ValueError, match="no list of devices"):
+    with pytest.raises(ValueError, match="it is not a list of devices"):
         Devices.load(data)
 
 

@@ -224,7 +224,7 @@ def test_a_wrong_code_is_said_where_stop_does_not_cover_it(web: Web, browser: Br
         "document.getElementById('head').style.marginBottom = `${top - bottom}px`; })()"
     )
     phone.run("document.querySelector('#pair form').requestSubmit()")
-    phone.until("document.getElementById('pair-why').textContent.includes('that is not the code')")
+    phone.until("document.getElementById('pair-why').textContent.includes('wrong code')")
     assert phone.run(ABOVE_STOP.format(id="pair-why"))
 
 
@@ -237,5 +237,5 @@ def test_a_device_that_is_revoked_is_told_at_once(web: Web, browser: Browser) ->
     rows = [line.split() for line in web.command("devices").stdout.splitlines()]
     [identity] = [row[0] for row in rows if row[-1] == "Rita"]
     assert web.command("revoke", identity).returncode == 0
-    phone.until("document.getElementById('role').textContent === 'It sees, and it stops.'")
+    phone.until("document.getElementById('role').textContent === 'This device can watch and stop the robot.'")
     phone.until("document.getElementById('buttons').hidden")

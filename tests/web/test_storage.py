@@ -84,7 +84,7 @@ def test_a_revoked_device_stays_so_after_a_restart_with_a_full_disk(tmp_path: Pa
         identity = web.command("devices").stdout.split()[0]
         fill(tiny)
         said = web.command("revoke", identity)
-        assert (said.returncode, said.stdout) == (0, "Anna may see and stop, and nothing else any more\n")
+        assert (said.returncode, said.stdout) == (0, "Anna can now only watch and stop the robot\n")
     with Web("kept-nobody", "--config", str(config), state=str(tiny)) as web:
         assert [web.post("/api/disable", headers=each)[0] for each in headers] == [401, 409]
 

@@ -39,7 +39,7 @@ def shown(state: State) -> dict[str, Any]:
         (
             states.state(enabled=True, blocked="cmd timeout"),
             "CAN MOVE",
-            "nobody commands",
+            "no program sends commands",
             "Start your driving program",
         ),
         (states.state(enabled=True, blocked="no scan"), "CAN MOVE", "sensor is silent", "Start the obstacle sensor"),
@@ -86,6 +86,13 @@ def test_a_device_without_buttons_is_told_of_none(state: State) -> None:
     assert any(button in found["next"] for button in ("RESET", "ENABLE", "ATTEND"))
     assert not any(button in found["next_unpaired"] for button in ("RESET", "ENABLE", "ATTEND"))
     assert "a paired device or failstop " in found["next_unpaired"]
+
+
+def test_a_device_with_the_stick_is_told_to_use_it() -> None:
+    found = shown(states.state(enabled=True, blocked="cmd timeout"))
+    assert found["next_driver"] == "Hold the stick to drive."
+    assert found["next"] == "Start your driving program."
+    assert found["next_unpaired"] == "Start your driving program."
 
 
 @pytest.mark.parametrize("kind", causes.BY_NUMBER.values(), ids=lambda kind: kind.name)

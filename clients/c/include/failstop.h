@@ -19,9 +19,9 @@
  * Fork and exec: a handle belongs to the process that opened it. In a child made by fork() every call but fs_stop() and
  * fs_close() returns FS_FORKED, and the parent keeps its slot. An exec() ends the client just as a kill does.
  *
- * Descriptors: a handle has some, all of them closed on exec. If a program closes them all the same, for example by
- * closefrom(), every call returns FS_NO_SERVICE, fs_stop() goes on working, and nothing is written to the files that get
- * these numbers next.
+ * Descriptors: a handle holds a few file descriptors, which are closed on exec. If your program closes them itself, for
+ * example with closefrom(), every call returns FS_NO_SERVICE, but fs_stop() still works, and failstop never writes to a
+ * file that gets one of their numbers later.
  */
 #ifndef FAILSTOP_H
 #define FAILSTOP_H

@@ -197,7 +197,7 @@
 #define CAUSES \
     {1, "died", \
      "{process} died", \
-     "look at what happened before it (`failstop events`), if it is not the first time"}, \
+     "if this is not the first time, look at what happened before it (`failstop events`)"}, \
     {2, "hangs", \
      "{process} hangs: {ms:d} ms silent", \
      "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"}, \
@@ -208,11 +208,11 @@
      "supervisor was held up for {ms:d} ms", \
      "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"}, \
     {5, "mute", \
-     "gate beats but sends nothing: {ms:d} ms", \
-     "report it with its incident (`failstop incident list`), because it is a bug in failstop or damaged memory"}, \
+     "gate runs but has sent nothing for {ms:d} ms", \
+     "report it with its incident (`failstop incident list`), because either failstop has a bug or memory was damaged"}, \
     {6, "bad_frame", \
      "the gate's frame was refused: {fault}", \
-     "report it with its incident (`failstop incident list`), because it is a bug in failstop or damaged memory"}, \
+     "report it with its incident (`failstop incident list`), because either failstop has a bug or memory was damaged"}, \
     {7, "suspended", \
      "the machine was suspended for {s:.1f} s", \
      "keep the computer from sleeping while the robot is on (`systemctl mask sleep.target`)"}, \
@@ -245,16 +245,16 @@
      "ask the people near the robot"}, \
     {17, "requested", \
      "stop request[: {words}] (says it is {who}, pid {pid:d})", \
-     "make sure that whatever it was for is over"}, \
+     "make sure that the reason for the stop is gone"}, \
     {18, "piped", \
      "stop request[: {words}]", \
-     "make sure that whatever it was for is over"}, \
+     "make sure that the reason for the stop is gone"}, \
     {19, "stopping", \
      "service is stopping", \
      "start the service again"}, \
     {20, "all_died", \
-     "all of the service died", \
-     "look at what happened before it (`failstop events`), if it is not the first time"}, \
+     "the whole service died", \
+     "if this is not the first time, look at what happened before it (`failstop events`)"}, \
     {21, "silent", \
      "the supervisor is silent", \
      "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"}, \
@@ -266,13 +266,13 @@
      "charge it; you may reset and drive to the charger, because failstop stops for this only once per charge"}, \
     {24, "fleet", \
      "stop request[: {words}] (says it is the fleet, for {who})", \
-     "make sure that whatever it was for is over"}, \
+     "make sure that the reason for the stop is gone"}, \
     {27, "supervisor_suspended", \
      "supervisor was suspended for {s:.1f} s by a signal", \
      "leave the service running in its terminal, or end it with Ctrl-C"}, \
     {28, "defect", \
      "internal error: {process}: {event} while {state}", \
-     "report it with its incident (`failstop incident list`), because it is a bug in failstop or damaged memory"}, \
+     "report it with its incident (`failstop incident list`), because either failstop has a bug or memory was damaged"}, \
     {30, "two_move_the_arm", \
      "multiple arm/goal publishers: {who}, {rival}", \
      "end one of them, because only one program may move the arm at a time"}, \
@@ -286,8 +286,8 @@
      "driver silent: {who}, {ms:d} ms", \
      "check that program: it may hang, or be suspended (Ctrl-Z)"}, \
     {43, "runaway", \
-     "the {wheel} wheel ran away: told {told:.2f} turns a second, and it turned {seen:.2f}", \
-     "check that wheel's motor, encoder and wiring, wheels.sign_* and board.per_rps, and whether it stands on a slope"}, \
+     "the {wheel} wheel ran away: it turned {seen:.2f} turns a second instead of {told:.2f}", \
+     "check that wheel's motor, encoder and wiring, wheels.sign_* and board.per_rps, and whether the robot is on a slope"}, \
     {44, "board_silent", \
      "the board is silent", \
      "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels; then check the board's power and its cable; `failstop doctor` shows whether a login or another program takes the answers from the port"}, \
@@ -314,7 +314,7 @@
      "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"}, \
     {52, "wheel_missing", \
      "wheel lost: {wheel} does not answer", \
-     "check its plug on the bus, its power and its id; if its wheel turns, use the POWER SWITCH"}, \
+     "check its plug on the bus, its power and its id; if that wheel still turns, use the POWER SWITCH"}, \
     {53, "ros_stranger", \
      "stop request: stranger on cmd_vel: {words} (says it is {who}, pid {pid:d})", \
      "end that node, or add its name to the bridge's allowed_publishers and start the bridge again"}, \

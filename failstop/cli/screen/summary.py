@@ -103,7 +103,7 @@ def _drivers(state: State, left_off: Event | None, now_s: float) -> list[Line]:
     rows = []
     for source in state.sources:
         drives = source.state == "drives"
-        text = f"{source.who} as {source.source}, priority {source.priority}"
+        text = f"{source}, priority {source.priority}" if source.priority or len(state.sources) > 1 else f"{source}"
         rows.append(row("driver" if drives else source.state, text, OK if drives and state.moving else PLAIN))
     if not rows:
         rows.append(row("driver", "nobody commands"))

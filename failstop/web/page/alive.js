@@ -1,7 +1,7 @@
-// Alive: whether the browser itself answers. When its main process hangs, this page goes on by itself: it answers the robot,
-// and hears of no finger any more, neither of one that is lifted from the stick or from a button nor of one on STOP.
+// Alive: checks whether the browser itself answers. If its main process hangs, this page still runs and answers the robot,
+// but gets no touches any more: it does not see a finger leave the stick or a button, and it does not see one on STOP.
 const EVERY_MS = 100, MOST_MS = 500;
-export const TOO_OLD = navigator.locks ? "" : "This browser is too old: it can't tell whether it hangs.";
+export const TOO_OLD = navigator.locks ? "" : "This browser is too old: the page can't check whether it hangs.";
 let answered = -Infinity; // when the newest question that has an answer was asked
 let watches = false, turn = 0;
 

@@ -1,4 +1,4 @@
-// Attend: this device proves, ten times a second, that it is awake, unlocked, shows this page, and that its browser answers.
+// Attend: ten times a second, this device proves that it is awake and unlocked, shows this page, and has a browser that answers.
 import {reconnect, send} from "/link.js";
 import {kept, sign} from "/keys.js";
 import {command} from "/drive.js";
@@ -27,14 +27,14 @@ function leave(why) {
 
 async function begin() {
   key = await kept().catch(() => null);
-  if (!key) { show("This device has no key: it has to be paired over HTTPS."); return; }
+  if (!key) { show("This device has no key, so pair it again over HTTPS."); return; }
   if (TOO_OLD) { show(TOO_OLD); return; }
   attend(true);
   send({attend: true});
-  show("The robot stops when this page is hidden, the phone is locked, or the network is gone.");
+  show("The robot stops if you hide this page, lock the phone or lose the network.");
 }
 
-$("attend").addEventListener("click", () => (attends ? leave("Nobody attends by this device.") : begin()));
+$("attend").addEventListener("click", () => (attends ? leave("You stopped attending on this device.") : begin()));
 addEventListener("lease", async ({detail}) => {
   if (detail.attend) { attend(false); show(detail.attend); return; }
   if (!detail.nonce || !attends || document.hidden) return;
@@ -44,10 +44,10 @@ addEventListener("lease", async ({detail}) => {
   if (drive && !command()) answer = await sign(key, detail.nonce + (drive = "")); // let go meanwhile
   send({nonce: detail.nonce, answer, drive});
 });
-addEventListener("visibilitychange", () => { if (document.hidden) leave("The page was hidden: attending has ended."); });
-addEventListener("pagehide", () => leave("The page was left."));
-addEventListener("link-lost", () => { if (attends) leave("The link was lost: attending has ended."); });
-// The robot knows a connection by what it was when it began.
+addEventListener("visibilitychange", () => { if (document.hidden) leave("You stopped attending, because the page was hidden."); });
+addEventListener("pagehide", () => leave("You stopped attending, because you left the page."));
+addEventListener("link-lost", () => { if (attends) leave("You stopped attending, because the connection was lost."); });
+// The robot treats a connection as what it was when it began, so a new pairing needs a new connection.
 addEventListener("paired", () => { known = false; reconnect(); });
 addEventListener("link-open", () => { known = true; show(); });
 addEventListener("device", ({detail}) => { paired = !!detail.device; if (!paired) leave(""); show(); });

@@ -21,7 +21,7 @@ async function ask({verb, percent}) {
     const found = await post(`/api/${verb}`, {percent: Number(percent)});
     said(found.said || found.error, !found.ok);
   } catch {
-    said("The robot was not reached: nothing was changed, as far as is known.", true);
+    said("The robot could not be reached. As far as this page knows, nothing changed.", true);
   }
 }
 
@@ -39,7 +39,7 @@ function cancel(why) {
 function late() {
   const at = performance.now(), gap = at - holding.at;
   holding.at = at;
-  if (gap > TICK_MS + LATE_MS) cancel("Cancelled: this page was held up meanwhile. Hold again.");
+  if (gap > TICK_MS + LATE_MS) cancel("Cancelled, because this page was held up. Hold again.");
   return !holding;
 }
 
@@ -49,7 +49,7 @@ function begin(button) {
   if (can[verb]) { said(`Not now: ${can[verb]}.`, true); return; }
   if (verb === "disable" || percent <= limit) { ask(button.dataset); return; }
   if (TOO_OLD) { said(TOO_OLD, true); return; }
-  if (!send({hold: verb, id, epoch, percent: Number(percent) || 0})) { said("Not now: no connection to the robot. Try again.", true); return; }
+  if (!send({hold: verb, id, epoch, percent: Number(percent) || 0})) { said("Not now: there is no connection to the robot. Try again.", true); return; }
   said("", false);
   button.classList.add("held");
   const tick = () => { if (!late()) send({held: id}); };
@@ -75,7 +75,7 @@ async function enough(id) {
 function click(button) {
   const {verb, percent} = button.dataset;
   if (can[verb] || verb === "disable" || percent <= limit) begin(button);
-  else said("Hold it for 2 s: with a finger, or with Enter (in a screen reader's focus mode).", true);
+  else said("Hold this button for 2 s, with a finger or with Enter (in a screen reader's focus mode).", true);
 }
 
 function isOn(button, {clientX, clientY}) {
@@ -106,7 +106,7 @@ addEventListener("visibilitychange", cancel);
 addEventListener("stopping", () => { cancel(); said("", false); });
 addEventListener("link-lost", () => {
   cancel();
-  if (asking) said("The robot was not heard any more: see above what has become of it.", true);
+  if (asking) said("The connection was lost. The top of the page shows whether it was done.", true);
   asking = "";
 });
 addEventListener("hold", ({detail: {hold, enough: long, done, said: text}}) => {
@@ -120,7 +120,7 @@ addEventListener("hold", ({detail: {hold, enough: long, done, said: text}}) => {
 function showLimit() {
   if (performance.now() - askedAt > ASKED_MS) chosen = true;
   $("limit").dataset.percent = limit;
-  $("limit-how").textContent = `${chosen ? "" : "choose one to drive; "}lower: tap, higher: hold 2 s`;
+  $("limit-how").textContent = `${chosen ? "" : "choose one before you drive; "}tap to lower, hold 2 s to raise`;
   for (const button of document.querySelectorAll("#limit button")) {
     button.setAttribute("aria-pressed", chosen && Number(button.dataset.percent) === limit);
   }
@@ -133,7 +133,7 @@ addEventListener("lease", ({detail}) => {
 });
 addEventListener("view", (event) => {
   ({can, limit} = event.detail);
-  if (holding && event.detail.epoch !== epoch) cancel("Cancelled: a stop has come. Look at it first, then hold again.");
+  if (holding && event.detail.epoch !== epoch) cancel("Cancelled, because the robot was stopped. Look at the stop first, then hold again.");
   ({epoch} = event.detail);
   showLimit();
   for (const [verb, why] of Object.entries(can)) {

@@ -1,4 +1,4 @@
-// Device: what this one may, and how it comes to may more.
+// Device: what this device may do, and how to pair it so that it may do more.
 import {inTurn, post} from "/link.js";
 import {forget, keep} from "/keys.js";
 
@@ -10,7 +10,7 @@ let asked = 0, shown = 0; // an answer that comes after a later one is old
 function show({pairing, device, drive, lacks}, number = ++asked) {
   if (number < shown) return;
   shown = number;
-  const rights = device ? `${device}: it sees, stops, resets and enables.` : "It sees, and it stops.";
+  const rights = device ? `This device (${device}) can watch, stop, reset and enable the robot.` : "This device can watch and stop the robot.";
   $("role").textContent = lacks ? `${rights} It can't drive, because ${lacks}.` : rights;
   $("pair").hidden = !pairing || !!device;
   $("forget").hidden = !device;
@@ -18,7 +18,7 @@ function show({pairing, device, drive, lacks}, number = ++asked) {
   if (device) toldWhy("");
 }
 
-// STOP covers the lower end of the screen: what is said is brought above it.
+// STOP covers the lower end of the screen, so scroll the text above it.
 function toldWhy(text) {
   $("pair-why").textContent = text;
   if (text) $("pair-why").scrollIntoView({block: "nearest"});
@@ -43,7 +43,7 @@ document.querySelector("#pair form").addEventListener("submit", async (event) =>
     dispatchEvent(new Event("paired"));
     show({pairing: true, device: found.device});
   } catch {
-    toldWhy("The robot was not reached.");
+    toldWhy("The robot could not be reached. Try again.");
   }
 });
 
@@ -52,7 +52,7 @@ $("forget").addEventListener("click", async () => {
   if (found.ok) { await forget().catch(() => {}); show({pairing: true, device: null}); }
 });
 
-// A photographed code stands behind the #, which is sent to nobody; it is taken out of the history at once.
+// A code from a photographed QR code follows the #, which is not sent to any server; remove it from the history at once.
 const given = location.hash.slice(1);
 if (/^[\w-]+$/.test(given)) {
   history.replaceState(null, "", location.pathname);

@@ -1,9 +1,9 @@
-// Drive: a thumb stick. What it says goes out with the answers that prove this device (attend.js), and with nothing else.
+// Drive: a thumb stick. Its command travels only with the answers that prove this device (attend.js).
 import {send} from "/link.js";
 import {alive} from "/alive.js";
 
 const $ = (id) => document.getElementById(id);
-const GAP_MS = 300; // no question of the robot for this long: the command is over, and the stick has to be taken again
+const GAP_MS = 300; // without a question from the robot for this long, the command ends and the person must hold the stick again
 const STEP = 0.01;
 const KEYS = {ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1]};
 const stick = $("stick"), knob = $("knob"), pressed = new Set();
@@ -35,12 +35,12 @@ function release(why) {
 export function command() {
   const now = performance.now(), gap = now - asked;
   asked = now;
-  if (gap > GAP_MS) release("The link was too slow: let go, and take the stick again.");
-  if (!alive()) release("The browser did not answer for half a second: let go, and take the stick again.");
+  if (gap > GAP_MS) release("The connection was too slow. Let go of the stick, then hold it again.");
+  if (!alive()) release("The browser hung for half a second. Let go of the stick, then hold it again.");
   return wanted && !document.hidden ? wanted.map((value) => value.toFixed(2)).join(" ") : "";
 }
 
-// Nothing of the stick goes out before this device attends, so nothing would answer it.
+// Before this device attends, the stick sends nothing, so nothing would answer it.
 function ready() {
   const attends = $("attend").getAttribute("aria-pressed") === "true";
   $("drive-why").textContent = attends ? "" : "Not now: press ATTEND first.";

@@ -1,4 +1,4 @@
-// Incidents: a card each; its picture and its story are fetched when it is opened, and asked for again until they are made.
+// Incidents: a card for each. Opening a card fetches its picture and its story, again and again until both exist.
 import {inTurn} from "/link.js";
 
 const $ = (id) => document.getElementById(id);
@@ -28,14 +28,14 @@ function draw(picture, src, signal) {
 async function open(card, identity) {
   if (card.dataset.open) return;
   card.dataset.open = "1";
-  const base = `/api/incidents/${identity}`, list = node("ol", ""), wait = node("p", "The picture is being drawn.", {className: "dim"});
+  const base = `/api/incidents/${identity}`, list = node("ol", ""), wait = node("p", "Drawing the picture ...", {className: "dim"});
   card.append(wait, list);
   for (let whole = false; !whole; await new Promise((go) => setTimeout(go, AGAIN_MS))) {
     if (!card.open) continue; // what nobody looks at is not asked for
     const {story, picture} = await inTurn((signal) => ask(`${base}/story`, signal)).catch(() => ({}));
     if (story && !list.childElementCount) list.replaceChildren(...story.map(line));
     if (picture) whole = await inTurn((signal) => show(wait, `${base}/picture`, signal)).then(() => true, () => false);
-    else if (picture === false) { whole = true; wait.textContent = "No picture: that needs matplotlib on the robot."; }
+    else if (picture === false) { whole = true; wait.textContent = "There is no picture, because it needs matplotlib on the robot."; }
   }
 }
 

@@ -18,7 +18,7 @@ export function reconnect() {
   if (socket) socket.close();
 }
 
-// A websocket that neither opens nor fails, or says nothing any more, is left: to end it may take minutes.
+// Give up on a websocket that neither opens nor fails, or that went silent, because ending it may take minutes.
 function open(news) {
   const made = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/live`);
   const begun = performance.now();

@@ -1,4 +1,4 @@
-// The page: what comes over the websocket is shown as it is. STOP is in stop.js, and needs none of this.
+// The page: shows what comes over the websocket. STOP is in stop.js, and needs none of this.
 import {Chart, later, seldom} from "/chart.js";
 import {connect} from "/link.js";
 import "/buttons.js";
@@ -9,12 +9,12 @@ import "/incidents.js";
 import "/view.js";
 
 const $ = (id) => document.getElementById(id);
-const STALE_MS = 1000; // no news for this long: the last word is not shown as if it held
+const STALE_MS = 1000; // after this long without news, the last word is no longer shown as true
 const REST_MS = 300;
 const charts = {speed: new Chart($("speed-chart"), 0.2), shake: new Chart($("shake-chart"), 10)};
 const drawSeldom = seldom(drawLive);
-const drawn = {}; // what a list was made of: it is made anew when that has changed, as each time is a layout
-let view = null, live = null, paired = false, heard = -Infinity, behind = 0, before = 0, own = null, waits = false, spoken = "";
+const drawn = {}; // the content of each list, which is rebuilt only when that changes, because each rebuild costs a layout
+let view = null, live = null, paired = false, drives = false, heard = -Infinity, behind = 0, before = 0, own = null, waits = false, spoken = "";
 
 function text(id, value) {
   if ($(id).textContent !== value) $(id).textContent = value;
@@ -30,7 +30,7 @@ function ago(unix) {
   return seconds < 7200 ? `${Math.floor(seconds / 60)} min ago` : `${Math.floor(seconds / 3600)} h ago`;
 }
 
-// What a screen reader says of itself: a new word with its reason, and nothing of what changes all the time.
+// A screen reader announces a new word with its reason, but none of the values that change all the time.
 function speak(word, why) {
   if (spoken === word) return;
   spoken = word;
@@ -43,13 +43,13 @@ function show() {
   $("word").classList.toggle("long", view.word.length > 9);
   $("head").dataset.role = view.role;
   text("why", view.why);
-  text("next", paired ? view.next : view.next_unpaired);
+  text("next", !paired ? view.next_unpaired : drives && view.attended !== null ? view.next_driver : view.next);
   speak(view.word, view.why);
   document.title = `${view.word} - failstop`;
   showStop();
   dispatchEvent(new CustomEvent("view", {detail: view}));
-  // A finger on STOP waits for what is being drawn: what is read, not watched, is drawn when there is nothing else to do.
-  if (!drawn.facts) showRest(); // the first time at once: nothing is to move under a finger later
+  // A finger on STOP waits while the page draws, so the parts that people read but don't watch are drawn when it is idle.
+  if (!drawn.facts) showRest(); // the first time at once, so that nothing moves under a finger later
   else if (!waits) { waits = true; later(showRest, {timeout: REST_MS}); }
 }
 
@@ -82,14 +82,14 @@ function showStop() {
   if (own === null) return;
   if (view.latched) own.epoch = view.epoch;
   else {
-    // It is over when a reset is seen; a state from before the stop, which may come after the word of it, is none.
+    // A reset ends it. A state from before the stop may still arrive after the stop's answer, and does not count.
     if (view.epoch >= own.epoch) { own = null; dispatchEvent(new Event("unstopped")); }
     return;
   }
   const first = stop.t >= own.asked - 0.5;
   const proofs = first ? ["written", "acknowledged", "observed"].filter((proof) => stop[proof]) : ["written"];
   const said = proofs.map((proof) => `\u2713\u00a0${proof}`).join("  ");
-  text("stop-said", first ? said || "written" : `${said}; it was stopped already`);
+  text("stop-said", first ? said || "written" : `${said}; it had stopped already`);
   $("stop").dataset.phase = proofs.at(-1) || "written";
 }
 
@@ -97,12 +97,12 @@ function showFacts() {
   const charger = view.plugged === "unknown" ? "" : `, charger ${view.plugged}`;
   const rows = [
     ["Wheels", ""],
-    ["Drives", view.driver || "nobody"],
-    ...(view.limit < 100 ? [["Limit", `${view.limit} % of the settings' speeds`]] : []),
-    ["Stands", view.stands],
+    ["Driver", view.driver || "none"],
+    ...(view.limit < 100 ? [["Limit", `${view.limit} % of the speeds in the settings`]] : []),
+    ["Stops within", view.stands],
     ["Battery", view.battery_v ? `${view.battery_v.toFixed(2)} V${charger}${view.battery_age}` : "not known"],
     ["Port", view.port],
-    ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has never answered", unasked: "answers no question, by its nature"}[view.link] || view.link],
+    ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has never answered", unasked: "can't answer, by design"}[view.link] || view.link],
     ...(view.imu ? [] : [["IMU", "none"]]),
     ["Clients", view.clients.join(", ") || "none"],
   ];
@@ -113,7 +113,7 @@ function showFacts() {
   });
   list("troubles", view.troubles, (trouble) => node("li", trouble));
   list("processes", view.processes, ({name, state, restarts}) => {
-    const shown = node("li", `${name} ${state}${restarts ? `, started anew ${restarts} times` : ""}`);
+    const shown = node("li", `${name} ${state}${restarts ? `, restarted ${restarts === 1 ? "once" : `${restarts} times`}` : ""}`);
     shown.classList.toggle("wrong", state !== "running");
     return shown;
   });
@@ -163,9 +163,9 @@ function lost() {
   $("head").dataset.role = "lost";
   $("word").classList.add("long");
   text("word", "NO CONTACT");
-  speak("NO CONTACT", "The robot is not heard.");
-  text("why", `The robot is not heard.${view ? ` Last known: ${view.word}.` : ""}`);
-  text("next", "STOP is tried all the same. If it must stop now: POWER SWITCH.");
+  speak("NO CONTACT", "The page gets no news from the robot.");
+  text("why", `The page gets no news from the robot.${view ? ` Last known: ${view.word}.` : ""}`);
+  text("next", "STOP still tries to reach it. To be sure, use the POWER SWITCH.");
   text("since", "");
   showLive(null);
   drawLive();
@@ -189,6 +189,7 @@ addEventListener("stopped", (event) => {
 });
 addEventListener("device", ({detail}) => {
   paired = !!detail.device;
+  drives = paired && !!detail.drive;
   if (view && $("head").dataset.role !== "lost") show();
 });
 setInterval(lost, 200);

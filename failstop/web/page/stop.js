@@ -1,12 +1,12 @@
 "use strict";
-// STOP, by itself: it stands in the page, needs nothing else of it, and works before anything is connected. It has a
-// websocket of its own, since the six requests that a browser has open at a time may all be taken; and requests, where
-// there is no websocket. It goes on until a stop is written, for as long as the page is open.
+// STOP, by itself: it is part of the page, needs no other file, and works before anything is connected. It has its own
+// websocket, because all six requests that a browser keeps open may be in use, and it falls back to requests if there is
+// no websocket. It keeps trying until a stop is written, for as long as the page is open.
 (() => {
-  const EVERY_MS = 300; // an answer comes within that when it is written, or says that it was not
+  const EVERY_MS = 300; // an answer comes within this time, whether the stop was written or not
   const LATER_MS = 2000;
-  const OFTEN = 60; // tries, before it is tried less often
-  const TOLD = 3; // tries, before it is said that it is not written
+  const OFTEN = 60; // tries before it tries less often
+  const TOLD = 3; // tries before the page says that it is not written
   const ASIDE_MS = 4;
   const MOST_OPEN = 3; // of the six requests that a browser has open at a time
   const PATIENT_MS = 3000; // for the answer to a request, and for a connection
@@ -15,7 +15,7 @@
   const CLICK_MS = 1000; // a click that comes so soon after a finger is the finger's
   const button = document.getElementById("stop");
   const said = document.getElementById("stop-said"), heard = document.getElementById("alarm");
-  const HINT = matchMedia("(pointer: coarse)").matches ? "at a touch" : "so do Space and Escape";
+  const HINT = matchMedia("(pointer: coarse)").matches ? "at a touch" : "or press Space or Escape";
   let touched = -CLICK_MS, socket = null, spare = null, given = null, view = null, now = null, wait = EVERY_MS, refused = "", rests = false;
 
   function say(text, phase) {
@@ -23,7 +23,7 @@
     said.textContent = text;
     button.dataset.phase = phase;
     const alarm = phase === "failed" ? text : "";
-    if (heard.textContent !== alarm) heard.textContent = alarm; // what is written anew is said anew
+    if (heard.textContent !== alarm) heard.textContent = alarm; // writing it again makes a screen reader say it again
   }
 
   function rest() {
@@ -36,7 +36,7 @@
     return socket && socket.readyState === WebSocket.OPEN;
   }
 
-  // A connection that is not heard any more takes minutes to end: another is opened beside it, and takes its place.
+  // A silent connection takes minutes to end, so open another one next to it, which takes its place.
   function connect() {
     const made = new WebSocket(`${location.protocol.endsWith("s:") ? "wss" : "ws"}://${location.host}/api/stop/live`);
     const again = () => {
@@ -66,7 +66,7 @@
     return true;
   }
 
-  function connectAnew() {
+  function reconnect() {
     if (!socket || socket.readyState !== WebSocket.CONNECTING) connect();
   }
 
@@ -113,8 +113,8 @@
     if (now === own) say("asking ...", "asking");
     if (navigator.vibrate) navigator.vibrate(40);
     for (let number = 0; now === own; number++) {
-      own.last = number ? `${id}-${number}` : id; // a stop anew, as the one before may be lost; and by both ways the same one
-      if (number && !send(own.last) || given && performance.now() - given > SILENT_MS) connectAnew();
+      own.last = number ? `${id}-${number}` : id; // a new stop, because the last one may be lost; the same one goes both ways
+      if (number && !send(own.last) || given && performance.now() - given > SILENT_MS) reconnect();
       request(own);
       await new Promise((next) => setTimeout(next, number < OFTEN ? EVERY_MS : LATER_MS));
       if (now === own && number >= TOLD) {
@@ -125,23 +125,23 @@
     own.open.forEach((each) => each.given.abort());
   }
 
-  // Whether requests are let in at all: who stands before a page that can't stop is to know it before it matters.
+  // Check whether the robot accepts requests at all, so that people learn that this page can't stop before it matters.
   async function check() {
     try {
       const found = await ask("/api/check");
       refused = found.ok ? "" : found.error || "its requests are refused";
-      if (refused && !isOpen()) document.getElementById("why").textContent = "This page's requests are refused.";
+      if (refused && !isOpen()) document.getElementById("why").textContent = "The robot refuses this page's requests.";
       if (rests) rest();
     } catch { setTimeout(check, CHECK_MS); }
   }
 
-  // What is shown of the robot may tell that a stop is written before any answer does.
+  // The robot's state may show that a stop is written before any answer does.
   addEventListener("view", ({detail}) => {
     view = detail;
     const newer = now && view.latched && view.stop && view.stop.written && view.stop.t !== now.before;
     if (newer) done(now, {asked: now.asked || view.stop.t, written: true});
   });
-  addEventListener("paired", connect); // the robot knows a connection by what it was when it began
+  addEventListener("paired", connect); // the robot treats a connection as what it was when it began
   addEventListener("unstopped", () => { if (!now) rest(); });
   rest();
   // On touch-down, not when the finger is lifted; a click without one is a screen reader's or a keyboard's.

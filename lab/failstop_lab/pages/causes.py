@@ -18,8 +18,8 @@ acknowledges the stop; then `failstop why` says that it has, and leaves the swit
 Words in capitals stand for what differs from case to case: ROLE is what
 the process does, N is a number; what is in brackets may be absent. The name is `FAILSTOP_CAUSE` in the journal.
 """
-ANY_READER = "whoever reads the shared memory"
-"""The teller of a cause that no process notices."""
+ANY_READER = "any program that reads the shared memory"
+"""What notices a cause that none of the processes can notice, because they are dead or silent."""
 
 
 class _Word(str):

@@ -64,7 +64,7 @@ def test_an_offset_is_kept_for_lerobot_s_host_at_the_guard_port(
         (json.dumps(changed("gripper", range_min=2000, range_max=2003)), "3 steps are no joint's range: calibrate it"),
         (json.dumps(changed("wrist_roll", range_min=-1, range_max=4000)), "a servo has the steps 0 to 4095"),
         (json.dumps(changed("wrist_roll", range_min=0, range_max=4096)), "a servo has the steps 0 to 4095"),
-        (json.dumps(changed("elbow_flex", id=2)), "no two may be equal"),
+        (json.dumps(changed("elbow_flex", id=2)), "but they must differ"),
         (json.dumps(changed("elbow_flex", id=8)), "joints.elbow_flex.servo = 8: that is a wheel's"),
         (json.dumps(changed("elbow_flex", id=0)), "joints.elbow_flex.servo = 0: allowed is 1 to 100"),
         (json.dumps(changed("elbow_flex", id=True)), "no arm_elbow_flex with id, range_min, range_max"),
