@@ -16,6 +16,7 @@ from typing import NamedTuple
 from failstop_lab.pages import tried
 
 ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs/reference/tried.md"
 TOTALS = re.compile(r"^=*\s*((?:\d+ (?:failed|passed|skipped|error|errors|xfailed)(?:, )?)+)", re.MULTILINE)
 """pytest's last line: how many passed, failed and were skipped."""
 PASSED = {"good": "passed"}
@@ -77,13 +78,19 @@ def said(*words: str) -> str:
     return done.stdout.strip() if done.returncode == 0 else ""
 
 
+def tree() -> str:
+    """The commit of this checkout, with a + where a file differs from it. The files that a row before this one has
+    renewed don't count, because nothing is tried with them."""
+    others = [f":(exclude){path.relative_to(ROOT)}" for path in (tried.FILE, PAGE)]
+    changed = said("git", "status", "--porcelain", "--untracked-files=no", "--", ".", *others)
+    return said("git", "rev-parse", "--short=8", "HEAD") + ("+" if changed else "")
+
+
 def attempt(name: str) -> list[tried.Attempt]:
     """Try a row, showing what it prints; its records."""
     row = ROWS[name]
     print(f"== {name}: make {' '.join(row.command)}", flush=True)
-    # Before it runs: somebody may go on working meanwhile.
-    dirty = "+" if said("git", "status", "--porcelain", "--untracked-files=no") else ""
-    commit = said("git", "rev-parse", "--short=8", "HEAD") + dirty
+    commit = tree()  # before it runs, because somebody may go on working meanwhile
     lines = []
     with subprocess.Popen(
         ("make", *row.command), cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
@@ -114,7 +121,7 @@ def main(names: list[str]) -> int:
         found = attempt(name)
         tried.kept(found)
         failed |= any("FAILED" in record["result"] for record in found)
-    (ROOT / "docs/reference/tried.md").write_text(tried.page(), "utf-8")
+    PAGE.write_text(tried.page(), "utf-8")
     return int(failed)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,32 @@ def test_a_run_becomes_a_record_of_what_it_was_tried_with(tried: Any, monkeypatc
     assert tuple(found) == page.IN_A_RECORD
     assert (found["what"], found["with"], found["result"]) == ("make itself", "GNU make", "passed")
     assert found["row"] == "make tried ROWS=make"
+
+
+@pytest.mark.starts
+def test_what_a_row_has_renewed_leaves_the_next_row_s_commit_as_it_was(
+    tried: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def git(*words: str) -> str:
+        own = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+        return subprocess.run(["git", *own, *words], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+
+    records, table, code = (tmp_path / name for name in ("tried.json", "tried.md", "code.py"))
+    for path in (records, table, code):
+        path.write_text("")
+    monkeypatch.setattr(page, "FILE", records)
+    monkeypatch.setattr(tried, "PAGE", table)
+    monkeypatch.setattr(tried, "ROOT", tmp_path)
+    git("init", "--quiet")
+    git("add", ".")
+    git("commit", "--quiet", "-m", "all")
+    commit = git("rev-parse", "--short=8", "HEAD").strip()
+    assert tried.tree() == commit
+    records.write_text("renewed")
+    table.write_text("renewed")
+    assert tried.tree() == commit
+    code.write_text("changed")
+    assert tried.tree() == f"{commit}+"
 
 
 def test_every_row_is_a_target_of_make(tried: Any) -> None:
