@@ -80,9 +80,11 @@ $(ACTIONLINT): Makefile
 	@touch $@
 
 # The quick tests on the oldest and the newest Python here, of 3.10 to 3.14; ALL=yes: on each. It says which it lacks.
+# STEP: only install what they need, or only test.
 ALL ?=
+STEP ?=
 versions: $(VENV)/bin/python
-	@$(BIN)/python packaging/versions.py $(VENV)/versions $(if $(ALL),all)
+	@$(BIN)/python packaging/versions.py $(VENV)/versions $(if $(ALL),all) $(STEP)
 
 # A Python that this system lacks, from the Debian suite that has it, unpacked into build/pythons for `make versions`, or as PYTHON.
 PYTHON_VERSION ?= 3.14

@@ -1,7 +1,8 @@
 """`make versions`: the quick tests on the oldest and on the newest Python here that failstop runs on.
 
-ALL=yes tries each. PyPI has no interpreters, and a Debian has one. They are looked for on the path, where pyenv and uv
-keep theirs, and where `make interpreter` unpacks Debian's. A missing one is named, and is no failure.
+ALL=yes tries each. STEP=install only makes their environments, and STEP=test only tries them. PyPI has no
+interpreters, and a Debian has one. They are looked for on the path, where pyenv and uv keep theirs, and where
+`make interpreter` unpacks Debian's. A missing one is named, and is no failure.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ VERSIONS = ("3.10", "3.11", "3.12", "3.13", "3.14")
 QUICK = ("--quick", "--quiet", "-m", "not slow and not alone and not starts")
 AGAIN = ("--last-failed", "--last-failed-no-failures", "none")
 """A test that fails beside others is tried again by itself, as `make test` does."""
+STEPS = ("", "install", "test")
 ASK = "import sys, venv, ensurepip; print('{}.{}'.format(*sys.version_info))"
 
 
@@ -56,8 +58,9 @@ def find(version: str, environment: dict[str, str]) -> str | None:
     return None
 
 
-def run(version: str, python3: str, at: Path) -> tuple[bool, str]:
-    """The quick tests there, in an environment of their own: whether they pass, and what they said."""
+def run(version: str, python3: str, at: Path, step: str = "") -> tuple[bool, str]:
+    """The quick tests there, in an environment of their own: whether they pass, and what they printed. `step`: only
+    make the environment, or only try it; empty: both."""
     python = str(at / version / "bin/python")
     pip = (python, "-m", "pip", "install", "--quiet", "--no-compile", "--disable-pip-version-check")
     editable = ("--config-settings", "editable_mode=compat", "--editable", ".[test]", "--editable", "lab")
@@ -71,8 +74,10 @@ def run(version: str, python3: str, at: Path) -> tuple[bool, str]:
         said.extend((done.stdout, done.stderr))
         return done.returncode
 
-    good = not code(python3, "-m", "venv", "--clear", str(at / version)) and not code(*pip, *editable)
-    if good:
+    good = step == "test" or (
+        not code(python3, "-m", "venv", "--clear", str(at / version)) and not code(*pip, *editable)
+    )
+    if good and step != "install":
         # Two versions at once, each in one process: there are as few processors.
         found = code(*pytest, "--numprocesses", "0")
         good = (code(*pytest, "--numprocesses", "0", *AGAIN) if found == 1 else found) == 0
@@ -85,21 +90,25 @@ def absent(version: str) -> str:
     return f"python {version}: not tried, because none was found (on the path, of pyenv, of uv){advice}"
 
 
-def tried(version: str, python3: str, at: Path) -> tuple[bool, str]:
+def tried(version: str, python3: str, at: Path, step: str) -> tuple[bool, str]:
     """Whether a version is good, and a line for people."""
     start_s = time.monotonic()
-    good, said = run(version, python3, at)
-    line = f"python {version}: {'good' if good else 'FAILED'}, {time.monotonic() - start_s:.0f} s"
+    good, said = run(version, python3, at, step)
+    verdict = ("installed" if step == "install" else "good") if good else "FAILED"
+    line = f"python {version}: {verdict}, {time.monotonic() - start_s:.0f} s"
     return good, line if good else f"{said}\n{line}"
 
 
-def main(at: Path, whole: bool = False) -> int:
+def main(at: Path, whole: bool = False, step: str = "") -> int:
     """Two versions at once, since each waits for the network first; exit code 1 when one fails. `whole`: every version
-    that is here, not only the oldest and the newest."""
+    that is here, not only the oldest and the newest. `step`: as for run()."""
+    if step not in STEPS:
+        print(f"there is no step {step}: use STEP=install, STEP=test or neither", file=sys.stderr)
+        return 2
     here = {version: path for version in VERSIONS if (path := find(version, dict(os.environ)))}
     chosen = list(here) if whole else [*here][:1] + [*here][1:][-1:]
     with ThreadPoolExecutor(max_workers=2) as pool:
-        runs = {version: pool.submit(tried, version, here[version], at) for version in chosen}
+        runs = {version: pool.submit(tried, version, here[version], at, step) for version in chosen}
     found = {version: run.result() for version, run in runs.items()}
     for version in VERSIONS:
         if version in found:
@@ -110,4 +119,5 @@ def main(at: Path, whole: bool = False) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]).resolve(), sys.argv[2:] == ["all"]))
+    words = set(sys.argv[2:])
+    sys.exit(main(Path(sys.argv[1]).resolve(), "all" in words, " ".join(words - {"all"})))

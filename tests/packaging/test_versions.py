@@ -77,7 +77,7 @@ def test_the_oldest_and_the_newest_here_are_tried(
     versions: Any, here: list[str], whole: bool, chosen: list[str], tmp_path: Path, monkeypatch: Any, capsys: Any
 ) -> None:
     monkeypatch.setattr(versions, "find", lambda version, _: version if version in here else None)
-    monkeypatch.setattr(versions, "tried", lambda version, _, __: (True, f"python {version}: good"))
+    monkeypatch.setattr(versions, "tried", lambda version, *_: (True, f"python {version}: good"))
     assert versions.main(tmp_path, whole) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(":")[0].split()[1] for line in lines] == list(versions.VERSIONS)
@@ -105,6 +105,30 @@ def test_what_fails_beside_others_is_tried_again_alone_and_told(
     absent = "python 3.13: not tried, because none was found (on the path, of pyenv, of uv)"
     assert f"\n{absent}; next: make interpreter PYTHON_VERSION=3.13\n" in out
     assert not list(tmp_path.glob("code*"))
+
+
+@pytest.mark.starts
+def test_what_was_installed_before_is_tried_in_a_second_step(
+    versions: Any, tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, folder in (("PATH", "bin"), ("HOME", "home"), ("PYENV_ROOT", "pyenv"), ("UV_PYTHON_INSTALL_DIR", "uv")):
+        monkeypatch.setenv(name, str(tmp_path / folder))
+    python = tmp_path / "bin/python3.10"
+    python.parent.mkdir()
+    python.write_text(PYTHON.format(at=tmp_path))
+    python.chmod(0o755)
+    (tmp_path / "code0").write_text("0")
+    at = tmp_path / "at"
+    assert versions.main(at, step="install") == 0
+    assert "python 3.10: installed, " in capsys.readouterr().out
+    assert (tmp_path / "code0").exists(), "no test has run"
+    installed = (at / "3.10/bin/python").stat().st_mtime_ns
+    assert versions.main(at, step="test") == 0
+    assert "python 3.10: good, " in capsys.readouterr().out
+    assert not (tmp_path / "code0").exists()
+    assert (at / "3.10/bin/python").stat().st_mtime_ns == installed
+    assert versions.main(at, step="toast") == 2
+    assert "there is no step toast: use STEP=install, STEP=test or neither" in capsys.readouterr().err
 
 
 ROOT = Path(__file__).resolve().parent.parent.parent
