@@ -79,11 +79,13 @@ def said(*words: str) -> str:
 
 
 def tree() -> str:
-    """The commit of this checkout, with a + where a file differs from it. The files that a row before this one has
-    renewed don't count, because nothing is tried with them."""
+    """The newest commit of this checkout that main has, with a + where a file differs from it: a branch's own commits
+    get other names when it is rebased. The files that a row before this one has renewed don't count, because nothing
+    is tried with them."""
+    commit = said("git", "merge-base", "HEAD", "main") or said("git", "rev-parse", "HEAD")
     others = [f":(exclude){path.relative_to(ROOT)}" for path in (tried.FILE, PAGE)]
-    changed = said("git", "status", "--porcelain", "--untracked-files=no", "--", ".", *others)
-    return said("git", "rev-parse", "--short=8", "HEAD") + ("+" if changed else "")
+    changed = said("git", "diff", "--name-only", commit, "--", ".", *others)
+    return commit[:8] + ("+" if changed else "")
 
 
 def attempt(name: str) -> list[tried.Attempt]:

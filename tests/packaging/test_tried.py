@@ -68,7 +68,7 @@ def test_a_run_becomes_a_record_of_what_it_was_tried_with(tried: Any, monkeypatc
 
 
 @pytest.mark.starts
-def test_what_a_row_has_renewed_leaves_the_next_row_s_commit_as_it_was(
+def test_a_record_names_a_commit_of_main_and_whether_anything_differed(
     tried: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def git(*words: str) -> str:
@@ -81,16 +81,22 @@ def test_what_a_row_has_renewed_leaves_the_next_row_s_commit_as_it_was(
     monkeypatch.setattr(page, "FILE", records)
     monkeypatch.setattr(tried, "PAGE", table)
     monkeypatch.setattr(tried, "ROOT", tmp_path)
-    git("init", "--quiet")
+    git("init", "--quiet", "--initial-branch=main")
     git("add", ".")
     git("commit", "--quiet", "-m", "all")
-    commit = git("rev-parse", "--short=8", "HEAD").strip()
+    commit = git("rev-parse", "HEAD")[:8]
     assert tried.tree() == commit
     records.write_text("renewed")
     table.write_text("renewed")
     assert tried.tree() == commit
     code.write_text("changed")
     assert tried.tree() == f"{commit}+"
+    git("checkout", "--quiet", "-b", "mine")
+    git("commit", "--quiet", "--all", "-m", "mine")
+    assert tried.tree() == f"{commit}+", "the branch's commit may get another name"
+    git("checkout", "--quiet", "main")
+    git("merge", "--quiet", "mine")
+    assert tried.tree() == git("rev-parse", "HEAD")[:8]
 
 
 def test_every_row_is_a_target_of_make(tried: Any) -> None:

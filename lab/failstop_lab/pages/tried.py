@@ -11,8 +11,8 @@ OPENING = """\
 # What was tried where
 
 `make tried ROWS="versions lerobot"` tries these rows on your machine and renews them here, so each row says what a real
-run printed, on which day and at which commit. A row that is not here was never tried. Every board was a simulated one:
-no robot was at hand.
+run printed, on which day and at which commit; a + means that the checkout differed from that commit. A row that is not
+here was never tried. Every board was a simulated one: no robot was at hand.
 
 | what | with | on | result | when, at which commit | again |
 |---|---|---|---|---|---|
