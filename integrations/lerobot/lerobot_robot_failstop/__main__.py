@@ -71,7 +71,9 @@ def _read(path: str) -> Any:
         return json.loads(Path(path).read_text("utf-8"))
     except OSError as error:
         raise ValueError(f"{error.strerror}: check the path") from None
-    except (ValueError, RecursionError) as error:
+    except RecursionError:  # each Python words it differently
+        raise ValueError("its lists are nested too deeply: is it LeKiwi's calibration?") from None
+    except ValueError as error:
         raise ValueError(f"it is no JSON ({error}): is it LeKiwi's calibration?") from None
 
 

@@ -69,7 +69,7 @@ def test_an_offset_is_kept_for_lerobot_s_host_at_the_guard_port(
         (json.dumps(changed("elbow_flex", id=0)), "joints.elbow_flex.servo = 0: allowed is 1 to 100"),
         (json.dumps(changed("elbow_flex", id=True)), "no arm_elbow_flex with id, range_min, range_max"),
         (json.dumps(changed("elbow_flex", range_min=100.5)), "no arm_elbow_flex with id, range_min, range_max"),
-        ("[" * 100_000, "recursion"),
+        ("[" * 100_000, "its lists are nested too deeply: is it LeKiwi's calibration?"),
     ],
 )
 def test_what_is_no_calibration_is_refused(
