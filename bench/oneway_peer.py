@@ -16,8 +16,6 @@ from collections.abc import Callable
 from time import monotonic_ns
 from typing import Any, Protocol
 
-import posix_ipc
-
 from failstop.messages import segments
 from failstop.messages.layout import SEGMENT_BY_NAME
 from failstop.procs.loop import READ, Loop
@@ -137,6 +135,7 @@ class PosixQueue:
     """A POSIX message queue."""
 
     def __init__(self, directory: str) -> None:
+        self._posix_ipc = posix_ipc = _import("posix_ipc", "posix-ipc")
         self._queue = posix_ipc.MessageQueue(
             f"/failstop-oneway-{os.getpid()}", posix_ipc.O_CREX, max_messages=10, max_message_size=PAYLOAD_BYTES
         )
@@ -163,7 +162,7 @@ class PosixQueueInLoop(PosixQueue):
 
     def receiver(self) -> Receive:
         """Wait for the set until the next tick, then mq_receive."""
-        queue = posix_ipc.MessageQueue(self._queue.name)
+        queue = self._posix_ipc.MessageQueue(self._queue.name)
         queue.block = False
         loop = Loop()
         loop.watch(queue.mqd, READ)
