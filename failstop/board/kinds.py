@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from failstop.board.interface import Board
     from failstop.board.wire import Wire
 
-KINDS = ("arduino", "feetech", "hoverboard", "ugv", "vesc")
+KINDS = ("arduino", "damiao", "feetech", "hoverboard", "ugv", "vesc")
 """The boards in failstop/board that a Wire describes."""
 ALL_KINDS = ("rrc", *KINDS)
 """All boards of this room, the usual one first."""

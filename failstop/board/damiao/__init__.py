@@ -1,0 +1,1 @@
+"""Damiao: two to four CAN servo motors, each of which turns a wheel, behind a serial CAN adapter."""

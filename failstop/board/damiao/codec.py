@@ -1,0 +1,249 @@
+"""Frames of Damiao's motors on a CAN of 1 Mbit/s. Their firmware is closed; the sources are the vendor's manuals
+(DM-H3510 V1.0, DM-H6215 V1.0, DM-J4310P-2EC V1.3), its Python host (cmjang/DM_Control_Python 7da9387), and two hosts of
+others: damiao-motor 1.0.6 and enactic/openarm_can 9866604. Numbers here stand in at least two of them.
+
+A motor takes a speed in rad/s of its output shaft, as a little-endian float, under 0x200 and its id; and under its id
+alone `ff ff ff ff ff ff ff` and fc to enable it, fd to disable it, fb to clear a fault. Under 0x7ff its registers are
+read (33) and written (55), and cc asks for a report. A register that was written holds until the power goes. Every
+frame to a motor is answered with a report: status and id, position, speed, torque, temperatures.
+
+A stop is the speed of zero: the motor brakes and holds. Disabling it would let it roll.
+
+Register 9 is the motor's own watchdog, in steps of 50 us. A motor that hears nothing for so long switches itself off,
+and rolls until somebody clears that fault. So what is written before the first motion after each enable clears faults,
+and enables the motors. A motor that switches itself off while it drives counts as a restart, which stops the others.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+
+from failstop.board.checks import counted, integer, number
+from failstop.board.damiao import slcan
+from failstop.board.wire import (
+    SERVO_CURRENT,
+    SERVO_HEAT,
+    SERVO_LOAD,
+    SERVO_MISSING,
+    SERVO_VOLTAGE,
+    Answer,
+    Health,
+    Reader,
+    Restarted,
+    Sample,
+    Wheels,
+    beyond,
+)
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+UNIT = "rad/s of the output shaft"
+LIMIT = 280.0
+"""The fastest that any of these motors turns (DM-H3510)."""
+STEPS = 64
+"""Steps of a speed in 1 rad/s. A float has each of them exactly."""
+SPEED_ID, REGISTERS_ID = 0x200, 0x7FF
+READ, WRITE, REPORT = 0x33, 0x55, 0xCC
+ENABLE, CLEAR = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfb"
+TIMEOUT, MODE, P_MAX, V_MAX = 9, 10, 21, 22
+"""Registers: the watchdog's time, what commands mean, and the ends of the scales of reported positions and speeds."""
+ASKED = (TIMEOUT, MODE, P_MAX, V_MAX)
+"""A question reads one of them, so its answer says which question it belongs to."""
+SPEED_MODE = 3
+TICK_NS = 50_000
+MOST_TICKS = 0xFFFFFFFF
+ENABLED = 1
+"""The status of a motor that obeys. 0: it is disabled; others are faults."""
+FAULTS = {
+    8: ("its voltage is too high", SERVO_VOLTAGE),
+    9: ("its voltage is too low", SERVO_VOLTAGE),
+    10: ("it takes too much current", SERVO_CURRENT),
+    11: ("its driver is too hot", SERVO_HEAT),
+    12: ("its winding is too hot", SERVO_HEAT),
+    13: ("it heard nothing for too long", 0),
+    14: ("it is overloaded", SERVO_LOAD),
+}
+OFF_AFTER = 3
+"""Reports in a row by which a motor that was enabled is off. While it is enabled again a single one may say so."""
+MISSES = 4
+"""Questions in a row that a motor leaves unanswered while another one answers: it is missing then. A CANable drops a
+frame for the computer that comes while it still sends another."""
+TOLD_EVERY = 20
+"""Answers for one report of temperatures: about one a second."""
+_SPEED, _COUNT, _FLOAT = Struct("<f4x"), Struct("<I"), Struct("<f")
+_MIDDLE, _NOISE = 2047.5, 1.5
+"""A reported speed has 12 bits. Zero is between two of them, and nearer than this it may be noise."""
+
+
+def register(motor: int, what: int, index: int = 0, value: int = 0) -> bytes:
+    """The line that reads or writes a register of a motor, or asks for its report."""
+    return slcan.line(REGISTERS_ID, bytes((motor, 0, what, index)) + _COUNT.pack(value))
+
+
+class Motors:
+    """The frames for motors with the ids 1, 2 and so on, in that order."""
+
+    def __init__(self, count: int) -> None:
+        self.wheels = count
+        self._ids = range(1, count + 1)
+        self.rest = self._written((0.0,) * count)
+        self.burst = slcan.FLUSH + self.rest
+        reports = [register(motor, REPORT) for motor in self._ids]
+        self.questions = tuple(
+            b"".join(ask + register(motor, READ, index) for ask, motor in zip(reports, self._ids, strict=True))
+            for index in ASKED
+        )
+        # Without FLUSH: a stop was written before, and it completes a line that was cut.
+        modes = b"".join(register(motor, WRITE, MODE, SPEED_MODE) for motor in self._ids)
+        self.opening = slcan.OPENING + modes
+
+    def arm(self, time_ns: int) -> bytes:
+        """What lets the motors obey and sets their watchdogs. Raises FrameError."""
+        ticks = integer("time of the watchdog in steps of 50 us", time_ns // TICK_NS, 1, MOST_TICKS)
+        lines: list[bytes] = []
+        for motor in self._ids:
+            lines += (
+                register(motor, WRITE, MODE, SPEED_MODE),
+                register(motor, WRITE, TIMEOUT, ticks),
+                slcan.line(motor, CLEAR),
+                slcan.line(motor, ENABLE),
+                slcan.line(SPEED_ID + motor, _SPEED.pack(0.0)),
+            )
+        return b"".join(lines)
+
+    def _written(self, speeds: Iterable[float]) -> bytes:
+        return b"".join([slcan.line(SPEED_ID + motor, _SPEED.pack(speed)) for motor, speed in enumerate(speeds, 1)])
+
+    def frame(self, speeds: Sequence[float], limit: float) -> bytes:
+        """The frame that sets all motors, each within plus or minus `limit`. Raises FrameError."""
+        counted("speeds", speeds, self.wheels, self.wheels)
+        number("limit", limit, 0.0, LIMIT, UNIT)
+        every = [number("speed of a motor", speed, -limit, limit, UNIT) for speed in speeds]
+        return self._written([int(speed * STEPS) / STEPS for speed in every])
+
+    def speeds(self, frame: bytes) -> tuple[float, ...] | None:
+        """The speeds in a frame for all motors; None for other bytes."""
+        *lines, end = frame.split(slcan.CR)
+        if end or len(lines) != self.wheels:
+            return None
+        found: list[float] = []
+        for motor, text in zip(self._ids, lines, strict=True):
+            parts = slcan.frame_of(text)
+            if not parts or parts[0] != SPEED_ID + motor:
+                return None
+            (speed,) = _SPEED.unpack(parts[1])
+            if not -LIMIT <= speed <= LIMIT:
+                return None
+            found.append(speed)
+        return tuple(found)
+
+    def check(self, frame: bytes, limit: float) -> str:
+        """Why these bytes must not be written as a motion frame; "" if they may. Never raises on bytes."""
+        found = self.speeds(frame)
+        if found is None:
+            return "not a frame for every motor"
+        if self._written([int(speed * STEPS) / STEPS for speed in found]) != frame:
+            return "not as this board's motion frames are written"
+        return beyond(found, limit, LIMIT)
+
+    def replies(self) -> Replies:
+        """A reader for what these motors answer."""
+        return Replies(self.wheels)
+
+
+class _Motor:
+    """What one motor has reported."""
+
+    def __init__(self) -> None:
+        self.v_max = 0.0
+        self.level: int | None = None
+        """The speed in its newest report, in steps of its scale, since the speeds of all were last given."""
+        self.obeys = False
+        self.off = 0
+        """Reports in a row that say that it does not obey."""
+        self.wrong = self.heat = self.misses = 0
+
+
+class Replies(Reader):
+    """The motors' answers. A question counts as answered when every motor has answered it."""
+
+    def __init__(self, count: int) -> None:
+        self._lines = slcan.Lines()
+        self._motors = {motor: _Motor() for motor in range(1, count + 1)}
+        self._asked = 0
+        """The register that was read last."""
+        self._answered: set[int] = set()
+        """The motors that have answered that question."""
+        self._told: tuple[int, ...] = ()
+        self._answers = 0
+
+    def feed(self, chunk: bytes) -> list[Sample]:
+        """The samples that these bytes complete."""
+        found: list[Sample] = []
+        for can_id, data in self._lines.frames(chunk):
+            # Those above are for motors, so another computer on the CAN sent them.
+            if can_id >= SPEED_ID:
+                continue
+            if data[0] in self._motors and not data[1] and data[2] in (READ, WRITE):
+                found += self._read(data[0], data[3], data[4:]) if data[2] == READ and data[3] in ASKED else []
+            elif data[0] & 15 in self._motors:
+                found += self._reported(data[0] & 15, data)
+        return found
+
+    def _reported(self, number_: int, data: bytes) -> list[Sample]:
+        motor, status = self._motors[number_], data[0] >> 4
+        motor.level, motor.heat = data[3] << 4 | data[4] >> 4, data[7]
+        motor.wrong = FAULTS.get(status, ("", 0))[1]
+        if status == ENABLED:
+            motor.obeys, motor.off = True, 0
+            return []
+        motor.off += 1
+        if not motor.obeys or motor.off < OFF_AFTER:
+            return []
+        motor.obeys = False
+        why, _ = FAULTS.get(status, ("it is disabled", 0))
+        return [Restarted(f"motor {number_} switched itself off: {why}"), *self._health()]
+
+    def _read(self, number_: int, index: int, value: bytes) -> list[Sample]:
+        if index != self._asked or number_ in self._answered:
+            self._count_misses()
+            self._asked, self._answered = index, set()
+        motor = self._motors[number_]
+        motor.misses = 0
+        self._answered.add(number_)
+        if index == V_MAX:
+            motor.v_max = _FLOAT.unpack(value)[0]
+        if len(self._answered) < len(self._motors):
+            return self._health() if self._bits() != self._told else []
+        self._answers += 1
+        found: list[Sample] = [*self._wheels(), Answer(str(ASKED.index(index)))]
+        due = self._answers % TOLD_EVERY == 1 or self._bits() != self._told
+        return [*found, *self._health()] if due else found
+
+    def _count_misses(self) -> None:
+        if self._answered:
+            for number_, motor in self._motors.items():
+                motor.misses += number_ not in self._answered
+
+    def _wheels(self) -> list[Sample]:
+        """The speeds of all motors, once each has reported its own and the scale of it."""
+        every = list(self._motors.values())
+        speeds: list[float] = []
+        for motor in every:
+            if motor.level is None or not motor.v_max:
+                return []
+            away = motor.level - _MIDDLE
+            speeds.append(away / _MIDDLE * motor.v_max if abs(away) > _NOISE else 0.0)
+        for motor in every:
+            motor.level = None
+        return [Wheels(tuple(speeds), ())]
+
+    def _bits(self) -> tuple[int, ...]:
+        return tuple([m.wrong | (SERVO_MISSING if m.misses >= MISSES else 0) for m in self._motors.values()])
+
+    def _health(self) -> list[Sample]:
+        self._told = self._bits()
+        rows = zip(self._motors.items(), self._told, strict=True)
+        return [Health(tuple((number_, 0.0, motor.heat, bits) for (number_, motor), bits in rows))]

@@ -1,0 +1,11 @@
+"""The facts about Damiao's motors that are needed before a Board is made."""
+
+from __future__ import annotations
+
+from failstop.board.facts import Facts
+
+FACTS = Facts(
+    speeds=2,
+    imu=False,
+    motors={motor: f"motor {motor} (CAN id {motor})" for motor in range(1, 5)},
+)

@@ -1,0 +1,111 @@
+"""The wire of Damiao's motors behind a slcan adapter: a line for each motor, all in one write.
+
+Between two motors of a stop no process can die, because one write takes both lines. The kernel may take a part, which
+the writer's next burst or another writer's completes. So what remains is a motor that hears nothing, such as one whose
+CAN plug is out: it stops by its own watchdog, it answers no question, and without its answer no stop counts as
+acknowledged and no motion can be enabled.
+"""
+
+from __future__ import annotations
+
+from math import pi
+
+from failstop.board.damiao import codec
+from failstop.board.wire import (
+    ANSWERED,
+    COAST,
+    OBSERVED,
+    Answer,
+    Commander,
+    Motion,
+    Pace,
+    Port,
+    Question,
+    Reports,
+    Sample,
+    TimedStop,
+    Watchdog,
+    Wire,
+    Write,
+)
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_MS = 1_000_000
+PER_RPS = 2 * pi
+
+
+def _answers(index: int) -> Callable[[Sample], bool]:
+    return lambda sample: isinstance(sample, Answer) and sample.text == str(index)
+
+
+def described(count: int) -> Wire:
+    """The description for so many motors, with the ids 1, 2 and so on."""
+    motors = codec.Motors(count)
+    return Wire(
+        name=f"{count} Damiao motors behind a slcan adapter",
+        # A USB adapter has no baud rate; one with a UART has its own, which is the setting board.baud.
+        port=Port(baud=1_000_000, dtr=False, rts=False, deaf_ns=0, opening=(motors.opening,)),
+        stop=TimedStop(
+            writes=(Write(0, motors.burst),),
+            after_ns=0,
+            repeats_ns=tuple(
+                tuple(at * _MS for at in row) for row in ((0, 23, 53, 103), (0, 29, 61, 113), (0, 37, 71, 127))
+            ),
+        ),
+        pace=Pace(idle_ns=100_000, unanswered=None),
+        watchdog=Watchdog(
+            after_ns=0,
+            does=COAST,
+            arm=motors.arm,
+            set_ns=500 * _MS,
+            fed_by="every frame to a motor feeds its own; the manual does not say whether a question does. It then "
+            "switches itself off, and rolls until motion is enabled again",
+        ),
+        motion=Motion(
+            wheels=motors.wheels,
+            unit=codec.UNIT,
+            limit=codec.LIMIT,
+            per_rps=lambda _diameter_m: PER_RPS,
+            step=1 / codec.STEPS,
+            apart=2 * codec.LIMIT,
+            frame=motors.frame,
+            rest=motors.rest,
+            check=motors.check,
+            speeds=motors.speeds,
+            scale_known=True,
+        ),
+        questions=tuple(
+            Question(f"register {index} and a report of each motor", ask, _answers(at))
+            for at, (index, ask) in enumerate(zip(codec.ASKED, motors.questions, strict=True))
+        ),
+        reader=motors.replies,
+        proofs=(ANSWERED, OBSERVED),
+        ping_ns=50 * _MS,
+        echo_ns=0,
+        reports=Reports(
+            every_ns=100 * _MS,
+            speed_per_rps=lambda _per_rps, _diameter_m: PER_RPS,
+            position_per_turn=None,
+            wraps=0.0,
+            holds_speed=True,
+            own_scale=True,
+        ),
+        silent_ns=700 * _MS,
+        commanders=(
+            Commander(
+                who="another computer or adapter on the CAN, or the vendor's debugging tool at a motor's UART",
+                remedy="take it off while the service drives",
+            ),
+            Commander(
+                who="slcand makes a network interface of the adapter, so any program can write to it",
+                remedy="end slcand",
+                program="slcand",
+            ),
+        ),
+    )
+
+
+WIRE = described(2)
