@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tests.support.rooms import CORE, ROOT, modules
 
-OTHER_BOARDS = {"arduino", "feetech", "hoverboard", "ugv", "vesc"}
+OTHER_BOARDS = {"arduino", "damiao", "feetech", "hoverboard", "ugv", "vesc"}
 """Folders of the board room that define what the room's own modules do, each for another board."""
 EVERYWHERE = {
     "BATTERY": "the record and the cause: each has its own name in capitals, in records.py and in causes.py",

@@ -222,8 +222,8 @@ def test_half_a_motion_line_is_ended_by_the_stop_before_the_question(there: str,
 
 def test_the_order_in_which_boards_are_asked() -> None:
     """The wanted one first, again when it must have started; then those that are listened to; late ones last."""
-    order = [(0, "ugv"), (5 * NS, "ugv"), (0, "hoverboard"), (0, "rrc"), (0, "arduino"), (0, "feetech"), (0, "vesc")]
-    order.append((2 * NS, "arduino"))
+    order = [(0, "ugv"), (5 * NS, "ugv"), (0, "hoverboard"), (0, "rrc"), (0, "arduino"), (0, "damiao"), (0, "feetech")]
+    order += [(0, "vesc"), (2 * NS, "arduino")]
     assert list(turns(boards("ugv"), resets=True)) == order
     assert list(turns(boards("ugv"), resets=False)) == [turn for turn in order if not turn[0]]
 

@@ -60,7 +60,7 @@ def test_every_board_keeps_what_the_vocabulary_promises(kind: str) -> None:
 
 
 def test_an_unknown_kind_of_board_is_refused() -> None:
-    with pytest.raises(ValueError, match="it must be one of arduino, feetech, hoverboard, ugv, vesc"):
+    with pytest.raises(ValueError, match="it must be one of arduino, damiao, feetech, hoverboard, ugv, vesc"):
         wire_of("os")
 
 

@@ -89,15 +89,13 @@ class Motors:
         self.wheels = count
         self._ids = range(1, count + 1)
         self.rest = self._written((0.0,) * count)
-        self.burst = slcan.FLUSH + self.rest
+        self.burst = slcan.FLUSH + slcan.OPEN + self.rest
         reports = [register(motor, REPORT) for motor in self._ids]
         self.questions = tuple(
-            b"".join(ask + register(motor, READ, index) for ask, motor in zip(reports, self._ids, strict=True))
-            for index in ASKED
+            slcan.OPEN + b"".join(ask + register(motor, READ, at) for ask, motor in zip(reports, self._ids, strict=True))
+            for at in ASKED
         )
-        # Without FLUSH: a stop was written before, and it completes a line that was cut.
-        modes = b"".join(register(motor, WRITE, MODE, SPEED_MODE) for motor in self._ids)
-        self.opening = slcan.OPENING + modes
+        self.opening = b"".join(register(motor, WRITE, MODE, SPEED_MODE) for motor in self._ids)
 
     def arm(self, time_ns: int) -> bytes:
         """What lets the motors obey and sets their watchdogs. Raises FrameError."""

@@ -18,9 +18,8 @@ MOST_LINE = 21
 """Characters of the longest line that failstop writes, without its end."""
 FLUSH = b"0" * 160 + CR
 """A CANable begins its line again after 30 characters, and a CANable 2 after 155. By itself this is no command."""
-OPENING = b"S8\rO\r"
-"""1 Mbit/s, and open the channel. An adapter that is open already takes neither, so its frames go on; `C` would lose
-those that it has not sent."""
+OPEN = b"S8\rO\r"
+"""1 Mbit/s, and open the channel. An open CANable ignores both, so nothing that waits in it is lost."""
 _HEAD = 5
 """Characters of a line before its data."""
 _DIGITS = frozenset(b"0123456789abcdefABCDEF")

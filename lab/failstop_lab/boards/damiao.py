@@ -36,10 +36,10 @@ JOINED_NS = 3_000_000
 """A frame for the next motor follows the one before it within this."""
 TICK_NS = 50_000
 UNLIMITED = 1e6
-DISABLED, ENABLED, OVER_HEATED, LOST = 0, 1, 11, 13
+IS_OFF, IS_ON, OVER_HEATED, LOST = 0, 1, 11, 13
 TIMEOUT, MODE, P_MAX, V_MAX, T_MAX = 9, 10, 21, 22, 23
 MIT, BY_SPEED = 1, 3
-ENDS = {P_MAX: 12.5, V_MAX: 45.0, T_MAX: 10.0}
+SCALES = {P_MAX: 12.5, V_MAX: 45.0, T_MAX: 10.0}
 """The scales of reports (DM-H6215)."""
 HEAT = 31
 _FLOAT, _COUNT = Struct("<f"), Struct("<I")
@@ -115,7 +115,7 @@ class Motor:
     def __init__(self, number: int, *, armed: bool = False) -> None:
         """`armed`: it is enabled, in the mode of speeds, and has no watchdog that would help a stop."""
         self.number = number
-        self.status = ENABLED if armed else DISABLED
+        self.status = IS_ON if armed else IS_OFF
         self.mode = BY_SPEED if armed else MIT
         self.told = 0.0
         self.ticks = 0
@@ -126,11 +126,11 @@ class Motor:
     @property
     def speed(self) -> float:
         """That it turns at."""
-        return self.told if self.status == ENABLED else 0.0
+        return self.told if self.status == IS_ON else 0.0
 
     def until(self, at_ns: int) -> None:
         """Its watchdog."""
-        if self.status == ENABLED and self.ticks and at_ns - self.fed_ns > self.ticks * TICK_NS:
+        if self.status == IS_ON and self.ticks and at_ns - self.fed_ns > self.ticks * TICK_NS:
             self.status = LOST
 
     def restart(self) -> None:
@@ -142,12 +142,12 @@ class Motor:
         self.fed_ns = at_ns
         if can_id == self.number and data[:7] == b"\xff" * 7 and len(data) == 8:
             command = data[7]
-            if command == 0xFC and self.status in (DISABLED, ENABLED):
-                self.status = ENABLED
-            elif command == 0xFD and self.status in (DISABLED, ENABLED):
-                self.status = DISABLED
-            elif command == 0xFB and self.status not in (DISABLED, ENABLED):
-                self.status = DISABLED
+            if command == 0xFC and self.status in (IS_OFF, IS_ON):
+                self.status = IS_ON
+            elif command == 0xFD and self.status in (IS_OFF, IS_ON):
+                self.status = IS_OFF
+            elif command == 0xFB and self.status not in (IS_OFF, IS_ON):
+                self.status = IS_OFF
             return False
         if can_id >> 8 == 2 and self.mode == BY_SPEED and len(data) >= 4:
             (speed,) = _FLOAT.unpack(data[:4])
@@ -167,12 +167,12 @@ class Motor:
         if kind != 0x33:
             return b""
         known = {TIMEOUT: _COUNT.pack(self.ticks), MODE: _COUNT.pack(self.mode)}
-        known |= {end: _FLOAT.pack(size) for end, size in ENDS.items()}
+        known |= {end: _FLOAT.pack(size) for end, size in SCALES.items()}
         return data[:4] + known.get(index, bytes(4))
 
     def report(self, speed: float) -> bytes:
         """Of its status, and of a speed."""
-        most = ENDS[V_MAX]
+        most = SCALES[V_MAX]
         level = min(4095, max(0, int((speed + most) / (2 * most) * 4095 + 0.5)))
         position, torque = 0x8000, 0x7FF
         return bytes(
@@ -298,7 +298,9 @@ def _every_state() -> Iterator[Damiao]:
     for buffer in BUFFERS:
         for length in range(buffer + 1):
             yield Damiao((b"t2018" + b"F" * buffer)[:length], armed=True, buffer=buffer)
-            yield Damiao((b"t001" + b"8FFFFFFFFFFFFFFFC\rt2" + b"7" * buffer)[:length], armed=True, buffer=buffer)
+            shut = Damiao((b"t001" + b"8FFFFFFFFFFFFFFFC\rt2" + b"7" * buffer)[:length], armed=True, buffer=buffer)
+            shut.adapter.open = False
+            yield shut
 
 
 MODEL = ReceiverModel(
