@@ -198,10 +198,10 @@ class Answer(Sample, Data):
 
 
 class Restarted(Sample, Data):
-    """A text that it prints only while it starts."""
+    """A sign that it has started again, or a part of it, such as a motor's own controller."""
 
     text: str
-    """For people, as "its boot text"."""
+    """For people, as "it printed its boot text"."""
 
 
 class Firmware(Sample, Data):

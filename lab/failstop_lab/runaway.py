@@ -41,6 +41,7 @@ SHARES = {
     "feetech": (0.3, 0.05),
     "ugv": (0.3, 0.05),
     "vesc": (0.3, 0.05),
+    "damiao": (0.3, 0.05),
 }
 """The documented margins: a share of what is told, and m/s at the rim."""
 REPORTS_MS = {
@@ -49,6 +50,7 @@ REPORTS_MS = {
     "feetech": (50, 125),
     "arduino": (150, 300),
     "vesc": (50, 100),
+    "damiao": (50, 100),
 }
 """The time between two reports: the shortest, and the longest that the page names."""
 COUNTS = (12, 20, 44, 64, 200, 360, 680, 1320, 1992, 3436)

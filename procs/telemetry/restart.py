@@ -124,9 +124,9 @@ class RestartWatch:
         return self._found(OBEYS_ZERO) if zeros and told_ns and drove == told_ns else ""
 
     def started(self, text: str) -> str:
-        """Take a text that the board prints only at its start. It counts only after the first report, because opening a
-        port restarts some boards."""
-        return self._found(f"it printed {text}") if self._last_ns or self._at else ""
+        """Take a sign of the board's own, such as a text that it prints at its start. It counts only after the first
+        report, because opening a port restarts some boards."""
+        return self._found(text) if self._last_ns or self._at else ""
 
     def _found(self, sign: str) -> str:
         self.forget()

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.simulated import Simulated
 
-REPORTING = ("arduino", "feetech", "hoverboard", "ugv", "vesc")
+REPORTING = ("arduino", "damiao", "feetech", "hoverboard", "ugv", "vesc")
 LOOK_S = 0.002
 
 

@@ -82,7 +82,7 @@ def test_a_limit_below_the_cap_stays_as_it_is() -> None:
     assert driven(simulated, 0.2) == pytest.approx(0.03, rel=0.1)
 
 
-@pytest.mark.parametrize("kind", ["rrc", "arduino", "feetech", "hoverboard", "ugv", "vesc"])
+@pytest.mark.parametrize("kind", ["rrc", "arduino", "damiao", "feetech", "hoverboard", "ugv", "vesc"])
 def test_a_scale_that_is_known_is_not_capped(kind: str) -> None:
     """By the setting, by the board itself, or by its reports."""
     simulated = Simulated(kind=kind)

@@ -70,7 +70,7 @@ def writes(scene: Scene, for_ns: int) -> list[tuple[int, bytes]]:
     return found
 
 
-@pytest.mark.parametrize("kind", ["hoverboard", "arduino", "feetech", "ugv", "vesc"])
+@pytest.mark.parametrize("kind", ["hoverboard", "arduino", "damiao", "feetech", "ugv", "vesc"])
 def test_a_stop_goes_out_at_once_and_again_at_the_port_owner_s_own_times(kind: str) -> None:
     scene = made(kind)
     scene.turn()
@@ -105,7 +105,7 @@ def test_motion_ends_the_repeats_of_a_zero(kind: str) -> None:
     assert [data for _, data in writes(scene, row[-1])] == [motion(scene)]
 
 
-@pytest.mark.parametrize("kind", ["hoverboard", "arduino", "ugv", "vesc"])
+@pytest.mark.parametrize("kind", ["hoverboard", "arduino", "damiao", "ugv", "vesc"])
 def test_it_says_that_it_moves_until_its_stop_can_not_be_lost(kind: str) -> None:
     """A hoverboard may lose one stop: behind motion its repeat tells that nothing moves, at a start its first one."""
     scene = made(kind, before=lambda scene: scene.own.word("moving").set(1))

@@ -27,6 +27,7 @@ ROBOTS = {
     "feetech": ("feetech", "other", THREE),
     "lekiwi": ("feetech", "lekiwi", THREE),
     "vesc": ("vesc", "other", TWO),
+    "damiao": ("damiao", "", TWO),
 }
 """Each: the kind of board, the robot's name where there are names for it, how it is wired."""
 UNNAMED = ("", "other")

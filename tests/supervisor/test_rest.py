@@ -86,7 +86,7 @@ def stops(scene: Scene, for_ns: int) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("kind", ["rrc", "hoverboard", "arduino", "feetech", "ugv", "vesc"])
+@pytest.mark.parametrize("kind", ["rrc", "hoverboard", "arduino", "damiao", "feetech", "ugv", "vesc"])
 def test_the_stop_for_the_port_owner_is_written_at_once_and_again_at_its_own_times(kind: str) -> None:
     scene = made(kind)
     scene.turn()

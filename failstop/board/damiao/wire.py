@@ -52,7 +52,7 @@ def described(count: int) -> Wire:
             writes=(Write(0, motors.burst),),
             after_ns=0,
             repeats_ns=tuple(
-                tuple(at * _MS for at in row) for row in ((0, 23, 53, 103), (0, 29, 61, 113), (0, 37, 71, 127))
+                tuple(at * _MS for at in row) for row in ((0, 23, 57, 107), (0, 29, 63, 117), (0, 37, 71, 127))
             ),
         ),
         pace=Pace(idle_ns=100_000, unanswered=None),

@@ -108,7 +108,7 @@ def reports() -> LineReader:
 
 def _samples(line: bytes) -> list[Sample]:
     if _BOOT.search(line):
-        return [Restarted("its boot text")]
+        return [Restarted("it printed its boot text")]
     try:
         said = json.loads(line)
     except (ValueError, RecursionError):

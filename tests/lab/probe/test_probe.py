@@ -43,6 +43,7 @@ BASES = {
     "arduino": None,
     "feetech": None,
     "vesc": None,
+    "damiao": None,
     "rrc": None,
     "ugv by T:13": T13,
 }

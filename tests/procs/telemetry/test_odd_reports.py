@@ -297,7 +297,7 @@ def test_any_imu_sample_of_the_rrc(raw: list[float]) -> None:
 
 @given(
     st.lists(st.binary(max_size=64), max_size=6),
-    st.sampled_from(["arduino", "ugv", "hoverboard", "feetech", "vesc", "rrc"]),
+    st.sampled_from(["arduino", "damiao", "ugv", "hoverboard", "feetech", "vesc", "rrc"]),
 )
 def test_any_bytes_of_any_board(chunks: list[bytes], kind: str) -> None:
     layout = {"rrc": "mecanum", "feetech": "omni3"}.get(kind, "differential")

@@ -102,5 +102,5 @@ def test_what_it_prints_counts_once_it_has_reported() -> None:
     watch = RestartWatch(SILENT_NS)
     assert watch.started("its boot text") == "", "the port was just opened"
     watch.heard(1, 0, MS)
-    assert watch.started("its boot text") == "it printed its boot text"
+    assert watch.started("it printed its boot text") == "it printed its boot text"
     assert watch.started("its boot text") == ""
