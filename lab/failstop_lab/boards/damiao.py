@@ -246,6 +246,10 @@ class Damiao(Rolling):
         if self._begun and at_ns - self._begun[0] > JOINED_NS:
             self._note(None)
 
+    def disconnect_motor(self, *, on: bool) -> None:
+        """The last motor's plug."""
+        self.motors[-1].unplugged = on
+
     def _watch(self, at_ns: int) -> None:
         for motor in self.motors:
             motor.until(at_ns)

@@ -175,6 +175,12 @@ class LiveModel(BoardModel):
     def driven(self) -> Speeds:
         return self._rps(self.receiver.wheels)
 
+    def disconnect_motor(self, on: bool) -> None:
+        """Its last motor hears nothing and says nothing, while the others do. Raises ValueError."""
+        if not hasattr(self.receiver, "disconnect_motor"):
+            raise ValueError("this board's motors have one controller")
+        self.receiver.disconnect_motor(on=on)
+
     def turn_by_hand(self, wheel: int, turns: float) -> None:
         """A person turns a wheel, and its encoder counts. Raises ValueError."""
         turned = getattr(self.receiver, "turn_by_hand", None)

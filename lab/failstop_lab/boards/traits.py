@@ -27,9 +27,10 @@ HAS_WHEEL_REPORTS = "reports of its wheels"
 SHOWS_DEAF = "pings, or an echo of its command"
 HAS_ARM_BESIDE = "an arm that moves beside the wheels"
 HAS_DRIVERS = "a language for drivers at the guard port"
+HAS_MOTORS = "a controller for each motor, of which one may hear nothing"
 PARTS = (
     *(HAS_ARM, HAS_ARM_BESIDE, HAS_GAMEPAD, HAS_KEYS, HAS_PINGS, HAS_IMU, HAS_CHECK, HAS_BATTERY, HAS_REPORTS),
-    *(HAS_WHEEL_REPORTS, SHOWS_DEAF, HAS_DRIVERS),
+    *(HAS_WHEEL_REPORTS, SHOWS_DEAF, HAS_DRIVERS, HAS_MOTORS),
 )
 RARELY_NS = 1_000_000_000
 CARRIED_OUT_NS = 100_000_000
@@ -79,6 +80,7 @@ def traits_of(kind: str) -> Traits:
         HAS_IMU: language.observed_by == BY_IMU,
         HAS_WHEEL_REPORTS: 0 < language.reports.every_ns < RARELY_NS,
         SHOWS_DEAF: bool(language.pings) or language.echo_ns > 0,
+        HAS_MOTORS: is_described(kind) and hasattr(model_of(kind).live(), "disconnect_motor"),
         HAS_DRIVERS: language_of(kind, config.load(None).flat()) is not None,
         # A Wire has no word for these.
         HAS_GAMEPAD: not is_described(kind),

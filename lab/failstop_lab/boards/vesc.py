@@ -190,6 +190,10 @@ class Vesc(Rolling):
         for payload in self._packets.byte(value):
             self._forward(payload, at_ns)
 
+    def disconnect_motor(self, *, on: bool) -> None:
+        """The plug of the CAN."""
+        self.can_dead = on
+
     def turn_by_hand(self, wheel: int, counts: float) -> None:
         """A person turns a motor, by so many steps of its tachometer."""
         self.motors[wheel].steps += counts

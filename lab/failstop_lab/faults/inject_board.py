@@ -334,6 +334,19 @@ class RunsAway(Injector):
         scene.board.roll()
 
 
+class MotorUnplugged(Injector):
+    """One motor hears nothing: it turns on until its own watchdog acts. The others are stopped for it."""
+
+    def strike(self, scene: Scene) -> int:
+        now_ns = time.monotonic_ns()
+        scene.board.disconnect_motor(True)
+        return now_ns
+
+    def heal(self, scene: Scene) -> None:
+        scene.board.disconnect_motor(False)
+        scene.driver.until("the motor to answer", lambda: not scene.driver.robot.state.servos_wrong, LATCH_S)
+
+
 INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "usb-drop": UsbDrop,
     "usb-drop-mid-frame": UsbDropMidFrame,
@@ -351,4 +364,5 @@ INJECTORS: dict[str, Callable[[Fault], Injector]] = {
     "board-floods": Floods,
     "board-refuses": Refuses,
     "board-wheel-runs-away": RunsAway,
+    "board-motor-unplugged": MotorUnplugged,
 }

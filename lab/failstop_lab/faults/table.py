@@ -26,6 +26,7 @@ from failstop.policy.causes import (
     SUPERVISOR_SUSPENDED,
     SUSPENDED,
     TWO_PUBLISHERS,
+    WHEEL_MISSING,
 )
 from failstop.policy.causes import HANGS as HANGS_CAUSE
 from failstop_lab.boards.traits import (
@@ -35,6 +36,7 @@ from failstop_lab.boards.traits import (
     HAS_GAMEPAD,
     HAS_IMU,
     HAS_KEYS,
+    HAS_MOTORS,
     HAS_PINGS,
     HAS_REPORTS,
     HAS_WHEEL_REPORTS,
@@ -70,6 +72,8 @@ STOP_ASKED_MEANWHILE = "a stop request meanwhile"
 THAWED = "the thaw"
 RUN_DOWN_MS = 1_700.0
 """The run-down time of the board that reports least often, at the trials' speed, and 0.2 s (docs/dev/runaway.md)."""
+OWN_WATCHDOG_MS = 1_020.0
+"""The longest own watchdog of a motor (VESC), and two looks of its thread."""
 IN_TURN_MS = 60.0
 """Two turns of a controller manager's loop at 50 Hz, and the time of a stop."""
 DRIVER_HAS_DIED = "died after it had driven"
@@ -644,6 +648,19 @@ PORT_ROWS = (
         injector="board-wheel-runs-away",
         aftermath_s=2.1,
         needs=frozenset({HAS_WHEEL_REPORTS}),
+        weight=1,
+    ),
+    Fault(
+        name="board-motor-unplugged",
+        event=WHEEL_FAILS,
+        cause="one motor's controller hears nothing, and the others do",
+        first="port owner, asked by telemetry, and the motor's own watchdog",
+        latched=((WHEEL_MISSING,),),
+        cleared=BY_RESET,
+        bar_ms=OWN_WATCHDOG_MS,
+        injector="board-motor-unplugged",
+        aftermath_s=1.6,
+        needs=frozenset({HAS_MOTORS}),
         weight=1,
     ),
 )

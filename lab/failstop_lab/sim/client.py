@@ -314,6 +314,10 @@ class SimBoard:
         it."""
         self._ask("roll", faster=faster, pushed_rps=pushed_rps)
 
+    def disconnect_motor(self, on: bool) -> None:
+        """One of its motors hears nothing and says nothing, while the others do."""
+        self._ask("disconnect_motor", on=on)
+
     def turn_by_hand(self, wheel: int, turns: float) -> None:
         """A person turns the wheel of this id."""
         self._ask("hand", wheel=wheel, turns=turns)

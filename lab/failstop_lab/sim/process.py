@@ -287,6 +287,8 @@ class Simulator:
             model.refuse_stop = _flag(request, "on")
         elif operation == "roll":
             model.roll(float(request["faster"]), float(request["pushed_rps"]))
+        elif operation == "disconnect_motor":
+            model.disconnect_motor(_flag(request, "on"))
         elif operation == "imu":
             model.imu_on = _flag(request, "on")
         elif operation == "gyro_bias":

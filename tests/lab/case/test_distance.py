@@ -30,6 +30,7 @@ PHASES_S = (0.8, 0.807, 0.813)
 SCREENS = ("config", "setup", "prove", "the operator's page")
 LATER = {
     "board-silent": "the board hears and obeys until then; only nobody sees what its wheels do",
+    "board-motor-unplugged": "a motor that hears nothing is stopped by its own watchdog alone",
     "board-wheel-runs-away": "the way of a wheel that does not do what it is told follows from no setting",
     "names-removed": "the program that drives is obeyed until then",
     "usb-drop-unwatched": "no software reaches a board that is unplugged; counted from its return",

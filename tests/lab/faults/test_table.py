@@ -76,7 +76,6 @@ NO_FAULT = {
     causes.DRIVER_DIED,  # only where a setting asks for it (tests/procs/test_gate_driver_death.py)
     causes.DRIVER_SILENT,  # only where a setting asks for it (tests/procs/test_gate_sources.py)
     causes.OPERATOR_GONE,  # only where a setting asks for one (tests/procs/test_gate_attendance.py, tests/web)
-    causes.WHEEL_MISSING,  # only where each wheel has a servo of its own on a bus (tests/board/test_feetech.py)
     causes.UNSTILL,  # comes after the stop of another row
     causes.NOT_HEARD,  # only on a machine that starves the service (tests/supervisor/test_stop_tracker.py)
     causes.FLEET,  # as PIPED, by a publisher (tests/fleet/test_publish.py)
