@@ -20,6 +20,7 @@ from math import pi
 from multiprocessing import get_context
 
 from failstop.board.kinds import board_of
+from failstop.board.damiao.codec import LIMIT as FASTEST
 from failstop.board.vesc.wire import HUB_PER_RPS
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry import runaway
@@ -53,6 +54,8 @@ REPORTS_MS = {
     "damiao": (50, 100),
 }
 """The time between two reports: the shortest, and the longest that the page names."""
+STEPS_RPS = {"hoverboard": 1 / 60, "feetech": 1 / 4096, "vesc": 1 / HUB_PER_RPS, "damiao": 2 * FASTEST / 4095 / 2 / pi}
+"""The steps of reported speeds, in turns a second."""
 COUNTS = (12, 20, 44, 64, 200, 360, 680, 1320, 1992, 3436)
 JUDGED_BOARDS = tuple(SHARES)
 
@@ -93,7 +96,7 @@ def draw_robot(chance: random.Random, kind: str) -> Robot:
         **({"board.per_rps": counts / 30} if counts else {}),
     }
     settings, rim_m = Settings(values), pi * diameter_m
-    step = {"hoverboard": 1 / 60, "ugv": 0.001 / rim_m, "feetech": 1 / 4096, "vesc": 1 / HUB_PER_RPS}
+    step = {**STEPS_RPS, "ugv": 0.001 / rim_m}
     if counts:
         step["arduino"] = 30 / counts
     return Robot(
@@ -264,9 +267,7 @@ class ReportStream:
         if robot.counts:
             return float(int(turned * robot.counts // 1)) / robot.counts
         noisy = wheel_rps * (1 + self._noise * self.chance.gauss(0.0, 1.0))
-        unit = {"hoverboard": 1 / 60, "ugv": 0.001 / robot.rim_m, "feetech": 1 / 4096, "vesc": 1 / HUB_PER_RPS}[
-            robot.kind
-        ]
+        unit = {**STEPS_RPS, "ugv": 0.001 / robot.rim_m}[robot.kind]
         return round(noisy / unit) * unit
 
     def arrived(self, now_ns: int) -> Iterator[tuple[int, float]]:

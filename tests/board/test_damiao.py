@@ -7,6 +7,7 @@ import random
 from math import pi
 from pathlib import Path
 from struct import pack
+from typing import Any
 
 import pytest
 
@@ -15,8 +16,10 @@ from failstop.board.damiao import codec, slcan
 from failstop.board.damiao.wire import WIRE, described
 from failstop.board.wire import SERVO_HEAT, SERVO_MISSING, Answer, Health, Restarted, Sample, Wheels
 from failstop_lab.boards.damiao import BUFFERS, IS_OFF, IS_ON, LOST, OVER_HEATED, QUEUE, Adapter, Damiao, Motor
+from tests.support.simulated import Simulated
 
 MS = 1_000_000
+AT_MOST_MS = 500
 MOTORS = codec.Motors(2)
 HOST = json.loads((Path(__file__).parent / "recorded_damiao_host.json").read_text())
 BYTE_NS = WIRE.port.byte_ns
@@ -297,3 +300,93 @@ def test_a_can_that_nobody_takes_frames_from_fills_the_adapter_and_the_motors_st
         assert any(board.wheels) is moves
         sent(board, WIRE.stop.writes[0].data, now_ns + (away_ms + 20) * MS)
         assert not any(board.wheels)
+
+
+# The whole service.
+
+
+@pytest.fixture
+def pair() -> Simulated:
+    simulated = Simulated(kind="damiao")
+    simulated.enable()
+    simulated.drive(0.6)
+    return simulated
+
+
+def receiver(simulated: Simulated) -> Damiao:
+    model: Any = simulated.lab.board.model
+    found = model.receiver
+    assert isinstance(found, Damiao)
+    return found
+
+
+def stopped_ms(simulated: Simulated, wheel: int, from_ns: int) -> float:
+    """How long after that this wheel was told zero."""
+    frames = [each for each in simulated.board.events() if each.executed_ns > from_ns and each.speeds]
+    return (next(each.executed_ns for each in frames if not each.speeds[wheel]) - from_ns) / MS
+
+
+def test_the_motors_are_armed_and_their_watchdogs_are_set(pair: Simulated) -> None:
+    assert [motor.ticks for motor in receiver(pair).motors] == [10_000, 10_000]
+
+
+@pytest.mark.parametrize("unplugged", [0, 1])
+def test_a_motor_that_hears_nothing_stops_the_robot_and_is_named(pair: Simulated, unplugged: int) -> None:
+    board, begun_ns = receiver(pair), pair.lab.machine.now_ns
+    board.motors[unplugged].unplugged = True
+    pair.drive(1.2)
+    assert stopped_ms(pair, 1 - unplugged, begun_ns) < AT_MOST_MS
+    state = pair.robot.state
+    assert state.cause.kind.name == "wheel_missing"
+    assert f"motor {unplugged + 1} (CAN id {unplugged + 1})" in str(state.cause)
+    assert state.last_stop.acknowledged_s is None
+    assert not any(board.wheels), "that motor, by its own watchdog"
+    board.motors[unplugged].unplugged = False
+    pair.wait(0.5)
+    pair.robot.reset()
+    pair.enable()
+    pair.drive(0.5)
+    assert all(board.wheels), "its fault is cleared by the enable"
+
+
+def test_a_motor_that_switches_itself_off_stops_the_others(pair: Simulated) -> None:
+    board, begun_ns = receiver(pair), pair.lab.machine.now_ns
+    board.motors[0].status = OVER_HEATED
+    pair.drive(0.6)
+    assert stopped_ms(pair, 1, begun_ns) < AT_MOST_MS
+    state = pair.robot.state
+    assert state.cause.kind.name == "restarted"
+    assert "motor 1 switched itself off: its driver is too hot" in str(state.cause)
+
+
+def test_a_motor_whose_power_was_off_for_a_moment_stops_the_others_and_is_armed_again(pair: Simulated) -> None:
+    board = receiver(pair)
+    board.motors[1].restart()
+    pair.drive(0.6)
+    assert "motor 2 switched itself off: it is disabled" in str(pair.robot.state.cause)
+    assert not any(board.wheels)
+    pair.robot.reset()
+    pair.enable()
+    pair.drive(0.3)
+    assert all(board.wheels)
+
+
+def test_a_can_that_is_dead_stops_all_motors_by_themselves_and_the_robot_says_so(pair: Simulated) -> None:
+    board = receiver(pair)
+    board.can_dead = True
+    pair.drive(1.5)
+    assert {motor.status for motor in board.motors} == {LOST}
+    assert pair.robot.state.cause.kind.name in ("deaf", "restarted", "board_silent")
+    board.can_dead = False
+    pair.drive(0.5)
+    assert not any(board.wheels), "nothing moves before an enable"
+
+
+def test_a_stop_is_acknowledged_and_the_wheels_are_seen_still(pair: Simulated) -> None:
+    pair.robot.estop("enough")
+    pair.wait(1.0)
+    stop = pair.robot.state.last_stop
+    assert stop.acknowledged_s is not None
+    assert stop.observed_s is not None
+    assert receiver(pair).wheels == (0.0, 0.0)
+    assert [motor.status for motor in receiver(pair).motors] == [IS_ON, IS_ON], "they hold"

@@ -254,6 +254,26 @@ CONTROLS = (
         ASKS,
         "vesc",
     ),
+    Mutant(
+        "the second CAN motor's stop is left out",
+        "drive",
+        (
+            (
+                "failstop.board.damiao.codec",
+                "self.burst = slcan.FLUSH + slcan.OPEN + self.rest",
+                "self.burst = slcan.FLUSH + slcan.OPEN + slcan.line(SPEED_ID + 1, bytes(8))",
+            ),
+        ),
+        ASKS,
+        "damiao",
+    ),
+    Mutant(
+        "nothing drops a cut line before the stop",
+        "drive",
+        (("failstop.board.damiao.codec", "self.burst = slcan.FLUSH + slcan.OPEN", "self.burst = b''"), NOT_REPEATED),
+        CUT_AND_ASKED,
+        "damiao",
+    ),
     Mutant("a stop is not repeated", "drive", (NOT_REPEATED,), CUT_AND_ASKED, "hoverboard"),
     Mutant(
         "the zero behind motion is not repeated",
