@@ -267,13 +267,6 @@ CONTROLS = (
         ASKS,
         "damiao",
     ),
-    Mutant(
-        "nothing drops a cut line before the stop",
-        "drive",
-        (("failstop.board.damiao.codec", "self.burst = slcan.FLUSH + slcan.OPEN", "self.burst = b''"), NOT_REPEATED),
-        CUT_AND_ASKED,
-        "damiao",
-    ),
     Mutant("a stop is not repeated", "drive", (NOT_REPEATED,), CUT_AND_ASKED, "hoverboard"),
     Mutant(
         "the zero behind motion is not repeated",
