@@ -19,8 +19,8 @@ from dataclasses import dataclass, field
 from math import pi
 from multiprocessing import get_context
 
-from failstop.board.kinds import board_of
 from failstop.board.damiao.codec import LIMIT as FASTEST
+from failstop.board.kinds import board_of
 from failstop.board.vesc.wire import HUB_PER_RPS
 from failstop.policy.settings import Settings
 from failstop.procs.telemetry import runaway

@@ -93,9 +93,8 @@ def test_reports_mean_what_a_foreign_host_reads_in_them() -> None:
             slcan.line(0x10 + motor, bytes((motor, 0, codec.READ, codec.V_MAX)) + pack("<f", 45.0)) for motor in (1, 2)
         )
         first = slcan.line(0x11, Motor(1).report(0.0))
-        (wheels,) = [
-            each for each in reader.feed(first + slcan.line(0x12, bytes.fromhex(data)) + text) if isinstance(each, Wheels)
-        ]
+        found = reader.feed(first + slcan.line(0x12, bytes.fromhex(data)) + text)
+        (wheels,) = [each for each in found if isinstance(each, Wheels)]
         # Half a step of the scale may be zero.
         assert wheels.speeds[1] == pytest.approx(speed, abs=0.02)
         assert int(data[0], 16) == status

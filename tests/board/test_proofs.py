@@ -19,7 +19,8 @@ from failstop.policy.layouts import BOARDS
 from failstop.policy.proofs import ACKNOWLEDGED_BY, NEVER_SEEN, SEEN_BY
 from failstop_lab.trial import Trial, wait_for
 
-HEARD = dict.fromkeys(("arduino", "damiao", "ugv", "vesc", "rrc"), BY_ANSWER) | dict.fromkeys(("feetech", "hoverboard"), BY_ECHO)
+ANSWER, ECHO = ("arduino", "damiao", "ugv", "vesc", "rrc"), ("feetech", "hoverboard")
+HEARD = dict.fromkeys(ANSWER, BY_ANSWER) | dict.fromkeys(ECHO, BY_ECHO)
 
 
 @pytest.fixture(scope="module")

@@ -294,14 +294,15 @@ def test_a_robot_without_an_imu_says_so_and_waits_for_none() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "imu"), [
+    ("kind", "imu"),
+    [
         ("arduino", False),
         ("damiao", False),
         ("feetech", False),
         ("hoverboard", False),
         ("ugv", True),
         ("vesc", False),
-    ]
+    ],
 )
 def test_of_each_board_it_is_known(kind: str, imu: bool) -> None:
     assert Settings({"board.kind": kind}).on("board.imu") is imu

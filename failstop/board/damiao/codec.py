@@ -92,7 +92,8 @@ class Motors:
         self.burst = slcan.FLUSH + slcan.OPEN + self.rest
         reports = [register(motor, REPORT) for motor in self._ids]
         self.questions = tuple(
-            slcan.OPEN + b"".join(ask + register(motor, READ, at) for ask, motor in zip(reports, self._ids, strict=True))
+            slcan.OPEN
+            + b"".join(ask + register(motor, READ, at) for ask, motor in zip(reports, self._ids, strict=True))
             for at in ASKED
         )
         self.opening = b"".join(register(motor, WRITE, MODE, SPEED_MODE) for motor in self._ids)

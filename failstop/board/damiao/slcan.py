@@ -5,9 +5,9 @@ python-can 4.6.1 (interfaces/slcan.py), and the firmware of the two CANables, no
 canable2-fw b158aa7 (slcan.c, usbd_cdc_if.c).
 
 Such a line has no checksum, and those adapters run whatever stands before a carriage return: a line that was cut takes
-its missing digits from the line before, and an empty one is the last command again. So FLUSH stands before a stop: it is
+its missing digits from the line before, and an empty one is the last command again. So FLUSH is before each stop: it is
 longer than any line that they keep, so they drop what was cut. For an adapter that keeps more its zeros complete the
-line: then a speed that was cut becomes no faster and does not change its direction, because its last digits are the
+line: a speed that was cut then becomes no faster and does not change its direction, because its last digits are the
 ones that count most.
 """
 

@@ -144,9 +144,9 @@ class Motor:
             command = data[7]
             if command == 0xFC and self.status in (IS_OFF, IS_ON):
                 self.status = IS_ON
-            elif command == 0xFD and self.status in (IS_OFF, IS_ON):
-                self.status = IS_OFF
-            elif command == 0xFB and self.status not in (IS_OFF, IS_ON):
+            elif (command == 0xFD and self.status in (IS_OFF, IS_ON)) or (
+                command == 0xFB and self.status not in (IS_OFF, IS_ON)
+            ):
                 self.status = IS_OFF
             return False
         if can_id >> 8 == 2 and self.mode == BY_SPEED and len(data) >= 4:
@@ -175,10 +175,8 @@ class Motor:
         most = SCALES[V_MAX]
         level = min(4095, max(0, int((speed + most) / (2 * most) * 4095 + 0.5)))
         position, torque = 0x8000, 0x7FF
-        return bytes(
-            (self.number | self.status << 4, position >> 8, position & 255, level >> 4)
-            + ((level & 15) << 4 | torque >> 8, torque & 255, HEAT, HEAT)
-        )
+        head = (self.number | self.status << 4, position >> 8, position & 255, level >> 4)
+        return bytes((*head, (level & 15) << 4 | torque >> 8, torque & 255, HEAT, HEAT))
 
 
 class Damiao(Rolling):

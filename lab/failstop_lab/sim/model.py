@@ -213,6 +213,10 @@ class BoardModel:
             wanted = tuple(new or old for new, old in zip(wanted, self.wheels, strict=True))
         self.wheels = wanted
 
+    def disconnect_motor(self, on: bool) -> None:
+        """Its last motor hears nothing and says nothing, while the others do. Raises ValueError."""
+        raise ValueError("this board's motors have one controller")
+
     def roll(self, faster: float, pushed_rps: float) -> None:
         """Only boards that report what their wheels do can have one that does something else."""
         raise ValueError("this board does not report its wheels")
