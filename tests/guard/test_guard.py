@@ -157,6 +157,14 @@ def test_a_board_that_nobody_has_described_drivers_of_says_so(tmp_path: Path) ->
     assert f"{kind}/wire.py does not say what a driver program may write to this board: add `driver`" in done.stderr
 
 
+def test_a_board_of_failstop_s_without_a_guard_port_says_so(tmp_path: Path) -> None:
+    settings = tmp_path / "settings.toml"
+    write_settings(str(settings), {"board.kind": "damiao"})
+    done = failstop("guard", "--dry-run", "--config", str(settings), "--path", str(tmp_path / "port"))
+    assert done.returncode == 1
+    assert done.stderr.startswith("failstop: board.kind damiao has no guard port yet: let your program drive with")
+
+
 def test_a_board_whose_description_of_drivers_is_not_there_says_so(tmp_path: Path) -> None:
     kind = own_folder(tmp_path / "tank")
     (tmp_path / "tank" / "driver.py").unlink()
