@@ -266,6 +266,20 @@ def test_a_motor_that_switches_itself_off_while_it_drives_is_told_once(status: i
     assert not [each for each in found if isinstance(each, Restarted)]
 
 
+def test_a_motor_that_is_off_for_a_moment_while_it_is_armed_is_no_restart() -> None:
+    """As one may be between the frame that clears its fault and the one that enables it."""
+    board, reader = Damiao(), codec.Replies(2)
+    now_ns, _ = asked(board, reader, driving(board))
+    board.motors[1].status = IS_OFF
+    for _ in range(codec.OFF_AFTER - 1):
+        now_ns = sent(board, codec.register(2, codec.REPORT), now_ns)
+    board.motors[1].status = IS_ON
+    found = heard(board, reader)
+    assert not [each for each in found if isinstance(each, Restarted)]
+    _, found = asked(board, reader, now_ns)
+    assert not [each for each in found if isinstance(each, Restarted)]
+
+
 def test_arming_again_is_no_restart() -> None:
     board, reader = Damiao(), codec.Replies(2)
     now_ns, _ = asked(board, reader, driving(board))
