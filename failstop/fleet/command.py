@@ -265,7 +265,7 @@ def _check_gone(robot: Robot, broker: Broker) -> None:
     limit_s = 0.0
     if not over():
         limit_s = robot.silent_after_s()
-        standard.say(f"the broker reports {robot.id} as connected, so wait for a sign of life, {limit_s:.0f} s at most")
+        standard.say(f"the broker reports {robot.id} as connected; waiting up to {limit_s:.0f} s for a sign of life")
     _listen(broker, limit_s, over)
     if broker.problem:
         raise FleetError(broker.problem)

@@ -319,7 +319,7 @@ UNSTILL = Kind(
     doubt="so they may still be turning",
 )  # fmt: skip
 RUNAWAY = Kind(
-    43, "runaway", "the {wheel} wheel ran away: it turned {seen:.2f} turns a second instead of {told:.2f}", "telemetry",
+    43, "runaway", "the {wheel} wheel ran away: commanded {told:.2f} turns a second, it turned {seen:.2f}", "telemetry",
     "the board reported that the {wheel} wheel turned at {seen:.2f} turns a second, but it was commanded {told:.2f}",
     "check that wheel's motor, encoder and wiring, wheels.sign_* and board.per_rps, and whether the robot is "
     "on a slope",

@@ -104,7 +104,7 @@ def test_where_a_frame_sends_its_servos() -> None:
     assert [arm.moves(other) for other in others] == [[]] * len(others)
 
 
-@pytest.mark.parametrize(("key", "value", "told"), [("servo", 8, "a wheel's"), ("high", 5000, "1 to 4095")])
+@pytest.mark.parametrize(("key", "value", "told"), [("servo", 8, "the id of a wheel"), ("high", 5000, "1 to 4095")])
 def test_a_joint_that_the_bus_has_not_is_refused(key: str, value: int, told: str) -> None:
     with pytest.raises(SettingError, match=told):
         Settings({"board.kind": "feetech", "joints.pan.servo": 1, f"joints.pan.{key}": value})

@@ -50,7 +50,7 @@ def test_however_a_driver_dies_nothing_drives_before_an_enable(
     assert not simulated.turning()
     simulated.stops(fault_ns, 21)
     assert (again.state.enabled, again.state.cause) == (False, None)
-    whose = f"motion disabled: nav (pid {driver.pid}) died after it had driven"
+    whose = f"nav (pid {driver.pid}) died after it had driven"
     for told in (str(again.why()), simulated.printed("status"), simulated.printed("why"), simulated.printed("events")):
         assert whose in " ".join(told.split())
     again.enable()

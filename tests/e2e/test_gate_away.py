@@ -34,7 +34,7 @@ def test_a_dead_gate_drives_nothing(late: Simulated) -> None:
     said = late.printed("status")
     assert "TOLD TO STOP" in said, "so few samples of the IMU say nothing of the wheels"
     assert "DRIVING" not in said
-    assert "a stop is latched" in late.printed("why")
+    assert "a stop has been latched" in late.printed("why")
     late.wait_for("its successor", lambda: late.robot.state.waiting_for is None)
     assert late.robot.state.estop == "gate died", "its successor says the same"
 

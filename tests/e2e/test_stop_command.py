@@ -176,7 +176,7 @@ def test_what_can_be_no_name_stops_all_the_same(tool: Tool, name: str) -> None:
 @pytest.mark.parametrize("wait", ["nan", "inf", "-1", "3601"])
 def test_a_wait_without_an_end_is_refused(tool: Tool, wait: str) -> None:
     tool.plug(*PORTS)
-    said = f"failstop: --wait = {float(wait)!r}: allowed is 0 to 3600 s\n"
+    said = f"failstop: --wait = {float(wait)!r}: it must be 0 to 3600 s\n"
     assert tool.run(f"--wait={wait}") == (1, "", said)
     assert not any(heard.data for heard in tool.boards.values())
 

@@ -322,7 +322,7 @@ def mute() -> Simulated:
 
 def test_every_screen_says_that_nothing_proves_the_stop(mute: Simulated) -> None:
     assert mute.printed("status").startswith(f"wheels TOLD TO STOP, {UNPROVEN}")
-    assert mute.json("why")["what"].startswith(f"TOLD TO STOP, {UNPROVEN}; motion is disabled")
+    assert mute.json("why")["what"].startswith(f"TOLD TO STOP, {UNPROVEN}; motion has been disabled")
     shown = mute.load("failstop.web.view").view(mute.robot.state, [], 0.0)
     assert (shown["word"], shown["role"]) == ("TOLD TO STOP, UNPROVEN", "bad")
     code, out, err = mute.command("enable")

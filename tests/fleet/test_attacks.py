@@ -297,7 +297,7 @@ def test_a_store_that_can_not_be_written_keeps_nobody_from_stopping(
     (tmp_path / "r1").rename(tmp_path / "away")
     assert stop_all(settings, publisher).all_reached(levels.OBSERVED)
     pump("the complaint", lambda: not publisher.unsaved, publisher)
-    assert "a restart forgets what was obeyed" in " ".join(capsys.readouterr().err.split())
+    assert "a restart forgets which stops were obeyed" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.parametrize("data", [b"", b"nonsense", b'{"ids": 3}'])

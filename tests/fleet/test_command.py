@@ -77,7 +77,7 @@ def keep(somebody: Listener, robot: str, word: str) -> None:
 def test_an_empty_broker_is_no_error(config: str) -> None:
     done = failstop("fleet", "list", "--config", config)
     assert (done.returncode, done.stderr) == (0, "")
-    assert " ".join(done.stdout.split()).endswith("shows no robot: it knows none, or its access list hides them")
+    assert " ".join(done.stdout.split()).endswith("shows no robot: either it knows none, or its access list hides them")
     done = failstop("fleet", "list", "--json", "--config", config)
     assert (done.returncode, json.loads(done.stdout)) == (0, [])
 
@@ -91,7 +91,7 @@ def test_no_broker_is_one() -> None:
 @pytest.mark.parametrize("wait", ["0", "-3", "nan", "inf", "1e9", "soon", ""])
 def test_a_time_to_wait_that_is_none(wait: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fleet", "stop", f"--wait={wait}", "--broker", "127.0.0.1:1"]) == 1
-    assert "allowed is more than 0, and 3600 s at most" in " ".join(capsys.readouterr().err.split())
+    assert "it must be more than 0 s, and at most 3600 s" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.parametrize(
@@ -119,11 +119,11 @@ def settings_of(key: str) -> str:
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"broker.ca_file": "/ca"}, 'broker.ca_file is set and broker.tls is "off"'),
-        ({"broker.cert_file": "/c"}, 'broker.cert_file is set and broker.tls is "off"'),
-        ({"broker.cert_key_file": "/k"}, 'broker.cert_key_file is set and broker.tls is "off"'),
-        ({"broker.tls": "on", "broker.cert_key_file": "/k"}, "broker.cert_key_file is set and broker.cert_file is not"),
-        ({"broker.password_file": "/p"}, "broker.password_file is set and broker.user is not"),
+        ({"broker.ca_file": "/ca"}, 'broker.ca_file is set but broker.tls is "off"'),
+        ({"broker.cert_file": "/c"}, 'broker.cert_file is set but broker.tls is "off"'),
+        ({"broker.cert_key_file": "/k"}, 'broker.cert_key_file is set but broker.tls is "off"'),
+        ({"broker.tls": "on", "broker.cert_key_file": "/k"}, "broker.cert_key_file is set but broker.cert_file is not"),
+        ({"broker.password_file": "/p"}, "broker.password_file is set but broker.user is not"),
     ],
 )
 def test_settings_that_protect_less_than_they_seem_to(given: dict[str, object], says: str) -> None:
@@ -177,7 +177,7 @@ def test_ctrl_c_prints_the_report_so_far(config: str, publisher: Robot, somebody
         os.close(theirs)
         until(terminal, "1 of 2 robots have confirmed; waiting for r2", publisher)
         running.send_signal(signal.SIGINT)
-        assert "Traceback" not in until(terminal, "interrupted: ", publisher)
+        assert "Traceback" not in until(terminal, "interrupted, ", publisher)
         out, _ = running.communicate(timeout=20)
     os.close(terminal)
     assert running.returncode == 130
@@ -226,7 +226,7 @@ def test_a_robot_that_was_switched_off_while_the_broker_was_down_is_forgotten(co
     keep(somebody, "r2", message.ONLINE)
     done = failstop("fleet", "forget", "r2", "--config", config)
     assert (done.returncode, done.stdout) == (0, "r2 is forgotten: a fleet stop no longer waits for it\n")
-    assert "the broker calls r2 connected: listening for a sign of life, 4 s at most" in " ".join(done.stderr.split())
+    assert "the broker reports r2 as connected; waiting up to 4 s for a sign of life" in " ".join(done.stderr.split())
     topic = topics.of_robot(FLEET, "r2", topics.CONNECTION)
     pump("it to be taken off", lambda: somebody.last[topic] == b"", somebody)
 

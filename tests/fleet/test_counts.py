@@ -200,7 +200,7 @@ def test_an_access_list_that_hides_connections_is_said(start: Start, enrol: Any,
     complete, sender = stop_all(operator(broker, key), here)
     assert not complete
     [doubt] = sender.doubts
-    assert doubt.startswith("r1 answered, and the broker does not show you its connection")
+    assert doubt.startswith("r1 answered, but the broker does not show you its connection")
     assert "must let you read failstop/v1/failstop/robot/+/connection" in doubt
 
 
@@ -253,5 +253,5 @@ def test_an_empty_list_is_refused(key: str, tmp_path: Path, text: str) -> None:
     names = tmp_path / "robots"
     names.write_text(text)
     found = FleetSettings({"stop.key_file": key, "stop.robots_file": str(names)})
-    with pytest.raises(FleetError, match="lists no robot: write one name a line"):
+    with pytest.raises(FleetError, match="lists no robot: write one name per line"):
         Sender(found, "smoke", "ann")

@@ -72,7 +72,7 @@ def test_a_robot_whose_broker_confirms_nothing_is_lost(
 ) -> None:
     broker.signal(signal.SIGSTOP)
     ending.close()
-    assert "has not confirmed the end: it shows this robot as lost" in capsys.readouterr().err
+    assert "did not confirm that this robot signed off, so it shows it as lost" in capsys.readouterr().err
     broker.signal(signal.SIGCONT)
     pump("the last will", lambda: told(listener)[-1] == "lost", listener)
 

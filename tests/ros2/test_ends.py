@@ -41,7 +41,7 @@ def test_a_killed_bridge_stops_the_wheels_at_once_and_leaves_nothing(scene: Brid
         state = robot.state
         assert (state.enabled, state.estop) == (False, None), "as with any driver: motion is disabled, nothing latched"
         if not restart:
-            told = re.compile(r"motion disabled: ros2 \(pid \d+\) died after it had driven")
+            told = re.compile(r"motion has been disabled since [^\n]*: ros2 \(pid \d+\) died after it had driven")
             assert told.search(str(robot.why())), "and not since its last command was too old"
         scene.trial.board.events()
         scene.bridge.start()

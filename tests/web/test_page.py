@@ -143,7 +143,7 @@ def test_without_a_service_it_says_so_and_a_stop_is_not_written() -> None:
 def test_without_pairing_nobody_may(web: Web) -> None:
     assert web.post("/api/pair", {"code": "0000-0000"})[0] == 403
     assert web.post("/api/disable", headers=HEADERS)[0] == 401
-    assert "pairing is off" in web.command("pair").stderr
+    assert "pairing is switched off" in web.command("pair").stderr
     assert json.loads(web.ask("GET", "/api/state")[2])["live"]
 
 

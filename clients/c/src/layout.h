@@ -286,7 +286,7 @@
      "driver silent: {who}, {ms:d} ms", \
      "check that program: it may hang, or be suspended (Ctrl-Z)"}, \
     {43, "runaway", \
-     "the {wheel} wheel ran away: it turned {seen:.2f} turns a second instead of {told:.2f}", \
+     "the {wheel} wheel ran away: commanded {told:.2f} turns a second, it turned {seen:.2f}", \
      "check that wheel's motor, encoder and wiring, wheels.sign_* and board.per_rps, and whether the robot is on a slope"}, \
     {44, "board_silent", \
      "the board is silent", \
