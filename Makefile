@@ -126,7 +126,7 @@ chaos: $(VENV)/.installed
 	$(BIN)/failstop chaos --count 10000 --json chaos.json $(if $(BOARD),--board $(BOARD))
 
 # For a night: every single fault at every call of every scenario, on a simulated machine, then drawn runs for SEEDS seconds of each
-# processor, from the seed of the day on (docs/dev/simulation.md). BOARD: as for `board`.
+# processor, from the seed of the day on (lab/failstop_lab/simulate/README.md). BOARD: as for `board`.
 SEEDS ?= 14400
 simulate: $(VENV)/.dev
 	$(BIN)/failstop simulate --whole --marks $(if $(BOARD),--board $(BOARD))
@@ -149,7 +149,7 @@ controls: $(VENV)/.dev
 model:
 	model/check
 
-# A board in a folder of your own (docs/dev/porting.md): make board BOARD=/etc/failstop/boards/tank
+# A board in a folder of your own (docs/porting.md): make board BOARD=/etc/failstop/boards/tank
 BOARD ?=
 board: $(VENV)/.dev
 	@[ -n "$(BOARD)" ] || { echo "which folder? make board BOARD=/path/to/folder"; exit 1; }
@@ -165,7 +165,7 @@ mutants: $(VENV)/.dev
 	$(BIN)/pip install --quiet --disable-pip-version-check 'mutmut>=3.8'
 	$(COMPILED) $(BIN)/python tests/mutation/run.py $(if $(AT),--at $(AT)) $(ROOMS)
 
-# A stock Debian in a virtual machine, the board on USB (docs/dev/usb.md). Needs root, and qemu, which it names. TRIALS: some of them.
+# A stock Debian in a virtual machine, the board on USB (tests/vm/README.md). Needs root, and qemu, which it names. TRIALS: some of them.
 TRIALS ?=
 vm: $(VENV)/.dev
 	@$(BIN)/python -m tests.vm $(if $(TRIALS),--only $(TRIALS))

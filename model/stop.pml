@@ -1,6 +1,6 @@
 /* The stop protocol, for Spin: who may write to the board, and in which order, when processes die, hang and wake.
  *
- * Run ./check. docs/dev/model.md says what each part stands for in the code, and what the model leaves out.
+ * Run ./check. model/README.md says what each part stands for in the code, and what the model leaves out.
  *
  * One step is one look at, or one change of, what processes share. A process that hangs stays at its step until it wakes
  * (`provided`); one that is killed leaves its sequence from any step (`unless`).

@@ -99,7 +99,7 @@ def language_of(kind: str, settings: Settings) -> DriverLanguage | None:
         try:
             return make(settings) if make else None
         except (ImportError, AttributeError, TypeError) as error:
-            remedy = 'correct it ("The guard port" in docs/dev/porting.md), or take `driver` out of its Wire'
+            remedy = 'correct it ("The guard port" in docs/porting.md), or take `driver` out of its Wire'
             raise ValueError(
                 f"{kind}/wire.py: its `driver` raises {type(error).__name__}: {error}: {remedy}"
             ) from error

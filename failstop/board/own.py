@@ -106,7 +106,7 @@ def _check_vocabulary(folder: str, offered: str) -> None:
     if said != [offered]:
         written = f"was written for vocabulary {said[0]}" if said else f"has no line {SAYS.decode()}{offered}"
         offers = f"failstop {VERSION} offers vocabulary {offered} of failstop/board/wire.py"
-        raise OwnBoardError(f'{path} {written}, and {offers}: docs/dev/porting.md, "Versions"')
+        raise OwnBoardError(f'{path} {written}, and {offers}: docs/porting.md, "Versions"')
 
 
 # In a child process first.

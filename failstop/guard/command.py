@@ -130,7 +130,7 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
     if not described:
         raise FailstopError(
             f"{os.path.join(kind, 'wire.py')} does not say what a driver program may write to this board: add `driver` "
-            'to its Wire ("The guard port" in docs/dev/porting.md), or let your program drive with failstop.Robot'
+            'to its Wire ("The guard port" in docs/porting.md), or let your program drive with failstop.Robot'
         )
     if not os.path.isabs(path):
         raise FailstopError(f"{path}: give the whole path, because your driver may run in another folder")

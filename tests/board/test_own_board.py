@@ -66,7 +66,7 @@ def test_setup_offers_only_layouts_that_its_speeds_can_drive(folder: str) -> Non
 
 def test_the_page_says_how_to_begin(tmp_path: Path) -> None:
     """Its commands make a folder that drives as the smallest board does, judged by a receiver of its own."""
-    [told] = re.findall(r"```sh\n(mkdir .*?)```", (ROOT / "docs" / "dev" / "porting.md").read_text(), re.DOTALL)
+    [told] = re.findall(r"```sh\n(mkdir .*?)```", (ROOT / "docs" / "porting.md").read_text(), re.DOTALL)
     subprocess.run(["sh", "-e", "-c", told.replace("/etc/failstop/boards", str(tmp_path))], cwd=ROOT, check=True)
     folder = str(tmp_path / "tank")
     assert board_of(folder, 0.08, 0.0).burst == board_of("arduino", 0.08, 0.0).burst

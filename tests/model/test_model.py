@@ -15,7 +15,7 @@ from failstop_lab.case.cited import script
 from tests.support.amounts import LONG
 
 CHECK = Path(__file__).resolve().parent.parent.parent / "model" / "check"
-PAGE = CHECK.parents[1] / "docs" / "dev" / "model.md"
+PAGE = CHECK.with_name("README.md")
 SLOW_S = 600
 
 

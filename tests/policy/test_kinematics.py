@@ -37,7 +37,7 @@ BASES = {
 
 
 def known(name: str) -> Chassis:
-    """Made anew in each test: so a changed function makes it (docs/dev/mutation.md)."""
+    """Made anew in each test: so a changed function makes it (tests/mutation/README.md)."""
     return base(*BASES[name])
 
 

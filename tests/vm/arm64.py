@@ -5,7 +5,7 @@ python -m tests.vm.arm64 [TEST ...]
 An emulated machine with one processor and a clock that counts instructions (guest.py), made without running anything
 of it here: Debian's packages are unpacked and no more, wheels too, and its init is a script that runs what is asked
 for. It shows that the code runs there, system calls by their numbers, wheels and all. What one processor can't show is
-the order in which another one sees what it writes: docs/dev/memory-order.md has that.
+the order in which another one sees what it writes: model/aarch64/README.md has that.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ ASSUMPTIONS = (
         "tests/lab/machine/test_single_faults.py", EACH,
     ),
     Assumption(
-        "PAIRS", "The table of docs/dev/memory-order.md has every pair of accesses whose order matters.",
+        "PAIRS", "The table of model/aarch64/README.md has every pair of accesses whose order matters.",
         "litmus tests",
         "On ARM an order that no test has; by its bell or its next look the process sees it, some ms later.",
         "tests/model/test_pairs.py", EACH,
@@ -75,7 +75,7 @@ ASSUMPTIONS = (
         "tests/systemd/test_service.py", EACH,
     ),
     Assumption(
-        "PTY", "A pty stands for the board's USB port, but for what docs/dev/usb.md lists.", "tests, faults, bench",
+        "PTY", "A pty stands for the board's USB port, but for what tests/vm/README.md lists.", "tests, faults, bench",
         "A driver of USB that behaves in another way; `failstop prove` meets it on the robot itself.",
         "`make vm` (a simulated USB device on a real kernel)", "2026-11-23",
     ),

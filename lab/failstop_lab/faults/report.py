@@ -246,7 +246,7 @@ def markdown(result: dict[str, Any]) -> str:
         "arguments, and the journal tells of it; what is said besides is in that column. Where nothing is latched",
         "after a new start, motion is disabled. Clearing moves no wheel, but where it comes *by itself*.",
         "What is *not here* this machine could not bring about: `make vm` puts one to sleep and steps its clock",
-        "([usb.md](../dev/usb.md)).",
+        "([how](../how-it-is-tested.md#usb-sleep-and-boot)).",
         "",
         *LEASES,
     ]

@@ -1,1 +1,1 @@
-"""A simulated machine, on which the whole service runs in one process (docs/dev/simulation.md)."""
+"""A simulated machine, on which the whole service runs in one process (lab/failstop_lab/simulate/README.md)."""

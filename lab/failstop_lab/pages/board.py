@@ -11,7 +11,7 @@ from failstop_lab.pages.rooms import PACKAGE
 
 PAGE_HEAD = """# A board: reference
 
-Generated from the docstrings of `failstop/board` (`make docs`). [Porting](../dev/porting.md) shows how to use it.
+Generated from the docstrings of `failstop/board` (`make docs`). [Porting](../porting.md) shows how to use it.
 Times whose name ends with `_ns` are in nanoseconds, speeds whose name ends with `_rps` in turns per second.
 """
 SECTIONS = (

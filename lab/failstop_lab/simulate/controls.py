@@ -1,4 +1,4 @@
-"""Controls: one part of the stop protocol taken out, as in the failing rows of docs/dev/model.md, and the scenario that
+"""Controls: one part of the stop protocol taken out, as in the failing rows of model/README.md, and the scenario that
 must notice, by seeds or else by its single faults. A campaign that finds none of them finds nothing. A patch names a
 piece of source that is there once, so a change of that code makes the control fail, not pass."""
 
@@ -38,13 +38,13 @@ NOT_EXPRESSED = {
     "a refused frame stays in the ring": "a stop drops it, and without one it is late by less than DRAIN_NS",
     "bell": "the kernel's own locks",
 }
-"""Failing rows of docs/dev/model.md and controls of docs/dev/memory-order.md that no change of the source stands for.
+"""Failing rows of model/README.md and controls of model/aarch64/README.md that no change of the source stands for.
 weak_controls.py has those that are expressed where a store may be late."""
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """`row`: of docs/dev/model.md, the pair of docs/dev/memory-order.md and whose barrier it is, or what is in neither;
+    """`row`: of model/README.md, the pair of model/aarch64/README.md and whose barrier it is, or what is in neither;
     `scenario`: what finds it; `fault`: the one that does, where trying every other first takes minutes."""
 
     row: str

@@ -1,5 +1,5 @@
 """Order: whether each process has seen shared memory in an order that the protocol may rely on, by the pairs of
-docs/dev/memory-order.md. The board judges what wheels do; of most pairs that go wrong it shows nothing for thousands of
+model/aarch64/README.md. The board judges what wheels do; of most pairs that go wrong it shows nothing for thousands of
 runs, and of some nothing ever, since they are of what people are told.
 """
 

@@ -53,7 +53,7 @@ NOTICED_MS = 350
 """A board that is asked for its counters every 0.2 s may be told to drive again until the next answer."""
 RUN_DOWN_MS = 300 + 200 + 100 + 200
 """From when a wheel runs away to the stop, with three times between reports: the lag, the shortest time that counts,
-the run-down from SPEED_MPS at the default braking, and what the stop takes (docs/dev/runaway.md)."""
+the run-down from SPEED_MPS at the default braking, and what the stop takes (procs/telemetry/runaway.md)."""
 UNASKED_MS = 2 * 1_500 + 300
 """From when wheels turn unasked, which disables motion and then latches a stop, with some times between reports."""
 SILENT_MS = 1_000

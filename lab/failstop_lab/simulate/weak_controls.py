@@ -1,4 +1,4 @@
-"""Controls of weak memory: one barrier of docs/dev/memory-order.md taken out, on the one side of its pair or the other,
+"""Controls of weak memory: one barrier of model/aarch64/README.md taken out, on the one side of its pair or the other,
 and the scenario in which seeds must see that it is missing."""
 
 from __future__ import annotations

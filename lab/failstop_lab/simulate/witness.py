@@ -276,7 +276,7 @@ class Witness:
 
     def _written(self, data: bytes) -> None:
         """Bytes for the board, written by the running thread. After an early stop by another process, the port owner
-        may be about to write one frame (S2 of docs/dev/model.md); after one by its own thread, none. A stop by its
+        may be about to write one frame (S2 of model/README.md); after one by its own thread, none. A stop by its
         loop is not early, and its reason may be over by itself."""
         begun_ns = max(self.wire_ns, self.machine.now_ns)
         self.wire_ns = begun_ns + len(data) * self._byte_ns
@@ -408,7 +408,7 @@ class Witness:
         return self._fuses and self.machine.now_ns < self._cut_ns + self._traits.late_ns
 
     def _was_on_its_way(self) -> bool:
-        """Allow the one frame of a port owner that was held up after its last look (S2 of docs/dev/model.md), which
+        """Allow the one frame of a port owner that was held up after its last look (S2 of model/README.md), which
         stops after it. A second frame is not allowed."""
         why, self._forbidden = self._forbidden, ""
         if self._late or not self._resumed():

@@ -42,7 +42,7 @@ def events(simulated: Simulated, *kinds: str) -> list[Any]:
 
 
 def run_down_s(kind: str) -> float:
-    """As docs/dev/runaway.md has it, for this drive with the default braking of 1 m/s2."""
+    """As procs/telemetry/runaway.md has it, for this drive with the default braking of 1 m/s2."""
     return 0.3 + 0.2 + SPEED.get(kind, 0.2) / 1.0 + 3 * every_s(kind)
 
 
