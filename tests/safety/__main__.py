@@ -1,4 +1,4 @@
-"""`python -m tests.safety`: the table of docs/users.md, made again in its place."""
+"""`python -m tests.safety`: the table of docs/safety.md, made again in its place."""
 
 from __future__ import annotations
 

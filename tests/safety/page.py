@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tests.safety import table
 
-PAGE = Path(__file__).parents[2] / "docs" / "users.md"
+PAGE = Path(__file__).parents[2] / "docs" / "safety.md"
 BEGIN = "<!-- of tests/safety/table.py: `python -m tests.safety` -->"
 
 

@@ -1,4 +1,4 @@
-"""Powers of another local user, and their limits: the rows of docs/users.md, each with the attempt that shows it."""
+"""Powers of another local user, and their limits: the rows of docs/safety.md, each with the attempt that shows it."""
 
 from __future__ import annotations
 
