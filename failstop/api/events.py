@@ -23,7 +23,7 @@ LOOK_S = 0.02
 
 @dataclasses.dataclass(frozen=True)
 class Event:
-    """One event. supervisor/kinds.py and docs/journal.md list its kinds, and the fields of each."""
+    """One event. supervisor/kinds.py and docs/logs.md list its kinds, and the fields of each."""
 
     seq: int
     """Counted from 1 in each run of the service. A gap means that events were overwritten before they were read."""
@@ -32,7 +32,7 @@ class Event:
     ns: int
     """CLOCK_MONOTONIC, ns."""
     kind: str
-    """What it is about: stop, enabled, died, ... (docs/journal.md)."""
+    """What it is about: stop, enabled, died, ... (docs/logs.md)."""
     level: str
     """info, notice, warning, error or critical."""
     text: str

@@ -374,7 +374,7 @@ class Robot(Calls):
         return sleep_through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> Iterator[Event]:
-        """The service's events as they happen: stops, deaths, requests (docs/journal.md). Waits for the next one
+        """The service's events as they happen: stops, deaths, requests (docs/logs.md). Waits for the next one
         without end. `past`: begin with the events of this run so far, the last 256. Raises NoService when the run
         ends."""
         return EventLog(self.name, past=past).follow()

@@ -22,10 +22,10 @@ def test_what_was_changed_by_hand_is_found_with_its_text_as_it_should_be(tmp_pat
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(made.ROOT / name, tmp_path / name)
     assert made.differing(tmp_path) == {}
-    page = tmp_path / "docs/journal.md"
+    page = tmp_path / "docs/logs.md"
     before = page.read_text()
     page.write_text(before.replace("| `unstill` |", "| `other` |"))
-    assert made.differing(tmp_path) == {"docs/journal.md": before}
+    assert made.differing(tmp_path) == {"docs/logs.md": before}
 
 
 def test_a_page_without_its_marks_is_refused() -> None:

@@ -1,4 +1,4 @@
-"""The journal on a real systemd: entries with their fields and explanations, and each command of docs/journal.md."""
+"""The journal on a real systemd: entries with their fields and explanations, and each command of docs/logs.md."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from failstop.supervisor.kinds import EVENT_BY_NAME, EVENT_KINDS, LEVELS
 from failstop_lab.trial import wait_for
 
 ROOT = Path(failstop.__file__).resolve().parent.parent
-QUESTIONS = re.findall(r"^ +(journalctl -b .*)$", (ROOT / "docs" / "journal.md").read_text(), re.MULTILINE)
+QUESTIONS = re.findall(r"^ +(journalctl -b .*)$", (ROOT / "docs" / "logs.md").read_text(), re.MULTILINE)
 
 
 WITHOUT_SENSOR = f"""

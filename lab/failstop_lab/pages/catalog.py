@@ -1,4 +1,4 @@
-"""The journal's message catalog and the table of docs/journal.md, from the tables of kinds and texts."""
+"""The journal's message catalog and the table of docs/logs.md, from the tables of kinds and texts."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ PAGE_HEAD = """\
 # Causes
 
 Generated from the table in failstop/policy/causes.py (`make docs`).
-`failstop why` explains the cause that is latched in the same words; [journal.md](../journal.md) finds it afterwards,
+`failstop why` explains the cause that is latched in the same words; [the log](../logs.md) finds it afterwards,
 and [faults.md](faults.md) says how soon the wheels are stopped for the faults behind it.
 
 Every cause latches: the wheels stay stopped until somebody resets and enables. A cause that only a new start clears

@@ -56,7 +56,7 @@ FILES: dict[str, Callable[[str], str]] = {
     "docs/reference/evidence.md": lambda _: case.evidence_page(ROOT),
     "docs/reference/assumptions.md": lambda _: case.assumptions_page(),
     "docs/reference/tried.md": lambda _: tried.page(),
-    "docs/journal.md": lambda text: renewed(text, "kinds", catalog.table()),
+    "docs/logs.md": lambda text: renewed(text, "kinds", catalog.table()),
     "docs/ros2.md": lambda text: renewed(text, "contract", ros2.text()),
     "failstop/ros2/packages/failstop_msgs/CHANGELOG.rst": lambda _: _ros_changes("failstop_msgs"),
     "failstop/ros2/packages/failstop_ros2/CHANGELOG.rst": lambda _: _ros_changes("failstop_ros2"),
