@@ -49,7 +49,7 @@ class Session:
             "COLUMNS": "100",
         }
         self._runtime_directory = ""
-        self._terminals: list[tuple[subprocess.Popen[bytes], Path]] = []
+        self._terminals: list[tuple[subprocess.Popen[bytes], Path, str]] = []
         self._bash = subprocess.Popen(
             ["bash", "--norc", "-s"],
             stdin=subprocess.PIPE,
@@ -68,7 +68,7 @@ class Session:
         self._bash.stdin.close()
         self._bash.wait(10)
         self._bash.stdout.close()
-        for process, _ in reversed(self._terminals):
+        for process, _, _ in reversed(self._terminals):
             process.send_signal(signal.SIGTERM)
             process.wait(10)
         if self._runtime_directory:
@@ -105,12 +105,20 @@ class Session:
                 cwd=self._directory,
                 env=self._environment,
             )
-        self._terminals.append((process, output))
+        self._terminals.append((process, output, command))
         until_s = time.monotonic() + READY_S
         while not self._up(command, output):
             assert process.poll() is None, output.read_text()
             assert time.monotonic() < until_s, output.read_text()
             time.sleep(0.01)
+
+    def stay_again(self, command: str) -> None:
+        """Press Ctrl-C in the terminal of the same command, and start it there once more, with other options."""
+        words = command.split()[:2]
+        process = next(process for process, _, started in reversed(self._terminals) if started.split()[:2] == words)
+        process.send_signal(signal.SIGINT)
+        process.wait(10)
+        self.stay(command)
 
     def _up(self, command: str, output: Path) -> bool:
         if " sim " in command:

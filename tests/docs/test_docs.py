@@ -24,10 +24,11 @@ MARKED = (
     "robot.md",
     "architecture.md",
     "safety.md",
-    "sources.md",
+    "docs/python.md",
 )
 """Pages on which every block of commands is marked."""
 ALONE = "run: in a terminal of its own"
+AGAIN = "run: in the same terminal, after Ctrl-C"
 SAVED = "run: save as "
 _numbers = itertools.count()
 
@@ -82,12 +83,12 @@ def test_the_settings_in_a_block_are_accepted(page: Path, tmp_path: Path) -> Non
             config.load(str(file))
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if page.name in MARKED], ids=name_of)
+@pytest.mark.parametrize("page", [page for page in PAGES if str(page).endswith(MARKED)], ids=name_of)
 def test_every_block_of_commands_is_marked(page: Path) -> None:
     for block in blocks(page):
         if block.language in (*SHELL, "python"):
             assert block.mark is not None, f"{block}: run it, or say why it is only parsed"
-            assert re.fullmatch(rf"run|{ALONE}|{SAVED}\w+\.\w+|parse: \w.*", block.mark), block
+            assert re.fullmatch(rf"run|{ALONE}|{AGAIN}|{SAVED}\w+\.\w+|parse: \w.*", block.mark), block
         assert block.language, f"{block}: which language?"
     assert not indented(page), "fence it, so that it is run or at least marked"
 
@@ -109,6 +110,10 @@ def test_what_a_page_shows_is_what_happens(page: Path, tmp_path: Path) -> None:
             if block.mark == ALONE:
                 ((command, shown),) = block.steps()
                 session.stay(command)
+                terminals.append((block, shown))
+            elif block.mark == AGAIN:
+                ((command, shown),) = block.steps()
+                session.stay_again(command)
                 terminals.append((block, shown))
             elif block.mark and block.mark.startswith(SAVED):
                 session.save(block.mark.removeprefix(SAVED), block.text)

@@ -2,6 +2,7 @@
 
 `<!-- run -->`: the block is run, in the page's own session, its output compared with what the page shows.
 `<!-- run: in a terminal of its own -->`: the same, for a command that stays in the foreground.
+`<!-- run: in the same terminal, after Ctrl-C -->`: the same, in place of that command's earlier start.
 `<!-- run: save as NAME -->`: settings or a program, which later blocks use by this name.
 `<!-- parse: WHY -->`: it is not run, for this reason; its commands must be accepted by their parsers.
 """
