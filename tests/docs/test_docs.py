@@ -21,7 +21,7 @@ MARKED = (
     "your-robot.md",
     "questions.md",
     "quickstart.md",
-    "robot.md",
+    "setup.md",
     "architecture.md",
     "safety.md",
     "docs/python.md",

@@ -65,7 +65,7 @@ ENVIRONMENT = (
 )
 
 SEE_ALSO = (
-    "The pages in docs/ of the source: quickstart.md, robot.md, safety.md, reference/causes.md, reference/settings.md."
+    "The pages in docs/ of the source: quickstart.md, setup.md, safety.md, reference/causes.md, reference/settings.md."
 )
 
 
