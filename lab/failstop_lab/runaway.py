@@ -2,8 +2,8 @@
 
 A healthy wheel follows its commands as well as its drawn parameters let it, and every alarm of it is a false one. A
 runaway wheel turns faster than told, the other way, or on although told zero, and must be found in its run-down time
-and 0.2 s. What is healthy, and when it must be found, is written here once more from procs/telemetry/runaway.md, because a
-trial that takes its bounds from the judge could only agree with it.
+and 0.2 s. What is healthy, and when it must be found, is written here once more from procs/telemetry/runaway.md,
+because a trial that takes its bounds from the judge could only agree with it.
 
     python -m failstop_lab.runaway --seconds 1000000 --jobs 2
 """

@@ -2,7 +2,8 @@
 
 Every report is compared with all that the wheels were told in the time that it may be about. A wheel has run away when
 it has turned faster than that, or the other way, for its run-down time, and has not slowed down meanwhile. One that
-stands although it is told to turn is a warning. procs/telemetry/runaway.md has the thresholds, and why they are what they are.
+stands although it is told to turn is a warning. procs/telemetry/runaway.md has the thresholds, and why they are what
+they are.
 """
 
 from __future__ import annotations

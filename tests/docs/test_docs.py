@@ -135,7 +135,10 @@ def run(session: Session, block: Block) -> None:
             assert code == 0, f"{block}: $ {command}\n{printed}"
 
 
-TOPS = "bench clients examples integrations lab model packaging procs shm supervisor systemd tests".split()
+TOPS = (
+    *("bench", "clients", "examples", "integrations", "lab", "model"),
+    *("packaging", "procs", "shm", "supervisor", "systemd", "tests"),
+)
 FOLDERS = [
     *(ROOT / name for name in ("CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md")),
     *sorted(page for top in TOPS for page in (ROOT / top).rglob("*.md")),

@@ -1,7 +1,7 @@
 """Show: the service on the simulated machine as the page of the documentation has it, with a program that drives.
 
-The processes, the API and the words are those that ship (lab/failstop_lab/simulate/README.md). The page presses the buttons of
-acts.py, lets time pass and shows what this tells.
+The processes, the API and the words are those that ship (lab/failstop_lab/simulate/README.md). The page presses the
+buttons of acts.py, lets time pass and shows what comes of it.
 """
 
 from __future__ import annotations

@@ -71,7 +71,9 @@ BACK = "the device's return"
 STOP_ASKED_MEANWHILE = "a stop request meanwhile"
 THAWED = "the thaw"
 RUN_DOWN_MS = 1_700.0
-"""The run-down time of the board that reports least often, at the trials' speed, and 0.2 s (procs/telemetry/runaway.md)."""
+"""The run-down time of the board that reports least often, at the trials' speed, and 0.2 s.
+
+procs/telemetry/runaway.md explains it."""
 OWN_WATCHDOG_MS = 1_230.0
 """The longest own watchdog of a motor (VESC, 1.01 s), and 0.2 s until the next stop, in which it shows."""
 IN_TURN_MS = 60.0

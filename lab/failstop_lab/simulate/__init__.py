@@ -1,1 +1,1 @@
-"""Every single fault of a scenario, on a simulated machine, judged by the simulated board (lab/failstop_lab/simulate/README.md)."""
+"""Every single fault of a scenario, on a simulated machine, judged by the simulated board (README.md)."""

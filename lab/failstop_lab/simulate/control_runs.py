@@ -25,8 +25,8 @@ PAGE = """\
 # What is taken out, and missed
 
 `make controls` makes this page: it takes one part of the stop protocol out of the code at a time, and looks for what
-goes wrong on the [simulated machine](../how-it-is-tested.md#the-simulated-machine). A campaign that finds nothing on the code as it is says
-something only if it finds each of these.
+goes wrong on the [simulated machine](../how-it-is-tested.md#the-simulated-machine). A campaign that finds nothing on
+the code as it is says something only if it finds each of these.
 
 Each part is looked for by seeds of one scenario, seed 0 first, for {seconds} s of one core at most; *s* is the time of
 a processor until the first run that was wrong, in which the service is started too. Of such a run draws are left out
@@ -38,16 +38,17 @@ it renews the rows that it has looked for.
 
 ## Failing rows of the model
 
-The rows of [the model](../how-it-is-tested.md#the-stop-protocol-in-a-model-checker) that must fail, and parts that it does not have.
+The rows of [the model](../how-it-is-tested.md#the-stop-protocol-in-a-model-checker) that must fail, and parts that it
+does not have.
 
 {head}
 {model}
 
 ## Barriers
 
-Each barrier of [memory order](../how-it-is-tested.md#memory-order-on-arm) is taken out, on the one side of its pair or the other;
-memory alone is odd in these runs. For *moving: supervisor* an entry of the black box is taken out as well, whose own
-barrier stands between. *ring: any writer* and *reply: gate* are two looks at one barrier.
+Each barrier of [memory order](../how-it-is-tested.md#memory-order-on-arm) is taken out, on the one side of its pair or
+the other; memory alone is odd in these runs. For *moving: supervisor* an entry of the black box is taken out as well,
+whose own barrier stands between. *ring: any writer* and *reply: gate* are two looks at one barrier.
 
 {head}
 {memory}
