@@ -27,8 +27,8 @@ faults, properties of the [model](../how-it-is-tested.md#the-stop-protocol-in-a-
 [litmus tests](../how-it-is-tested.md#memory-order-on-arm), rules and marks of the
 [simulation](../how-it-is-tested.md#the-simulated-machine) and rows of the [bench](measured.md). CI fails for a claim
 that nothing carries, for a citation of no claim, for one of these rows that neither cites a claim nor is said to
-carry none, for an assumption that nothing makes, for a time without a number, and for a bound that is not the latest bar of its rows in
-[faults.md](faults.md).
+carry none, for an assumption that nothing makes, for a time without a number, and for a bound that is not the latest
+bar of its rows in [faults.md](faults.md).
 
 What a fault, model, litmus test or row of the bench found last is copied from those pages, which say when and on
 which machine. A test of `tests/` and a rule of the simulation found nothing wrong in the last run of CI. A mark of the
