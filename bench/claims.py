@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 
 CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    (r"kill \w+ while the arm moves|.* -> every joint stands|.*: not as its row says", ("ARM-1",)),
+    (r"kill [\w ]+ while the arm moves|.* -> every joint stands|.*: not as its row says", ("ARM-1",)),
     ("kill ", ("DEATH-1",)),
     ("hang of ", ("HANG-1",)),
     ("stop request ", ("ASK-1",)),
@@ -25,7 +25,7 @@ CLAIMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("systemd: motion frames after", ("MOVE-2",)),
     (r"bridge (killed|stopped \(SIGSTOP\)) while driving", ("CLIENT-1",)),
     (r"SIG\w+ of the policy( and its host)? while driving", ("CLIENT-1",)),
-    (r"SIGKILL of the \w+ under the policy while driving", ("DEATH-1",)),
+    (r"SIGKILL of [\w ]+ under the policy while driving", ("DEATH-1",)),
     ("second publisher", ("CLIENT-1",)),
 )
 CARRY_NONE = (
