@@ -160,6 +160,28 @@ def test_what_a_page_links_to_is_there(page: Path) -> None:
             assert anchor in {re.sub(r"[^\w -]", "", head.lower()).replace(" ", "-") for head in heads}, target
 
 
+NAMING = ("", ".c", ".h", ".hpp", ".md", ".py", ".service", ".toml", ".udev", ".xml", ".yml")
+NAMED = re.compile(r"(?<![\w/.:-])(?:docs|lab|model|procs|tests)/[\w/.-]*\.md\b")
+"""A page that a source, a unit or a message names by its path in the checkout."""
+
+
+def test_a_page_that_is_named_anywhere_is_there() -> None:
+    """Not tests/packaging, which makes changelogs of its own."""
+    found = []
+    for top in (*TOPS, "failstop", "docs", "Makefile", "pyproject.toml", "CONTRIBUTING.md", "SECURITY.md"):
+        place = ROOT / top
+        for file in [place] if place.is_file() else sorted(place.rglob("*")):
+            if (
+                file.suffix in NAMING
+                and file.is_file()
+                and "packaging" not in file.parts[:-1]
+                and "build" not in file.parts
+            ):
+                text = file.read_text("utf-8", errors="replace")
+                found += [(str(file), name) for name in NAMED.findall(text) if not (ROOT / name).exists()]
+    assert found == []
+
+
 def test_the_index_and_the_site_have_every_page() -> None:
     index, site = (ROOT / "docs" / "README.md").read_text(), (ROOT / "mkdocs.yml").read_text()
     for page in PAGES[1:]:
