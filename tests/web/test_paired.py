@@ -69,7 +69,10 @@ def test_where_pairing_is_off_the_settings_that_say_so_are_named(tmp_path: Path)
     """No service runs: the defaults count, and then a file."""
     with Web("pairs-nobody", state=str(tmp_path)) as web:
         said = web.command("pair").stderr
-    assert "pairing is switched off (the defaults, because no settings file was found): start the page with --config" in said
+    assert (
+        "pairing is switched off (the defaults, because no settings file was found): start the page with --config"
+        in said
+    )
     path = tmp_path / "settings.toml"
     path.write_text('[web]\npairing = "off"\n')
     with Web("pairs-nobody", "--config", str(path), state=str(tmp_path)) as web:

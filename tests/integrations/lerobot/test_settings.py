@@ -65,7 +65,10 @@ def test_an_offset_is_kept_for_lerobot_s_host_at_the_guard_port(
         (json.dumps(changed("wrist_roll", range_min=-1, range_max=4000)), "a servo has the steps 0 to 4095"),
         (json.dumps(changed("wrist_roll", range_min=0, range_max=4096)), "a servo has the steps 0 to 4095"),
         (json.dumps(changed("elbow_flex", id=2)), "but they must differ"),
-        (json.dumps(changed("elbow_flex", id=8)), "joints.elbow_flex.servo = 8: on board.kind feetech, that is the id of a wheel"),
+        (
+            json.dumps(changed("elbow_flex", id=8)),
+            "on board.kind feetech, that is the id of a wheel",
+        ),
         (json.dumps(changed("elbow_flex", id=0)), "joints.elbow_flex.servo = 0: it must be 1 to 100"),
         (json.dumps(changed("elbow_flex", id=True)), "no arm_elbow_flex with id, range_min, range_max"),
         (json.dumps(changed("elbow_flex", range_min=100.5)), "no arm_elbow_flex with id, range_min, range_max"),
