@@ -33,6 +33,22 @@ KINDS = tuple(BY_NUMBER.values())
 ASKED = {*causes.SIGNED, causes.PIPED, causes.FLEET}
 NAMES = [kind.name for kind in KINDS]
 TEMPLATES = {kind.template for kind in KINDS}
+ORDER = {
+    "defect": "process event state",
+    "runaway": "wheel told seen",
+    "two_publishers": "source who rival",
+    "requested": "words who pid",
+    "ros_publishers": "words who pid",
+    "ros_arm_publishers": "words who pid",
+    "ros_stranger": "words who pid",
+    "ros_not_finite": "words who pid",
+    "ros_arm_not_held": "words who pid",
+    "ros_no_answer": "words who pid",
+    "fleet": "words who",
+    "operator_gone": "who how",
+    "two_move_the_arm": "who rival",
+}
+"""The parameters of causes with two of one type."""
 VALUES: dict[type, st.SearchStrategy[str | int | float]] = {
     str: st.text(max_size=40),
     int: st.integers(0, 2**32),
@@ -401,3 +417,10 @@ def test_the_words_of_a_cause_are_in_the_code_once(kind: Kind) -> None:
     assert pattern.search(str(example(kind)))
     assert pattern.search(f"latched: {example(kind)}; and more")
     assert [file for file, text in literals() if pattern.search(text) and text not in TEMPLATES] == []
+
+
+def test_numbers_and_texts_of_a_cause_keep_their_order() -> None:
+    """They are packed, kept and passed in the order of the template. A sentence that names them in another order would
+    give each the other's value, here and in incidents that are kept already."""
+    alike = [kind for kind in KINDS if len({of for _, of in kind.parameters}) < len(kind.parameters)]
+    assert {kind.name: " ".join(name for name, _ in kind.parameters) for kind in alike} == ORDER
