@@ -94,7 +94,8 @@ def forward_or_still(event: Event) -> bool:
 
 
 def drives_again(trial: Trial) -> None:
-    """Reset, enable, and the wheels turn."""
+    """Reset, enable, and the wheels turn. The death of a driver that a busy service notices only after the enable
+    disables motion once more."""
 
     def enabled() -> bool:
         with contextlib.suppress(FailstopError):
@@ -102,8 +103,13 @@ def drives_again(trial: Trial) -> None:
             return True
         return False
 
+    def turns() -> bool:
+        if trial.robot.state.enabled or enabled():
+            trial.drive(0.05)
+        return trial.turning()
+
     wait_for("a motion enable", enabled)
-    goes_on(trial)
+    wait_for("the wheels to turn", turns)
 
 
 # With real processes: memory that is torn, and pipes that are full.
