@@ -37,7 +37,7 @@ class Barrier:
     load-acquire passes a store-release that is before it. So a held lock is released and acquired again. The other way
     around is no barrier: what is before it may move in behind the acquire, what is after it in before the release.
 
-    model/aarch64/README.md names the pairs that need one; model/aarch64 has each as a litmus test.
+    model/aarch64 names the pairs that need one, and has each as a litmus test.
     """
 
     def __init__(self) -> None:

@@ -39,7 +39,8 @@ class SteeringMixin(Board):
 
 
 class ServoSteering(SteeringFrames):
-    """A servo that is told its place in pulses; `servo` says which are straight ahead, and how many a radian has."""
+    """A servo whose position is commanded in pulses. `servo` says how many are straight ahead, and how many make a
+    radian."""
 
     __slots__ = ("_limit", "servo")
 

@@ -89,8 +89,8 @@ class Guard:
         if news.any:
             self._recount(news.orphans)
         elif self._pty.master in ready and not self._door.count:
-            # Whoever opens it is seen before what they write, so this is of somebody who has gone. It would keep this
-            # loop from sleeping, and the next driver would be taken for its writer.
+            # A program that opens the port is seen before it can write, so these bytes are from one that has gone. They
+            # would keep this loop from sleeping, and the next driver would be taken for their writer.
             self._pty.clean()
         if now_ns - self._looked_ns >= LOOK_NS:
             self._looked_ns = now_ns

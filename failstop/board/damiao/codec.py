@@ -113,14 +113,15 @@ class Motors:
         return b"".join(lines)
 
     def _written(self, speeds: Iterable[float]) -> bytes:
-        return b"".join([slcan.line(SPEED_ID + motor, _SPEED.pack(speed)) for motor, speed in enumerate(speeds, 1)])
+        """A line for each motor, with its speed in whole steps."""
+        whole = [int(speed * STEPS) / STEPS for speed in speeds]
+        return b"".join([slcan.line(SPEED_ID + motor, _SPEED.pack(speed)) for motor, speed in enumerate(whole, 1)])
 
     def frame(self, speeds: Sequence[float], limit: float) -> bytes:
         """The frame that sets all motors, each within plus or minus `limit`. Raises FrameError."""
         counted("speeds", speeds, self.wheels, self.wheels)
         number("limit", limit, 0.0, LIMIT, UNIT)
-        every = [number("speed of a motor", speed, -limit, limit, UNIT) for speed in speeds]
-        return self._written([int(speed * STEPS) / STEPS for speed in every])
+        return self._written([number("speed of a motor", speed, -limit, limit, UNIT) for speed in speeds])
 
     def speeds(self, frame: bytes) -> tuple[float, ...] | None:
         """The speeds in a frame for all motors; None for other bytes."""
@@ -143,7 +144,7 @@ class Motors:
         found = self.speeds(frame)
         if found is None:
             return "not a frame for every motor"
-        if self._written([int(speed * STEPS) / STEPS for speed in found]) != frame:
+        if self._written(found) != frame:
             return "not as this board's motion frames are written"
         return beyond(found, limit, LIMIT)
 

@@ -15,30 +15,21 @@ from failstop.board.wire import (
     ANSWERED,
     COAST,
     OBSERVED,
-    Answer,
     Commander,
     Motion,
     Pace,
     Port,
     Question,
     Reports,
-    Sample,
     TimedStop,
     Watchdog,
     Wire,
     Write,
+    answer_is,
 )
-
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _MS = 1_000_000
 PER_RPS = 2 * pi
-
-
-def _answers(index: int) -> Callable[[Sample], bool]:
-    return lambda sample: isinstance(sample, Answer) and sample.text == str(index)
 
 
 def described(count: int) -> Wire:
@@ -78,7 +69,7 @@ def described(count: int) -> Wire:
             scale_known=True,
         ),
         questions=tuple(
-            Question(f"register {index} and a report of each motor", ask, _answers(at))
+            Question(f"register {index} and a report of each motor", ask, answer_is(str(at)))
             for at, (index, ask) in enumerate(zip(codec.ASKED, motors.questions, strict=True))
         ),
         reader=motors.replies,
