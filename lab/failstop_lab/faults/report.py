@@ -31,7 +31,7 @@ LEASES = (
 
 CONDITIONS = (
     "A bar is for the p99 of a row, on two processor cores that nothing else uses, with real-time rights. Every",
-    "bar is one that the five campaigns from 2026-11-23 to 2026-11-26 support (18,323 faults). They ran on a",
+    "bar is one that the six campaigns from 2026-11-23 to 2026-11-29 support (20,323 faults). They ran on a",
     "shared virtual machine, so on a quiet one stops come much sooner ([measured.md](measured.md)). On a busier",
     "machine, or without the rights, a bar may be missed, and then *held* says no. Where a row was injected a few",
     "times, its p99 is the slowest of these. The tests of a row allow its bar and 100 ms more, because they run on",
@@ -39,7 +39,7 @@ CONDITIONS = (
 )
 COLUMNS = ("n", "p50", "p99", "max", "bar", "held")
 """The columns with what was measured, at the end of each row of the page."""
-UNRECORDED = "what rights it had and how busy the machine was is not recorded"
+UNRECORDED = "Whether the service had real-time rights, and how busy the machine was, is not recorded."
 EVERY: dict[str, Fault | ArmFault] = {**table.FAULT_BY_NAME, **arm_table.ARM_FAULT_BY_NAME}
 """The rows of both tables."""
 
@@ -186,7 +186,8 @@ def conditions(begun: tuple[int, int]) -> str:
     share = (stolen - stolen_before) / max(1, now - all_before)
     with rights.realtime(1) as granted:
         found = "with real-time rights" if granted else "without real-time rights"
-    return f"{found}, load {os.getloadavg()[0]:.1f}, {share:.1%} of the processors' time withheld by the host"
+    load = os.getloadavg()[0]
+    return f"{found}, at a load of {load:.1f}, while the host withheld {share:.1%} of the processors' time"
 
 
 def bar_held(fault: Fault | ArmFault, row: dict[str, Any]) -> bool | None:
@@ -237,7 +238,7 @@ def markdown(result: dict[str, Any]) -> str:
         f"{machine['took_s']} s, seed {result['seed']}: **{result['missed']} stops missed, "
         f"{result['motion_after']} motion frames after a stop, {result['wrong']} not as the table says**.",
         "",
-        f"**{kept(rows_of(traits_of(board)), measured)}.** Of this campaign {machine.get('conditions', UNRECORDED)}.",
+        f"**{kept(rows_of(traits_of(board)), measured)}.** {_conditions(machine)}",
         "",
         *CONDITIONS,
         "",
@@ -317,12 +318,16 @@ def _held(fault: Fault | ArmFault, row: dict[str, Any]) -> str:
     return {True: "yes", False: "**no**", None: "-"}[bar_held(fault, row)]
 
 
+def _conditions(machine: dict[str, Any]) -> str:
+    return f"The service ran {machine['conditions']}." if "conditions" in machine else UNRECORDED
+
+
 MEASURED = re.compile(
     r"Measured (?P<date>\S+): (?P<cores>\d+)-core (?P<machine>\S+), kernel (?P<kernel>\S+), Python (?P<python>\S+), "
     r"failstop (?P<version>\S+); (?P<count>\d+) faults in (?P<took_s>\d+) s, seed (?P<seed>\d+): "
     r"\*\*(?P<missed>\d+) stops missed, (?P<motion_after>\d+) motion frames after a stop, (?P<wrong>\d+) not as"
 )
-OF_THIS = re.compile(r"\*\* Of this campaign (.*)\.$", re.M)
+RAN = re.compile(r"\*\* The service ran (.*)\.$", re.M)
 
 
 def result_of(page: str) -> dict[str, Any]:
@@ -332,8 +337,8 @@ def result_of(page: str) -> dict[str, Any]:
         raise ValueError("the page does not say what was measured")
     found = {key: int(text) if text.isdigit() else text for key, text in told.groupdict().items()}
     machine = {key: found.pop(key) for key in ("date", "cores", "machine", "kernel", "python", "version", "took_s")}
-    if (of_this := OF_THIS.search(page)) and of_this[1] != UNRECORDED:
-        machine["conditions"] = of_this[1]
+    if ran := RAN.search(page):
+        machine["conditions"] = ran[1]
     rows, columns = [], list[str]()
     for line in page.splitlines():
         cells = [cell.strip() for cell in line.strip("| ").split(" | ")]

@@ -62,10 +62,7 @@ def _ms(value: float) -> str:
 def _campaign(found: dict[str, Any], rows: dict[str, dict[str, Any]]) -> str:
     machine = found["machine"]
     conditions = machine.get("conditions")
-    where = f" ({conditions})" if conditions else ""
-    unrecorded = (
-        "" if conditions else "It was not noted whether failstop had real-time priority, and how busy the computer was."
-    )
+    ran = f"The service ran {conditions}." if conditions else report.UNRECORDED
     kinds = sum(1 for row in rows.values() if row["count"])
     missed, after = found["missed"], found["motion_after"]
     return _paragraphs(f"""
@@ -80,7 +77,7 @@ def _campaign(found: dict[str, Any], rows: dict[str, dict[str, Any]]) -> str:
         {_ms(rows["usb-drop"]["p99_ms"])}.
 
         All this was measured on {machine["date"]} with a simulated board, on a shared virtual machine with
-        {machine["cores"]} cores{where}. {unrecorded} {found["count"]:,} faults of {kinds} kinds were injected at random
+        {machine["cores"]} cores. {ran} {found["count"]:,} faults of {kinds} kinds were injected at random
         while a program kept commanding. The table above shows only some of these kinds. In the whole campaign
         **{missed} stops were missed, and {after} motion commands came after a stop** ([every fault]({FAULTS})).
         """)
