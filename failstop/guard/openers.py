@@ -17,7 +17,7 @@ from failstop.guard.news import Opener
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 IN_CLOSE_WRITE, IN_CLOSE_NOWRITE, IN_OPEN = 0x8, 0x10, 0x20
 _EXITING = 0x4
@@ -120,20 +120,38 @@ def _identity(path: str) -> tuple[int, int, int]:
 def dying(pid: int) -> bool:
     """Whether a process is on its way out. A kill that waits for it is seen first, because a busy machine may let tens
     of milliseconds pass before the process runs again and begins to end. Then the kernel takes its memory down, which
-    lasts long for a large one, and closes its files afterwards."""
+    lasts long for a large one, and closes its files afterwards. Of a process with several threads the main one may end
+    long before the memory is gone, or while the others go on: then the others tell."""
     try:
-        with open(f"/proc/{pid}/stat", "rb") as file:
-            return is_ending(file.read())
+        stat = _read(f"/proc/{pid}/stat")
+        return all(map(is_ending, _others(pid))) if _fields(stat)[0] == b"Z" else is_ending(stat)
     except OSError:
         return True
 
 
+def _others(pid: int) -> Iterator[bytes]:
+    """What /proc says of each thread but the main one. Raises OSError."""
+    for thread in os.listdir(f"/proc/{pid}/task"):
+        if int(thread) != pid:
+            with contextlib.suppress(OSError):
+                yield _read(f"/proc/{pid}/task/{thread}/stat")
+
+
 def is_ending(stat: bytes) -> bool:
-    """The same, of what /proc/PID/stat says. A signal that ends a process without a core dump becomes a SIGKILL of each
-    of its threads when it is sent, and no SIGKILL is ever taken back."""
-    state, *numbers = stat.rpartition(b") ")[2].split()
-    # A main thread may end before the others do; it is then a zombie while they go on.
-    return state != b"Z" and bool(int(numbers[5]) & _EXITING or int(numbers[27]) & _KILLED)
+    """Whether a thread is on its way out, of what its stat in /proc says. A signal that ends a process without a core
+    dump becomes a SIGKILL of each of its threads when it is sent, and no SIGKILL is ever taken back."""
+    numbers = _fields(stat)
+    return bool(int(numbers[6]) & _EXITING or int(numbers[28]) & _KILLED)
+
+
+def _fields(stat: bytes) -> list[bytes]:
+    """From the state on."""
+    return stat.rpartition(b") ")[2].split()
+
+
+def _read(path: str) -> bytes:
+    with open(path, "rb") as file:
+        return file.read()
 
 
 def program(pid: int) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from failstop.guard.openers import Watch, dying, is_ending
+from failstop_lab.trial import wait_for
 
 
 @pytest.fixture
@@ -59,17 +60,31 @@ LIMIT = (1 << 64) - 1
         (b"D", 0x400000, 1 << signal.SIGKILL - 1 | 1 << signal.SIGUSR1 - 1, True),
         (b"S", 0x400000, 1 << signal.SIGTERM - 1, False),
         (b"T", 0x400000, 1 << signal.SIGTERM - 1, False),
-        (b"Z", 0x40000C, 0, False),
+        (b"Z", 0x40000C, 0, True),
     ],
-    ids=["lives", "exits", "is killed", "is killed in the kernel", "may catch it", "is suspended", "its threads live"],
+    ids=["lives", "exits", "is killed", "is killed in the kernel", "may catch it", "is suspended", "has ended"],
 )
-def test_a_program_is_dying_from_the_kill_on(state: bytes, flags: int, pending: int, ends: bool) -> None:
+def test_a_thread_is_ending_from_the_kill_on(state: bytes, flags: int, pending: int, ends: bool) -> None:
     assert is_ending(STAT % (state, flags, LIMIT, pending)) is ends
 
 
-def test_a_kill_is_seen_before_the_process_has_run_again() -> None:
+SLEEPS = ("sleep", "1000")
+THREADS = """
+import ctypes, threading, time
+threading.Thread(target=time.sleep, args=(1000,)).start()
+ctypes.CDLL(None).pthread_exit(None)
+"""
+
+
+@pytest.mark.parametrize(
+    ("program", "main"),
+    [(SLEEPS, b"S"), ((sys.executable, "-c", THREADS), b"Z")],
+    ids=["one thread", "the main thread has ended"],
+)
+def test_a_kill_is_seen_before_the_process_has_run_again(program: tuple[str, ...], main: bytes) -> None:
     """It has only what is left of a processor that another program never leaves. One that has ended all the same before
-    its state was read says nothing."""
+    its state was read says nothing. A killed program with many threads is without its main one while the kernel takes
+    its memory down."""
     if not hasattr(os, "SCHED_IDLE"):
         pytest.skip("no SCHED_IDLE here")
     core = {min(os.sched_getaffinity(0))}
@@ -79,21 +94,31 @@ def test_a_kill_is_seen_before_the_process_has_run_again() -> None:
             os.sched_setaffinity(busy.pid, core)
             assert busy.stdout
             busy.stdout.readline()
-            while not seen_dying(core):
+            while not seen_dying(program, main, core):
                 pass
         finally:
             busy.kill()
 
 
-def seen_dying(core: set[int]) -> bool:
-    """Kill a program; False if it had ended before its state was read."""
-    with subprocess.Popen(["sleep", "1000"]) as driver:
-        os.sched_setaffinity(driver.pid, core)
-        os.sched_setscheduler(driver.pid, os.SCHED_IDLE, os.sched_param(0))
-        assert not dying(driver.pid)
-        driver.kill()
-        stat = Path(f"/proc/{driver.pid}/stat").read_bytes()
+def seen_dying(program: tuple[str, ...], main: bytes, core: set[int]) -> bool:
+    """Start a program, wait for this state of its main thread, and kill it; False if it had ended before it was looked
+    at."""
+    with subprocess.Popen(program) as driver:
+        folder = Path(f"/proc/{driver.pid}")
+        try:
+            wait_for(f"state {main!r}", lambda: (folder / "stat").read_bytes().rpartition(b") ")[2].startswith(main))
+            last = max(int(name) for name in os.listdir(folder / "task"))
+            os.sched_setaffinity(last, core)
+            os.sched_setscheduler(last, os.SCHED_IDLE, os.sched_param(0))
+            assert not dying(driver.pid)
+        finally:
+            driver.kill()
+        seen = dying(driver.pid)
+        try:
+            stat = (folder / "task" / str(last) / "stat").read_bytes()
+        except OSError:
+            return False
         if stat.rpartition(b") ")[2].startswith(b"Z"):
             return False
-        assert is_ending(stat)
+        assert seen
         return True
