@@ -137,7 +137,7 @@ def _row(name: str, kind: str, doc: str, read: Read, *labels: str) -> Family:
 
 LINKS = (LINK_UNPROVEN, LINK_ALIVE, LINK_DEAF, LINK_SILENT, LINK_UNHEARD, LINK_UNASKED)
 SERVICE = (
-    _row("up", GAUGE, "1 while the service answers; the only one that is there when it does not", lambda _: ()),
+    _row("up", GAUGE, "1 while the service answers, 0 if not; then this is the only metric", lambda _: ()),
     _row(
         "build_info", GAUGE, "Always 1; the version is the exporter's",
         lambda state: [((("service", state.name), ("version", VERSION)), 1.0)], "service", "version",
@@ -149,27 +149,29 @@ WHEELS = (
     _row("moving", GAUGE, "1 while a velocity is commanded", lambda state: _one(state.moving)),
     _row(
         "wheels_may_turn", GAUGE,
-        "1 while a stop is not known to reach the wheels, or they are seen to turn although they are told zero",
+        "1 while a stop may not have reached the wheels, or they turn although zero is commanded",
         lambda state: _one(bool(verdict.doubt(state))),
     ),
     _row(
-        "wheels_state", GAUGE, "1 for what is seen of the wheels: still, turning, or unknown",
+        "wheels_state", GAUGE, "1 for what the wheels do, as far as it is seen: still, turning, or unknown",
         lambda state: _states("state", records.WHEELS_DO, state.turning.does), "state",
     ),
     _row(
-        "wheels_seen_by", GAUGE, "1 for what sees it: the board's reports (wheels), or the IMU; all 0: nothing does",
+        "wheels_seen_by", GAUGE, "1 for what sees the wheels: the board's reports (wheels) or the IMU; all 0: nothing",
         lambda state: _each("source", {name: name == state.turning.by for name in records.WHEELS_BY if name}), "source",
     ),
     _row(
-        "wheels_unexpected", GAUGE, "1 while they turn although they were told zero for longer than still.after_s",
+        "wheels_unexpected", GAUGE,
+        "1 while the wheels turn although zero has been commanded for longer than still.after_s",
         lambda state: _one(state.turning.unexpected),
     ),
     _row(
-        "wheels_reading_age_seconds", GAUGE, "Age of the newest reading of the wheels; missing: there was none",
+        "wheels_reading_age_seconds", GAUGE, "Age of the newest reading of the wheels; missing: no reading yet",
         lambda state: _one(state.turning.age_s),
     ),
     _row(
-        "wheel_speed_radians_per_second", GAUGE, "Measured, positive forward; missing: the board reports none",
+        "wheel_speed_radians_per_second", GAUGE,
+        "Measured speed, positive forward; missing: the board does not report it",
         _wheel_speeds, "wheel",
     ),
 )  # fmt: skip
@@ -177,48 +179,51 @@ WHEELS = (
 STOPS = (
     _row("stop_latched", GAUGE, "1 while a stop is latched", lambda state: _one(state.cause is not None)),
     _row(
-        "stop_latched_cause", GAUGE, "1 for the cause that is latched (docs/reference/causes.md)",
+        "stop_latched_cause", GAUGE, "1 for the latched cause (docs/reference/causes.md)",
         lambda state: [((("cause", state.cause.kind.name),), 1.0)] if state.cause else [], "cause",
     ),
-    _row("blocked", GAUGE, "1 for the reason why the wheels may not turn; all 0: they may", _blocked, "reason"),
+    _row("blocked", GAUGE, "1 for the reason why the robot may not move; all 0: it may", _blocked, "reason"),
     _row(
-        "stops_total", COUNTER, "Stops since the service was started, those of its start included; no reset counts",
+        "stops_total", COUNTER,
+        "Stops since the service was started, including the stop at the start; a reset does not change it",
         lambda state: _one(state.epoch),
     ),
     _row(
-        "last_stop_info", GAUGE, "Always 1; why the robot was stopped last, and who noticed it",
+        "last_stop_info", GAUGE, "Always 1; the cause of the last stop, and the process that noticed it",
         _stop_cause, "cause", "noticed_by",
     ),
-    _row("last_stop_timestamp_seconds", GAUGE, "When that was, Unix time", _stop("t")),
+    _row("last_stop_timestamp_seconds", GAUGE, "When the last stop was, in Unix time", _stop("t")),
     _row(
-        "last_stop_written_seconds", GAUGE, "From its cause to its bytes in the kernel; missing: NOT written",
+        "last_stop_written_seconds", GAUGE,
+        "From the cause until the kernel had the stop's bytes; missing: NOT written",
         _stop("written_s"),
     ),
     _row(
-        "last_stop_acknowledged_seconds", GAUGE, "From its cause to the board's answer; missing: none came",
+        "last_stop_acknowledged_seconds", GAUGE, "From the cause to the board's answer; missing: no answer came",
         _stop("acknowledged_s"),
     ),
     _row(
         "last_stop_observed_seconds", GAUGE,
-        "From its cause to wheels that the IMU calls still; 0: nothing shook before it either; missing: not seen",
+        "From the cause until the wheels were seen still; 0: they did not turn before it either; missing: not seen",
         _stop("observed_s"),
     ),
 )  # fmt: skip
 """The latch and the last stop."""
 BOARD = (
     _row(
-        "velocity_meters_per_second", GAUGE, "Commanded now, x forward, y left",
+        "velocity_meters_per_second", GAUGE, "Commanded velocity, x forward, y left",
         lambda state: _each("axis", {"x": state.body_vel[0], "y": state.body_vel[1]}), "axis",
     ),
     _row(
-        "turn_radians_per_second", GAUGE, "Commanded now, counter-clockwise", lambda state: _one(state.body_vel[2])
+        "turn_radians_per_second", GAUGE, "Commanded turn rate, counter-clockwise",
+        lambda state: _one(state.body_vel[2])
     ),
     _row(
-        "port_state", GAUGE, "1 for what the port to the board is",
+        "port_state", GAUGE, "1 for the state of the port to the board",
         lambda state: _states("state", records.PORT_STATES, state.device.state), "state",
     ),
     _row(
-        "link_state", GAUGE, "1 for what the board's answers prove",
+        "link_state", GAUGE, "1 for what the board's answers prove about the link",
         lambda state: _states("state", LINKS, state.device.link), "state",
     ),
     _row(
@@ -230,53 +235,63 @@ BOARD = (
         lambda state: _one(state.battery_v),
     ),
     _row(
-        "battery_charger_plugged", GAUGE, "1 while the charger is plugged in; missing: the board does not say",
+        "battery_charger_plugged", GAUGE, "1 while the charger is plugged in; missing: unknown",
         lambda state: _one({"plugged": 1.0, "unplugged": 0.0}.get(state.plugged)),
     ),
     _row(
-        "reading_age_seconds", GAUGE, "Age of the newest of each reading, and of anything that the board said",
+        "reading_age_seconds", GAUGE, "Age of the newest reading of each kind; board: of anything that the board sent",
         _ages, "reading",
     ),
 )  # fmt: skip
 """The commanded velocity, the port and the board."""
 PROCESSES = (
-    _row("decision_age_seconds", GAUGE, "Age of the gate's decision", lambda state: _one(state.age_s)),
+    _row("decision_age_seconds", GAUGE, "Age of the gate's last decision", lambda state: _one(state.age_s)),
     _row(
-        "scan_age_seconds", GAUGE, "Since the obstacle sensor delivered; missing: never",
+        "scan_age_seconds", GAUGE, "Time since the obstacle sensor last delivered; missing: never",
         lambda state: _one(state.scan_age_s),
     ),
-    _row("clients", GAUGE, "Programs that hold a client slot", lambda state: _one(len(state.clients))),
-    _row("process_state", GAUGE, "1 for what each process is", _process_states, "process", "state"),
+    _row("clients", GAUGE, "Programs that are connected to the service", lambda state: _one(len(state.clients))),
+    _row("process_state", GAUGE, "1 for the state of each process", _process_states, "process", "state"),
     _row("process_restarts_total", COUNTER, "Restarts of each process", _processes("restarts"), "process"),
-    _row("process_heartbeat_age_seconds", GAUGE, "Since the last heartbeat of each", _living("age_s"), "process"),
     _row(
-        "process_longest_turn_seconds", GAUGE, "The longest time between two turns of its loop since its start",
+        "process_heartbeat_age_seconds", GAUGE, "Time since the last heartbeat of each process",
+        _living("age_s"), "process"
+    ),
+    _row(
+        "process_longest_turn_seconds", GAUGE,
+        "The longest time between two turns of each process's loop since its start",
         _living("worst_s"), "process",
     ),
     _row(
-        "process_realtime", GAUGE, "1 with real-time rights, without which stops come later",
+        "process_realtime", GAUGE, "1 if the process has real-time rights; without them stops come later",
         _processes("realtime"), "process",
     ),
     _row(
-        "starved_total", COUNTER, "How often the machine did not run a process in time while motion was disabled",
+        "starved_total", COUNTER, "How often the computer did not run a process in time while motion was disabled",
         lambda state: _one(state.starved_times),
     ),
 )  # fmt: skip
 """The gate, its clients, and every process."""
 SERVOS = (
     _row(
-        "arm_moving", GAUGE, "1 while the arm moves; missing without an arm",
+        "arm_moving", GAUGE, "1 while the arm moves; missing: no arm",
         lambda state: _one(state.arm.moving if state.arm else None),
     ),
     _row(
-        "arm_joint_temperature_celsius", GAUGE, "Of each servo, as it was read last", _joints("temperature_c"), "joint"
-    ),
-    _row("arm_joint_supply_volts", GAUGE, "Of each servo, likewise", _joints("supply_v"), "joint"),
-    _row(
-        "servo_temperature_celsius", GAUGE, "Of each servo of a bus, wheels' and joints'", _servos(1), "servo",
+        "arm_joint_temperature_celsius", GAUGE, "Temperature of each joint's servo, as last read",
+        _joints("temperature_c"), "joint"
     ),
     _row(
-        "servo_load_ratio", GAUGE, "Share of the most that each gives, signed", _servos(0), "servo",
+        "arm_joint_supply_volts", GAUGE, "Supply voltage of each joint's servo, as last read",
+        _joints("supply_v"), "joint"
+    ),
+    _row(
+        "servo_temperature_celsius", GAUGE, "Temperature of each servo on the bus, of wheels and joints",
+        _servos(1), "servo",
+    ),
+    _row(
+        "servo_load_ratio", GAUGE, "Load of each servo on the bus, as a share of its maximum, signed",
+        _servos(0), "servo",
     ),
 )  # fmt: skip
 """The arm, and the servos of a bus."""
