@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 ANSWER_S = 0.25
 """Longer than any of these boards takes to answer, and than the time between two of its reports."""
 QUESTIONS = 2
-"""Questions per board, because one may be lost on the line."""
+"""How often each board is asked, because a question may be lost on the line."""
 MORE_QUESTIONS = 2
-"""As many more if bytes come that answer none: they may be from a part of the board."""
+"""How often it is asked again if bytes come that answer nothing, because they may be from a part of the board."""
 
 WIRES = "the board's power; its cable, whose TX and RX cross; the port, by device.path; the baud rate of its firmware"
 """For people: what to check if nothing is received."""
@@ -45,7 +45,7 @@ ADAPTERS = {
 }
 """Chips between USB and a serial line, by vendor:product. They are in devices of every kind."""
 DRIVERS = {"FT": "ftdi_sio", "PL": "pl2303", "CP": "cp210x", "CH34": "ch341"}
-"""The kernel's module for a chip whose name begins so; for every other one it is cdc_acm."""
+"""The kernel's module for chips whose names begin like this; for all others it is cdc_acm."""
 
 
 class Unknown(Board):
@@ -78,7 +78,7 @@ class Heard(Data):
     size: int
     """Bytes received, in any language."""
     after_ns: int
-    """How long after the port was opened it was asked."""
+    """When it was asked, counted from the opening of the port."""
     firmware: str = ""
     """Its firmware, if that differs from the usual one."""
     other_baud: int = 0

@@ -31,67 +31,69 @@ if TYPE_CHECKING:
         """One driver's conversation with the board. The guard makes a new one for each program that opens the port."""
 
         openers: int
-        """How many programs have the port open where the usual driver of this board runs: two where one of its programs
-        writes and another reads."""
+        """How many programs the usual driver of this board consists of. It is two if one of its programs writes to the
+        port and another one reads."""
         patience_ns: int
-        """How long a driver waits for an answer. After a longer pause of its own the guard answers the newest question
-        alone, because a driver that has given up takes a late answer for the one to its next question."""
+        """How long a driver waits for an answer. If the driver was away for longer, the guard answers only its newest
+        question, because a driver that has given up would take a late answer for the one to its next question."""
         past_ns: int
-        """How much of what the board said before the driver opened the port the language hears first, a few seconds at
-        most. What heard() returns of that is dropped, because it is old. 0: nothing, as after the reset of a board."""
+        """How much of what the board said before the driver opened the port is given to heard() first, a few seconds at
+        most. What heard() returns then is dropped, because it is old. 0: nothing, as after the reset of a board."""
 
         def wrote(self, chunk: bytes, now_ns: int) -> list[DriverMotion | DriverAnswer | DriverFrame | DriverRefusal]:
             """The driver wrote these bytes, split and glued in any way. Returns what they ask for, in order. It has to
-            take each spelling that the board's own receiver takes, and must never find a motion where that receiver
-            would find none, or a faster one. Bytes of a frame that is not complete are kept, within a bound."""
+            accept each spelling that the board's own receiver accepts. It must never find a motion if that receiver
+            would find none, nor a faster one. Bytes of an incomplete frame are kept, up to a limit."""
 
         def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-            """The board said these bytes, at that time. Returns what the driver is to get of them, in whole frames or
-            lines: a board that talks unasked is passed on, without the answers to failstop's own questions. A board
-            that only answers returns nothing here, and answers the next question with what it has learned."""
+            """The board sent these bytes, at that time. Returns what to pass on to the driver, in whole frames or
+            lines. Reports that come without a question are passed on, but not the answers to failstop's own questions.
+            For a board that only answers, this returns nothing; the language then answers the next question with what
+            it has learned."""
 
 
 class DriverMotion(Data):
     """The speeds of all wheels by wire id, in the unit of the board's motion (wire.Motion). Zeros are a stop: the
-    driver lets go. A frame that names some wheels leaves the others at the speed that they were told before. A language
-    refuses what its board would refuse, and leaves the limits to the service."""
+    driver no longer drives. If a driver's frame names only some wheels, the others keep the speed that they were given
+    before. A language refuses what its board would refuse, and leaves the limits to the service."""
 
     speeds: Sequence[float]
     refused: bool = False
-    """True for a stop in place of something that was refused. A driver that dies after it has not let go."""
+    """True for a stop in place of a refused command. If the driver dies after it, it was still driving, because it did
+    not ask for that stop."""
     steering_rad: float | None = None
     """The angle of the steered wheels, positive to the left; None if the base is not steered, or its wheels' speeds say
     how it turns."""
 
 
 class DriverAnswer(Data):
-    """Bytes for the driver: one whole answer, which is written at once or not at all."""
+    """Bytes for the driver: one whole answer. All of it is written at once, or nothing."""
 
     data: bytes
 
 
 class DriverFrame(Data):
     """Bytes for the board: one of its questions, or a frame that its wire.aux lets pass. The guard passes on fifty a
-    second at most; of those that wait, only the newest of each kind."""
+    second at most. If several frames of one kind wait, only the newest is passed on."""
 
     data: bytes
     kind: str = ""
-    """What they set: a newer frame of the same kind takes the place of one that still waits."""
+    """What the frame sets. A newer frame of the same kind replaces one that still waits."""
 
 
 class DriverRefusal(Data):
-    """Something that the driver asks for and does not get."""
+    """A request of the driver that is refused."""
 
     what: str
-    """For people, and the same each time: what the driver asked for, as "raw PWM (o)". A driver that asks again is not
-    reported again."""
+    """For people, and the same text each time: what the driver asked for, for example "raw PWM (o)". If the driver asks
+    again, it is not reported again."""
     why: str
-    """For people: what failstop did instead, and what helps, as "its wheels were stopped: use m"."""
+    """For people: what failstop did instead, and what helps, for example "its wheels were stopped: use m"."""
 
 
 def language_of(kind: str, settings: Settings) -> DriverLanguage | None:
-    """A new conversation with the board of the setting board.kind; None: nobody has said what a driver may write to
-    this board. `settings`: every setting by its whole key. Raises ValueError."""
+    """A new conversation with the board of the setting board.kind; None if nobody has described what a driver may write
+    to this board. `settings`: every setting by its whole key. Raises ValueError."""
     from failstop.board import kinds
 
     if kinds.is_described(kind):

@@ -55,9 +55,9 @@ class Facts(Data):
     steered: int = 0
     """How many speeds a frame sets on a steered base; 0: as many as on any other."""
     steered_defaults: Mapping[str, float] = {}
-    """The same as `defaults`, of a steered base."""
+    """As `defaults`, for a steered base."""
     can: bool = False
-    """Its second motor is behind a CAN, and the setting board.can_id says under which id."""
+    """True if its second motor is connected by CAN; the setting board.can_id then has that motor's id."""
     motors: Mapping[int, str] = {}
     """Names of the motors whose controllers answer for themselves, by the ids in reports about them (wire.Health)."""
     defaults: Mapping[str, float] = {}

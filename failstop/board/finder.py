@@ -48,7 +48,7 @@ class Device:
 
     @property
     def kind(self) -> tuple[str, ...]:
-        """The part of it that all devices with this chip share."""
+        """The part of the description that all devices with this chip share."""
         return self.vendor, self.product, self.part
 
     def __eq__(self, other: object) -> bool:
@@ -180,10 +180,10 @@ class Finder:
         self._look_at_ns = 0
         self.at = path
         self.sure = True
-        """False while the open device was taken for the board only because no better one was found."""
+        """False while the open device was accepted as the board only because no better one was found."""
 
     def learn(self, descriptor: int) -> None:
-        """Take the open device for the board, as at the start of a run."""
+        """Remember the open device as the board, as at the start of a run."""
         self._board = self._held = self._of_number(os.fstat(descriptor).st_rdev)
 
     @property

@@ -15,7 +15,7 @@ MOST_NS = 2_000_000_000
 
 
 def pack_stop(board: Board) -> str:
-    """The stop of a board, in one line for unpack_stop(). Every writer's repeats are those of the last row."""
+    """A board's stop as one line, for unpack_stop(). Every writer gets the repeats of the last row."""
     port = board.port
     numbers = (port.baud, int(port.dtr), int(port.rts), board.idle_ns, board.after_ns)
     repeats = ",".join(map(str, board.repeats_ns[-1]))
@@ -23,7 +23,7 @@ def pack_stop(board: Board) -> str:
 
 
 def unpack_stop(kept: str) -> Kept | None:
-    """The stop that pack_stop() made a line of; None for any other line."""
+    """The stop in a line that pack_stop() has made; None for any other line."""
     words = kept.split(" ")
     try:
         baud, dtr, rts, idle_ns, after_ns = map(int, words[:5])
@@ -39,7 +39,7 @@ def unpack_stop(kept: str) -> Kept | None:
 
 
 class Kept(Board):
-    """A board of which nothing but its stop is known: it is asked nothing."""
+    """A board of which only the stop is known, so it is asked nothing."""
 
     __slots__ = ("after_ns", "burst", "first_stop", "idle_ns", "port", "repeats_ns", "stop")
 

@@ -19,7 +19,7 @@ KINDS = ("arduino", "damiao", "feetech", "hoverboard", "ugv", "vesc")
 ALL_KINDS = ("rrc", *KINDS)
 """All boards of this room, the usual one first."""
 SAME_PER_RPS = 0.01
-"""Two numbers for one scale that differ by less than this share are the same, because they are written rounded."""
+"""Two numbers for one scale that differ by less than this share count as equal, because they are written rounded."""
 
 
 def is_own(kind: str) -> bool:
@@ -43,8 +43,8 @@ def facts_of(kind: str) -> Facts | None:
 
 def wire_of(kind: str, *, tried: bool = False, steered: bool = False, can_id: int = USUAL_CAN_ID) -> Wire:
     """The description of one of KINDS, or of your own board. `tried`: it was loaded before this process was started, so
-    no child process tries it first (own.py); `steered`: that of a steered base, `can_id`: of the second motor, where a
-    board has several descriptions. Imports nothing of other boards. Raises ValueError."""
+    no child process has to try it first (own.py); `steered`, `can_id`: for a board with several descriptions, the one
+    for a steered base, and for a second motor with this CAN id. Imports nothing of other boards. Raises ValueError."""
     if is_own(kind):
         from failstop.board import own
 
@@ -76,11 +76,11 @@ def board_of(
     *,
     tried: bool = False,
 ) -> Board:
-    """The board of the setting board.kind. `per_rps`: a wheel's speed of one turn a second in its own unit; 0: as such
-    boards usually have it; `steering`: the servo of a steered base, None: there is none; `confirmed_per_rps`: the
-    `per_rps` that a turn of a wheel has confirmed, 0: none; `baud`: that its firmware is built with, 0: as usual;
-    `can_id`: of the second motor, if it is on a CAN; `tried`: as for wire_of(). Nothing of another board is imported.
-    Raises OwnBoardError, a ValueError."""
+    """The board of the setting board.kind. `per_rps`: one turn of a wheel per second in the board's unit; 0: as usual
+    for such boards. `steering`: the servo of a steered base; None if there is none. `confirmed_per_rps`: the `per_rps`
+    that somebody has confirmed by turning a wheel; 0: none. `baud`: the baud rate with which its firmware was built; 0:
+    as usual. `can_id`: the id of the second motor, if it is connected by CAN. `tried`: as for wire_of(). Nothing of
+    another board is imported. Raises OwnBoardError, a ValueError."""
     if is_described(kind):
         from failstop.board.described import Described, SteeredBoard
 
@@ -95,8 +95,8 @@ def board_of(
 
 
 def _assumed(wire: Wire, board: Described, diameter_m: float, confirmed_per_rps: float) -> bool:
-    """Whether nobody knows that the scale of `board` is right. A number that a person wrote is none that was tried, and
-    one that was confirmed counts for no other."""
+    """True if nobody knows that the scale of `board` is right. A number that a person wrote into the settings was not
+    tried, and a confirmed number does not count for another one."""
     if isclose(board.per_rps, confirmed_per_rps, rel_tol=SAME_PER_RPS):
         return False
     usual = isclose(board.per_rps, wire.motion.per_rps(diameter_m), rel_tol=SAME_PER_RPS)

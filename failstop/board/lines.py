@@ -38,10 +38,11 @@ class MotionLine:
 
 
 class LineReader(Reader):
-    """The samples in the lines that a board sends."""
+    """Makes samples from the lines that a board sends."""
 
     def __init__(self, samples: Callable[[bytes], list[Sample]], longest: int) -> None:
-        """`samples`: those of one line; `longest`: how many bytes of an incomplete line are kept, from its end."""
+        """`samples`: makes the samples of one line; `longest`: how many bytes at the end of an incomplete line are
+        kept."""
         self._samples, self._longest, self._kept = samples, longest, b""
 
     def feed(self, chunk: bytes) -> list[Sample]:

@@ -14,7 +14,7 @@ import stat
 
 _PTS = range(136, 144)
 _BY_NUMBER = (4, 166, 188, 204, *_PTS)
-"""Majors of terminals where the system says nothing of a device's class: UARTs, USB, the Pi's pins, ptys."""
+"""Major numbers of terminals for which the system does not name a device's class: UARTs, USB, the Pi's pins, ptys."""
 _NO_BOARD = 5
 """/dev/tty, /dev/console and /dev/ptmx."""
 PASSWD_FILE, GROUP_FILE = "/etc/passwd", "/etc/group"
@@ -61,8 +61,8 @@ def _may(found: os.stat_result, uid: int, groups: set[int]) -> bool:
 
 
 def _groups(uid: int) -> tuple[int, list[int]]:
-    """The user's own group, and the others. By the files alone: a directory service that does not answer must not hold
-    a stop up."""
+    """The user's own group, and the others. It reads only the files, because a directory service that does not answer
+    must not hold up a stop."""
     name, gid = "", 65534
     for fields in _rows(PASSWD_FILE, 4):
         if fields[2] == str(uid):

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 OWN_PACKAGE = "failstop_own_board"
 """The package name of its modules in Python."""
 SAYS = b"VOCABULARY = "
-"""How the line in its wire.py begins that says for which vocabulary it was written."""
+"""The beginning of the line in its wire.py that says for which vocabulary it was written."""
 LIMIT_S = 5.0
 """How long its modules may take to load and to answer; failstop's own take 20 ms."""
 _MOST_LINKS = 40

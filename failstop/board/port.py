@@ -173,7 +173,7 @@ def close_port(descriptor: int, within_s: float = CLOSE_S) -> None:
 
 
 def _interrupt(_number: int, _frame: object) -> None:
-    """Does nothing: only the interruption by the signal is wanted."""
+    """Do nothing: the signal only has to interrupt the call."""
 
 
 def _close(descriptor: int) -> None:

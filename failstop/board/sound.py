@@ -30,14 +30,14 @@ _S = 1_000_000_000
 _WRITERS = 3
 """Port owner, stopper and supervisor: each has a row of repeats."""
 MOST_QUESTIONS = 4
-"""layout.PINGS, because each ping has a word of shared memory."""
+"""The number of words in shared memory, because each ping has its own (layout.PINGS)."""
 _MOST_BYTES = 1024
 """Size limit of one frame; the board's stop is one."""
 _MOST_FRAMES = 16
 _MOST_REPEATS = 32
 _DIAMETERS_M = (0.03, 0.08, 0.3)
 _NOISE = tuple(bytes((at * step * 73 + step) & 255 for at in range(61)) for step in range(1, 24))
-"""Bytes that have no valid form."""
+"""Bytes that form no valid frame."""
 
 
 class _Wrong(Exception):

@@ -21,20 +21,21 @@ class SteeringMixin(Board):
     _steering: SteeringFrames
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """Both frames. Wheels at rest are not steered, so that the frame is the stop."""
+        """The frame for the wheels, then the one for the steering. Wheels at rest are not steered, so that the frame is
+        the stop."""
         *speeds, angle_rad = rps
         motor = super().motor_speeds(speeds, max_rps)
         return motor if motor == self.stop else motor + self._steering.frame(angle_rad)
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """Both frames, or the stop."""
+        """Both frames pass, or the stop."""
         motor, steers = frame[: len(self.stop)], frame[len(self.stop) :]
         if why := super().check_motion(motor, max_rps):
             return why
         return "" if motor == self.stop and not steers else self._steering.check(steers)
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
-        """The speeds of all wheels, by the frame before the steering's."""
+        """The speeds of all wheels, from the frame before the steering's."""
         return super().speeds(frame[: len(self.stop)])
 
 
@@ -55,6 +56,6 @@ class ServoSteering(SteeringFrames):
         return self.servo.centre + round(angle * self.servo.per_rad)
 
     def _beyond(self, pulses: int) -> str:
-        """Why the servo may not be told these pulses; "" if it may."""
+        """Why the servo must not get these pulses; "" if it may."""
         beyond = abs(pulses - self.servo.centre) > abs(self._limit * self.servo.per_rad) + 1
         return f"steering at {pulses}, straight ahead is {self.servo.centre}" if beyond else ""

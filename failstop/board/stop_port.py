@@ -41,8 +41,8 @@ class StopPort:
         """When the line, as far as this process knows, will have been silent long enough for the board; 0: it needs no
         silence."""
         self._line_ns = 0
-        """Until then the last write here, a whole stop, is on the line or needs silence after it, so another stop would
-        garble both. 0: there is none."""
+        """Until this time the last write from here, a whole stop, is on the line or needs silence after it, so another
+        stop would garble both. 0: no such write."""
         self.fd = fd
         self.lost = fd < 0
         self.errno = 0

@@ -37,7 +37,7 @@ class Tap:
         self.size = 0
         """Bytes received."""
         self._flow: set[int] = set()
-        """Pings whose answer came before they were asked, so that it answers nothing."""
+        """Pings whose answers came before this tap had asked them, so that such an answer proves nothing."""
 
     def read(self) -> list[tuple[int, int, Value]]:
         """(time of reading, kind, value) of each new report. Raises OSError when the device is gone."""

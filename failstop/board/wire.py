@@ -37,7 +37,7 @@ OBSERVED = "observed"
 may."""
 
 BITS_PER_BYTE = 10
-"""On the wire: a start bit, eight of data, a stop bit."""
+"""On the wire: a start bit, eight data bits and a stop bit."""
 
 
 class Port(Data):
@@ -52,12 +52,12 @@ class Port(Data):
     """Frames to write once it hears; they arm its own watchdog."""
 
     def at(self, baud: int) -> Port:
-        """The same port at another baud rate."""
+        """The same port with another baud rate."""
         return Port(baud=baud, dtr=self.dtr, rts=self.rts, deaf_ns=self.deaf_ns, opening=self.opening)
 
     @property
     def byte_ns(self) -> int:
-        """How long a byte takes on the wire."""
+        """How long one byte takes on the wire."""
         return BITS_PER_BYTE * 1_000_000_000 // self.baud
 
 
@@ -87,14 +87,14 @@ class Pace(Data):
     idle_ns: int
     """How long the line must be silent before it."""
     unanswered: int | None
-    """How many frames may be under way without their answer; None: any number."""
+    """How many frames may be unanswered at a time; None: any number."""
 
 
 class Watchdog(Data):
     """The board's own watchdog, which stops the wheels when the host is gone: a dead kernel, a pulled cable."""
 
     after_ns: int
-    """Its time when the board comes up."""
+    """After how long it acts when the board has just started."""
     does: str
     """ZERO, COAST or DISARM."""
     arm: Callable[[int], bytes] | None
@@ -125,7 +125,7 @@ class Motion(Data):
     limit: float
     """The largest speed that the board takes."""
     per_rps: Callable[[float], float]
-    """(diameter in m): one turn per second of a wheel in its unit, usually."""
+    """(wheel diameter in m): one turn per second of a wheel in the board's unit, as it usually is."""
     step: float
     """Speeds are sent as multiples of this, truncated towards zero."""
     apart: float
@@ -152,12 +152,12 @@ class Sample:
 
 
 class Wheels(Sample, Data):
-    """The wheels: left and right, or each one. Values that a board does not report are empty."""
+    """The wheels: left and right, or each one. If a board does not report a kind of value, it is empty."""
 
     speeds: tuple[float, ...]
     """In the unit of its motion."""
     positions: tuple[float, ...]
-    """Odometers, in the board's own unit: two equal reports prove rest."""
+    """Odometers, in the board's own unit. Two equal reports prove that the wheels are at rest."""
 
 
 class Obeyed(Sample, Data):
@@ -185,23 +185,23 @@ class Health(Sample, Data):
 
 
 class Imu(Sample, Data):
-    """Acceleration in m/s^2 and turn rate in rad/s, along the axes of the board."""
+    """Acceleration in m/s^2 and turn rate in rad/s, along the board's axes."""
 
     accel: tuple[float, float, float]
     gyro: tuple[float, float, float]
 
 
 class Answer(Sample, Data):
-    """A line that is only an answer, and never comes without a question."""
+    """A line that is only an answer, and comes only after a question."""
 
     text: str
 
 
 class Restarted(Sample, Data):
-    """A sign that it has started again, or a part of it, such as a motor's own controller."""
+    """A sign that the board, or a part of it such as a motor's own controller, has started again."""
 
     text: str
-    """For people, as "it printed its boot text"."""
+    """For people, for example "it printed its boot text"."""
 
 
 class Firmware(Sample, Data):
@@ -221,7 +221,7 @@ class Question(Data):
 
 
 def answer_is(text: str) -> Callable[[Sample], bool]:
-    """For a question whose answer is an Answer with this text and no other."""
+    """Use this for a question if its answer is an Answer with exactly this text."""
     return lambda sample: isinstance(sample, Answer) and sample.text == text
 
 
@@ -237,14 +237,14 @@ class Commander(Data):
     """Another program, device or person, besides failstop, that can command the wheels."""
 
     who: str
-    """For people: who or what it is, and by which way it commands."""
+    """For people: what or who it is, and how it can send commands."""
     remedy: str
     """For people: how to prevent it."""
     program: str = ""
-    """Part of the command line of the program on the host; empty if it is no program, and nothing on the host shows
-    it."""
+    """A part of the command line of that program on the host. Empty if it is not a program, so that nothing on the host
+    shows it."""
     fix: str = ""
-    """The command that ends that program for good, if it would be restarted."""
+    """The command that ends the program for good, if it would be restarted otherwise."""
 
 
 class Reports(Data):

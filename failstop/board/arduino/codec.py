@@ -63,8 +63,8 @@ def check_aux(frame: bytes) -> str:
 
 
 def answers() -> LineReader:
-    """The reader of answers, because the board says nothing else. They come in the order of the lines, and do not name
-    them."""
+    """The reader of answers, because the board sends nothing else. Answers come in the order of the lines, and do not
+    say which line they belong to."""
     return LineReader(_samples, LONGEST_ANSWER)
 
 

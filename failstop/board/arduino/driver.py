@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 _CR, _SPACE = 13, 32
 _ARGUMENT = 15
-"""How many bytes of an argument the firmware has room for."""
+"""How many bytes of an argument fit into the firmware's memory."""
 _MOST = 32767
 """The largest number that the firmware's 16-bit integers hold. A larger one would wrap around to another speed."""
 _NUMBER = re.compile(rb"[ \t\n\v\f\r]*([+-]?\d+)")
 _FASTEST = codec.LIMIT * codec.PERIODS
-"""Counts a second, more than which no wheel makes."""
+"""No wheel makes more counts a second than this."""
 _NEAR_ZERO = _FASTEST / 4
-"""A board that restarts counts from 0 again, and is asked for its counts soon after."""
+"""After a restart a board counts from 0 again, and is asked for its counts soon."""
 _WRAPS = 2**32
 _OK = b"OK\r\n"
 _INVALID = b"Invalid Command\r\n"
@@ -42,7 +42,7 @@ _REST = (0.0, 0.0)
 PATIENCE_NS = 1_000_000_000
 """diffdrive_arduino's default timeout; hbrobotics' node waits longer."""
 _LOST_NS = 100_000_000
-"""A board that has not answered a question for so long is asked again; failstop itself asks ten times a second."""
+"""After this time without an answer the board is asked again; failstop itself asks ten times a second."""
 
 _GAINS = "the board keeps its gains"
 _PINS = "failstop reads no pins, and sets those that the setting guard.pins names"
@@ -70,24 +70,24 @@ class ArduinoDriver:
     """
 
     def __init__(self, pins: Collection[int] = ()) -> None:
-        """`pins`: those that the driver may set."""
+        """`pins`: the pins that the driver may set."""
         self._pins = pins
         self._asked_ns = 0
-        """When the board was asked for a driver's `e`; 0: it has answered since."""
+        """When the board was asked for counts because the driver sent an `e`; 0: it has answered since."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
         self._command = 0
         self._at = 0
-        """Which argument its bytes go to; 0: none yet."""
+        """Which argument the next bytes belong to; 0: none yet."""
         self._arguments = (bytearray(), bytearray())
         self._too_long = False
         self._reader = codec.answers()
         self._counted: tuple[int, int] | None = None
-        """The board's own counters, as it said last."""
+        """The board's counters, as it reported them last."""
         self._counted_ns = 0
         self._counts = [0, 0]
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """The driver's lines."""
+        """Handle the driver's lines."""
         rows: list[Row] = []
         for byte in chunk:
             if byte == _CR:
@@ -105,7 +105,7 @@ class ArduinoDriver:
         return rows
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """The board only answers, so nothing is passed on; its counts are."""
+        """Keep the board's counts. Nothing is passed on, because this board only answers."""
         for sample in self._reader.feed(chunk):
             if isinstance(sample, Wheels):
                 self._asked_ns = 0
@@ -154,7 +154,7 @@ class ArduinoDriver:
         return [DriverRefusal(what, why), DriverMotion(_REST, refused=True), DriverAnswer(_INVALID)]
 
     def _ask(self, now_ns: int) -> list[Row]:
-        """The question for the next counts, unless one is under way."""
+        """The question for the next counts, unless one is waiting for its answer."""
         if self._asked_ns and now_ns - self._asked_ns < _LOST_NS:
             return []
         self._asked_ns = now_ns
@@ -181,18 +181,18 @@ class ArduinoDriver:
 
 
 def _atoi(text: bytes) -> int:
-    """The number at the beginning of a text; 0: there is none. Digits after a NUL do not count."""
+    """The number at the beginning of a text; 0 if there is none. Digits after a NUL do not count."""
     found = _NUMBER.match(text.partition(b"\0")[0])
     return int(found[1]) if found else 0
 
 
 def _wrapped(count: int) -> int:
-    """As the board's counters of 32 bits hold it."""
+    """The value as the board's counters of 32 bits would hold it."""
     return (count + _WRAPS // 2) % _WRAPS - _WRAPS // 2
 
 
 def language(settings: Mapping[str, float | str]) -> ArduinoDriver:
-    """A driver's conversation. Raises ValueError for the setting guard.pins."""
+    """Begin a driver's conversation. Raises ValueError for the setting guard.pins."""
     words = str(settings.get("guard.pins", "")).split()
     pins = [int(word) if word.isdigit() else -1 for word in words]
     if wrong := [word for word, pin in zip(words, pins, strict=True) if pin not in codec.PINS]:

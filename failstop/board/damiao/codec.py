@@ -43,19 +43,19 @@ UNIT = "rad/s of the output shaft"
 LIMIT = 280.0
 """The fastest that any of these motors turns (DM-H3510)."""
 STEPS = 64
-"""Steps of a speed in 1 rad/s. A float has each of them exactly."""
+"""A speed is sent in steps of 1 rad/s divided by this. A float holds each step exactly."""
 SPEED_ID, REGISTERS_ID = 0x200, 0x7FF
 READ, WRITE, REPORT = 0x33, 0x55, 0xCC
 ENABLE, CLEAR = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfb"
 TIMEOUT, MODE, P_MAX, V_MAX = 9, 10, 21, 22
 """Registers: the watchdog's time, what commands mean, and the ends of the scales of reported positions and speeds."""
 ASKED = (TIMEOUT, MODE, P_MAX, V_MAX)
-"""A question reads one of them, so its answer says which question it belongs to."""
+"""The registers that questions read, one each, so an answer says which question it belongs to."""
 SPEED_MODE = 3
 TICK_NS = 50_000
 MOST_TICKS = 0xFFFFFFFF
 ENABLED = 1
-"""The status of a motor that obeys. 0: it is disabled; others are faults."""
+"""The status of a motor that obeys. With 0 it is disabled, and other values are faults."""
 FAULTS = {
     8: ("its voltage is too high", SERVO_VOLTAGE),
     9: ("its voltage is too low", SERVO_VOLTAGE),
@@ -66,15 +66,17 @@ FAULTS = {
     14: ("it is overloaded", SERVO_LOAD),
 }
 OFF_AFTER = 3
-"""Reports in a row by which a motor that was enabled is off. While it is enabled again a single one may say so."""
+"""If this many reports in a row say so, a motor that was enabled is off. A single report may say so while the motor is
+being enabled again."""
 MISSES = 4
-"""Questions in a row that a motor leaves unanswered while another one answers: it is missing then. A CANable drops a
-frame for the computer that comes while it still sends another."""
+"""If a motor leaves this many questions in a row unanswered while another one answers, it is missing. A CANable drops a
+frame to the computer if it comes while an earlier one is still being sent."""
 TOLD_EVERY = 20
-"""Answers for one report of temperatures: about one a second."""
+"""After this many answers, one report of temperatures is made: about one a second."""
 _SPEED, _COUNT, _FLOAT = Struct("<f4x"), Struct("<I"), Struct("<f")
 _MIDDLE, _NOISE = 2047.5, 1.5
-"""A reported speed has 12 bits. Zero is between two of them, and nearer than this it may be noise."""
+"""A reported speed has 12 bits, and zero is between two values. A speed that is closer to zero than this may be
+noise."""
 
 
 def register(motor: int, what: int, index: int = 0, value: int = 0) -> bytes:
@@ -99,7 +101,7 @@ class Motors:
         self.opening = b"".join(register(motor, WRITE, MODE, SPEED_MODE) for motor in self._ids)
 
     def arm(self, time_ns: int) -> bytes:
-        """What lets the motors obey and sets their watchdogs. Raises FrameError."""
+        """The frames that let the motors obey, and that set their watchdogs. Raises FrameError."""
         ticks = integer("time of the watchdog in steps of 50 us", time_ns // TICK_NS, 1, MOST_TICKS)
         lines: list[bytes] = []
         for motor in self._ids:
@@ -159,10 +161,10 @@ class _Motor:
     def __init__(self) -> None:
         self.v_max = 0.0
         self.level: int | None = None
-        """The speed in its newest report, in steps of its scale, since the speeds of all were last given."""
+        """The speed in its newest report, in steps of its scale, since the speeds of all motors were last returned."""
         self.obeys = False
         self.off = 0
-        """Reports in a row that say that it does not obey."""
+        """How many reports in a row say that it does not obey."""
         self.wrong = self.heat = self.misses = 0
 
 
@@ -175,7 +177,7 @@ class Replies(Reader):
         self._asked = 0
         """The register that was read last."""
         self._answered: set[int] = set()
-        """The motors that have answered that question."""
+        """Which motors have answered that question."""
         self._told: tuple[int, ...] = ()
         self._answers = 0
 
@@ -228,7 +230,7 @@ class Replies(Reader):
                 motor.misses += number_ not in self._answered
 
     def _wheels(self) -> list[Sample]:
-        """The speeds of all motors, once each has reported its own and the scale of it."""
+        """The speeds of all motors, once each motor has reported its own speed and its scale."""
         every = list(self._motors.values())
         speeds: list[float] = []
         for motor in every:

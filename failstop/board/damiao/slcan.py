@@ -17,14 +17,15 @@ CR = b"\r"
 MOST_LINE = 21
 """Characters of the longest line that failstop writes, without its end."""
 FLUSH = b"0" * 160 + CR
-"""A CANable begins its line again after 30 characters, and a CANable 2 after 155. By itself this is no command."""
+"""A CANable drops its line after 30 characters, and a CANable 2 after 155. FLUSH is longer, and is not a command
+itself."""
 OPEN = b"S8\rO\r"
-"""1 Mbit/s, and open the channel. An open CANable ignores both, so nothing that waits in it is lost."""
+"""Set 1 Mbit/s, and open the channel. An open CANable ignores both, so it loses nothing that waits in it."""
 _HEAD = 5
-"""Characters of a line before its data."""
+"""How many characters of a line come before its data."""
 _DIGITS = frozenset(b"0123456789abcdefABCDEF")
 _KEPT = 64
-"""More characters than a line has that an adapter sends."""
+"""How many characters are kept of a line without its end; no line from an adapter is longer."""
 
 
 def line(can_id: int, data: bytes) -> bytes:
@@ -33,8 +34,8 @@ def line(can_id: int, data: bytes) -> bytes:
 
 
 def frame_of(text: bytes) -> tuple[int, bytes] | None:
-    """The id and the data of a frame of 8 bytes in a line without its end; None: it has none. A time stamp of four
-    digits may follow."""
+    """The id and the data of a frame of 8 bytes, from a line without its end; None if there is none. A time stamp of
+    four digits may follow."""
     if len(text) not in (MOST_LINE, MOST_LINE + 4) or not text.startswith(b"t") or text[4:_HEAD] != b"8":
         return None
     if not _DIGITS.issuperset(text[1:]):
@@ -43,7 +44,7 @@ def frame_of(text: bytes) -> tuple[int, bytes] | None:
 
 
 class Lines:
-    """Bytes from an adapter, as frames."""
+    """Makes frames from the bytes of an adapter."""
 
     def __init__(self) -> None:
         self._kept = b""

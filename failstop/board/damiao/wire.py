@@ -33,7 +33,7 @@ PER_RPS = 2 * pi
 
 
 def described(count: int) -> Wire:
-    """The description for so many motors, with the ids 1, 2 and so on."""
+    """The description for this many motors, with the ids 1, 2 and so on."""
     motors = codec.Motors(count)
     return Wire(
         name=f"{count} Damiao motors behind a slcan adapter",

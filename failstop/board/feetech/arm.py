@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 HIGHEST = codec.TURN - 1
 ANSWER_NS = 1_000_000
-"""The return delay that a servo comes with, and its answer."""
+"""The default return delay of a servo, and its answer."""
 _ROWS_AT = 7
 
 
@@ -37,7 +37,7 @@ def _goals(positions: Sequence[tuple[int, int]]) -> bytes:
 
 
 def _rows(frame: bytes) -> list[tuple[int, int]]:
-    """The goals in a frame of them, (id, position) each."""
+    """The goals in a frame: (id, position) for each servo."""
     rows = frame[_ROWS_AT : frame[3] + 3]
     return [(rows[at], rows[at + 1] | rows[at + 2] << 8) for at in range(0, len(rows), 3)]
 
@@ -57,11 +57,11 @@ class FeetechArm(ServoBus):
         self._byte_ns = port.byte_ns
 
     def stops(self, servos: Sequence[int]) -> bytes:
-        """Nothing: without a next goal a servo stands at the last one, its torque on."""
+        """Empty: without a next goal a servo stays at the last one, with its torque on."""
         return b""
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """Goals for a few servos, in one frame. A servo takes its own time for the small step."""
+        """Goals for a few servos, in one frame. Each servo chooses the time for its small step."""
         return _goals(positions)
 
     def read(self, servo: int, what: int) -> bytes:
@@ -69,18 +69,18 @@ class FeetechArm(ServoBus):
         return codec.packet(_id(servo), codec.READ, bytes(codec.READS[what]))
 
     def look(self, servos: Sequence[int]) -> bytes:
-        """A sync read, of no more servos than a question to the wheels."""
+        """A sync read of at most as many servos as a question to the wheels asks."""
         counted("servos", servos, 1, len(codec.WHEELS))
         distinct("servo id", servos)
         ids = bytes([_id(servo) for servo in servos])
         return codec.packet(codec.EVERY_SERVO, codec.SYNC_READ, bytes(codec.READS[bus.POSITION]) + ids)
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
-        """The torque; before it is switched on the goal becomes the place where the servo is."""
+        """The torque. Before it is switched on, the place where the servo is becomes its goal."""
         return (_goals([(servo, max(0, min(at, HIGHEST)))]) if on else b"") + _torque(servo, on)
 
     def command(self, frame: bytes) -> int:
-        """By what it asks for or writes."""
+        """The command, by the address that the frame reads or writes."""
         if frame[4] in (codec.READ, codec.SYNC_READ):
             return next(what for what, asked in codec.READS.items() if bytes(asked) == frame[5:7])
         if frame[5] == codec.TORQUE_SWITCH:
@@ -88,7 +88,7 @@ class FeetechArm(ServoBus):
         return bus.SERVO_MOVE if len(frame) == frame[3] + 4 else bus.TORQUE_ON
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """The very bytes that the functions above make of the fields in it pass, and nothing else."""
+        """A frame passes only if the functions above make the very same bytes from its fields."""
         try:
             ids, made = self._made_again(frame)
         except (ValueError, IndexError, StopIteration):  # a FrameError is a ValueError
@@ -98,7 +98,7 @@ class FeetechArm(ServoBus):
         return next((f"servo {servo} is none of the arm's" for servo in ids if servo not in servos), "")
 
     def _made_again(self, frame: bytes) -> tuple[list[int], bytes]:
-        """Servos in a frame, and the frame for what it says."""
+        """The servos in a frame, and the frame that the functions above make from its fields."""
         if frame[4] == codec.READ:
             return [frame[2]], self.read(frame[2], self.command(frame))
         if frame[4] == codec.SYNC_READ:
@@ -114,7 +114,7 @@ class FeetechArm(ServoBus):
         return ids, _goals(moves)
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
-        """The goals in one frame. A servo goes there as fast as it can."""
+        """The goals in one frame. A servo moves there as fast as it can."""
         try:
             goals = _rows(frame)
             return [(servo, at, 0) for servo, at in goals] if frame == _goals(goals) else []
@@ -122,6 +122,6 @@ class FeetechArm(ServoBus):
             return []
 
     def held_ns(self, frame: bytes) -> int:
-        """Its own time on the line, or that of the answer."""
+        """The time of the frame on the line, or of its answer."""
         asked = {codec.READ: 1, codec.SYNC_READ: len(frame) - _ROWS_AT - 1}.get(frame[4], 0)
         return asked * ANSWER_NS or len(frame) * self._byte_ns

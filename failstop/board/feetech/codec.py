@@ -27,22 +27,22 @@ TORQUE_SWITCH, GOAL_POSITION, GOAL_SPEED = 40, 42, 46
 WHEELS = (7, 8, 9)
 """Ids of the wheels' servos, as LeKiwi has them: left, rear, right."""
 LIMIT = 3000.0
-"""The fastest that LeKiwi tells a wheel."""
+"""The highest speed that LeKiwi commands for a wheel."""
 TURN = 4096
 """Steps of a turn."""
 UNIT = "steps a second"
 SIZES = (18, 19)
-"""How much of each wheel's memory the questions ask for, from the goal speed on: an answer tells by its length which
-one it answers, as it says nothing else of it."""
+"""How much of each wheel's memory the questions read, beginning at the goal speed. An answer does not say which
+question it belongs to, but its length does."""
 READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 8), SUPPLY: (62, 3), TEMPERATURE: (63, 4)}
-"""Address and size of each question to a servo of the arm; here too the size tells which one is answered. Behind the
-position come load and temperature."""
+"""Address and size of each question to a servo of the arm. Here too the size of the answer shows the question. Load and
+temperature follow the position."""
 TOLD_EVERY = 10
-"""Answers of the wheels for one report of the supply and the servos' health: about one a second."""
+"""After this many answers of the wheels, the supply and the servos' health are reported: about once a second."""
 
 MISSES = 2
-"""Questions in a row that a wheel left unanswered while another one answered: it is missing then. The answer of one
-may be garbled on the line."""
+"""If a wheel leaves this many questions in a row unanswered while another one answers, it is missing. The answer of a
+single question may be garbled on the line."""
 
 LONGEST_REPLY = 64
 _SIGN = 0x8000
@@ -61,13 +61,14 @@ def packet(servo: int, instruction: int, data: bytes) -> bytes:
 
 
 def sync_write(address: int, size: int, rows: bytes) -> bytes:
-    """The packet that writes at this address of several servos: in each row the id, then so many bytes. No servo
-    answers it. Never for ids that it does not name: a servo in position mode takes speed 0 for its fastest."""
+    """The packet that writes at this address of several servos. Each row has the id, then the bytes. No servo answers
+    it. List the ids one by one, and never write a speed to all servos at once: for a servo in position mode, speed 0
+    means its fastest speed."""
     return packet(EVERY_SERVO, SYNC_WRITE, bytes((address, size)) + rows)
 
 
 def _word(speed: float) -> int:
-    """Towards zero; zero has no sign."""
+    """A signed word: rounded towards zero, and zero has no sign."""
     steps = int(speed)
     return steps if steps >= 0 else -steps | _SIGN
 
@@ -78,7 +79,7 @@ def signed(word: int) -> float:
 
 
 def _health(data: bytes) -> tuple[float, int]:
-    """The load, as a share of the most that a servo gives, and the temperature."""
+    """The load as a share of the servo's maximum, and the temperature."""
     word, temperature = _HEALTH.unpack(data)
     return (word & _LOAD_SIGN - 1) / (-1000 if word & _LOAD_SIGN else 1000), temperature
 
@@ -99,18 +100,19 @@ STOP = motion((0.0, 0.0, 0.0), 0.0)
 _MOTION_HEAD = STOP[:7]
 
 FILLER = bytes(24)
-"""More than the rest of any packet of this module that was cut, or of an answer: it makes no speed of what is next."""
+"""Longer than the rest of any packet of this module that was cut, or of an answer. It turns no bytes after it into a
+speed."""
 STOPS = 7
 BURST = (FILLER + STOP) * STOPS
-"""A stop is heard at once, behind any cut packet; behind an answer that it fell into, when that is over; and behind a
-length that was garbled, for which a servo waits through up to 255 bytes."""
+"""After a cut packet a stop is received at once. If it hits an answer, it is received when the answer is over. If a
+length was garbled, the servo first waits for up to 255 bytes."""
 
 TORQUE_ON = sync_write(TORQUE_SWITCH, 1, b"".join(bytes((wheel, 1)) for wheel in WHEELS))
 QUESTIONS = tuple(packet(EVERY_SERVO, SYNC_READ, bytes((GOAL_SPEED, size, *WHEELS))) for size in SIZES)
 
 
 def speeds(frame: bytes) -> tuple[float, ...] | None:
-    """The speeds of all wheels in a motion frame, steps a second. None if the bytes are no motion frame."""
+    """The speeds of all wheels in a motion frame, in steps per second; None if the bytes are not a motion frame."""
     if len(frame) != len(STOP) or frame[:7] != _MOTION_HEAD or sum(frame[2:]) & 0xFF != 0xFF:
         return None
     fields = _SPEEDS.unpack(frame[7:-1])
@@ -128,7 +130,7 @@ def check_motion(frame: bytes, limit: float) -> str:
 
 
 def _of_the_arm(servo: int, data: bytes) -> list[Sample]:
-    """The answer to one of READS; a write to one id is answered without data."""
+    """The answer to one of READS. A write to a single id is answered without data."""
     found = [what for what, (_, size) in READS.items() if size == len(data)]
     if not found or servo in WHEELS:
         return []
@@ -139,7 +141,7 @@ def _of_the_arm(servo: int, data: bytes) -> list[Sample]:
 
 
 class Replies(Reader):
-    """The servos' answers. Those of the wheels count when all three have come, in their order."""
+    """The servos' answers. The wheels' answers count when all three have come, in their order."""
 
     def __init__(self) -> None:
         self._kept = b""
@@ -149,9 +151,9 @@ class Replies(Reader):
         """The error byte of the newest answer of each servo."""
         self._misses = dict.fromkeys(WHEELS, 0)
         self._last, self._size = len(WHEELS) - 1, 0
-        """Which wheel answered last, by its place in WHEELS, and how much."""
+        """Which wheel answered last, by its place in WHEELS, and how many bytes."""
         self._told: dict[int, int] = {}
-        """What was wrong with which servo in the newest report."""
+        """What was wrong with each servo in the newest report."""
         self._answers = 0
 
     def feed(self, chunk: bytes) -> list[Sample]:
@@ -191,8 +193,8 @@ class Replies(Reader):
         return found
 
     def _count_misses(self, at: int, size: int) -> bool:
-        """A wheel has answered. Those are passed over that are between it and the last one that answered: they answer
-        in the order of WHEELS. Returns whether one of those is missing."""
+        """A wheel has answered. The wheels between it and the last one that answered have missed the question, because
+        they answer in the order of WHEELS. Returns True if one of these is now missing."""
         same = at > self._last and size == self._size
         passed = range(self._last + 1, at) if same else (*range(self._last + 1, len(WHEELS)), *range(at))
         for other in passed:
@@ -202,7 +204,7 @@ class Replies(Reader):
         return any(self._misses[WHEELS[other]] >= MISSES for other in passed)
 
     def _wrong(self) -> dict[int, int]:
-        """What is wrong with each servo that has something wrong."""
+        """What is wrong with each servo that reports an error."""
         missing = {wheel: SERVO_MISSING for wheel, misses in self._misses.items() if misses >= MISSES}
         return {servo: error for servo, error in self._errors.items() if error} | missing
 

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 34_000_000
-"""feetech-servo-sdk's; LeRobot waits 50 ms. A late answer would be taken for the one to the next question forever."""
+"""The timeout of feetech-servo-sdk; LeRobot waits 50 ms. After a late answer, every answer would be taken for the one
+to the next question."""
 PAST_NS = 4_000_000_000
-"""The service asks a joint that stands still for its place every two seconds or so, and a host asks at once."""
+"""The service asks a joint at rest for its position about every two seconds, but a host asks at once."""
 _PING, _REG_WRITE, _ACTION, _RECOVERY, _RESET = 0x01, 0x04, 0x05, 0x06, 0x0A
 _MEMORY = 90
 _MODEL = b"\x09\x03"
@@ -34,11 +35,11 @@ _FIRMWARE = b"\x03\x0a"
 _ID_AT, _LOW_AT, _HIGH_AT, _OFFSET_AT, _MODE_AT, _LOCK = 5, 9, 11, 31, 33, 55
 _OFFSET_SIGN = 0x800
 _SENSORS = 56
-"""From here on a servo says what it measures."""
+"""From this address on, a servo's memory has what it measures."""
 _KNOWN_TO = 65
-"""What is read of a servo ends here."""
+"""Nothing is read of a servo beyond this address."""
 _SET = {7: 0, 21: 16, 22: 32, 23: 0, 41: 254, 85: 254}
-"""As LeRobot sets every servo; the gains are those of the arm's."""
+"""The values to which LeRobot sets every servo; the gains are those of the arm."""
 _SPEEDS = range(codec.GOAL_SPEED, codec.GOAL_SPEED + 2)
 _BEFORE_SPEED = range(codec.GOAL_POSITION, codec.GOAL_SPEED)
 """Goal position and goal time (42 to 45), which a servo in velocity mode ignores while they are zero."""
@@ -51,20 +52,20 @@ class FeetechDriver:
     """One driver's packets, and what it can read of each servo."""
 
     def __init__(self, joints: Mapping[int, tuple[int, int, int]]) -> None:
-        """`joints`: of each servo of the arm the lowest and the highest position, and its homing offset, in steps."""
+        """`joints`: for each servo of the arm its lowest and highest position, and its homing offset, in steps."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, PAST_NS
         self._memory = {wheel: _memory(wheel, 0, codec.TURN - 1, 0, mode=1) for wheel in codec.WHEELS}
         self._memory |= {servo: _memory(servo, *told, mode=0) for servo, told in joints.items()}
         self._heard_of: dict[int, set[int]] = {servo: set() for servo in self._memory}
-        """Addresses of each servo that it has told of."""
+        """The addresses of each servo that have been read."""
         self._error = dict.fromkeys(self._memory, 0)
         self._speeds = dict.fromkeys(codec.WHEELS, 0.0)
-        """The wheels' goals, as the driver wrote them."""
+        """The wheels' goal speeds, as the driver wrote them."""
         self._packet = bytearray()
         self._heard = b""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """The driver's packets."""
+        """Handle the driver's packets."""
         rows: list[Row] = []
         for value in chunk:
             if packet := self._byte(value):
@@ -72,7 +73,7 @@ class FeetechDriver:
         return rows
 
     def _byte(self, value: int) -> bytes:
-        """The packet that this byte completes; empty: none."""
+        """The packet that this byte completes; empty if none."""
         packet = self._packet
         size = len(packet)
         if (size < 2 and value != 0xFF) or (size == 3 and value < 2):
@@ -129,7 +130,7 @@ class FeetechDriver:
         return [*rows, DriverAnswer(answers)] if answers else rows
 
     def _knows(self, servo: int, wanted: range) -> bool:
-        """What a servo measures is told when it has been read."""
+        """True if the driver can be answered: a servo's measurements only after they have been read."""
         return all(at in self._heard_of[servo] for at in wanted if _SENSORS <= at < _KNOWN_TO)
 
     def _packet_of(self, servo: int, data: bytes) -> bytes:
@@ -151,7 +152,7 @@ class FeetechDriver:
         return DriverMotion(tuple(self._speeds.values()), refused=refused)
 
     def _write(self, written: Iterable[tuple[int, bytes]], address: int) -> list[Row]:
-        """The rows of one packet, after which all wheels have the speeds that they were told."""
+        """The rows for one packet; after it all wheels have the speeds that the driver commanded."""
         rows: list[Row] = []
         told = stopped = False
         for servo, data in written:
@@ -169,7 +170,7 @@ class FeetechDriver:
         return rows
 
     def _wheel(self, wheel: int, address: int, data: bytes) -> tuple[bool, list[Row]]:
-        """Whether it is told a speed; and refusals, with a motion if the wheels are to stop."""
+        """True if this packet sets a wheel's speed; otherwise refusals, with a motion if the wheels must stop."""
         rows: list[Row] = []
         speed = bytearray()
         for at, value in enumerate(data, address):
@@ -208,7 +209,7 @@ class FeetechDriver:
         return rows
 
     def _setting(self, servo: int, at: int, value: int) -> list[Row]:
-        """A byte of the servo's settings, which stay as they are."""
+        """A byte of the servo's settings, which the driver can't change."""
         if at == _LOCK:
             self._memory[servo][at] = value
             return []
@@ -220,7 +221,7 @@ class FeetechDriver:
     # What the servos say.
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """The servos only answer, so nothing is passed on; what they measure is kept."""
+        """Keep what the servos measure. Nothing is passed on, because they only answer."""
         data, at = self._heard + chunk, 0
         while (at := data.find(codec.HEAD, at)) >= 0 and at + 4 <= len(data):
             servo, length = data[at + 2 : at + 4]
@@ -239,7 +240,7 @@ class FeetechDriver:
         return []
 
     def _measured(self, servo: int, error: int, data: bytes) -> None:
-        """An answer says by its length alone which question it answers."""
+        """Keep an answer. Only its length shows which question it belongs to."""
         if servo not in self._memory:
             return
         self._error[servo] = error
@@ -265,7 +266,7 @@ def _memory(servo: int, low: int, high: int, offset: int, *, mode: int) -> bytea
 
 
 def language(settings: Mapping[str, float | str]) -> FeetechDriver:
-    """A driver's conversation with the wheels, and with the joints of these settings."""
+    """Begin a driver's conversation with the wheels, and with the joints of these settings."""
     names = [key.split(".")[1] for key in settings if key.startswith("joints.") and key.endswith(".servo")]
     tables = [f"joints.{name}" for name in names]
     return FeetechDriver(

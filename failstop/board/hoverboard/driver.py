@@ -30,10 +30,10 @@ PATIENCE_NS = 1_000_000_000
 _COMMAND = Struct("<HhhH")
 _HEAD = codec.START.to_bytes(2, "little")
 _BODY = _COMMAND.size - len(_HEAD)
-"""Where the check begins, which may look like a start: that of any frame of two equal words does."""
+"""The check may begin at this byte, which may look like a start: in any frame of two equal words it does."""
 _TOGETHER_NS = 20_000_000
-"""A rest of a frame that comes later than this is none: an adapter holds bytes back for 16 ms, and the board drops what
-it has as soon as the line falls idle."""
+"""If the rest of a frame comes later than this, it does not belong to it: an adapter holds bytes back for 16 ms, and
+the board drops incomplete bytes as soon as the line is idle."""
 _LENGTHS = (18, 22, 26)
 _REST = (0.0, 0.0)
 _NO_FRAME = DriverRefusal(
@@ -55,7 +55,7 @@ class HoverboardDriver:
         """The length of the board's feedback frames, bytes. 0: not known yet."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """The driver's frames."""
+        """Handle the driver's frames."""
         rows: list[Row] = []
         if not chunk:
             return rows
@@ -81,7 +81,7 @@ class HoverboardDriver:
         return rows
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """The board's feedback, whole frames of whichever length it has."""
+        """Pass on the board's feedback, in whole frames of either length."""
         data, at = self._heard + chunk, 0
         frames: list[bytes] = []
         while (at := data.find(_HEAD, at)) >= 0:
@@ -98,8 +98,8 @@ class HoverboardDriver:
         return frames
 
     def _whole(self, data: bytes, at: int) -> int:
-        """The length of the feedback that begins here; 0: none does. A length that is not known yet counts only with
-        another frame behind it, because some of the bytes of two frames can pass the check too."""
+        """The length of the feedback frame that begins here; 0 if none does. A length that is not known yet counts only
+        if another frame follows, because some of the bytes of two frames can pass the check too."""
         if self._length and _checked(data[at : at + self._length], self._length):
             return self._length
         for length in _LENGTHS:
@@ -109,7 +109,7 @@ class HoverboardDriver:
 
 
 def _start(data: bytes, at: int) -> int:
-    """Where the next start is, or may begin with the last byte; behind all of them: nowhere."""
+    """Where the next start is, or may begin with the last byte; the end of the bytes if there is none."""
     found = data.find(_HEAD, at)
     return found if found >= 0 else len(data) - data.endswith(_HEAD[:1])
 
@@ -119,7 +119,7 @@ def _dropped() -> list[Row]:
 
 
 def _speeds(frame: bytes) -> tuple[float, float] | None:
-    """Left and right, as the board clamps and mixes a frame; None: it is none."""
+    """Left and right in a frame, as the board clamps and mixes them; None if it is not a frame."""
     start, steer, speed, check = _COMMAND.unpack(frame)
     if start != codec.START or check != start ^ (steer & 0xFFFF) ^ (speed & 0xFFFF):
         return None
@@ -143,5 +143,5 @@ def _checked(frame: bytes, length: int) -> bool:
 
 
 def language(_settings: Mapping[str, float | str]) -> HoverboardDriver:
-    """A driver's conversation, which needs no setting."""
+    """Begin a driver's conversation. It needs no setting."""
     return HoverboardDriver()

@@ -28,7 +28,7 @@ class RrcArm(ServoBus):
         return b"".join(bus.bus_servo_stops(servos))
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """One or two servos in one frame."""
+        """The frame that moves one or two servos."""
         return bus.bus_servo_move(positions, duration_ms, longest_ms or LONGEST_MOVE_MS)
 
     def read(self, servo: int, what: int) -> bytes:
@@ -36,7 +36,7 @@ class RrcArm(ServoBus):
         return bus.bus_servo_read(servo, what)
 
     def look(self, servos: Sequence[int]) -> bytes:
-        """Empty: the board asks one servo after another, while none moves."""
+        """Empty, because the board asks one servo after another, and only while none moves."""
         return b""
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
@@ -44,17 +44,17 @@ class RrcArm(ServoBus):
         return bus.bus_servo_torque(servo, on)
 
     def command(self, frame: bytes) -> int:
-        """The sub-command of the frame."""
+        """The sub-command in the frame."""
         return frame[_SUB_COMMAND_AT]
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """Only frames that the encoders make pass."""
+        """A frame passes only if the encoders make it."""
         return bus.check_bus(frame, servos, longest_ms)
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
-        """The servos of one frame; each takes the frame's time."""
+        """The servos in one frame. Each takes the frame's time for its move."""
         return bus.moves(frame)
 
     def held_ns(self, frame: bytes) -> int:
-        """How long the servos' own bus takes for it."""
+        """How long the servos' own bus needs for the frame."""
         return bus.held_ns(frame)

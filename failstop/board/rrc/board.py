@@ -92,7 +92,7 @@ class FrameHearing(Hearing):
         self._decoder = decoder.Decoder()
 
     def feed(self, chunk: bytes) -> list[Said]:
-        """Everything reported in the frames that these bytes complete."""
+        """Everything that is reported in the frames that these bytes complete."""
         found: list[Said] = []
         for func, data in self._decoder.feed(chunk):
             if said := _SAID.get(func):
@@ -150,7 +150,7 @@ class Rrc(Board):
     )
 
     def hearing(self) -> Hearing:
-        """Its frames."""
+        """A new reader for its frames."""
         return FrameHearing()
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
@@ -158,7 +158,7 @@ class Rrc(Board):
         return codec.motor_speeds(rps, max_rps)
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """The frame for four wheels, and nothing else."""
+        """Only the frame for four wheels passes."""
         return codec.check_motion(frame, max_rps)
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
@@ -174,7 +174,7 @@ class Rrc(Board):
         return codec.buzzer(freq_hz, on_ms, off_ms, repeat)
 
     def check_aux(self, frame: bytes) -> str:
-        """The buzzer's frame, and nothing else."""
+        """Only the buzzer's frame passes."""
         return codec.check_aux(frame)
 
 
@@ -191,5 +191,5 @@ BOARD = Rrc()
 
 
 def board(_diameter_m: float, _per_rps: float, steering: SteeringServo | None) -> Board:
-    """Its speeds are in turns per second already."""
+    """Make the board. Its speeds are already in turns per second."""
     return SteeredRrc(steering) if steering else BOARD

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 _FOREVER_NS = 60_000_000_000
-"""The SDK waits for an answer forever, so none is dropped."""
+"""The SDK waits forever for an answer, so no answer is dropped."""
 _PAST_NS = 4_000_000_000
 _START, _START_2, _FUNC, _LENGTH, _DATA, _CHECK = range(6)
 _ONE, _SEVERAL, _STOP_ONE, _STOP_SEVERAL, _TYPE_OR_DUTY = 0, 1, 2, 3, 5
@@ -56,15 +56,15 @@ class RrcDriver:
         self._func = self._length = 0
         self._data = bytearray()
         self._skipped = False
-        """Bytes that begin no frame were reported already."""
+        """True if bytes that begin no frame were reported already."""
         self._speeds = [0.0] * WHEELS
-        """Turns a second of each motor, as the driver told it last."""
+        """The speed of each motor in turns per second, as the driver commanded it last."""
         self._decoder = Decoder()
         self._kept: dict[tuple[int, int, int], bytes] = {}
         """The board's newest answer about a servo, by function, servo and question."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """The driver's frames."""
+        """Handle the driver's frames."""
         rows: list[Row] = []
         for value in chunk:
             rows += self._byte(value)
@@ -172,7 +172,7 @@ class RrcDriver:
         ]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """The board's reports, whole frames, without the answers to failstop's own questions."""
+        """Pass on the board's reports, in whole frames, but not the answers to failstop's own questions."""
         found: list[bytes] = []
         for func, data in self._decoder.feed(chunk):
             if func in _PASSED:
@@ -183,5 +183,5 @@ class RrcDriver:
 
 
 def language(_settings: Mapping[str, float | str]) -> RrcDriver:
-    """A driver's conversation, which needs no setting."""
+    """Begin a driver's conversation. It needs no setting."""
     return RrcDriver()

@@ -21,37 +21,39 @@ from failstop.board.wire import Answer, Battery, Imu, Restarted, Sample, Wheels
 
 STOP = b'\n{"T":1,"L":0,"R":0}\n'
 SPEED_RATE = b'{"T":139}\n'
-"""A question without any effect. Never T:128, which overwrites a calibration."""
+"""A question that changes nothing. Never use T:128 for this, because it overwrites a calibration."""
 ATTITUDE = b'{"T":126}\n'
 LIMIT = 2.0
-"""Beyond it the board keeps the old speed without a word, and feeds its watchdog."""
+"""The board ignores a faster command without a word, keeps the old speed, and feeds its watchdog."""
 STEP = 0.001
 UNIT = "m/s (on ugv_base_general's Rover and RaspRover a share of the PWM)"
 WATCHDOG_MS = (100, 3000)
-"""The range that this module sets. 0 would end every motion in 1 ms."""
+"""The range that failstop sets. 0 would end every motion after 1 ms."""
 
 REPORT = 1001
 ANSWERS = (139, 1002)
-"""An answer has more than its T: a line that sends the question back is no board."""
+"""The answer to each question. An answer has more fields than its T, because a line that only sends the question back
+is not from a board."""
 LONGEST_LINE = 1024
 AUX = {3: "the display (T:3)", -3: "the display (T:-3)", 132: "lights (T:132)", 133: "the gimbal (T:133)",
        134: "the gimbal (T:134)", 135: "the gimbal (T:135)", 137: "the gimbal (T:137)",
        141: "the gimbal (T:141)"}  # fmt: skip
-"""What moves no wheel, by T, for people."""
+"""The commands that move no wheel, by their T, with a name for people."""
 _AUX_T = {kind: f"{kind / 100}e2" if kind > 100 else str(kind) for kind in AUX}
-"""How it is written: of `133`, a byte that is lost on the cable would make T:13, which drives."""
+"""How a T is written. If it were `133`, the loss of one byte on the cable would make it T:13, which drives."""
 _AUX_BYTES = 128
 RADIO_OFF = b'{"T":3e2,"mode":0}\n'
-"""Makes the board deaf to ESP-NOW, by which anybody near it could drive."""
+"""Makes the board ignore ESP-NOW, because anybody nearby could drive it that way."""
 
 _BOOT = re.compile(rb"rst:0x[0-9a-f]+ \(")
-"""In the line that the ESP32's ROM prints at every reset, at the same speed: rst:0xf (BROWNOUT_RST),boot:0x13 (...)."""
+"""Part of the line that the ESP32's ROM prints at every reset, at the same baud rate: rst:0xf (BROWNOUT_RST),boot:0x13
+(...)."""
 _SPEED = rb"(0|-?[1-9]\d{0,3}00e-5)"
 _LINE = re.compile(rb'\{"T":1,"L":%b,"R":%b\}\n' % (_SPEED, _SPEED))
 _ACCEL = 9.80665 / 8192
-"""m/s^2 a unit: the IMU's range is 4 g."""
+"""m/s^2 per unit: the IMU's range is 4 g."""
 _GYRO = pi / 180 / 16.4
-"""rad/s a unit: the IMU's range is 2000 degrees a second."""
+"""rad/s per unit: the IMU's range is 2000 degrees per second."""
 
 
 def _speed(speed: float) -> str:
@@ -73,7 +75,7 @@ _AUX_LINE = re.compile(rf'\{{"T":(?:{"|".join(map(re.escape, _AUX_T.values()))})
 
 
 def aux(kind: int, fields: dict[str, object]) -> bytes:
-    """The line for lights, gimbal or display, with numbers and short texts; empty: it does not fit. `kind`: one of
+    """The line for lights, gimbal or display, with numbers and short texts; empty if it does not fit. `kind`: one of
     AUX."""
     rest = "".join(f",{json.dumps(key)}:{json.dumps(_short(value))}" for key, value in fields.items())
     line = f'{{"T":{_AUX_T[kind]}{rest}}}\n'.encode()
@@ -94,15 +96,15 @@ def check_aux(frame: bytes) -> str:
 
 
 def watchdog(after_ns: int) -> bytes:
-    """The line that makes the board stop its wheels so long after the last motion line. It is forgotten with the power,
-    and not answered. Raises FrameError."""
+    """The line that makes the board stop its wheels this long after the last motion line. The board forgets it when it
+    loses power, and does not answer it. Raises FrameError."""
     after_ms = integer("watchdog in ms", after_ns // 1_000_000, *WATCHDOG_MS)
     return f'\n{{"T":136,"cmd":{after_ms}}}\n'.encode()
 
 
 def reports() -> LineReader:
-    """The reader of lines, of which each is a report; what is no JSON object is dropped: the board prints text while it
-    starts."""
+    """The reader of lines, each of which is a report. A line that is not a JSON object is dropped, because the board
+    prints text while it starts."""
     return LineReader(_samples, LONGEST_LINE)
 
 
@@ -122,7 +124,7 @@ def _samples(line: bytes) -> list[Sample]:
 
 
 def _numbers(said: dict[str, object], *names: str) -> tuple[float, ...]:
-    """The values of these names, finite or not; empty where one is missing or no number."""
+    """The values of these names, finite or not; empty if one is missing or not a number."""
     found = [said.get(name) for name in names]
     numbers = [_float(value) for value in found if isinstance(value, (int, float)) and not isinstance(value, bool)]
     return tuple(numbers) if len(numbers) == len(names) else ()

@@ -22,24 +22,24 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 OPENERS = 2
-"""Two programs may have the port open: of the vendor's ROS 2 nodes, ugv_driver writes and ugv_bringup reads."""
+"""How many programs may have the port open. Of the vendor's ROS 2 nodes, ugv_driver writes and ugv_bringup reads."""
 PATIENCE_NS = 1_000_000_000
-"""A question that has waited longer is answered only if it is the newest."""
+"""A question that has waited longer than this is answered only if it is the newest."""
 _TRACK_M = 0.172
-"""The track of the widest base that this firmware knows, m. The firmware turns T:13's Z into wheel speeds with it. The
-setting may give a smaller one."""
+"""The track of the widest base that this firmware knows, in m. The firmware uses it to turn T:13's Z into wheel speeds.
+The setting may give a smaller one."""
 _LONGEST = 4096
-"""Bytes of a line that are kept. The board keeps any number, and no driver writes as many."""
+"""How many bytes of a line are kept. The board keeps any number, but no driver writes so many."""
 _REST = (0.0, 0.0)
 _MS = 1_000_000
 _SOON_NS = 5 * _MS
-"""Reports don't come to the millisecond."""
+"""A report may come this much too early, because its time is not exact to the millisecond."""
 
 _STOP, _SPEEDS, _PWM, _BODY = 0, 1, 11, 13
 _ANSWERED_BY = {126: 1002, 130: codec.REPORT, 139: 139}
-"""Questions, and the T of the board's answer to each."""
+"""Each question with the T of the board's answer to it."""
 _OWN = (1002, 139)
-"""The answers to failstop's questions, which no driver hears unasked."""
+"""The answers to failstop's own questions; a driver gets them only if it asks."""
 _FLOW, _INTERVAL, _ECHO, _RADIO = 131, 142, 143, 300
 _KEEPS = {4: "the type of its module (T:4)", 900: "the type of the robot (T:900)"}
 _ARM = (*range(100, 124), 144, 210, 1041)
@@ -51,20 +51,20 @@ class UgvDriver:
     """One driver's lines, and what it hears of the board."""
 
     def __init__(self, track_m: float) -> None:
-        """`track_m`: the distance of left and right wheels, by which T:13's turn becomes speeds."""
+        """`track_m`: the distance between the left and the right wheels, which turns T:13's turn rate into speeds."""
         self.openers, self.patience_ns, self.past_ns = OPENERS, PATIENCE_NS, 0
         self._half_m = min(track_m, _TRACK_M) / 2.0
         self._line = b""
         self._too_long = False
         self._heard = b""
         self._kept: dict[int, bytes] = {}
-        """The board's newest line of each T that a question asks for."""
+        """The board's newest line for each T that a question asks for."""
         self._flows = True
         self._every_ns = 0
         self._passed_ns = -60_000 * _MS
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """The driver's lines."""
+        """Handle the driver's lines."""
         *lines, self._line = (self._line + chunk).split(b"\n")
         rows: list[Row] = []
         for line in lines:
@@ -98,7 +98,7 @@ class UgvDriver:
         return self._setting(kind, fields)
 
     def _aux(self, kind: int, fields: dict[bytes, object]) -> list[Row]:
-        """Lights, gimbal and display, written as failstop writes them."""
+        """Handle lights, gimbal and display, in the spelling that failstop writes."""
         others = {key.decode("latin-1"): value for key, value in fields.items() if key != b"T"}
         texts = {key: value.decode("latin-1") if isinstance(value, bytes) else value for key, value in others.items()}
         line = codec.aux(kind, texts)
@@ -145,7 +145,7 @@ class UgvDriver:
         return [DriverRefusal(f"T:{kind}", "it changes the board, or is not known: use it without the guard port")]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """The board's reports, whole lines, without the answers to failstop's own questions."""
+        """Pass on the board's reports, in whole lines, but not the answers to failstop's own questions."""
         *lines, rest = (self._heard + chunk).split(b"\n")
         self._heard = rest[-codec.LONGEST_LINE :]
         return [line.rstrip(b"\r") + b"\r\n" for line in lines if self._passes(line, now_ns)]
@@ -174,7 +174,7 @@ def _is_number(value: object) -> bool:
 
 
 def _float(value: object) -> float:
-    """As the board converts it: a text by the number in it, and anything else is 0."""
+    """The value as the board converts it: a text counts as the number in it, and anything else as 0."""
     if isinstance(value, bytes):
         try:
             value = lenient.number(value)
@@ -187,11 +187,11 @@ def _float(value: object) -> float:
 
 
 def _whole(value: object) -> int:
-    """Towards zero, and 0 for what does not fit into 32 bits."""
+    """The value rounded towards zero, and 0 if it does not fit into 32 bits."""
     found = _float(value)
     return int(found) if -(2**31) <= found < 2**31 else 0
 
 
 def language(settings: Mapping[str, float | str]) -> UgvDriver:
-    """A driver's conversation with a base of these sizes."""
+    """Begin a driver's conversation with a base of these sizes."""
     return UgvDriver(float(settings.get("wheels.track_m", _TRACK_M)))

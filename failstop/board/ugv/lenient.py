@@ -23,11 +23,11 @@ _ESCAPES = {ord("b"): 8, ord("f"): 12, ord("n"): 10, ord("r"): 13, ord("t"): 9}
 
 
 class NotTaken(ValueError):
-    """The board ignores the line."""
+    """The board would ignore this line."""
 
 
 def loads(line: bytes) -> object:
-    """The first value of a line; texts are bytes, and so are the keys of objects. Raises NotTaken."""
+    """The first value in a line; texts and the keys of objects are bytes. Raises NotTaken."""
     text = line.split(b"\0", 1)[0]
     value, at = _value(text, 0, _MOST_DEEP)
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -124,7 +124,7 @@ def _number(text: bytes, at: int) -> tuple[int | float, int]:
 
 
 def number(word: bytes) -> int | float:
-    """The value of a number's text. Raises NotTaken."""
+    """The value of a number in a text. Raises NotTaken."""
     found = _NUMBER.fullmatch(word)
     if not found or not word.lstrip(b"+-") or word.lstrip(b"+-")[:1] in (b"e", b"E"):
         raise NotTaken("no number")

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 _MS = 1_000_000
 WATCHDOG_NS = 500 * _MS
-"""More than twice the time between two refreshes of a stop."""
+"""More than twice the time after which a stop is written again."""
 
 
 def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:

@@ -46,46 +46,48 @@ SHORT, LONG, END = 2, 3, 3
 DUTY, RPM, SERVO, FORWARD, SELECTED = 5, 8, 12, 34, 50
 """Commands: set a duty cycle, a speed in ERPM, the servo; pass on to the CAN; get some values."""
 LIMIT = 100_000.0
-"""The fastest that a controller turns a motor by default (mcconf_default.h)."""
+"""The highest speed to which a controller turns a motor by default (mcconf_default.h)."""
 LEAST = 900.0
-"""By default a controller brakes when it is told a slower speed (MCCONF_S_PID_MIN_RPM)."""
+"""By default a controller brakes if it gets a lower speed than this (MCCONF_S_PID_MIN_RPM)."""
 STILL = 50
-"""A slower speed, in ERPM, may be noise of a motor at rest; its tachometer tells whether it turns."""
+"""A lower speed than this, in ERPM, may be noise from a motor at rest; its tachometer shows whether it turns."""
 UNIT = "ERPM, the electrical revolutions a minute"
 STEPS = 6
-"""Steps of the tachometer in an electrical revolution."""
+"""How many steps the tachometer makes in an electrical revolution."""
 MOST_PAYLOAD = 512
 PENDING = MOST_PAYLOAD + 6
-"""The longest packet that a receiver may wait for."""
+"""The longest rest of a packet for which a receiver may wait."""
 BURST = 130
-"""Bytes of a burst. Four of them, as many as each writer writes, are longer than PENDING; three take 34 ms on a serial
-line, so that a frame of motion behind the bursts of three writers is over before the next repeats."""
+"""How many bytes a burst has. Each writer writes four bursts, which together are longer than PENDING. Three bursts take
+34 ms on a serial line, so a frame of motion that follows the bursts of three writers is over before the next
+repeats."""
 LOCAL, BEHIND = 1, 2
-"""The controllers, as reports about them name them: at the port, and behind its CAN."""
+"""The controllers as reports name them: the one at the port, and the one behind its CAN."""
 MISSES = 2
-"""Questions in a row that the second controller left unanswered while the first one answered: it is missing then."""
+"""If the second controller leaves this many questions in a row unanswered while the first one answers, it is
+missing."""
 TOLD_EVERY = 20
-"""Answers for one report of temperatures: about one a second."""
+"""After this many answers, the temperatures are reported: about once a second."""
 WRONG = {1: SERVO_VOLTAGE, 2: SERVO_VOLTAGE, 4: SERVO_CURRENT, 5: SERVO_HEAT, 6: SERVO_HEAT}
-"""What failstop has a word for of a controller's faults (FAULT_CODE_ of datatypes.h)."""
+"""The faults of a controller for which failstop has a word (FAULT_CODE_ of datatypes.h)."""
 FIRST_US, WAY_US = 1000, 1000
 """The shortest pulse of the servo output, and how much longer the longest one is (SERVO_OUT_PULSE_ of conf_general.h).
-A place on that way is sent in thousandths."""
+Positions between them are sent in thousandths."""
 _PLACE = Struct(">Bh")
 _SPEED = Struct(">Bi")
 _ASK = Struct(">BI")
 _HEAT, _SPEED_NOW, _VOLTS, _TACHOMETER, _FAULT, _ID, _STATUS = (1 << bit for bit in (0, 7, 8, 13, 15, 17, 21))
 _MASK = _SPEED_NOW | _VOLTS | _TACHOMETER | _FAULT | _ID | _STATUS
 MASKS = (_MASK, _HEAT | _MASK)
-"""Which values the questions ask for; an answer repeats its mask, so it says which question it belongs to. No byte of
-them looks like the head of a packet: behind a cut question a receiver would wait for that packet."""
+"""Which values the questions ask for. An answer repeats the mask, so it says which question it belongs to. No byte of a
+mask looks like the head of a packet, because after a cut question the receiver would wait for that packet."""
 _VALUES = {MASKS[0]: Struct(">BIihiBB"), MASKS[1]: Struct(">BIhihiBB")}
-"""The answers, without the status, which older firmware leaves out."""
+"""The forms of the answers, without the status, which older firmware leaves out."""
 _LONGEST = 128
-"""More bytes than any packet has that a controller sends to failstop or a driver at the guard port."""
+"""No packet that a controller sends to failstop, or to a driver at the guard port, has this many bytes."""
 
 _LEAST = {SHORT: 1, LONG: 255}
-"""The shortest payload with each kind of length."""
+"""The shortest payload for each way to write its length."""
 
 
 def packet(payload: bytes) -> bytes:
@@ -94,8 +96,8 @@ def packet(payload: bytes) -> bytes:
 
 
 def payloads(data: bytes) -> tuple[list[bytes], bytes]:
-    """The payloads of all whole packets, and an incomplete packet at the end. What is no packet is skipped, one byte at
-    a time, as the firmware does."""
+    """The payloads of all whole packets, and an incomplete packet at the end. Bytes that are no packet are skipped one
+    at a time, as the firmware does."""
     found: list[bytes] = []
     at = 0
     while at < len(data):
@@ -118,16 +120,16 @@ def payloads(data: bytes) -> tuple[list[bytes], bytes]:
 
 
 VALUES, FIRMWARE = packet(b"\x04"), packet(b"\0")
-"""Questions of drivers: all values, and the version of the firmware."""
+"""A driver's questions: all values, and the version of the firmware."""
 
 
 def check_aux(frame: bytes) -> str:
-    """Why these bytes must not be written as another frame: nothing but two questions may."""
+    """Why these bytes must not be written as another frame; only two questions may."""
     return "" if frame in (VALUES, FIRMWARE) else "no question for values or the firmware"
 
 
 class Steering(ServoSteering):
-    """The servo at a controller. The settings have its pulses in us, and 1000 to 2000 are its whole way."""
+    """The servo at a controller. The settings give its pulses in us; 1000 to 2000 are its whole range."""
 
     __slots__ = ()
 
@@ -149,7 +151,7 @@ class Motors:
     """The frames for one motor, at the port, or for two: left at the port, right behind its CAN."""
 
     def __init__(self, can_ids: tuple[int, ...] = ()) -> None:
-        """`can_ids`: of the other controllers."""
+        """`can_ids`: the CAN ids of the other controllers."""
         self._heads = [b"", *(bytes((FORWARD, can_id)) for can_id in can_ids)]
         self.wheels = len(self._heads)
         self.rest = self.frame((0.0,) * self.wheels, 0.0)
@@ -160,7 +162,7 @@ class Motors:
         return b"".join(packet(head + payload) for head, payload in zip(self._heads, every, strict=True))
 
     def _written(self, speeds: Sequence[float]) -> bytes:
-        """A motor that is told zero brakes. Speeds are truncated towards zero."""
+        """The payload for a motor's speed, truncated towards zero. A motor that gets zero brakes."""
         whole = [int(speed) for speed in speeds]
         return self._packets([_SPEED.pack(RPM if speed else DUTY, speed) for speed in whole])
 
@@ -194,34 +196,35 @@ class Motors:
         return beyond(found, limit, LIMIT)
 
     def replies(self) -> Replies:
-        """A reader for what these controllers answer."""
+        """A reader for the answers of these controllers."""
         return Replies(self._heads[-1][-1:])
 
 
 class Values(Data):
-    """What a controller reports about its motor and its supply."""
+    """The values that a controller reports about its motor and its supply."""
 
     speed: float
     """In ERPM; 0 below STILL."""
     position: float
-    """Of its tachometer."""
+    """The count of its tachometer."""
     volts: float
 
 
 class Replies(Reader):
-    """The controllers' answers. A question counts as answered when all controllers have: the one at the port answers
-    first, and what the other one answers must belong to the same question."""
+    """The controllers' answers. A question counts as answered when all controllers have answered it. The one at the
+    port answers first, and the other one's answer must belong to the same question."""
 
     def __init__(self, other: bytes) -> None:
         """`other`: the CAN id of the second controller; empty if there is none."""
         self._kept = b""
         self._other = other
         self._first: tuple[int, Values] | None = None
-        """The mask and the values that the controller at the port answered last, while the other one has not."""
+        """The mask and the values in the last answer of the controller at the port, while the other one has not
+        answered; else None."""
         self._misses = 0
         self._heat = {LOCAL: 0}
         self._wrong = {LOCAL: 0}
-        """Of each controller that has answered: its temperature, and what is wrong with it."""
+        """For each controller that has answered: its temperature, and what is wrong with it."""
         self._told: dict[int, int] = {}
         """What was wrong in the newest report."""
         self._answers = 0
@@ -258,7 +261,7 @@ class Replies(Reader):
         return found
 
     def _paired(self, mask: int, values: Values, one: int) -> list[Sample]:
-        """The samples of a question that every controller has answered."""
+        """The samples for a question that every controller has answered."""
         if not self._other:
             return self._answered(mask, values)
         first, self._first = self._first, None

@@ -37,8 +37,8 @@ class VescDriver:
     """One driver's packets, and the answers to its questions."""
 
     def __init__(self, can_id: int | None, steering: tuple[float, float] | None) -> None:
-        """`can_id`: of the second motor, None if there is none; `steering`: the servo's us for straight ahead, and what
-        is added for a radian to the left; None if the base is not steered."""
+        """`can_id`: the CAN id of the second motor, None if there is none; `steering`: the servo's pulse in us for
+        straight ahead, and how much is added for one radian to the left; None if the base is not steered."""
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
         self._can_id, self._steering = can_id, steering
         self._speeds = [0.0] if can_id is None else [0.0, 0.0]
@@ -46,7 +46,7 @@ class VescDriver:
         self._wrote = self._heard = b""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """The driver's packets."""
+        """Handle the driver's packets."""
         data = self._wrote + chunk
         found, self._wrote = codec.payloads(data)
         rows = [row for payload in found for row in self._asked(payload, 0)]
@@ -55,7 +55,7 @@ class VescDriver:
         return rows
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """The answers to a driver's questions; failstop's own are others."""
+        """Pass on the answers to the driver's questions, but not to failstop's own."""
         found, self._heard = codec.payloads(self._heard + chunk)
         return [codec.packet(payload) for payload in found if payload[0] in _PASSED_ON]
 
@@ -110,7 +110,7 @@ class VescDriver:
 
 
 def language(settings: Mapping[str, float | str]) -> VescDriver:
-    """A driver's conversation, by the wheels and the servo of the settings."""
+    """Begin a driver's conversation, with the wheels and the servo of the settings."""
     if settings.get("wheels.layout") != "ackermann":
         return VescDriver(int(settings.get("board.can_id", USUAL_CAN_ID)), None)
     per_rad = float(settings["steering.sign"]) * float(settings["steering.per_rad"])

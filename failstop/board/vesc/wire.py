@@ -50,7 +50,7 @@ def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
 
 
 def wire(can_ids: tuple[int, ...]) -> Wire:
-    """The description for a controller at the port, and those with these CAN ids behind it."""
+    """The description of a controller at the port, and of others with these CAN ids behind it."""
     motors = codec.Motors(can_ids)
     return Wire(
         name="two VESCs" if can_ids else "a VESC",
@@ -126,4 +126,4 @@ def wire(can_ids: tuple[int, ...]) -> Wire:
 
 
 WIRE = wire((USUAL_CAN_ID,))
-"""Of two motors. The settings' own id takes the place of the usual one."""
+"""The description for two motors. The CAN id in the settings replaces the usual one."""
