@@ -26,7 +26,7 @@ HANGUP = 0
 GONE = select.EPOLLHUP | select.EPOLLERR
 MS = 1_000_000
 LONG_NS = 10 * MS
-"""A wait that is longer than this need not be exact to the millisecond."""
+"""A longer wait need not be exact to the millisecond."""
 NEVER = 2**63 - 1
 
 

@@ -30,7 +30,7 @@ def leave_after_ns(board: Board) -> int:
 DRAINED_NS = 5_000_000
 """How often to look at a port that still holds the stop."""
 _LINE = 1
-"""In each process's block of futexes; the supervisor waits on line 0."""
+"""Which line in each process's block of futexes to use; the supervisor waits on line 0."""
 
 
 class Parent:
@@ -79,7 +79,7 @@ class Peer:
     def __init__(self, name: str, context: Context, loop: Loop, port: StopPort) -> None:
         """`port`: where the thread that gets the early news of the death writes the stop."""
         self.death = causes.DIED(name)
-        """The cause of a stop for this process's death."""
+        """The cause of the stop when this process dies."""
         self.heart = HeartbeatReader(context.segment(name))
         self.life: Lifeline | None = None
         self._word = context.segment("supervisor").word(f"{name}_life")
@@ -119,7 +119,7 @@ class Peer:
             self._stop()
 
     def runs(self) -> bool:
-        """True from when it has reported that it runs until its death is answered."""
+        """True from the moment when it has reported that it runs until its death has been answered."""
         return self.life is not None and self.life.watched
 
     def died(self, ready: dict[int, int]) -> int:

@@ -18,9 +18,9 @@ _SIGKILL = 9
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 LOOP_US = 100_000
-"""Processor time without a pause, at real-time priority, after which the kernel kills this process. An endless loop
-would take the core from every process of lower priority, including, on the last core, the ones that must stop for
-it."""
+"""If this process runs for this long without a pause, at real-time priority, the kernel kills it. An endless loop would
+take the core from every process of lower priority, and on the last core also from those that must stop the wheels
+because of the loop."""
 SUPERVISOR_LOOP_US = 500_000
 """The same for the supervisor. It has the lowest priority on the stop path, so its loop keeps nobody from stopping, and
 its end is the end of the service. The kernel counts whole ticks, including those that a virtual machine's host

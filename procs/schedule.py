@@ -96,7 +96,7 @@ class Pings:
         self._before, self.index = self.index, self._drawn()
 
     def _drawn(self) -> int:
-        """A random index, but never the same one three times in a row."""
+        """A random index, but not the same one three times in a row."""
         mixed = self._mixed  # Marsaglia's xorshift, because `random` would cost memory
         mixed ^= mixed << 13 & 0xFFFFFFFFFFFFFFFF
         mixed ^= mixed >> 7

@@ -33,7 +33,8 @@ def starved(state: str, ran_ns: int, deadline_ns: int) -> bool:
 
 
 def look(pid: int, heart: HeartbeatReader, deadline_ns: int, bell: EventBell) -> bool:
-    """True when the silent process is starved; `bell` is that process's own. Takes two readings, about 20 us."""
+    """True if the silent process is starved. `bell`: the bell that wakes that process. Takes two readings, about 20
+    us."""
     try:
         # A starting process has not beaten yet, so the value there is its predecessor's.
         before_ns = heart.cpu_ns.get() if heart.pid.get() == pid else 0

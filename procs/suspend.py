@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 SLEPT_NS = 50_000_000
-"""A shorter time is no sleep: the two clocks are read one after the other, and the process may be held up in
+"""A shorter time is not a sleep, because the two clocks are read one after the other, and the process may be held up in
 between."""
 
 

@@ -20,6 +20,6 @@ class WheelServos:
         self._health = health if servos.turn_wheels(settings) else None
 
     def waited_for(self) -> str:
-        """The wheel that motion waits for, because its servo does not answer; empty: none."""
+        """The wheel for which motion has to wait, because its servo does not answer; empty if there is none."""
         report = self._health.read() if self._health else None
         return servos.waited_for(records.HEALTH.unpack(report[2]), self._settings) if report else ""

@@ -184,7 +184,7 @@ class Process:
     memory_locked: bool
     """Its memory can't be swapped out."""
     early_news: bool = True
-    """The kernel reports a death to it before it frees the dead process's memory."""
+    """True if the kernel reports a death to this process before it frees the dead process's memory."""
     killed: bool = False
     """The process before it was killed by a signal."""
     starts_in_s: float | None = None

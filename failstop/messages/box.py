@@ -26,7 +26,7 @@ BOARD_CELLS = 8192
 ARM_CELLS = 640
 """10 a second while a client moves the arm, and one at each change."""
 BEATS_CELLS = 768
-"""10 a second, and one at each stop."""
+"""10 a second, and one more at each stop."""
 
 ARM_BYTES = 80
 SHORT_WHO_BYTES = 36

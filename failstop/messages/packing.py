@@ -65,7 +65,7 @@ class Note(Data):
 
     @classmethod
     def unpack(cls, payload: bytes) -> Note:
-        """Raises ValueError."""
+        """The note in these bytes. Raises ValueError if they are damaged."""
         found = msgpack.unpackb(payload)
         if not isinstance(found, list) or [type(part) for part in found] != [str, str, str, str, dict]:
             raise ValueError("a payload that is no note")

@@ -28,7 +28,7 @@ ASKED_BYTES = 180
 """Bytes for the words in which a client asks for a stop, in UTF-8. With the asker's name they fit a record."""
 WHO_BYTES = 64
 FLEET_PREFIX = "fleet:"
-"""How the asker's name begins if the stop was for the whole fleet and was passed on."""
+"""How the asker's name begins if somebody stopped the whole fleet and this robot passed it on."""
 CAUSE = "{cause}"
 """In the text of a reply: stands for the text of the cause."""
 REPLY_BYTES = 290
@@ -36,7 +36,7 @@ LEFT_OUT = b" ..."
 """How such words end if they were cut."""
 
 NOBODY = 0
-"""A session number that no client has."""
+"""The session number that no client has."""
 SOURCE_BYTES = 16
 HELD_BYTES = 200
 PATH_BYTES = 300

@@ -26,7 +26,8 @@ ARGUMENTS_BYTES = 280
 BETWEEN = "\x1f"
 LONGEST_PID = 10
 NOT_KNOWN = "not known yet"
-"""Stands for a name that is not known yet. The program that asked for the stop asks again when it knows the name."""
+"""Stands for a name that is not known yet. The program that asked for the stop sends the request again when it knows
+the name."""
 A_RESET = "a reset"
 SECOND_ROBOT = "a second Robot in the same program"
 NEW_RUN = "a new start of the service"
@@ -34,7 +35,7 @@ CLIENTS = "gate"
 """The process that watches the clients."""
 NUMBER_BYTES = 2
 LAST_NODES = ("collision_monitor", "velocity_smoother", "twist_mux")
-"""ROS nodes that are usually the last one before a base. The first of these that is running counts."""
+"""ROS nodes that are usually the last one before a base. The first one in this list that is running counts."""
 INNER_NODES = ("behavior_server", "controller_server", "docking_server", "following_server")
 """Nodes of Nav2 that usually have another node between them and the base."""
 _TYPES = {"": str, "d": int, "X": int, "f": float}
@@ -126,7 +127,7 @@ class Cause:
 
 
 def unpack(payload: bytes) -> Cause:
-    """Raises ValueError."""
+    """The cause in packed bytes. Raises ValueError if they are damaged."""
     number = int.from_bytes(payload[:NUMBER_BYTES], "little")
     if len(payload) < NUMBER_BYTES or number not in BY_NUMBER:
         raise ValueError(f"no cause has the number {number} of {len(payload)} bytes")
@@ -191,7 +192,7 @@ def unsigned(cause: Cause) -> str:
 
 
 def bare(cause: Cause) -> str:
-    """Only the words that somebody gave as the reason of a stop."""
+    """Only the words that somebody gave as the reason for a stop."""
     return unsigned(cause).removeprefix(f"{PIPED.template.partition('[')[0]}: ")
 
 

@@ -40,7 +40,7 @@ class Halted(Data):
     confirmed: bool = False
     """The board has answered a question that followed the stop."""
     still: bool | None = None
-    """Whether the wheels are reported at rest after the stop; None if nothing reports them."""
+    """Whether the wheels were reported at rest after the stop; None if nothing reports them."""
     by: str = "the board"
     """What reports the wheels."""
 

@@ -40,9 +40,10 @@ class Joint:
         """The commanded position, fractional. It means something only while `known`."""
         self.velocity = 0.0
         self.known = False
-        """Its position has been read, and only its own stream of moves has moved it since."""
+        """True if its position has been read, and since then only its own stream of moves has moved it."""
         self.loaded: bool | None = None
-        """Its torque was switched on, and nothing says that it is off since; None: neither switched nor read yet."""
+        """True if its torque was switched on, and nothing says that it is off since then; None if it was neither
+        switched nor read yet."""
         self.measured: int | None = None
         self.measured_ns = 0
         self.unpaired: int | None = None
@@ -81,7 +82,7 @@ class Joint:
         return (self.name, self.servo, position, *read)
 
     def forget(self) -> None:
-        """It was stopped, or let go, on its way, so its position must be read again."""
+        """Forget its position, because it was stopped or released on its way, so it must be read again."""
         self.known = False
         self.velocity = 0.0
         self.unpaired = None

@@ -20,7 +20,7 @@ RimSpeeds = tuple[float, float, float]
 """How fast a wheel rolls at its rim, in m/s, for each of vx and vy in m/s, and wz in rad/s."""
 
 FIXED, MECANUM = 0.0, 1.0
-"""How much wheels on two sides follow vy."""
+"""How much wheels on two sides follow vy (FIXED: not at all)."""
 AXES = {
     "mecanum": (1.0, 1.0, 1.0),
     "differential": (1.0, 0.0, 1.0),
@@ -31,7 +31,7 @@ AXES = {
 
 
 LEAST_PIVOT = 1e-9
-"""A smaller share of the largest number is a rounding error."""
+"""A number that is smaller than this share of the largest one is a rounding error."""
 
 
 class Chassis:

@@ -13,9 +13,9 @@ TABLE_LINE = re.compile(r"\s*\[+\s*([^]#]+?)\s*\]")
 SETTING_LINE = re.compile(r"\s*([\w.\-\"' \t]+?)\s*=")
 AT_LINE = re.compile(r"\(at line (\d+),")
 MOST_NAMED = 4
-"""Misplaced lines that one message names."""
+"""How many misplaced lines one message names."""
 TWICE = ("Cannot overwrite", "Cannot declare", "Cannot redefine", "Cannot mutate")
-"""How Python's parser begins when a key or a table is there twice."""
+"""How a message of Python's TOML parser begins if a key or a table appears twice."""
 
 
 class FileLine(Data):
@@ -50,8 +50,8 @@ def _bare(name: str) -> str:
 
 
 def meant(key: str, known: Callable[[str], bool]) -> str:
-    """The setting that somebody wrote with its whole name below a [table]: `board.kind` for `arm.board.kind`. Empty
-    where the key is a setting itself, or holds none."""
+    """The setting that somebody wrote with its whole name below a [table], for example `board.kind` if the key is
+    `arm.board.kind`. Empty if the key is a setting itself, or contains none."""
     if known(key):
         return ""
     parts = key.split(".")
@@ -59,8 +59,8 @@ def meant(key: str, known: Callable[[str], bool]) -> str:
 
 
 def misplaced(text: str, keys: Iterable[str], known: Callable[[str], bool]) -> str:
-    """Which lines stand below the wrong [table], and where they belong; empty: none does. `keys`: what the file sets,
-    by whole key; `known`: whether there is such a setting."""
+    """The lines that are below the wrong [table], and where they belong; empty if there are none. `keys`: what the file
+    sets, by whole key; `known`: whether a setting with that key exists."""
     lines = outline(text)
     tables = {line.table: line.number for line in reversed(lines) if not line.name}
     whole = {line.whole: line for line in lines if line.name}
@@ -82,7 +82,7 @@ def misplaced(text: str, keys: Iterable[str], known: Callable[[str], bool]) -> s
 
 
 def twice(text: str, problem: str) -> str:
-    """What is in the file twice, where the parser's `problem` says that something is; empty: nothing that is found."""
+    """What appears twice in the file, if the parser's `problem` says so; empty if nothing is found."""
     if not problem.startswith(TWICE):
         return ""
     at = AT_LINE.search(problem)

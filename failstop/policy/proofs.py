@@ -32,7 +32,7 @@ NOT_SENT = "NOT sent: the board takes no bytes"
 ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo"}
 """For people: what acknowledges a stop, by the board interface's word."""
 UNMOVED = "not acknowledged: the board's echo shows a stop only where it ends motion"
-"""For people: about a board without pings whose echo was zero already, or did not say that it moves."""
+"""For people: about a board without pings whose echo was already zero, or did not show that it moves."""
 SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
 """For people: what observed the wheels, by the board interface's word. If nothing does: NO_IMU."""
 NO_IMU = "not observed: the robot has no IMU"
@@ -50,7 +50,8 @@ RESOLUTION_S = 0.2
 WINDOW_NS = 500_000_000
 """The span of IMU samples that one judgement of a standstill is made of."""
 LEAST_SAMPLES = 20
-"""A window with fewer samples says too little about a standard deviation, so nothing is judged (an IMU below 40 Hz)."""
+"""If a window has fewer samples than this, nothing is judged (an IMU below 40 Hz), because a standard deviation of so
+few samples says too little."""
 
 
 def observer(boards: str, *, imu: bool) -> str:

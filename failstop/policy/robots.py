@@ -64,7 +64,7 @@ UNDRIVEN = {
 }
 """Robots of the family that can't be driven, each with the reason."""
 LAYOUT_OF = {"jetacker": "ackermann"}
-"""The layout of a robot that has only one, and not the usual one."""
+"""The layout of each robot that has only one layout, which is not the usual one."""
 
 
 EVERY_ROBOT = (*ROBOTS, *UNDRIVEN)

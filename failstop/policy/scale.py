@@ -16,22 +16,24 @@ from failstop.policy.settings import Settings
 
 PER_RPS = "board.per_rps"
 PER_RPS_CONFIRMED = "board.per_rps_confirmed"
-"""The number that counts as confirmed: another one in PER_RPS does not."""
+"""The confirmed number. It counts only for the same number in PER_RPS."""
 CAPS = {"limits.vx_mps": 0.05, "limits.vy_mps": 0.05, "limits.wz_radps": 0.25}
 """Speeds that an unconfirmed scale allows at most. A scale that is five times too large makes 0.25 m/s of 0.05: the
 reduced speed at which people may work beside a machine (ISO 10218-1)."""
 ASSUMED = "nobody has confirmed the scale of the wheels (board.per_rps)"
 REMEDY = "`failstop setup` confirms it by one turn of a wheel; without setup, see board.per_rps_confirmed"
 WHEELS_FIT = {True: 1.25, False: 2.0}
-"""How far the measured speed of a wheel may be from the told one, either way, as a factor; by whether the board holds
-the speed that it was told. One that sets a voltage is faster downhill, and slower under load."""
+"""How far the measured speed of a wheel may differ from the commanded one, up or down, as a factor. Two values: for a
+board that holds the commanded speed, and for one that sets a voltage, whose wheels are faster downhill and slower under
+load."""
 GYRO_FITS = (1 / 1.6, 1.25)
-"""The same for a turn of the robot, the least and the most: tracks and skidding wheels make less of a turn than they
-roll, and nothing makes more of it."""
+"""The same for a turn of the robot, as the least and the largest factor. Tracks and skidding wheels turn the robot less
+than they roll, but nothing turns it more."""
 FITS = 1.25
-"""A speed that is off by more than this factor is worth a remark, even if a healthy robot may explain it."""
+"""If a speed differs by more than this factor, people get a remark, even if a healthy robot may explain it."""
 ON_A_STAND = 0.1
-"""A gyro that feels less than this share of the turn says nothing of scale: the robot is on a stand, or held."""
+"""If the gyro feels less than this share of the turn, it says nothing about the scale, because the robot is on a stand
+or held."""
 
 
 def capped(settings: Settings, *, assumed: bool) -> Settings:
@@ -51,20 +53,20 @@ def cap_text(settings: Settings) -> str:
 
 
 def near(ratio: float, factor: float) -> bool:
-    """Whether measured over told is within this factor, either way."""
+    """True if measured divided by commanded is within this factor, up or down."""
     return 1 / factor <= ratio <= factor
 
 
 def wheels_differ(ratio: float, per_rps: float, *, holds_speed: bool) -> str:
-    """What to say of wheels that turn at `ratio` times the told speed, and of the setting; empty: it fits. `per_rps`:
-    in use now, in the board's unit."""
+    """The text about wheels that turn at `ratio` times the commanded speed, and about the setting; empty if it fits.
+    `per_rps`: the value in use, in the board's unit."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, WHEELS_FIT[holds_speed]):
         return ""
     return f"{_wheels(ratio)}: board.per_rps = {per_rps / ratio:.4g} would fit it (now {per_rps:.4g})"
 
 
 def wheels_remark(ratio: float, per_rps: float) -> str:
-    """The same where a healthy robot may explain it, because its board sets a voltage; empty: it fits."""
+    """The same if a healthy robot may explain it, because its board sets a voltage; empty if it fits."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, FITS):
         return ""
     would = f"board.per_rps = {per_rps / ratio:.4g} fits it (now {per_rps:.4g})"
@@ -76,7 +78,7 @@ def _wheels(ratio: float) -> str:
 
 
 def gyro_differs(ratio: float, layout: str) -> str:
-    """The same of a robot of which the gyro feels `ratio` times the turn that was told."""
+    """The same for a robot whose gyro feels `ratio` times the commanded turn."""
     least, most = GYRO_FITS
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or least <= ratio <= most:
         return ""
@@ -84,7 +86,7 @@ def gyro_differs(ratio: float, layout: str) -> str:
 
 
 def gyro_remark(ratio: float, layout: str) -> str:
-    """The same where a healthy robot may explain it, because its tracks or wheels skid; empty: it fits."""
+    """The same if a healthy robot may explain it, because its tracks or wheels skid; empty if it fits."""
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or near(ratio, FITS):
         return ""
     return f"{_turn(ratio)}; tracks and skidding wheels do that, but otherwise one of {_sizes(layout)} is wrong"
@@ -95,6 +97,6 @@ def _turn(ratio: float) -> str:
 
 
 def _sizes(layout: str) -> str:
-    """The settings that say how fast the robot turns."""
+    """The settings that determine how fast the robot turns."""
     of_layout = {"omni3": "wheels.lever_m", ACKERMANN: "steering.per_rad, wheels.wheelbase_m"}
     return f"{of_layout.get(layout, 'wheels.track_m')}, wheels.diameter_m and board.per_rps"

@@ -23,7 +23,7 @@ def by_part(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> 
 
 
 def _wheels(settings: Settings) -> tuple[int, ...]:
-    """The servos of the wheels, where each wheel has one on the bus, or the motors' controllers that answer for
+    """The servos that turn the wheels, if each wheel has one on the bus, or the motors' controllers if they answer for
     themselves."""
     facts = facts_of(settings.text("board.kind"))
     if facts and facts.motors:

@@ -331,7 +331,7 @@ MOST_OF_A_FAMILY = 8
 LONGEST_NAME = 16
 NAME_CHARACTERS = frozenset("abcdefghijklmnopqrstuvwxyz0123456789_-")
 FIRST_SOURCE = "cmd_vel"
-"""The source under which a program commands that names none."""
+"""The source for a program that does not name one."""
 PAD_SOURCE = "gamepad"
 
 BY_KEY = {setting.key: setting for setting in DECLARED}
@@ -347,7 +347,7 @@ def mounted_wheels(values: dict[str, float | str]) -> list[tuple[int, int]]:
 
 
 UNATTENDED_DRIVE = 'web.drive = "on" needs attend.required = "on"'
-"""Why nobody can drive from the page by settings that say otherwise."""
+"""Why nobody can drive from the page although web.drive is on."""
 
 
 class Settings:

@@ -47,7 +47,7 @@ class Slot:
         self._hello, self._left = segment.latest_reader("hello"), segment.latest_reader("left")
         self._greeting: Entry | None = None
         self._greeted: int | None = None
-        """The hello that was read last, and its session."""
+        """The last hello that was read, and its session."""
         self._readers = {name: segment.latest_reader(name) for name in records.OF_SESSION}
         # The gate's own record says which request was answered (requests.py).
         self._seen = {name: 0 if name == "request" else newest_number(self._readers[name]) for name in ONCE}

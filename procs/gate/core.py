@@ -34,7 +34,7 @@ LEAST_LIMIT = 5
 _DISABLE, _LATCH, _STAY = DEATHS
 _WAIT, *_ = ANSWERS_TO_SILENCE
 MOST_IGNORED = 64
-"""How many commands of unknown sources are logged in the life of a gate."""
+"""How many commands from unknown sources are logged in the life of a gate."""
 
 
 class GateCore:
@@ -44,7 +44,7 @@ class GateCore:
         self, settings: Settings, kinematics: Chassis, now_ns: int, *, arm_beside_wheels: bool = False
     ) -> None:
         self.arm_waits = not arm_beside_wheels
-        """The arm moves only while motion is disabled."""
+        """True: the arm moves only while motion is disabled."""
         acceleration = settings["limits.acceleration_mps2"]
         limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
         self._most = tuple(limit * axis for limit, axis in zip(limits, kinematics.axes, strict=True))
@@ -59,7 +59,7 @@ class GateCore:
         self.attendance = Attendance(settings.ns("attend.lease_s"), on=settings.on("attend.required"))
         self.enabled = False
         self.enabled_ns = 0
-        """When motion was enabled; 0 while it is not."""
+        """When motion was enabled; 0 while it is disabled."""
         self.latch: Cause | None = None
         """The latched cause, by the supervisor's record, or by the gate's own stop until the supervisor has answered
         it."""

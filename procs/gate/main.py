@@ -45,8 +45,8 @@ it."""
 MOST_RINGS = 20
 """Wake-ups by clients between two ticks: one a millisecond, more than eight clients at 100 Hz need."""
 AUX_EVERY_NS = 10 * MS
-"""Between two frames of clients that are not motion: a flood of them must not fill the wire. One that comes sooner is
-dropped."""
+"""Two client frames that are not motion are at least this far apart, so that a flood of them does not fill the wire. A
+frame that comes sooner is dropped."""
 LOOK_AT_ALL_EVERY = 10
 """Periods between two looks at slots that nobody is known to hold, and at what clients report about themselves."""
 
@@ -77,7 +77,7 @@ class Gate:
         self._looked_ns, self._rings, self._ticking = 0, 0, False
         self._aux_ns = 0
         self._turn, self._frame = 0, b""
-        """How often in a row the last motion frame was sent, and that frame."""
+        """How many times in a row the last motion frame was sent, and that frame."""
         self._each_tick = bool(settings.servos() or settings.interlocks())
         self._published: dict[str, object] = {}
         self._published_ns = 0

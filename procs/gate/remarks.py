@@ -25,10 +25,11 @@ VERBS = {
 }
 MOST_AT_ONCE = 20
 EVERY_NS = 200_000_000
-"""A program that asks without end is noted five times a second, not a thousand times."""
+"""A client that repeats a request without end is noted five times a second, not a thousand times."""
 HALTS_AT_ONCE = 5
 HALTS_EVERY_NS = 10_000_000_000
-"""A program that commands less often than its timeout starts and stops the wheels forever."""
+"""Two notes about a driver that falls silent are at least this far apart, because a program that commands less often
+than its timeout starts and stops the wheels again and again."""
 
 
 def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) -> Note | None:
@@ -59,7 +60,7 @@ class Budget:
         self._every_ns = every_ns
         self._ns = now_ns
         self.unsaid = 0
-        """How many were left out since the last one that was not."""
+        """How many remarks were left out since the last one."""
 
     def spend(self, now_ns: int) -> bool:
         """True when one more remark may go out now."""

@@ -54,7 +54,7 @@ class Requests:
         self._supervisor_bell = context.bell("supervisor_bell")
         self._epoch_word = supervisor.word("epoch")
         self._asked_ns: dict[int, int] = {}
-        """By verb: when the last request that was carried out was made."""
+        """For each verb: when the last request that was carried out had been made."""
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
         self._replied = [_answered(own.latest_reader(f"reply.{i}")) for i in range(layout.CLIENT_SLOTS)]
         """The session and the number of the last request that was answered in each slot, also by an earlier gate."""

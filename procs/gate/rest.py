@@ -7,7 +7,7 @@ from failstop.procs.context import Context
 from failstop.procs.loop import NEVER, Loop, Timer
 
 PERIODS_AT_REST = 2
-"""Ticks apart, while nothing needs each of them."""
+"""While nothing needs every tick, ticks are this many periods apart."""
 
 
 class Rest:

@@ -55,11 +55,11 @@ class Sources:
         self._timeout_ns = {name: timeout_ns for name, (_, timeout_ns) in rows.items()}
         self._commands: dict[str, Command] = {}
         self._held: dict[str, str] = {}
-        """The client that commands as each source that must let go before it counts."""
+        """For each source: the client that must let go before its commands count."""
         self._driver = ""
         self._asked_ns = -1
         self._found: Command | None = None
-        """The driving command at `_asked_ns`, kept because each turn asks for it many times."""
+        """The command that drove at `_asked_ns`. It is kept because each turn asks for it many times."""
 
     def allows(self, command: Command) -> bool:
         """True for a client as a source of the settings, and for the pad as itself."""
@@ -102,7 +102,7 @@ class Sources:
         return [who for source, who in self._held.items() if self.fresh(source, now_ns)]
 
     def holds(self, now_ns: int) -> bool:
-        """True while a source commands that must let go first."""
+        """True while a source still commands that must let go first."""
         return bool(self.held(now_ns))
 
     def paused(self, now_ns: int) -> list[tuple[str, int]]:

@@ -12,10 +12,10 @@ class TurningWatch:
     """Call check() once per tick."""
 
     def __init__(self, seen: LatestReader, after_ns: int) -> None:
-        """`seen`: telemetry's record of the wheels; `after_ns`: how long they may turn after they were told zero."""
+        """`seen`: telemetry's record of the wheels; `after_ns`: how long they may turn after zero was commanded."""
         self._seen, self._after_ns = seen, after_ns
         self._idle_ns = 0
-        """Since when motion is enabled while zero is commanded; 0 if it is not so."""
+        """Since when motion is enabled and zero is commanded; 0 if it is not."""
 
     def check(self, now_ns: int, *, idle: bool) -> str:
         """Why motion must be disabled; empty if there is no reason. `idle`: motion is enabled and zero is commanded."""

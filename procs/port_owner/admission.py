@@ -178,5 +178,6 @@ class BusSchedule:
 
 
 def _said(fault: object) -> str:
-    """The text of a check. Only an empty text lets a frame pass, since a check that forgets its return gives None."""
+    """The result of a check as text. Only an empty text lets a frame pass, because a check that forgets its return
+    value returns None."""
     return fault if fault and isinstance(fault, str) else f"its check returned {fault!r}, not a text"

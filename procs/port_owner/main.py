@@ -49,11 +49,11 @@ class PortOwner:
         self.bus = BusSchedule(board.arm, settings.servos())
         self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER_ROW], monotonic_ns())
         self._held: DatedFrame | None = None
-        """The newest motion frame, while it waits for the line to be silent; `_line`: the timer for that."""
+        """The newest motion frame while it waits until the line is silent; `_line` is the timer for that."""
         self._line = self.loop.timer()
         self.suspend = SuspendWatch()
         self._lapse = self.loop.timer()
-        """While something moves: when a lease runs out, or the gate has sent nothing for too long."""
+        """While something moves: when a lease runs out, or when the gate has been silent for too long."""
         self._arm_due = self.loop.timer()
         """When the arm's next waiting frame may be written."""
         self._others: deque[bytes] = deque(maxlen=MOST_OTHERS)

@@ -14,9 +14,9 @@ class MotionWriter:
         self._board, self._wire, self._port = context.board, wire, port
         self._since_word = context.own.word("told_ns")
         self.turning = False
-        """The wheels were told to turn, and to stand not since."""
+        """True if motion was written, and no stop since."""
         self._backlog = max((len(ping) for ping in self._board.pings), default=0)
-        """A ping (70 us on the wire) is not a backlog that holds motion up."""
+        """How many bytes may wait in the port without holding up motion: a ping (70 us on the wire) may."""
         self._restarts_word = context.segment("telemetry").word("restarts")
         self._restarts = self._restarts_word.get()
         self._since(0)
@@ -26,7 +26,7 @@ class MotionWriter:
         self._since_word.set(ns)
 
     def stopped(self) -> None:
-        """A stop was written."""
+        """Note that a stop was written."""
         if self.turning:
             self._since(0)
 

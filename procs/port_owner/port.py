@@ -37,7 +37,8 @@ class OpenPort:
         self._hears = loop.timer()
         state = records.port_state(own.latest_reader("port").read(), self.number)
         self.hears_ns = now_ns if state == records.PORT_OPEN else now_ns + self._deaf_ns
-        """When the board hears. A port that the process before this one has used was not opened again."""
+        """When the board can hear. If the previous port owner has used the port, it was not opened again, so the board
+        hears already."""
         self._settings_left = () if state == records.PORT_OPEN else self._opening
         """Frames that the board must get before the port counts as open."""
         period_ns = min(context.settings.ns("link.ping_s"), board.ping_ns or NEVER)

@@ -25,7 +25,7 @@ class PortWriter(StopPort):
         """Bytes handed to the kernel since it last held none."""
         self._held_since_ns = 0
         self._refused = False
-        """The kernel took nothing of the last write."""
+        """True if the kernel has accepted nothing of the last write."""
 
     def _write(self, data: bytes) -> int:
         taken = super()._write(data)

@@ -20,7 +20,7 @@ class RequestPipe:
     def __init__(self, fd: int, loop: Loop) -> None:
         self._fd, self._loop = fd, loop
         self._rests = loop.timer()
-        """When the rest after a request ends."""
+        """When the pause after a request ends."""
         loop.watch(fd, READ)
 
     def asked(self, ready: dict[int, int], now_ns: int) -> bool:

@@ -56,7 +56,7 @@ class GyroBias:
         self._band_radps = settings["imu.tracking_band_dps"] * RAD_PER_DEG
         self._tau_s = settings["imu.tracking_tau_s"]
         self._averaged_s = self._tau_s
-        """How much time the bias is an average of; tau_s once it is no plain average any more."""
+        """The time over which the bias is an average; tau_s once it is no longer a plain average."""
         self._tracks = settings.on("imu.tracking")
         """If off, the bias never moves after the calibration."""
         self.samples: list[Vector] | None = [] if settings.on("board.imu") else None

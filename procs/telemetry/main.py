@@ -126,7 +126,7 @@ class Telemetry:
         self._hearing = self._board.hearing()
         self._settings = settings
         self._servos_told: dict[str, str] = {}
-        """What is wrong with which part, as people were told."""
+        """What people were told about each part that reports an error."""
         self._wheel_missing = ""
         self._stop_key = int(settings["key.stop"])
         self._pad = Pad(settings)
@@ -157,12 +157,12 @@ class Telemetry:
         self._barrier = Barrier()
         self._epoch_followed = self._odometry_ns = self._bias_ns = self._wheels_ns = self._reading_ns = 0
         self._heard: list[tuple[int, interface.Value, int]] = []
-        """What the board reported and nobody has acted on yet: the kind, the value, when it came."""
+        """Reports of the board that no process has acted on yet: the kind, the value, and when it came."""
         self._bias_flags = (False, False)
         self._silence = Silence(self._board, context.own.word("patience_ns").get())
         self._scale, self._scale_ns = ScaleJudge(settings, self._board), 0
         self._scale_noted: set[str] = set()
-        """At which levels people were told that the speeds differ."""
+        """The severities for which people were told that the speeds differ."""
         self._turn_radps = 0.0
         self._odd = OddReports(low_battery_stops=self._low_battery.stops)
         self._attach(context)
@@ -284,7 +284,7 @@ class Telemetry:
         self.heartbeat.beat(now_ns)
 
     def _follow_gate(self, now_ns: int) -> None:
-        """Pass the gate's state on to everything that depends on it."""
+        """Pass the gate's state on to all parts that depend on it."""
         gate = self._gate
         self._odometry.follow(gate.velocity, gate.since_ns or now_ns)
         self._note_gyro(self._gyro.follow(gate.commanded, now_ns))

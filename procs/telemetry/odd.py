@@ -19,7 +19,7 @@ class OddReports:
         self._noted: set[str] = set()
 
     def text(self, what: str, value: str) -> str:
-        """The text of a note about this value; empty if its kind was noted before."""
+        """The text of a note about this value; empty if a value of this kind was noted before."""
         if what in self._noted:
             return ""
         self._noted.add(what)

@@ -32,7 +32,7 @@ PRESSES = frozenset((0x01, 0x02, 0x04, 0x20, 0x40, 0x80))
 """Events of the board's keys that mean that a finger is or was on the key; releases (0x08, 0x10) do not count."""
 
 Sound = tuple[int, int, int, int]
-"""Hz, ms on, ms off, number of beeps."""
+"""A sound: Hz, ms on, ms off, number of beeps."""
 OFF_MS = 100
 """Pause between two beeps and after the last. An off time of 0 left a buzzer sounding forever."""
 LATCH_SOUND: Sound = (1000, 400, OFF_MS, 2)
@@ -44,7 +44,7 @@ TUCK_SOUND = (2000, 50, OFF_MS, 4)
 
 
 class PadNews(Data):
-    """What one frame means."""
+    """The effect of one frame."""
 
     cause: Cause | None
     command: Velocity | None
@@ -72,7 +72,7 @@ class Pad:
         self._sample_ns = 0
         """The newest frame that differs from the one before it, and when it came."""
         self._limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
-        """The velocity that a stick commands at its end."""
+        """The velocity that each stick commands when it is pushed all the way."""
         self._joints = len(settings.servos())
         self._raw: list[tuple[int, bytes]] = []
         self._buttons = 0
@@ -200,7 +200,8 @@ class Tones:
     def __init__(self, *, on: bool) -> None:
         self._on = on
         self._seen = (True, LOCKED, False)
-        """Latched, mode and tucks. A stop that is latched at the start was announced when it happened."""
+        """Latched, mode and tucks at the last call. A stop that is latched at the start was announced when it
+        happened."""
 
     def sound_for(self, latched: bool, mode: int, *, tucks: bool = False) -> Sound | None:
         """The sound to make now, or None. A latch also locks the pad, and then only the latch's tone sounds."""

@@ -21,9 +21,9 @@ class HeardPort:
     def __init__(self, context: Context, loop: Loop, now_ns: int) -> None:
         self._received = context.own.ring_writer("received")
         self._empty_ns = now_ns
-        """When the port was last found empty."""
+        """When the port was last seen without waiting bytes."""
         self._epoch = self._proved_ns = self.waited_ns = 0
-        """`waited_ns`: the time span in which the last bytes came."""
+        """`waited_ns`: how long the last bytes may have waited."""
         self.fd = -1
         self.adopt(context.fd("port"))
         control = Control(context.fd("control"))

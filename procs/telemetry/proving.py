@@ -20,8 +20,8 @@ adapter that stalls delivers old reports afterwards."""
 
 
 class Proving:
-    """The records `answered` and `proved`, and the word `unheeded_ns`. A successor continues from what the process
-    before it knew to be answered."""
+    """Writes the records `answered` and `proved`, and the word `unheeded_ns`. It continues with the answers that an
+    earlier run of this process already knew."""
 
     def __init__(self, context: Context) -> None:
         own = context.own
@@ -40,11 +40,11 @@ class Proving:
 
     @property
     def faded_ns(self) -> int:
-        """When the board last heard something, if its own watchdog has stopped it since; else 0."""
+        """When the last command was received that the board's own watchdog has ended since; 0 if there is none."""
         return self._handled.faded_ns
 
     def answered(self, indices: Value, came_ns: int) -> None:
-        """An answer to one of these pings has come."""
+        """An answer came, which belongs to one of these pings."""
         before_ns = self._handled.asked_ns
         self._record(HEARD_PONG, indices, came_ns)
         if self._handled.asked_ns != before_ns:
@@ -52,7 +52,7 @@ class Proving:
             self._bell.ring()
 
     def obeyed(self, speeds: Value, came_ns: int, *, moves: bool) -> None:
-        """The board has reported the command that it obeys; `moves`: it is told to move."""
+        """The board has reported the command that it obeys; `moves`: motion is commanded."""
         self._record(HEARD_OBEYED, speeds, came_ns)
         paused, self._obeyed_ns = came_ns - self._obeyed_ns > self._pause_ns, came_ns
         told_ns = self._told_word.get()

@@ -37,7 +37,7 @@ class ReadBack:
         return True
 
     def _rests(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool | None:
-        """Whether the report says that the wheels are still; None: not known yet."""
+        """True if the report says that the wheels are still; None if that is not known yet."""
         if any(abs(speed) > AT_REST for speed in speeds):
             self._before = (t_ns, positions)
             return False

@@ -60,7 +60,7 @@ class RestartWatch:
         self._drove = 0
 
     def heard(self, reports: int, others: int, now_ns: int) -> str:
-        """Take how many regular reports and how many other samples were read now."""
+        """Count how many regular reports and how many other samples were read now."""
         if not self._silent_ns:
             return ""
         if self._pause:
@@ -102,7 +102,7 @@ class RestartWatch:
         return self._found(f"no report came for {(ended_ns - begun_ns) // MS} ms")
 
     def counted(self, positions: Sequence[float], t_ns: int) -> str:
-        """Take a report of its counters."""
+        """Look at a report of its counters."""
         if not positions:
             return ""
         before, self._at = self._at, (t_ns, positions)
@@ -118,14 +118,14 @@ class RestartWatch:
         return ""
 
     def obeyed(self, *, zeros: bool, told_ns: int) -> str:
-        """Take a report of the command that it obeys. `told_ns`: since when it is told to drive; 0 if the last write
+        """Look at a report of the command that it obeys. `told_ns`: since when motion is commanded; 0 if the last write
         was zero or a stop."""
         drove, self._drove = self._drove, 0 if zeros else told_ns
         return self._found(OBEYS_ZERO) if zeros and told_ns and drove == told_ns else ""
 
     def started(self, text: str) -> str:
-        """Take a sign of the board's own, such as a text that it prints at its start. It counts only after the first
-        report, because opening a port restarts some boards."""
+        """Look at a sign that the board itself gives, such as a text that it prints when it starts. It counts only
+        after the first report, because opening a port restarts some boards."""
         return self._found(text) if self._last_ns or self._at else ""
 
     def _found(self, sign: str) -> str:

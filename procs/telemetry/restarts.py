@@ -29,20 +29,20 @@ class Restarts:
         self.forget = self._watch.forget
 
     def heard(self, kinds: list[int], now_ns: int) -> None:
-        """Take the kinds of all samples that were read now."""
+        """Look at the kinds of all samples that were read now."""
         reports = kinds.count(self._regular)
         self._act(self._watch.heard(reports, len(kinds) - reports, now_ns))
 
     def counted(self, positions: tuple[float, ...], t_ns: int) -> None:
-        """Take a report of its counters."""
+        """Look at a report of its counters."""
         self._act(self._watch.counted(positions, t_ns))
 
     def obeyed(self, *, zeros: bool) -> None:
-        """Take a report of the command that it obeys."""
+        """Look at a report of the command that it obeys."""
         self._act(self._watch.obeyed(zeros=zeros, told_ns=self._told_word.get()))
 
     def started(self, said: interface.Value, _t_ns: int) -> None:
-        """Take a text that the board prints only while it starts."""
+        """Look at a text that the board prints only while it starts."""
         self._act(self._watch.started(said[0]))
 
     def _act(self, sign: str) -> None:

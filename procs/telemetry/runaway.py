@@ -25,38 +25,41 @@ if TYPE_CHECKING:
 RAN_AWAY, STANDS = "ran away", "stands"
 
 LAG_NS = 300_000_000
-"""So long after a command the wheels may still do what they were told before it: the way to the board, its controller,
-and a report that comes late."""
+"""For this long after a command the wheels may still do what they were commanded before. It covers the way to the
+board, its controller, and a late report."""
 BEYOND_NS = 200_000_000
-"""A wheel is beyond what it was told for this long at least, and in this many reports, before it counts."""
+"""A wheel must be beyond its commanded speeds for at least this long, and in at least this many reports, before it
+counts."""
 LEAST_REPORTS = 3
 UNFOLLOWED_NS = 150_000_000
-"""Commands that nobody has looked at for longer than this are not known, and neither is what the wheels should do."""
+"""If nobody has looked at the commands for longer than this, they are not known, so nobody knows what the wheels should
+do."""
 SLOWS = 0.92
-"""A wheel that turns at less than this share of its speed in the second half of the time, against the first one, is
-slowing down: it rolls out, and has not run away."""
+"""If a wheel turns at less than this share of its earlier speed in the second half of the time, compared with the first
+half, it is slowing down: it rolls out, and has not run away."""
 HELD_BACK_NS = 20_000_000
-"""As late is a report by a serial adapter (its latency timer); where it says a position, that looks like speed."""
+"""A serial adapter may deliver a report this much too late (its latency timer). If the report is a position, that looks
+like speed."""
 STANDS_NS = 3_000_000_000
-"""A wheel that stands for so long although it is told to turn is stalled or unplugged."""
+"""A wheel that does not turn for this long, although motion is commanded, is stalled or unplugged."""
 STANDS_SHARE = 0.1
 STANDS_MPS = 0.02
-"""A slower command may be too little to move it."""
+"""A lower commanded speed may be too low to move the wheel."""
 SELDOM_NS = 1_000_000_000
-"""A board that reports no more often than this, or does not say how often, is not judged here."""
+"""A board that reports less often than this, or does not say how often, is not judged here."""
 
 
 class Margins(Data):
     """How much a wheel's speed may differ from the commanded one."""
 
     share: float
-    """As a share of the commanded speed."""
+    """A share of the commanded speed."""
     rim_mps: float
-    """Plus this speed at the wheel's rim, in either direction."""
+    """In addition, this speed at the wheel's rim, in either direction."""
 
 
 HOLDS_SPEED = Margins(0.3, 0.05)
-"""For a board that measures the speed and holds it."""
+"""For a board that measures the speed and controls it."""
 SETS_VOLTAGE = Margins(0.75, 0.1)
 """For a board that sets a voltage: its wheels turn faster downhill and with a full battery, and roll back on a
 slope."""
@@ -69,21 +72,21 @@ class Limits(Data):
     """The longest time between two reports."""
     share: float
     rps: float
-    """Turns a second that count as none; with the step of a command in it."""
+    """A lower speed counts as zero, in turns per second; it includes the step of a command."""
     counts: float
-    """Counts in a turn; 0: the board reports speeds."""
+    """Counts per turn; 0: the board reports speeds."""
     braking_rps2: float
-    """How fast a wheel slows down at least."""
+    """How fast a wheel slows down, at least."""
     told_rps: float
-    """A wheel that is told less than this may stand."""
+    """If the commanded speed is lower than this, the wheel may stand still."""
 
     def rolls_ns(self, told_rps: float) -> int:
-        """How long a wheel may be beyond what it is told."""
+        """How long a wheel may be beyond its commanded speeds."""
         return BEYOND_NS + round(abs(told_rps) / self.braking_rps2 * 1e9)
 
 
 def limits_of(settings: Settings, board: Board) -> Limits | None:
-    """The thresholds for this robot; None: its board does not report well enough to be judged."""
+    """The thresholds for this robot; None if its board does not report well enough to be judged."""
     reports, rim_m = board.reports, pi * settings["wheels.diameter_m"]
     if not 0 < reports.every_ns < SELDOM_NS or not (reports.speed_per_rps or reports.position_per_turn):
         return None
@@ -99,7 +102,7 @@ def limits_of(settings: Settings, board: Board) -> Limits | None:
 
 
 class Finding(Data):
-    """A wheel that does not do what it is told; both speeds in turns a second, by the direction of the wire."""
+    """A wheel that does not turn as commanded. Both speeds are in turns per second, in the direction of the wire."""
 
     what: str
     """RAN_AWAY or STANDS."""
@@ -110,7 +113,7 @@ class Finding(Data):
 
 
 class _Wheel:
-    """One wheel: since when it is beyond what it was told, and since when it stands."""
+    """One wheel: since when it is beyond its commanded speeds, and since when it stands still."""
 
     __slots__ = (
         "before_rps",
@@ -130,30 +133,31 @@ class _Wheel:
         self.before_rps = 0.0
         """The fastest speed that was commanded since the wheel last turned as commanded."""
         self.halves = [0.0, 0.0, 0.0, 0.0]
-        """For the first half of the time, then for the second: the sum of speed times weight, and the sum of the
+        """For the first half of the time, then for the second half: the sum of speed times weight, and the sum of the
         weights."""
         self.stand_noted = False
-        """Whether it was noted that the wheel is stopped."""
+        """True if somebody was told that the wheel stands still."""
 
     def within(self) -> None:
         self.beyond_ns, self.before_rps = 0, 0.0
 
     def begin(self, side: int, since_ns: int, rolls_ns: int, every_ns: int) -> None:
-        """From then on it is beyond what it was told, and may be for so long; there is a report each `every_ns`."""
+        """Begin: from this moment the wheel is beyond its commanded speeds, which it may be for this long; a report
+        comes each `every_ns`."""
         self.side, self.beyond_ns, self.rolls_ns, self.reports = side, since_ns, rolls_ns, 0
         self.second_ns = since_ns + max(rolls_ns // 2, every_ns + every_ns // 4)
         self.halves = [0.0, 0.0, 0.0, 0.0]
 
     def add(self, seen_rps: float, weight: float, t_ns: int) -> None:
-        """Add a report while it is beyond."""
+        """Add a report while the wheel is beyond its commanded speeds."""
         self.reports += 1
         half = 2 * (t_ns > self.second_ns)
         self.halves[half] += seen_rps * weight
         self.halves[half + 1] += weight
 
     def slows(self, count: float, late_ns: int) -> bool:
-        """Whether it is slowing down, by more than explains a count of the encoder (in turns times ns), and a report
-        that is late by so much; also while too little is known of either half."""
+        """True if the wheel slows down by more than one count of the encoder (in turns times ns) and a late report can
+        explain; also while too little is known about either half."""
         way, weight, later_way, later_weight = self.halves
         if not weight or not later_weight:
             return True
@@ -164,20 +168,21 @@ class RunawayJudge:
     """Call follow() at each look at what the gate commands, and add() for each report, in the order of time."""
 
     def __init__(self, limits: Limits, wheels: Sequence[int]) -> None:
-        """`wheels`: the ids on the wire of those that the robot has."""
+        """`wheels`: the wire ids of the wheels that the robot has."""
         self._limits = limits
         self._wheels = {wheel: _Wheel() for wheel in wheels}
         self._told: deque[tuple[int, Told]] = deque()
-        """What the wheels are told, and from when on; the oldest entry is older than any report to come."""
+        """The commanded speeds, and from when on they count. The oldest entry is older than any report that may still
+        come."""
         self._followed_ns = 0
         self._read_ns = 0
         self._turns: Told = ()
         self._moves = False
-        """The wheels are told to turn, or have not been seen at rest since they were."""
+        """True if motion is commanded, or was commanded and the wheels have not been seen at rest since."""
 
     def follow(self, told_rps: Told, since_ns: int, now_ns: int, *, enabled: bool) -> None:
-        """The wheels are told this, in turns a second by wire id, since then. While motion is not `enabled`, nothing is
-        judged."""
+        """Follow the commanded speeds, in turns per second by wire id, which count from this time on. While motion is
+        not `enabled`, nothing is judged."""
         if not enabled or now_ns - self._followed_ns > UNFOLLOWED_NS:
             self._forget(now_ns)
         self._followed_ns = now_ns
@@ -204,12 +209,12 @@ class RunawayJudge:
         self._read_ns, self._turns = now_ns, ()
 
     def _fastest(self, index: int) -> float:
-        """The fastest that this wheel was told lately."""
+        """The fastest speed that was commanded for this wheel lately."""
         return max((abs(told[index]) for _, told in self._told if index < len(told)), default=0.0)
 
     def add(self, speeds_rps: Told, turns: Told, t_ns: int) -> Finding | None:
-        """Add a report: speeds in turns a second, or how far each wheel has turned, by wire id. Returns the first
-        wheel that does not do what it is told, once."""
+        """Add a report: speeds in turns per second, or how far each wheel has turned, by wire id. Returns the first
+        wheel that does not turn as commanded, once."""
         limits = self._limits
         begun_ns, blur_rps = t_ns - limits.every_ns, limits.rps
         if limits.counts:
@@ -235,7 +240,7 @@ class RunawayJudge:
         return found
 
     def _bounds(self, index: int, since_ns: int) -> tuple[float, float]:
-        """The lowest and the highest speed that this wheel was told since then."""
+        """The lowest and the highest speed that were commanded for this wheel since then."""
         lowest = highest = self._told[-1][1][index]
         for at in range(len(self._told) - 2, -1, -1):
             if self._told[at + 1][0] <= since_ns:
@@ -268,7 +273,8 @@ class RunawayJudge:
         return self._stands(index, wheel, seen, bounds, span)
 
     def _gap_ns(self) -> int:
-        """Between two reports of speeds longer than this the wheel may have done anything; a position says what."""
+        """If two reports of speeds are further apart than this, the wheel may have done anything in between. A position
+        shows what it did."""
         return BEYOND_NS + 2 * self._limits.every_ns if self._limits.counts else BEYOND_NS
 
     def _stands(

@@ -19,26 +19,29 @@ if TYPE_CHECKING:
     from failstop.policy.settings import Settings
 
 FALLEN_S = 0.6
-"""Nothing is compared for so long after a command has fallen, because a wheel may still turn as fast as before."""
+"""For this long after a command has become slower nothing is compared, because a wheel may still turn as fast as
+before."""
 BEGINS_S = 0.2
-"""Nor for so long after it was told to begin."""
+"""The same after a command has begun."""
 REACHED_S = 0.3
-"""A command that has stayed the same for so long has been reached, so from then on a wheel can be called too slow."""
+"""A command that has stayed the same for this long has been reached, so only after it a wheel may be called too
+slow."""
 RISEN_LEAST_S, REACHED_LEAST_S = 0.1, 0.15
-"""How much has to be compared: while the command rises, and once it has been reached."""
+"""For how many seconds speeds must be compared: while the command rises, and after it has been reached."""
 RISEN_LAG_S, REACHED_LAG_S = 0.3, 0.03
-"""Added to the factor that still fits, divided by the seconds that were compared: the less, the further off."""
+"""Added to the allowed factor, divided by the compared seconds: the shorter the comparison, the larger a difference
+must be."""
 FORGET_S = 10.0
-"""Half of it is forgotten then, so that what is known follows the robot."""
+"""When this much time has been compared, half of it is forgotten, so that the result follows the robot."""
 LEAST_RPS, LEAST_RADPS = 0.1, 0.1
-"""A slower command is not compared: it is rounded, and a motor may not begin to turn."""
+"""A slower command is not compared, because it is rounded, and a motor may not begin to turn."""
 UNTURNED = 0.05
-"""Wheels that make less of their speed stand: unplugged, or held."""
+"""If wheels turn at less than this share of their commanded speed, they count as standing still: unplugged, or held."""
 SAME = 1e-6
 
 
 class Sum:
-    """What was told and what was measured, over a time."""
+    """The sums of commanded and of measured motion over a time."""
 
     __slots__ = ("_measured", "_told", "seconds")
 
@@ -54,12 +57,12 @@ class Sum:
 
     @property
     def ratio(self) -> float:
-        """NaN: nothing was compared."""
+        """Measured divided by commanded; NaN if nothing was compared."""
         return self._measured / self._told if self._told else nan
 
 
 class Ratio:
-    """Measured over told, of one wheel or of the turn."""
+    """Measured divided by commanded, for one wheel or for the robot's turn."""
 
     __slots__ = ("_before", "_least", "_same_s", "_wait_s", "reached", "risen")
 
@@ -73,11 +76,11 @@ class Ratio:
 
     @property
     def known(self) -> Sum:
-        """The better one."""
+        """The better one of the two sums."""
         return self.reached if self.reached.seconds >= REACHED_LEAST_S else self.risen
 
     def add(self, told: float, measured: float, elapsed_s: float) -> None:
-        """What was told and measured in this time."""
+        """Add the commanded and the measured motion of this time."""
         fell = told * self._before < 0 or abs(told) < abs(self._before) - SAME
         same = abs(told - self._before) <= SAME
         self._before = told
@@ -91,8 +94,8 @@ class Ratio:
             self.reached.add(told, measured, elapsed_s)
 
     def differs(self, least: float, most: float) -> bool:
-        """Whether it is known to be less than `least` or more than `most`. A wheel that lags is no slow one, so while
-        the command rises it can only be too fast."""
+        """True if the ratio is known to be less than `least` or more than `most`. A wheel that lags behind is not slow,
+        so while the command rises it can only be called too fast."""
         risen, reached = self.risen, self.reached
         if risen.seconds >= RISEN_LEAST_S and risen.ratio > most + RISEN_LAG_S / risen.seconds:
             return True
@@ -113,20 +116,20 @@ class ScaleJudge:
         self._turn = Ratio(LEAST_RADPS)
         self._last_ns = 0
         self.wrong: tuple[str, ...] = ()
-        """What differs, in words, with the setting to look at."""
+        """What differs, in words, with the setting to check."""
         self.remarks: tuple[str, ...] = ()
-        """The same by less: a healthy robot may explain it."""
+        """The same for smaller differences, which a healthy robot may explain."""
 
     @property
     def wheels(self) -> float:
-        """How fast the wheels turn beside what they are told; NaN: not known."""
+        """The wheels' measured speed divided by the commanded one; NaN if not known."""
         turning = [wheel.known for wheel in self._wheels if wheel.known.ratio > UNTURNED]
         compared = sum(wheel.seconds for wheel in turning)
         return sum(wheel.ratio * wheel.seconds for wheel in turning) / compared if compared else nan
 
     @property
     def turn(self) -> float:
-        """The same of the robot's turn; NaN: not known."""
+        """The same for the robot's turn; NaN if not known."""
         return self._turn.known.ratio
 
     def update(
@@ -137,9 +140,9 @@ class ScaleJudge:
         turn_radps: float | None,
         now_ns: int,
     ) -> bool:
-        """Compare since the last look; True when there is something else to say. `velocity` is told; `speeds_rps`: as
-        the board reported at `read_ns`, by wire id; `turn_radps`: as the gyro feels it, None while its bias is not
-        known."""
+        """Compare what has happened since the last call; True if the result in words has changed. `velocity`: as
+        commanded; `speeds_rps`: as the board reported at `read_ns`, by wire id; `turn_radps`: as the gyro feels it,
+        None while its bias is not known."""
         elapsed_s, self._last_ns = (now_ns - self._last_ns) * 1e-9, now_ns
         if not 0 < elapsed_s < 1:
             return False
@@ -156,7 +159,7 @@ class ScaleJudge:
         return (bool(self.wrong), bool(self.remarks)) != before
 
     def _of_wheels(self) -> tuple[str, str]:
-        """What is wrong, or else a remark."""
+        """What is wrong, or otherwise a remark."""
         holds = self._reports.holds_speed
         turning = [wheel for wheel in self._wheels if wheel.known.ratio > UNTURNED]
         if not turning or not _all_differ(turning, scale.FITS):

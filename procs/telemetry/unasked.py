@@ -18,7 +18,7 @@ from failstop.policy.causes import Cause
 from failstop.procs.telemetry.wheels import ARE_STILL, SEEN_BY_REPORTS, THEY_TURN, WheelFact
 
 NOTE_AGAIN_NS = {True: 10_000_000_000, False: 60_000_000_000}
-"""How long people hear nothing new about wheels that still turn; False: by an IMU alone."""
+"""How long people are not told again about wheels that still turn; False: if only an IMU notices them."""
 
 
 class Reaction(Data):
@@ -42,7 +42,7 @@ class Unasked:
         self._after_ns = after_ns
         self._was_enabled = self._was_unexpected = False
         self._disabled_ns = 0
-        """When motion was disabled because the wheels turned, as far as is known; else 0."""
+        """When motion was disabled because the wheels turned, if it is known; else 0."""
         self._epoch = 0
         self._rested = False
         """The wheels were seen still since the epoch of the latched stop."""

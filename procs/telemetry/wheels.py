@@ -175,7 +175,7 @@ class Measured:
 
 
 class Way:
-    """How far the wheels have gone since they were last at rest, if the board reports positions. A count that flips on
+    """How far the wheels have gone since they were last at rest, if the board reports positions. A count that flips at
     the edge of an encoder does not count."""
 
     def __init__(self, reports: WheelReports) -> None:
@@ -183,7 +183,8 @@ class Way:
         self._from: tuple[float, ...] = ()
 
     def went(self, turns: tuple[float, ...], *, rest: bool) -> bool:
-        """`turns`: those of each wheel; `rest`: the wheels are at rest now. Also True if no positions are known."""
+        """True if they have gone further than an encoder that flips explains. `turns`: the turns of each wheel; `rest`:
+        the wheels are at rest now. Also True if no positions are known."""
         if not self._counts:
             return True
         if rest or len(self._from) != len(turns):
@@ -201,7 +202,7 @@ class WheelFact:
         self.does = UNKNOWN_WHEELS
         self.by = SEEN_BY_NOTHING
         self.since_ns = 0
-        """When the wheels began to do so, as far as is known."""
+        """Since when the wheels do what they do now, if it is known."""
         self.read_ns = 0
         """The newest reading; 0 if there was none."""
         self.unexpected = False

@@ -49,7 +49,7 @@ class ArmCore:
         self._trajectory: Trajectory | None = None
         self._goal: Goal | None = None
         self._ended: dict[int, int] = {}
-        """The last goal of each session whose stream was ended by a stop or an enable, and that keeps sending."""
+        """For each session whose stream was ended by a stop or an enable, and that still sends: its last goal."""
         self._torque_ns = 0
         """When the servos' bus is free of the last torque command."""
         self.due_ns = now_ns

@@ -43,7 +43,7 @@ class Goal(Data):
     share: float = 1.0
 
     def targets(self, _then_ns: int) -> dict[Joint, float]:
-        """The targets or rates that hold until then."""
+        """The targets or rates that count until then."""
         return self.ends
 
 
@@ -67,7 +67,7 @@ class Trajectory:
         self.since_ns = 0
         self.begun_ns = 0
         self.done = self.dropped = False
-        """Over; over because another client took the arm."""
+        """`done`: it is over; `dropped`: it is over because another client has taken the arm."""
         self.outcome = ""
         self.stopped_for: Cause | None = None
         """The latched cause that has ended it; None if something else has."""

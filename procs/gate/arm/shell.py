@@ -58,7 +58,7 @@ class Arm:
         self._frames, self._requests, self._notes = frames, requests, notes
         self._box = context.own.ring_writer("arm_box")
         self._boxed, self._boxed_ns = ("", ""), 0
-        """The last entry of the black box, and its time."""
+        """The last entry in the black box, and its time."""
         telemetry = context.segment("telemetry")
         self._answers = telemetry.ring_reader("servos")
         self._pad = telemetry.latest_reader("pad_arm")
@@ -70,7 +70,7 @@ class Arm:
         self._tuck_after_ns, self._notice_s = settings.ns("arm.auto_tuck_s"), settings["arm.tuck_notice_s"]
         self._tuck_announced = False
         self._tucking: Trajectory | None = None
-        """The way to the tuck pose, until people were told how it ended."""
+        """The way to the tuck pose, until people have been told how it ended."""
         self._hot_c, self._low_mv = int(settings["arm.hot_c"]), int(settings["arm.low_mv"])
         self._joint_notes: dict[str, str] = {}
         """The last note about each joint."""

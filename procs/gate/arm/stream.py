@@ -68,7 +68,7 @@ class Stream:
         self._apart_ns = 0
         """When the servos' bus is free of the last move."""
         self._blocked: dict[Joint, str] = {}
-        """Why the joints of a frame, by the first of them, do not go on toward the goal."""
+        """For the frames that don't go on toward the goal, by their first joint: why."""
 
     @property
     def on(self) -> bool:
