@@ -30,7 +30,7 @@ _BODY = struct.Struct("<IQQ")
 _CRC = struct.Struct("<I")
 
 Entry = tuple[int, int, bytes]
-"""The sequence number, CLOCK_MONOTONIC and the payload."""
+"""The number of an entry, its time (CLOCK_MONOTONIC), and its payload."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ class LatestReader(_Cells):
         self._where = slice(offset, offset + cells * self._size)
         self._seen = 0
         self._raw = b""
-        """The bytes of the value that was read last; empty if none was whole."""
+        """The bytes of the value that was read last; empty if no cell was whole."""
         self._known: Entry | None = None
 
     def read(self) -> Entry | None:

@@ -41,8 +41,8 @@ def release(fd: int, index: int) -> None:
 
 
 def held(fd: int, index: int, *, by_writer: bool = False) -> bool:
-    """True if another holder has it; `by_writer`: count only holders that may write the file. A read-only descriptor is
-    enough."""
+    """True if another holder has claimed it; `by_writer`: count only holders that may write the file. A read-only
+    descriptor is enough."""
     asked = fcntl.F_RDLCK if by_writer else fcntl.F_WRLCK
     answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(asked, os.SEEK_SET, index, 1, 0))
     return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)

@@ -38,7 +38,8 @@ _FUTEX, _SET_ROBUST_LIST = {"x86_64": (202, 273), "aarch64": (98, 99)}.get(os.un
 _PROOF_NS = 1_000_000_000
 _LOOK_S = 0.0001
 NO_DUMP = 1
-"""A limit in bytes in which no dump fits. 0 would be ignored when a program collects the dumps (core(5))."""
+"""The limit in bytes for dumps. No dump fits into 1 byte, and the kernel would ignore 0 if a program collects the dumps
+(core(5))."""
 _LIST_HEAD = struct.Struct("<QqQ")  # robust_list_head: first entry, offset from an entry to its word, entry being added
 _POINTER = struct.Struct("<Q")
 
@@ -80,7 +81,7 @@ class Futex:
             return 0
 
     def hold(self, lines: int = 1) -> object:
-        """Have the kernel report the death of the calling thread here, on this many lines. Returns an object to keep as
+        """Let the kernel report the death of the calling thread here, on this many lines. Returns an object to keep as
         long as the thread lives, or until let_go(); None if the kernel can't do it. Raises OSError."""
         kept = ctypes.create_string_buffer(_LIST_HEAD.size + lines * LINE_BYTES)
         head = ctypes.addressof(kept)
@@ -103,7 +104,7 @@ class Futex:
         return bool(self._value() & _OWNER)
 
     def owner_died(self) -> bool:
-        """True once the kernel has reported the death of the thread that held it."""
+        """True after the kernel has reported the death of the thread that held it."""
         return bool(self._value() & _OWNER_DIED)
 
     def wait_for_death(self, wanted: Callable[[], bool] = lambda: True) -> bool:
@@ -133,7 +134,7 @@ class Futex:
 
 
 _NOTHING = ctypes.create_string_buffer(_LIST_HEAD.size)
-"""The empty list: its first entry points to itself."""
+"""The empty list, whose first entry points to itself."""
 _NOTHING.raw = _LIST_HEAD.pack(ctypes.addressof(_NOTHING), 0, 0)
 
 
@@ -143,16 +144,16 @@ def let_go() -> None:
 
 
 def leave_no_dump() -> None:
-    """Allow this process no dump when it crashes: until a dump is written, the dying process keeps holding the futexes
-    that report its death."""
+    """Allow this process no dump when it crashes, because a dying process keeps the futexes that report its death until
+    its dump is written."""
     _, hard = resource.getrlimit(resource.RLIMIT_CORE)
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_CORE, (min(hard, NO_DUMP) if hard >= 0 else NO_DUMP, hard))
 
 
 def proven() -> bool:
-    """Test whether this kernel reports deaths at all: a thread holds a word of its own, and ends. Some systems that run
-    Linux programs don't (gVisor, qemu's user mode). Takes 0.2 ms."""
+    """Test whether this kernel reports deaths at all, with a thread that holds its own word and ends. Some systems that
+    run Linux programs don't (gVisor, qemu's user mode). Takes 0.2 ms."""
     fd = os.memfd_create("proof")
     word = None
     kept: list[object] = []  # memory that the kernel looks into; None: it refused

@@ -10,7 +10,8 @@ BEAT_STARTING, BEAT_RUNNING, BEAT_STOPPING = range(1, 4)
 STATES = {0: "absent", BEAT_STARTING: "starting", BEAT_RUNNING: "running", BEAT_STOPPING: "stopping"}
 
 REALTIME, MEMORY_LOCKED, EARLY_NEWS = 1, 2, 4
-"""Rights. The last: the kernel reports deaths before it frees the process's memory (futex.proven)."""
+"""Rights of a process. EARLY_NEWS: the kernel reports deaths to it before it frees the dead process's memory
+(futex.proven)."""
 
 
 class HeartbeatReader:
@@ -25,7 +26,7 @@ class HeartbeatReader:
         self.rights = segment.word("beat_rights")
 
     def age_ns(self, now_ns: int) -> int:
-        """Time since the last beat. A beat that came after `now_ns` was read counts as age 0."""
+        """The time since the last beat. If a beat came after `now_ns` was read, its age is 0."""
         return max(0, now_ns - self.ns.get())
 
     def running(self, pid: int) -> bool:

@@ -25,7 +25,8 @@ Stops = Callable[[], None] | None
 _SIGKILL = 9
 _ORDINARY = os.sched_param(0)
 _DEMOTED = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
-"""Includes the flag that the processes have (procs/rights.py), which only CAP_SYS_NICE may clear."""
+"""The scheduling policy of a demoted process, with the flag that failstop's processes have (procs/rights.py), because
+only CAP_SYS_NICE may clear that flag."""
 _STACK_BYTES = 128 * 1024
 _QUIET_S = 0.02
 _WAY_S = 30e-6
@@ -38,8 +39,8 @@ def give_way() -> None:
 
 
 def pid_namespace() -> int:
-    """The pid namespace of this process: in another namespace its pid names nobody, or another process. 0: not
-    known."""
+    """The pid namespace of this process; 0 if not known. In another namespace its pid belongs to no process, or to a
+    different one."""
     try:
         return os.stat("/proc/self/ns/pid").st_ino
     except OSError:
@@ -56,16 +57,17 @@ class Lifeline:
         self.fd = os.pidfd_open(pid) if pid else os.eventfd(0, os.EFD_CLOEXEC)
         self.watched = False
         self.early: Futex | None = None
-        """Where a thread waits for the early news, once it is watched."""
+        """Where a thread waits for the early report of the death, once it is watched."""
         self.marked = False
-        """True once the early news has come."""
+        """True once the early report has come."""
 
     def died(self, ready: dict[int, int]) -> bool:
         """True when this wake-up, or the early news before it, reports that the process has died."""
         return self.marked or self.fd in ready
 
     def dead(self) -> bool:
-        """True once the process has died, and before anything that dies with it. Two system calls; never blocks."""
+        """True once the process has died. It reports that before anything that ends because of the death. Two system
+        calls; never blocks."""
         return self.marked or (self.early is not None and self.early.owner_died()) or self.wait(0)
 
     def wait(self, timeout_s: float) -> bool:
@@ -75,7 +77,7 @@ class Lifeline:
         return bool(poll.poll(timeout_s * 1000))
 
     def kill(self) -> None:
-        """SIGKILL the process; never another one that has got its pid meanwhile."""
+        """Send the process SIGKILL, but never another process that has got its pid in the meantime."""
         with contextlib.suppress(OSError):
             _signal.pidfd_send_signal(self.fd, _SIGKILL)
 

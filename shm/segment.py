@@ -82,7 +82,7 @@ class Segment:
         return LatestReader(*self._cells(name, "latest"))
 
     def latest_writer(self, name: str) -> LatestWriter:
-        """The writer of a Latest record; only for the segment's declared writer."""
+        """The writer of a Latest record. Only the segment's declared writer may call this."""
         return LatestWriter(*self._cells(name, "latest"))
 
     def ring_reader(self, name: str, *, from_oldest: bool = False) -> RingReader:
@@ -90,7 +90,7 @@ class Segment:
         return RingReader(*self._cells(name, "ring"), from_oldest=from_oldest)
 
     def ring_writer(self, name: str) -> RingWriter:
-        """The writer of a Ring record; only for the segment's declared writer."""
+        """The writer of a Ring record. Only the segment's declared writer may call this."""
         return RingWriter(*self._cells(name, "ring"))
 
     def futex(self, name: str, line: int = 0, *, write: bool = False) -> Futex:

@@ -31,9 +31,9 @@ COPY_NS = 2_200_000_000
 PATIENCE_NS = 60_000_000_000
 """The saver of a dead run waits this long, at most, for the service to be ready."""
 MOST_SAVERS = 4
-"""Savers that run at one time."""
+"""How many savers may run at the same time."""
 MOST_STOPS_WAITING = 16
-"""Stops that wait for a saver. They come as fast as a person can reset the last one."""
+"""How many stops may wait for a saver. Stops come no faster than a person can reset the last one."""
 ON_TIME_NS = START_NS
 """A saver that is later than this waits until nothing moves, because motion may have been enabled by then."""
 GIVE_UP_NS = 30_000_000_000
@@ -47,7 +47,7 @@ class BlackBox:
     """Call begin() once, when the other processes are started, and poll() once per turn."""
 
     def __init__(self, run: Run, moves: Callable[[], bool]) -> None:
-        """`moves`: whether motion is enabled, or the wheels were last told to turn."""
+        """`moves`: returns True while motion is enabled, or motion was the last thing written."""
         self._run, self._moves = run, moves
         self._events = run.events
         self._on = run.settings.on("incidents.save")
@@ -59,10 +59,10 @@ class BlackBox:
         self._silences = [(0, 0)] * len(self._beats)
         """The longest silence of each process since the last sample, and when it was seen, both in ns."""
         self._waiting: list[tuple[int, dict[str, object]]] = []
-        """The savers still to start: when, and with which command-line words."""
+        """The savers that are not started yet: when to start each, and with which command line."""
         self._savers: dict[int, _socket.socket] = {}
-        """The socket to each running saver, by its pid. Closing it makes the saver copy now; the saver reports back on
-        it."""
+        """The socket to each running saver, by its pid. If it is closed, the saver copies now. The saver's report comes
+        back on it."""
         self._for_dead_run = 0
         """The pid of the saver that waits for this run to be ready, or 0."""
         self._sampled_ns = 0
@@ -152,7 +152,7 @@ class BlackBox:
                 self._log_saved(code, told if isinstance(told, dict) else None)
 
     def _log_saved(self, code: int, told: dict[str, str | float] | None) -> None:
-        """Log what an ended saver saved, or what is `wrong`. `told` is its report; None if it sent none."""
+        """Log what a saver that has ended has saved, or what is `wrong`. `told` is its report; None if it sent none."""
         if not code and told == {}:
             return
         told = told or {}

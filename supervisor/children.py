@@ -77,11 +77,11 @@ class Fence(Data):
         return [(*step, (at - self.noticed_ns) / 1e3) for step, at in zip(words, times_ns, strict=True) if at]
 
     def story(self, name: str) -> str:
-        """The steps as a sentence, in ms after the notice."""
+        """The steps as a sentence, in ms after the hang was noticed."""
         return f"{name} was fenced: {', '.join(f'{told} after {us / 1e3:.1f} ms' for _, told, us in self._steps_us())}"
 
     def fields(self) -> dict[str, float]:
-        """The steps for programs: us after the notice."""
+        """The steps for programs, in us after the hang was noticed."""
         return {"silent_ms": round(self.silent_ns / 1e6, 1), **{f"{step}_us": us for step, _, us in self._steps_us()}}
 
 
@@ -89,8 +89,8 @@ class Child:
     """One row of the process table, with its current state."""
 
     def __init__(self, row: Process, beat: HeartbeatReader, restart: Timer, settings: Settings) -> None:
-        """No deadline is shorter than a lease, because a machine that can't run one process sooner can't run another
-        sooner."""
+        """The time that a process may be silent is never shorter than a lease: a machine that can't run one process
+        sooner can't run another sooner."""
         self.row = row
         self.beat = beat
         self._settings = settings
@@ -101,26 +101,26 @@ class Child:
         self.pid = 0
         """0 while no process exists, because it waits or is down."""
         self.block = 0
-        """The block of futexes that it holds."""
+        """The index of the block of futexes that it holds."""
         self.life: Lifeline | None = None
         self.started_ns = 0
         self.restart = restart
         """When to start it again, if it is not started yet."""
         self.fence: Fence | None = None
-        """When and how it was killed for hanging, if it was."""
+        """The record of killing it for a hang, if that has happened."""
         self.excused_ns = 0
         """Silence before this time is not the process's own fault."""
         self._spared_ns = 0
-        """Its last sign of life before a silence that the machine explains and that still lasts; else 0."""
+        """Its last sign of life before a silence that the machine explains, while that silence lasts; else 0."""
         self.defects: list[Cause] = []
         """Impossible events that happened since the last stop for one."""
         self.times_restarted = 0
         self.last_exit = ""
         self.killed = False
-        """The process before it was killed by a signal."""
+        """True if the process before it was killed by a signal."""
 
     def on(self, event: str) -> None:
-        """Follow an event to the next state; one that can't happen in this state is kept as a defect."""
+        """Change to the next state after an event. An event that can't happen in this state is kept as a defect."""
         after = NEXT[self.state].get(event)
         if after is None:
             self.defects.append(causes.DEFECT(self.row.name, event, self.state))

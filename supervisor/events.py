@@ -27,23 +27,24 @@ LONGEST_HOLD_NS = 50_000_000
 """Events wait at most this long for a stop's bytes, which are out within 5 ms where they can be written at all."""
 MOST_EVENTS_WAITING = 256
 EVENT_CUTS = ((280, 280), (200, 60), (120, 24))
-"""As packing.NOTE_CUTS."""
+"""The same as packing.NOTE_CUTS."""
 EVENT_BYTES = layout.SEGMENT_BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset(kind.name for kind in (*causes.SIGNED, causes.PIPED, causes.FLEET))
 AGAIN = frozenset(("stop_again", "stop_also"))
-"""Events that anyone can cause without end. A stop can only be latched again after a reset."""
+"""Kinds of events that anyone can cause again and again. A stop is not one of them, because it can only be latched
+again after a reset."""
 MINUTE_NS = 60_000_000_000
 OWN_BYTES = 65536
-"""Bytes allowed per minute for each kind and level: twice the size of a dozen stops a second."""
+"""How many bytes each kind and level may log per minute: twice the size of a dozen stops a second."""
 REPEATS_BYTES = 8192
 """Bytes per minute for requests that repeat what is latched. Anyone can make them without end, and they change
 nothing."""
 LEAST_COLUMNS = 40
-"""Below this a hanging indent leaves too little."""
+"""With fewer columns a hanging indent leaves too little room."""
 PREFIX = "failstop: "
-"""How the service's lines and the commands' errors begin."""
+"""How the service's lines and the errors of commands begin."""
 JOINED = "\0"
-"""Stands for a space at which no line may break."""
+"""Marks a space at which a line must not be broken."""
 
 
 def fold(text: str, width: int, indent: int) -> str:
@@ -72,7 +73,7 @@ def _words(text: str, room: int) -> list[str]:
 
 
 def fitted(text: str, fd: int, indent: int = len(PREFIX)) -> str:
-    """The text as it should be written to this descriptor, folded if it is a terminal."""
+    """The text as it should be written to this descriptor: folded if it is a terminal."""
     try:
         return fold(text, os.get_terminal_size(fd).columns, indent)
     except (OSError, ValueError):
@@ -101,7 +102,7 @@ class Events:
         self._minute_ns = 0
         """When the minute that the allowances count for began."""
         self._spent: Counter[FloodSort] = Counter()
-        """Bytes of each sort in this minute."""
+        """The bytes of each sort that were logged in this minute."""
         self._left_out: Counter[FloodSort] = Counter()
         """How many events of each sort were dropped and not reported yet."""
 
@@ -119,7 +120,7 @@ class Events:
             self._left_out[known.name, level, _asked(known.name, given)] += 1
 
     def command(self, words: str) -> str:
-        """A command to type next, in backquotes, for this instance."""
+        """A command that the reader can type next, in backquotes, for this instance."""
         return f"`failstop {words}{instance.option(self._name)}`"
 
     def flush(self, now_ns: int = 0, *, hold: bool = False) -> None:
@@ -172,7 +173,7 @@ class Events:
 
 
 def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
-    """True for events that anyone can cause without end."""
+    """True for events that anyone can cause again and again."""
     return kind in AGAIN and fields.get("cause") in ASKED
 
 
@@ -180,7 +181,7 @@ def ring_entry(
     t_ns: int, unix_s: float, kind: str, level: str, text: str, fields: dict[str, Value], what: int = 0
 ) -> bytes:
     """One event for the ring, as a msgpack map. `what`: how many characters of the text come before its next step; 0 if
-    it has none."""
+    the text has no next step."""
     told = {"t": unix_s, "ns": t_ns, "kind": kind, "level": level} | ({"what": what} if what else {})
     return fitting(EVENT_BYTES, EVENT_CUTS, text, fields, lambda text, fields: {**told, "text": text, "fields": fields})
 

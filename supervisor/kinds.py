@@ -12,7 +12,7 @@ LEVELS = {"critical": 2, "error": 3, "warning": 4, "notice": 5, "info": 6}
 
 
 class EventKind(Data):
-    """One row. `fields`: names, with spaces between."""
+    """One row of the table. `fields`: names, with spaces between them."""
 
     name: str
     level: str

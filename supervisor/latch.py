@@ -22,7 +22,7 @@ class Latch:
         self.stop: Stop | None = None
         """The latched stop, or None."""
         self.since = 0
-        """The epoch raised for the latched stop; 0 if nothing is latched."""
+        """The epoch that was raised for the latched stop; 0 if nothing is latched."""
         self.newest: Stop | None = None
         self.reset_epoch = 0
         """The epoch of the last reset."""
@@ -62,7 +62,7 @@ class Epochs:
         self.number = 1
         self.latch = Latch()
         self.owed_ns = 0
-        """Since when a stop has been neither answered nor written by the supervisor; 0 if none is owed."""
+        """Since when a stop waits that was neither answered nor written by the supervisor; 0 if there is none."""
         self.ready_word = own.word("ready")
         self._epoch_word = own.word("epoch")
         self._epoch_word.set(self.number)

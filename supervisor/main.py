@@ -88,7 +88,7 @@ class Supervisor:
         self._repeats.restart(self._turned_ns)
         self.ending = False
         self.broken = False
-        """It can't go on, and ends by itself once its stop is answered."""
+        """True if the supervisor can't go on. It ends by itself after its stop has been answered."""
         self.loop.listen(run.bells[layout.SUPERVISOR], self.processes.early.bell)
 
     def end(self, _number: int, _frame: object) -> None:
@@ -212,7 +212,7 @@ class Supervisor:
         return []
 
     def _check_names(self, now_ns: int) -> None:
-        """Stop and end a service whose name other processes can't find any more."""
+        """If other processes can't find one of the service's names any more, stop and end the service."""
         if cause := self._run.lost(now_ns):
             self.broken = True
             self._raise_epoch([Stop(now_ns, layout.SUPERVISOR, cause)])
@@ -225,7 +225,7 @@ class Supervisor:
         return self._port.fd >= 0 and asks.state == hears.state == RUNNING
 
     def _is_held_up(self, now_ns: int) -> bool:
-        """True when the port owner, telemetry or this process comes late to what the board answers."""
+        """True if the port owner, telemetry or this process can only read late what the board answers."""
         asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
         return now_ns - heard_ns >= CLIENT_SILENT_NS

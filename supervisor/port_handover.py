@@ -50,7 +50,7 @@ class OwnPort(StopPort):
         run."""
         super().__init__(fd, board, servos)
         self.stopped = False
-        """The kernel has taken the whole first burst of the run."""
+        """True if the kernel has accepted the whole first burst of the run."""
         self.number = 1
         """How many ports this run has had, which names this one among the processes that share it."""
 
@@ -80,7 +80,7 @@ class OwnPort(StopPort):
 
 
 def _is_new(path: str) -> bool:
-    """True while udev has not yet given a new device to its users."""
+    """True while udev has not given a new device to its users yet."""
     try:
         node = os.stat(path)
     except OSError:
@@ -109,7 +109,7 @@ class Opener:
         self._found: tuple[int, int] | None = None
         self.misplaced = False
         self.believed = False
-        """The open device has answered as the board does. Set by the loop, read by the thread."""
+        """True if the open device has answered as the board does. Set by the loop, read by the thread."""
         self._spare = -1
         self._reserve()
 
@@ -187,7 +187,7 @@ class PortHandover:
 
     @property
     def sure(self) -> bool:
-        """False while the open device was only taken for the board because no better one was found."""
+        """False while the open device was accepted as the board only because no better one was found."""
         return self.opener.finder.sure
 
     @property
@@ -242,25 +242,26 @@ class PortHandover:
         return written_ns
 
     def make_up(self, now_ns: int) -> None:
-        """Send the descriptor again to a process that had no free number for it, so that it was lost on its way."""
+        """Send the descriptor again to a process that had no free descriptor number for it, so that it got lost."""
         if self._port.fd >= 0 and now_ns - self._shared_ns >= SHARE_NS:
             self._share(
                 [name for name in self.controls if self._processes[name].running() and not self.has(name)], now_ns
             )
 
     def _share(self, names: list[str], now_ns: int) -> None:
-        """A process that is not started yet inherits the port; a descriptor in its queue would stay open."""
+        """Share the port with a process that runs. A process that is not started yet inherits the port; if it were
+        sent, a descriptor in its queue would stay open."""
         for name in names:
             self._shared_ns = now_ns
             if self._processes[name].pid:
                 self.controls[name].send(self._port.fd, self._port.number, self.opener.finder.at)
 
     def _port_owner_s(self) -> int:
-        """The port owner's reported state of the port that is open here."""
+        """The state that the port owner reports for the port that is open here."""
         return records.port_state(self._record.read(), self._port.number)
 
     def has(self, name: str) -> bool:
-        """True when port owner, stopper or telemetry has the port that is open here."""
+        """True if the port owner, the stopper or telemetry has the port that is open here."""
         if name == layout.PORT_OWNER:
             return self._port_owner_s() == records.PORT_OPEN
         return self._numbers[name].get() == self._port.number

@@ -41,9 +41,10 @@ window of the judgement plus its hold (procs/telemetry/still.py)."""
 JUDGED_WITHIN_NS = 500_000_000
 """A judgement older than this does not count: the IMU, or telemetry, is silent."""
 LEAST_NS = 1_000_000
-"""The shortest time to rest that is shown, because 0 means that the wheels were at rest already."""
+"""The shortest time to rest that is shown, because 0 means that the wheels were already at rest."""
 HEEDS_NS = 200_000_000
-"""If the board still reports zero this long after it should have reported that it obeys motion, it doesn't hear."""
+"""If the board still reports zero this long after it should have reported that it obeys motion, it does not receive
+anything."""
 LATE_LOOK_NS = 200_000_000
 """If the first look at the IMU's verdict comes this long after the cause (the supervisor was held up), the shaking may
 have been missed."""
@@ -61,14 +62,14 @@ class Proof:
         self.unix_s = unix_s - (now_ns - stop.t_ns) / 1e9
         """The wall clock when its cause was noticed, for people."""
         self.acknowledged_ns: int | None = None
-        """From the cause to the board's answer."""
+        """The time from the cause to the board's answer."""
         self.observed_ns: int | None = None
         """From the cause until the wheels were still; 0: the IMU saw no shaking before it either."""
         self.wheels = WHEELS_UNKNOWN
         self.held = False
         """The kernel still held its bytes when it was logged, because the board takes none."""
         self.believed = True
-        """False until the device that took its bytes has answered as the board does."""
+        """False until the device to which its bytes were written has answered as the board does."""
         self.logged = False
         """True when everything that can be known about it was logged."""
         self._was_still = True
@@ -201,14 +202,14 @@ class Link:
         """The state judged by the board's answers and its echo alone."""
         self._silent = self._by_echo = False
         self._heard = False
-        """The board has answered in this run, or reported if it is asked nothing."""
+        """True if the board has answered in this run or, if it is asked nothing, has reported."""
         self._opened_ns = self._listened_ns = 0
         self._held_up_ns = self._unheard_ns = 0
-        """When the machine last held up a process that asks, listens or judges."""
+        """When the machine last held up a process that asks, listens or judges; 0: never."""
         self._true_ns = 0
         """When the newest ping was sent that was truly answered, or the port was opened."""
         self._said_ns = self._patience_ns = 0
-        """When the board last said anything (0: not since the port was opened), and how long it may pause."""
+        """When the board last sent anything (0: nothing since the port was opened), and how long it may pause."""
         self._answered_ns = 0
         """When the newest answered ping was sent."""
         self._asked_ns = 0
@@ -242,25 +243,25 @@ class Link:
         self._missed = self._silent = self._by_echo = False
 
     def listen(self, newest_ping_ns: int, now_ns: int = 0) -> None:
-        """Until now nobody could have heard an answer, so a silence begins now, or with the next ping, at the
-        earliest."""
+        """Nobody could hear an answer until now, so a silence begins now at the earliest, or with the next ping."""
         self._asked_ns = 0
         self._answered_ns = max(self._answered_ns, newest_ping_ns)
         self._listened_ns = max(self._listened_ns, now_ns)
 
     def answered_in_part(self, newest_ping_ns: int, now_ns: int) -> None:
-        """One of the board's parts does not answer, so no question is answered whole. While the others are heard, the
-        board is not deaf."""
+        """One of the board's parts does not answer, so no question is answered as a whole. As long as other parts
+        answer, the board is not deaf."""
         if now_ns - self._said_ns < self._deaf_ns:
             self.listen(newest_ping_ns)
 
     def held_up(self, now_ns: int) -> None:
-        """The machine does not run a process that asks, listens or judges: who was silent until now is not known."""
+        """The machine does not run a process that asks, listens or judges, so nobody knows whether the board was really
+        silent."""
         self._held_up_ns = now_ns
 
     def _excused(self, since_ns: int, now_ns: int) -> bool:
-        """True when the machine may explain a silence that began then, so that it must be counted again. Motion is
-        stopped for it. It excuses no board for longer than a healthy service may be held up."""
+        """True if the machine may explain a silence that began then. The silence must then be counted again, and motion
+        is stopped for it. No board is excused for longer than a healthy service may be held up."""
         true_ns = max(self._true_ns, self._said_ns)
         if self._held_up_ns < since_ns or now_ns - true_ns >= LONGEST_NS:
             return False
@@ -269,13 +270,13 @@ class Link:
         return True
 
     def pop_unheard(self) -> int:
-        """How long nothing was heard from it while the machine held the service up (ns), once; 0: there is no such
-        silence."""
+        """For how long nothing was heard from the board while the machine held up the service (ns), returned once; 0 if
+        there is no such silence."""
         found, self._unheard_ns = self._unheard_ns, 0
         return found
 
     def said(self, said_ns: int, newest_ping_ns: int) -> None:
-        """Record that the board said something, of any kind, at `said_ns`."""
+        """Record that the board sent something, of any kind, at `said_ns`."""
         if said_ns <= max(self._said_ns, self._opened_ns):
             return
         self._said_ns = said_ns

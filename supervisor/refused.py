@@ -16,10 +16,10 @@ OPTION = "CONFIG_RT_GROUP_SCHED="
 SYS_NICE = 23
 """The bit of CAP_SYS_NICE."""
 FIRST_USERS = ["0", "0", "4294967295"]
-"""The map of the user namespace in which capabilities count for this."""
+"""The map of the first user namespace, in which alone capabilities count for real-time priority."""
 RUNTIME = "cpu.rt_runtime_us"
 RUNTIME_US = 950000
-"""As the root group has it."""
+"""The real-time share that the root group has."""
 
 ALLOWED = "its limits allow real-time priority, but"
 NO_TIME = f"{ALLOWED} its control group has no time for it (RT_GROUP_SCHED)"
@@ -83,7 +83,8 @@ def _of_v2(group: str) -> bool:
 
 
 def _configured() -> bool:
-    """Whether the kernel may be built with RT_GROUP_SCHED: False only if its configuration can be read and says no."""
+    """True if the kernel may be built with RT_GROUP_SCHED; False only if its configuration can be read and says that it
+    is not."""
     lines = _lines(f"{BOOT}/config-{os.uname().release}")
     return not lines or f"{OPTION}y" in lines
 

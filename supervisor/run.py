@@ -32,7 +32,7 @@ GROUP = "failstop"
 """The group whose members may drive; everyone may stop."""
 SHARED_MEMORY = "shared memory "
 A_SLOT = f"{SHARED_MEMORY}client."
-"""Shared memory that the service can do without."""
+"""How the names of shared memory begin that the service can run without: a client's slots."""
 LOOK_EVERY_NS = 1_000_000_000
 
 
@@ -112,7 +112,7 @@ class Run:
         self.controls = {process: handover.pair() for process in (layout.PORT_OWNER, layout.STOPPER, layout.TELEMETRY)}
 
     def _publish_settings(self) -> None:
-        """For clients: the settings that they need and the pid namespace of this process; and all settings."""
+        """Publish for clients the settings that they need, the pid namespace of this process, and all settings."""
         rules = {
             "sources": list(self.settings.sources()),
             "interlocks": list(self.settings.interlocks()),

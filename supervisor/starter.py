@@ -17,7 +17,8 @@ from failstop.supervisor.bootstrap import PATH_VARIABLE
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 BOOTSTRAP = ("supervisor", "bootstrap.py")
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
-"""One heap for all threads. A second one would cost 200 kB at a thread's first job, minutes after the start."""
+"""Settings of the C library: one heap for all threads. A second heap would cost 200 kB at a thread's first job, minutes
+after the start."""
 PASSED_ON = (root.VARIABLE, "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
 """Environment variables that say where the runtime directory and telemetry's files are."""
 TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
@@ -25,7 +26,7 @@ TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_
 
 
 def script_command(script: tuple[str, ...], *arguments: str, words: Mapping[str, object]) -> list[str]:
-    """The command line of a script of this package, by its path from there."""
+    """The command line of a script in this package, by its path in the package."""
     path = os.path.join(_PACKAGE, *script)
     return [sys.executable, "-I", "-S", path, *arguments, *(f"{key}={value}" for key, value in words.items())]
 

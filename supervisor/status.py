@@ -45,9 +45,10 @@ if TYPE_CHECKING:  # commands have the rights' part of here, and need no more
     from failstop.supervisor.run import Run
 
 UNDYING_NS = 10_000_000_000
-"""From SIGKILL to gone takes milliseconds, or seconds for a process that closes a port which does not drain."""
+"""A process is gone milliseconds after SIGKILL, or seconds if it closes a port that does not drain. After this time
+something in the kernel holds it."""
 OWED_NS = 2_000_000_000
-"""The supervisor writes its own burst 5 ms after the cause, and every 200 ms from then on."""
+"""The supervisor writes its own burst 5 ms after the cause, and then every 200 ms. After this time no stop got out."""
 WAITED_NS = 2_000_000_000
 """What motion waits for is logged after this long; a restart takes a fraction of it."""
 NOTIFY_EVERY_NS = 100_000_000
@@ -98,7 +99,7 @@ class Status:
         self._logged_missing = ""
         self.ever = False
         self.fault = ""
-        """Why the supervisor does not do its job; if set, the watchdog is left to fire."""
+        """Why the supervisor does not do its job. If this is set, the watchdog is allowed to fire."""
 
     def missing(self, *, stopping: bool) -> str:
         """What motion still waits for; empty if nothing. `stopping`: a stop is not answered yet."""
@@ -179,8 +180,8 @@ def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
 
 
 def although_told_zero(entry: tuple[int, int, bytes] | None, now_ns: int) -> str:
-    """A text that says that the wheels turn although they were told zero, by telemetry's record; empty if nothing says
-    so. Pure."""
+    """A text saying that the wheels turn although zero is commanded, from telemetry's record; empty if the record does
+    not say so. Pure."""
     if entry is None:
         return ""
     _, by, unexpected, _, _, read_ns, *_ = records.WHEELS_SEEN.unpack(entry[2])

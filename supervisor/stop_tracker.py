@@ -45,7 +45,7 @@ UNCONNECTED = {
     LINK_SILENT: "the board has stopped reporting. It lost power, or it hangs, or the wire from it is broken; failstop "
     "can't tell which: use the POWER SWITCH, then check its cable",
 }
-"""What happened to the link, in words for people."""
+"""For people: what happened to the link."""
 
 
 class StopTracker:
@@ -81,13 +81,13 @@ class StopTracker:
         self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(board.pings), echo_ns=board.echo_ns)
         self._published = ""
         self._stopped_for = ""
-        """The state of the link that motion was stopped for, kept until motion has ended."""
+        """The state of the link for which motion was stopped, kept until motion has ended."""
         self._last: Proof | None = None
         self._said: set[Cause] = set()
-        """The causes logged since the latch."""
+        """The causes that were logged since the latch."""
 
     def latched(self, stop: Stop) -> None:
-        """Note a newly latched stop. It is the first since a reset, so every later cause is news again."""
+        """Note a newly latched stop. It is the first one since a reset, so every later cause is reported again."""
         self._said = {stop.cause}
 
     def _news_of(self, cause: Cause) -> bool:

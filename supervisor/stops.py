@@ -25,12 +25,13 @@ WRITERS = (
 """The process that writes a stop, or has written it. Rows: what is known about its burst. Columns: whether the port
 owner may still answer the epoch, has answered it, or is late or dead."""
 SOONER_NS = 20_000_000
-"""The port owner may have noticed the cause this much sooner. A burst from before that does not count for this
+"""The port owner may have noticed the cause this much earlier. A burst from before that time does not count for this
 cause."""
 
 
 def explained(cause: Cause, suspended_ns: int) -> Cause:
-    """A better cause for the supervisor's silence if a signal suspended it for this long (0: it did not)."""
+    """A better cause for the supervisor's silence, if a signal suspended the supervisor for this long (0: it did
+    not)."""
     silent = cause.kind is causes.HELD_UP or (cause.kind is causes.HANGS and cause.arguments[0] == layout.SUPERVISOR)
     return causes.SUPERVISOR_SUSPENDED(suspended_ns / 1e9) if suspended_ns and silent else cause
 
