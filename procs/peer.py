@@ -123,7 +123,7 @@ class Peer:
         return self.life is not None and self.life.watched
 
     def died(self, ready: dict[int, int]) -> int:
-        """Its pid if this wake-up, or the early news before it, reports its death, else 0."""
+        """The pid of the process if this wake-up, or the early news before it, reports its death, else 0."""
         return self.life.pid if self.life and self.life.died(ready) else 0
 
     def drop(self) -> None:

@@ -113,7 +113,7 @@ class Child:
         self._spared_ns = 0
         """Its last sign of life before a silence that the machine explains, while that silence lasts; else 0."""
         self.defects: list[Cause] = []
-        """Impossible events that happened since the last stop for one."""
+        """How many impossible events have happened since the robot was last stopped for one."""
         self.times_restarted = 0
         self.last_exit = ""
         self.killed = False

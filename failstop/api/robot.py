@@ -105,14 +105,15 @@ class Calls(Session):
             self._slot(run).command(vx, vy, wz, manual=manual, source=source, t_ns=proven_ns)
 
     def _of_wheels(self, speeds_radps: tuple[float, ...], steering_rad: float | None) -> Velocity:
-        """Raises ValueError, NoService, FailstopError."""
+        """The velocity of the base at these wheel speeds, as State.of_wheels(). Raises ValueError, NoService,
+        FailstopError."""
         if not all(map(isfinite, (*speeds_radps, steering_rad or 0.0))):
             raise ValueError(f"drive_wheels{speeds_radps}: every value must be finite")
         with self._lock:
             return self._current().of_wheels(speeds_radps, steering_rad)
 
     def _judged(self, source: str) -> tuple[Answer, bool]:
-        """The answer by the gate's last decision, and whether it is settled (judge)."""
+        """Whether a command would drive now, judged by the gate's last decision, and whether that is final (judge)."""
         with self._lock:
             decided, cause, *_ = self._current().decided()
         return judge(decided, source, cause)

@@ -156,7 +156,8 @@ def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | 
 
 
 def _proof(state: State, now_s: float) -> str:
-    """For a stop that holds the wheels, or was the last: its proof. For a command: that the board answers."""
+    """The proof of the stop that holds the wheels, or of the last one. While motion is commanded: that the board
+    answers."""
     stop = state.last_stop
     if stop and (state.block is Block.DISABLED or stop.cause == state.cause):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "

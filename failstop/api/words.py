@@ -65,8 +65,8 @@ def clock(unix_s: float, now_s: float = 0.0) -> str:
 
 
 def ago(unix_s: float, now_s: float) -> str:
-    """For example `14:03:22, 12 s ago`. A stamp from the future, from a clock that was set back, is shown as just a
-    time."""
+    """A time as text, for example `14:03:22, 12 s ago`. A stamp from the future, from a clock that was set back, is
+    shown as just a time."""
     seconds = now_s - unix_s
     return f"{clock(unix_s, now_s)}, {span(seconds)} ago" if seconds >= 0 else clock(unix_s, now_s)
 
@@ -76,8 +76,8 @@ AGED_S = 3.0
 
 
 def aged(age_s: float | None, *, current: bool = True) -> str:
-    """For example `, 12 s ago`, to put after a reading that is not from now; empty for a fresh one. `current`: the
-    board still says something."""
+    """The age of a reading as text to put after it, for example `, 12 s ago`; empty if the reading is fresh. `current`:
+    the board still sends reports."""
     return "" if age_s is None or (age_s < AGED_S and current) else f", {span(age_s)} ago"
 
 

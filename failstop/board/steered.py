@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 
 class SteeringMixin(Board):
-    """For a class of boards to inherit from first: its motion frame, whose length is always the same, and the steering
-    frame behind it."""
+    """Makes a class of boards steer; inherit from it first. A motion frame of such a board is the frame for the wheels,
+    whose length is always the same, followed by the frame for the steering."""
 
     __slots__ = ()
 

@@ -215,7 +215,7 @@ def _to_remap(cause: Cause) -> str:
 
 
 ADVISED = {"others": _to_remap}
-"""What a remedy may name, by its placeholder in the remedy."""
+"""The names that a remedy may contain, by their placeholder in the remedy."""
 BY = " (says it is "
 """In the text of a requested stop, this follows the words of the reason."""
 

@@ -30,7 +30,7 @@ class Halted(Data):
     where: str
     """The port or the topic that the stop was sent to."""
     written: bool
-    """A whole stop has left this computer."""
+    """True if a whole stop has left this computer."""
     there: bool = True
     """The port exists."""
     why: str = ""

@@ -14,7 +14,7 @@ _SUB_COMMAND_AT = 4
 
 
 class RrcArm(ServoBus):
-    """Its frames are in rrc/servos.py."""
+    """The arm's servos on this board. Its frames are in rrc/servos.py."""
 
     __slots__ = ()
 

@@ -84,7 +84,7 @@ not seen that one yet.
 
 
 class FrameHearing(Hearing):
-    """Its frames, decoded."""
+    """Makes reports from the board's frames."""
 
     __slots__ = ("_decoder",)
 
@@ -113,8 +113,8 @@ class Rrc(Board):
     port = RRC_PORT
     idle_ns = after_ns = 0
     repeats_ns = (_REPEATS_NS, _REPEATS_NS, ())
-    """Its receiver accepts glued stops, so writers may have the same times. A supervisor's stop is not repeated,
-    because the stopper's is."""
+    """The repeats of each writer. They may be at the same times, because the receiver accepts glued stops. The
+    supervisor repeats no stop, because the stopper does."""
     stop = codec.STOP
     burst = BURST
     first_stop = BURST[:FIRST_STOP_END]

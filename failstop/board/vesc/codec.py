@@ -204,7 +204,7 @@ class Values(Data):
     """The values that a controller reports about its motor and its supply."""
 
     speed: float
-    """In ERPM; 0 below STILL."""
+    """The count of the motor's tachometer."""
     position: float
     """The count of its tachometer."""
     volts: float

@@ -171,7 +171,7 @@ class Motor:
         return data[:4] + known.get(index, bytes(4))
 
     def report(self, speed: float) -> bytes:
-        """Of its status, and of a speed."""
+        """A motor's report: its status, and a speed."""
         most = SCALES[V_MAX]
         level = min(4095, max(0, int((speed + most) / (2 * most) * 4095 + 0.5)))
         position, torque = 0x8000, 0x7FF
@@ -290,7 +290,7 @@ class Damiao(Rolling):
 
 
 def _any_state(rng: random.Random) -> Damiao:
-    """Of one CANable or the other, between lines, behind a line that left any digits in the buffer."""
+    """A state of one CANable or the other: between lines, after a line that has left any digits in the buffer."""
     before = b"t" + b"".join(b"%X" % rng.randrange(16) for _ in range(rng.randrange(21))) + b"\r"
     return Damiao(before if rng.random() < 0.5 else b"", armed=True, buffer=rng.choice(BUFFERS))
 

@@ -123,7 +123,7 @@ class Motor:
         self.speed = 0.0
         """What it is told, in ERPM."""
         self.steps = 0.0
-        """Of its tachometer."""
+        """Steps of its tachometer."""
         self.fed_ns = 0
         self.rolls_free = True
         """By its own timeout, or a current of zero: nothing brakes it."""
