@@ -8,7 +8,7 @@ from time import monotonic_ns
 from typing import Any
 
 from failstop.api.errors import FailstopError, Refused
-from failstop.api.session import Session, Told, sleep_through
+from failstop.api.session import Progress, Session, sleep_through
 from failstop.api.snapshot import ArmState
 from failstop.messages import records
 from failstop.policy.capsules import Model, on_the_way, would_hit
@@ -38,11 +38,16 @@ class Arm:
             raise FailstopError(f"the robot of {self._session.name!r} has no arm: its settings name no [joints.NAME]")
         return found
 
-    def _ask(self, verb: int, told: Told = None, about: tuple[Any, ...] = (), asked_ns: int = 0) -> str:
-        return sleep_through(self._session._asking(verb, told, about, asked_ns=asked_ns))
+    def _ask(self, verb: int, progress: Progress = None, about: tuple[Any, ...] = (), asked_ns: int = 0) -> str:
+        return sleep_through(self._session._asking(verb, progress, about, asked_ns=asked_ns))
 
     def move(
-        self, to: Mapping[str, float] | Sequence[Point], over_s: float = 0.0, *, speed: float = 1.0, told: Told = None
+        self,
+        to: Mapping[str, float] | Sequence[Point],
+        over_s: float = 0.0,
+        *,
+        speed: float = 1.0,
+        progress: Progress = None,
     ) -> str:
         """Go to these angles, in `over_s` seconds (0: as fast as `speed`, a share of each joint's speed, allows), or
         along points: (seconds from the start, angles), each with the same joints. Returns once a reading confirms that
@@ -64,9 +69,9 @@ class Arm:
             self._check(angles)
             rows.append((float(t_s), [float(angles[name]) for name in names]))
         self._check_way([(t_s, dict(zip(names, angles, strict=True))) for t_s, angles in rows])
-        return self._ask(records.ARM_MOVE, told, ("arm_path", speed, servos, rows), asked_ns)
+        return self._ask(records.ARM_MOVE, progress, ("arm_path", speed, servos, rows), asked_ns)
 
-    def pose(self, name: str, told: Told = None) -> str:
+    def pose(self, name: str, progress: Progress = None) -> str:
         """Go slowly (arm.pose_speed) to a pose of the settings, "drive" or "tuck". Raises Refused, ValueError."""
         if name not in POSES:
             raise ValueError(f"no pose {name!r}: there are {' and '.join(POSES)}")
@@ -74,7 +79,7 @@ class Arm:
         ends = {joint.name: joint.rad(at) for joint in self.joints.values() if (at := getattr(joint, name)) >= 0}
         if ends:
             self._check_way([(0.0, ends)])
-        return self._ask(POSES[name], told, asked_ns=asked_ns)
+        return self._ask(POSES[name], progress, asked_ns=asked_ns)
 
     def follow(self, to: Mapping[str, float]) -> None:
         """Follow these angles, from now on until arm.goal_timeout_s after the last call; returns at once. Raises
@@ -103,9 +108,9 @@ class Arm:
         """Switch the torque off: the arm falls, and drops what it holds. Raises Refused while motion is enabled."""
         return self._ask(records.ARM_RELEASE)
 
-    def read(self, told: Told = None) -> dict[str, float]:
+    def read(self, progress: Progress = None) -> dict[str, float]:
         """Read where each joint is; returns the angles by name. Raises Refused."""
-        self._ask(records.ARM_READ, told)
+        self._ask(records.ARM_READ, progress)
         return {name: angle for name, joint in self.state.joints.items() if (angle := joint.angle_rad) is not None}
 
     @property

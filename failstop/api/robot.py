@@ -19,7 +19,7 @@ from failstop.api.arm import Arm
 from failstop.api.client import send_stop
 from failstop.api.errors import FailstopError
 from failstop.api.events import LOOK_S, Event, EventLog
-from failstop.api.session import POLL_S, Session, Steps, T, Told, Word, sleep_through
+from failstop.api.session import POLL_S, Progress, Session, Steps, T, Word, sleep_through
 from failstop.api.snapshot import Block, Sample, State, Velocity
 from failstop.messages import records
 from failstop.policy.causes import Cause
@@ -236,12 +236,12 @@ class AsyncRobot(Calls):
         """Like Robot.drive_wheels, but it never waits; see drive()."""
         return self.drive(*self._of_wheels(speeds_radps, steering_rad), manual=manual, source=source)
 
-    async def _answered(self, verb: int, told: Told = None) -> str:
-        return await _through(self._asking(verb, told, awaited=True))
+    async def _answered(self, verb: int, progress: Progress = None) -> str:
+        return await _through(self._asking(verb, progress, awaited=True))
 
-    async def enable(self, told: Told = None) -> str:
+    async def enable(self, progress: Progress = None) -> str:
         """Like Robot.enable."""
-        return await self._answered(records.ENABLE, told)
+        return await self._answered(records.ENABLE, progress)
 
     async def disable(self) -> str:
         """Like Robot.disable."""
@@ -345,13 +345,13 @@ class Robot(Calls):
         velocity = self._of_wheels(speeds_radps, steering_rad)
         return self.drive(*velocity, manual=manual, source=source, wait_s=wait_s, proven_ns=proven_ns)
 
-    def enable(self, told: Told = None) -> str:
+    def enable(self, progress: Progress = None) -> str:
         """Enable motion. It is better to let a person do it (`failstop enable`) and wait_for("enabled"): a program that
         enables motion by itself drives off unattended when it is restarted after a crash. Raises Refused with the
         reason: a stop is latched, not ready, an interlock does not hold, or the request was made before the last stop.
-        An arm goes to its drive pose first, which takes seconds; `told` is called with its progress. arm.hold(),
-        disable() or a stop ends that."""
-        return sleep_through(self._asking(records.ENABLE, told))
+        An arm goes to its drive pose first, which takes seconds; `progress` is called with each text about that.
+        arm.hold(), disable() or a stop ends it."""
+        return sleep_through(self._asking(records.ENABLE, progress))
 
     def disable(self) -> str:
         """Disable motion: the wheels stop at once."""

@@ -30,7 +30,7 @@ from failstop.policy.causes import Reply
 T = TypeVar("T")
 Steps = Generator[float, None, T]
 """Each step is a time to sleep, in s."""
-Told = Callable[[str], None] | None
+Progress = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
 """States that `Robot.wait_for` takes: ready (`enable()` would succeed, or `reset()` if a stop is latched), enabled,
 disabled, latched (a stop is latched), clear (none is), moving and standing (what the gate commands), still (the IMU has
@@ -198,13 +198,19 @@ class Session:
             return self._current().settings()
 
     def _asking(
-        self, verb: int, told: Told = None, about: tuple[Any, ...] = (), *, asked_ns: int = 0, awaited: bool = False
+        self,
+        verb: int,
+        progress: Progress = None,
+        about: tuple[Any, ...] = (),
+        *,
+        asked_ns: int = 0,
+        awaited: bool = False,
     ) -> Steps[str]:
         """One request to the gate, until it is answered.
 
         The gate keeps one request per client, and its answer, so the requests of several threads or tasks go one after
         the other. A request that takes time, such as an arm's move, lets others pass, which is how it can be given up.
-        `told` is called with each progress text; `about`: a record that belongs to the request, and its values;
+        `progress` is called with each text about it; `about`: a record that belongs to the request, and its values;
         `asked_ns`: when it was made, if not now: a stop that comes while the request waits for its turn is one that its
         caller did not know about; `awaited`: a task of an event loop waits; otherwise the thread itself does, with all
         its tasks. Raises Refused, NoAnswer, NoService, FailstopError.
@@ -222,8 +228,8 @@ class Session:
                 if answer and answer.text != said:
                     said, until_s = answer.text, time.monotonic() + self._answer_s
                     self._pass(turn)
-                    if told:
-                        told(said)
+                    if progress:
+                        progress(said)
                 with self._lock:
                     self._check_open()
                     if run.over():
@@ -254,7 +260,7 @@ class Session:
         if verb in (records.ENABLE, records.RESET) or answer.cause:
             goal = Purpose.RESET if verb == records.RESET else Purpose.ENABLE
             with contextlib.suppress(FailstopError):  # the service is ending, so the reason says it all
-                step = steps.after_refusal(self.state, goal, told=answer.refused_for == records.FOR_AN_INTERLOCK)
+                step = steps.after_refusal(self.state, goal, known=answer.refused_for == records.FOR_AN_INTERLOCK)
         return Refused(answer.text, answer.cause, step, answer.refused_for)
 
     def _send(
@@ -302,8 +308,8 @@ class Session:
                     return state
                 if late:
                     step = steps.line(state)
-                    told = f"waited {limit_s:g} s for {name!r}: {verdict.headline(state)}"
-                    raise TimedOut(told + (f"; next: {step}" if step else ""))
+                    text = f"waited {limit_s:g} s for {name!r}: {verdict.headline(state)}"
+                    raise TimedOut(text + (f"; next: {step}" if step else ""))
             yield min(LOOK_S, max(0.0, until_s - time.monotonic()))
 
 

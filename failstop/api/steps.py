@@ -74,8 +74,8 @@ def _for_the_gate(state: State) -> tuple[str, str]:
     return wait, f"{wait}: it died too often, so it restarts after a pause"
 
 
-def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[object, Step]]]:
-    """When each step is needed. The rows of one group exclude each other: the first that holds counts. `told`: the
+def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple[object, Step]]]:
+    """When each step is needed. The rows of one group exclude each other: the first that holds counts. `known`: the
     reader already knows about the interlock; `how`: HERE, BY_STICK or ELSEWHERE."""
     named = {process.state: process.pid for process in state.processes.values()}
     dead, suspended, down = "dead" in named, named.get("suspended"), verdict.down(state)
@@ -105,7 +105,7 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
         ],
         [(state.estop and not dead, Step(Purpose.RESET, "`failstop reset`", how["reset"]))],
         [(off and state.attended_by == (), Step(Purpose.ALLOW, attend, press))],
-        [(off and state.unmet, Step(Purpose.ALLOW, "satisfy that interlock" if told else interlock))],
+        [(off and state.unmet, Step(Purpose.ALLOW, "satisfy that interlock" if known else interlock))],
         [
             (
                 state.block is Block.NO_COMMAND and complains,
@@ -133,20 +133,20 @@ def _table(state: State, told: bool, how: Mapping[str, str]) -> list[list[tuple[
     ]
 
 
-def todo(state: State, how: Mapping[str, str] = HERE, *, told: bool = False) -> list[Step]:
-    """Every step, in order; none while the wheels move. `told`: the reader already knows about the interlock."""
+def todo(state: State, how: Mapping[str, str] = HERE, *, known: bool = False) -> list[Step]:
+    """Every step, in order; none while the wheels move. `known`: the reader already knows about the interlock."""
     if state.block is None and state.moving:
         return []
-    found = [next((step for needed, step in group if needed), None) for group in _table(state, told, how)]
+    found = [next((step for needed, step in group if needed), None) for group in _table(state, known, how)]
     return [
         Step(purpose, words.named(typed, state.name), words.plain(typed) if clause is None else clause)
         for purpose, typed, clause in filter(None, found)
     ]
 
 
-def typed(state: State, *, told: bool = False) -> list[str]:
+def typed(state: State, *, known: bool = False) -> list[str]:
     """The steps for a terminal, in short: without the remedy for a stop's cause."""
-    return [step.typed for step in todo(state, told=told) if step.purpose is not Purpose.HEED]
+    return [step.typed for step in todo(state, known=known) if step.purpose is not Purpose.HEED]
 
 
 def line(state: State) -> str:
@@ -168,7 +168,7 @@ def before(state: State, goal: Purpose) -> list[Step]:
     return [step for step in todo(state) if step.purpose in REFUSED_WITHOUT[goal]]
 
 
-def after_refusal(state: State, goal: Purpose, *, told: bool = False) -> str:
+def after_refusal(state: State, goal: Purpose, *, known: bool = False) -> str:
     """The remedy when a reset or an enable was refused, in one line; empty if the state names nothing that stands in
-    the way, so that nobody is told to ask for the same again. `told`: the reason is the interlock's own."""
-    return ", then ".join(typed(state, told=told)) if before(state, goal) else ""
+    the way, so that the text never asks for the same again. `known`: the reason is the interlock's own."""
+    return ", then ".join(typed(state, known=known)) if before(state, goal) else ""

@@ -36,7 +36,7 @@ WHEELS_TURN, ROBOT_MOVES = "WHEELS TURN", "ROBOT MOVES"
 """Large words, in addition to STOPPED, STOPPING and TOLD TO STOP."""
 
 
-class Told(enum.Enum):
+class Commanded(enum.Enum):
     """What the wheels are told."""
 
     ZERO = "zero"
@@ -78,20 +78,20 @@ _TURN_ON, _MOVE_ON = ALTHOUGH_TOLD_ZERO["wheels"], ALTHOUGH_TOLD_ZERO["IMU"]
 _TURNED = "the wheels turned when they were last read, and nothing is read of them now"
 _DRIVES = Row(DRIVING, MOVING)
 _NO_STOP = Row(MAY_TURN, WHEELS_MAY_TURN, alarm=True)
-TABLE: dict[tuple[Told, Seen], Row] = {
-    (Told.ZERO, Seen.TURN): Row(STOPPING, STOPPING, "the wheels are told zero and turn"),
-    (Told.ZERO, Seen.TURN_ON): Row(TURNING, WHEELS_TURN, _TURN_ON, True, "somebody pushes it"),
-    (Told.ZERO, Seen.MOVE): Row(STOPPING, STOPPING, "the wheels are told zero, and the robot moves"),
-    (Told.ZERO, Seen.MOVE_ON): Row(MOVED, ROBOT_MOVES, _MOVE_ON, True, "somebody moves it"),
-    (Told.ZERO, Seen.STILL): Row(STOPPED, STOPPED),
-    (Told.ZERO, Seen.TURNED): Row(MAY_TURN, WHEELS_MAY_TURN, _TURNED, True),
-    (Told.ZERO, Seen.UNREAD): Row(TOLD_TO_STOP, TOLD_TO_STOP, _UNKNOWN),
-    (Told.ZERO, Seen.UNSEEN): Row(TOLD_TO_STOP, TOLD_TO_STOP, _UNSEEN),
-    **{(Told.MOTION, seen): _DRIVES for seen in Seen},
-    **{(Told.NOBODY_KNOWS, seen): _NO_STOP for seen in Seen},
-    (Told.NOBODY_KNOWS, Seen.TURN): Row(TURNING, WHEELS_TURN, "the wheels turn", True),
-    (Told.NOBODY_KNOWS, Seen.TURN_ON): Row(TURNING, WHEELS_TURN, _TURN_ON, True),
-    (Told.NOBODY_KNOWS, Seen.MOVE_ON): Row(MOVED, ROBOT_MOVES, _MOVE_ON, True),
+TABLE: dict[tuple[Commanded, Seen], Row] = {
+    (Commanded.ZERO, Seen.TURN): Row(STOPPING, STOPPING, "the wheels are told zero and turn"),
+    (Commanded.ZERO, Seen.TURN_ON): Row(TURNING, WHEELS_TURN, _TURN_ON, True, "somebody pushes it"),
+    (Commanded.ZERO, Seen.MOVE): Row(STOPPING, STOPPING, "the wheels are told zero, and the robot moves"),
+    (Commanded.ZERO, Seen.MOVE_ON): Row(MOVED, ROBOT_MOVES, _MOVE_ON, True, "somebody moves it"),
+    (Commanded.ZERO, Seen.STILL): Row(STOPPED, STOPPED),
+    (Commanded.ZERO, Seen.TURNED): Row(MAY_TURN, WHEELS_MAY_TURN, _TURNED, True),
+    (Commanded.ZERO, Seen.UNREAD): Row(TOLD_TO_STOP, TOLD_TO_STOP, _UNKNOWN),
+    (Commanded.ZERO, Seen.UNSEEN): Row(TOLD_TO_STOP, TOLD_TO_STOP, _UNSEEN),
+    **{(Commanded.MOTION, seen): _DRIVES for seen in Seen},
+    **{(Commanded.NOBODY_KNOWS, seen): _NO_STOP for seen in Seen},
+    (Commanded.NOBODY_KNOWS, Seen.TURN): Row(TURNING, WHEELS_TURN, "the wheels turn", True),
+    (Commanded.NOBODY_KNOWS, Seen.TURN_ON): Row(TURNING, WHEELS_TURN, _TURN_ON, True),
+    (Commanded.NOBODY_KNOWS, Seen.MOVE_ON): Row(MOVED, ROBOT_MOVES, _MOVE_ON, True),
 }
 """What may be said for each pair. A board that reports nothing, on a robot without an IMU, is no alarm: it is UNSEEN,
 and the screens say that."""
@@ -125,11 +125,11 @@ def seen(state: State) -> Seen:
     return Seen.UNSEEN if known.age_s is None and state.imu is None else Seen.UNREAD
 
 
-def commanded(state: State, unreached: str) -> Told:
+def commanded(state: State, unreached: str) -> Commanded:
     """What the wheels are told. `unreached`: why bytes may not reach the board; empty if they do."""
     if unreached:
-        return Told.NOBODY_KNOWS
-    return Told.MOTION if state.moving else Told.ZERO
+        return Commanded.NOBODY_KNOWS
+    return Commanded.MOTION if state.moving else Commanded.ZERO
 
 
 def row(state: State, unreached: str) -> Row:

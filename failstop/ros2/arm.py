@@ -128,7 +128,7 @@ class ArmFace:
             raise Refused(cause)
         if self._under_way():
             raise Refused("the arm is on its way to another goal: cancel that first")
-        self._way_job = self.begin(lambda robot: robot.arm.move(path, told=told))
+        self._way_job = self.begin(lambda robot: robot.arm.move(path, progress=told))
         return self._way_job
 
     def _under_way(self) -> bool:

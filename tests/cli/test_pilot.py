@@ -40,7 +40,7 @@ class Scribe:
     def estop(self, reason: str) -> None:
         self.asked.append("estop")
 
-    def enable(self, told: Any = None) -> str:
+    def enable(self, progress: Any = None) -> str:
         return self._ask("enable")
 
     def disable(self) -> str:
@@ -277,8 +277,8 @@ class WithArm(Scribe):
     def jog(self, rates: dict[str, float]) -> None:
         self.asked.append({name: round(rate, 3) for name, rate in rates.items()})
 
-    def enable(self, told: Any = None) -> str:
-        told("on its way")
+    def enable(self, progress: Any = None) -> str:
+        progress("on its way")
         self.let.wait(10)
         return self._ask("enable")
 

@@ -98,7 +98,7 @@ def test_what_an_enable_would_be_refused_without_comes_before_it() -> None:
     ],
 )
 def test_a_refusal_names_what_stands_in_its_way_alone(found: Any, goal: Purpose, begins: str) -> None:
-    told = steps.after_refusal(found, goal, told=bool(found.unmet))
+    told = steps.after_refusal(found, goal, known=bool(found.unmet))
     assert told.startswith(begins)
     assert bool(told) == bool(begins)
 

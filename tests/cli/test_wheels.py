@@ -12,7 +12,7 @@ import pytest
 
 from failstop.api import verdict, wheels
 from failstop.api.snapshot import Device, Imu, State, Turning
-from failstop.api.wheels import TABLE, Seen, Told
+from failstop.api.wheels import TABLE, Commanded, Seen
 from failstop.api.why import explain
 from failstop.cli import style
 from failstop.cli.commands.status import Live
@@ -76,10 +76,10 @@ TELLS = {
 
 
 def test_the_table_has_every_pair() -> None:
-    assert TABLE.keys() == set(itertools.product(Told, Seen))
+    assert TABLE.keys() == set(itertools.product(Commanded, Seen))
     assert wheels.SEEN.keys() == set(Seen)
     assert all(row.text or row.word in (wheels.STOPPED, wheels.DRIVING, wheels.MAY_TURN) for row in TABLE.values())
-    assert {key for key, row in TABLE.items() if row.word == wheels.STOPPED} == {(Told.ZERO, Seen.STILL)}
+    assert {key for key, row in TABLE.items() if row.word == wheels.STOPPED} == {(Commanded.ZERO, Seen.STILL)}
 
 
 @pytest.mark.parametrize("name", TOLD_ZERO)

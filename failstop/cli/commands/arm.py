@@ -60,10 +60,10 @@ def main(arguments: Namespace) -> int:
         if verb in ("move", "jog") and not values:
             raise FailstopError(f"failstop arm {verb}: which joint? One of {', '.join(arm.joints)}, as NAME=VALUE")
         verbs = {
-            "move": lambda: arm.move(values, arguments.over, told=progress),
+            "move": lambda: arm.move(values, arguments.over, progress=progress),
             "jog": lambda: _jog(robot, values, arguments.seconds),
-            "drive": lambda: arm.pose("drive", told=progress),
-            "tuck": lambda: arm.pose("tuck", told=progress),
+            "drive": lambda: arm.pose("drive", progress=progress),
+            "tuck": lambda: arm.pose("tuck", progress=progress),
             "hold": arm.hold,
             "release": arm.release,
         }
