@@ -131,7 +131,7 @@ def test_servos_tell_of_their_load_temperature_and_supply_once_a_second() -> Non
     ]
     loads = {7: 100, 8: 0x400 | 1000, 9: 0}
     answers = b"".join(codec.packet(id_, 0, wheel(118 + id_, load, 30 + id_)) for id_, load in loads.items())
-    told = [sample for _ in range(codec.TOLD_EVERY + 1) for sample in reader.feed(answers)]
+    told = [sample for _ in range(codec.REPORT_EVERY + 1) for sample in reader.feed(answers)]
     health = [sample for sample in told if isinstance(sample, Health)]
     rows = (3, -0.25, 41, 0), (7, 0.1, 37, 0), (8, -1.0, 38, 0), (9, 0.0, 39, 0)
     assert [sample.rows for sample in health] == [rows] * 2

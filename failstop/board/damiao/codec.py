@@ -71,7 +71,7 @@ being enabled again."""
 MISSES = 4
 """If a motor leaves this many questions in a row unanswered while another one answers, it is missing. A CANable drops a
 frame to the computer if it comes while an earlier one is still being sent."""
-TOLD_EVERY = 20
+REPORT_EVERY = 20
 """After this many answers, one report of temperatures is made: about one a second."""
 _SPEED, _COUNT, _FLOAT = Struct("<f4x"), Struct("<I"), Struct("<f")
 _MIDDLE, _NOISE = 2047.5, 1.5
@@ -178,7 +178,7 @@ class Replies(Reader):
         """The register that was read last."""
         self._answered: set[int] = set()
         """Which motors have answered that question."""
-        self._told: tuple[int, ...] = ()
+        self._last_report: tuple[int, ...] = ()
         self._answers = 0
 
     def feed(self, chunk: bytes) -> list[Sample]:
@@ -218,10 +218,10 @@ class Replies(Reader):
         if index == V_MAX:
             motor.v_max = _FLOAT.unpack(value)[0]
         if len(self._answered) < len(self._motors):
-            return self._health() if self._bits() != self._told else []
+            return self._health() if self._bits() != self._last_report else []
         self._answers += 1
         found: list[Sample] = [*self._wheels(), Answer(str(ASKED.index(index)))]
-        due = self._answers % TOLD_EVERY == 1 or self._bits() != self._told
+        due = self._answers % REPORT_EVERY == 1 or self._bits() != self._last_report
         return [*found, *self._health()] if due else found
 
     def _count_misses(self) -> None:
@@ -246,6 +246,6 @@ class Replies(Reader):
         return tuple([m.wrong | (SERVO_MISSING if m.misses >= MISSES else 0) for m in self._motors.values()])
 
     def _health(self) -> list[Sample]:
-        self._told = self._bits()
-        rows = zip(self._motors.items(), self._told, strict=True)
+        self._last_report = self._bits()
+        rows = zip(self._motors.items(), self._last_report, strict=True)
         return [Health(tuple((number_, 0.0, motor.heat, bits) for (number_, motor), bits in rows))]

@@ -37,7 +37,7 @@ question it belongs to, but its length does."""
 READS = {TORQUE: (TORQUE_SWITCH, 1), POSITION: (56, 8), SUPPLY: (62, 3), TEMPERATURE: (63, 4)}
 """Address and size of each question to a servo of the arm. Here too the size of the answer shows the question. Load and
 temperature follow the position."""
-TOLD_EVERY = 10
+REPORT_EVERY = 10
 """After this many answers of the wheels, the supply and the servos' health are reported: about once a second."""
 
 MISSES = 2
@@ -152,7 +152,7 @@ class Replies(Reader):
         self._misses = dict.fromkeys(WHEELS, 0)
         self._last, self._size = len(WHEELS) - 1, 0
         """Which wheel answered last, by its place in WHEELS, and how many bytes."""
-        self._told: dict[int, int] = {}
+        self._last_report: dict[int, int] = {}
         """What was wrong with each servo in the newest report."""
         self._answers = 0
 
@@ -185,10 +185,10 @@ class Replies(Reader):
         found = self._wheel(servo, data) if wheel else _of_the_arm(servo, data)
         if not wheel and len(data) == READS[POSITION][1]:
             self._health[servo] = _health(data[4:])
-        due = any(isinstance(sample, Answer) for sample in found) and self._answers % TOLD_EVERY == 1
+        due = any(isinstance(sample, Answer) for sample in found) and self._answers % REPORT_EVERY == 1
         # Where a wheel's answer is missing nothing else is reported, and the others are heard all the same.
-        if due or missed or self._wrong() != self._told:
-            self._told = self._wrong()
+        if due or missed or self._wrong() != self._last_report:
+            self._last_report = self._wrong()
             found.append(Health(self._rows()))
         return found
 
@@ -209,8 +209,8 @@ class Replies(Reader):
         return {servo: error for servo, error in self._errors.items() if error} | missing
 
     def _rows(self) -> tuple[tuple[int, float, int, int], ...]:
-        known = {servo: self._health.get(servo, (0.0, 0)) for servo in (*self._health, *self._told)}
-        return tuple((servo, *told, self._told.get(servo, 0)) for servo, told in known.items())
+        known = {servo: self._health.get(servo, (0.0, 0)) for servo in (*self._health, *self._last_report)}
+        return tuple((servo, *told, self._last_report.get(servo, 0)) for servo, told in known.items())
 
     def _wheel(self, servo: int, data: bytes) -> list[Sample]:
         due = WHEELS[len(self._wheels)]
@@ -225,7 +225,7 @@ class Replies(Reader):
         self._health |= {wheel: _health(each[14:18]) for wheel, each in zip(WHEELS, self._wheels, strict=True)}
         self._wheels = []
         found = [Wheels(tuple(map(signed, now)), ()), Obeyed(tuple(map(signed, goals))), Answer(str(len(data)))]
-        if self._answers % TOLD_EVERY == 0:
+        if self._answers % REPORT_EVERY == 0:
             found.append(Battery(min(decivolts) / 10))
         self._answers += 1
         return found

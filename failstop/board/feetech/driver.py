@@ -69,7 +69,7 @@ class FeetechDriver:
         rows: list[Row] = []
         for value in chunk:
             if packet := self._byte(value):
-                rows += self._take(packet)
+                rows += self._accept(packet)
         return rows
 
     def _byte(self, value: int) -> bytes:
@@ -86,7 +86,7 @@ class FeetechDriver:
                 return whole
         return b""
 
-    def _take(self, packet: bytes) -> list[Row]:
+    def _accept(self, packet: bytes) -> list[Row]:
         to, kind, data = packet[2], packet[4], packet[5:-1]
         if sum(packet[2:]) & 0xFF != 0xFF:
             return [DriverRefusal("a packet with a wrong check", "the servos ignore it too")]

@@ -49,7 +49,7 @@ class Feedback(Reader):
         self._forms = (FEEDBACK, WITH_COUNTERS)
         """The form that came last, and the other one. The other one counts only before another frame, because a stray
         start, a frame of nine words and the next start have a valid xor as eleven words."""
-        self._told = False
+        self._fork_reported = False
 
     def feed(self, chunk: bytes) -> list[Sample]:
         """The samples that these bytes complete."""
@@ -66,8 +66,8 @@ class Feedback(Reader):
                     at += 1
                     continue
                 form, self._forms = other, (other, form)
-            if form is WITH_COUNTERS and not self._told:
-                self._told = True
+            if form is WITH_COUNTERS and not self._fork_reported:
+                self._fork_reported = True
                 found.append(FORK)
             found += _samples(form.unpack(data[at : at + form.size]))
             at += form.size

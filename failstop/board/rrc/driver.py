@@ -95,10 +95,10 @@ class RrcDriver:
             self._state, self._skipped = _START, False
             if value != framing.crc8(self._data, framing.crc8((self._func, self._length))):
                 return self._refuse("a frame with a wrong check", "the board ignores it")
-            return self._take(bytes(self._data))
+            return self._accept(bytes(self._data))
         return []
 
-    def _take(self, data: bytes) -> list[Row]:
+    def _accept(self, data: bytes) -> list[Row]:
         if self._func == MOTOR:
             return self._motor(data)
         if self._func == BUZZER and not codec.check_aux(sound := framing.seal(BUZZER, data)):
@@ -117,13 +117,13 @@ class RrcDriver:
     def _motor(self, data: bytes) -> list[Row]:
         kind, rest = data[:1], data[1:]
         if kind == bytes((_ONE,)) and len(rest) == _ENTRY.size:
-            return self._told(_ENTRY.iter_unpack(rest))
+            return self._motion(_ENTRY.iter_unpack(rest))
         if kind == bytes((_SEVERAL,)) and rest and len(rest) == 1 + rest[0] * _ENTRY.size:
-            return self._told(_ENTRY.iter_unpack(rest[1:]))
+            return self._motion(_ENTRY.iter_unpack(rest[1:]))
         if kind == bytes((_STOP_ONE,)) and len(rest) == 1:
-            return self._told([(rest[0], 0.0)])
+            return self._motion([(rest[0], 0.0)])
         if kind == bytes((_STOP_SEVERAL,)) and len(rest) == 1:
-            return self._told((wheel, 0.0) for wheel in range(WHEELS) if rest[0] >> wheel & 1)
+            return self._motion((wheel, 0.0) for wheel in range(WHEELS) if rest[0] >> wheel & 1)
         if kind == bytes((_TYPE_OR_DUTY,)) and len(data) == _TYPE_LENGTH:
             return [DriverRefusal("the type of the motors (3, 5)", "the board keeps the one that it has")]
         if kind == bytes((_TYPE_OR_DUTY,)):
@@ -134,7 +134,7 @@ class RrcDriver:
             "a motor frame that does not fit its length", "the board would take what follows for speeds"
         )
 
-    def _told(self, entries: Iterable[tuple[int, float]]) -> list[Row]:
+    def _motion(self, entries: Iterable[tuple[int, float]]) -> list[Row]:
         speeds = self._speeds.copy()
         for motor, rps in entries:
             if motor >= WHEELS:

@@ -66,7 +66,7 @@ LOCAL, BEHIND = 1, 2
 MISSES = 2
 """If the second controller leaves this many questions in a row unanswered while the first one answers, it is
 missing."""
-TOLD_EVERY = 20
+REPORT_EVERY = 20
 """After this many answers, the temperatures are reported: about once a second."""
 WRONG = {1: SERVO_VOLTAGE, 2: SERVO_VOLTAGE, 4: SERVO_CURRENT, 5: SERVO_HEAT, 6: SERVO_HEAT}
 """The faults of a controller for which failstop has a word (FAULT_CODE_ of datatypes.h)."""
@@ -225,7 +225,7 @@ class Replies(Reader):
         self._heat = {LOCAL: 0}
         self._wrong = {LOCAL: 0}
         """For each controller that has answered: its temperature, and what is wrong with it."""
-        self._told: dict[int, int] = {}
+        self._last_report: dict[int, int] = {}
         """What was wrong in the newest report."""
         self._answers = 0
 
@@ -254,10 +254,11 @@ class Replies(Reader):
         if heat:
             self._heat[one] = max(0, min(heat[0] // 10, 255))
         found = self._paired(mask, values, one)
-        due = any(isinstance(sample, Answer) for sample in found) and self._answers % TOLD_EVERY == 1
-        if due or self._wrong != self._told:
-            self._told = dict(self._wrong)
-            found.append(Health(tuple((each, 0.0, self._heat.get(each, 0), bits) for each, bits in self._told.items())))
+        due = any(isinstance(sample, Answer) for sample in found) and self._answers % REPORT_EVERY == 1
+        if due or self._wrong != self._last_report:
+            self._last_report = dict(self._wrong)
+            rows = self._last_report.items()
+            found.append(Health(tuple((each, 0.0, self._heat.get(each, 0), bits) for each, bits in rows)))
         return found
 
     def _paired(self, mask: int, values: Values, one: int) -> list[Sample]:

@@ -262,7 +262,7 @@ class Damiao(Rolling):
                     self._says(motor, answer, at_ns)
             elif can_id & 0xFF == motor.number:
                 if motor.takes(can_id, data, at_ns):
-                    self._told(wheel, at_ns)
+                    self._command(wheel, at_ns)
                 self._says(motor, motor.report(self._turning(wheel)), at_ns)
 
     def _turning(self, wheel: int) -> float:
@@ -272,7 +272,7 @@ class Damiao(Rolling):
         if data:
             self.said.append((at_ns + REPLY_NS, said(0x10 + motor.number, data)))
 
-    def _told(self, wheel: int, at_ns: int) -> None:
+    def _command(self, wheel: int, at_ns: int) -> None:
         follows = bool(self._begun) and self._begun[2] == wheel  # type: ignore[index]
         if follows:
             self._begun = None

@@ -158,7 +158,7 @@ class Bus(Rolling):
     def _hear(self, value: int, at_ns: int) -> None:
         for ear in self._ears.copy():
             if packet := ear.hear(value):
-                self._take(packet, ear, at_ns)
+                self._accept(packet, ear, at_ns)
         self._join()
 
     def _join(self) -> None:
@@ -175,7 +175,7 @@ class Bus(Rolling):
         self._ears = list(found.values())
         self._quiet = not any(found)
 
-    def _take(self, packet: bytes, ear: Ear, at_ns: int) -> None:
+    def _accept(self, packet: bytes, ear: Ear, at_ns: int) -> None:
         """A whole packet, for those who heard it."""
         if not checked(packet):
             return

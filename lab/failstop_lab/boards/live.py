@@ -148,9 +148,9 @@ class LiveModel(BoardModel):
                 step_s = (self._passed_ns - begun_ns) / 1e9
                 self.turned = tuple(was + rps * step_s for was, rps in zip(self.turned, self.wheels, strict=True))
             self.receiver.until(self._passed_ns - self._start_ns)
-            self._take()
+            self._accept()
 
-    def _take(self) -> None:
+    def _accept(self) -> None:
         board = self.receiver
         for at_ns, speeds in board.commands[self._commands :]:
             told = self._rps(speeds)

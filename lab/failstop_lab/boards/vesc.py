@@ -211,20 +211,20 @@ class Vesc(Rolling):
 
     def _forward(self, payload: bytes, at_ns: int) -> None:
         if payload[0] != FORWARD:
-            self._take(self.motors[0], payload, at_ns)
+            self._accept(self.motors[0], payload, at_ns)
         elif self.can_dead:
             self._free_ns += CAN_WAITS_NS
         elif len(payload) > 2 and payload[1] in (self.motors[1].can_id, 255):
-            self._take(self.motors[1], payload[2:], at_ns + CAN_NS)
+            self._accept(self.motors[1], payload[2:], at_ns + CAN_NS)
 
-    def _take(self, motor: Motor, payload: bytes, at_ns: int) -> None:
+    def _accept(self, motor: Motor, payload: bytes, at_ns: int) -> None:
         command, data = payload[0], payload[1:]
         if command in PER_UNIT or command in (BRAKE, HANDBRAKE):
             motor.fed_ns = at_ns
             value = int.from_bytes(data[:4].ljust(4, b"\0"), "big", signed=True) * PER_UNIT.get(command, 0.0)
             motor.rolls_free = command == CURRENT and not value
             motor.speed = 0.0 if command == RPM and abs(value) < self.least_erpm else value
-            self._told(motor, at_ns)
+            self._command(motor, at_ns)
         elif command == STAY_ALIVE:
             motor.fed_ns = at_ns
         elif command == SET_SERVO and motor is self.motors[0]:
@@ -238,7 +238,7 @@ class Vesc(Rolling):
             mask = int.from_bytes(data[:4].ljust(4, b"\0"), "big")
             self.said.append((at_ns, wrapped(bytes((SELECTED,)) + mask.to_bytes(4, "big") + self._values(motor, mask))))
 
-    def _told(self, motor: Motor, at_ns: int) -> None:
+    def _command(self, motor: Motor, at_ns: int) -> None:
         if motor is self.motors[1] and self._alone:
             self._alone = None
         if motor is self.motors[1] or not self._joined:
