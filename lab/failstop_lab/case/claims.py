@@ -45,7 +45,7 @@ CLAIMS = (
         "If a process of the service hangs or spins, the wheels stop.",
         515.0, "from the hang; 75 ms if the gate or the supervisor hangs, 115 the port owner, 265 the stopper",
         ("CLOCK", "RIGHTS", "SYSTEMD"),
-        "a process that is halted for longer than its deadline, and wheels that turn on",
+        "a process that is halted for longer than its deadline, and wheels that keep turning",
     ),
     Claim(
         "SEVERAL-1",
@@ -72,14 +72,14 @@ CLAIMS = (
         "A driver that dies disables motion. A driver that falls silent stops the wheels when its command has timed "
         "out. A command that is not a number, or a second program that commands as one source, latches a stop.",
         320.0, "from its last command; 20 from its death or an exception", ("LIFELINE", "CLOCK"),
-        "a driver that has gone, and wheels that turn on its last command",
+        "a driver that has died or fallen silent, and wheels that still obey its last command",
     ),
     Claim(
         "MEMORY-1",
         "A client that damages the memory that it shares with the service can't move anything by that, and only "
         "that client loses its connection.",
         60.0, "from its last command", ("CRC",),
-        "a damage that turns a wheel, keeps a stop away or ends the service",
+        "damage that turns a wheel, prevents a stop or ends the service",
     ),
     Claim(
         "SENSOR-1",
@@ -105,7 +105,7 @@ CLAIMS = (
         "If a board takes no bytes, hears nothing or does not obey, failstop reports that and writes the stop again "
         "and again.",
         250.0, "from when it takes or hears bytes again", ("PING", "IMU"),
-        "a board that hears again and is not stopped, or a stop that is told as obeyed and is not",
+        "a board that hears again and is not stopped, or a stop that is shown as obeyed although it is not",
     ),
     Claim(
         "RUNAWAY-1",
@@ -126,13 +126,13 @@ CLAIMS = (
         "If the machine froze or slept, the wheels are stopped as soon as it is back. Steps of the wall clock stop "
         "nothing.",
         65.0, "from the thaw or waking", ("CLOCK",),
-        "motion that goes on behind a sleep",
+        "motion that goes on after a sleep",
     ),
     Claim(
         "END-1",
         "When the service is ended normally, it leaves the wheels stopped.",
         20.0, "from SIGTERM", ("WRITE",),
-        "an end after which the board has another last speed than zero",
+        "an end after which the last speed that the board has got is not zero",
     ),
     Claim(
         "ARM-1",
@@ -143,10 +143,10 @@ CLAIMS = (
     Claim(
         "MOVE-1",
         "Only one process writes motion, and it checks for a stop (the epoch) just before each frame. So after a "
-        "stop by another process at most one motion frame follows, which was past that check; after a stop by the "
-        "same process none.",
+        "stop by another process at most one motion frame follows, which had already passed that check; after a stop "
+        "by the same process none.",
         None, "motion frames after a stop: 0, or that one", ("MODEL", "WRITE", "PAIRS", "BARRIER"),
-        "a second frame of motion behind a stop",
+        "a second frame of motion after a stop",
     ),
     Claim(
         "MOVE-2",
@@ -161,13 +161,13 @@ CLAIMS = (
         "A driver at the guard port moves nothing that the board itself would not move for it, nothing beyond the "
         "limits, and nothing after its death.",
         None, "motion frames while disabled or latched, of a dead driver, or beyond a limit: 0", ("PTY", "USERS"),
-        "a wheel that turns by bytes which the board would refuse, or by those of a driver that has gone",
+        "a wheel that turns because of bytes that the board would refuse, or of a driver that has died",
     ),
     Claim(
         "LIMIT-1",
         "Nothing drives faster, or changes speed faster, than the settings allow, whichever program commands.",
         None, "frames past a limit or a ramp: 0", ("ENCODER",),
-        "a frame whose wheel speeds stand for more than a limit",
+        "a frame whose wheel speeds are more than a limit",
     ),
     Claim(
         "CAUSE-1",
@@ -198,8 +198,8 @@ CLAIMS = (
     ),
     Claim(
         "WATCHDOG-1",
-        "If a board has a watchdog of its own, failstop arms it, feeds it only while the service lives, and tests "
-        "show that silence makes it stop.",
+        "If a board has its own watchdog, failstop arms it, feeds it only while the service lives, and tests show that "
+        "the board stops the wheels when it hears nothing.",
         None, "boards that stop by themselves within the time that was set", ("RECEIVER",),
         "a board whose `status` says armed, and that drives on when everything is frozen",
     ),
@@ -208,7 +208,7 @@ CLAIMS = (
         "Wherever a limit is set, failstop says how far the robot goes until it has stopped, from the deceleration "
         "that you measured.",
         None, "5 % of the way of simulated wheels", ("BRAKE",),
-        "two screens that say different ways, or wheels that brake as the settings say and roll further",
+        "two screens that show different distances, or wheels that brake as the settings say and roll further",
     ),
     Claim(
         "RETURN-1",

@@ -11,35 +11,41 @@ from failstop_lab.case.claims import Claim
 from failstop_lab.faults import report
 
 HAZARDS_HEAD = """\
-# Hazards
+# What can still go wrong
 
-Generated from `lab/failstop_lab/case/hazards.py` (`make docs`). Each hazard of a robot that failstop stops: how it
-comes about, what failstop does, what remains, and what helps beside it. *Stopping itself* adds hazards, and so does the
-tool. The claims of [safety.md](../safety.md) that answer it stand below it, each with its longest time;
-[evidence.md](evidence.md) has what carries each. A robot, its load and its place have hazards of their own: this
-list is where to begin, not where to end.
+With this page you can check your robot against every hazard that we know: how it happens, what failstop does, what
+remains, and what else helps. Stopping a robot has hazards of its own, and so has failstop itself. Your robot, its load
+and its surroundings have more, so don't end your own list here.
+
+Below each hazard are the claims of [safety.md](../safety.md) that answer it, each with its longest time.
+[evidence.md](evidence.md) shows how each claim is tested. Generated from `lab/failstop_lab/case/hazards.py` (`make
+docs`).
 """
 EVIDENCE_HEAD = """\
 # Evidence
 
-Generated from the declarations of what carries each claim (`make docs`): tests by the mark `claim`, classes of
-faults, properties of the [model](../how-it-is-tested.md#the-stop-protocol-in-a-model-checker),
-[litmus tests](../how-it-is-tested.md#memory-order-on-arm), rules and marks of the
-[simulation](../how-it-is-tested.md#the-simulated-machine) and rows of the [bench](measured.md). CI fails for a claim
-that nothing carries, for a citation of no claim, for one of these rows that neither cites a claim nor is said to
-carry none, for an assumption that nothing makes, for a time without a number, and for a bound that is not the latest
-bar of its rows in [faults.md](faults.md).
+On this page you find how each claim of [safety.md](../safety.md) is tested, what these tests found last, and what
+would show the claim to be wrong. A claim is tested by
 
-What a fault, model, litmus test or row of the bench found last is copied from those pages, which say when and on
-which machine. A test of `tests/` and a rule of the simulation found nothing wrong in the last run of CI. A mark of the
-simulation is a place that `failstop simulate` must reach, and fails if it does not. A p99 of more than 1.00 of its bar
-is a missed bar: [faults.md](faults.md) marks its row, and says when a bar holds.
+- tests in `tests/`, and rules of the [simulation](../how-it-is-tested.md#the-simulated-machine), which found nothing
+  wrong in the last run of CI
+- marks of the simulation, places that `failstop simulate` must reach; if it does not, it fails
+- classes of [faults](faults.md), properties of the
+  [model](../how-it-is-tested.md#the-stop-protocol-in-a-model-checker), [litmus
+  tests](../how-it-is-tested.md#memory-order-on-arm) and rows of the [bench](measured.md). Their last results are
+  copied from those pages, which say when and on which machine they were found. If a p99 is more than 1.00 of its bar,
+  the bar was missed: [faults.md](faults.md) marks that row, and says when a bar holds.
+
+Generated from the declarations of these tests (`make docs`). CI fails if a claim has no test, if a test names no claim
+and does not say that it needs none, if nothing depends on an assumption, if a time has no number, or if the bound of a
+claim is not the longest bar of its rows in [faults.md](faults.md).
 """
 ASSUMPTIONS_HEAD = """\
 # Assumptions
 
-Generated from `lab/failstop_lab/case/assumptions.py` (`make docs`): what model, litmus tests, simulation, simulated
-boards and prover take for granted, what happens where it is wrong, and what checks it.
+On this page you find what the model, the litmus tests, the simulation, the simulated boards and `failstop prove`
+assume, what happens if an assumption is wrong, and what checks it. Generated from
+`lab/failstop_lab/case/assumptions.py` (`make docs`).
 """
 
 
@@ -51,8 +57,9 @@ def hazards_page() -> str:
         for row in hazards.HAZARDS:
             if row.kind == kind:
                 carried = ", ".join(_soon(claims.BY_NAME[name]) for name in row.claims) or "none"
-                lines += [f"### {row.name}: {row.what}", "", f"- *Comes of*: {row.how}.", f"- *failstop*: {row.does}."]
-                lines += [f"- *Remains*: {row.remains}.", f"- *Helps*: {row.helps}.", f"- *Claims*: {carried}.", ""]
+                lines += [f"### {row.name}: {row.what}", "", f"- *How it happens*: {row.how}."]
+                lines += [f"- *What failstop does*: {row.does}.", f"- *What remains*: {row.remains}."]
+                lines += [f"- *What else helps*: {row.helps}.", f"- *Claims*: {carried}.", ""]
     return "\n".join(lines[:-1]) + "\n"
 
 
@@ -91,8 +98,8 @@ def evidence_page(root: Path) -> str:
         if besides := [_linked(name) for name in taken if name not in claim.assumes]:
             assumed += f" *Its proofs assume* {', '.join(besides)}."
         lines += [f"## {claim.name}", "", claim.says, ""]
-        lines += [f"*Falsified by* {claim.falsified}. {assumed}", ""]
-        lines += ["| carried by | | found last |", "|---|---|---|"]
+        lines += [f"*Wrong if there is* {claim.falsified}. {assumed}", ""]
+        lines += ["| tested by | | last result |", "|---|---|---|"]
         carried = sorted(by_claim[claim.name], key=lambda row: cited.CARRIERS.index(row.kind))
         reached = "; ".join(row.what for row in carried if row.kind == cited.MARK)
         lines += [f"| {row.kind} | {_code(row)} | {row.last} |" for row in carried if row.kind != cited.MARK]
@@ -115,6 +122,6 @@ def assumptions_page() -> str:
     for row in assumptions.ASSUMPTIONS:
         checked = f"`{row.checked}`" if row.checked.startswith("tests/") and " " not in row.checked else row.checked
         lines += [f"## {row.name}", "", row.says, ""]
-        lines += [f"- *Taken for granted by*: {row.by}.", f"- *If it is wrong*: {row.wrong}"]
+        lines += [f"- *Assumed by*: {row.by}.", f"- *If it is wrong*: {row.wrong}"]
         lines += [f"- *Checked by*: {checked}; {row.when}.", ""]
     return "\n".join(lines[:-1]) + "\n"
