@@ -22,38 +22,38 @@ NOT_YET = "not looked for" + " |" * (len(COLUMNS) - 2)
 TABLE_HEAD = "| " + " | ".join(COLUMNS) + " |\n|" + "---|" * len(COLUMNS)
 
 PAGE = """\
-# What is taken out, and missed
+# Controls: what the tests find when a part is taken out
 
-`make controls` makes this page: it takes one part of the stop protocol out of the code at a time, and looks for what
-goes wrong on the [simulated machine](../how-it-is-tested.md#the-simulated-machine). A campaign that finds nothing on
-the code as it is says something only if it finds each of these.
+This page shows that the campaigns on the [simulated machine](../how-it-is-tested.md#the-simulated-machine) can fail.
+`make controls` takes one part of the stop protocol out of the code at a time, and the campaign must find out that
+something goes wrong. Only then does it mean something that it finds nothing wrong with the whole code.
 
-Each part is looked for by seeds of one scenario, seed 0 first, for {seconds} s of one core at most; *s* is the time of
-a processor until the first run that was wrong, in which the service is started too. Of such a run draws are left out
-for as long as it stays wrong. What is left are its *deviations*; 0 says that the scenario itself shows it. The last
-column is the commit at which that row was looked for.
+For each part, seeds of one scenario are played, seed 0 first, for at most {seconds} s of one core. *s* is the processor
+time until the first run that went wrong, including the start of the service. Then draws are left out of that run, as
+long as it still goes wrong. The draws that are left are its *deviations*; 0 means that the scenario goes wrong by
+itself. The last column is the commit at which that row was tried.
 
-`failstop simulate --controls 'no epoch*'` looks for one alone, and tells the story of what it finds; with `--page FILE`
-it renews the rows that it has looked for.
+`failstop simulate --controls 'no epoch*'` tries a single part, and tells the story of the run that goes wrong. With
+`--page FILE` it renews the rows that it has tried.
 
 ## Failing rows of the model
 
-The rows of [the model](../how-it-is-tested.md#the-stop-protocol-in-a-model-checker) that must fail, and parts that it
-does not have.
+These are the rows of [the model](../how-it-is-tested.md#the-stop-protocol-in-a-model-checker) that must fail, and parts
+that the model does not have.
 
 {head}
 {model}
 
 ## Barriers
 
-Each barrier of [memory order](../how-it-is-tested.md#memory-order-on-arm) is taken out, on the one side of its pair or
-the other; memory alone is odd in these runs. For *moving: supervisor* an entry of the black box is taken out as well,
-whose own barrier stands between. *ring: any writer* and *reply: gate* are two looks at one barrier.
+Each barrier of [memory order](../how-it-is-tested.md#memory-order-on-arm) is taken out on one side of its pair. In
+these runs only the memory behaves in an unusual way. For *moving: supervisor* an entry of the black box is taken out
+too, because its own barrier is between the two. *ring: any writer* and *reply: gate* take out the same barrier.
 
 {head}
 {memory}
 
-## What no change of the source stands for
+## What can't be taken out by a change of the source
 
 | row | why |
 |---|---|
