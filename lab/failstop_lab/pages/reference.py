@@ -11,8 +11,8 @@ from failstop_lab.pages.rooms import PACKAGE
 API = PACKAGE / "api"
 PAGE_HEAD = """# Python: reference
 
-Generated from the docstrings of `failstop/api` (`make docs`). The guide is [python.md](../python.md). What has no
-module beside it comes from `failstop` itself: `from failstop import Robot`.
+Generated from the docstrings of `failstop/api` (`make docs`). The guide is [python.md](../python.md). If no
+module is named, import the name from `failstop` itself: `from failstop import Robot`.
 """
 SECTIONS = (
     ("Robot", "robot", ("Robot",)),

@@ -10,9 +10,11 @@ IN_A_RECORD = ("what", "with", "machine", "result", "day", "commit", "row")
 OPENING = """\
 # What was tried where
 
-`make tried ROWS="versions lerobot"` tries these rows on your machine and renews them here, so each row says what a real
-run printed, on which day and at which commit; a + means that the checkout differed from that commit. A row that is not
-here was never tried. Every board was a simulated one: no robot was at hand.
+On this page you find with which systems, Pythons, ROS 2 and LeRobot versions failstop was really run. What is not in a row
+was never tried. Every board was simulated: no robot was available.
+
+`make tried ROWS="versions lerobot"` tries these rows on your machine and renews them here. Each row says what the run
+printed, on which day and at which commit. A + means that the checkout differed from that commit.
 
 | what | with | on | result | when, at which commit | again |
 |---|---|---|---|---|---|
