@@ -10,8 +10,8 @@ IN_A_RECORD = ("what", "with", "machine", "result", "day", "commit", "row")
 OPENING = """\
 # What was tried where
 
-On this page you find with which systems, Pythons, ROS 2 and LeRobot versions failstop was really run. What is not in a row
-was never tried. Every board was simulated: no robot was available.
+On this page you find with which systems, Pythons, ROS 2 and LeRobot versions failstop was really run. What is not in a
+row was never tried. Every board was simulated: no robot was available.
 
 `make tried ROWS="versions lerobot"` tries these rows on your machine and renews them here. Each row says what the run
 printed, on which day and at which commit. A + means that the checkout differed from that commit.
