@@ -11,8 +11,9 @@ from failstop_lab.pages.rooms import PACKAGE
 
 PAGE_HEAD = """# A board: reference
 
-Generated from the docstrings of `failstop/board` (`make docs`). [Porting](../porting.md) shows how to use it.
-Times whose name ends with `_ns` are in nanoseconds, speeds whose name ends with `_rps` in turns per second.
+On this page you can look up every field of a board's description. [Porting](../porting.md) shows how to write one.
+Times whose name ends with `_ns` are in nanoseconds, and speeds whose name ends with `_rps` in turns per second.
+Generated from the docstrings of `failstop/board` (`make docs`).
 """
 SECTIONS = (
     ("The description", "wire", ("Wire",)),

@@ -8,15 +8,16 @@ from failstop.policy.causes import Kind
 PAGE_HEAD = """\
 # Causes
 
-Generated from the table in failstop/policy/causes.py (`make docs`).
-`failstop why` explains the cause that is latched in the same words; [the log](../logs.md) finds it afterwards,
-and [faults.md](faults.md) says how soon the wheels are stopped for the faults behind it.
+On this page you can look up why the robot was stopped, and what to do before you reset. `failstop why` explains the
+latched cause in the same words. [The log](../logs.md) has the cause of an earlier stop, and [faults.md](faults.md) says
+how soon the wheels stop.
 
-Every cause latches: the wheels stay stopped until somebody resets and enables. A cause that only a new start clears
-ends the service, or is reported after its end. What a row says about the POWER SWITCH holds until the board
-acknowledges the stop; then `failstop why` says that it has, and leaves the switch out.
-Words in capitals stand for what differs from case to case: ROLE is what
-the process does, N is a number; what is in brackets may be absent. The name is `FAILSTOP_CAUSE` in the journal.
+Every cause latches: the wheels stay stopped until somebody resets and enables. If only a new start clears a cause, the
+service ends, or the cause is reported after its end. If a row mentions the POWER SWITCH, that counts until the board
+has acknowledged the stop; `failstop why` then says so, and no longer mentions the switch.
+
+Words in capitals differ from case to case: ROLE is the job of the process, and N is a number. Text in brackets may be
+missing. The name is `FAILSTOP_CAUSE` in the journal. Generated from the table in failstop/policy/causes.py (`make docs`).
 """
 ANY_READER = "any program that reads the shared memory"
 """What notices a cause that none of the processes can notice, because they are dead or silent."""

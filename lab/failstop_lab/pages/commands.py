@@ -10,8 +10,9 @@ from failstop_lab.pages import completion, man
 
 PAGE_HEAD = """# Commands
 
-Generated from the parsers (`make docs`); on the robot `failstop COMMAND --help` and `man failstop` say the same.
-`demo`, `sim`, `chaos`, `probe` and `prove` come with the package `failstop-lab`; a checkout has them.
+On this page you can look up every command with its options. On the robot `failstop COMMAND --help` and `man failstop`
+say the same. `demo`, `sim`, `chaos`, `probe` and `prove` come with the package `failstop-lab`; a checkout has them.
+Generated from the parsers (`make docs`).
 """
 
 SECOND = "The same as "

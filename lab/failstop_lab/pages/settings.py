@@ -25,13 +25,21 @@ def page() -> str:
     lines = [
         "# Settings",
         "",
-        "Generated from the declarations (`make docs`). One TOML file holds the settings, a line for each with its",
-        'whole name, for example `device.path = "/dev/ttyUSB0"`. You may add lines anywhere, also at the end. If you',
-        "group lines below a `[table]`, each line there loses the table's name (`[device]`, then `path = ...`), and",
-        "whole names belong above the first table. `failstop run --config FILE` reads the file once and refuses what",
-        "is unknown, out of range or contradictory, naming the key, the value and what is allowed. `failstop config`",
-        "prints every value with its origin, `failstop config --check FILE` checks a file, `failstop config --example`",
-        "writes one with every setting in it, all commented out.",
+        "On this page you can look up every setting, with its default and the allowed values. All settings are in one",
+        "TOML file, which `failstop run --config FILE` reads once. If a setting is unknown, out of range or contradicts",
+        "another one, it is refused with its key, its value and the allowed values.",
+        "",
+        'Write one line for each setting with its whole name, for example `device.path = "/dev/ttyUSB0"`. You may add',
+        "such lines anywhere, also at the end. If you group lines below a `[table]`, leave out the table's name there",
+        "(`[device]`, then `path = ...`), and put whole names above the first table.",
+        "",
+        "| command | what it does |",
+        "|---|---|",
+        "| `failstop config` | prints every value, and where it comes from |",
+        "| `failstop config --check FILE` | checks a file |",
+        "| `failstop config --example` | prints a file with every setting in it, all commented out |",
+        "",
+        "Generated from the declarations in failstop/policy/settings.py (`make docs`).",
     ]
     for group, what in GROUPS.items():
         found = [(setting.key, setting) for setting in DECLARED if setting.key.partition(".")[0] == group]
