@@ -17,7 +17,9 @@ service ends, or the cause is reported after its end. If a row mentions the POWE
 has acknowledged the stop; `failstop why` then says so, and no longer mentions the switch.
 
 Words in capitals differ from case to case: ROLE is the job of the process, and N is a number. Text in brackets may be
-missing. The name is `FAILSTOP_CAUSE` in the journal. Generated from the table in failstop/policy/causes.py (`make docs`).
+missing. The name is `FAILSTOP_CAUSE` in the journal.
+
+Generated from the table in failstop/policy/causes.py (`make docs`).
 """
 ANY_READER = "any program that reads the shared memory"
 """What notices a cause that none of the processes can notice, because they are dead or silent."""
