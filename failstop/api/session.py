@@ -33,8 +33,8 @@ Steps = Generator[float, None, T]
 Progress = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
 """States that `Robot.wait_for` takes: ready (`enable()` would succeed, or `reset()` if a stop is latched), enabled,
-disabled, latched (a stop is latched), clear (none is), moving and standing (what the gate commands), still (the IMU has
-seen the wheels still since the last stop)."""
+disabled, latched (a stop is latched), clear (none is), moving and standing (what the gate commands), still (since the
+last stop the wheels were seen still, by the board's reports or the IMU)."""
 
 ANSWER_S = records.ANSWER_WITHIN_NS / 1e9
 """How long to wait for the answer to a request; the gate answers within a tick."""
