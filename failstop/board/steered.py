@@ -28,7 +28,7 @@ class SteeringMixin(Board):
         return motor if motor == self.stop else motor + self._steering.frame(angle_rad)
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """Both frames pass, or the stop."""
+        """Why these bytes must not be written; "" if they are both frames, or the stop."""
         motor, steers = frame[: len(self.stop)], frame[len(self.stop) :]
         if why := super().check_motion(motor, max_rps):
             return why
