@@ -127,7 +127,7 @@ def test_the_template_differs_in_the_name_alone() -> None:
     one, many = ((SYSTEMD / name).read_text() for name in (ONE, MANY))
     for ours, theirs in (
         ("failstop@.service is this file for several robots", "failstop.service is this file for one robot"),
-        ("the robot's wheels are told to stop\n", "the wheels of robot %i are told to stop\n"),
+        ("Description=failstop: stops the robot", "Description=failstop: stops robot %i"),
         ("bin/failstop run --config", "bin/failstop run --name %i --config"),
         ("/etc/failstop/failstop.toml", "/etc/failstop/%i.toml"),
         ("failstop-late.service", "failstop-late@%i.service"),
@@ -167,7 +167,7 @@ def test_the_template_that_goes_on_trying_differs_in_the_name_alone() -> None:
     for ours, theirs in (
         ("More in docs", "%i is the service's name. More in docs"),
         ("failstop-late@.service is this file for several robots", "failstop-late.service is this file for one robot"),
-        ("the stop that the robot has", "the stop that robot %i has"),
+        ("writes a stop that", "writes a stop of robot %i that"),
         ("Conflicts=failstop.service", "Conflicts=failstop@%i.service"),
         ("stop --config /etc/failstop/failstop.toml", "stop --name %i --config /etc/failstop/%i.toml"),
     ):
