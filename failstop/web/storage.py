@@ -71,7 +71,7 @@ class Storage:
         except OSError as error:
             _fail(self.path(DEVICES), error)
         except ValueError as error:
-            raise FailstopError(f"{self.path(DEVICES)}: {error}: remove it, and pair anew") from None
+            raise FailstopError(f"{self.path(DEVICES)}: {error}: remove it, and pair your devices again") from None
 
     def keep(self, devices: Devices) -> None:
         """Whole or not at all. Raises FailstopError."""

@@ -159,7 +159,7 @@ def verified(path: str) -> str:
     told = printable(f"{record['verdict']}, {record['begun']}, failstop {record['version']}")
     words = f"{told}\nrecord {digest}: whole"
     if not os.path.exists(f"{path}.sig"):
-        return f"{words}\nno signature: whoever has the file may have made it"
+        return f"{words}\nno signature: anyone could have written this file"
     arguments = ["-Y", "check-novalidate", "-n", NAMESPACE, "-s", f"{path}.sig"]
     return f"{words}\n{_openssh(arguments, f'{path}.sig is not of this file', data)}"
 
