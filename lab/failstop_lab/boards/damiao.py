@@ -23,7 +23,8 @@ from math import isfinite
 from struct import Struct
 
 from failstop.board.wire import TimedStop, Write
-from failstop_lab.boards.line import ReceiverModel, Rolling
+from failstop_lab.boards.line import ReceiverModel
+from failstop_lab.boards.one_by_one import OneByOne
 
 BUFFERS = (30, 155)
 """Characters that the first and the second CANable keep (SLCAN_MTU)."""
@@ -32,8 +33,6 @@ QUEUE = 27
 CAN_NS = 135_000
 """A frame of 8 bytes on a CAN of 1 Mbit/s, with its stuffed bits."""
 REPLY_NS = 100_000
-JOINED_NS = 3_000_000
-"""A frame for the next motor follows the one before it within this."""
 TICK_NS = 50_000
 UNLIMITED = 1e6
 IS_OFF, IS_ON, OVER_HEATED, LOST = 0, 1, 11, 13
@@ -179,10 +178,9 @@ class Motor:
         return bytes((*head, (level & 15) << 4 | torque >> 8, torque & 255, HEAT, HEAT))
 
 
-class Damiao(Rolling):
+class Damiao(OneByOne):
     """The adapter and its motors. `heard`: what the adapter has taken before; `armed`: the motors obey, and have no
-    watchdogs; `turns`: they turn as they are told; `joined`: frames for all motors, one right behind the other, are one
-    command in `commands`, for judges that know frames for all wheels alone."""
+    watchdogs; `turns`: they turn as they are told; `joined`: as of OneByOne."""
 
     def __init__(
         self,
@@ -194,6 +192,7 @@ class Damiao(Rolling):
         joined: bool = True,
         buffer: int = BUFFERS[0],
     ) -> None:
+        super().__init__(joined=joined)
         self.motors = [Motor(number + 1, armed=armed) for number in range(count)]
         self.adapter = Adapter(heard, buffer)
         self.adapter.open = armed
@@ -202,11 +201,7 @@ class Damiao(Rolling):
         """Nobody takes frames from the CAN: its plug at the adapter is out, or the motors have no power."""
         self.dropped = 0
         """Frames for which the adapter had no room."""
-        self.commands: list[tuple[int, tuple[float, ...]]] = []
         self.said: list[tuple[int, bytes]] = []
-        self._joined = joined
-        self._begun: tuple[int, tuple[float, ...], int] | None = None
-        """A command to some motors, behind which one to the motor of this index may still come."""
         self._waiting: deque[tuple[int, bytes]] = deque()
         self._sends_ns = 0
         """When the CAN is free, if frames wait."""
@@ -241,8 +236,7 @@ class Damiao(Rolling):
             self._sent(can_id, data, sent_ns)
             self._sends_ns = sent_ns + CAN_NS
         self._watch(at_ns)
-        if self._begun and at_ns - self._begun[0] > JOINED_NS:
-            self._note(None)
+        self.pass_commands(at_ns)
 
     def disconnect_motor(self, *, on: bool) -> None:
         """The last motor's plug."""
@@ -262,7 +256,7 @@ class Damiao(Rolling):
                     self._says(motor, answer, at_ns)
             elif can_id & 0xFF == motor.number:
                 if motor.takes(can_id, data, at_ns):
-                    self._command(wheel, at_ns)
+                    self.commanded(wheel, at_ns)
                 self._says(motor, motor.report(self._turning(wheel)), at_ns)
 
     def _turning(self, wheel: int) -> float:
@@ -271,22 +265,6 @@ class Damiao(Rolling):
     def _says(self, motor: Motor, data: bytes, at_ns: int) -> None:
         if data:
             self.said.append((at_ns + REPLY_NS, said(0x10 + motor.number, data)))
-
-    def _command(self, wheel: int, at_ns: int) -> None:
-        follows = bool(self._begun) and self._begun[2] == wheel  # type: ignore[index]
-        if follows:
-            self._begun = None
-        if wheel == len(self.motors) - 1 or not self._joined:
-            self._note(None)
-            self.commands.append((at_ns, self.wheels))
-        else:
-            self._note((at_ns, self.wheels, wheel + 1))
-
-    def _note(self, begun: tuple[int, tuple[float, ...], int] | None) -> None:
-        """Keep a command that was not followed by one to the next motor; `begun`: the next one."""
-        if self._begun:
-            self.commands.append(self._begun[:2])
-        self._begun = begun
 
 
 def _any_state(rng: random.Random) -> Damiao:

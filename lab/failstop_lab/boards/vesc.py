@@ -24,7 +24,8 @@ from struct import Struct
 from failstop.board.facts import USUAL_CAN_ID
 from failstop.board.vesc.codec import Motors
 from failstop.board.wire import TimedStop, Write
-from failstop_lab.boards.line import ReceiverModel, Rolling
+from failstop_lab.boards.line import ReceiverModel
+from failstop_lab.boards.one_by_one import OneByOne
 
 MOST_PAYLOAD = 512
 BUFFER = MOST_PAYLOAD + 8
@@ -37,8 +38,6 @@ CAN_NS = 400_000
 """A frame on the CAN of 500 kbit/s, and the other controller's threads."""
 CAN_WAITS_NS = 5_000_000
 DEFAULT_LEAST_ERPM = 900
-JOINED_NS = 3_000_000
-"""A packet for the second motor follows the one for the first within this."""
 UNLIMITED = 100_000.0
 DUTY, CURRENT, BRAKE, RPM, HANDBRAKE, SET_SERVO, STAY_ALIVE, FORWARD = 5, 6, 7, 8, 10, 12, 30, 34
 VERSION, VALUES, SELECTED = 0, 4, 50
@@ -132,14 +131,14 @@ class Motor:
         """By the last run of the thread of the timeouts: its timeout is over."""
 
 
-class Vesc(Rolling):
+class Vesc(OneByOne):
     """Both controllers. `heard`: bytes of a packet that is not complete; `turns`: the motors turn as they are told;
-    `joined`: a packet for the first motor and one for the second right behind it are one command in `commands`, for
-    judges that know frames for all wheels alone."""
+    `joined`: as of OneByOne."""
 
     def __init__(
         self, heard: bytes = b"", least_erpm: float = 0.0, *, turns: bool = False, joined: bool = True
     ) -> None:
+        super().__init__(joined=joined)
         self.motors = [Motor(0), Motor(USUAL_CAN_ID)]
         self.least_erpm = least_erpm
         self.turns = turns
@@ -149,11 +148,7 @@ class Vesc(Rolling):
         """Where it was sent, in thousandths of its way."""
         self.served: list[tuple[int, int]] = []
         """When it was sent where."""
-        self.commands: list[tuple[int, tuple[float, ...]]] = []
         self.said: list[tuple[int, bytes]] = []
-        self._joined = joined
-        self._alone: tuple[int, tuple[float, ...]] | None = None
-        """A command to the first motor, behind which one to the second may still come."""
         self._packets = Packets(heard)
         self._coming: deque[tuple[int, int]] = deque()
         self._free_ns = 0
@@ -178,8 +173,7 @@ class Vesc(Rolling):
             self._look(self._free_ns)
             self.take(value, self._free_ns)
         self._look(at_ns)
-        if self._alone and at_ns - self._alone[0] > JOINED_NS:
-            self._note(None)
+        self.pass_commands(at_ns)
         if self.turns:
             passed_s, self._turned_ns = (at_ns - self._turned_ns) / 1e9, at_ns
             for motor, speed in zip(self.motors, self.reported, strict=True):
@@ -224,7 +218,7 @@ class Vesc(Rolling):
             value = int.from_bytes(data[:4].ljust(4, b"\0"), "big", signed=True) * PER_UNIT.get(command, 0.0)
             motor.rolls_free = command == CURRENT and not value
             motor.speed = 0.0 if command == RPM and abs(value) < self.least_erpm else value
-            self._command(motor, at_ns)
+            self.commanded(self.motors.index(motor), at_ns)
         elif command == STAY_ALIVE:
             motor.fed_ns = at_ns
         elif command == SET_SERVO and motor is self.motors[0]:
@@ -237,21 +231,6 @@ class Vesc(Rolling):
         elif command == SELECTED:
             mask = int.from_bytes(data[:4].ljust(4, b"\0"), "big")
             self.said.append((at_ns, wrapped(bytes((SELECTED,)) + mask.to_bytes(4, "big") + self._values(motor, mask))))
-
-    def _command(self, motor: Motor, at_ns: int) -> None:
-        if motor is self.motors[1] and self._alone:
-            self._alone = None
-        if motor is self.motors[1] or not self._joined:
-            self._note(None)
-            self.commands.append((at_ns, self.wheels))
-        else:
-            self._note((at_ns, self.wheels))
-
-    def _note(self, alone: tuple[int, tuple[float, ...]] | None) -> None:
-        """Keep the command to the first motor that was not followed by one to the second; `alone`: the next one."""
-        if self._alone:
-            self.commands.append(self._alone)
-        self._alone = alone
 
     def _values(self, motor: Motor, mask: int) -> bytes:
         wheel = self.motors.index(motor)
