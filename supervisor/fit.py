@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import pi
 
 from failstop.board.interface import Board
-from failstop.board.kinds import board_of, is_described, wire_of
+from failstop.board.kinds import board_of
 from failstop.policy.kinematics import max_wheel_rps
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
@@ -41,8 +41,4 @@ def usual_baud(kind: str) -> int:
 
 def slowest_mps(settings: Settings) -> float:
     """The slowest rim speed in m/s that the board can be sent; slower ones are rounded to zero. 0 means any speed."""
-    kind, diameter_m, per_rps, *_ = settings.board()
-    if not is_described(kind):
-        return 0.0
-    motion = wire_of(kind).motion
-    return motion.step / (per_rps or motion.per_rps(diameter_m)) * pi * diameter_m
+    return board_of(*settings.board()).step_rps * pi * settings["wheels.diameter_m"]

@@ -44,7 +44,7 @@ class Facts(Data):
     """One kind of board."""
 
     speeds: int
-    """How many speeds a frame sets."""
+    """How many speeds a frame sets, unless `layouts` has another number."""
     imu: bool
     """The board has an IMU."""
     arm: ArmFacts | None = None
@@ -52,8 +52,8 @@ class Facts(Data):
     steers: Mapping[str, tuple[int, int, int]] = {}
     """The kinds of servos that can steer a base on it, each with its least and most pulses and its highest id; empty if
     none can."""
-    steered: int = 0
-    """How many speeds a frame sets on a steered base; 0: as many as on any other."""
+    layouts: Mapping[str, int] = {}
+    """How many speeds a frame sets on a base with one of these layouts (wheels.layout), where that differs."""
     steered_defaults: Mapping[str, float] = {}
     """As `defaults`, for a steered base."""
     can: bool = False

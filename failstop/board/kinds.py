@@ -41,10 +41,10 @@ def facts_of(kind: str) -> Facts | None:
     return facts
 
 
-def wire_of(kind: str, *, tried: bool = False, steered: bool = False, can_id: int = USUAL_CAN_ID) -> Wire:
+def wire_of(kind: str, *, tried: bool = False, speeds: int = 0, can_id: int = USUAL_CAN_ID) -> Wire:
     """The description of one of KINDS, or of your own board. `tried`: it was loaded before this process was started, so
-    no child process has to try it first (own.py); `steered`, `can_id`: for a board with several descriptions, the one
-    for a steered base, and for a second motor with this CAN id. Imports nothing of other boards. Raises ValueError."""
+    no child process has to try it first (own.py); `speeds`: how many speeds a frame sets (0: as usual), `can_id`: the
+    second motor's, for a board with several descriptions. Imports nothing of other boards. Raises ValueError."""
     if is_own(kind):
         from failstop.board import own
 
@@ -52,7 +52,7 @@ def wire_of(kind: str, *, tried: bool = False, steered: bool = False, can_id: in
     if kind not in KINDS:
         raise ValueError(f"no board {kind!r}: it must be one of {', '.join(KINDS)}")
     module = __import__(f"failstop.board.{kind}.wire", fromlist=["WIRE"])
-    made: Wire = module.wire(() if steered else (can_id,)) if hasattr(module, "wire") else module.WIRE
+    made: Wire = module.wire(speeds, can_id) if hasattr(module, "wire") else module.WIRE
     return made
 
 
@@ -73,18 +73,19 @@ def board_of(
     confirmed_per_rps: float = 0.0,
     baud: int = 0,
     can_id: int = USUAL_CAN_ID,
+    speeds: int = 0,
     *,
     tried: bool = False,
 ) -> Board:
     """The board of the setting board.kind. `per_rps`: one turn of a wheel per second in the board's unit; 0: as usual
     for such boards. `steering`: the servo of a steered base; None if there is none. `confirmed_per_rps`: the `per_rps`
     that somebody has confirmed by turning a wheel; 0: none. `baud`: the baud rate with which its firmware was built; 0:
-    as usual. `can_id`: the id of the second motor, if it is connected by CAN. `tried`: as for wire_of(). Nothing of
-    another board is imported. Raises OwnBoardError, a ValueError."""
+    as usual. `can_id`: the id of the second motor, if it is connected by CAN. `speeds`, `tried`: as for wire_of().
+    Nothing of another board is imported. Raises OwnBoardError, a ValueError."""
     if is_described(kind):
         from failstop.board.described import Described, SteeredBoard
 
-        wire = wire_of(kind, tried=tried, steered=steering is not None, can_id=can_id)
+        wire = wire_of(kind, tried=tried, speeds=speeds, can_id=can_id)
         made = Described(wire, per_rps or wire.motion.per_rps(diameter_m), diameter_m, baud)
         if steering and wire.steering:
             made = SteeredBoard(wire, made.per_rps, diameter_m, baud, wire.steering(steering))

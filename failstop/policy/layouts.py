@@ -132,15 +132,22 @@ def speeds_of(kind: str, layout: str = "") -> int | None:
     """How many speeds a frame for this kind of board sets, on a base with this layout. None: your own board, which
     takes as many as its layout has wheels."""
     facts = facts_of(kind)
-    if facts and layout == ACKERMANN and facts.steered:
-        return facts.steered
-    return facts.speeds if facts else None
+    return facts.layouts.get(layout, facts.speeds) if facts else None
 
 
 def steers(kind: str) -> bool:
     """True if this kind of board can turn the servo of a steered base."""
     facts = facts_of(kind)
     return bool(facts and facts.steers)
+
+
+def drivable(kind: str, speeds: int) -> list[str]:
+    """The layouts that this kind of board can drive. `speeds`: how many its frames set, for your own board."""
+    return [
+        name
+        for name, counts in LAYOUTS.items()
+        if counts[0] <= (speeds_of(kind, name) or speeds) and (name != ACKERMANN or steers(kind))
+    ]
 
 
 def wheel_count(kind: str, layout: str) -> int:
@@ -151,7 +158,7 @@ def wheel_count(kind: str, layout: str) -> int:
         return LAYOUTS[layout][0]
     if fitting := [count for count in LAYOUTS[layout] if count <= speeds]:
         return fitting[-1]
-    others = " or ".join(f'"{name}"' for name, counts in LAYOUTS.items() if counts[0] <= speeds and name != ACKERMANN)
+    others = " or ".join(f'"{name}"' for name in drivable(kind, speeds) if name != ACKERMANN)
     has = f"such a base has {LAYOUTS[layout][0]} wheels, but board.kind {kind} drives {speeds}"
     raise SettingError(f'wheels.layout = "{layout}": {has}; use {others}')
 

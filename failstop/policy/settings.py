@@ -489,10 +489,11 @@ class Settings:
             for name, own in self.named["interlocks"].items()
         }
 
-    def board(self) -> tuple[str, float, float, SteeringServo | None, float, int, int]:
+    def board(self) -> tuple[str, float, float, SteeringServo | None, float, int, int, int]:
         """The arguments for board_of() of failstop/board/kinds.py: the kind of board, the wheel diameter in m, one
         wheel turn per second in the board's own unit (0: as usual), the servo of a steered base, the confirmed value of
-        that unit (0: none), the baud rate (0: as usual), and the CAN id of the second motor."""
+        that unit (0: none), the baud rate (0: as usual), the CAN id of the second motor, and how many speeds a frame
+        sets."""
         steering = None
         if self.text("wheels.layout") == layouts.ACKERMANN:
             steering = SteeringServo(
@@ -504,7 +505,8 @@ class Settings:
             )
         scale = self["board.per_rps"], self["board.per_rps_confirmed"]
         baud, can_id = int(self["board.baud"]), int(self.values.get("board.can_id", 0))
-        return self.text("board.kind"), self["wheels.diameter_m"], scale[0], steering, scale[1], baud, can_id
+        kind, diameter_m = self.text("board.kind"), self["wheels.diameter_m"]
+        return kind, diameter_m, scale[0], steering, scale[1], baud, can_id, self.speeds
 
     @property
     def speeds(self) -> int:

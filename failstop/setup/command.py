@@ -12,7 +12,7 @@ from failstop.cli import style
 from failstop.cli.commands import add_name
 from failstop.doctor.system import System
 from failstop.files.instance import check_name
-from failstop.policy.layouts import ACKERMANN, BOARDS, LAYOUTS, NUMBERS, speeds_of, steers
+from failstop.policy.layouts import BOARDS, NUMBERS, drivable, speeds_of
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
 from failstop.setup import boards, finish, ports, robots, sizes
@@ -140,8 +140,7 @@ def _resume(talk: Talk) -> None:
 
 def layouts_of(kind: str) -> list[str]:
     """The kinds of base that this kind of board can drive."""
-    speeds = speeds_of(kind) or board_of(kind, 1.0, 0.0).wheels
-    return [name for name, counts in LAYOUTS.items() if counts[0] <= speeds and (name != ACKERMANN or steers(kind))]
+    return drivable(kind, speeds_of(kind) or board_of(kind, 1.0, 0.0).wheels)
 
 
 def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object], bool]:

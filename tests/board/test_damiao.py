@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import random
-from math import pi
+from math import inf, pi
 from pathlib import Path
 from struct import pack
 from typing import Any
@@ -13,9 +13,11 @@ import pytest
 
 from failstop.board.checks import FrameError
 from failstop.board.damiao import codec, slcan
-from failstop.board.damiao.wire import WIRE, described
+from failstop.board.damiao.wire import WIRE
+from failstop.board.kinds import board_of
 from failstop.board.wire import SERVO_HEAT, SERVO_MISSING, Answer, Health, Restarted, Sample, Wheels
-from failstop_lab.boards.damiao import BUFFERS, IS_OFF, IS_ON, LOST, OVER_HEATED, QUEUE, Adapter, Damiao, Motor
+from failstop.policy.settings import Settings
+from failstop_lab.boards.damiao import BUFFERS, IS_OFF, IS_ON, LOST, MIT, OVER_HEATED, QUEUE, Adapter, Damiao, Motor
 from tests.support.simulated import Simulated
 
 MS = 1_000_000
@@ -147,7 +149,7 @@ def test_the_motors_turn_when_they_are_armed_and_stop_with_one_write(count: int)
     assert not any(board.wheels), "the speed that it was told before counts no more"
     now_ns = sent(board, motors.frame((3.0,) * count, 5.0), now_ns)
     assert board.wheels == (3.0,) * count
-    sent(board, described(count).stop.writes[0].data, now_ns)
+    sent(board, WIRE.stop.writes[0].data, now_ns)
     assert board.wheels == (0.0,) * count
     assert [motor.status for motor in board.motors] == [IS_ON] * count, "they hold"
     assert not board.dropped
@@ -251,7 +253,7 @@ def test_one_lost_answer_names_nobody() -> None:
     [
         (OVER_HEATED, "motor 2 switched itself off: its driver is too hot", SERVO_HEAT),
         (LOST, "motor 2 switched itself off: it heard nothing for too long", 0),
-        (IS_OFF, "motor 2 switched itself off: it is disabled", 0),
+        (IS_OFF, "motor 2 is disabled, although it was enabled", 0),
     ],
 )
 def test_a_motor_that_switches_itself_off_while_it_drives_is_told_once(status: int, text: str, wrong: int) -> None:
@@ -285,6 +287,54 @@ def test_arming_again_is_no_restart() -> None:
     now_ns, _ = asked(board, reader, driving(board))
     now_ns = sent(board, MOTORS.burst + MOTORS.arm(500 * MS), now_ns)
     assert not [each for each in heard(board, reader) if isinstance(each, Restarted)]
+
+
+def test_a_motor_that_was_never_switched_on_is_told_as_well() -> None:
+    """The line that enables it was lost, so it has never reported that it is enabled."""
+    board, reader = Damiao(), codec.Replies(2)
+    arm = MOTORS.arm(500 * MS)
+    now_ns = sent(board, MOTORS.burst + arm.replace(slcan.line(2, codec.ENABLE), b""), 0)
+    assert [motor.status for motor in board.motors] == [IS_ON, IS_OFF]
+    _, found = asked(board, reader, now_ns)
+    assert [each.text for each in found if isinstance(each, Restarted)] == [
+        "motor 2 is disabled, although it was enabled"
+    ]
+
+
+@pytest.mark.parametrize("count", [2, 4])
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"mode": MIT}, "has lost the mode in which it takes speeds"),
+        ({"ticks": 0}, "has lost its watchdog's time"),
+        ({"ticks": 0, "mode": MIT}, "has lost its watchdog's time"),
+    ],
+)
+def test_registers_that_a_motor_was_armed_with_are_read_back(count: int, change: dict[str, int], text: str) -> None:
+    board, reader = Damiao(count=count), codec.Replies(count)
+    now_ns, found = asked(board, reader, driving(board, (10.0,) * count))
+    now_ns, found = asked(board, reader, now_ns)
+    assert not [each for each in found if isinstance(each, Restarted)]
+    for name, value in change.items():
+        setattr(board.motors[-1], name, value)
+    told: list[Sample] = []
+    for _ in range(codec.DIFFERS + 1):
+        now_ns, found = asked(board, reader, now_ns)
+        told += found
+    assert [each.text for each in told if isinstance(each, Restarted)] == [f"motor {count} {text}"]
+    now_ns = sent(board, codec.Motors(count).arm(500 * MS), now_ns)
+    now_ns, found = asked(board, reader, now_ns)
+    now_ns, more = asked(board, reader, now_ns)
+    assert not [each for each in [*found, *more] if isinstance(each, Restarted)], "armed again it has them"
+
+
+def test_one_garbled_register_is_no_restart() -> None:
+    board, reader = Damiao(), codec.Replies(2)
+    now_ns, _ = asked(board, reader, driving(board))
+    for ticks in (20_000, 10_000, 20_000):
+        board.motors[1].ticks = ticks
+        now_ns, found = asked(board, reader, now_ns)
+        assert not [each for each in found if isinstance(each, Restarted)]
 
 
 @pytest.mark.parametrize("opened", [True, False])
@@ -333,10 +383,14 @@ def receiver(simulated: Simulated) -> Damiao:
     return found
 
 
-def stopped_ms(simulated: Simulated, wheel: int, from_ns: int) -> float:
-    """How long after that this wheel was told zero."""
-    frames = [each for each in simulated.board.events() if each.executed_ns > from_ns and each.speeds]
-    return (next(each.executed_ns for each in frames if not each.speeds[wheel]) - from_ns) / MS
+def stopped_ms(simulated: Simulated, from_ns: int) -> list[float]:
+    """How long after that each motor was told zero; infinite: it was not."""
+    found = [inf] * len(receiver(simulated).motors)
+    for event in reversed([each for each in simulated.board.events() if each.executed_ns > from_ns and each.speeds]):
+        found = [
+            at if speed else (event.executed_ns - from_ns) / MS for at, speed in zip(found, event.speeds, strict=False)
+        ]
+    return found
 
 
 def test_the_motors_are_armed_and_their_watchdogs_are_set(pair: Simulated) -> None:
@@ -348,7 +402,7 @@ def test_a_motor_that_hears_nothing_stops_the_robot_and_is_named(pair: Simulated
     board, begun_ns = receiver(pair), pair.lab.machine.now_ns
     board.motors[unplugged].unplugged = True
     pair.drive(1.2)
-    assert stopped_ms(pair, 1 - unplugged, begun_ns) < AT_MOST_MS
+    assert stopped_ms(pair, begun_ns)[1 - unplugged] < AT_MOST_MS
     state = pair.robot.state
     assert state.cause.kind.name == "wheel_missing"
     assert f"motor {unplugged + 1} (CAN id {unplugged + 1})" in str(state.cause)
@@ -366,17 +420,30 @@ def test_a_motor_that_switches_itself_off_stops_the_others(pair: Simulated) -> N
     board, begun_ns = receiver(pair), pair.lab.machine.now_ns
     board.motors[0].status = OVER_HEATED
     pair.drive(0.6)
-    assert stopped_ms(pair, 1, begun_ns) < AT_MOST_MS
+    assert stopped_ms(pair, begun_ns)[1] < AT_MOST_MS
     state = pair.robot.state
     assert state.cause.kind.name == "restarted"
     assert "motor 1 switched itself off: its driver is too hot" in str(state.cause)
+
+
+def test_a_motor_that_can_not_be_enabled_stops_the_others(pair: Simulated) -> None:
+    board = receiver(pair)
+    pair.robot.disable()
+    board.motors[1].status, board.motors[1].broken = OVER_HEATED, True
+    pair.wait(0.5)
+    if pair.robot.state.estop:
+        pair.robot.reset()
+    pair.enable()
+    pair.drive(1.0)
+    assert not any(board.wheels)
+    assert "motor 2 is disabled, although it was enabled" in str(pair.robot.state.cause)
 
 
 def test_a_motor_whose_power_was_off_for_a_moment_stops_the_others_and_is_armed_again(pair: Simulated) -> None:
     board = receiver(pair)
     board.motors[1].restart()
     pair.drive(0.6)
-    assert "motor 2 switched itself off: it is disabled" in str(pair.robot.state.cause)
+    assert "motor 2 is disabled, although it was enabled" in str(pair.robot.state.cause)
     assert not any(board.wheels)
     pair.robot.reset()
     pair.enable()
@@ -403,3 +470,91 @@ def test_a_stop_is_acknowledged_and_the_wheels_are_seen_still(pair: Simulated) -
     assert stop.observed_s is not None
     assert receiver(pair).wheels == (0.0, 0.0)
     assert [motor.status for motor in receiver(pair).motors] == [IS_ON, IS_ON], "they hold"
+
+
+# Three and four motors.
+
+LAYOUTS = {"differential": 2, "omni3": 3, "mecanum": 4}
+
+
+@pytest.mark.parametrize(("layout", "count"), LAYOUTS.items())
+def test_the_layout_says_how_many_motors_there_are(layout: str, count: int) -> None:
+    settings = Settings({"board.kind": "damiao", "wheels.layout": layout})
+    board = board_of(*settings.board())
+    assert (settings.speeds, board.wheels) == (count, count)
+    assert board.name == f"{count} Damiao motors behind a slcan adapter"
+    assert {board.burst} == {WIRE.stop.writes[0].data}, "a stop is the same for any number"
+
+
+def test_a_stop_of_a_program_that_does_not_know_the_settings_stops_four_motors() -> None:
+    """As `failstop stop` and `failstop setup` may not."""
+    board = Damiao(count=4)
+    now_ns = driving(board, (10.0, -5.0, 3.0, -1.0))
+    sent(board, board_of("damiao", 1.0, 0.0).burst, now_ns)
+    assert board.wheels == (0.0,) * 4
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_what_is_written_at_an_enable_fits_into_the_adapter(count: int) -> None:
+    """USB brings a whole write in less time than a frame takes on the CAN. A question may come with it."""
+    board = Damiao(count=count)
+    motors = codec.Motors(count)
+    now_ns = sent(board, motors.burst + motors.opening, 0)
+    for value in motors.arm(500 * MS) + motors.questions[0]:
+        now_ns += 1000
+        board.byte(now_ns, value)
+    board.until(now_ns + 10 * MS)
+    assert not board.dropped
+    assert {motor.status for motor in board.motors} == {IS_ON}
+
+
+def base(layout: str) -> Simulated:
+    simulated = Simulated(kind="damiao", motors=LAYOUTS[layout], settings={"wheels.layout": layout})
+    simulated.enable()
+    return simulated
+
+
+def test_four_mecanum_wheels_are_armed_turn_sideways_and_stop() -> None:
+    simulated = base("mecanum")
+    simulated.drive(0.5, (0.0, 0.1, 0.0))
+    board = receiver(simulated)
+    assert [motor.ticks for motor in board.motors] == [10_000] * 4
+    signs = [round(speed / abs(board.wheels[0])) for speed in board.wheels]
+    # The right wheels are mounted the other way round by default (wheels.sign_3, wheels.sign_4).
+    assert signs == [-1, 1, -1, 1]
+    simulated.robot.estop("enough")
+    simulated.wait(1.0)
+    assert board.wheels == (0.0,) * 4
+    assert simulated.robot.state.last_stop.acknowledged_s is not None
+    assert simulated.robot.state.last_stop.observed_s is not None
+
+
+@pytest.mark.parametrize("unplugged", range(4))
+def test_any_of_four_motors_that_hears_nothing_stops_the_robot_and_is_named(unplugged: int) -> None:
+    simulated = base("mecanum")
+    simulated.drive(0.6)
+    board, begun_ns = receiver(simulated), simulated.lab.machine.now_ns
+    board.motors[unplugged].unplugged = True
+    simulated.drive(1.2)
+    times_ms = stopped_ms(simulated, begun_ns)
+    assert max(time_ms for motor, time_ms in enumerate(times_ms) if motor != unplugged) < AT_MOST_MS
+    assert f"motor {unplugged + 1} (CAN id {unplugged + 1})" in str(simulated.robot.state.cause)
+    assert not any(board.wheels)
+
+
+def test_three_omni_wheels_turn_on_the_spot_together() -> None:
+    simulated = base("omni3")
+    simulated.drive(0.5, (0.0, 0.0, 0.5))
+    board = receiver(simulated)
+    assert len(set(board.wheels)) == 1
+    assert any(board.wheels)
+    simulated.robot.estop("enough")
+    simulated.wait(0.5)
+    assert not any(board.wheels)
+
+
+def test_a_layout_with_more_motors_than_there_are_is_not_enabled() -> None:
+    """Motors 3 and 4 answer nothing."""
+    simulated = Simulated(kind="damiao", motors=2, settings={"wheels.layout": "mecanum"})
+    simulated.wait(1.0)
+    assert "motor 3 (CAN id 3), which does not answer" in str(simulated.robot.state.waiting_for)

@@ -14,6 +14,7 @@ from failstop.board.vesc import codec
 from failstop.board.wire import SERVO_HEAT, SERVO_MISSING, Answer, Battery, Health, Sample, Wheels
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
+from failstop.supervisor.fit import slowest_mps
 from failstop_lab.boards.vesc import DECIVOLTS, DEFAULT_LEAST_ERPM, Vesc, wrapped
 from tests.support.simulated import Simulated
 
@@ -270,6 +271,12 @@ def test_settings_that_no_vesc_can_follow_are_refused_by_name() -> None:
             Settings({**steered, **changed})
     with pytest.raises(SettingError, match=r"board\.can_id"):
         Settings({"board.kind": "ugv", "board.can_id": 5})
+
+
+def test_the_slowest_speed_of_a_car_is_by_its_own_scale() -> None:
+    """`failstop config --check` prints it: one of a car's 1450 ERPM for a turn a second, not of a hub motor's 900."""
+    car = Settings({"board.kind": "vesc", "wheels.layout": "ackermann"})
+    assert slowest_mps(car) == pytest.approx(math.pi * 0.1 / 1450)
 
 
 def test_the_id_on_the_can_is_the_settings() -> None:

@@ -131,9 +131,11 @@ class Simulated:
         deaf: bool = False,
         kind: str = BOARDS[0],
         usb: Plug | None = None,
+        motors: int = 0,
     ) -> None:
-        """`deaf`: the board hears nothing, from the start; `kind`: the board's; `usb`: its device on USB."""
-        self.lab = Robot(imu_hz=imu_hz, settings=dict(settings or {}), kind=kind, usb=usb)
+        """`deaf`: the board hears nothing, from the start; `kind`: the board's; `usb`: its device on USB; `motors`: how
+        many it has, 0: as usual."""
+        self.lab = Robot(imu_hz=imu_hz, settings=dict(settings or {}), kind=kind, usb=usb, motors=motors)
         self.own_ns = self.lab.board.traits.late_ns
         """Later than the first board by so much a stop may be, and motion."""
         self.failed: list[BaseException] = []

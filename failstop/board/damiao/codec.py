@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 UNIT = "rad/s of the output shaft"
 LIMIT = 280.0
 """The fastest that any of these motors turns (DM-H3510)."""
+MOST = 4
+"""Motors of the largest base. A stop is for as many."""
 STEPS = 64
 """A speed is sent in steps of 1 rad/s divided by this. A float holds each step exactly."""
 SPEED_ID, REGISTERS_ID = 0x200, 0x7FF
@@ -68,6 +70,8 @@ FAULTS = {
 OFF_AFTER = 3
 """If this many reports in a row say so, a motor that was enabled is off. A single report may say so while the motor is
 being enabled again."""
+DIFFERS = 2
+"""If this many answers in a row differ from what a motor was armed with, the motor has lost it."""
 MISSES = 4
 """If a motor leaves this many questions in a row unanswered while another one answers, it is missing. A CANable drops a
 frame to the computer if it comes while an earlier one is still being sent."""
@@ -84,14 +88,20 @@ def register(motor: int, what: int, index: int = 0, value: int = 0) -> bytes:
     return slcan.line(REGISTERS_ID, bytes((motor, 0, what, index)) + _COUNT.pack(value))
 
 
+def _lines(speeds: Iterable[float]) -> bytes:
+    """A line for each motor, with its speed in whole steps."""
+    whole = [int(speed * STEPS) / STEPS for speed in speeds]
+    return b"".join([slcan.line(SPEED_ID + motor, _SPEED.pack(speed)) for motor, speed in enumerate(whole, 1)])
+
+
 class Motors:
     """The frames for motors with the ids 1, 2 and so on, in that order."""
 
     def __init__(self, count: int) -> None:
         self.wheels = count
         self._ids = range(1, count + 1)
-        self.rest = self._written((0.0,) * count)
-        self.burst = slcan.FLUSH + slcan.OPEN + self.rest
+        self.rest = _lines((0.0,) * count)
+        self.burst = slcan.FLUSH + slcan.OPEN + _lines((0.0,) * MOST)
         reports = [register(motor, REPORT) for motor in self._ids]
         self.questions = tuple(
             slcan.OPEN
@@ -114,16 +124,11 @@ class Motors:
             )
         return b"".join(lines)
 
-    def _written(self, speeds: Iterable[float]) -> bytes:
-        """A line for each motor, with its speed in whole steps."""
-        whole = [int(speed * STEPS) / STEPS for speed in speeds]
-        return b"".join([slcan.line(SPEED_ID + motor, _SPEED.pack(speed)) for motor, speed in enumerate(whole, 1)])
-
     def frame(self, speeds: Sequence[float], limit: float) -> bytes:
         """The frame that sets all motors, each within plus or minus `limit`. Raises FrameError."""
         counted("speeds", speeds, self.wheels, self.wheels)
         number("limit", limit, 0.0, LIMIT, UNIT)
-        return self._written([number("speed of a motor", speed, -limit, limit, UNIT) for speed in speeds])
+        return _lines([number("speed of a motor", speed, -limit, limit, UNIT) for speed in speeds])
 
     def speeds(self, frame: bytes) -> tuple[float, ...] | None:
         """The speeds in a frame for all motors; None for other bytes."""
@@ -146,7 +151,7 @@ class Motors:
         found = self.speeds(frame)
         if found is None:
             return "not a frame for every motor"
-        if self._written(found) != frame:
+        if _lines(found) != frame:
             return "not as this board's motion frames are written"
         return beyond(found, limit, LIMIT)
 
@@ -163,8 +168,13 @@ class _Motor:
         self.level: int | None = None
         """The speed in its newest report, in steps of its scale, since the speeds of all motors were last returned."""
         self.obeys = False
+        """It has reported that it is enabled, or it should be, because the motors were armed."""
         self.off = 0
         """How many reports in a row say that it does not obey."""
+        self.set = False
+        """Its registers should have what it was armed with."""
+        self.differs = {TIMEOUT: 0, MODE: 0}
+        """For each of these registers, how many answers in a row differ from what it was armed with."""
         self.wrong = self.heat = self.misses = 0
 
 
@@ -174,6 +184,8 @@ class Replies(Reader):
     def __init__(self, count: int) -> None:
         self._lines = slcan.Lines()
         self._motors = {motor: _Motor() for motor in range(1, count + 1)}
+        self._set = {MODE: _COUNT.pack(SPEED_MODE)}
+        """What the registers of all motors were set to, by their answers."""
         self._asked = 0
         """The register that was read last."""
         self._answered: set[int] = set()
@@ -188,11 +200,23 @@ class Replies(Reader):
             # Those above are for motors, so another computer on the CAN sent them.
             if can_id >= SPEED_ID:
                 continue
-            if data[0] in self._motors and not data[1] and data[2] in (READ, WRITE):
-                found += self._read(data[0], data[3], data[4:]) if data[2] == READ and data[3] in ASKED else []
+            if data[0] in self._motors and not data[1] and data[2] == WRITE:
+                self._written(data[3], data[4:])
+            elif data[0] in self._motors and not data[1] and data[2] == READ:
+                found += self._read(data[0], data[3], data[4:]) if data[3] in ASKED else []
             elif data[0] & 15 in self._motors:
                 found += self._reported(data[0] & 15, data)
         return found
+
+    def _written(self, index: int, value: bytes) -> None:
+        """A motor has taken a value into a register. The watchdog's time is set when all motors are armed, so from then
+        on each of them is expected to obey, also one that has heard nothing of it."""
+        if index == TIMEOUT:
+            self._set[TIMEOUT] = value
+            for motor in self._motors.values():
+                motor.obeys = motor.set = True
+                motor.off = 0
+                motor.differs = dict.fromkeys(motor.differs, 0)
 
     def _reported(self, number_: int, data: bytes) -> list[Sample]:
         motor, status = self._motors[number_], data[0] >> 4
@@ -204,9 +228,23 @@ class Replies(Reader):
         motor.off += 1
         if not motor.obeys or motor.off < OFF_AFTER:
             return []
-        motor.obeys = False
-        why, _ = FAULTS.get(status, ("it is disabled", 0))
-        return [Restarted(f"motor {number_} switched itself off: {why}"), *self._health()]
+        motor.obeys = motor.set = False
+        why, _ = FAULTS.get(status, ("", 0))
+        off = f"switched itself off: {why}" if why else "is disabled, although it was enabled"
+        return [Restarted(f"motor {number_} {off}"), *self._health()]
+
+    def _forgotten(self, number_: int, index: int, value: bytes) -> list[Sample]:
+        """Whether a motor has lost what it was armed with: a speed would mean something else to it, or its watchdog
+        would not act. A single answer may be garbled."""
+        motor = self._motors[number_]
+        if not motor.set or index not in motor.differs:
+            return []
+        motor.differs[index] = motor.differs[index] + 1 if value != self._set[index] else 0
+        if motor.differs[index] < DIFFERS:
+            return []
+        motor.set = False
+        what = "its watchdog's time" if index == TIMEOUT else "the mode in which it takes speeds"
+        return [Restarted(f"motor {number_} has lost {what}")]
 
     def _read(self, number_: int, index: int, value: bytes) -> list[Sample]:
         if index != self._asked or number_ in self._answered:
@@ -217,10 +255,11 @@ class Replies(Reader):
         self._answered.add(number_)
         if index == V_MAX:
             motor.v_max = _FLOAT.unpack(value)[0]
+        found = self._forgotten(number_, index, value)
         if len(self._answered) < len(self._motors):
-            return self._health() if self._bits() != self._last_report else []
+            return [*found, *self._health()] if self._bits() != self._last_report else found
         self._answers += 1
-        found: list[Sample] = [*self._wheels(), Answer(str(ASKED.index(index)))]
+        found += [*self._wheels(), Answer(str(ASKED.index(index)))]
         due = self._answers % REPORT_EVERY == 1 or self._bits() != self._last_report
         return [*found, *self._health()] if due else found
 

@@ -1,9 +1,11 @@
 """The wire of Damiao's motors behind a slcan adapter: a line for each motor, all in one write.
 
-Between two motors of a stop no process can die, because one write takes both lines. The kernel may take a part, which
-the writer's next burst or another writer's completes. So what remains is a motor that hears nothing, such as one whose
-CAN plug is out: it stops by its own watchdog, it answers no question, and without its answer no stop counts as
-acknowledged and no motion can be enabled.
+Between two motors of a stop no process can die, because one write takes all lines. The kernel may take a part, which
+the writer's next burst or another writer's completes. A stop is always for four motors, because `failstop stop` and
+`failstop setup` may not know how many there are. A line for a motor that does not exist does nothing.
+
+So what remains is a motor that hears nothing, such as one whose CAN plug is out: it stops by its own watchdog, it
+answers no question, and without its answer no stop counts as acknowledged and no motion can be enabled.
 """
 
 from __future__ import annotations
@@ -32,11 +34,14 @@ _MS = 1_000_000
 PER_RPS = 2 * pi
 
 
-def described(count: int) -> Wire:
-    """The description for this many motors, with the ids 1, 2 and so on."""
-    motors = codec.Motors(count)
+USUAL = 2
+
+
+def wire(speeds: int, _can_id: int = 0) -> Wire:
+    """The description for this many motors (0: two), with the CAN ids 1, 2 and so on."""
+    motors = codec.Motors(speeds or USUAL)
     return Wire(
-        name=f"{count} Damiao motors behind a slcan adapter",
+        name=f"{motors.wheels} Damiao motors behind a slcan adapter",
         # A USB adapter has no baud rate; one with a UART has its own, which is the setting board.baud.
         port=Port(baud=1_000_000, dtr=False, rts=False, deaf_ns=0, opening=(motors.opening,)),
         stop=TimedStop(
@@ -99,4 +104,4 @@ def described(count: int) -> Wire:
     )
 
 
-WIRE = described(2)
+WIRE = wire(USUAL)

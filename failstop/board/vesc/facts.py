@@ -9,7 +9,7 @@ FACTS = Facts(
     imu=False,
     # SERVO_OUT_PULSE_MIN_US and SERVO_OUT_PULSE_MAX_US of conf_general.h; it has one servo.
     steers={"pwm": (1000, 2000, 1)},
-    steered=1,
+    layouts={"ackermann": 1},
     # RoboRacer's car: the servo's gain -1.2135 and offset 0.5304 (f1tenth_system 03865a0, vesc.yaml) in us, and what
     # its servo_max of 0.85 leaves to the side where that is less. Sources differ on its wheelbase (0.25 there).
     steered_defaults={

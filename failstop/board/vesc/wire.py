@@ -49,8 +49,10 @@ def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
     return driver.language(settings)
 
 
-def wire(can_ids: tuple[int, ...]) -> Wire:
-    """The description of a controller at the port, and of others with these CAN ids behind it."""
+def wire(speeds: int, can_id: int) -> Wire:
+    """The description of a controller at the port and, unless `speeds` is 1, of a second one with this CAN id behind
+    it."""
+    can_ids = () if speeds == 1 else (can_id,)
     motors = codec.Motors(can_ids)
     return Wire(
         name="two VESCs" if can_ids else "a VESC",
@@ -125,5 +127,5 @@ def wire(can_ids: tuple[int, ...]) -> Wire:
     )
 
 
-WIRE = wire((USUAL_CAN_ID,))
+WIRE = wire(2, USUAL_CAN_ID)
 """The description for two motors. The CAN id in the settings replaces the usual one."""

@@ -121,6 +121,8 @@ class Motor:
         self.fed_ns = 0
         self.unplugged = False
         """It hears nothing and says nothing."""
+        self.broken = False
+        """It can't be enabled: the reason for which it switched itself off is still there."""
 
     @property
     def speed(self) -> float:
@@ -142,7 +144,7 @@ class Motor:
         if can_id == self.number and data[:7] == b"\xff" * 7 and len(data) == 8:
             command = data[7]
             if command == 0xFC and self.status in (IS_OFF, IS_ON):
-                self.status = IS_ON
+                self.status = IS_OFF if self.broken else IS_ON
             elif (command == 0xFD and self.status in (IS_OFF, IS_ON)) or (
                 command == 0xFB and self.status not in (IS_OFF, IS_ON)
             ):
@@ -285,6 +287,7 @@ def _every_state() -> Iterator[Damiao]:
 
 MODEL = ReceiverModel(
     live=lambda: Damiao(turns=True),
+    with_motors=lambda count: Damiao(count=count, turns=True),
     any_state=_any_state,
     every_state=_every_state,
     # Other programs' lines, whole and cut, and empty ones.

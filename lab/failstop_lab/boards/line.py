@@ -107,6 +107,8 @@ class ReceiverModel:
     """From a stop's first write to the command at the wheels in the worst of every_state(), where one writes it."""
     boot: bytes = b""
     """Text that it prints when it starts, before its program runs."""
+    with_motors: Callable[[int], Receiver] | None = None
+    """A live receiver with so many motors. None: all boards of this kind have as many."""
     joints: Callable[[Receiver, int], Servos] | None = None
     """(a live receiver, the moment that its times count from): an arm's servos on the same line. None: there are
     none."""

@@ -13,7 +13,7 @@ from struct import Struct
 
 from failstop.board.kinds import is_described, wire_of
 from failstop.board.rrc.framing import MOTOR, WHEELS
-from failstop_lab.boards.line import Rolling, model_of
+from failstop_lab.boards.line import Receiver, ReceiverModel, Rolling, model_of
 from failstop_lab.sim.model import NEVER_NS, BoardModel, Frame, Speeds
 
 STEP_NS = 1_000_000
@@ -21,6 +21,7 @@ STEP_NS = 1_000_000
 QUIET_STEP_NS = 5 * STEP_NS
 """How often, once it has answered what it was sent last."""
 ANSWERED_NS = 20 * STEP_NS
+NO_CHOICE = "a board of kind {} has a fixed number of motors"
 DIAMETER_M = 0.08
 """The wheels' diameter, as in the default settings."""
 _HEAD, _WHEEL = Struct("<BB"), Struct("<Bf")
@@ -36,11 +37,13 @@ def _command(speeds: Speeds) -> bytes:
 class LiveModel(BoardModel):
     """One of KINDS, or a board of the user's own."""
 
-    def __init__(self, kind: str, start_ns: int, seed: int = 0, per_rps: float = 0.0) -> None:
+    def __init__(self, kind: str, start_ns: int, seed: int = 0, per_rps: float = 0.0, motors: int = 0) -> None:
         """`per_rps`: one turn a second of its wheels in its own unit, whatever the settings say; 0: as such boards
-        usually have it. It is a fact of the simulated motors and encoders, so a wrong setting shows in its wheels."""
+        usually have it. It is a fact of the simulated motors and encoders, so a wrong setting shows in its wheels.
+        `motors`: how many it has; 0: as usual. Raises ValueError."""
         super().__init__(start_ns, imu_hz=0.0, seed=seed)
-        wire = wire_of(kind)
+        wire = wire_of(kind, speeds=motors)
+        self._motors = motors
         self._byte_ns = wire.port.byte_ns
         self._per_rps = per_rps or wire.motion.per_rps(DIAMETER_M)
         reports = wire.reports
@@ -68,11 +71,18 @@ class LiveModel(BoardModel):
     def _begin(self, start_ns: int) -> None:
         """A receiver that starts then."""
         model = model_of(self._kind)
-        self.receiver, self._start_ns = model.live(), start_ns
+        self.receiver, self._start_ns = self._live(model), start_ns
         if hasattr(self.receiver, "gain"):
             self.receiver.gain = self._gain
         if model.joints:
             self.servos = model.joints(self.receiver, start_ns)
+
+    def _live(self, model: ReceiverModel) -> Receiver:
+        if not self._motors:
+            return model.live()
+        if not model.with_motors:
+            raise ValueError(NO_CHOICE.format(self._kind))
+        return model.with_motors(self._motors)
 
     def receive(self, chunk: bytes, t_ns: int) -> None:
         """Take in bytes that were read at t_ns."""
@@ -202,9 +212,12 @@ def board_model(
     seed: int = 0,
     first_invalid: int = 12,
     per_rps: float = 0.0,
+    motors: int = 0,
 ) -> BoardModel:
     """The model of any kind of board, as the setting board.kind names it; the options that such a board has not are
     not looked at. Raises ValueError."""
     if is_described(kind):
-        return LiveModel(kind, start_ns, seed, per_rps)
+        return LiveModel(kind, start_ns, seed, per_rps, motors)
+    if motors:
+        raise ValueError(NO_CHOICE.format(kind))
     return BoardModel(start_ns, imu_hz=imu_hz, battery_mv=battery_mv, seed=seed, first_invalid=first_invalid)

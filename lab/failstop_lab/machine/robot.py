@@ -35,10 +35,10 @@ ENVIRON = {"HOME": "/root"}
 class BoardPort:
     """The board's model behind a port of the machine."""
 
-    def __init__(self, machine: Machine, imu_hz: float, kind: str) -> None:
+    def __init__(self, machine: Machine, imu_hz: float, kind: str, motors: int = 0) -> None:
         self.machine = machine
         self.traits = traits_of(kind)
-        self.model = board_model(kind, machine.now_ns, imu_hz=imu_hz)
+        self.model = board_model(kind, machine.now_ns, imu_hz=imu_hz, motors=motors)
         self.port: Port | None = None
         self.on_frame: Callable[[Frame], None] = lambda frame: None
         self.on_bytes: Callable[[bytes], None] = lambda data: None
@@ -146,16 +146,18 @@ class Robot:
         kind: str = BOARDS[0],
         weak: bool = False,
         usb: Plug | None = None,
+        motors: int = 0,
     ) -> None:
         """`kind`: as the setting board.kind. `weak`: its memory may be seen in other orders. `usb`: the board's device
-        on USB; without one its port is none of USB's. Raises ValueError."""
+        on USB; without one its port is none of USB's. `motors`: how many the board has, where boards of its kind
+        differ; 0: as usual. Raises ValueError."""
         Node.count = 0
         self.machine = WeakMachine(seed) if weak else Machine(seed)
         self.loader = Loader(self.machine, patches)
         if isinstance(self.machine, WeakMachine):
             self.machine.weaken(self.loader)
         self.time: Any = self.loader.system["time"]
-        self.board = BoardPort(self.machine, imu_hz, kind)
+        self.board = BoardPort(self.machine, imu_hz, kind, motors)
         self.stderr = Null()
         self._numbers = 0
         self._usb = Usb(self.machine)

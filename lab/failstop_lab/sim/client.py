@@ -70,9 +70,10 @@ class SimBoard:
         usb: str = "",
         board: str = "",
         per_rps: float = 0.0,
+        motors: int = 0,
     ) -> None:
         """`board`: its kind; empty: the first. `per_rps`: one turn a second of its wheels in its own unit; 0: as such
-        boards usually have it."""
+        boards usually have it. `motors`: how many it has, where boards of its kind differ; 0: as usual."""
         self.link = os.fspath(link)
         self._control = self.link + SUFFIX
         self._command = helpers.python("failstop_lab.sim", "--until-eof", "--device", self.link)
@@ -84,6 +85,7 @@ class SimBoard:
         self._command += ["--usb", usb] if usb else []
         self._command += ["--board", board] if board else []
         self._command += ["--per-rps", str(per_rps)] if per_rps else []
+        self._command += ["--motors", str(motors)] if motors else []
         self._process: subprocess.Popen[bytes] | None = None
         self._stderr: IO[bytes] | None = None
         # One connection a thread, so that one may wait while another works.

@@ -37,6 +37,8 @@ class Options:
     until_eof: bool = False
     per_rps: float = 0.0
     """One turn a second of its wheels in its own unit; 0: as such boards usually have it."""
+    motors: int = 0
+    """How many motors it has, where boards of its kind differ; 0: as usual."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,6 +58,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="one turn a second of its wheels in its own unit, whatever board.per_rps says: of an Arduino the encoder "
         "counts of a turn, divided by 30 (default: as such boards usually have it)",
+    )
+    add(
+        "--motors",
+        type=int,
+        choices=(2, 3, 4),
+        default=0,
+        help="how many motors it has, with --board damiao (default: 2)",
     )
     add("--record", metavar="FILE", help="write every chunk, frame and fault to FILE, one JSON object per line")
     add(

@@ -49,15 +49,19 @@ class Simulator:
         self._on_frame = on_frame
         self._ending = False
         self._told = 0
-        self._model = board_model(
-            options.board,
-            self.start_ns,
-            imu_hz=options.imu_hz,
-            battery_mv=options.battery_mv,
-            seed=options.seed,
-            first_invalid=options.first_invalid_func,
-            per_rps=options.per_rps,
-        )
+        try:
+            self._model = board_model(
+                options.board,
+                self.start_ns,
+                imu_hz=options.imu_hz,
+                battery_mv=options.battery_mv,
+                seed=options.seed,
+                first_invalid=options.first_invalid_func,
+                per_rps=options.per_rps,
+                motors=options.motors,
+            )
+        except ValueError as error:
+            raise SimError(f"{error}: leave out --motors") from None
         self._requests: dict[str, Callable[[ControlMessage], ControlMessage | Wait]] = {
             "info": self._info,
             "events": self._wait,

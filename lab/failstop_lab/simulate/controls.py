@@ -260,7 +260,7 @@ CONTROLS = (
         (
             (
                 "failstop.board.damiao.codec",
-                "self.burst = slcan.FLUSH + slcan.OPEN + self.rest",
+                "self.burst = slcan.FLUSH + slcan.OPEN + _lines((0.0,) * MOST)",
                 "self.burst = slcan.FLUSH + slcan.OPEN + slcan.line(SPEED_ID + 1, bytes(8))",
             ),
         ),
