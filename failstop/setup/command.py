@@ -149,14 +149,15 @@ def _robot(talk: Talk, kind: str) -> tuple[str, dict[str, object], bool]:
     choices = {**{key: robot.name for key, robot in known.items()}, robots.OTHER: "another one"}
     chosen = robots.OTHER
     if known:
-        talk.say("Which robot is it? For these, failstop knows the sizes.")
+        sizes_known = not any(robot.measure for robot in known.values())
+        talk.say("Which robot is it? For these, failstop knows the sizes." if sizes_known else "Which robot is it?")
         for number, (key, what) in enumerate(choices.items(), 1):
             talk.say(f"{number}  {key:<16} {what}")
         chosen = talk.ask("robot", "Which number is your robot?", "", one_of(choices))
     if chosen in known:
-        if known[chosen].remark:
-            talk.say(known[chosen].remark, style.WARN)
-        return known[chosen].name, known[chosen].settings, True
+        for remark in filter(None, (known[chosen].remark, known[chosen].measure)):
+            talk.say(remark, style.WARN)
+        return known[chosen].name, known[chosen].settings, not known[chosen].measure
     layouts = layouts_of(kind)
     if len(layouts) == 1:
         return f"A robot with the board {kind}", {"board.kind": kind, "wheels.layout": layouts[0]}, False

@@ -1,7 +1,8 @@
 """Robots that setup knows, each a file of data: robots/NAME.toml. A robot is added by a file.
 
 What begins with `about.` is for people (name, port, remark); everything else are settings. Figures of the family of
-`board.robot` stay where the service takes them from, and a file names that robot alone.
+`board.robot` stay where the service takes them from, and a file names that robot alone. A robot that people build in
+different sizes has `about.measure`, which says what to measure, and no sizes.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ class Known:
     name: str
     port: str
     remark: str
+    measure: str
+    """What to measure, because no two such robots have the same sizes; empty: the sizes are known."""
     settings: dict[str, object]
     """Values by whole key, which Settings take."""
 
@@ -43,7 +46,8 @@ def read(path: Path) -> Known:
     if not about.get("name") or "board.kind" not in values or "wheels.layout" not in values:
         raise SettingError(f"{path}: a robot needs about.name, board.kind and wheels.layout")
     config.checked(values, str(path))
-    return Known(path.stem, about["name"], about.get("port", ""), about.get("remark", ""), values)
+    port, remark, measure = (about.get(key, "") for key in ("port", "remark", "measure"))
+    return Known(path.stem, about["name"], port, remark, measure, values)
 
 
 def of_kind(kind: str) -> dict[str, Known]:

@@ -17,6 +17,7 @@ PROOFS = 3
 TWO = {0: "left+", 1: "right-"}
 THREE = {0: "rear-", 1: "left+", 2: "right+"}
 FOUR = {0: "rr-", 1: "fl+", 2: "fr-", 3: "rl+"}
+USUAL_FOUR = {0: "fl+", 1: "rl+", 2: "fr-", 3: "rr-"}
 LEFT = ("left", "fl", "rl")
 ROBOTS = {
     "ugv": ("ugv", "ugv-rover", TWO),
@@ -27,10 +28,13 @@ ROBOTS = {
     "feetech": ("feetech", "other", THREE),
     "lekiwi": ("feetech", "lekiwi", THREE),
     "vesc": ("vesc", "other", TWO),
-    "damiao": ("damiao", "", TWO),
+    "damiao": ("damiao", "other", TWO),
+    "openarm-base": ("damiao", "openarm-base", USUAL_FOUR),
 }
 """Each: the kind of board, the robot's name where there are names for it, how it is wired."""
-UNNAMED = ("", "other")
+MECANUM = ("rrc", "openarm-base")
+AXLES = "Distance between the front and the rear axle"
+UNNAMED = ("", "other", "openarm-base")
 """Robots whose sizes nobody knows."""
 IN_SHORT = ("ugv",)
 """Without the proof, which takes most of the time and has tests of its own."""
@@ -58,7 +62,11 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
     kind, name, wheels = ROBOTS[robot]
     named = [wheel[:-1] for wheel in wheels.values()]
     port = str(place / "b")
-    with SimBoard(port, board=kind) as board, Person(place, *([] if LONG else ["--prove", "no"])) as person:
+    motors = len(wheels) if kind == "damiao" else 0
+    with (
+        SimBoard(port, board=kind, motors=motors) as board,
+        Person(place, *([] if LONG else ["--prove", "no"])) as person,
+    ):
         person.says("Which port is the board at?", port)
         person.reads(f"({kind})")
         if name:
@@ -72,7 +80,7 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
             board.turn_by_hand(1, -2.0)
             person.types("2")
         wiring = Wiring(board, wheels)
-        for id_ in wheels:
+        for id_ in wheels if wheels is not USUAL_FOUR else ():
             person.reads(f"Id {id_}: which wheel turned, and which way?")
             person.types(wiring.seen())
         person.reads("and the rear one stand?" if wheels is THREE else "Did every wheel turn forward?")
@@ -85,11 +93,11 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
             "Distance of each wheel from the middle" if wheels is THREE else "Distance between the left and the right"
         )
         for question in ("Wheel diameter", across, "Highest speed forward", "Highest turn rate"):
-            if question == "Distance between the left and the right" and robot == "rrc":
-                person.says("Distance between the front and the rear axle", "")
-            if question == "Highest turn rate" and (robot == "rrc" or wheels is THREE):
+            measured = {"Wheel diameter": "0.08", across: "0.15", AXLES: "0.15"} if name in UNNAMED else {}
+            if question == "Distance between the left and the right" and robot in MECANUM:
+                person.says(AXLES, measured.get(AXLES, ""))
+            if question == "Highest turn rate" and (robot in MECANUM or wheels is THREE):
                 person.says("Highest speed sideways", "")
-            measured = {"Wheel diameter": "0.08", across: "0.15"} if name in UNNAMED else {}
             person.says(question, measured.get(question, ""))
         (proved if LONG else unproved)(person)
         person.says("Which file should they be written to?", "")

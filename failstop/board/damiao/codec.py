@@ -155,6 +155,14 @@ class Motors:
             return "not as this board's motion frames are written"
         return beyond(found, limit, LIMIT)
 
+    def check_aux(self, frame: bytes) -> str:
+        """Why these bytes must not be written as another frame: nothing but a question for a register may."""
+        found = slcan.frame_of(frame[:-1])
+        if not found or found[0] != REGISTERS_ID or found[1][0] not in self._ids:
+            return "no question for a register of a motor"
+        known = register(found[1][0], READ, found[1][3])
+        return "" if frame == known else "no question for a register of a motor"
+
     def replies(self) -> Replies:
         """A reader for what these motors answer."""
         return Replies(self.wheels)

@@ -33,14 +33,16 @@ def line(can_id: int, data: bytes) -> bytes:
     return b"t%03X8%s\r" % (can_id, data.hex().upper().encode())
 
 
-def frame_of(text: bytes) -> tuple[int, bytes] | None:
-    """The id and the data of a frame of 8 bytes, from a line without its end; None if there is none. A time stamp of
-    four digits may follow."""
-    if len(text) not in (MOST_LINE, MOST_LINE + 4) or not text.startswith(b"t") or text[4:_HEAD] != b"8":
+def frame_of(text: bytes, least: int = 8) -> tuple[int, bytes] | None:
+    """The id and the data of a frame of `least` to 8 bytes, from a line without its end; None if there is none. A time
+    stamp of four digits may follow."""
+    if len(text) < _HEAD or not text.startswith(b"t") or not _DIGITS.issuperset(text[1:]):
         return None
-    if not _DIGITS.issuperset(text[1:]):
+    size = int(text[4:_HEAD], 16)
+    end = _HEAD + 2 * size
+    if not least <= size <= 8 or len(text) not in (end, end + 4):
         return None
-    return int(text[1:4], 16), bytes.fromhex(text[_HEAD:MOST_LINE].decode("ascii"))
+    return int(text[1:4], 16) & 0x7FF, bytes.fromhex(text[_HEAD:end].decode("ascii"))
 
 
 class Lines:

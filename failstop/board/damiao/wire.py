@@ -30,11 +30,23 @@ from failstop.board.wire import (
     answer_is,
 )
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from failstop.board.driver import DriverLanguage
+
 _MS = 1_000_000
 PER_RPS = 2 * pi
 
 
 USUAL = 2
+
+
+def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
+    from failstop.board.damiao import driver  # for the guard port alone
+
+    return driver.language(settings)
 
 
 def wire(speeds: int, _can_id: int = 0) -> Wire:
@@ -101,6 +113,8 @@ def wire(speeds: int, _can_id: int = 0) -> Wire:
                 program="slcand",
             ),
         ),
+        aux=motors.check_aux,
+        driver=_driver,
     )
 
 

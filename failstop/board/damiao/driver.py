@@ -1,0 +1,223 @@
+"""The lines that a driver may write to a slcan adapter with Damiao's motors, and what it hears.
+
+A driver opens the adapter, enables each motor, and then sets its speed, as damiao-motor 1.0.6 does through the slcan of
+python-can 4.6.1, the vendor's DM_Control_Python (7da9387) and, behind slcand, openarm_can (9866604). A speed frame may
+have four bytes or more, and lower-case digits, as the adapters take them. Each frame for a motor is answered by the
+motor's newest report, with the status that the driver has given it. A driver's question for a register goes to the
+motor, and so does the answer back; failstop's own answers are others.
+
+failstop enables the motors itself and keeps the adapter open. So what a driver says of both is only remembered: a
+driver that has closed the adapter, or disabled a motor, moves nothing until it has opened or enabled it again. What has
+a torque or a position instead of a speed can't be limited, so it is refused and the wheels stop. They also stop for a
+line that is not whole. A CANable would complete it with the digits of an older line, so it could mean anything, and
+nothing moves until the driver has opened the adapter again, found or set the mode of speeds, and enabled each motor.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from struct import Struct
+
+from failstop.board.damiao import codec, slcan
+from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
+
+PATIENCE_NS = 1_000_000_000
+"""damiao-motor waits as long for the answer about a register."""
+PAST_NS = 1_000_000_000
+"""Every motor has reported within this."""
+_SPEED, _VALUE = Struct("<f"), Struct("<I")
+_LEAST_SPEED = 4
+"""Bytes of the shortest speed frame."""
+_LONGEST = 30
+"""Characters of a line after which a CANable begins the line again."""
+_PREFIX = b"\xff" * 7
+_CLEAR, _ENABLE, _DISABLE, _ZERO = 0xFB, 0xFC, 0xFD, 0xFE
+_MIT, _POSITION, _FORCE = 0, 1, 3
+"""Modes by the hundreds of the CAN id that their commands have."""
+_NO_SPEED = {_MIT: "an MIT command", _POSITION: "a position", _FORCE: "a position with a force"}
+_STORE = 0xAA
+_USE_SPEEDS = (
+    "it has no speed that could be limited, so the wheels were stopped: use the speed mode (CAN id 0x200 + id)"
+)
+_NO_LINE = DriverRefusal(
+    "bytes that are no line of slcan",
+    "to the adapter they could mean anything, so the wheels stop until the driver sets up adapter and motors again",
+)
+_CLOSED = DriverRefusal("a frame while the adapter is closed", "the wheels stop: open the adapter first (O)")
+_OTHER_FRAME = DriverRefusal("a frame with an extended id, or without data", "no motor takes such a frame")
+_NO_NUMBER = DriverRefusal("a speed that is no number", "the wheels were stopped")
+_BIT_RATE = DriverRefusal("another bit rate of the CAN", "the adapter stays at 1 Mbit/s (S8), which the motors have")
+
+
+class DamiaoDriver:
+    """One driver's lines, and the answers to them."""
+
+    def __init__(self, motors: int) -> None:
+        """`motors`: how many there are, with the CAN ids from 1 on."""
+        self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, PAST_NS
+        self._speeds = [0.0] * motors
+        self._enabled = [True] * motors
+        self._takes_speeds = [True] * motors
+        """In its mode of speeds, as far as the driver has said."""
+        self._open = True
+        self._line = b""
+        self._heard = slcan.Lines()
+        self._reports: dict[int, tuple[int, bytes]] = {}
+        """The newest report of each motor, with the CAN id that it came under."""
+        self._asked: set[tuple[int, int]] = set()
+        """The questions for registers, by motor and register, that were not answered yet."""
+
+    def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
+        """The driver's lines."""
+        *lines, rest = (self._line + chunk).split(slcan.CR)
+        self._line = rest[: _LONGEST + 1]
+        return [row for line in lines for row in self._run(line)]
+
+    def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
+        """Reports are kept for the driver's next frame. Answers about registers are passed on if the driver asked."""
+        found: list[bytes] = []
+        for can_id, data in self._heard.frames(chunk):
+            if can_id >= codec.SPEED_ID:
+                continue
+            if 0 < data[0] <= len(self._speeds) and not data[1] and data[2] in (codec.READ, codec.WRITE):
+                if data[2] == codec.READ and (data[0], data[3]) in self._asked:
+                    self._asked.discard((data[0], data[3]))
+                    if data[3] == codec.MODE:
+                        self._takes_speeds[data[0] - 1] = _VALUE.unpack_from(data, 4) == (codec.SPEED_MODE,)
+                    found.append(slcan.line(can_id, data))
+            elif 0 < data[0] & 15 <= len(self._speeds):
+                self._reports[data[0] & 15] = can_id, data
+        return found
+
+    def _run(self, line: bytes) -> list[Row]:
+        """One line, without its end. An empty one is the last one again to a CANable, and nothing here."""
+        command, rest = line[:1], line[1:]
+        if not command:
+            return []
+        if len(line) > _LONGEST:
+            return self._unknown(_NO_LINE)
+        # An adapter looks at nothing but the first character of these.
+        if command in (b"O", b"C"):
+            self._open = command == b"O"
+            return []
+        if command == b"S":
+            return [] if rest == b"8" else [_BIT_RATE]
+        if command in (b"T", b"r", b"R"):
+            return [_OTHER_FRAME]
+        if command != b"t" and command.isalpha():
+            return [DriverRefusal(f"the adapter's command {command.decode()}", "the adapter is set up, and not asked")]
+        frame = slcan.frame_of(line, least=0)
+        if frame is None:
+            return self._unknown(_NO_LINE)
+        # An adapter that is closed would send it when it is opened.
+        return self._frame(*frame) if self._open else self._unknown(_CLOSED)
+
+    def _unknown(self, why: DriverRefusal) -> list[Row]:
+        """From now on nobody knows what the bare adapter and its motors would do."""
+        self._open = False
+        self._enabled = [False] * len(self._speeds)
+        self._takes_speeds = [False] * len(self._speeds)
+        return [why, *self._stop()]
+
+    def _frame(self, can_id: int, data: bytes) -> list[Row]:
+        if can_id == codec.REGISTERS_ID:
+            return self._register(data)
+        mode, motor = can_id >> 8, can_id & 0xFF
+        if not 0 < motor <= len(self._speeds):
+            return [self._nobody(motor)]
+        if mode == codec.SPEED_ID >> 8:
+            return self._speed(motor, data)
+        if mode == _MIT and len(data) == len(codec.ENABLE) and data.startswith(_PREFIX) and data[7] >= _CLEAR:
+            return self._switch(motor, data[7])
+        return [DriverRefusal(_NO_SPEED.get(mode, f"a frame with the CAN id {can_id:#x}"), _USE_SPEEDS), *self._stop()]
+
+    def _speed(self, motor: int, data: bytes) -> list[Row]:
+        if len(data) < _LEAST_SPEED:
+            return self._unknown(_NO_LINE)
+        (speed,) = _SPEED.unpack_from(data)
+        if not isfinite(speed):
+            return [_NO_NUMBER, *self._stop()]
+        if not (self._enabled[motor - 1] and self._takes_speeds[motor - 1]):
+            state = "disabled" if self._takes_speeds[motor - 1] else "put into another mode"
+            refused = DriverRefusal(f"a speed for motor {motor}, which the driver has {state}", "it would not turn")
+            return [refused, *self._report(motor)]
+        self._speeds[motor - 1] = speed
+        return [self._motion(), *self._report(motor)]
+
+    def _switch(self, motor: int, what: int) -> list[Row]:
+        """Enable or disable a motor, or clear its fault. Its speed is zero afterwards."""
+        if what == _ZERO:
+            return [
+                DriverRefusal(f"the zero of motor {motor}'s position", "it stays where it is"),
+                *self._report(motor),
+            ]
+        if what == _CLEAR:
+            return self._report(motor)
+        was, self._enabled[motor - 1] = self._enabled[motor - 1], what == _ENABLE
+        if what == _ENABLE and was:
+            return self._report(motor)
+        self._speeds[motor - 1] = 0.0
+        return [self._motion(), *self._report(motor)]
+
+    def _register(self, data: bytes) -> list[Row]:
+        motor, what, index = (int.from_bytes(data[:2], "little"), *data[2:4]) if len(data) >= 4 else (0, 0, 0)
+        if not 0 < motor <= len(self._speeds):
+            return [self._nobody(motor)]
+        if what == codec.REPORT:
+            return self._report(motor)
+        if what == codec.READ:
+            self._asked.add((motor, index))
+            return [DriverFrame(codec.register(motor, codec.READ, index), f"{motor} {index}")]
+        if what == codec.WRITE and len(data) == 8:
+            return self._written(motor, index, data)
+        what_for = "to store registers" if what == _STORE else "another frame about registers"
+        return [DriverRefusal(what_for, "it was not passed on")]
+
+    def _written(self, motor: int, index: int, data: bytes) -> list[Row]:
+        """A value for a register: failstop has set the mode of speeds and the watchdog itself."""
+        if index == codec.TIMEOUT:
+            refused = DriverRefusal(
+                "the time of the motors' watchdog", "failstop sets it itself: this was only answered"
+            )
+            return [refused, *self._taken(motor, data)]
+        if index != codec.MODE:
+            return [DriverRefusal(f"a value for register {index} of motor {motor}", "failstop passes on no settings")]
+        self._takes_speeds[motor - 1] = _VALUE.unpack_from(data, 4) == (codec.SPEED_MODE,)
+        if self._takes_speeds[motor - 1]:
+            return self._taken(motor, data)
+        return [DriverRefusal(f"another mode for motor {motor}", _USE_SPEEDS), *self._stop()]
+
+    def _taken(self, motor: int, data: bytes) -> list[Row]:
+        """The answer of a motor that has taken a value into a register."""
+        can_id, _ = self._reports.get(motor, (0, b""))
+        return [DriverAnswer(slcan.line(can_id, data))]
+
+    def _nobody(self, motor: int) -> DriverRefusal:
+        return DriverRefusal(f"a frame for motor {motor}", f"failstop's settings have motors 1 to {len(self._speeds)}")
+
+    def _report(self, motor: int) -> list[Row]:
+        if motor not in self._reports:
+            return []
+        can_id, data = self._reports[motor]
+        status = data[0] >> 4
+        if status not in codec.FAULTS:
+            status = codec.ENABLED if self._enabled[motor - 1] else 0
+        return [DriverAnswer(slcan.line(can_id, bytes((status << 4 | motor,)) + data[1:]))]
+
+    def _motion(self) -> DriverMotion:
+        return DriverMotion(tuple(self._speeds))
+
+    def _stop(self) -> list[Row]:
+        self._speeds = [0.0] * len(self._speeds)
+        return [DriverMotion(tuple(self._speeds), refused=True)]
+
+
+def language(settings: Mapping[str, float | str]) -> DamiaoDriver:
+    """A driver's conversation, with as many motors as the base of the settings has."""
+    return DamiaoDriver(sum(key.startswith("wheels.id_") for key in settings))
