@@ -16,7 +16,6 @@ from failstop import config
 from failstop.api.client import runtime_dir
 from failstop.api.errors import FailstopError, NoService
 from failstop.board.driver import language_of
-from failstop.board.kinds import is_own
 from failstop.cli.commands import add_name
 from failstop.files import instance
 from failstop.guard.door import Door
@@ -123,10 +122,6 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
         described = language_of(kind, settings.flat()) is not None
     except ValueError as error:
         raise FailstopError(str(error)) from None
-    if not described and not is_own(kind):
-        raise FailstopError(
-            f"board.kind {kind} has no guard port yet: let your program drive with failstop.Robot (docs/python.md)"
-        )
     if not described:
         raise FailstopError(
             f"{os.path.join(kind, 'wire.py')} does not say what a driver program may write to this board: add `driver` "

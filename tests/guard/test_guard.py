@@ -17,10 +17,13 @@ import pytest
 from bench.guard_scene import GuardScene, Process
 from failstop import config, helpers
 from failstop.api.errors import FailstopError
+from failstop.board.driver import language_of
 from failstop.guard.door import Door
 from failstop.guard.dry import Nothing
 from failstop.guard.guard import Guard
 from failstop.guard.pty import Pty
+from failstop.policy.layouts import BOARDS
+from failstop.policy.settings import Settings
 from failstop_lab.trial import Trial, wait_for, write_settings
 from tests.support.boards import own_folder
 from tests.support.commands import failstop
@@ -157,12 +160,9 @@ def test_a_board_that_nobody_has_described_drivers_of_says_so(tmp_path: Path) ->
     assert f"{kind}/wire.py does not say what a driver program may write to this board: add `driver`" in done.stderr
 
 
-def test_a_board_of_failstop_s_without_a_guard_port_says_so(tmp_path: Path) -> None:
-    settings = tmp_path / "settings.toml"
-    write_settings(str(settings), {"board.kind": "damiao"})
-    done = failstop("guard", "--dry-run", "--config", str(settings), "--path", str(tmp_path / "port"))
-    assert done.returncode == 1
-    assert done.stderr.startswith("failstop: board.kind damiao has no guard port yet: let your program drive with")
+@pytest.mark.parametrize("kind", BOARDS)
+def test_every_board_of_failstop_s_has_a_guard_port(kind: str) -> None:
+    assert language_of(kind, Settings({"board.kind": kind}).flat()) is not None
 
 
 def test_a_board_whose_description_of_drivers_is_not_there_says_so(tmp_path: Path) -> None:
