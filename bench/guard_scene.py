@@ -110,7 +110,7 @@ class GuardScene:
         path = folder / "settings.toml"
         # No obstacle sensor is part of these tests.
         write_settings(str(path), {**traits_of(kind).settings, "scan.gate": "off", **settings})
-        self.folder = folder
+        self.folder, self.kind = folder, kind
         self.path = str(folder / "port")
         self.trial = Trial(f"guard-{os.getpid()}-{folder.name[-12:]}".lower(), ("--config", str(path)), kind=kind)
         self._drivers: list[Process] = []

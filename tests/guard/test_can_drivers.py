@@ -80,10 +80,9 @@ while left:
     packet(struct.pack(">BBBi", 34, 1, 8, int(speed)))
     packet(b"\\4")
     read(0.05)
-    at = kept.find(b"\\4")
-    if len(kept) >= at + 30 and at > 0:
-        print(1, 1, struct.unpack_from(">i", kept, at + 23)[0], flush=True)
-        kept = b""
+    while len(kept) > 1 and len(kept) >= kept[1] + 5:
+        payload, kept = kept[2 : 2 + kept[1]], kept[kept[1] + 5 :]
+        print(1, 1, struct.unpack_from(">i", payload, 23)[0], flush=True)
     time.sleep(0.02)
 packet(struct.pack(">Bi", 5, 0))
 packet(struct.pack(">BBBi", 34, 1, 5, 0))
@@ -110,14 +109,9 @@ def scene(_scene: GuardScene) -> Iterator[GuardScene]:
     _scene.end_drivers()
 
 
-@pytest.fixture
-def kind(_scene: GuardScene) -> str:
-    return _scene.trial.robot.settings["board.kind"]
-
-
-def drives(scene: GuardScene, kind: str, turns: str = FOR_LONG) -> Process:
+def drives(scene: GuardScene, turns: str = FOR_LONG) -> Process:
     """A driver whose wheels turn."""
-    source, speed, _ = DRIVERS[kind]
+    source, speed, _ = DRIVERS[scene.kind]
     scene.rest()
     scene.enable()
     driver = scene.python(source, str(speed), turns)
@@ -126,9 +120,9 @@ def drives(scene: GuardScene, kind: str, turns: str = FOR_LONG) -> Process:
     return driver
 
 
-def test_a_driver_drives_and_hears_its_motors_as_at_the_bare_board(scene: GuardScene, kind: str) -> None:
-    driver = drives(scene, kind)
-    _, speed, near = DRIVERS[kind]
+def test_a_driver_drives_and_hears_its_motors_as_at_the_bare_board(scene: GuardScene) -> None:
+    driver = drives(scene)
+    _, speed, near = DRIVERS[scene.kind]
 
     def measured() -> bool:
         _, status, reported = driver.newest().split()
@@ -138,8 +132,8 @@ def test_a_driver_drives_and_hears_its_motors_as_at_the_bare_board(scene: GuardS
     assert len(set(scene.trial.board.wheels())) == 1
 
 
-def test_while_motion_is_disabled_it_sees_motors_that_are_enabled_and_at_rest(scene: GuardScene, kind: str) -> None:
-    source, speed, _ = DRIVERS[kind]
+def test_while_motion_is_disabled_it_sees_motors_that_are_enabled_and_at_rest(scene: GuardScene) -> None:
+    source, speed, _ = DRIVERS[scene.kind]
     driver = scene.python(source, str(speed), FOR_LONG)
     assert driver.line() == "open"
     for _ in range(20):
@@ -150,14 +144,14 @@ def test_while_motion_is_disabled_it_sees_motors_that_are_enabled_and_at_rest(sc
 
 
 @pytest.mark.claim("GUARD-1")
-def test_a_driver_that_is_killed_stops_and_nothing_drives_before_an_enable(scene: GuardScene, kind: str) -> None:
+def test_a_driver_that_is_killed_stops_and_nothing_drives_before_an_enable(scene: GuardScene) -> None:
     for _ in range(amount(3, 500)):
-        driver = drives(scene, kind)
+        driver = drives(scene)
         driver.kill()
         scene.stands()
         wait_for("motion to be disabled", lambda: not scene.trial.robot.state.enabled)
         assert f"(pid {driver.pid}) died after it had driven" in str(scene.trial.robot.why())
-        source, speed, _ = DRIVERS[kind]
+        source, speed, _ = DRIVERS[scene.kind]
         again = scene.python(source, str(speed), FOR_LONG)
         assert again.line() == "open"
         pid = again.pid
@@ -168,8 +162,8 @@ def test_a_driver_that_is_killed_stops_and_nothing_drives_before_an_enable(scene
         again.kill()
 
 
-def test_a_suspended_driver_stops_and_goes_on_afterwards(scene: GuardScene, kind: str) -> None:
-    driver = drives(scene, kind)
+def test_a_suspended_driver_stops_and_goes_on_afterwards(scene: GuardScene) -> None:
+    driver = drives(scene)
     os.kill(driver.pid, signal.SIGSTOP)
     scene.stands()
     assert scene.trial.robot.state.enabled
@@ -177,8 +171,8 @@ def test_a_suspended_driver_stops_and_goes_on_afterwards(scene: GuardScene, kind
     scene.moves()
 
 
-def test_a_driver_that_ends_after_a_zero_leaves_motion_enabled(scene: GuardScene, kind: str) -> None:
-    driver = drives(scene, kind, "40")
+def test_a_driver_that_ends_after_a_zero_leaves_motion_enabled(scene: GuardScene) -> None:
+    driver = drives(scene, "40")
     driver.child.wait()
     scene.rest()
     assert scene.trial.robot.state.enabled

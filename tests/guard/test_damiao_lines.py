@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import random
+from itertools import combinations, product
 from pathlib import Path
 from struct import pack
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from failstop.board.damiao.wire import WIRE
 from failstop.board.driver import DriverAnswer, DriverFrame, DriverMotion, DriverRefusal, language_of
 from failstop.guard.scale import Scale
 from failstop.policy.settings import Settings
-from failstop_lab.boards.damiao import LOST, OVER_HEATED, Damiao, said
+from failstop_lab.boards.damiao import LOST, OVER_HEATED, Adapter, Damiao, said
 from tests.support.amounts import amount
 
 from .damage import damaged, judged
@@ -159,6 +160,7 @@ def test_what_would_turn_a_motor_without_a_speed_stops_all(chunk: bytes, what: s
         (register(1, codec.WRITE, 25, 1), "a value for register 25 of motor 1"),
         (register(2, 0xAA), "to store registers"),
         (register(2, 0x11), "another frame about registers"),
+        (register(2, codec.READ, codec.MOST_REGISTER + 1), "another frame about registers"),
         (switch(1, ZERO), "the zero of motor 1's position"),
         (b"S6\r", "another bit rate of the CAN"),
         (b"V\r", "the adapter's command V"),
@@ -255,13 +257,29 @@ def _answers(board: Damiao, chunk: bytes) -> tuple[int, bytes]:
     return answer
 
 
-@pytest.mark.parametrize("index", [0, 9, 22, 255])
+@pytest.mark.parametrize("lost", [1, 2])
+def test_a_question_that_lost_characters_moves_nothing_and_sets_nothing(lost: int) -> None:
+    """Behind a line that left the worst digits: those of a speed, or of a value for a register."""
+    left = (speed(1, 280.0), said(0x201, b"\x55" * 8), register(1, codec.WRITE, codec.MODE, 1))
+    for motor, index in product((1, 4), range(codec.MOST_REGISTER + 1)):
+        line = codec.register(motor, codec.READ, index)
+        for places in combinations(range(len(line) - 1), lost):
+            text = bytes(value for at, value in enumerate(line) if at not in places)
+            for before in left:
+                adapter = Adapter(before)
+                for can_id, data in filter(None, map(adapter.byte, text)):
+                    assert can_id >> 8 == 7, text
+                    assert data[2:3] not in (b"\x55", b"\xaa"), text
+
+
+@pytest.mark.parametrize("index", [0, 9, 22, codec.MOST_REGISTER])
 def test_only_questions_for_registers_of_its_motors_are_passed_on(index: int) -> None:
     aux = WIRE.aux
     assert aux
     assert aux(codec.register(2, codec.READ, index)) == ""
     for frame in (
         codec.register(3, codec.READ, index),
+        codec.register(1, codec.READ, codec.MOST_REGISTER + 1),
         codec.register(1, codec.WRITE, index),
         codec.register(1, codec.REPORT, index),
         codec.register(1, codec.READ, index, 1),

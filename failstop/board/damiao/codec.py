@@ -49,6 +49,7 @@ STEPS = 64
 SPEED_ID, REGISTERS_ID = 0x200, 0x7FF
 READ, WRITE, REPORT = 0x33, 0x55, 0xCC
 ENABLE, CLEAR = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfb"
+MOST_REGISTER = 81
 TIMEOUT, MODE, P_MAX, V_MAX = 9, 10, 21, 22
 """Registers: the watchdog's time, what commands mean, and the ends of the scales of reported positions and speeds."""
 ASKED = (TIMEOUT, MODE, P_MAX, V_MAX)
@@ -156,9 +157,10 @@ class Motors:
         return beyond(found, limit, LIMIT)
 
     def check_aux(self, frame: bytes) -> str:
-        """Why these bytes must not be written as another frame: nothing but a question for a register may."""
+        """Why these bytes must not be written as another frame: nothing but a question for a register may. One beyond
+        the last register could become a value for a register, if two of its characters were lost."""
         found = slcan.frame_of(frame[:-1])
-        if not found or found[0] != REGISTERS_ID or found[1][0] not in self._ids:
+        if not found or found[0] != REGISTERS_ID or found[1][0] not in self._ids or found[1][3] > MOST_REGISTER:
             return "no question for a register of a motor"
         known = register(found[1][0], READ, found[1][3])
         return "" if frame == known else "no question for a register of a motor"

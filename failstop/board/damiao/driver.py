@@ -171,7 +171,7 @@ class DamiaoDriver:
             return [self._nobody(motor)]
         if what == codec.REPORT:
             return self._report(motor)
-        if what == codec.READ:
+        if what == codec.READ and index <= codec.MOST_REGISTER:
             self._asked.add((motor, index))
             return [DriverFrame(codec.register(motor, codec.READ, index), f"{motor} {index}")]
         if what == codec.WRITE and len(data) == 8:
