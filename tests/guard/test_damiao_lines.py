@@ -201,6 +201,15 @@ def test_behind_a_line_that_could_mean_anything_a_driver_sets_up_adapter_and_mot
     assert motions(register(2, codec.WRITE, codec.MODE, 3) + speed(2, 4.0), language) == [(3, 4)]
 
 
+def test_failstop_s_own_stop_is_a_stop_at_its_guard_port_too() -> None:
+    """As of another failstop. Its motors 3 and 4 are not there."""
+    language = made()
+    assert motions(speed(1, 3.0) + speed(2, 4.0), language)[-1] == (3, 4)
+    assert motions(WIRE.stop.writes[0].data, language)[-1] == (0, 0)
+    assert motions(speed(1, 3.0), language) == [(3, 0)]
+    assert motions(b"t2018CDCC" + WIRE.stop.writes[0].data + speed(1, 3.0), language)[-1] == (0, 0), "cut before it"
+
+
 def test_each_frame_is_answered_by_the_newest_report_of_its_motor() -> None:
     language, board = made(), Damiao(armed=True, turns=True)
     assert language.wrote(speed(1, 3.0), 0)[1:] == [], "nothing was heard yet"

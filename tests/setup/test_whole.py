@@ -14,6 +14,7 @@ from tests.support.amounts import LONG
 
 MOST_ANSWERS = 25
 PROOFS = 3
+ONE = {0: "rear-"}
 TWO = {0: "left+", 1: "right-"}
 THREE = {0: "rear-", 1: "left+", 2: "right+"}
 FOUR = {0: "rr-", 1: "fl+", 2: "fr-", 3: "rl+"}
@@ -28,11 +29,14 @@ ROBOTS = {
     "feetech": ("feetech", "other", THREE),
     "lekiwi": ("feetech", "lekiwi", THREE),
     "vesc": ("vesc", "other", TWO),
+    "roboracer": ("vesc", "roboracer", ONE),
     "damiao": ("damiao", "other", TWO),
     "openarm-base": ("damiao", "openarm-base", USUAL_FOUR),
 }
 """Each: the kind of board, the robot's name where there are names for it, how it is wired."""
 MECANUM = ("rrc", "openarm-base")
+LONG_BASE = (*MECANUM, "roboracer")
+LEFTWARD = {1: "Do the steered wheels point to the left?", 3: "Did all three turn"}
 AXLES = "Distance between the front and the rear axle"
 UNNAMED = ("", "other", "openarm-base")
 """Robots whose sizes nobody knows."""
@@ -77,7 +81,7 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
         person.says("Type yes:", "yes")
         if kind in ("arduino", "vesc"):
             person.reads("How many turns did it make?")
-            board.turn_by_hand(1, -2.0)
+            board.turn_by_hand(len(wheels) - 1, -2.0)
             person.types("2")
         wiring = Wiring(board, wheels)
         for id_ in wheels if wheels is not USUAL_FOUR else ():
@@ -86,7 +90,7 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
         person.reads("and the rear one stand?" if wheels is THREE else "Did every wheel turn forward?")
         assert wiring.together() == ({"left": -1, "right": 1} if wheels is THREE else dict.fromkeys(named, 1))
         person.types("yes")
-        person.reads("Did all three turn" if wheels is THREE else "Did the left wheels turn backward")
+        person.reads(LEFTWARD.get(len(wheels), "Did the left wheels turn backward"))
         assert wiring.together() == {name: -1 if name in LEFT and wheels is not THREE else 1 for name in named}
         person.types("yes")
         across = (
@@ -94,7 +98,7 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
         )
         for question in ("Wheel diameter", across, "Highest speed forward", "Highest turn rate"):
             measured = {"Wheel diameter": "0.08", across: "0.15", AXLES: "0.15"} if name in UNNAMED else {}
-            if question == "Distance between the left and the right" and robot in MECANUM:
+            if question == "Distance between the left and the right" and robot in LONG_BASE:
                 person.says(AXLES, measured.get(AXLES, ""))
             if question == "Highest turn rate" and (robot in MECANUM or wheels is THREE):
                 person.says("Highest speed sideways", "")
@@ -107,7 +111,7 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
     assert person.answers < MOST_ANSWERS
     assert not person.wide(80)
     made = config.load(str(place / "etc/failstop/failstop.toml"))
-    words = {2: ("left", "right"), 3: ("left", "rear", "right"), 4: ("fl", "rl", "fr", "rr")}[len(wheels)]
+    words = {1: ("rear",), 2: ("left", "right"), 3: ("left", "rear", "right"), 4: ("fl", "rl", "fr", "rr")}[len(wheels)]
     found = {
         id_: f"{words[at]}{'+' if sign > 0 else '-'}" for at, (id_, sign) in enumerate(mounted_wheels(made.values))
     }

@@ -96,9 +96,10 @@ class DamiaoDriver:
         return found
 
     def _run(self, line: bytes) -> list[Row]:
-        """One line, without its end. An empty one is the last one again to a CANable, and nothing here."""
+        """One line, without its end. An empty one is the last one again to a CANable, and nothing here. Zeros alone are
+        no command, wherever the adapter begins its line again."""
         command, rest = line[:1], line[1:]
-        if not command:
+        if not line.strip(b"0"):
             return []
         if len(line) > _LONGEST:
             return self._unknown(_NO_LINE)
