@@ -50,10 +50,11 @@ def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
 
 
 def wire(speeds: int, _can_id: int = 0) -> Wire:
-    """The description for this many motors (0: two), with the CAN ids 1, 2 and so on."""
+    """The description for this many motors, with the CAN ids 1, 2 and so on. 0: the number is not known, so two are
+    asked."""
     motors = codec.Motors(speeds or USUAL)
     return Wire(
-        name=f"{motors.wheels} Damiao motors behind a slcan adapter",
+        name=f"{speeds} Damiao motors behind a slcan adapter" if speeds else "Damiao motors behind a slcan adapter",
         # A USB adapter has no baud rate; one with a UART has its own, which is the setting board.baud.
         port=Port(baud=1_000_000, dtr=False, rts=False, deaf_ns=0, opening=(motors.opening,)),
         stop=TimedStop(
@@ -118,4 +119,5 @@ def wire(speeds: int, _can_id: int = 0) -> Wire:
     )
 
 
-WIRE = wire(USUAL)
+WIRE = wire(0)
+"""Of two motors: how many there are is not known before the settings are."""
