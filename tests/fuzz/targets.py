@@ -44,6 +44,7 @@ from failstop.web import driving, guard, lease, messages
 from failstop.web import incidents as cards
 from failstop.web.devices import Devices, typed
 from failstop_lab.boards.line import arrivals, model_of
+from failstop_lab.boards.vesc import wrapped
 from failstop_lab.prove import pack
 from failstop_lab.sim.motors import Motors
 from failstop_lab.sim.receiver import Receiver
@@ -170,6 +171,9 @@ def obeyed(kind: str, body: bytes) -> list[tuple[float, ...]]:
 
 def _heard(kind: str, body: bytes) -> list[tuple[float, ...]]:
     board = model_of(kind).any_state(random.Random(0))
+    for motor in getattr(board, "motors", ()):
+        if hasattr(motor, "until"):
+            motor.until = lambda _: None  # a time for its watchdog is refused, by name
     at_ns, byte_ns = SLOW_NS, BOARDS[kind].port.byte_ns if kind == GAPS else SLOW_NS
     for at_ns, value in arrivals([(at_ns, body)], byte_ns):  # noqa: B020
         board.byte(at_ns, value)
@@ -180,7 +184,8 @@ def _heard(kind: str, body: bytes) -> list[tuple[float, ...]]:
 
 
 def _alike(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
-    return all(math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9) for a, b in zip(one, other, strict=True))
+    """Each wheel has the speed that the board has, or none: a refusal stops them all."""
+    return all(not a or math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9) for a, b in zip(one, other, strict=True))
 
 
 def _said(rows: list[DriverMotion | DriverAnswer | DriverFrame | DriverRefusal]) -> tuple[object, ...]:
@@ -420,6 +425,11 @@ TARGETS: dict[str, Target] = {
             b'\7{"T": "13", "X": 0.1, "Z": 0.4}\n{"T":1,"L":0.2,"R":-0.3}\n{\'T\':1,L:1.9e0,R:.5}\n{"T":0}\n',
             b'\7{"T":11,"L":200,"R":200}\n{"T":138,"L":0.5,"R":0.5}\n{"T":1,"L":0.2,"R":0.2}\n',
             b'\7{"T":1,"L":1e400,"R":-1e400}\n{"T":13,"X":NaN,"Z":1e308}\n',
+            b"\3C\rS8\r\rO\rt7FF80200330A00000000\rt7FF80100550A03000000\rt0018FFFFFFFFFFFFFFFC\rt20140000803F\r",
+            b"\7t20180000803F00000000\rt0028FFFFFFFFFFFFFFFD\rt2018123\rt0018FFFFFFFFFFFFFFFE\rt1018"
+            + b"0" * 16
+            + b"\r",
+            b"\5" + b"".join(map(wrapped, (b"\x08\0\0\3\xe8", b"\x22\1\x08\xff\xff\xfd\x44", b"\6\0\0\7\xd0", b"\4"))),
         ),
     ),
     "receivers": Target(receivers, (b"\3" + BOARDS["rrc"].burst,)),

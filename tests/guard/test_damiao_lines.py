@@ -183,7 +183,7 @@ def test_an_adapter_that_was_closed_and_a_motor_that_was_disabled_move_again_whe
     language = made()
     language.wrote(speed(1, 3.0) + speed(2, 4.0), 0)
     assert motions(switch(1, DISABLE), language) == [(0, 4)], "failstop brakes, and the bare motor would roll"
-    assert motions(switch(1, ENABLE), language) == [(0, 4)]
+    assert motions(switch(1, ENABLE), language) == []
     assert motions(b"C\rO\r" + speed(1, 6.0), language) == [(6, 4)]
     assert motions(switch(1, ENABLE), language) == [], "it is enabled"
     assert motions(register(2, codec.WRITE, codec.MODE, 2) + speed(2, 5.0), language) == [(0, 0)]

@@ -163,8 +163,8 @@ class DamiaoDriver:
         was, self._enabled[motor - 1] = self._enabled[motor - 1], what == _ENABLE
         if what == _ENABLE and was:
             return self._report(motor)
-        self._speeds[motor - 1] = 0.0
-        return [self._motion(), *self._report(motor)]
+        was_told, self._speeds[motor - 1] = self._speeds[motor - 1], 0.0
+        return [*([self._motion()] if was_told else []), *self._report(motor)]
 
     def _register(self, data: bytes) -> list[Row]:
         motor, what, index = (int.from_bytes(data[:2], "little"), *data[2:4]) if len(data) >= 4 else (0, 0, 0)
@@ -220,5 +220,5 @@ class DamiaoDriver:
 
 
 def language(settings: Mapping[str, float | str]) -> DamiaoDriver:
-    """A driver's conversation, with as many motors as the base of the settings has."""
-    return DamiaoDriver(sum(key.startswith("wheels.id_") for key in settings))
+    """A driver's conversation, with as many motors as the base of the settings has; two if they don't say."""
+    return DamiaoDriver(sum(key.startswith("wheels.id_") for key in settings) or 2)

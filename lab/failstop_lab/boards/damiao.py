@@ -257,7 +257,8 @@ class Damiao(OneByOne):
                     answer = motor.register(data) or (motor.report(self._turning(wheel)) if data[2] == 0xCC else b"")
                     self._says(motor, answer, at_ns)
             elif can_id & 0xFF == motor.number:
-                if motor.takes(can_id, data, at_ns):
+                was = motor.speed
+                if motor.takes(can_id, data, at_ns) or motor.speed != was:
                     self.commanded(wheel, at_ns)
                 self._says(motor, motor.report(self._turning(wheel)), at_ns)
 
