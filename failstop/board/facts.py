@@ -54,6 +54,9 @@ class Facts(Data):
     none can."""
     layouts: Mapping[str, int] = {}
     """How many speeds a frame sets on a base with one of these layouts (wheels.layout), where that differs."""
+    most: int = 0
+    """How many speeds a frame can set. A wheel whose id is higher than the layout needs makes frames as long. 0: frames
+    are as long as the layout needs."""
     steered_defaults: Mapping[str, float] = {}
     """As `defaults`, for a steered base."""
     can: bool = False

@@ -218,13 +218,13 @@ def check_base(values: Values) -> None:
     ids = {key: value for key, value in values.items() if key.startswith("wheels.id_")}
     all_differ(ids)
     kind = str(values["board.kind"])
-    most = (speeds_of(kind, str(values["wheels.layout"])) or len(ids)) - 1
+    facts = facts_of(kind)
+    most = ((facts and facts.most) or speeds_of(kind, str(values["wheels.layout"])) or len(ids)) - 1
     for key, value in ids.items():
         if int(value) > most:
             raise SettingError(f"{key} = {value}: on board.kind {kind}, ids go from 0 to {most}")
     if "steering.servo" in values:
         steered, servo = str(values["steering.kind"]), int(values["steering.servo"])
-        facts = facts_of(kind)
         if not facts or steered not in facts.steers:
             has = ", ".join(facts.steers) if facts else ""
             raise SettingError(f'steering.kind = "{steered}": on board.kind {kind} it must be {has}')

@@ -511,8 +511,9 @@ class Settings:
     @property
     def speeds(self) -> int:
         """The number of speeds in a frame for the board, one for each id on the wire."""
-        layout = str(self.values["wheels.layout"])
-        return layouts.speeds_of(self.text("board.kind"), layout) or len(mounted_wheels(self.values))
+        ids = [id_ for id_, _ in mounted_wheels(self.values)]
+        found = layouts.speeds_of(self.text("board.kind"), self.text("wheels.layout"))
+        return max(found, max(ids) + 1) if found else len(ids)
 
     def servos(self) -> tuple[int, ...]:
         """The ids of the arm's servos, in the order of its joints; empty on a robot without an arm."""

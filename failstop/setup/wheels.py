@@ -96,13 +96,9 @@ class Trial:
         found = turn.asked(talk, self._device, self._values, self._halt, self._speeds)
         self._values |= found
         self._set_speeds()
-        # A wheel alone is the first of three omni wheels, so the board must have all ids in a frame for those too.
-        by_hand = self._speeds == self._count == 4 and speeds_of(self._kind, "omni3") != self._speeds
+        by_hand = self._speeds == self._count == 4 and self._kind.startswith("/")
         if by_hand:
-            talk.warn(
-                "With four wheels on this board, setup can't turn one alone: they turn by their usual ids.",
-                "if a wheel turns the wrong way, set [wheels] by hand",
-            )
+            talk.warn("On your own board with four wheels, setup can't turn a single wheel.", "set [wheels] by hand")
         while True:
             if not by_hand:
                 found |= self._ids()
@@ -117,7 +113,7 @@ class Trial:
                 talk.warn("So the steering servo turns the other way.", f"{STEERING} is {sign} now; watch it again")
                 continue
             if by_hand:
-                raise Left("the settings [wheels] must be wrong for this robot: correct them by hand")
+                raise Left("the settings [wheels] of your board's wheels must be wrong: correct them by hand")
             talk.draft.forget(*(f"wheel_{id_}" for id_ in range(self._speeds)))
             text = "one of the answers about the wheels must be wrong"
             if talk.silent:

@@ -190,6 +190,8 @@ def test_the_facts_that_settings_need_are_the_board_s(kind: str) -> None:
     assert facts.speeds == board.wheels
     for name, speeds in facts.layouts.items():
         assert board_of(*Settings({"board.kind": kind, "wheels.layout": name}).board()).wheels == speeds
+    if facts.most:
+        assert board_of(kind, 0.1, 0.0, speeds=facts.most).wheels == facts.most
     assert (facts.arm is None) is (board.arm is None)
     assert facts.imu or board.observed_by != BY_IMU
     if facts.arm and board.arm:

@@ -16,7 +16,9 @@ from failstop.board.damiao import codec, slcan
 from failstop.board.damiao.wire import WIRE
 from failstop.board.kinds import board_of
 from failstop.board.wire import SERVO_HEAT, SERVO_MISSING, Answer, Health, Restarted, Sample, Wheels
+from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
+from failstop.setup.rig import alone
 from failstop_lab.boards.damiao import BUFFERS, IS_OFF, IS_ON, LOST, MIT, OVER_HEATED, QUEUE, Adapter, Damiao, Motor
 from tests.support.simulated import Simulated
 
@@ -540,6 +542,29 @@ def test_any_of_four_motors_that_hears_nothing_stops_the_robot_and_is_named(unpl
     assert max(time_ms for motor, time_ms in enumerate(times_ms) if motor != unplugged) < AT_MOST_MS
     assert f"motor {unplugged + 1} (CAN id {unplugged + 1})" in str(simulated.robot.state.cause)
     assert not any(board.wheels)
+
+
+@pytest.mark.parametrize("id_", range(4))
+def test_one_wheel_of_four_can_be_turned_alone_as_setup_does(id_: int) -> None:
+    """By three of the ids, of which one may be the fourth motor's: then all four must answer."""
+    values, velocity = alone("damiao", 4, id_, 0.05, 0.08)
+    settings = Settings(dict(values))
+    assert settings.speeds == (4 if {3} & {int(settings[f"wheels.id_{number}"]) for number in (1, 2, 3)} else 3)
+    simulated = Simulated(values, kind="damiao", motors=4)
+    simulated.enable()
+    simulated.drive(0.5, velocity)
+    assert [bool(speed) for speed in receiver(simulated).wheels] == [motor == id_ for motor in range(4)]
+    simulated.robot.estop("enough")
+    simulated.wait(0.5)
+    assert not any(receiver(simulated).wheels)
+
+
+def test_a_wheel_with_an_id_beyond_all_motors_is_refused() -> None:
+    assert Settings({"board.kind": "damiao", "wheels.id_1": 3}).speeds == 4
+    with pytest.raises(SettingError, match="0 to 3"):
+        Settings({"board.kind": "damiao", "wheels.id_1": 4})
+    with pytest.raises(SettingError, match="ids go from 0 to 1"):
+        Settings({"board.kind": "ugv", "wheels.id_1": 2})
 
 
 def test_three_omni_wheels_turn_on_the_spot_together() -> None:

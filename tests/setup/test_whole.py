@@ -18,7 +18,6 @@ ONE = {0: "rear-"}
 TWO = {0: "left+", 1: "right-"}
 THREE = {0: "rear-", 1: "left+", 2: "right+"}
 FOUR = {0: "rr-", 1: "fl+", 2: "fr-", 3: "rl+"}
-USUAL_FOUR = {0: "fl+", 1: "rl+", 2: "fr-", 3: "rr-"}
 LEFT = ("left", "fl", "rl")
 ROBOTS = {
     "ugv": ("ugv", "ugv-rover", TWO),
@@ -31,7 +30,7 @@ ROBOTS = {
     "vesc": ("vesc", "other", TWO),
     "roboracer": ("vesc", "roboracer", ONE),
     "damiao": ("damiao", "other", TWO),
-    "openarm-base": ("damiao", "openarm-base", USUAL_FOUR),
+    "openarm-base": ("damiao", "openarm-base", FOUR),
 }
 """Each: the kind of board, the robot's name where there are names for it, how it is wired."""
 MECANUM = ("rrc", "openarm-base")
@@ -84,7 +83,7 @@ def test_a_robot_is_set_up_and_proved_by_the_conversation_alone(robot: str, plac
             board.turn_by_hand(len(wheels) - 1, -2.0)
             person.types("2")
         wiring = Wiring(board, wheels)
-        for id_ in wheels if wheels is not USUAL_FOUR else ():
+        for id_ in wheels:
             person.reads(f"Id {id_}: which wheel turned, and which way?")
             person.types(wiring.seen())
         person.reads("and the rear one stand?" if wheels is THREE else "Did every wheel turn forward?")

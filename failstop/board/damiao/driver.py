@@ -220,5 +220,6 @@ class DamiaoDriver:
 
 
 def language(settings: Mapping[str, float | str]) -> DamiaoDriver:
-    """A driver's conversation, with as many motors as the base of the settings has; two if they don't say."""
-    return DamiaoDriver(sum(key.startswith("wheels.id_") for key in settings) or 2)
+    """A driver's conversation, with as many motors as a frame has for the wheels of the settings."""
+    ids = [int(value) for key, value in settings.items() if key.startswith("wheels.id_")]
+    return DamiaoDriver(1 + max(ids, default=1))
