@@ -43,7 +43,7 @@ class LiveModel(BoardModel):
         `motors`: how many it has; 0: as usual. Raises ValueError."""
         super().__init__(start_ns, imu_hz=0.0, seed=seed)
         wire = wire_of(kind, speeds=motors)
-        self._motors = motors
+        self._motor_count = motors
         self._byte_ns = wire.port.byte_ns
         self._per_rps = per_rps or wire.motion.per_rps(DIAMETER_M)
         reports = wire.reports
@@ -78,11 +78,11 @@ class LiveModel(BoardModel):
             self.servos = model.joints(self.receiver, start_ns)
 
     def _live(self, model: ReceiverModel) -> Receiver:
-        if not self._motors:
+        if not self._motor_count:
             return model.live()
         if not model.with_motors:
             raise ValueError(NO_CHOICE.format(self._kind))
-        return model.with_motors(self._motors)
+        return model.with_motors(self._motor_count)
 
     def receive(self, chunk: bytes, t_ns: int) -> None:
         """Take in bytes that were read at t_ns."""
