@@ -14,7 +14,7 @@ from failstop.version import VERSION
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from typing import Any
 
     from failstop.api.state import State, Stop
@@ -72,9 +72,11 @@ def date(found: object) -> float | None:
     return float(found)
 
 
-def connection(state: str, period_s: float | None = None) -> Message:
-    """ONLINE, OFFLINE or LOST. `period_s`: how often a state follows at least."""
-    return {"connection": state, **({} if period_s is None else {"state_period_s": period_s})}
+def connection(state: str, period_s: float | None = None, heard: Sequence[str] = ()) -> Message:
+    """ONLINE, OFFLINE or LOST. `period_s`: how often a state follows at least; `heard`: the numbers of the other
+    publishers under this name that this one has heard (twins.py)."""
+    period = {} if period_s is None else {"state_period_s": period_s}
+    return {"connection": state, **period, **({"heard": list(heard)} if heard else {})}
 
 
 def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Message:

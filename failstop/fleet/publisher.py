@@ -167,6 +167,7 @@ class Publisher:
         if self.twins.again:
             self.twins.again = False
             self._connection()
+            self._will()
         busy = self.busy(now_s)
         state, note = self._robot.read()
         for answer in self.duties.look(state, now_s):
@@ -224,17 +225,18 @@ class Publisher:
             self._remember()
 
     def _will(self) -> None:
-        body = message.connection(message.LOST)
+        body = message.connection(message.LOST, heard=self.twins.heard())
         self.broker.will(self._connection_topic, self._header.message(topics.CONNECTION, body, time.time()))
 
     def _up(self) -> None:
+        self.twins.connected()
         self._connection()
         self._will()  # dated anew, for the next connection
         self._shown = (None, None)
         self._look_at_s = 0.0
 
     def _connection(self) -> None:
-        body = message.connection(self._word, self._publish_s)
+        body = message.connection(self._word, self._publish_s, self.twins.heard())
         self.broker.say(self._connection_topic, self._header.message(topics.CONNECTION, body, time.time()), retain=True)
 
     def _publish(self, state: State | None, note: str, now_s: float) -> None:

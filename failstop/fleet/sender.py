@@ -160,8 +160,8 @@ class Sender:
             return
         robot, last = topics.robot_of(topic)
         if last == topics.CONNECTION:
-            word, number, _ = connection_of(payload)
-            self.tally.connection(words.printable(robot[:MOST_TEXT])[:MOST_TEXT], word, number)
+            said = connection_of(payload)
+            self.tally.connection(words.printable(robot[:MOST_TEXT])[:MOST_TEXT], said.word, said.number)
             return
         try:
             answer = levels.read_answer(self._key, payload)

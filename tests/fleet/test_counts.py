@@ -5,6 +5,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import socket
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,7 @@ from failstop.fleet import FleetError, message, signed, topics
 from failstop.fleet.sender import Sender
 from failstop.fleet.settings import FleetSettings
 from failstop.fleet.tally import DOUBLED
+from failstop_lab.trial import wait_for
 
 from .scene import LONG_AGO_S, MOSQUITTO, Listener, Mosquitto, Pretended, Robot, mosquitto, pump, stop_all
 from .standin import Standin
@@ -58,16 +62,24 @@ def start(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Start]:
 
 @pytest.fixture
 def enrol(key: str, tmp_path: Path) -> Iterator[Callable[..., Robot]]:
-    """Connect a pretended robot, as if it had been connected for long, unless it is to be `new`."""
+    """Connect a pretended robot, as if it had been connected for long, unless it is `new`. `connect`: wait for that."""
     made: list[Robot] = []
 
     def publish(
-        broker: Standin | Mosquitto, name: str, robot: Pretended, *, new: bool = False, **changed: object
+        broker: Standin | Mosquitto,
+        name: str,
+        robot: Pretended,
+        *,
+        new: bool = False,
+        connect: bool = True,
+        **changed: object,
     ) -> Robot:
         given = {"stop__key_file": key, "robot__publish_s": PUBLISH_S, "broker__user": name, **changed}
         folder = tmp_path / f"robot-{len(made)}"
         folder.mkdir()
         made.append(Robot(broker.settings(**given), "failstop", robot, name, str(folder)))
+        if not connect:
+            return made[-1]
         pump(f"{name} to be connected", lambda: made[-1].broker.listening, made[-1])
         made[-1].broker.up_s -= 0.0 if new else LONG_AGO_S
         return made[-1]
@@ -161,6 +173,36 @@ def test_a_publisher_that_is_started_again_has_no_twin(start: Start, enrol: Any,
         again.close()
 
 
+def unread(robot: Robot) -> bytes:
+    """What has come from the broker, and stays there."""
+    with socket.socket(fileno=os.dup(robot.broker.fileno())) as found, contextlib.suppress(BlockingIOError):
+        return found.recv(1 << 16, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+    return b""
+
+
+def test_a_publisher_has_no_twin_in_the_one_before_it(start: Start, enrol: Any, key: str) -> None:
+    """The end of the last publisher is dated later than the start of the next one: dates are rounded, and clocks are
+    set. All that the broker says to the new publisher comes at once, and the newest is heard first."""
+    broker = start()
+    topic = topics.of_robot(FLEET, "r1", topics.CONNECTION)
+    header, ended = message.Header(FLEET, "r1", "e" * 16), message.connection(message.OFFLINE)
+    ending = header.message("connection", ended, time.time() + 60.0)
+    somebody = Listener(broker.settings(), topic)
+    pump("the listener", lambda: somebody.broker.listening, somebody)
+    somebody.broker.say(topic, ending, retain=True)
+    pump("the end of the last publisher", lambda: somebody.last, somebody)
+
+    robot = enrol(broker, "r1", Pretended(), connect=False)
+    pump("its connection", lambda: not robot.broker.problem, robot)
+    robot.broker.up_s -= LONG_AGO_S
+    wait_for("the broker to pass on its own message", lambda: robot.number.encode() in unread(robot))
+    pump("all of that to be heard", lambda: robot.broker.listening, robot)
+    assert robot.doubled() == ""
+    complete, sender = stop_all(operator(broker, key), robot)
+    assert (complete, sender.tally.missing()) == (True, [])
+    somebody.broker.close()
+
+
 def test_a_last_will_that_comes_late_is_put_right(start: Start, enrol: Any, key: str) -> None:
     """The broker takes the connection of a robot that lost its power for alive until its keepalive is over."""
     broker = start()
@@ -168,7 +210,6 @@ def test_a_last_will_that_comes_late_is_put_right(start: Start, enrol: Any, key:
     listener = Listener(broker.settings(), topics.of_robot(FLEET, "r1", topics.CONNECTION))
     pump("the listener", lambda: listener.last, listener)
     back = enrol(broker, "r1", Pretended())
-    back.twins.others.clear()  # it had no word of the one that lost its power, which said nothing any more
     gone.broker.drop()
 
     def words() -> list[str]:
