@@ -11,6 +11,7 @@ from failstop_lab.case.hazards import NOTHING_HELPS, Hazard
 from failstop_lab.faults.arm_table import CLAIMS as ARM_CLAIMS
 from failstop_lab.faults.arm_table import ArmFault
 from failstop_lab.faults.fault import CLAIMS_OF, Fault
+from failstop_lab.simulate import control_runs
 
 TIMED_WORDS = ("in its time", "soon", "within", "deadline", "the moment")
 """Words of a sentence that has to have a number."""
@@ -46,6 +47,18 @@ def gaps(
         if not hazard.claims and not hazard.does.startswith(NOTHING_HELPS):
             yield f"the hazard {hazard.name} has no claim: name one, or say that nothing helps"
         yield from (f"{hazard.name} names {name}, which is no claim" for name in hazard.claims if name not in known)
+
+
+def uncontrolled(claims: Iterable[Claim], page: str) -> Iterator[str]:
+    """Claims whose rule nobody takes out, and rules that were taken out and not missed. `page`: what the controls have
+    found last (docs/reference/controls.md)."""
+    for claim in claims:
+        controls = control_runs.controls_of(claim.name)
+        if not controls:
+            yield f"the claim {claim.name} has no control: take out the rule that it rests on (simulate/controls.py)"
+        for control in controls:
+            if not control_runs.found_by(control, page)[0]:
+                yield f"{claim.name}: nothing has found that {control.row}: make controls"
 
 
 def taken_by(cited: Iterable[Citation], assumptions: Iterable[Assumption]) -> list[str]:

@@ -7,6 +7,7 @@ import os
 import time
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from fnmatch import fnmatch
+from itertools import chain
 
 from failstop.api.errors import FailstopError
 from failstop.policy.layouts import BOARDS
@@ -29,7 +30,6 @@ failstop simulate --seed 537      # repeat one of them
 failstop simulate --decisions FILE  # repeat a failure from its printout
 failstop simulate --controls      # remove parts of the protocol
 """
-CONTROL_S = 60.0
 EVERY = "*"
 SEEDS_A_DAY = 1_000_000
 STORIES = 3
@@ -133,18 +133,22 @@ def _part(text: str) -> tuple[int, int]:
 
 
 def _controls(board: str, jobs: int, wanted: str, file: str) -> int:
-    from failstop_lab.simulate import control_runs, controls
+    from failstop_lab.simulate import control_runs, controls, tested_controls
 
     def asked(row: str) -> bool:
         return fnmatch(row, wanted)
 
-    known = [*(each.row for each in control_runs.BOTH), *controls.NOT_EXPRESSED]
+    tested = [each.row for each in tested_controls.TESTED]
+    known = [*(each.row for each in control_runs.BOTH), *tested, *controls.NOT_EXPRESSED]
     if not any(map(asked, known)):
         raise FailstopError(f"no control {wanted}; there are: {'; '.join(known)}")
     boards = BOARDS if file else (board,)
     print(control_runs.TABLE_HEAD, flush=True)
-    every = []
-    for found in control_runs.searched(CONTROL_S, jobs, lambda each: asked(each.row) and each.board in boards):
+    every: list[control_runs.Found | tested_controls.Noticed] = []
+    for found in chain(
+        control_runs.searched(control_runs.SEARCH_S, jobs, lambda each: asked(each.row) and each.board in boards),
+        tested_controls.searched(lambda each: asked(each.row) and BOARDS[0] in boards),
+    ):
         every.append(found)
         print(found.text(), flush=True)
         if wanted != EVERY:
@@ -158,7 +162,7 @@ def _controls(board: str, jobs: int, wanted: str, file: str) -> int:
             with open(file, encoding="utf-8") as page:
                 before = page.read()
         with open(file, "w", encoding="utf-8") as page:
-            page.write(control_runs.page(every, CONTROL_S, before))
+            page.write(control_runs.page(every, before))
     return int(not all(found.wrong for found in every))
 
 

@@ -75,20 +75,24 @@ Patches = tuple[tuple[str, str, str], ...]
 place."""
 
 
+def patched(name: str, source: str, patches: Patches) -> str:
+    """The changed source of a module. Raises ValueError for a patch of what is not there once."""
+    for module, old, new in patches:
+        if module == name:
+            if source.count(old) != 1:
+                raise ValueError(f"{name} has {source.count(old)} times {old!r}, not once")
+            source = source.replace(old, new)
+    return source
+
+
 def _compiled(name: str, patches: Patches = ()) -> tuple[CodeType, bool]:
     """A module's code, and whether it is a package. Raises ValueError for a patch of what is not there."""
     path = os.path.join(HOME, *name.split(".")[1:])
     package = os.path.isdir(path)
     path = os.path.join(path, "__init__.py") if package else f"{path}.py"
-    changes = [(old, new) for module, old, new in patches if module == name]
-    if changes:
+    if any(module == name for module, _, _ in patches):
         with open(path, encoding="utf-8") as file:
-            source = file.read()
-        for old, new in changes:
-            if source.count(old) != 1:
-                raise ValueError(f"{name} has {source.count(old)} times {old!r}, not once")
-            source = source.replace(old, new)
-        return compile(source, path, "exec"), package
+            return compile(patched(name, file.read(), patches), path, "exec"), package
     if name not in _CODE:
         # Python's own loader: it takes the compiled copy that is kept beside the source.
         code = SourceFileLoader(name, path).get_code(name)

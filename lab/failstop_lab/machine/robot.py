@@ -327,11 +327,14 @@ class Robot:
         seconds: float,
         velocity: tuple[float, float, float],
         each: Callable[[], object] = lambda: None,
+        *,
+        sensed: bool = True,
     ) -> None:
-        """Command a velocity for so long, with news of the sensor and what `each` does."""
+        """Command a velocity for so long, with news of the sensor unless it is silent, and what `each` does."""
         until_s = self.time.monotonic() + seconds
         while self.time.monotonic() < until_s:
-            client.sensed()
+            if sensed:
+                client.sensed()
             client.drive(*velocity)
             each()
             self.time.sleep(COMMAND_EVERY_S)

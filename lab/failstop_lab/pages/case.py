@@ -9,6 +9,7 @@ from failstop_lab.case import assumptions, cited, claims, gaps, hazards
 from failstop_lab.case.cited import Citation
 from failstop_lab.case.claims import Claim
 from failstop_lab.faults import report
+from failstop_lab.simulate import control_runs
 
 HAZARDS_HEAD = """\
 # What can still go wrong
@@ -74,15 +75,25 @@ def _link(claim: Claim, folder: str = "") -> str:
 
 def claims_table(root: Path) -> str:
     """The table of docs/safety.md, and how the last campaign of a checkout found its times."""
-    lines = ["| | claim | p99, at most | counted |", "|---|---|---|---|"]
+    lines = ["| | claim | p99, at most | counted | control |", "|---|---|---|---|---|"]
+    found = (root / "docs/reference/controls.md").read_text("utf-8")
     for claim in claims.CLAIMS:
         bound = "" if claim.bound_ms is None else f"{claim.bound_ms:g} ms"
-        lines.append(f"| {_link(claim, 'reference/')} | {claim.says} | {bound} | {claim.counted} |")
-    found = report.result_of((root / "docs/reference/faults.md").read_text("utf-8"))
-    kept = report.kept(report.EVERY, {row["name"]: row for row in found["rows"]})
-    day, count, missed = found["machine"]["date"], found["count"], found["missed"]
+        told = f"{claim.says} | {bound} | {claim.counted} | {_controlled(claim, found)}"
+        lines.append(f"| {_link(claim, 'reference/')} | {told} |")
+    campaign = report.result_of((root / "docs/reference/faults.md").read_text("utf-8"))
+    kept = report.kept(report.EVERY, {row["name"]: row for row in campaign["rows"]})
+    day, count, missed = campaign["machine"]["date"], campaign["count"], campaign["missed"]
     lines += ["", f"In the last campaign ({day}, {count} faults) {kept}; {missed} stops were missed."]
     return "\n".join(lines)
+
+
+def _controlled(claim: Claim, found: str) -> str:
+    """What was taken out of the code for this claim, and what has found it."""
+    first, *more = control_runs.controls_of(claim.name)
+    by, _ = control_runs.found_by(first, found)
+    by = f"`{by.strip('`').rpartition('::')[2]}`" if by.startswith("`") else by.partition(",")[0]
+    return f"{first.row}: {by or control_runs.UNSOUGHT}" + f", and {len(more)} more" * bool(more)
 
 
 def evidence_page(root: Path) -> str:

@@ -27,6 +27,7 @@ from failstop_lab.pages import (
     tried,
 )
 from failstop_lab.pages.marked import renewed
+from failstop_lab.simulate import control_runs
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -51,6 +52,7 @@ FILES: dict[str, Callable[[str], str]] = {
     "docs/reference/c.md": lambda _: c_reference.page(),
     "docs/reference/commands.md": lambda _: commands.page(),
     "docs/reference/faults.md": report.remade,
+    "docs/reference/controls.md": lambda text: control_runs.page((), text),
     "docs/reference/hazards.md": lambda _: case.hazards_page(),
     "docs/safety.md": lambda text: renewed(text, "claims", case.claims_table(ROOT)),
     "docs/reference/evidence.md": lambda _: case.evidence_page(ROOT),

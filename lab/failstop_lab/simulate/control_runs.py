@@ -6,10 +6,14 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+from failstop_lab.case.claims import CLAIMS
+from failstop_lab.machine.loading import HOME
 from failstop_lab.simulate.controls import CONTROLS, NOT_EXPRESSED, Mutant
 from failstop_lab.simulate.seeds import ROUNDS, commit, seeds, stays_down, used_s
 from failstop_lab.simulate.single_faults import Plan, explore, of_board
+from failstop_lab.simulate.tested_controls import TESTED, Noticed, Tested
 from failstop_lab.simulate.weak_controls import WEAK_CONTROLS
 
 BOTH = (*CONTROLS, *WEAK_CONTROLS)
@@ -18,8 +22,20 @@ SHORT = 1
 ENOUGH = 6
 """A run that needs more deviations is looked for again, while there is time."""
 COLUMNS = ("taken out", "scenario", "found by", "s", "deviations", "what is wrong then", "commit")
-NOT_YET = "not looked for" + " |" * (len(COLUMNS) - 2)
-TABLE_HEAD = "| " + " | ".join(COLUMNS) + " |\n|" + "---|" * len(COLUMNS)
+OF_TESTS = ("taken out", "found by", "s", "what the test says", "commit")
+OF_CLAIMS = ("claim", "taken out", "in", "found by", "s")
+SEARCH_S = 60.0
+"""How long a control is looked for."""
+NOT_FOUND = "NOT FOUND"
+UNSOUGHT = "not looked for"
+
+
+def head(columns: tuple[str, ...]) -> str:
+    """The first two lines of a table."""
+    return "| " + " | ".join(columns) + " |\n|" + "---|" * len(columns)
+
+
+TABLE_HEAD = head(COLUMNS)
 
 PAGE = """\
 # Controls: what the tests find when a part is taken out
@@ -36,13 +52,26 @@ itself. The last column is the commit at which that row was tried.
 `failstop simulate --controls 'no epoch*'` tries a single part, and tells the story of the run that goes wrong. With
 `--page FILE` it renews the rows that it has tried.
 
+## Claims
+
+Each claim of [safety.md](../safety.md#what-is-claimed) rests on rules of the code. For each claim at least one of them
+is taken out, and something must notice. Where several rules carry a claim, all of them are taken out together.
+
+{claims}
+
 ## Failing rows of the model
 
 These are the rows of [the model](../how-it-is-tested.md#the-stop-protocol-in-a-model-checker) that must fail, and parts
 that the model does not have.
 
-{head}
 {model}
+
+## What a test finds
+
+The simulation's judge looks at wheels and at the bytes on the wire. What shows on neither, a test must notice. It runs
+in a copy of the checkout, in which that part is missing.
+
+{tested}
 
 ## Barriers
 
@@ -50,7 +79,6 @@ Each barrier of [memory order](../how-it-is-tested.md#memory-order-on-arm) is ta
 these runs only the memory behaves in an unusual way. For *moving: supervisor* an entry of the black box is taken out
 too, because its own barrier is between the two. *ring: any writer* and *reply: gate* take out the same barrier.
 
-{head}
 {memory}
 
 ## What can't be taken out by a change of the source
@@ -79,7 +107,9 @@ class Found:
     def text(self) -> str:
         """One line of the table."""
         where = f"`{self.control.scenario}{of_board(self.control.board)}`"
-        told = f"{self.runs} {self.by}" if self.wrong else f"NOT FOUND by {self.runs} {self.by}"
+        by = self.by.replace("seeds", "seed", 1) if self.runs == 1 and self.by.startswith("seeds") else self.by
+        by = by.replace("faults", "fault", 1) if self.runs == 1 else by
+        told = f"{self.runs} {by}" if self.wrong else f"{NOT_FOUND} by {self.runs} {by}"
         last = f"{self.draws if self.wrong else ''} | {self.wrong} | {self.commit}"
         return f"| {self.control.row} | {where} | {told} | {self.took_s:.1f} | {last} |"
 
@@ -124,14 +154,58 @@ def _searched(todo: tuple[Mutant, float]) -> Found:
     return search(*todo)
 
 
-def page(found: Iterable[Found], seconds: float, before: str = "") -> str:
+def rows(page: str) -> dict[str, list[str]]:
+    """The cells of each control on the page, by the first one."""
+    lines = (line.removeprefix("| ").removesuffix("|").split(" | ") for line in page.splitlines())
+    return {
+        cells[0]: [cell.strip() for cell in cells] for cells in lines if len(cells) in (len(COLUMNS), len(OF_TESTS))
+    }
+
+
+def found_by(control: Mutant | Tested, page: str) -> tuple[str, str]:
+    """What has found a control on the page, and in how many seconds. Empty: nothing has."""
+    cells = rows(page).get(control.row, [])
+    columns = COLUMNS if isinstance(control, Mutant) else OF_TESTS
+    if len(cells) != len(columns):
+        return "", ""
+    by, seconds = (cells[columns.index(name)] for name in ("found by", "s"))
+    return ("", "") if not seconds or by.startswith(NOT_FOUND) else (by, seconds)
+
+
+def controls_of(claim: str) -> list[Mutant | Tested]:
+    """The controls of a claim, in the order of their tables."""
+    return [control for control in (*CONTROLS, *TESTED) if claim in control.claims]
+
+
+def page(found: Iterable[Found | Noticed], before: str) -> str:
     """The page about these, and about all others what it said `before`."""
     lines = {line.split(" | ")[0].removeprefix("| "): line for line in before.splitlines() if line.startswith("| ")}
     lines |= {each.control.row: each.text() for each in found}
 
-    def line(control: Mutant) -> str:
-        return lines.get(control.row) or f"| {control.row} | `{control.scenario}` | {NOT_YET}"
+    def table(columns: tuple[str, ...], controls: Iterable[Mutant | Tested]) -> str:
+        def line(control: Mutant | Tested) -> str:
+            where = f"`{control.scenario}` | " if isinstance(control, Mutant) else ""
+            empty = " |" * (len(columns) - 2 - bool(where))
+            return lines.get(control.row) or f"| {control.row} | {where}{UNSOUGHT} |{empty}"
 
-    model, memory = ("\n".join(map(line, controls)) for controls in (CONTROLS, WEAK_CONTROLS))
+        return "\n".join([head(columns), *map(line, controls)])
+
+    model, memory, tested = table(COLUMNS, CONTROLS), table(COLUMNS, WEAK_CONTROLS), table(OF_TESTS, TESTED)
+    claims = "\n".join([head(OF_CLAIMS), *_of_claims("\n".join((model, tested)))])
     others = "\n".join(f"| {row} | {why} |" for row, why in NOT_EXPRESSED.items())
-    return PAGE.format(seconds=f"{seconds:g}", head=TABLE_HEAD, model=model, memory=memory, others=others)
+    return PAGE.format(seconds=f"{SEARCH_S:g}", claims=claims, model=model, tested=tested, memory=memory, others=others)
+
+
+def _of_claims(tables: str) -> Iterator[str]:
+    for claim in CLAIMS:
+        for control in controls_of(claim.name):
+            by, seconds = found_by(control, tables)
+            files = dict.fromkeys(file_of(module) for module, _, _ in control.patches)
+            link, places = f"[{claim.name}](evidence.md#{claim.name.lower()})", ", ".join(f"`{each}`" for each in files)
+            yield f"| {link} | {control.row} | {places} | {by or UNSOUGHT} | {seconds} |"
+
+
+def file_of(module: str) -> str:
+    """The file of a module, as a reader finds it: the core's folders lie at the top."""
+    path = Path(HOME, *module.split(".")[1:]).with_suffix(".py")
+    return str(path.resolve().relative_to(Path(HOME).resolve().parent))

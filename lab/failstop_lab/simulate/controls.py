@@ -18,6 +18,10 @@ SUPERVISOR_MODULE = "failstop.supervisor.main"
 STATUS_MODULE = "failstop.supervisor.status"
 HANDOVER_MODULE = "failstop.supervisor.port_handover"
 TABLE_MODULE = "failstop.supervisor.process_table"
+GUARD_MODULE = "failstop.guard.guard"
+CORE_MODULE = "failstop.procs.gate.core"
+CONDITIONS_MODULE = "failstop.procs.gate.conditions"
+CELL_MODULE = "failstop.shm.cell"
 PORT_MODULE = "failstop.procs.port_owner.port"
 PEER_MODULE = "failstop.procs.peer"
 STOP_PORT_MODULE = "failstop.board.stop_port"
@@ -55,6 +59,8 @@ class Mutant:
     """The kind of board at which it is tried."""
     groups: tuple[str, ...] = ()
     """The kinds of events that seeds of it may draw; empty: all."""
+    claims: tuple[str, ...] = ()
+    """The claims (lab/case/claims.py) that rest on what is taken out."""
 
 
 CONTROLS = (
@@ -62,11 +68,13 @@ CONTROLS = (
         "no epoch in frames",
         "stops_in_one_breath",
         ((ADMISSION_MODULE, "frame_epoch == epoch and epoch > self.stopped_in", "epoch > self.stopped_in"),),
+        claims=("MOVE-1", "MOVE-2"),
     ),
     Mutant(
         "own stop does not refuse motion",
         "supervisor_dies",
         ((ADMISSION_MODULE, "frame_epoch == epoch and epoch > self.stopped_in", "frame_epoch == epoch"),),
+        claims=("MOVE-1",),
     ),
     Mutant(
         "motion behind an early stop",
@@ -78,6 +86,7 @@ CONTROLS = (
                 "if self.lost or self.unsent or (self.holds()",
             ),
         ),
+        claims=("MOVE-1",),
     ),
     Mutant(
         "one stop frame for a burst",
@@ -87,6 +96,7 @@ CONTROLS = (
             (STOP_PORT_MODULE, "taken = self._write(self.board.first_stop)", "taken = self._write(self.board.stop)"),
         ),
         CUT_AND_ASKED,
+        claims=("BOARD-2",),
     ),
     Mutant(
         "nobody fences",
@@ -95,17 +105,26 @@ CONTROLS = (
             (SUPERVISOR_MODULE, "os.kill(child.pid, signal.SIGKILL)", "pass"),
             (STOPPER_MODULE, "            life.kill()\n", ""),
         ),
+        claims=("RETURN-1",),
     ),
     Mutant(
         "the stopper does not fence",
         "stopper_alone_runs",
         ((STOPPER_MODULE, "            life.kill()\n", ""), OWN_SILENCE),
+        claims=("MOVE-1",),
     ),
-    Mutant("the port owner does not notice its own silence", "stopper_alone_runs", (OWN_SILENCE,), IS_HELD),
+    Mutant(
+        "the port owner does not notice its own silence",
+        "stopper_alone_runs",
+        (OWN_SILENCE,),
+        IS_HELD,
+        claims=("HANG-1",),
+    ),
     Mutant(
         "the stopper does not notice a silence",
         "port_owner_and_supervisor_hang",
         ((STOPPER_MODULE, "self._excused_ns) + HANG_NS", "self._excused_ns) + 1000 * HANG_NS"),),
+        claims=("SEVERAL-1",),
     ),
     Mutant(
         "fencing writes before it kills",
@@ -119,11 +138,13 @@ CONTROLS = (
                 "        os.kill(child.pid, signal.SIGKILL)\n        kill_ns = monotonic_ns()\n",
             ),
         ),
+        claims=("MOVE-1",),
     ),
     Mutant(
         "ready before the port owner's answer",
         "port_owner_held_in_its_write",
         ((STATUS_MODULE, "carried_out = self._epochs.answered() and not stopping", "carried_out = not stopping"),),
+        claims=("MOVE-1",),
     ),
     Mutant(
         "an early stop beside the loop's write",
@@ -135,6 +156,7 @@ CONTROLS = (
                 "        if self.fd >= 0:\n            self._write_early()",
             ),
         ),
+        claims=("MOVE-1",),
     ),
     Mutant(
         "stays down, and no second burst",
@@ -150,6 +172,7 @@ CONTROLS = (
             (PEER_MODULE, "        if self.named() == pid:\n            self._stop()\n", ""),
         ),
         "held in the write",
+        claims=("DEATH-1",),
     ),
     Mutant(
         "stays down, and no burst at the return",
@@ -159,6 +182,7 @@ CONTROLS = (
             (STOPPER_MODULE, "        if not self._succeeded():\n            self._burst(now_ns)\n", ""),
             (STOPPER_MODULE, "            self._write()\n\n    def _hangs_ns", "\n    def _hangs_ns"),
         ),
+        claims=("PORT-1",),
     ),
     Mutant(
         "nobody answers the port owner's death",
@@ -175,6 +199,7 @@ CONTROLS = (
                 "stop = None",
             ),
         ),
+        claims=("DEATH-1",),
     ),
     Mutant(
         "no lease of the gate",
@@ -186,35 +211,41 @@ CONTROLS = (
                 "in ((layout.SUPERVISOR, supervisor_ns),):",
             ),
         ),
+        claims=("HANG-1",),
     ),
     Mutant(
         "a sleep of the machine goes unnoticed",
         "machine_sleeps",
         ((PORT_OWNER_MODULE, "self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))", "pass"),),
+        claims=("TIME-1",),
     ),
     Mutant(
         "nobody stops for a wheel that runs away",
         "wheel_runs_away",
         ((TELEMETRY_MODULE, "self._raise(causes.RUNAWAY(name, told, seen))", "pass"),),
         board="hoverboard",
+        claims=("RUNAWAY-1",),
     ),
     Mutant(
         "nobody stops for a board that says nothing",
         "board_says_nothing",
         ((TRACKER_MODULE, "{LINK_DEAF: causes.DEAF, LINK_SILENT: causes.BOARD_SILENT}", "{LINK_DEAF: causes.DEAF}"),),
         board="ugv",
+        claims=("SILENCE-1",),
     ),
     Mutant(
         "wheels that turn unasked do not disable motion",
         "wheels_turn_unasked",
         ((TURNING_MODULE, "if not unexpected or by != _BY_REPORTS:", "if unexpected or by != _BY_REPORTS:"),),
         board="hoverboard",
+        claims=("RUNAWAY-1",),
     ),
     Mutant(
         "wheels that turn on unasked latch no stop",
         "wheels_turn_unasked",
         ((UNASKED_MODULE, "return Reaction(causes.UNSTILL(), False, None)", "return NO_REACTION"),),
         board="hoverboard",
+        claims=("RUNAWAY-1",),
     ),
     Mutant(
         "a program drives on through an enable",
@@ -226,6 +257,7 @@ CONTROLS = (
         "drive_and_stop",
         ((PORT_MODULE, "self._opening = board.port.opening", "self._opening = ()"),),
         board="ugv",
+        claims=("WATCHDOG-1",),
     ),
     Mutant(
         "no CR before the stop",
@@ -233,6 +265,7 @@ CONTROLS = (
         (("failstop.board.arduino.codec", r'STOP = b"\rm 0 0\r"', r'STOP = b"m 0 0\r"'), NOT_REPEATED),
         CUT_AND_ASKED,
         "arduino",
+        claims=("BOARD-2",),
     ),
     Mutant(
         "no line feed before the stop",
@@ -240,6 +273,7 @@ CONTROLS = (
         (("failstop.board.ugv.codec", r"""STOP = b'\n{"T":1,""", """STOP = b'{"T":1,"""), NOT_REPEATED),
         CUT_AND_ASKED,
         "ugv",
+        claims=("BOARD-2",),
     ),
     Mutant(
         "the second motor's stop is left out",
@@ -253,6 +287,7 @@ CONTROLS = (
         ),
         ASKS,
         "vesc",
+        claims=("BOARD-2",),
     ),
     Mutant(
         "the second CAN motor's stop is left out",
@@ -266,17 +301,172 @@ CONTROLS = (
         ),
         ASKS,
         "damiao",
+        claims=("BOARD-2",),
     ),
-    Mutant("a stop is not repeated", "drive", (NOT_REPEATED,), CUT_AND_ASKED, "hoverboard"),
+    Mutant("a stop is not repeated", "drive", (NOT_REPEATED,), CUT_AND_ASKED, "hoverboard", claims=("BOARD-2",)),
     Mutant(
         "the zero behind motion is not repeated",
         "silence",
         ((PORT_OWNER_MODULE, "if stands and turned:", "if False:"),),
         board="hoverboard",
+        claims=("CLIENT-1",),
     ),
     Mutant(
         "a command counts a thousand times as long",
         "silence",
         ((SOURCES_MODULE, "{name: timeout_ns for", "{name: 1000 * timeout_ns for"),),
+        claims=("CLIENT-1",),
+    ),
+    Mutant(
+        "a run begins without a stop",
+        "drive_and_stop",
+        (
+            (HANDOVER_MODULE, "own.stopped = own.burst()", "own.stopped = True"),
+            (SUPERVISOR_MODULE, "elif self._repeats.pop(now_ns) and self._port.burst():", "elif False:"),
+            (
+                PORT_OWNER_MODULE,
+                "        self._burst()\n        self._stopped_word.set(self.epoch)\n        self.wire",
+                "        self._stopped_word.set(self.epoch)\n        self.wire",
+            ),
+        ),
+        claims=("START-1",),
+    ),
+    Mutant(
+        "a board that is back is not stopped first",
+        "replug",
+        (
+            (HANDOVER_MODULE, "written = StopPort(fd, self._board).burst()", "written = True"),
+            (WIRE_MODULE, "        self._refused = False\n        self.burst()\n", "        self._refused = False\n"),
+        ),
+        claims=("PORT-1",),
+    ),
+    Mutant(
+        "bytes in the stop pipe are no stop",
+        "stop_pipe",
+        (
+            (
+                PORT_OWNER_MODULE,
+                "        self.wire.burst()\n        written_ns = monotonic_ns()\n        give_way()\n"
+                "        self._own_stop(now_ns, written_ns, self._requests.accept(now_ns))\n",
+                "        self._requests.accept(now_ns)\n",
+            ),
+        ),
+        claims=("ASK-1",),
+    ),
+    Mutant(
+        "a key of the board is no stop",
+        "key",
+        (
+            (
+                PORT_OWNER_MODULE,
+                "            self.wire.burst()\n"
+                "            self._own_stop(entry[1], monotonic_ns(), causes.read(entry[2]))\n",
+                "            pass\n",
+            ),
+        ),
+        claims=("ASK-1",),
+    ),
+    Mutant(
+        "nobody notices that the stop pipe was removed",
+        "pipe_is_removed",
+        ((SUPERVISOR_MODULE, "if cause := self._run.lost(now_ns):", "if cause := None:"),),
+        claims=("ASK-2",),
+    ),
+    Mutant(
+        "the command of a driver that has died counts on",
+        "driver_dies",
+        (
+            (CORE_MODULE, "        self.sources.drop(session)\n", ""),
+            (CORE_MODULE, "            return causes.DRIVER_DIED(driver.who)\n", "            return None\n"),
+        ),
+        claims=("CLIENT-1",),
+    ),
+    Mutant(
+        "a command that is no number counts",
+        "two_programs",
+        (
+            (
+                CORE_MODULE,
+                "        if not all(map(isfinite, command.velocity)):\n"
+                "            return causes.NOT_FINITE(command.who)\n",
+                "",
+            ),
+        ),
+        claims=("CLIENT-1",),
+    ),
+    Mutant(
+        "two programs may command under one source",
+        "two_programs",
+        ((CORE_MODULE, "if rival is not None:", "if False:"),),
+        claims=("CLIENT-1",),
+    ),
+    Mutant(
+        "the CRC of a record does not count",
+        "memory_is_damaged",
+        ((CELL_MODULE, " or crc32(raw[4:end], crc_seed) != crc", ""),),
+        claims=("MEMORY-1",),
+    ),
+    Mutant(
+        "a silent obstacle sensor blocks nothing",
+        "sensor_falls_silent",
+        (
+            (CORE_MODULE, "if not driving.manual and self.scan.silent(now_ns):", "if False:"),
+            (CORE_MODULE, "if self.scan.on and not driving.manual:", "if False:"),
+        ),
+        claims=("SENSOR-1",),
+    ),
+    Mutant(
+        "an operator who is not heard is not missed",
+        "operator_is_lost",
+        (
+            (
+                CONDITIONS_MODULE,
+                "return causes.OPERATOR_GONE(*self._last) if self.unmet(now_ns) else None",
+                "return None",
+            ),
+            (
+                CORE_MODULE,
+                "        if self.attendance.on:\n            ends_ns",
+                "        if False:\n            ends_ns",
+            ),
+        ),
+        claims=("ATTEND-1",),
+    ),
+    Mutant(
+        "a stopped board is not told zero again and again",
+        "board_falls_silent",
+        ((PORT_OWNER_MODULE, "            self.wire.frame(self.board.refresh)\n", "            pass\n"),),
+        claims=("BOARD-1",),
+    ),
+    Mutant(
+        "a disable leaves motion enabled",
+        "commands_after_a_disable",
+        (
+            (
+                CORE_MODULE,
+                "        self.enabled = False\n        self.enabled_ns = 0\n        self.sources.clear()\n",
+                "        self.sources.clear()\n",
+            ),
+        ),
+        claims=("MOVE-2",),
+    ),
+    Mutant(
+        "a speed beyond the limit counts",
+        "commands_more_than_the_limit",
+        ((CORE_MODULE, "max(-limit, min(limit, want))", "want"),),
+        claims=("LIMIT-1",),
+    ),
+    Mutant(
+        "a driver's death at the guard port goes unnoticed",
+        "guard_driver_dies",
+        ((GUARD_MODULE, "        if news.ended:\n            self._end()\n", ""),),
+        board="arduino",
+        claims=("GUARD-1",),
+    ),
+    Mutant(
+        "a process that has died is not started again",
+        "gate_dies",
+        ((TABLE_MODULE, "        child.restart.set(now_ns + wait_ns)\n", ""),),
+        claims=("RETURN-1",),
     ),
 )

@@ -7,7 +7,7 @@ from typing import Any
 
 from failstop_lab.boards.traits import HAS_ARM, HAS_DRIVERS, HAS_KEYS, HAS_REPORTS, HAS_WHEEL_REPORTS, Traits
 from failstop_lab.simulate.guard_driver import Guarded
-from failstop_lab.simulate.stage import FROM_THE_START, NEEDS, SETTINGS, Continuation, Stage
+from failstop_lab.simulate.stage import ATTENDED, FROM_THE_START, NEEDS, SETTINGS, Continuation, Stage
 
 Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
@@ -244,9 +244,7 @@ def two_programs(stage: Stage) -> None:
     robot, other = stage.connect(), stage.connect()
     stage.enable(robot)
     stage.drive(robot, 0.04)
-    for each in (robot, other, robot):
-        each.sensed()
-        each.drive(0.05, 0.0, 0.0)
+    stage.compete(robot, other, robot)
     robot.wait_for("latched", 1.0)
     other.close()
     stage.enable(robot)
@@ -298,9 +296,53 @@ def pipe_is_removed(stage: Stage, robot: Any) -> None:
 
 @driven
 def board_falls_silent(stage: Stage, robot: Any) -> None:
-    """The board does not hear any more while it drives."""
+    """The board does not hear any more while it drives; motion is disabled, and it hears again."""
     stage.deafen()
     stage.drive(robot, 1.3)
+    stage.disable(robot)
+    stage.time.sleep(0.4)
+    stage.hear_again()
+    stage.time.sleep(0.35)
+
+
+@driven
+def commands_after_a_disable(stage: Stage, robot: Any) -> None:
+    """A program disables motion, and goes on commanding."""
+    stage.disable(robot)
+    stage.drive(robot, 0.1)
+
+
+@driven
+def commands_more_than_the_limit(stage: Stage, robot: Any) -> None:
+    """A program commands a speed far beyond the limit, for long enough to come to it by the ramp."""
+    stage.drive(robot, 0.6, 5.0)
+
+
+@driven
+def memory_is_damaged(stage: Stage, robot: Any) -> None:
+    """A command that nobody gave comes into the memory of the program that drives, again and again."""
+    for _ in range(4):
+        stage.drive(robot, 0.02)
+        stage.damage_command(robot)
+        stage.time.sleep(0.05)
+
+
+@driven
+def sensor_falls_silent(stage: Stage, robot: Any) -> None:
+    """The obstacle sensor delivers nothing any more, while a program goes on commanding."""
+    stage.silence_sensor()
+    stage.drive(robot, 0.7, sensed=False)
+
+
+def _operator_is_lost(stage: Stage) -> None:
+    """The operator who must attend is not heard any more, while a program goes on commanding."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.lose_operator()
+    stage.drive(robot, 1.2)
+
+
+scenario(_operator_is_lost, "operator_is_lost", settings=ATTENDED)
 
 
 def _board_restarts(stage: Stage, robot: Any) -> None:

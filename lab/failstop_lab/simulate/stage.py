@@ -8,13 +8,16 @@ and a board that has a watchdog of its own stops the wheels by itself.
 from __future__ import annotations
 
 import contextlib
+import struct
 import weakref
 from collections.abc import Callable
 from typing import Any
 
-from failstop.messages import layout
+from failstop.messages import layout, records
 from failstop.policy.layouts import BOARDS
+from failstop.shm.cell import cell_bytes
 from failstop_lab.machine.epoll import Epoll
+from failstop_lab.machine.files import Regular
 from failstop_lab.machine.kernel import FOREVER_NS, SIGCONT, SIGSTOP, SIGTERM
 from failstop_lab.machine.loading import Patches
 from failstop_lab.machine.mapped import Mapped
@@ -23,7 +26,16 @@ from failstop_lab.machine.process import Process, Thread
 from failstop_lab.machine.robot import COMMAND_EVERY_S, MS, Robot
 from failstop_lab.simulate import coverage
 from failstop_lab.simulate.order import Order, watch_looks, watch_rings
-from failstop_lab.simulate.witness import ANY_REPORTS, ASKED_NS, BACK_NS, COMPARED, TRUE_REPORTS, ZEROS_NS, Witness
+from failstop_lab.simulate.witness import (
+    ANY_REPORTS,
+    ASKED_NS,
+    BACK_NS,
+    COMMAND_COUNTS_NS,
+    COMPARED,
+    TRUE_REPORTS,
+    ZEROS_NS,
+    Witness,
+)
 
 Continuation = Callable[["Stage", Any], object]
 SETTINGS: dict[Callable[[Stage], object], dict[str, object]] = {}
@@ -58,7 +70,18 @@ UNASKED_MS = 2 * 1_500 + 300
 """From when wheels turn unasked, which disables motion and then latches a stop, with some times between reports."""
 SILENT_MS = 1_000
 """A board that says nothing any more is stopped within so long."""
+SENSOR_MS = 525
+"""From the last delivery of the obstacle sensor, at the default of scan.timeout_s."""
+OPERATOR_MS = 1_020
+"""From the last proof of an operator, at the default of attend.lease_s."""
+LIMIT_MPS = 0.2
+"""The default of limits.vx_mps."""
+ATTENDED: dict[str, object] = {"attend.required": "on"}
+OPERATOR = "ann"
 MOVING_AT = layout.SEGMENT_BY_NAME[layout.PORT_OWNER].offsets["moving"]
+COMMAND_AT = layout.SEGMENT_BY_NAME["client.0"].offsets["command"]
+CELL_NUMBER, CELL_TIME, COMMAND_SPEED = slice(8, 16), slice(16, 24), slice(32, 40)
+"""Of a cell with a command: its number, its time, and the speed forward, behind the session."""
 STOP_PIPE = "/run/failstop/failstop/stop"
 
 
@@ -118,6 +141,8 @@ class Stage:
         self.live_ns = ARM_NS if any(key.startswith("joints.") for key in told) else LIVE_NS
         # A port may be opened anew at its end, and once more by who starts then.
         self.live_ns += 2 * self.traits.deaf_ns
+        self.attended = told.items() >= ATTENDED.items()
+        """Motion needs an operator, whom the programs report when they enable it, and while they drive again."""
         self.explored = play in FROM_THE_START
         """Faults may come from now on. The start is the same in every scenario, so one has the faults of it."""
 
@@ -128,6 +153,7 @@ class Stage:
         while True:
             try:
                 robot = self.failstop.Robot()
+                self.attend(robot)
                 robot.wait_for("ready", self.ready_s)
             except (self.failstop.NoService, self.failstop.TimedOut):
                 self.time.sleep(0.005)
@@ -137,6 +163,7 @@ class Stage:
 
     def enable(self, robot: Any) -> None:
         """Reset where a stop is latched, and enable."""
+        self.attend(robot)
         robot.wait_for("ready", self.ready_s)
         if robot.state.cause is not None:
             robot.reset()
@@ -147,15 +174,28 @@ class Stage:
         self.witness.is_granted()
         self._enabled_by = self.robot.named("supervisor")
 
-    def drive(self, robot: Any, seconds: float, speed_mps: float = SPEED_MPS) -> None:
-        """Command a speed for so long."""
+    def drive(self, robot: Any, seconds: float, speed_mps: float = SPEED_MPS, *, sensed: bool = True) -> None:
+        """Command a speed for so long, while the obstacle sensor delivers, or not. The settings limit the speed."""
 
         def asks() -> None:
-            self.witness.asks_for(speed_mps * RPS_PER_MPS)
+            self.witness.asks_for(min(speed_mps, LIMIT_MPS) * RPS_PER_MPS)
 
         self._drove.add(robot)
         asks()
-        self.robot.drive(robot, seconds, (speed_mps, 0.0, 0.0), asks)
+        self.robot.drive(robot, seconds, (speed_mps, 0.0, 0.0), asks, sensed=sensed)
+
+    def attend(self, robot: Any) -> None:
+        """Report an operator, if motion needs one."""
+        if self.attended:
+            robot.attend(OPERATOR)
+
+    def silence_sensor(self) -> None:
+        """The obstacle sensor delivers nothing from now on."""
+        self.must_stop("the obstacle sensor is silent", SENSOR_MS, layout.GATE)
+
+    def lose_operator(self) -> None:
+        """Nobody hears the operator from now on."""
+        self.must_stop("the operator is not heard", OPERATOR_MS, layout.GATE)
 
     def stop(self, robot: Any, why: str = "hand near wheel") -> None:
         """Ask for a stop, and wait until it is latched."""
@@ -243,6 +283,34 @@ class Stage:
         robot._client().command(float("nan"), 0.0, 0.0, manual=False, source="cmd_vel")
         self.must_stop("a program commands what is no number", 30, layout.GATE)
 
+    def damage_command(self, robot: Any) -> None:
+        """A whole command with a forged speed comes into the program's memory. Only its CRC is wrong."""
+        client = robot._client()
+        at, size = COMMAND_AT, cell_bytes(records.COMMAND.most)
+        name = f".client.{client.slot}"
+        memory = self.machine.root.folder("/dev/shm").names
+        file = next((node for path, node in memory.items() if path.endswith(name)), None)
+        if not isinstance(file, Regular):
+            return  # the service has ended
+        cells = [file.get(at + number * size, size) for number in range(2)]
+        newest = max(cells, key=lambda cell: int.from_bytes(cell[CELL_NUMBER], "little"))
+        number = int.from_bytes(newest[CELL_NUMBER], "little") + 1
+        forged = bytearray(newest)
+        forged[CELL_NUMBER] = number.to_bytes(8, "little")
+        forged[CELL_TIME] = self.machine.now_ns.to_bytes(8, "little")
+        forged[COMMAND_SPEED] = struct.pack("<d", LIMIT_MPS)
+        file.put(bytes(forged), at + number % 2 * size)
+
+    def compete(self, *robots: Any) -> None:
+        """These command one after the other under one source. If all of that takes longer than a command counts, they
+        don't compete."""
+        begun_ns = self.machine.now_ns
+        for robot in robots:
+            robot.sensed()
+            robot.drive(SPEED_MPS / 2, 0.0, 0.0)
+        if self.machine.now_ns - begun_ns < COMMAND_COUNTS_NS:
+            self.must_stop("two programs command under one source", 30, layout.GATE)
+
     def hold_again(self, name: str, after_ms: int, ms: int, *, starved: bool = False) -> None:
         """As freeze, from a moment on that is so far away."""
         self.machine.at(self.machine.now_ns + after_ms * MS, lambda: self.freeze(name, ms, starved=starved))
@@ -287,6 +355,12 @@ class Stage:
         """The board hears nothing any more: it keeps its last speed, and nobody can stop it."""
         self.witness.note("the board hears nothing")
         self.robot.board.model.deaf = True
+
+    def hear_again(self) -> None:
+        """The board hears again. If it was to be stopped meanwhile, one of the repeated zeros does that."""
+        self.witness.note("the board hears again")
+        self.witness.hears_ns = self.machine.now_ns + ZEROS_NS
+        self.robot.board.model.deaf = False
 
     def silence_board(self) -> None:
         """Nothing that the board says arrives any more; it hears and obeys."""
@@ -466,6 +540,7 @@ class Stage:
                 self.enable(robot)
                 self._granted_ns = self.machine.now_ns
                 while robot.state.enabled:
+                    self.attend(robot)
                     self.drive(robot, COMMAND_EVERY_S)
             except failstop.FailstopError as error:
                 self.witness.note(f"the last program is told: {error}")

@@ -23,12 +23,13 @@ from failstop_lab.sim.model import Frame
 CLAIMS = {
     "a stop comes in its time": (
         *("DEATH-1", "HANG-1", "SEVERAL-1", "ASK-1", "ASK-2"),
-        *("CLIENT-1", "PORT-1", "BOARD-1", "TIME-1", "END-1"),
+        *("CLIENT-1", "SENSOR-1", "ATTEND-1", "PORT-1", "BOARD-1", "TIME-1", "END-1"),
     ),
     "wheels that no program commands any more stand still": ("CLIENT-1",),
     "no frame behind a stop but the one past its last look": ("MOVE-1",),
+    "the first bytes of a run, and to a board that is back, are a stop": ("START-1", "PORT-1"),
     "no motion before a program asks for it": ("MOVE-2", "START-1", "END-1"),
-    "never faster than a program asks for": ("LIMIT-1",),
+    "never faster than a program asks for, or than the limit": ("LIMIT-1", "MEMORY-1"),
     "motion comes back within 2 s once nothing fails": ("RETURN-1",),
     "no frame writes outside of the motors": ("BOARD-2",),
     "the board's own watchdog stops what is frozen for good": ("WATCHDOG-1",),
@@ -192,6 +193,8 @@ class Witness:
         self._stops: dict[bool, tuple[int, int]] = {}
         """Early stops by threads of the port owner (True) and of others: when the stop is over, and how many frames may
         still turn the wheels after it, before a program asks for motion again."""
+        self._begun: set[tuple[int, int]] = set()
+        """The runs of the service, each by its supervisor's pid and with a port's number, that have written there."""
         self._late_ns: dict[str, int] = {}
         """Until when a thread of each process may pause."""
         self._paused_ns = Counter[str]()
@@ -283,6 +286,8 @@ class Witness:
         if self.board.port and self.board.port.drained_ns == self.machine.now_ns:
             self._old_ns = self.wire_ns
         thread = self.machine.current
+        if thread:
+            self._begins(thread.process, data)
         if thread is None or self._asking or not data.startswith(self._first_stop):
             return
         own = thread.process.name == "port_owner"
@@ -291,6 +296,15 @@ class Witness:
         if thread.process.name == "stopper" and self._repeats_late():
             return
         self._stops.setdefault(own, (begun_ns + len(self._first_stop) * self._byte_ns, 0 if own else 1))
+
+    def _begins(self, writer: Process, data: bytes) -> None:
+        """The first bytes of a run to each port are a stop, or as much of one as the kernel has taken."""
+        port, run = self.board.port, writer if writer.name == "supervisor" else writer.parent
+        if port is None or run is None or (key := (run.pid, port.number)) in self._begun:
+            return
+        self._begun.add(key)
+        if not (data.startswith(self._first_stop) or self._first_stop.startswith(data)):
+            self.wrong(f"the first bytes of {run.name} (pid {run.pid}) to the board are no stop: {data[:16].hex(' ')}")
 
     def _repeats_late(self) -> bool:
         """Whether the stopper, which writes now, last looked before a program asked for motion, so that it repeats a

@@ -17,7 +17,7 @@ import failstop
 from failstop.files import instance
 from failstop_lab.machine.robot import COMMAND_EVERY_S
 from failstop_lab.simulate.scenarios import Play
-from failstop_lab.simulate.stage import SETTINGS, SPEED_MPS, Continuation
+from failstop_lab.simulate.stage import ATTENDED, OPERATOR, SETTINGS, SPEED_MPS, Continuation
 from failstop_lab.trial import Trial, write_settings
 
 CLICKED = 0x20
@@ -41,7 +41,7 @@ class Processes:
     def __init__(self, play: Play, name: str, directory: Path) -> None:
         config = directory / "settings.toml"
         write_settings(str(config), SETTINGS.get(play, {}))
-        self._play = play
+        self._play, self._attended = play, SETTINGS.get(play, {}).items() >= ATTENDED.items()
         self.trial = Trial(name, ("--config", str(config)), imu_hz=20.0)
         self._robots: list[failstop.Robot] = []
         self._drove: set[failstop.Robot] = set()
@@ -85,6 +85,7 @@ class Processes:
         while True:
             try:
                 robot = failstop.Robot(self.trial.name)
+                self.attend(robot)
                 robot.wait_for("ready", 3.0)
             except (failstop.NoService, failstop.TimedOut):
                 time.sleep(0.005)
@@ -94,6 +95,7 @@ class Processes:
 
     def enable(self, robot: failstop.Robot) -> None:
         """Reset where a stop is latched, and enable."""
+        self.attend(robot)
         robot.wait_for("ready", 3.0)
         if robot.state.cause is not None:
             robot.reset()
@@ -104,14 +106,33 @@ class Processes:
     def enable_for(self, robot: failstop.Robot) -> None:
         robot.enable()
 
-    def drive(self, robot: failstop.Robot, seconds: float, speed_mps: float = SPEED_MPS) -> None:
-        """Command a speed for so long."""
+    def drive(
+        self, robot: failstop.Robot, seconds: float, speed_mps: float = SPEED_MPS, *, sensed: bool = True
+    ) -> None:
+        """Command a speed for so long, while the obstacle sensor delivers, or not."""
         self._drove.add(robot)
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:
-            robot.sensed()
+            if sensed:
+                robot.sensed()
             robot.drive(speed_mps, 0.0, 0.0)
             time.sleep(COMMAND_EVERY_S)
+
+    def attend(self, robot: failstop.Robot) -> None:
+        """Report an operator, if motion needs one."""
+        if self._attended:
+            robot.attend(OPERATOR)
+
+    def compete(self, *robots: failstop.Robot) -> None:
+        """These command one after the other under one source."""
+        for robot in robots:
+            robot.sensed()
+            robot.drive(SPEED_MPS / 2, 0.0, 0.0)
+
+    def silence_sensor(self) -> None:
+        """Nobody judges times here."""
+
+    lose_operator = silence_sensor
 
     def stop(self, robot: failstop.Robot, why: str = "hand near wheel") -> None:
         """Ask for a stop, and wait until it is latched."""
@@ -203,6 +224,10 @@ class Processes:
     def deafen(self) -> None:
         """The board hears nothing any more."""
         self.trial.board.deaf(True)
+
+    def hear_again(self) -> None:
+        """The board hears again."""
+        self.trial.board.deaf(False)
 
     def press(self, key: int) -> None:
         """A key of the board."""

@@ -32,6 +32,7 @@ ON_ONE_ALONE = {
     "supervisor_hangs": "a signal that silences it tells it so",
     "port_does_not_drain": "a pty never says that it holds bytes",
     "machine_sleeps": "this machine must not",
+    "memory_is_damaged": "tests/e2e/test_hostile_clients.py damages it with real processes",
     "service_ends": "there is no run left to read from",
     **dict.fromkeys(("wheel_runs_away", "wheels_turn_unasked"), "this board reports no wheels"),
     **dict.fromkeys(("reports_lie", "reports_are_late"), "a simulated board on a pty reports what is true, at once"),
