@@ -13,7 +13,7 @@ from failstop_lab.machine.loading import HOME
 from failstop_lab.simulate.controls import CONTROLS, NOT_EXPRESSED, Mutant
 from failstop_lab.simulate.seeds import ROUNDS, commit, seeds, stays_down, used_s
 from failstop_lab.simulate.single_faults import Plan, explore, of_board
-from failstop_lab.simulate.tested_controls import TESTED, Noticed, Tested
+from failstop_lab.simulate.tested_controls import TESTED, ByTest, Noticed
 from failstop_lab.simulate.weak_controls import WEAK_CONTROLS
 
 BOTH = (*CONTROLS, *WEAK_CONTROLS)
@@ -162,7 +162,7 @@ def rows(page: str) -> dict[str, list[str]]:
     }
 
 
-def found_by(control: Mutant | Tested, page: str) -> tuple[str, str]:
+def found_by(control: Mutant | ByTest, page: str) -> tuple[str, str]:
     """What has found a control on the page, and in how many seconds. Empty: nothing has."""
     cells = rows(page).get(control.row, [])
     columns = COLUMNS if isinstance(control, Mutant) else OF_TESTS
@@ -172,7 +172,7 @@ def found_by(control: Mutant | Tested, page: str) -> tuple[str, str]:
     return ("", "") if not seconds or by.startswith(NOT_FOUND) else (by, seconds)
 
 
-def controls_of(claim: str) -> list[Mutant | Tested]:
+def controls_of(claim: str) -> list[Mutant | ByTest]:
     """The controls of a claim, in the order of their tables."""
     return [control for control in (*CONTROLS, *TESTED) if claim in control.claims]
 
@@ -182,8 +182,8 @@ def page(found: Iterable[Found | Noticed], before: str) -> str:
     lines = {line.split(" | ")[0].removeprefix("| "): line for line in before.splitlines() if line.startswith("| ")}
     lines |= {each.control.row: each.text() for each in found}
 
-    def table(columns: tuple[str, ...], controls: Iterable[Mutant | Tested]) -> str:
-        def line(control: Mutant | Tested) -> str:
+    def table(columns: tuple[str, ...], controls: Iterable[Mutant | ByTest]) -> str:
+        def line(control: Mutant | ByTest) -> str:
             where = f"`{control.scenario}` | " if isinstance(control, Mutant) else ""
             empty = " |" * (len(columns) - 2 - bool(where))
             return lines.get(control.row) or f"| {control.row} | {where}{UNSOUGHT} |{empty}"

@@ -99,6 +99,18 @@ CONTROLS = (
         claims=("BOARD-2",),
     ),
     Mutant(
+        "no lease of the gate",
+        "gate_hangs",
+        (
+            (
+                ADMISSION_MODULE,
+                "in ((layout.GATE, gate_ns), (layout.SUPERVISOR, supervisor_ns)):",
+                "in ((layout.SUPERVISOR, supervisor_ns),):",
+            ),
+        ),
+        claims=("HANG-1",),
+    ),
+    Mutant(
         "nobody fences",
         "port_owner_hangs",
         (
@@ -159,6 +171,23 @@ CONTROLS = (
         claims=("MOVE-1",),
     ),
     Mutant(
+        "nobody answers the port owner's death",
+        "port_owner_dies",
+        (
+            (
+                SUPERVISOR_MODULE,
+                "written, now_ns = self._port.burst(), monotonic_ns()",
+                "written, now_ns = False, monotonic_ns()",
+            ),
+            (
+                TABLE_MODULE,
+                "stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None",
+                "stop = None",
+            ),
+        ),
+        claims=("DEATH-1",),
+    ),
+    Mutant(
         "stays down, and no second burst",
         "port_owner_hangs_and_stays_down",
         (
@@ -183,35 +212,6 @@ CONTROLS = (
             (STOPPER_MODULE, "            self._write()\n\n    def _hangs_ns", "\n    def _hangs_ns"),
         ),
         claims=("PORT-1",),
-    ),
-    Mutant(
-        "nobody answers the port owner's death",
-        "port_owner_dies",
-        (
-            (
-                SUPERVISOR_MODULE,
-                "written, now_ns = self._port.burst(), monotonic_ns()",
-                "written, now_ns = False, monotonic_ns()",
-            ),
-            (
-                TABLE_MODULE,
-                "stop = self._port.early_stop if child.row.name == layout.PORT_OWNER else None",
-                "stop = None",
-            ),
-        ),
-        claims=("DEATH-1",),
-    ),
-    Mutant(
-        "no lease of the gate",
-        "gate_hangs",
-        (
-            (
-                ADMISSION_MODULE,
-                "in ((layout.GATE, gate_ns), (layout.SUPERVISOR, supervisor_ns)):",
-                "in ((layout.SUPERVISOR, supervisor_ns),):",
-            ),
-        ),
-        claims=("HANG-1",),
     ),
     Mutant(
         "a sleep of the machine goes unnoticed",
@@ -305,16 +305,16 @@ CONTROLS = (
     ),
     Mutant("a stop is not repeated", "drive", (NOT_REPEATED,), CUT_AND_ASKED, "hoverboard", claims=("BOARD-2",)),
     Mutant(
+        "a command counts a thousand times as long",
+        "silence",
+        ((SOURCES_MODULE, "{name: timeout_ns for", "{name: 1000 * timeout_ns for"),),
+        claims=("CLIENT-1",),
+    ),
+    Mutant(
         "the zero behind motion is not repeated",
         "silence",
         ((PORT_OWNER_MODULE, "if stands and turned:", "if False:"),),
         board="hoverboard",
-        claims=("CLIENT-1",),
-    ),
-    Mutant(
-        "a command counts a thousand times as long",
-        "silence",
-        ((SOURCES_MODULE, "{name: timeout_ns for", "{name: 1000 * timeout_ns for"),),
         claims=("CLIENT-1",),
     ),
     Mutant(

@@ -23,14 +23,15 @@ LAYOUT_MODULE, RUN_MODULE = "failstop.messages.layout", "failstop.supervisor.run
 DISTANCE_MODULE = "failstop.api.distance"
 NOTICED, PASSED = 1, 0
 """The exit codes of pytest for a test that fails, and for one that passes."""
-SAID = "E   "
-"""How pytest begins a line of what is wrong."""
+FAILURES, SAID = "= FAILURES =", "E   "
+"""How pytest begins its part about tests that failed, and a line of what is wrong. A test that can't begin or end, such
+as one without its fixture, is an error of another part, and notices nothing."""
 MOST_SAID = 160
 TEST_S = 300
 
 
 @dataclass(frozen=True)
-class Tested:
+class ByTest:
     """`row`: what is taken out; `claims`: the claims (lab/case/claims.py) that rest on it."""
 
     row: str
@@ -40,7 +41,19 @@ class Tested:
 
 
 TESTED = (
-    Tested(
+    ByTest(
+        "the stop tool writes no stop",
+        "tests/procs/test_stop_tool.py::test_the_tool_writes_the_burst_and_takes_nobody_s_port",
+        (
+            (
+                "failstop.stop_tool",
+                "        stop_port.burst()\n        stop_port.repeat(board.repeats_ns[SUPERVISOR_ROW])\n",
+                "",
+            ),
+        ),
+        ("SEVERAL-1",),
+    ),
+    ByTest(
         "the service ends without a stop",
         "tests/supervisor/test_ending.py"
         "::test_the_end_is_a_stop_that_is_heard_then_every_process_ended_then_another_stop",
@@ -50,13 +63,13 @@ TESTED = (
         ),
         ("END-1",),
     ),
-    Tested(
+    ByTest(
         "a stop leaves the arm out",
         "tests/procs/test_port_owner_arm.py::test_every_stop_has_the_arm_s_behind_it",
         ((STOP_PORT_MODULE, ' + (board.arm.stops(servos) if board.arm else b"")', ""),),
         ("ARM-1",),
     ),
-    Tested(
+    ByTest(
         "a later cause takes the place of the first",
         "tests/supervisor/test_stops.py::test_the_first_noticed_of_those_that_came_first_is_latched",
         (
@@ -68,13 +81,13 @@ TESTED = (
         ),
         ("CAUSE-1",),
     ),
-    Tested(
+    ByTest(
         "a ping from before a stop acknowledges it",
         "tests/supervisor/test_proof.py::test_a_ping_from_before_the_stop_proves_nothing",
         ((PROOF_MODULE, "sent_ns < self.stop.written_ns or not self.stop.written_ns:", "not self.stop.written_ns:"),),
         ("PROOF-1",),
     ),
-    Tested(
+    ByTest(
         "everybody may write into a client's memory",
         "tests/safety/test_table.py::test_row",
         (
@@ -83,7 +96,7 @@ TESTED = (
         ),
         ("ACCESS-1",),
     ),
-    Tested(
+    ByTest(
         "the way while it brakes is left out",
         "tests/lab/case/test_distance.py::test_every_screen_tells_the_way_that_the_wheels_make",
         ((DISTANCE_MODULE, "speed_mps * seconds + speed_mps**2 / (2 * braking_mps2)", "speed_mps * seconds"),),
@@ -96,7 +109,7 @@ TESTED = (
 class Noticed:
     """How the test of a control ended: `wrong` is what it said; empty if it noticed nothing."""
 
-    control: Tested
+    control: ByTest
     took_s: float
     wrong: str
     story: str
@@ -125,20 +138,21 @@ def copied(to: Path, patches: Patches) -> None:
         path.write_text(patched(module, path.read_text("utf-8"), patches), "utf-8")
 
 
-def search(control: Tested) -> Noticed:
+def search(control: ByTest) -> Noticed:
     """Run its test on the changed code. Raises FailstopError if the test can't be run."""
     begun_s = used_s()
     with tempfile.TemporaryDirectory(prefix="failstop-control-") as folder:
         copied(Path(folder), control.patches)
         words = (sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", control.test)
         done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False, timeout=TEST_S)
-    if done.returncode not in (NOTICED, PASSED):
-        raise FailstopError(f"{control.test} can't be run: {done.stdout.strip().splitlines()[-1:] or done.stderr}")
-    said = [line.removeprefix(SAID).strip() for line in done.stdout.splitlines() if line.startswith(SAID)]
-    wrong = (" ".join(said[:1])[:MOST_SAID].replace("|", "\\|") or "it fails") if done.returncode == NOTICED else ""
-    return Noticed(control, used_s() - begun_s, wrong, done.stdout, commit())
+    _, failed, told = done.stdout.partition(FAILURES)
+    if done.returncode != (NOTICED if failed else PASSED):
+        raise FailstopError(f"{control.test} can't be run: {done.stdout[-MOST_SAID:] or done.stderr[-MOST_SAID:]}")
+    said = [line.removeprefix(SAID).strip() for line in told.splitlines() if line.startswith(SAID)]
+    wrong = " ".join(said[:1]).removeprefix("AssertionError: ")[:MOST_SAID].replace("|", "\\|") or "it fails"
+    return Noticed(control, used_s() - begun_s, wrong if failed else "", done.stdout, commit())
 
 
-def searched(wanted: Callable[[Tested], bool]) -> Iterator[Noticed]:
+def searched(wanted: Callable[[ByTest], bool]) -> Iterator[Noticed]:
     """All that are wanted, one after the other."""
     yield from (search(control) for control in TESTED if wanted(control))

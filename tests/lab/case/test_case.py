@@ -13,14 +13,17 @@ from failstop_lab.case.asserted import ASSERTIONS
 from failstop_lab.case.assumptions import ASSUMPTIONS
 from failstop_lab.case.cited import CARRIERS, TEST, Citation, citations, of_bench, of_marks, of_tests, script
 from failstop_lab.case.claims import CLAIMS
-from failstop_lab.case.gaps import gaps, other_bounds
+from failstop_lab.case.gaps import gaps, other_bounds, uncontrolled
 from failstop_lab.case.hazards import HAZARDS
 from failstop_lab.faults import arm_table, table
 from failstop_lab.pages.case import claims_table
 from failstop_lab.pages.made import ROOT
 from failstop_lab.simulate import coverage
+from failstop_lab.simulate.control_runs import controls_of
+from failstop_lab.simulate.controls import Mutant
 
 SAFETY = ROOT / "docs/safety.md"
+CONTROLS_PAGE = ROOT / "docs/reference/controls.md"
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +79,28 @@ def test_each_line_of_claims_fits_a_mark_or_a_row_of_the_bench() -> None:
     told, page = script(ROOT / "bench/claims.py"), (ROOT / "docs/reference/measured.md").read_text("utf-8")
     lines = [line for line, _ in told.CLAIMS] + list(told.CARRY_NONE)
     assert [line for line in lines if not re.search(rf"(?m)^\| ({line})", page)] == []
+
+
+def test_each_claim_has_a_control_that_was_found() -> None:
+    assert list(uncontrolled(CLAIMS, CONTROLS_PAGE.read_text("utf-8"))) == []
+
+
+def test_a_claim_whose_rule_nobody_takes_out_is_a_gap() -> None:
+    more = dataclasses.replace(CLAIMS[0], name="NEW-1")
+    assert list(uncontrolled((*CLAIMS, more), CONTROLS_PAGE.read_text("utf-8"))) == [
+        "the claim NEW-1 has no control: take out the rule that it rests on (simulate/controls.py)"
+    ]
+
+
+def test_a_control_that_nothing_has_found_is_a_gap() -> None:
+    page = CONTROLS_PAGE.read_text("utf-8")
+    (control,) = controls_of("SILENCE-1")
+    assert isinstance(control, Mutant)
+    lines = [line for line in page.splitlines() if not line.startswith(f"| {control.row} |")]
+    gone = f"SILENCE-1: nothing has found that {control.row}: make controls"
+    assert list(uncontrolled(CLAIMS, "\n".join(lines))) == [gone]
+    missed = f"| {control.row} | `{control.scenario}` | NOT FOUND by 9 seeds | 60.0 |  |  | abc |"
+    assert list(uncontrolled(CLAIMS, "\n".join([*lines, missed]))) == [gone]
 
 
 def test_a_hazard_without_a_claim_says_that_nothing_helps(cited: list[Citation]) -> None:
