@@ -407,6 +407,30 @@ CONTROLS = (
         claims=("MEMORY-1",),
     ),
     Mutant(
+        "a driver's death leaves motion enabled",
+        "another_commands_after_a_death",
+        (
+            (
+                CORE_MODULE,
+                "        self.stand_still()\n        self.notes.append(disabled_by_death(driver, moved=moved))\n",
+                "        self.notes.append(disabled_by_death(driver, moved=moved))\n",
+            ),
+        ),
+        claims=("CLIENT-1", "MOVE-2"),
+    ),
+    Mutant(
+        "an interlock that is lost disables nothing",
+        "interlock_is_lost",
+        (
+            (
+                CORE_MODULE,
+                'unmet = self.interlocks.unmet(now_ns) if self.enabled else ""',
+                'unmet = ""',
+            ),
+        ),
+        claims=("SENSOR-1",),
+    ),
+    Mutant(
         "a silent obstacle sensor blocks nothing",
         "sensor_falls_silent",
         (

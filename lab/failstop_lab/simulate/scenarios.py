@@ -7,7 +7,17 @@ from typing import Any
 
 from failstop_lab.boards.traits import HAS_ARM, HAS_DRIVERS, HAS_KEYS, HAS_REPORTS, HAS_WHEEL_REPORTS, Traits
 from failstop_lab.simulate.guard_driver import Guarded
-from failstop_lab.simulate.stage import ATTENDED, FROM_THE_START, NEEDS, SETTINGS, Continuation, Stage
+from failstop_lab.simulate.stage import (
+    ATTENDED,
+    FROM_THE_START,
+    INTERLOCKED,
+    NEEDS,
+    OPERATOR_MS,
+    SENSOR_MS,
+    SETTINGS,
+    Continuation,
+    Stage,
+)
 
 Play = Callable[[Stage], object]
 SCENARIOS: dict[str, Play] = {}
@@ -280,6 +290,16 @@ def _driver_dies(stage: Stage) -> None:
 scenario(_driver_dies, "driver_dies", settings={"gate.driver_death": "latch"})
 
 
+@scenario
+def another_commands_after_a_death(stage: Stage) -> None:
+    """A program that drives dies, which disables motion; another one commands then."""
+    robot = stage.connect()
+    stage.enable(robot)
+    driver = stage.start_driver(1.0)
+    stage.kill_driver(driver)
+    stage.drive(robot, 0.1)
+
+
 @driven
 def supervisor_suspended(stage: Stage, robot: Any) -> None:
     """The supervisor is suspended by a signal, and goes on."""
@@ -330,7 +350,7 @@ def memory_is_damaged(stage: Stage, robot: Any) -> None:
 @driven
 def sensor_falls_silent(stage: Stage, robot: Any) -> None:
     """The obstacle sensor delivers nothing any more, while a program goes on commanding."""
-    stage.silence_sensor()
+    stage.lose("the obstacle sensor", SENSOR_MS)
     stage.drive(robot, 0.7, sensed=False)
 
 
@@ -338,11 +358,20 @@ def _operator_is_lost(stage: Stage) -> None:
     """The operator who must attend is not heard any more, while a program goes on commanding."""
     robot = stage.connect()
     stage.enable(robot)
-    stage.lose_operator()
+    stage.lose("the operator", OPERATOR_MS)
     stage.drive(robot, 1.2)
 
 
+def _interlock_is_lost(stage: Stage) -> None:
+    """Nobody asserts the interlock any more, while a program goes on commanding."""
+    robot = stage.connect()
+    stage.enable(robot)
+    stage.lose("the interlock", SENSOR_MS)
+    stage.drive(robot, 0.7)
+
+
 scenario(_operator_is_lost, "operator_is_lost", settings=ATTENDED)
+scenario(_interlock_is_lost, "interlock_is_lost", settings=INTERLOCKED)
 
 
 def _board_restarts(stage: Stage, robot: Any) -> None:

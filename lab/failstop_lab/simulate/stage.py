@@ -70,14 +70,14 @@ UNASKED_MS = 2 * 1_500 + 300
 """From when wheels turn unasked, which disables motion and then latches a stop, with some times between reports."""
 SILENT_MS = 1_000
 """A board that says nothing any more is stopped within so long."""
-SENSOR_MS = 525
-"""From the last delivery of the obstacle sensor, at the default of scan.timeout_s."""
-OPERATOR_MS = 1_020
-"""From the last proof of an operator, at the default of attend.lease_s."""
+SENSOR_MS, OPERATOR_MS = 525, 1_020
+"""From the last delivery of the obstacle sensor or an interlock, and from the last proof of an operator, with the
+default timeouts."""
 LIMIT_MPS = 0.2
 """The default of limits.vx_mps."""
 ATTENDED: dict[str, object] = {"attend.required": "on"}
-OPERATOR = "ann"
+INTERLOCKED: dict[str, object] = {"interlocks.bumper.timeout_s": 0.5}
+OPERATOR, INTERLOCK = "ann", "bumper"
 MOVING_AT = layout.SEGMENT_BY_NAME[layout.PORT_OWNER].offsets["moving"]
 COMMAND_AT = layout.SEGMENT_BY_NAME["client.0"].offsets["command"]
 CELL_NUMBER, CELL_TIME, COMMAND_SPEED = slice(8, 16), slice(16, 24), slice(32, 40)
@@ -122,6 +122,8 @@ class Stage:
         self._drove: weakref.WeakSet[Any] = weakref.WeakSet()
         """The Robots that have commanded a speed. Weak, because one that nobody refers to gives its slot back; and not
         by their ids, because a new Robot may be where an old one was, by chance."""
+        self._driver_drove = False
+        """The wheels have turned for the last driver that was started."""
         self._begun = False
         self._granted_ns = FOREVER_NS
         """When the last program may drive."""
@@ -142,7 +144,7 @@ class Stage:
         # A port may be opened anew at its end, and once more by who starts then.
         self.live_ns += 2 * self.traits.deaf_ns
         self.attended = told.items() >= ATTENDED.items()
-        """Motion needs an operator, whom the programs report when they enable it, and while they drive again."""
+        self.interlocked = told.items() >= INTERLOCKED.items()
         self.explored = play in FROM_THE_START
         """Faults may come from now on. The start is the same in every scenario, so one has the faults of it."""
 
@@ -153,7 +155,7 @@ class Stage:
         while True:
             try:
                 robot = self.failstop.Robot()
-                self.attend(robot)
+                self.meet_conditions(robot)
                 robot.wait_for("ready", self.ready_s)
             except (self.failstop.NoService, self.failstop.TimedOut):
                 self.time.sleep(0.005)
@@ -163,7 +165,7 @@ class Stage:
 
     def enable(self, robot: Any) -> None:
         """Reset where a stop is latched, and enable."""
-        self.attend(robot)
+        self.meet_conditions(robot)
         robot.wait_for("ready", self.ready_s)
         if robot.state.cause is not None:
             robot.reset()
@@ -184,18 +186,16 @@ class Stage:
         asks()
         self.robot.drive(robot, seconds, (speed_mps, 0.0, 0.0), asks, sensed=sensed)
 
-    def attend(self, robot: Any) -> None:
-        """Report an operator, if motion needs one."""
+    def meet_conditions(self, robot: Any) -> None:
+        """Report an operator and assert an interlock, if motion needs them here."""
         if self.attended:
             robot.attend(OPERATOR)
+        if self.interlocked:
+            robot.assert_interlocks(INTERLOCK)
 
-    def silence_sensor(self) -> None:
-        """The obstacle sensor delivers nothing from now on."""
-        self.must_stop("the obstacle sensor is silent", SENSOR_MS, layout.GATE)
-
-    def lose_operator(self) -> None:
-        """Nobody hears the operator from now on."""
-        self.must_stop("the operator is not heard", OPERATOR_MS, layout.GATE)
+    def lose(self, what: str, within_ms: int) -> None:
+        """The obstacle sensor, the interlock or the operator falls silent."""
+        self.must_stop(f"{what} is silent", within_ms, layout.GATE)
 
     def stop(self, robot: Any, why: str = "hand near wheel") -> None:
         """Ask for a stop, and wait until it is latched."""
@@ -271,12 +271,14 @@ class Stage:
         driver = self.robot.program("driver.py", drive)
         while self.witness.moved_ns < began_ns and self.machine.now_ns < began_ns + DRIVER_NS:
             self.time.sleep(COMMAND_EVERY_S)
+        self._driver_drove = self.witness.moved_ns >= began_ns
         return driver
 
     def kill_driver(self, driver: Process) -> None:
-        """SIGKILL that program."""
+        """SIGKILL that program. One that has not driven yet may die without a stop."""
         self.machine.die(driver, -9)
-        self.must_stop("the program that drives is dead", 30, layout.GATE)
+        if self._driver_drove:
+            self.must_stop("the program that drives is dead", 30, layout.GATE)
 
     def disturb_command(self, robot: Any) -> None:
         """Command what is no number, around the check of drive()."""
@@ -540,7 +542,7 @@ class Stage:
                 self.enable(robot)
                 self._granted_ns = self.machine.now_ns
                 while robot.state.enabled:
-                    self.attend(robot)
+                    self.meet_conditions(robot)
                     self.drive(robot, COMMAND_EVERY_S)
             except failstop.FailstopError as error:
                 self.witness.note(f"the last program is told: {error}")

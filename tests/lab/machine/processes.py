@@ -17,7 +17,7 @@ import failstop
 from failstop.files import instance
 from failstop_lab.machine.robot import COMMAND_EVERY_S
 from failstop_lab.simulate.scenarios import Play
-from failstop_lab.simulate.stage import ATTENDED, OPERATOR, SETTINGS, SPEED_MPS, Continuation
+from failstop_lab.simulate.stage import ATTENDED, INTERLOCK, INTERLOCKED, OPERATOR, SETTINGS, SPEED_MPS, Continuation
 from failstop_lab.trial import Trial, write_settings
 
 CLICKED = 0x20
@@ -41,7 +41,7 @@ class Processes:
     def __init__(self, play: Play, name: str, directory: Path) -> None:
         config = directory / "settings.toml"
         write_settings(str(config), SETTINGS.get(play, {}))
-        self._play, self._attended = play, SETTINGS.get(play, {}).items() >= ATTENDED.items()
+        self._play, self._settings = play, SETTINGS.get(play, {})
         self.trial = Trial(name, ("--config", str(config)), imu_hz=20.0)
         self._robots: list[failstop.Robot] = []
         self._drove: set[failstop.Robot] = set()
@@ -85,7 +85,7 @@ class Processes:
         while True:
             try:
                 robot = failstop.Robot(self.trial.name)
-                self.attend(robot)
+                self.meet_conditions(robot)
                 robot.wait_for("ready", 3.0)
             except (failstop.NoService, failstop.TimedOut):
                 time.sleep(0.005)
@@ -95,7 +95,7 @@ class Processes:
 
     def enable(self, robot: failstop.Robot) -> None:
         """Reset where a stop is latched, and enable."""
-        self.attend(robot)
+        self.meet_conditions(robot)
         robot.wait_for("ready", 3.0)
         if robot.state.cause is not None:
             robot.reset()
@@ -118,10 +118,12 @@ class Processes:
             robot.drive(speed_mps, 0.0, 0.0)
             time.sleep(COMMAND_EVERY_S)
 
-    def attend(self, robot: failstop.Robot) -> None:
-        """Report an operator, if motion needs one."""
-        if self._attended:
+    def meet_conditions(self, robot: failstop.Robot) -> None:
+        """Report an operator and assert an interlock, if motion needs them here."""
+        if self._settings.items() >= ATTENDED.items():
             robot.attend(OPERATOR)
+        if self._settings.items() >= INTERLOCKED.items():
+            robot.assert_interlocks(INTERLOCK)
 
     def compete(self, *robots: failstop.Robot) -> None:
         """These command one after the other under one source."""
@@ -129,10 +131,8 @@ class Processes:
             robot.sensed()
             robot.drive(SPEED_MPS / 2, 0.0, 0.0)
 
-    def silence_sensor(self) -> None:
+    def lose(self, what: str, within_ms: int) -> None:
         """Nobody judges times here."""
-
-    lose_operator = silence_sensor
 
     def stop(self, robot: failstop.Robot, why: str = "hand near wheel") -> None:
         """Ask for a stop, and wait until it is latched."""

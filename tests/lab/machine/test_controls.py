@@ -26,6 +26,8 @@ BY_ITSELF = (
     "a command that is no number counts",
     "two programs may command under one source",
     "the CRC of a record does not count",
+    "a driver's death leaves motion enabled",
+    "an interlock that is lost disables nothing",
     "a silent obstacle sensor blocks nothing",
     "an operator who is not heard is not missed",
     "a stopped board is not told zero again and again",
