@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import fnmatch
+import hashlib
 import json
 import os
 import re
 import time
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from importlib.metadata import Distribution
-from typing import Any
+from typing import Any, NamedTuple
+
+import licences
 
 SCHEMA = "http://cyclonedx.org/schema/bom-1.6.schema.json"
 OURS = "MIT"
@@ -19,7 +23,22 @@ CLASSIFIERS = {
     "MIT License": "MIT",
 }
 """SPDX's word for what a package says of its licence in a classifier."""
+LIBS = ".libs"
+"""The end of the name of the folder in which a wheel brings shared libraries of others along."""
+BUNDLED = re.compile(r"^Name: (.+)\nFiles: (?:.*/)?(.+)\n(?:.+\n)*?License: (.+)$", re.MULTILINE)
+"""What numpy's licence text says of each library inside its wheel: name, files, licence."""
+EXPRESSION = re.compile(r"[\w.+-]+( (WITH|AND|OR) [\w.+-]+)*")
+UNSAID = "not said"
 Bill = dict[str, Any]
+
+
+class Bundled(NamedTuple):
+    """A library of others inside a wheel, as the wheel's own licence text names it."""
+
+    name: str
+    file: str
+    """A pattern of its name, which a version such as .5.0.0 may follow."""
+    licence: str
 
 
 def packed(version: str, held: Iterable[Distribution], architecture: str) -> Bill:
@@ -38,9 +57,10 @@ def bill(version: str, purl: str, others: Iterable[Distribution], how: str, name
     for row in map(component, others):
         # One package, with the wheel of each Python.
         kept = found.setdefault(str(row["purl"]), row)
-        files = {one["url"]: one for part in (kept, row) for one in part.get("externalReferences", ())}
-        if files:
-            kept["externalReferences"] = [files[url] for url in sorted(files)]
+        for what, key in (("externalReferences", "url"), ("components", "bom-ref")):
+            parts = {one[key]: one for part in (kept, row) for one in part.get(what, ())}
+            if parts:
+                kept[what] = [parts[name] for name in sorted(parts)]
     rows = [found[purl] for purl in sorted(found)]
     licence = [{"license": {"id": OURS}}]
     ours = {"type": "application", "bom-ref": purl, "name": name, "version": version, "purl": purl}
@@ -62,14 +82,43 @@ def bill(version: str, purl: str, others: Iterable[Distribution], how: str, name
 
 
 def component(other: Distribution) -> Bill:
-    """A package by its own metadata, with the hash of the wheel that it came in where that is recorded (PEP 610)."""
+    """A package by its own metadata, with the hash of the wheel that it came in where that is recorded (PEP 610), and
+    with the libraries of others inside it."""
     name = re.sub(r"[-_.]+", "-", str(other.metadata["Name"])).lower()
     purl = f"pkg:pypi/{name}@{other.version}"
     said = {"type": "library", "bom-ref": purl, "name": name, "version": other.version, "purl": purl}
     came = json.loads(other.read_text("direct_url.json") or "{}")
     wheel = came.get("archive_info", {}).get("hashes", {}).get("sha256")
     file = {"type": "distribution", "url": came.get("url"), "hashes": [{"alg": "SHA-256", "content": wheel}]}
-    return said | {"licenses": [licence(other)]} | ({"externalReferences": [file]} if wheel else {})
+    inside = sorted(libraries(other, purl), key=lambda row: str(row["bom-ref"]))
+    row = said | {"licenses": [licence(other)]} | ({"externalReferences": [file]} if wheel else {})
+    return row | ({"components": inside} if inside else {})
+
+
+def libraries(other: Distribution, purl: str) -> Iterator[Bill]:
+    """The shared libraries of others that a wheel brings along, each by the name and licence that the wheel's own
+    licence text gives it, else by its file's name."""
+    texts = [file.read_text() for file in other.files or () if _is_licence(file.parts)]
+    named = [Bundled(*words) for text in texts for words in BUNDLED.findall(text)]
+    for file in other.files or ():
+        if file.parts[0].endswith(LIBS) and ".so" in file.name:
+            digest = {"alg": "SHA-256", "content": hashlib.sha256(file.read_binary()).hexdigest()}
+            unnamed = Bundled(file.name.partition("-")[0], "", UNSAID)
+            # Older texts of numpy's name another folder.
+            for one in [each for each in named if fnmatch.fnmatch(file.name, f"{each.file}*")] or [unnamed]:
+                spdx = EXPRESSION.fullmatch(one.licence)
+                yield {
+                    "type": "library",
+                    "bom-ref": f"{purl}#{file}:{one.name}",
+                    "name": one.name,
+                    "hashes": [digest],
+                    "licenses": [{"expression": one.licence} if spdx else {"license": {"name": one.licence}}],
+                    "properties": [{"name": "failstop:file", "value": str(file)}],
+                }
+
+
+def _is_licence(parts: tuple[str, ...]) -> bool:
+    return parts[0].endswith(".dist-info") and bool(licences.TEXTS.search(parts[-1]))
 
 
 def licence(other: Distribution) -> Bill:
@@ -81,7 +130,7 @@ def licence(other: Distribution) -> Bill:
     for line in classifiers:
         if line in CLASSIFIERS:
             return {"license": {"id": CLASSIFIERS[line]}}
-    words = (classifiers or (told.get_all("License") or ["not said"])[0].strip().splitlines())[0]
+    words = (classifiers or (told.get_all("License") or [UNSAID])[0].strip().splitlines())[0]
     return {"license": {"name": words}}
 
 

@@ -6,6 +6,7 @@ import gzip
 import hashlib
 import io
 import json
+import shutil
 import subprocess
 import tarfile
 from pathlib import Path
@@ -16,6 +17,9 @@ import pytest
 from tests.support.deb import image
 
 ENVIRONMENT = "opt/failstop/bin/failstop"
+BILL = "usr/share/doc/failstop/failstop.cdx.json"
+STATUS = b"Package: libssl3\nStatus: install ok installed\nVersion: 3.0.1\n\n"
+HOME = "https://example.org/me/failstop"
 
 
 def debian(path: Path) -> None:
@@ -26,6 +30,8 @@ def debian(path: Path) -> None:
         "./usr/share/base-passwd/group.master": b"root:x:0:\n",
         "./usr/share/doc/dash/copyright": b"free\n",
         "./usr/share/man/man1/dash.1.gz": b"page",
+        "./var/lib/dpkg/status": STATUS,
+        "./var/cache/apt/archives/dash.deb": b"packed",
         "./bin/dash": b"shell",
     }
     with tarfile.open(path, "w") as packed:
@@ -47,9 +53,10 @@ def debian(path: Path) -> None:
 
 def package(folder: Path) -> Path:
     """A Debian package with a file of the environment and a unit."""
-    for name in (ENVIRONMENT, "usr/lib/systemd/system/failstop.service", "DEBIAN/control"):
+    fields = {"Package": folder.name, "Version": "1", "Architecture": "all", "Maintainer": "a", "Description": "b"}
+    for name in (ENVIRONMENT, BILL, "usr/lib/systemd/system/failstop.service", "DEBIAN/control"):
         (folder / name).parent.mkdir(parents=True)
-        (folder / name).write_text("Package: failstop\nVersion: 1\nArchitecture: all\nMaintainer: a\nDescription: b\n")
+        (folder / name).write_text("".join(f"{field}: {text}\n" for field, text in fields.items()))
     out = folder.with_suffix(".deb")
     subprocess.run(["dpkg-deb", "--root-owner-group", "--build", folder, out], check=True, capture_output=True)
     return out
@@ -101,7 +108,44 @@ def test_an_archive_has_a_whole_image_for_each_machine(tmp_path: Path, monkeypat
         assert not {"dev/null", "usr/share/man/man1/dash.1.gz"} & set(base)
         assert {(row.uname, row.mtime <= 1700000000) for row, _ in base.values()} == {("", True)}
         assert ENVIRONMENT in own
-        assert all(name.startswith("opt/failstop") for name in own)
+        assert all(name.startswith("opt/failstop") or name == BILL for name in own)
+
+
+@pytest.mark.starts
+def test_a_scanner_sees_what_is_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By dpkg's list of Debian's packages, by the bill of what failstop brings along, and by labels."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    monkeypatch.setattr(image, "SUITE", "any")
+    debian(tmp_path / "debian-any-arm64.tar")
+    path = image.make("0.2.0", {"arm64": [package(tmp_path / "arm64")]}, tmp_path, tmp_path, HOME)
+    index, held = blobs(path)
+    (row,) = json.loads(held[index["manifests"][0]["digest"]])["manifests"]
+    manifest = json.loads(held[row["digest"]])
+    base, own = (files(gzip.decompress(held[layer["digest"]])) for layer in manifest["layers"])
+    assert base[image.STATUS][1] == STATUS
+    assert not [name for name in base if name.startswith("var/cache")]
+    assert BILL in own
+    labels = json.loads(held[manifest["config"]["digest"]])["config"]["Labels"]
+    assert manifest["annotations"] == labels
+    words = {name.removeprefix("org.opencontainers.image."): text for name, text in labels.items()}
+    assert words | {"description": ""} == {
+        **{"title": "failstop", "version": "0.2.0", "licenses": "MIT", "created": "2023-11-14T22:13:20Z"},
+        **{"url": HOME, "source": HOME, "base.name": "debian:any", "description": ""},
+    }
+
+
+@pytest.mark.skipif(not shutil.which("dpkg-deb"), reason="not installed: dpkg-deb")
+@pytest.mark.starts
+def test_the_list_of_packages_is_one_that_dpkg_reads(tmp_path: Path) -> None:
+    """Of the packages that mmdebstrap has fetched, by the hook that it runs."""
+    archives = tmp_path / "var/cache/apt/archives"
+    archives.mkdir(parents=True)
+    for name in ("one", "two"):
+        package(tmp_path / name).rename(archives / f"{name}.deb")
+    subprocess.run(["sh", "-euc", image.LIST, "hook", tmp_path], check=True)
+    words = ("dpkg-query", f"--admindir={tmp_path / 'var/lib/dpkg'}", "--show", "-f=${Package} ${Status} ${Version}\n")
+    done = subprocess.run(words, check=True, capture_output=True, text=True)
+    assert done.stdout.splitlines() == ["one install ok installed 1", "two install ok installed 1"]
 
 
 def test_where_there_can_be_no_image_it_says_why(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -141,6 +141,48 @@ def test_the_bill_has_the_hash_of_every_wheel(tmp_path: Path) -> None:
     }
 
 
+BUNDLES = """\
+Name: Fast
+Files: a.libs/libfast*.so
+Description: bundled
+License: BSD-3-Clause
+  The text.
+
+Name: Runtime
+Files: a.libs/libruntime*.so
+Availability: somewhere
+License: GPL-3.0-or-later WITH GCC-exception-3.1
+"""
+"""What numpy's licence text says of the libraries inside its wheel, in short."""
+
+
+def test_the_bill_names_the_libraries_inside_a_wheel(tmp_path: Path) -> None:
+    libraries = {f"a.libs/lib{name}": name.encode() for name in ("fast-1.so", "runtime-2.so.5.0.0", "other-3.so")}
+    with zipfile.ZipFile(tmp_path / "a-1.whl", "w") as packed:
+        about = {"METADATA": "Name: a\nVersion: 1\n", "licenses/LICENSE.txt": BUNDLES}
+        files = {**libraries, **{f"a-1.dist-info/{name}": text.encode() for name, text in about.items()}}
+        for name, data in files.items():
+            packed.writestr(name, data)
+        packed.writestr("a-1.dist-info/RECORD", "".join(f"{name},,\n" for name in files))
+    release.unpack([tmp_path / "a-1.whl"], tmp_path / "site")
+    (row,) = sbom.packed("0.2.0", [tree.finder(tmp_path / "site")("a")] * 2, "arm64")["components"]
+    assert [(one["name"], *one["licenses"]) for one in row["components"]] == [
+        ("Fast", {"expression": "BSD-3-Clause"}),
+        ("libother", {"license": {"name": "not said"}}),
+        ("Runtime", {"expression": "GPL-3.0-or-later WITH GCC-exception-3.1"}),
+    ]
+    assert {one["properties"][0]["value"]: one["hashes"][0]["content"] for one in row["components"]} == {
+        name: hashlib.sha256(data).hexdigest() for name, data in libraries.items()
+    }
+
+
+def test_of_numpy_the_bill_names_what_is_neither_numpy_s_nor_under_its_licence() -> None:
+    row = sbom.component(metadata.distribution("numpy"))
+    found = {one["name"]: str(one["licenses"]) for one in row["components"]}
+    assert {"OpenBLAS", "libquadmath"} < set(found)
+    assert "exception" in found["GCC runtime library"]
+
+
 @pytest.mark.slow
 @pytest.mark.starts
 @pytest.mark.timeout(1800)
