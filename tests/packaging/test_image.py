@@ -129,8 +129,14 @@ def test_a_scanner_sees_what_is_in_it(tmp_path: Path, monkeypatch: pytest.Monkey
     assert manifest["annotations"] == labels
     words = {name.removeprefix("org.opencontainers.image."): text for name, text in labels.items()}
     assert words | {"description": ""} == {
-        **{"title": "failstop", "version": "0.2.0", "licenses": "MIT", "created": "2023-11-14T22:13:20Z"},
-        **{"url": HOME, "source": HOME, "base.name": "debian:any", "description": ""},
+        "title": "failstop",
+        "version": "0.2.0",
+        "licenses": "MIT",
+        "created": "2023-11-14T22:13:20Z",
+        "url": HOME,
+        "source": HOME,
+        "base.name": "debian:any",
+        "description": "",
     }
 
 
