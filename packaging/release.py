@@ -12,6 +12,7 @@ import argparse
 import base64
 import gzip
 import hashlib
+import html
 import io
 import json
 import os
@@ -97,6 +98,7 @@ def release(version: str, out: Path, folder: Path, wheels: Path | None = None, h
     os.environ["SOURCE_DATE_EPOCH"] = environ["SOURCE_DATE_EPOCH"]
     source = folder / "source"
     stage(version, source)
+    maintained(source, environ["DEBFULLNAME"], environ["DEBEMAIL"])
     if homepage:
         addressed(source, homepage.rstrip("/"), version)
     told = notes((source / "CHANGELOG.md").read_text(), version)
@@ -156,7 +158,8 @@ def twice(version: str, folder: Path, wheels: Path) -> list[Path]:
 def surroundings() -> dict[str, str]:
     """The environment of every step: the commit's time, and nothing of the machine's but where its programs are."""
     moment = os.environ.get("SOURCE_DATE_EPOCH") or said("git", "log", "-1", "--format=%ct")
-    kept = {name: os.environ[name] for name in ("PATH", "HOME", *MAINTAINER) if name in os.environ}
+    # A workflow sets a variable that its repository lacks to nothing.
+    kept = {name: os.environ[name] for name in ("PATH", "HOME", *MAINTAINER) if os.environ.get(name)}
     kept |= {interpreter.FOLDER: str(interpreter.folder())}
     kept |= {"PYENV_ROOT": os.environ.get("PYENV_ROOT", os.path.expanduser("~/.pyenv"))}
     fixed = {"SOURCE_DATE_EPOCH": moment, "PYTHONHASHSEED": "0", "LC_ALL": "C.UTF-8", "TZ": "UTC"}
@@ -184,6 +187,15 @@ def stage(version: str, source: Path) -> None:
             os.utime(path, (moment, moment))
 
 
+def maintained(source: Path, name: str, address: str) -> None:
+    """Name the maintainer in the manifests of the ROS packages, as the Debian packages do."""
+    name, address = html.escape(name), html.escape(address)
+    for folder in ros_changes.FOLDERS.values():
+        for tag in ("maintainer", "author"):
+            tagged = f'<{tag} email="{address}">{name}</{tag}>'
+            change(source / folder / "package.xml", f"<{tag} .*</{tag}>", tagged.replace("\\", r"\\"))
+
+
 def addressed(source: Path, homepage: str, version: str) -> None:
     """Name the repository in the metadata of every package, and lead the links of the long description there: an index
     shows it without the files around it. Raises ReleaseError for an address that is none."""
@@ -200,6 +212,10 @@ def addressed(source: Path, homepage: str, version: str) -> None:
     change(source / "lab/setup.py", r'(?m)^    license="MIT",', f'    license="MIT",\n    project_urls={urls!r},')
     for control in ("failstop", "failstop-lab", "libfailstop0", "libfailstop-dev"):
         change(source / f"packaging/deb/{control}.control", "(?m)^Description:", f"Homepage: {homepage}\nDescription:")
+    kinds = {"website": homepage, "repository": homepage, "bugtracker": urls["Issues"]}
+    linked = "".join(f'  <url type="{kind}">{html.escape(url)}</url>\n' for kind, url in kinds.items())
+    for folder in ros_changes.FOLDERS.values():
+        change(source / folder / "package.xml", r"(?m)(^  <license>.*\n)", rf"\1{linked}")
     for readme in ("README.md", "integrations/lerobot/README.md"):
         path = source / readme
         path.write_text(absolute(path.read_text(), os.path.dirname(readme), tree_at, raw_at))

@@ -7,12 +7,14 @@ import json
 import re
 import sys
 import tarfile
+import xml.etree.ElementTree as ElementTree
 import zipfile
 from importlib import metadata
 from pathlib import Path
 
 import pytest
 
+from failstop_lab.pages import ros_changes
 from tests.support.amounts import LONG
 from tests.support.deb import release, sbom, tree
 from tests.support.pages import ROOT
@@ -49,6 +51,7 @@ def test_every_package_names_the_repository(tmp_path: Path) -> None:
         *("pyproject.toml", "README.md", "lab/setup.py", "integrations/lerobot/pyproject.toml"),
         *("integrations/lerobot/README.md", "packaging/deb/failstop.control", "packaging/deb/failstop-lab.control"),
         *("packaging/deb/libfailstop0.control", "packaging/deb/libfailstop-dev.control"),
+        *(f"{folder}/package.xml" for folder in ros_changes.FOLDERS.values()),
     ]
     for name in named:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -58,11 +61,58 @@ def test_every_package_names_the_repository(tmp_path: Path) -> None:
     release.addressed(tmp_path, HOME, "0.2.0")
     for name in named:
         assert HOME in (tmp_path / name).read_text(), name
+    for folder in ros_changes.FOLDERS.values():
+        manifest = ElementTree.parse(tmp_path / folder / "package.xml").getroot()
+        assert {url.get("type"): url.text for url in manifest.iter("url")} == {
+            "website": HOME,
+            "repository": HOME,
+            "bugtracker": f"{HOME}/issues",
+        }
     linked = re.findall(r"\]\(([^)\s]+)\)", (tmp_path / "README.md").read_text())
     assert [link for link in linked if not link.startswith(("https://", "http://", "#"))] == []
     inside = [link.partition("/v0.2.0/")[2].partition("#")[0] for link in linked if link.startswith(HOME)]
     assert len(inside) > 20
     assert [path for path in inside if not (ROOT / path).exists()] == []
+
+
+def test_the_maintainer_is_named_in_the_ros_packages_too(tmp_path: Path) -> None:
+    for folder in ros_changes.FOLDERS.values():
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "package.xml").write_text((ROOT / folder / "package.xml").read_text())
+    release.maintained(tmp_path, "Anna & Sons", "anna@example.org")
+    for folder in ros_changes.FOLDERS.values():
+        manifest = ElementTree.parse(tmp_path / folder / "package.xml").getroot()
+        for tag in ("maintainer", "author"):
+            (person,) = manifest.iter(tag)
+            assert (person.text, person.get("email")) == ("Anna & Sons", "anna@example.org")
+
+
+def test_the_workflow_s_maintainer_is_the_repository_s_where_it_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    workflow = (ROOT / ".github/workflows/release.yml").read_text()
+    for name in release.MAINTAINER:
+        assert f"{name}: ${{{{ vars.{name} }}}}\n" in workflow
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    monkeypatch.setenv("DEBFULLNAME", "")
+    monkeypatch.setenv("DEBEMAIL", "anna@example.org")
+    found = release.surroundings()
+    assert (found["DEBFULLNAME"], found["DEBEMAIL"]) == (release.MAINTAINER["DEBFULLNAME"], "anna@example.org")
+
+
+def test_nothing_is_signed_or_published_before_every_test_has_passed() -> None:
+    text = (ROOT / ".github/workflows/release.yml").read_text()
+    jobs = dict(re.findall(r"^  (\w+):\n((?:    .*\n|\n)*)", text.partition("\njobs:\n")[2], re.MULTILINE))
+    needs = {
+        name: set(re.findall(r"\w+", (re.findall(r"^    needs: ([^#\n]*)", job, re.MULTILINE) or [""])[0]))
+        for name, job in jobs.items()
+    }
+    assert "bash .ci/run" in jobs["test"]
+
+    def behind(job: str) -> set[str]:
+        return needs[job].union(*map(behind, needs[job]))
+
+    acting = [name for name, job in jobs.items() if ": write" in job]
+    assert set(acting) == {"attest", "index", "publish"}
+    assert all("test" in behind(name) for name in acting)
 
 
 def test_every_wheel_of_ours_has_the_licence() -> None:
