@@ -296,24 +296,25 @@ apt: $(VENV)/.installed
 	@[ -n "$(VERSION)" ] && [ -n "$(URL)" ] && [ -n "$(KEY)" ] || { echo "make apt VERSION=0.2.0 URL=https://example.org/apt KEY=you@example.org"; exit 1; }
 	@$(BIN)/python packaging/apt.py dist/$(VERSION) --url $(URL) --key $(KEY)
 
+# The three below build the release first, as this version: another one that you ask for, or a trial.
+TRIAL = $(or $(VERSION),0.9.0)
+RELEASE = $(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]' $(LAB) && $(BIN)/python packaging/release.py $(TRIAL)
+TRIED = $(RELEASE) --wheels build/wheels $(if $(HOMEPAGE),--homepage $(HOMEPAGE))
+
 # What a new user does, in fresh systems of Debian 12, 13 and testing: the packages of a release by apt or pip, the demo, a program of their
 # own, the stand test. Needs root. ON="12 arm64": some of them, and Debian 13 for arm64, emulated.
 ON ?=
 fresh: $(VENV)/.installed
-	@[ -n "$(VERSION)" ] || { echo "which version? make fresh VERSION=0.2.0"; exit 1; }
 	@command -v mmdebstrap >/dev/null || apt-get install --yes --no-install-recommends mmdebstrap
-	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]' $(LAB)
-	@$(BIN)/python packaging/release.py $(VERSION) --wheels build/wheels
-	@$(BIN)/python -m tests.packaging.fresh dist/$(VERSION) $(ON)
+	@$(TRIED)
+	@$(BIN)/python -m tests.packaging.fresh dist/$(TRIAL) $(ON)
 
 # The same release built twice, as two builders with other folders, umasks, locales, time zones and hash seeds: equal, or the first difference.
 reproduce: $(VENV)/.installed
-	@[ -n "$(VERSION)" ] || { echo "which version? make reproduce VERSION=0.2.0"; exit 1; }
-	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]' $(LAB)
-	@$(BIN)/python packaging/release.py $(VERSION) --twice
+	@$(RELEASE) --twice
 
-# The Debian packages by lintian, autopkgtest and piuparts, then their life in a container with the systemd of Debian 12 and of 13: installed,
-# upgraded from the last release while a program drives, removed, purged. Needs root. VERSION: those of a release, in dist/VERSION; LAST: a .deb, or the commit to
+# The Debian packages of a release by lintian, autopkgtest and piuparts, then their life in a container with the systemd of Debian 12 and of 13: installed,
+# upgraded from the last release while a program drives, with another Python below them, removed, purged. Needs root. LAST: a .deb, or the commit to
 # build it from.
 JUDGES := autopkgtest lintian piuparts mmdebstrap
 SUITES ?=
@@ -321,8 +322,8 @@ LAST ?=
 package-test: $(VENV)/.installed
 	@for judge in $(JUDGES); do \
 	  command -v $$judge >/dev/null || exec apt-get install --yes --no-install-recommends $(JUDGES); done
-	@$(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[deb]' $(LAB)
-	@$(BIN)/python -m tests.packaging.life $(if $(VERSION),--debs dist/$(VERSION)) $(if $(SUITES),--suites $(SUITES)) $(if $(LAST),--last $(LAST))
+	@$(TRIED)
+	@$(BIN)/python -m tests.packaging.life dist/$(TRIAL) $(if $(SUITES),--suites $(SUITES)) $(if $(LAST),--last $(LAST))
 
 # Whether it installs on ARM without a compiler: asks the package index for a wheel of each dependency.
 wheels: $(VENV)/.dev

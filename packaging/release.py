@@ -271,18 +271,26 @@ def series(version: str) -> list[str]:
 def fetched(
     locked: Sequence[lock.Locked], folder: Path, machine: str, python3: str, without: Collection[str] = ()
 ) -> list[Path]:
-    """The wheels of what failstop needs with its extras, for a machine and a Python, without some; fetched where none
-    are. pip refuses a file whose hash is not in the lock."""
-    if not folder.exists():
+    """The wheels of what failstop needs with its extras, for a machine and a Python, without some; fetched unless those
+    of this lock are there. pip refuses a file whose hash is not in the lock."""
+    wanted = lock.needed(locked, python3, without)
+    if not kept(folder, wanted):
+        shutil.rmtree(folder, ignore_errors=True)
         platforms = [word for glibc in GLIBC for word in ("--platform", f"{glibc}_{machine}")]
         pip = (sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps")
         only = ("--only-binary=:all:", "--implementation", "cp", "--python-version", python3)
         part = folder.with_name(f"{folder.name}.part")
         part.mkdir(parents=True, exist_ok=True)
-        (part / "locked.txt").write_text(lock.needed(locked, python3, without))
+        (part / "locked.txt").write_text(wanted)
         run(*pip, *only, *platforms, "--require-hashes", "--dest", part, "-r", part / "locked.txt", cwd=ROOT)
         part.rename(folder)
     return sorted(folder.glob("*.whl"))
+
+
+def kept(folder: Path, wanted: str) -> bool:
+    """Whether the wheels in a folder are those of these lines of a lock, by their hashes."""
+    found = [hashlib.sha256(wheel.read_bytes()).hexdigest() for wheel in folder.glob("*.whl")]
+    return len(found) == len(wanted.splitlines()) and all(f"sha256:{digest}" in wanted for digest in found)
 
 
 def unpack(wheels: Sequence[Path], site: Path) -> None:

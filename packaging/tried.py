@@ -19,6 +19,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs/reference/tried.md"
 TOTALS = re.compile(r"^=*\s*((?:\d+ (?:failed|passed|skipped|error|errors|xfailed)(?:, )?)+)", re.MULTILINE)
 """pytest's last line: how many passed, failed and were skipped."""
+BARS = re.compile(r"^    bar: .*  (met|MISSED)$", re.MULTILINE)
+"""A line below each row of a bench's table that has a bar."""
 PASSED = {"good": "passed"}
 VERSION = re.compile(r"^(python 3\.\d+|Debian \S+, .*install): (good|FAILED)", re.MULTILINE)
 """A line of `make versions` for each Python that it tried, and one of `make fresh` for each Debian."""
@@ -44,10 +46,11 @@ ROWS = {
     "web": Row("operator's page, also under attack", ("web",), "chromium --version | head -n 1"),
     "fleet": Row("fleet", ("fleet",), "PATH=$PATH:/usr/sbin mosquitto -h | head -n 1"),
     "package-test": Row("life of the Debian packages", ("package-test",), "echo Debian 12 and 13"),
-    "fresh": Row("installed, demo, own program, prove", ("fresh", "VERSION=0.9.0", "ON=12 13 testing"), ""),
-    "c": Row("C program driving, killed", ("fresh", "VERSION=0.9.0", "ON=c"), ""),
-    "arm64": Row("installed, demo, own program", ("fresh", "VERSION=0.9.0", "ON=arm64 arm64-pip"), ""),
-    "reproduce": Row("a release built twice", ("reproduce", "VERSION=0.9.0"), f'"$BIN"/python -c "{ASK}"'),
+    "fresh": Row("installed, demo, own program, prove", ("fresh", "ON=12 13 testing"), ""),
+    "folder": Row("installed, demo, own program, prove", ("fresh", "ON=12-folder 13-folder testing-folder"), ""),
+    "c": Row("C program driving, killed", ("fresh", "ON=c"), ""),
+    "arm64": Row("installed, demo, own program", ("fresh", "ON=arm64 arm64-pip"), ""),
+    "reproduce": Row("a release built twice", ("reproduce",), f'"$BIN"/python -c "{ASK}"'),
     "vm": Row("USB, boot and sleep of a stock Debian", ("vm",), "qemu-system-x86_64 --version | head -n 1"),
     "vm-arm64": Row("shared memory and a demo on ARM", ("vm-arm64",), "qemu-system-aarch64 --version | head -n 1"),
 }
@@ -65,6 +68,8 @@ def results(row: Row, output: str, code: int, version: str) -> dict[str, str]:
     if each := VERSION.findall(output):
         return {name.replace("python", "Python"): PASSED.get(verdict, verdict) for name, verdict in each}
     totals = [found.strip(" ,") for found in TOTALS.findall(output)]
+    if bars := BARS.findall(output):
+        totals.append(f"{bars.count('met')} of {len(bars)} bars met")
     counted = "; ".join(totals) or ("passed" if code == 0 else "stopped early")
     return {version: counted if code == 0 else f"FAILED ({counted})"}
 

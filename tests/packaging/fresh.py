@@ -1,23 +1,27 @@
 """What a new user does, in a fresh Debian 12, 13 and testing: `python -m tests.packaging.fresh` (`make fresh`).
 
-The packages of a release are installed by apt, or its wheels by pip. Then the demo runs, a program of the user's own
-drives and is killed, and the stand test runs on the simulated board. A C program is compiled on Debian 12, and the same
-file drives on Debian 13. Debian 13 on arm64 is an emulated one: qemu-user runs its programs, and this machine's kernel
-serves them.
+The packages of a release are installed by apt, from files or from a signed folder on a server, or its wheels by pip.
+Then the demo runs, a program of the user's own drives and is killed, and the stand test runs on the simulated board. A
+C program is compiled on Debian 12, and the same file drives on Debian 13. Debian 13 on arm64 is an emulated one:
+qemu-user runs its programs, and this machine's kernel serves them.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
+import http.server
+import os
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +29,7 @@ from packaging.requirements import Requirement
 
 from bench import BenchError
 from tests.packaging import debian
+from tests.support.deb import apt
 
 OWN = '''\
 """A program that drives a simulated board is killed while it drives, and the board says when the wheels stand."""
@@ -83,6 +88,15 @@ python3 -m venv /srv/venv
 PATH=/srv/venv/bin:$PATH
 python=/srv/venv/bin/python
 """
+FOLDER = """
+sudo() {{ "$@"; }}
+echo 'APT::Get::Assume-Yes "true";' >/etc/apt/apt.conf.d/99yes
+export DEBIAN_FRONTEND=noninteractive
+{lines}
+sudo apt install failstop-lab
+python=/opt/failstop/bin/python3
+"""
+"""What a person types, who is root here."""
 USE = """
 echo "step: failstop demo"
 failstop demo
@@ -118,7 +132,7 @@ class Trial(NamedTuple):
 
     suite: str
     how: str
-    """apt or pip."""
+    """apt, pip, or a signed apt folder."""
     architecture: str = ""
     """An emulated one, by Debian's word; empty: this machine's."""
     compiled: str = ""
@@ -134,17 +148,22 @@ class Trial(NamedTuple):
         return f"Debian {suite.number}, {machine}Python {suite.python}, {self.how} install"
 
 
+SIGNED = "signed apt folder"
 TRIALS = {
     "12": Trial("bookworm", "apt"),
     "13": Trial("trixie", "apt"),
     "testing": Trial("forky", "pip"),
+    "12-folder": Trial("bookworm", SIGNED),
+    "13-folder": Trial("trixie", SIGNED),
+    "testing-folder": Trial("forky", SIGNED),
     "12-pip": Trial("bookworm", "pip"),
     "13-pip": Trial("trixie", "pip"),
     "c": Trial("trixie", "apt", compiled="bookworm"),
     "arm64": Trial("trixie", "apt", "arm64"),
     "arm64-pip": Trial("trixie", "pip", "arm64"),
 }
-USUAL = ("12", "13", "testing", "c")
+USUAL = ("12", "13", "testing", "13-folder", "c")
+KEY = "tester@example.org"
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -196,6 +215,8 @@ def tried(trial: Trial, release: Path) -> str:
                 return wrong
             script = APT.format(debs=packages(release, machine, folder, "*.deb", without="libfailstop-dev"))
             use = RUN.format(**times)
+        elif trial.how == SIGNED:
+            include, script = ("curl",), FOLDER.format(lines=stack.enter_context(hosted(release, folder)))
         elif trial.how == "apt":
             script = APT.format(debs=packages(release, machine, folder, "failstop*.deb"))
         else:
@@ -218,6 +239,40 @@ def failed_step(done: subprocess.CompletedProcess[str]) -> str:
         return ""
     steps = [line.removeprefix("step: ") for line in done.stdout.splitlines() if line.startswith("step: ")]
     return steps[-1]
+
+
+class Silent(http.server.SimpleHTTPRequestHandler):
+    """Serves files and prints nothing."""
+
+    def log_message(self, *_: object) -> None:
+        """Print nothing."""
+
+
+@contextlib.contextmanager
+def hosted(release: Path, folder: Path) -> Iterator[str]:
+    """A server on this machine for the apt folder of a release, signed with a key of its own; yields the lines that add
+    it to a system. Raises BenchError."""
+    keys, site = folder / "keys", folder / "apt"
+    keys.mkdir(mode=0o700)
+    handler = functools.partial(Silent, directory=str(site))
+    had = os.environ.get("GNUPGHOME")
+    os.environ["GNUPGHOME"] = str(keys)
+    try:
+        words = ("gpg", "--batch", "--quiet", "--passphrase", "", "--quick-generate-key", KEY, "ed25519")
+        subprocess.run(words, check=True, capture_output=True)
+        with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+            lines = apt.make(release, site, f"http://127.0.0.1:{server.server_port}", KEY)
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            yield lines
+            server.shutdown()
+    except (OSError, subprocess.CalledProcessError, apt.AptError) as error:
+        raise BenchError(f"no signed apt folder can be made: {error}") from None
+    finally:
+        subprocess.run(["gpgconf", "--kill", "all"], check=False)
+        if had is None:
+            del os.environ["GNUPGHOME"]
+        else:
+            os.environ["GNUPGHOME"] = had
 
 
 def packages(release: Path, machine: str, folder: Path, names: str, without: str = "nothing") -> str:

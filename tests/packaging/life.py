@@ -1,6 +1,8 @@
-"""The life of the Debian packages: `python -m tests.packaging.life` (`make package-test`). lintian, piuparts and
-autopkgtest judge them; in a container with a systemd the last release is installed, upgraded as a program drives,
-removed, purged. Then the system's Python becomes the next Debian's under the installed package, as a program drives.
+"""The life of a release's Debian packages: `python -m tests.packaging.life dist/VERSION` (`make package-test`).
+
+lintian, piuparts and autopkgtest judge them. In a container with a systemd the last release is installed, upgraded as a
+program drives, removed, purged. Then the system's Python becomes the next Debian's under the installed package, as a
+program drives.
 
 The simulated board judges the wheels, and systemd's own clock how long the service was away.
 """
@@ -71,14 +73,14 @@ def main() -> int:
     """Judge them, and print a table; exit code 1 when a bar is missed."""
     parser = argparse.ArgumentParser(description="The life of the Debian packages.")
     add = parser.add_argument
-    add("--debs", type=Path, help="the folder of a release (default: packages of this checkout)")
+    add("release", type=Path, help="the folder of a release (make release)")
     add("--last", default="", help="the last release: a .deb, or a commit to build it from (default: the newest tag)")
     add("--suites", default=",".join(SUITES), help=f"Debian releases (default: {','.join(SUITES)})")
     add("--rounds", type=int, default=ROUNDS, help=f"upgrades, each from the last release (default: {ROUNDS})")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="failstop-packages-") as folder:
         try:
-            new = newest(arguments.debs, Path(folder))
+            new = newest(arguments.release)
             old = last(arguments.last, Path(folder))
             ours = fitting(new, architecture())
             rows = lintian(new)
@@ -94,10 +96,8 @@ def main() -> int:
     return report.end(rows, last_release=old.name, packages=[path.name for path in new])
 
 
-def newest(debs: Path | None, folder: Path) -> list[Path]:
+def newest(debs: Path) -> list[Path]:
     """The packages to judge, the robot's first. Raises BenchError."""
-    if debs is None:
-        return build(ROOT, folder / "new")
     found, ours = sorted(debs.glob("*.deb")), architecture()
     robots = [path for path in fitting(found, ours) if path.name.startswith("failstop_")]
     if not robots:
@@ -293,8 +293,6 @@ def another_python(package: Path, suite: str) -> list[stats.Row]:
     runs afterwards runs on the new one. Raises BenchError, ContainerMissing."""
     was, following = debian.SUITES[suite].python, debian.SUITES[FOLLOWING[suite]]
     change = f"{debian_tests.title(suite)}: Python {was} becomes {following.python}"
-    if not allows(debian_tests.field(package, "Depends"), following.python):
-        return [stats.Row(change, "skipped: the package is for one Python alone (VERSION=x)", "-", None, {})]
     with machine(debian_tests.booted(suite)) as place:
         progress(change)
         script = FETCH.format(suite=suite, following=following.name)
@@ -324,12 +322,6 @@ def another_python(package: Path, suite: str) -> list[stats.Row]:
         stats.count(f"{change}: motion frames after the stop", away.moved, away.frames),
         verdict(f"{change}: what runs, runs on it", wrong),
     ]
-
-
-def allows(depends: str, python: str) -> bool:
-    """A package that depends on this can be installed with this Python."""
-    found = re.search(r"python3 \(<< (\d+)\.(\d+)\)", depends)
-    return not found or tuple(map(int, python.split("."))) < tuple(map(int, found.groups()))
 
 
 def interpreters(place: Place) -> set[str]:

@@ -191,6 +191,20 @@ def test_the_bill_has_the_hash_of_every_wheel(tmp_path: Path) -> None:
     }
 
 
+def test_wheels_that_were_kept_are_taken_only_where_the_lock_has_their_hashes(tmp_path: Path) -> None:
+    digests = []
+    for name in ("a", "b"):
+        (tmp_path / f"{name}-1.whl").write_text(name)
+        digests.append(hashlib.sha256(name.encode()).hexdigest())
+    both = "".join(
+        f"{name}==1 --hash=sha256:{digest} --hash=sha256:0\n" for name, digest in zip("ab", digests, strict=True)
+    )
+    assert release.kept(tmp_path, both)
+    assert not release.kept(tmp_path, both.replace(digests[1], "1"))
+    assert not release.kept(tmp_path, both + "c==1 --hash=sha256:2\n")
+    assert not release.kept(tmp_path / "none", both)
+
+
 BUNDLES = """\
 Name: Fast
 Files: a.libs/libfast*.so
