@@ -38,11 +38,17 @@ class Row(NamedTuple):
 
 ASK = "import sys; print('Python', *sys.version.split()[:1])"
 ASK_LEROBOT = "import lerobot, sys; print('LeRobot', lerobot.__version__, 'on Python', *sys.version.split()[:1])"
+ASK_ROS = """
+. "$ROS" && version=$(sed -nE 's:.*<version>(.+)</version>.*:\\1:p' "$AMENT_PREFIX_PATH/share/rclpy/package.xml")
+case $ROS in /opt/ros/*) from= ;; *) from=", built from source" ;; esac
+echo "ROS 2 $ROS_DISTRO, rclpy $version$from"
+"""
+"""For a ROS in one folder, as Debian's packages and `colcon build --merge-install` make it."""
 ROWS = {
     "versions": Row("quick tests", ("versions", "ALL=yes"), ""),
     "test": Row("all tests", ("test",), f'"$BIN"/python -c "{ASK}"'),
     "lerobot": Row("robot for LeRobot", ("lerobot",), f'"$LEROBOT" -c "{ASK_LEROBOT}"'),
-    "ros2": Row("bridge to ROS 2", ("ros2",), '. "$ROS" && echo "ROS 2 $ROS_DISTRO"'),
+    "ros2": Row("bridge to ROS 2", ("ros2",), ASK_ROS),
     "web": Row("operator's page, also under attack", ("web",), "chromium --version | head -n 1"),
     "fleet": Row("fleet", ("fleet",), "PATH=$PATH:/usr/sbin mosquitto -h | head -n 1"),
     "package-test": Row("life of the Debian packages", ("package-test",), "echo Debian 12 and 13"),

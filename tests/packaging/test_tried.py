@@ -33,6 +33,26 @@ def test_a_run_s_result_is_what_pytest_counted(tried: Any) -> None:
     assert tried.results(row, "no such thing", 2, "x") == {"x": "FAILED (stopped early)"}
 
 
+def test_a_bench_s_result_is_how_many_of_its_bars_were_met(tried: Any) -> None:
+    table = "one\n    yes\n    bar: yes  met\ntwo\n    3 s\n    bar: < 2 s  MISSED\nthree\n    skipped\n"
+    row = tried.ROWS["package-test"]
+    assert tried.results(row, table, 1, "Debian") == {"Debian": "FAILED (1 of 2 bars met)"}
+    assert tried.results(row, table.replace("MISSED", "met"), 0, "Debian") == {"Debian": "2 of 2 bars met"}
+
+
+@pytest.mark.starts
+def test_a_ros_is_named_with_its_rclpy_and_where_it_is_from(tried: Any, tmp_path: Path) -> None:
+    manifest = tmp_path / "share/rclpy/package.xml"
+    manifest.parent.mkdir(parents=True)
+    manifest.write_text("<package>\n  <version>7.1.3</version>\n</package>\n")
+    setup = tmp_path / "setup.sh"
+    setup.write_text(f"ROS_DISTRO=jazzy AMENT_PREFIX_PATH={tmp_path}\n")
+    done = subprocess.run(
+        ["sh", "-c", tried.ASK_ROS], env={"ROS": str(setup), "PATH": "/usr/bin:/bin"}, capture_output=True, text=True
+    )
+    assert done.stdout == "ROS 2 jazzy, rclpy 7.1.3, built from source\n", done.stderr
+
+
 def test_every_python_of_make_versions_is_a_record_and_one_that_is_not_here_is_none(tried: Any) -> None:
     output = "python 3.10: good, 80 s\npython 3.11: not tried; ALL=yes tries it\npython 3.14: FAILED, 3 s\n"
     assert tried.results(tried.ROWS["versions"], output, 1, "") == {"Python 3.10": "passed", "Python 3.14": "FAILED"}

@@ -50,6 +50,19 @@ def test_every_message_package_that_is_used_is_depended_on() -> None:
     assert used <= {row.text for row in root.iter("exec_depend")}
 
 
+def test_every_key_that_is_ours_leads_to_a_package_of_a_release() -> None:
+    keys = (ROOT / "packaging/rosdep.yaml").read_text()
+    told = dict(re.findall(r"^([\w-]+):\n((?:  .*\n)+)", keys, re.MULTILINE))
+    for system, package in re.findall(r"^  (\w+): \[([\w-]+)\]$", "".join(told.values()), re.MULTILINE):
+        assert system in ("debian", "ubuntu")
+        assert f"Package: {package}\n" in (ROOT / f"packaging/deb/{package}.control").read_text()
+    used = set()
+    for folder in ros_changes.FOLDERS.values():
+        manifest = ElementTree.parse(ROOT / folder / "package.xml").getroot()
+        used |= {row.text for row in manifest if "depend" in row.tag and "failstop" in str(row.text)}
+    assert used - set(ros_changes.FOLDERS) == set(told)
+
+
 def test_what_colcon_leaves_is_read_by_no_tool() -> None:
     """ruff leaves out what git ignores; mypy has a pattern of its own."""
     ignored = (ROOT / ".gitignore").read_text().splitlines()
