@@ -16,6 +16,11 @@ row was never tried. Every board was simulated: no robot was available.
 `make tried ROWS="versions lerobot"` tries these rows on your machine and renews them here. Each row says what the run
 printed, on which day and at which commit. A + means that the checkout differed from that commit.
 
+An emulated system runs its programs by qemu-user, on the kernel of the machine in the third column. failstop starts
+there, drives, and stops the wheels of a killed program. But it is about twenty times slower, its order of memory is the
+machine's, and qemu passes on no death through a robust futex. So these rows say that the packages fit, and nothing
+about times.
+
 | what | with | on | result | when, at which commit | again |
 |---|---|---|---|---|---|
 """
