@@ -296,10 +296,10 @@ apt: $(VENV)/.installed
 	@[ -n "$(VERSION)" ] && [ -n "$(URL)" ] && [ -n "$(KEY)" ] || { echo "make apt VERSION=0.2.0 URL=https://example.org/apt KEY=you@example.org"; exit 1; }
 	@$(BIN)/python packaging/apt.py dist/$(VERSION) --url $(URL) --key $(KEY)
 
-# The three below build the release first, as this version: another one that you ask for, or a trial.
+# The three below build the release first, unless it is there, as this version: another one that you ask for, or a trial.
 TRIAL = $(or $(VERSION),0.9.0)
 RELEASE = $(BIN)/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[release]' $(LAB) && $(BIN)/python packaging/release.py $(TRIAL)
-TRIED = $(RELEASE) --wheels build/wheels $(if $(HOMEPAGE),--homepage $(HOMEPAGE))
+TRIED = $(RELEASE) --keep --wheels build/wheels $(if $(HOMEPAGE),--homepage $(HOMEPAGE))
 
 # What a new user does, in fresh systems of Debian 12, 13 and testing: the packages of a release by apt or pip, the demo, a program of their
 # own, the stand test. Needs root. ON="12 arm64": some of them, and Debian 13 for arm64, emulated.

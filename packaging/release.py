@@ -68,18 +68,25 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="the directory for it (default: dist/VERSION)")
     parser.add_argument("--wheels", type=Path, help="keep the wheels of others here, and take those that are there")
     parser.add_argument("--homepage", default="", help="the address of the repository, for links that work on an index")
+    parser.add_argument("--keep", action="store_true", help="keep what is there, if it is of this commit and unchanged")
     parser.add_argument("--twice", action="store_true", help="build it in two places, as two builders, and compare")
     arguments = parser.parse_args(words)
     # Whole paths, since each step runs in a folder of its own.
     out = (arguments.out or ROOT / "dist" / arguments.version).resolve()
     wheels = arguments.wheels.resolve() if arguments.wheels else None
+    stamp, key = out.with_name(f".{out.name}.built"), made_of(arguments.version, arguments.homepage)
+    if arguments.keep and not arguments.twice and whole(out, stamp, key):
+        print(*sorted(out.iterdir()), sep="\n")
+        return 0
     try:
         with tempfile.TemporaryDirectory(prefix="failstop-release-") as folder:
             if arguments.twice:
                 made = twice(arguments.version, Path(folder), wheels or Path(folder, "wheels"))
                 print(f"built twice, equal to the byte: {len(made)} files")
                 return 0
+            stamp.unlink(missing_ok=True)
             made = release(arguments.version, out, Path(folder), wheels, arguments.homepage)
+            stamp.write_text(key)
     except (ReleaseError, subprocess.CalledProcessError) as error:
         print(f"failstop: {error}", file=sys.stderr)
         return 1
@@ -138,6 +145,24 @@ def release(version: str, out: Path, folder: Path, wheels: Path | None = None, h
     sums = "".join(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in made)
     (out / "SHA256SUMS").write_text(sums)
     return [*made, out / "SHA256SUMS"]
+
+
+def made_of(version: str, homepage: str) -> str:
+    """What the files of a release depend on, besides what an index and the compilers give."""
+    maker = [surroundings()[name] for name in ("SOURCE_DATE_EPOCH", *MAINTAINER)]
+    return json.dumps([said("git", "rev-parse", "HEAD"), version, homepage, *maker])
+
+
+def whole(out: Path, stamp: Path, key: str) -> bool:
+    """Whether a release that was made of `key` lies there with every file unchanged."""
+    sums = out / "SHA256SUMS"
+    if not sums.exists() or not stamp.exists() or stamp.read_text() != key:
+        return False
+    rows = [line.split("  ") for line in sums.read_text().splitlines()]
+    return all(
+        (out / name).exists() and hashlib.sha256((out / name).read_bytes()).hexdigest() == digest
+        for digest, name in rows
+    )
 
 
 def twice(version: str, folder: Path, wheels: Path) -> list[Path]:

@@ -205,6 +205,23 @@ def test_wheels_that_were_kept_are_taken_only_where_the_lock_has_their_hashes(tm
     assert not release.kept(tmp_path / "none", both)
 
 
+def test_a_release_is_kept_only_where_it_is_of_this_commit_and_unchanged(tmp_path: Path) -> None:
+    out, stamp = tmp_path / "0.9.0", tmp_path / ".0.9.0.built"
+    out.mkdir()
+    (out / "a.deb").write_text("a")
+    (out / "SHA256SUMS").write_text(f"{hashlib.sha256(b'a').hexdigest()}  a.deb\n")
+    key = release.made_of("0.9.0", HOME)
+    assert not release.whole(out, stamp, key)
+    stamp.write_text(key)
+    assert release.whole(out, stamp, key)
+    assert not release.whole(out, stamp, release.made_of("0.9.0", ""))
+    assert not release.whole(out, stamp, release.made_of("0.9.1", HOME))
+    (out / "a.deb").write_text("b")
+    assert not release.whole(out, stamp, key)
+    (out / "a.deb").unlink()
+    assert not release.whole(out, stamp, key)
+
+
 BUNDLES = """\
 Name: Fast
 Files: a.libs/libfast*.so
