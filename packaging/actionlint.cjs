@@ -5,7 +5,11 @@
 const { readFileSync } = require("node:fs");
 const { join, resolve } = require("node:path");
 
-const NEWER = [/^label "ubuntu-24\.04(-arm)?" is unknown/, /^unknown permission scope "attestations"/];
+const NEWER = [
+  /^label "ubuntu-24\.04(-arm)?" is unknown/,
+  /^unknown permission scope "attestations"/,
+  /^undefined variable "vars"/,
+];
 const [folder, ...workflows] = process.argv.slice(2);
 const { createLinter } = require(join(resolve(folder), "node.cjs"));
 
