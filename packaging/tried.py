@@ -21,6 +21,8 @@ TOTALS = re.compile(r"^=*\s*((?:\d+ (?:failed|passed|skipped|error|errors|xfaile
 """pytest's last line: how many passed, failed and were skipped."""
 BARS = re.compile(r"^    bar: .*  (met|MISSED)$", re.MULTILINE)
 """A line below each row of a bench's table that has a bar."""
+EQUAL = re.compile(r"^built twice, (equal to the byte: \d+ files)$", re.MULTILINE)
+"""The last line of `make reproduce`."""
 PASSED = {"good": "passed"}
 VERSION = re.compile(r"^(python 3\.\d+|Debian \S+, .*install): (good|FAILED)", re.MULTILINE)
 """A line of `make versions` for each Python that it tried, and one of `make fresh` for each Debian."""
@@ -73,7 +75,7 @@ def results(row: Row, output: str, code: int, version: str) -> dict[str, str]:
     """What came of a run, by what it was tried with."""
     if each := VERSION.findall(output):
         return {name.replace("python", "Python"): PASSED.get(verdict, verdict) for name, verdict in each}
-    totals = [found.strip(" ,") for found in TOTALS.findall(output)]
+    totals = [found.strip(" ,") for found in TOTALS.findall(output)] + EQUAL.findall(output)
     if bars := BARS.findall(output):
         totals.append(f"{bars.count('met')} of {len(bars)} bars met")
     counted = "; ".join(totals) or ("passed" if code == 0 else "stopped early")

@@ -40,6 +40,11 @@ def test_a_bench_s_result_is_how_many_of_its_bars_were_met(tried: Any) -> None:
     assert tried.results(row, table.replace("MISSED", "met"), 0, "Debian") == {"Debian": "2 of 2 bars met"}
 
 
+def test_of_a_release_that_is_built_twice_the_files_are_counted(tried: Any) -> None:
+    line = "built twice, equal to the byte: 16 files\n"
+    assert tried.results(tried.ROWS["reproduce"], line, 0, "x") == {"x": "equal to the byte: 16 files"}
+
+
 @pytest.mark.starts
 def test_a_ros_is_named_with_its_rclpy_and_where_it_is_from(tried: Any, tmp_path: Path) -> None:
     manifest = tmp_path / "share/rclpy/package.xml"
