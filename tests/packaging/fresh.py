@@ -244,7 +244,7 @@ def failed_step(done: subprocess.CompletedProcess[str]) -> str:
 class Silent(http.server.SimpleHTTPRequestHandler):
     """Serves files and prints nothing."""
 
-    def log_message(self, *_: object) -> None:
+    def log_message(self, format: str, *args: object) -> None:
         """Print nothing."""
 
 
@@ -252,19 +252,29 @@ class Silent(http.server.SimpleHTTPRequestHandler):
 def hosted(release: Path, folder: Path) -> Iterator[str]:
     """A server on this machine for the apt folder of a release, signed with a key of its own; yields the lines that add
     it to a system. Raises BenchError."""
-    keys, site = folder / "keys", folder / "apt"
+    site = folder / "apt"
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Silent, directory=str(site))) as server:
+        lines = signed(release, folder, f"http://127.0.0.1:{server.server_port}", site)
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield lines
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def signed(release: Path, folder: Path, url: str, site: Path) -> str:
+    """Make the apt folder of a release, with a key that is made for it; returns the lines that add it. Raises
+    BenchError."""
+    keys = folder / "keys"
     keys.mkdir(mode=0o700)
-    handler = functools.partial(Silent, directory=str(site))
     had = os.environ.get("GNUPGHOME")
     os.environ["GNUPGHOME"] = str(keys)
     try:
         words = ("gpg", "--batch", "--quiet", "--passphrase", "", "--quick-generate-key", KEY, "ed25519")
         subprocess.run(words, check=True, capture_output=True)
-        with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-            lines = apt.make(release, site, f"http://127.0.0.1:{server.server_port}", KEY)
-            threading.Thread(target=server.serve_forever, daemon=True).start()
-            yield lines
-            server.shutdown()
+        return apt.make(release, site, url, KEY)  # type: ignore[no-any-return]
     except (OSError, subprocess.CalledProcessError, apt.AptError) as error:
         raise BenchError(f"no signed apt folder can be made: {error}") from None
     finally:

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from failstop.files import root
-from tests.packaging.fresh import OWN
+from tests.packaging.fresh import OWN, TRIALS
+from tests.support.commands import script
 from tests.support.pages import ROOT
 
 LIMIT_S = 60
@@ -36,3 +37,9 @@ def test_a_program_of_the_user_s_own_is_killed_and_the_service_names_it(
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "own program: killed while it drove, the wheels stood after " in done.stdout
+
+
+def test_each_system_that_is_tried_becomes_a_record() -> None:
+    tried = script(ROOT / "packaging/tried.py")
+    lines = "".join(f"{trial.name()}: good, 80 s\n" for trial in TRIALS.values())
+    assert list(tried.results(tried.ROWS["fresh"], lines, 0, "")) == [trial.name() for trial in TRIALS.values()]
