@@ -232,6 +232,7 @@ $(VENV)/feetech/.installed: pyproject.toml | $(VENV)/bin/python
 
 # The bridge against a real ROS 2 (CONTRIBUTING.md says what is needed), and the stand-in beside it, which the same tests judge.
 # ROS: another setup.sh than the newest; ROS_PYTHON: that ROS's own Python.
+# The messages of Humble and Jazzy (Python 3.10 and 3.12) are built with numpy 1, those of Lyrical (3.14) with numpy 2.
 ROS ?= $(lastword $(sort $(wildcard /opt/ros/*/setup.sh)))
 ROS_PYTHON ?= /usr/bin/python3
 ros2: $(VENV)/ros2/.installed
@@ -241,7 +242,7 @@ $(VENV)/ros2/.installed: pyproject.toml
 	@[ -n "$(ROS)" ] || { echo "there is no ROS 2 here (no /opt/ros/*/setup.sh): CONTRIBUTING.md says what is needed"; exit 1; }
 	@echo "installing failstop with its tests' tools for $(ROS_PYTHON) into $(VENV)/ros2 ..."
 	@$(ROS_PYTHON) -m venv --system-site-packages $(VENV)/ros2
-	@$(VENV)/ros2/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[test]' $(LAB) 'numpy<2'
+	@$(VENV)/ros2/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[test]' $(LAB) 'numpy<2; python_version < "3.13"'
 	@touch $@
 
 # The hardware interface on a real controller manager of ros2_control: the tests of tests/integrations/ros2_control/real.py.
