@@ -205,6 +205,7 @@ def test_wheels_that_were_kept_are_taken_only_where_the_lock_has_their_hashes(tm
     assert not release.kept(tmp_path / "none", both)
 
 
+@pytest.mark.starts
 def test_a_release_is_kept_only_where_it_is_of_this_commit_and_unchanged(tmp_path: Path) -> None:
     out, stamp = tmp_path / "0.9.0", tmp_path / ".0.9.0.built"
     out.mkdir()
