@@ -25,7 +25,7 @@ CLASSIFIERS = {
 """SPDX's word for what a package says of its licence in a classifier."""
 LIBS = ".libs"
 """The end of the name of the folder in which a wheel brings shared libraries of others along."""
-BUNDLED = re.compile(r"^Name: (.+)\nFiles: (?:.*/)?(.+)\n(?:.+\n)*?License: (.+)$", re.MULTILINE)
+BUNDLED = re.compile(r"^Name: (.+)\nFiles: (?:.*/)?(.+\.so.*)\n(?:.+\n)*?License: (.+)$", re.MULTILINE)
 """What numpy's licence text says of each library inside its wheel: name, files, licence."""
 EXPRESSION = re.compile(r"[\w.+-]+( (WITH|AND|OR) [\w.+-]+)*")
 UNSAID = "not said"

@@ -230,6 +230,10 @@ Description: bundled
 License: BSD-3-Clause
   The text.
 
+Name: Sources
+Files: vendored/*
+License: MIT
+
 Name: Runtime
 Files: a.libs/libruntime*.so
 Availability: somewhere
