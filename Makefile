@@ -236,7 +236,7 @@ $(VENV)/feetech/.installed: pyproject.toml | $(VENV)/bin/python
 ROS ?= $(lastword $(sort $(wildcard /opt/ros/*/setup.sh)))
 ROS_PYTHON ?= /usr/bin/python3
 ros2: $(VENV)/ros2/.installed
-	FAILSTOP_ROS=$(ROS) $(VENV)/ros2/bin/pytest --numprocesses 0 tests/ros2
+	FAILSTOP_ROS=$(ROS) $(VENV)/ros2/bin/python -m pytest --numprocesses 0 tests/ros2
 
 $(VENV)/ros2/.installed: pyproject.toml
 	@[ -n "$(ROS)" ] || { echo "there is no ROS 2 here (no /opt/ros/*/setup.sh): CONTRIBUTING.md says what is needed"; exit 1; }
