@@ -107,6 +107,10 @@ BURST = (FILLER + STOP) * STOPS
 """After a cut packet a stop is received at once. If it hits an answer, it is received when the answer is over. If a
 length was garbled, the servo first waits for up to 255 bytes."""
 
+BEFORE_QUESTION = FILLER * 2
+"""A servo that took a garbled length waits through up to 255 bytes and answers nothing meanwhile. With these it answers
+the fifth question after the noise at the latest."""
+
 TORQUE_ON = sync_write(TORQUE_SWITCH, 1, b"".join(bytes((wheel, 1)) for wheel in WHEELS))
 QUESTIONS = tuple(packet(EVERY_SERVO, SYNC_READ, bytes((GOAL_SPEED, size, *WHEELS))) for size in SIZES)
 

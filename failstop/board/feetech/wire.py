@@ -76,7 +76,7 @@ WIRE = Wire(
         scale_known=True,
     ),
     questions=tuple(
-        Question(f"{size} bytes of each wheel", ask, answer_is(str(size)))
+        Question(f"{size} bytes of each wheel", codec.BEFORE_QUESTION + ask, answer_is(str(size)))
         for size, ask in zip(codec.SIZES, codec.QUESTIONS, strict=True)
     ),
     reader=codec.Replies,
@@ -93,7 +93,7 @@ WIRE = Wire(
         holds_speed=True,
         own_scale=False,
     ),
-    # Seven answers: noise on the line or a busy computer loses a few in a row.
+    # Seven answers. A busy computer loses a few in a row, and a garbled length up to five (codec.BEFORE_QUESTION).
     silent_ns=700 * _MS,
     commanders=(
         Commander(

@@ -115,8 +115,12 @@ class Bus(Rolling):
         self._garble = random.Random(seed)
         self._delay_ns = delay_ns
         self._moved_ns = 0
-        for value in heard:
-            self._hear(value, 0)
+        self.noise(heard, 0)
+
+    def noise(self, data: bytes, at_ns: int) -> None:
+        """Bytes on the line that nobody wrote."""
+        for value in data:
+            self._hear(value, at_ns)
 
     def byte(self, at_ns: int, value: int) -> None:
         """One byte from the host. It is garbled where an answer is on the line."""
