@@ -3,8 +3,9 @@
  * of its humble branch (TIOCEXCL, and a flush before each line). It prints a line for each round: two counts, and the
  * milliseconds until each of the two answers.
  *
- * usage: diffdrive PATH serial|exclusive LEFT RIGHT HZ [blind|mute|child|big]
- *   blind: never waits for an answer; mute: never reads; child: forks a child that keeps the port; big: 500 MB */
+ * usage: diffdrive PATH serial|exclusive LEFT RIGHT HZ [blind|mute|child|system|big]
+ *   blind: never waits for an answer; mute: never reads; child: forks a child that keeps the port; system: runs other
+ *   programs, which inherit the port; big: 500 MB */
 #include <errno.h>
 #include <fcntl.h>
 #include <poll.h>
@@ -92,6 +93,8 @@ int main(int argc, char **argv) {
     memset(memory, 1, size);
   }
   open_port(argv[1]);
+  int system_too = !strcmp(how, "system");
+  if (system_too && system("sleep 0.1")) die("system");
   printf("start %s|", ask("\r", !mute));
   printf("%s\n", ask("u 30:20:0:100\r", !mute));
   fflush(stdout);
@@ -111,6 +114,7 @@ int main(int argc, char **argv) {
     const char *answer = ask(line, !blind && !mute);
     printf("%s|%s|%.3f|%.3f\n", counts, answer, (between - begun) * 1e3, (now() - between) * 1e3);
     fflush(stdout);
+    if (system_too && system(":")) die("system");
     due += period;
     double rest = due - now();
     if (rest > 0) usleep(rest * 1e6); else due = now();

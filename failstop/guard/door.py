@@ -3,7 +3,7 @@
 A program that is killed is seen first in /proc, by the SIGKILL that waits for it or by its flags, which are looked at a
 few hundred times a second. Then the kernel takes its memory down, closes its files, which inotify reports, and at last
 its pidfd says that it is gone. A program whose pidfd has said so, and of which no close was reported, has left the port
-open with a child of its.
+open with a child of its. So has one that has closed all its descriptors while no close was reported.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import os
 import select
 
 from failstop.guard.news import News, Opener
-from failstop.guard.openers import Watch, dying, openers
+from failstop.guard.openers import Watch, dying, holds, identity, openers
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ class Door:
         """Raises OSError."""
         self._pty, self._poll = pty, select.epoll()
         self.seen: dict[int, Opener] = {}
-        """Those that /proc shows, by pid."""
+        """The programs that have opened it, as far as /proc shows them, by pid."""
         self.count = 0
         """How often it is open, as far as is known."""
         self._opened = 0
@@ -40,6 +40,8 @@ class Door:
         """For each of these programs, and each that is dying, the descriptor that reports its end."""
         self._dying: dict[int, tuple[Opener, int]] = {}
         """Those whose end was noticed, with the closes that inotify has not reported of them yet."""
+        self._closed: set[int] = set()
+        """Programs that had no descriptor of it when abandoned() looked last."""
         self._begin()
 
     def _begin(self) -> None:
@@ -87,16 +89,23 @@ class Door:
                 return True
         return False
 
+    def abandoned(self) -> list[Opener]:
+        """The programs that have closed it and left it open with a child. Each is looked for twice, because the close
+        that the kernel reports may be on its way. Raises OSError."""
+        wanted, before = identity(self._pty.name), self._closed
+        with contextlib.suppress(PermissionError):
+            self._closed = {pid for pid in self.seen if pid not in self._dying and not holds(pid, wanted)}
+        return [self.seen[pid] for pid in self._closed & before]
+
     def recount(self, meanwhile: Callable[[], None]) -> None:
         """See who has it open, and keep further programs out where it is open as often as may be. `meanwhile`: as of
         openers()."""
-        found, hidden = openers(self._pty.name, meanwhile)
+        found, hidden = openers(self._pty.name, self.seen, self._opened, meanwhile)
         seen = {pid: opener for pid, opener in found.items() if pid not in self._dying and not dying(pid)}
         shown = sum(opener.times for opener in seen.values())
         if not hidden:
             self._opened = min(self._opened, shown)
         closing = sum(left for _, left in self._dying.values())
-        # A child that inherits it is shown, and neither its beginning nor its end is an event.
         self.count = max(self._opened - closing, shown) if hidden else shown
         self._update_lives(seen)
         self._pty.exclusive(on=self.count >= self.most)
@@ -113,7 +122,7 @@ class Door:
         self.seen = seen
 
     def hang_up(self) -> None:
-        """Everybody is out. Raises FailstopError, OSError."""
+        """Everybody is out, and another terminal is there. Raises FailstopError, OSError."""
         self._poll.unregister(self._pty.master)
         self._close_watch()
         self._pty.hang_up()

@@ -8,6 +8,7 @@ from time import monotonic_ns
 from failstop.api import words
 from failstop.api.snapshot import Block
 from failstop.board.driver import language_of
+from failstop.guard.news import HungUp
 from failstop.guard.said import DRIVES, GUARD, WAITS
 from failstop.guard.talk import Talk
 
@@ -71,6 +72,10 @@ class Guard:
         """What was written before anybody could see by whom."""
         self._empty_ns = monotonic_ns()
         """When nothing of the driver's waited to be read."""
+        self._opened_ns = 0
+        """When the driver was seen first."""
+        self._hasty = ""
+        """What the last driver did wrong, if it closed the port at once; for people."""
         self._told: set[str] = set()
         """Lines that are printed once for each driver."""
         self._said = ("", "")
@@ -80,6 +85,12 @@ class Guard:
 
     def turn(self) -> None:
         """Sleep until there is something to do, and do it. Raises FailstopError, OSError."""
+        try:
+            self._turn()
+        except HungUp:
+            self._begin_again()
+
+    def _turn(self) -> None:
         ready = self._door.wait(self._wait_s(monotonic_ns()))
         now_ns = monotonic_ns()
         # Whoever has gone comes before what was written, because the bytes of a dead driver move nothing.
@@ -125,12 +136,27 @@ class Guard:
             self._tell(self._note or "the service is there")
         if not self._pty.linked():
             self._pty.link_again()
+        self._pty.check()
+        if left := self._door.abandoned():
+            self._end()
+            self._recount(left)
+
+    def _begin_again(self) -> None:
+        """At another terminal, because somebody has hung up this one."""
+        self._board.leave(in_order=not (self._talk and self._talk.holds))
+        lost = f", so {self._who} has lost it: start it again" if self._talk else ""
+        self._talk, self._early, self._wrote = None, b"", False
+        self._door.hang_up()
+        self._tell(f"root hung up the port (vhangup){lost}; another terminal has taken its place")
+        self._begin()
 
     # Who has it open.
 
     def _recount(self, orphans: Sequence[Opener]) -> None:
         # A driver may ask at once, and must be answered while it is looked who it is.
         new = self._talk is None
+        if new:
+            self._opened_ns = monotonic_ns()
         self._talk = self._talk or self._conversation()
         self._answer_early()
         self._flooded = False
@@ -141,18 +167,29 @@ class Guard:
             self._end()
         if orphans and self._door.count:
             self._door.hang_up()
-            self._tell(f"a child of {orphans[0]}, which has died, had the port open: hung up")
+            self._tell(
+                f"a child of {orphans[0]}, which is gone, still had the port open, so the guard hung up: open the port "
+                "with O_CLOEXEC, in the process that drives"
+            )
             new = True
             self._talk = None
         if new or not self._door.count:
             self._begin(self._talk)
         crowded, self._crowded = self._crowded, self._door.crowded
         if self._crowded and not crowded:
-            names = " and ".join(map(str, self._door.seen.values())) or f"{self._door.count} programs"
-            self._tell(
-                f"{names} have the port open, and guard.openers lets {self._door.most} of them: nothing that they "
-                "write moves the robot until one of them closes it"
+            self._tell(self._crowd())
+
+    def _crowd(self) -> str:
+        """Who has it open too often, and what helps."""
+        count, seen = self._door.count, list(self._door.seen.values())
+        allows = f"guard.openers allows {self._door.most}"
+        if len(seen) == 1 and seen[0].times == count:
+            return (
+                f"{seen[0]} has opened the port {count} times, and {allows}: nothing that it writes moves the robot. "
+                f"Open it once, or set guard.openers = {count}"
             )
+        names = " and ".join(map(str, seen)) or f"{count} programs"
+        return f"{names} have the port open, and {allows}: nothing that they write moves the robot until one closes it"
 
     def _answer_early(self) -> None:
         """Answer what was written before anybody could see by whom. It moves nothing."""
@@ -166,13 +203,15 @@ class Guard:
 
     def _conversation(self) -> Talk | None:
         """A new one; None: nobody has it open, or no service was found yet."""
+        talk = self._new_talk()
+        return talk if self._door.count else None
+
+    def _new_talk(self) -> Talk | None:
         settings = self._board.settings
         language = language_of(settings.text("board.kind"), settings.flat()) if settings else None
         if settings is None or language is None:
             return None
         self._door.most = int(settings["guard.openers"]) or language.openers
-        if not self._door.count:
-            return None
         _, source_ns = settings.sources()[self._board.source]
         # A driver gets nothing that the board said before it was there.
         self._remember(self._board.heard())
@@ -202,12 +241,25 @@ class Guard:
         talk, self._talk = self._talk, None
         # A program may open the port twice at its start, as Feetech's SDK does, and ask before the first was seen.
         self._early = unread if self._door.count and not self._wrote else b""
-        self._wrote = False
+        self._wrote, self._hasty = False, ""
         if talk:
             # Of several at once nobody can say which of them drove.
-            drove = talk.ended(unread, now_ns) or self._door.crowded
+            held = talk.ended(unread, now_ns)
+            drove = held or self._door.crowded
             self._board.leave(in_order=not drove)
             self._tell(f"{self._who} has ended{' or died while it drove' if drove else ''}")
+            if held and now_ns - self._opened_ns < talk.timeout_ns:
+                self._tell_hasty(talk)
+        elif unread and not self._door.count and (talk := self._new_talk()) and talk.ended(unread, now_ns):
+            self._tell_hasty(talk)
+
+    def _tell_hasty(self, talk: Talk) -> None:
+        """It wrote a motion and closed the port at once: as a script does that opens it for each command."""
+        self._hasty = (
+            f"{self._who} closed the port right after it wrote a motion, and a motion ends when the port is closed: "
+            f"keep it open, and write the motion again within {talk.timeout_ns / 1e9:g} s"
+        )
+        self._tell(self._hasty)
 
     # What they write, and what they get.
 
@@ -283,10 +335,10 @@ class Guard:
     def _words(self, now_ns: int) -> tuple[str, str]:
         """What it sees, and what is wrong."""
         if self._talk is None:
-            return WAITS + self._pty.path, ""
+            return WAITS + self._pty.path, self._hasty
         wrong = ""
         if self._door.crowded:
-            wrong = f"{self._door.count} programs have the port open, so none of them drives"
+            wrong = f"the port was opened {self._door.count} times, so no program drives (guard.openers)"
         elif silent_ns := self._talk.silent_ns(now_ns):
             counts_s = self._talk.timeout_ns / 1e9
             for_s = words.span(silent_ns / 1e9 + counts_s)

@@ -6,15 +6,19 @@ from failstop.data import Data
 
 
 class Opener(Data):
-    """A program that has it open."""
+    """A program that has opened it and still has it open."""
 
     pid: int
     name: str
     times: int
-    """How many of its descriptors are open on it."""
+    """How often it has opened it; descriptors that it has copied are no more openings."""
 
     def __str__(self) -> str:
         return f"{self.name} (pid {self.pid})"
+
+
+class HungUp(Exception):
+    """Somebody has hung the terminal up, so another one has to take its place."""
 
 
 class News:
@@ -26,4 +30,4 @@ class News:
         self.ended = False
         """A program that had it open has closed it, or is dying or dead."""
         self.orphans: list[Opener] = []
-        """Programs that are gone and have left it open with a child."""
+        """Programs that are gone, or have closed it, and have left it open with a child."""

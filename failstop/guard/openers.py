@@ -2,8 +2,13 @@
 
 The kernel merges events that are alike and follow each other, so that two programs which close it in one moment would
 count as one. Its directory is therefore watched too: each open and close is then two events of two watches, and no two
-that follow each other are alike. A child that inherited the descriptor keeps it open when its parent dies, so each
-program that was seen is watched by a pidfd too.
+that follow each other are alike.
+
+What inotify reports are openings: each open() is one, and its close comes when the last descriptor of it is closed. A
+child that inherits a descriptor, and dup(), make no further opening, so several descriptors and processes share one.
+The process that opened it owns it, as far as can be seen: of those that share it, the one that was seen with it first,
+else the oldest, because a parent is older than its children. Owners are the drivers. A child that shares the opening
+may come and go; it keeps the port open when the owner dies, so each owner is watched by a pidfd too.
 """
 
 from __future__ import annotations
@@ -12,12 +17,14 @@ import contextlib
 import ctypes
 import os
 import struct
+from collections import Counter
 
+from failstop.data import Data
 from failstop.guard.news import Opener
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Container, Iterator, Sequence
 
 IN_CLOSE_WRITE, IN_CLOSE_NOWRITE, IN_OPEN = 0x8, 0x10, 0x20
 _EXITING = 0x4
@@ -27,6 +34,8 @@ _KILLED = 1 << 9 - 1
 _MACHINE = 0xEFFFFFFC
 """The machine's own pid namespace, in which every process has a number (PROC_PID_INIT_INO of Linux)."""
 _EVENT = struct.Struct("iIII")
+_KCMP = {"x86_64": 312, "aarch64": 272}.get(os.uname().machine, -1)
+_KCMP_FILE = 0
 _libc = ctypes.CDLL(None, use_errno=True)
 INTERPRETERS = ("python", "perl", "ruby", "node", "bash", "sh", "dash")
 
@@ -63,34 +72,79 @@ class Watch:
         os.close(self.fd)
 
 
-def openers(path: str, meanwhile: Callable[[], None]) -> tuple[dict[int, Opener], bool]:
-    """The programs that have this terminal open, but for this process; and whether there may be others that /proc does
-    not show. Where many programs run it takes longer than a driver waits, so `meanwhile` is called after each of
-    them."""
-    wanted = _identity(path)
-    found: dict[int, Opener] = {}
+class Held(Data):
+    """A descriptor that a process has open on the terminal."""
+
+    pid: int
+    fd: int
+    began: int
+    """When the process began, in the kernel's ticks."""
+
+
+def openers(
+    path: str, before: Container[int], opened: int, meanwhile: Callable[[], None]
+) -> tuple[dict[int, Opener], bool]:
+    """The programs that have opened this terminal and still have it open, but for this process; and whether there may
+    be others that /proc does not show. `before`, `opened`: as of owners(). Where many programs run it takes longer than
+    a driver waits, so `meanwhile` is called after each of them."""
+    wanted = identity(path)
+    held: list[Held] = []
     pids = [int(name) for name in os.listdir("/proc") if name.isdigit()]
     hidden = not _all_listed(pids)
     for pid in pids:
         if pid == os.getpid():
             continue
         meanwhile()
-        folder = f"/proc/{pid}/fd"
         try:
-            names = os.listdir(folder)
+            fds = holds(pid, wanted)
         except PermissionError:
             hidden = True
             continue
-        except OSError:
-            continue
-        times = 0
-        for name in names:
-            with contextlib.suppress(OSError):
-                if _may_be(pid, name, wanted[1]):
-                    times += _identity(f"{folder}/{name}") == wanted
-        if times:
-            found[pid] = Opener(pid, program(pid), times)
-    return found, hidden
+        with contextlib.suppress(OSError):
+            held += [Held(pid, fd, _began(pid)) for fd in fds]
+    found = owners(held, before, opened, same_opening)
+    return {pid: Opener(pid, program(pid), times) for pid, times in found.items()}, hidden
+
+
+def holds(pid: int, wanted: tuple[int, int, int]) -> list[int]:
+    """The descriptors that a process has open on the terminal with this identity(). Raises PermissionError."""
+    found = []
+    try:
+        names = os.listdir(f"/proc/{pid}/fd")
+    except PermissionError:
+        raise
+    except OSError:
+        return []
+    for name in names:
+        with contextlib.suppress(OSError):
+            if _may_be(pid, name, wanted[1]) and identity(f"/proc/{pid}/fd/{name}") == wanted:
+                found.append(int(name))
+    return found
+
+
+def owners(
+    held: Sequence[Held], before: Container[int], opened: int, same: Callable[[Held, Held], bool | None]
+) -> dict[int, int]:
+    """The owners of these descriptors' openings, by pid, with how many each owns. `before`: those that were owners when
+    it was looked last. `same`: whether two descriptors share an opening; None: nobody can say, and then no more than
+    `opened` openings are believed."""
+    first: list[Held] = []
+    for each in sorted(held, key=lambda each: (each.pid not in before, each.began, each.pid)):
+        answers = [same(each, other) for other in first]
+        if True not in answers and not (None in answers and len(first) >= opened):
+            first.append(each)
+    return dict(Counter(each.pid for each in first))
+
+
+def same_opening(one: Held, other: Held) -> bool | None:
+    """Whether two descriptors come from the same open(); None: the kernel does not say."""
+    found: int = _libc.syscall(_KCMP, one.pid, other.pid, _KCMP_FILE, ctypes.c_ulong(one.fd), ctypes.c_ulong(other.fd))
+    return None if found < 0 else found == 0
+
+
+def _began(pid: int) -> int:
+    """Raises OSError."""
+    return int(_fields(_read(f"/proc/{pid}/stat"))[19])
 
 
 def _all_listed(pids: list[int]) -> bool:
@@ -112,7 +166,8 @@ def _may_be(pid: int, name: str, inode: int) -> bool:
         return b"\nino:\t%d\n" % inode in file.read(4096)
 
 
-def _identity(path: str) -> tuple[int, int, int]:
+def identity(path: str) -> tuple[int, int, int]:
+    """What tells a terminal from every other file. Raises OSError."""
     found = os.stat(path)
     return found.st_dev, found.st_ino, found.st_rdev
 

@@ -7,6 +7,7 @@ Facts of Linux that this depends on:
   So the guard holds one, and uses that mode itself to keep out more programs than may have the port open.
 - What a driver wrote before it died can still be read, and what it did not read is still there for the next one.
 - Output that a driver has stopped (TCOOFF) stays stopped for the next one.
+- Root can hang a terminal up (vhangup). Every descriptor of the slave is dead then, the guard's own one too.
 """
 
 from __future__ import annotations
@@ -20,6 +21,11 @@ import termios
 import tty
 
 from failstop.api.errors import FailstopError
+from failstop.guard.news import HungUp
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 READ_BYTES = 4096
 MOST_READ = 65536
@@ -137,20 +143,29 @@ class Pty:
             return 0
 
     def exclusive(self, *, on: bool) -> None:
-        """Keep every further program out, as far as the kernel does: root is let in all the same."""
-        fcntl.ioctl(self.slave, termios.TIOCEXCL if on else termios.TIOCNXCL)
+        """Keep every further program out, as far as the kernel does: root is let in all the same. Raises HungUp."""
+        with _alive():
+            fcntl.ioctl(self.slave, termios.TIOCEXCL if on else termios.TIOCNXCL)
+
+    def check(self) -> None:
+        """Raises HungUp."""
+        with _alive():
+            termios.tcgetattr(self.slave)
 
     def clean(self) -> bytes:
-        """Make it as new for the next driver, once the last has gone; returns what that one wrote and nobody read."""
+        """Make it as new for the next driver, once the last has gone; returns what that one wrote and nobody read.
+        Raises HungUp."""
         found = b""
         while part := self.read()[0]:
             found = (found + part)[-MOST_READ:]
         self._left = b""
-        # A driver that stopped its output (tcflow, or XOFF) would leave the next one's writes where nobody reads them.
-        termios.tcflow(self.slave, termios.TCOON)
-        tty.setraw(self.slave, termios.TCSANOW)
-        # Not what is on its way here: the next driver may have written already.
-        termios.tcflush(self.slave, termios.TCIFLUSH)
+        with _alive():
+            # A driver that stopped its output (tcflow, or XOFF) would leave the next one's writes where nobody reads
+            # them.
+            termios.tcflow(self.slave, termios.TCOON)
+            tty.setraw(self.slave, termios.TCSANOW)
+            # Not what is on its way here: the next driver may have written already.
+            termios.tcflush(self.slave, termios.TCIFLUSH)
         self.exclusive(on=False)
         return found
 
@@ -174,3 +189,14 @@ class Pty:
                 os.unlink(self.path)
         self._close()
         os.close(self._lock)
+
+
+@contextlib.contextmanager
+def _alive() -> Iterator[None]:
+    """Raises HungUp for what the kernel says of a terminal that was hung up."""
+    try:
+        yield
+    except (OSError, termios.error) as error:
+        if error.args[0] != errno.EIO:
+            raise
+        raise HungUp from None

@@ -90,6 +90,17 @@ def test_the_death_of_a_driver_is_its_own_though_a_child_keeps_the_port(arduino:
     drives(arduino, diffdrive).kill()
 
 
+def test_a_driver_that_runs_other_programs_drives_until_it_dies(arduino: GuardScene, diffdrive: str) -> None:
+    """system() gives each of them the port, for as long as it runs; the first runs while the guard looks who drives."""
+    driver = drives(arduino, diffdrive, "serial", "system")
+    for _ in range(20):
+        assert driver.line().split("|")[1] == "OK"
+    assert arduino.trial.turning()
+    driver.kill()
+    arduino.stands()
+    wait_for("motion to be disabled", lambda: not arduino.trial.robot.state.enabled)
+
+
 def test_a_driver_that_is_suspended_stops_and_goes_on_afterwards(arduino: GuardScene, diffdrive: str) -> None:
     driver = drives(arduino, diffdrive)
     os.kill(driver.pid, signal.SIGSTOP)

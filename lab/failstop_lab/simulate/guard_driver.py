@@ -141,6 +141,9 @@ class _Pipe:
     def linked(self) -> bool:
         return True
 
+    def check(self) -> None:
+        """Nobody hangs it up."""
+
     def read(self) -> tuple[bytes, bool]:
         """All that waits; a driver of this machine never writes so much that the rest has to wait."""
         found = b""
@@ -182,6 +185,10 @@ class _Door:
             news.any = True
             self.count = 1
         return news
+
+    def abandoned(self) -> list[Any]:
+        """No driver has a child."""
+        return []
 
     def recount(self, _meanwhile: Callable[[], None]) -> None:
         """See whether the driver that has opened it is still there."""

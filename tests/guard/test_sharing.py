@@ -1,0 +1,281 @@
+"""A driver whose children and copies share its opening of the port, and one that opens it again and again."""
+
+from __future__ import annotations
+
+import os
+import select
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from failstop import config
+from failstop.guard.door import Door
+from failstop.guard.dry import Nothing
+from failstop.guard.guard import Guard
+from failstop.guard.openers import Held, owners
+from failstop.guard.pty import Pty
+from tests.support.waiting import until
+
+AS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to hang up a terminal")
+FOLLOWS = """
+import os, select, sys
+path = sys.argv[1]
+for line in sys.stdin:
+    exec(line)
+    print("done", flush=True)
+"""
+OPEN = "port = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)"
+DRIVE = r"os.write(port, b'm %d %d\r')"
+FORK = "hold, end = os.pipe(); child = os.fork() or (os.close(end), os.read(hold, 1), os._exit(0)); os.close(hold)"
+"""A child with all that its parent has, which lives until end_child."""
+FORK_ON = "child = os.fork() or ((p := select.poll()).register(1, 0), p.poll(), os._exit(0))"
+"""A child that outlives its parent, until nobody reads its output any more."""
+END_CHILD = "os.close(end); os.waitpid(child, 0)"
+
+
+class Script:
+    """A driver that does what it is told, a line at a time."""
+
+    def __init__(self, path: str) -> None:
+        words = [sys.executable, "-c", FOLLOWS, path]
+        self.child = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    def begin(self, line: str) -> None:
+        """Have it do this, without waiting for it."""
+        assert self.child.stdin
+        self.child.stdin.write(f"{line}\n".encode())
+        self.child.stdin.flush()
+
+    @property
+    def says(self) -> bool:
+        """It has written something that was not read yet."""
+        return bool(select.select([self.child.stdout], [], [], 0)[0])
+
+
+class Desk:
+    """A guard without a robot, turned by the test, and the drivers at its port."""
+
+    def __init__(self, folder: Path, **settings: object) -> None:
+        self.lines: list[str] = []
+        made = config.load(None, {"board.kind": "arduino", **settings})
+        self.pty = Pty(str(folder / "port"))
+        self.door = Door(self.pty)
+        self.guard = Guard(Nothing(made, self.lines.append), self.pty, self.door, self.lines.append)
+        self.scripts: list[Script] = []
+
+    def script(self) -> Script:
+        self.scripts.append(Script(self.pty.path))
+        return self.scripts[-1]
+
+    def do(self, script: Script, *lines: str) -> None:
+        """Have a driver do this, while the guard goes on."""
+        for line in lines:
+            script.begin(line)
+            self.until(lambda: script.says, f"{line} to be done")
+            assert script.child.stdout
+            assert script.child.stdout.readline() == b"done\n"
+
+    def unseen(self, script: Script, *lines: str) -> None:
+        """Have a driver do this before the guard looks."""
+        for line in lines:
+            script.begin(line)
+            assert script.child.stdout
+            assert script.child.stdout.readline() == b"done\n"
+
+    def until(self, found: Callable[[], object], what: str) -> None:
+        """Turn the guard until it is so."""
+
+        def turned() -> bool:
+            self.guard.turn()
+            return bool(found())
+
+        until(turned, what)
+
+    def says(self, words: str) -> None:
+        """Wait for a line with these words."""
+        self.until(lambda: [line for line in self.lines if words in line], f"{words!r}, of {self.lines}")
+
+    def turn(self, times: int = 5) -> None:
+        """So many turns, at most a few milliseconds each."""
+        for _ in range(times):
+            self.guard.turn()
+
+    def close(self) -> None:
+        for script in self.scripts:
+            script.child.kill()
+            script.child.wait()
+            for stream in (script.child.stdin, script.child.stdout):
+                assert stream
+                stream.close()
+        self.guard.close()
+        self.pty.close()
+
+
+@pytest.fixture
+def desk(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Desk]:
+    desk = Desk(tmp_path, **getattr(request, "param", {}))
+    yield desk
+    desk.close()
+
+
+def test_a_descriptor_that_was_copied_is_no_second_program(desk: Desk) -> None:
+    driver = desk.script()
+    desk.unseen(driver, OPEN, "copy = os.dup(port)")
+    desk.says("has the port open")
+    assert (desk.door.count, desk.door.crowded) == (1, False)
+    desk.do(driver, DRIVE % (7, 7))
+    desk.says("motion: wheels 7 7")
+
+
+@pytest.mark.parametrize("begins", ["before", "after"])
+def test_a_child_that_ends_leaves_its_parent_the_port(desk: Desk, begins: str) -> None:
+    """As with system() and popen() in C, which inherit every descriptor. The child begins before the guard has looked
+    who opened the port, or afterwards."""
+    driver = desk.script()
+    if begins == "before":
+        desk.unseen(driver, OPEN, FORK)
+        desk.says("has the port open")
+    else:
+        desk.do(driver, OPEN, FORK)
+    desk.do(driver, DRIVE % (7, 7))
+    desk.says("motion: wheels 7 7")
+    assert not desk.door.crowded
+    desk.do(driver, END_CHILD)
+    desk.turn()
+    assert not [line for line in desk.lines if "ended" in line or "hung up" in line], desk.lines
+    desk.do(driver, DRIVE % (8, 8))
+    desk.says("motion: wheels 8 8")
+
+
+def test_a_program_that_runs_another_one_again_and_again_goes_on_driving(desk: Desk) -> None:
+    driver = desk.script()
+    desk.do(driver, OPEN, "os.set_inheritable(port, True)")
+    for speed in range(1, 6):
+        desk.do(driver, "os.system('sleep 0.02')", DRIVE % (speed, speed))
+        desk.says(f"motion: wheels {speed} {speed}")
+    assert not [line for line in desk.lines if "ended" in line], desk.lines
+
+
+@pytest.mark.parametrize("begins", ["before", "after"])
+def test_a_driver_that_dies_while_its_child_has_the_port_is_named_with_the_remedy(desk: Desk, begins: str) -> None:
+    driver = desk.script()
+    if begins == "before":
+        desk.unseen(driver, OPEN, FORK_ON)
+        desk.says("has the port open")
+    else:
+        desk.do(driver, OPEN, FORK_ON)
+    desk.do(driver, DRIVE % (7, 7))
+    desk.says("motion: wheels 7 7")
+    driver.child.kill()
+    desk.says("has ended or died while it drove")
+    desk.says("still had the port open, so the guard hung up: open the port with O_CLOEXEC")
+    assert desk.door.count == 0
+
+
+def test_a_driver_that_closes_the_port_and_leaves_it_open_with_a_child_is_noticed(desk: Desk) -> None:
+    """The kernel reports no close, and the next driver would be refused."""
+    driver = desk.script()
+    desk.do(driver, OPEN, FORK_ON, DRIVE % (7, 7))
+    desk.says("motion: wheels 7 7")
+    desk.do(driver, "os.close(port)")
+    desk.says("still had the port open, so the guard hung up")
+    again = desk.script()
+    desk.do(again, OPEN, DRIVE % (8, 8))
+    desk.says("motion: wheels 8 8")
+
+
+@pytest.mark.parametrize("desk", [{"guard.openers": 2}], indirect=True)
+def test_of_two_programs_each_has_its_own_death_and_no_child_s(desk: Desk) -> None:
+    first, second = desk.script(), desk.script()
+    desk.unseen(first, OPEN, FORK)
+    desk.says(f"(pid {first.child.pid}) has the port open")
+    desk.do(second, OPEN)
+    desk.until(lambda: set(desk.door.seen) == {first.child.pid, second.child.pid}, "both to be seen")
+    assert (desk.door.count, desk.door.crowded) == (2, False)
+    desk.do(first, END_CHILD, DRIVE % (7, 7))
+    desk.says("motion: wheels 7 7")
+    assert not [line for line in desk.lines if "ended" in line]
+    second.child.kill()
+    desk.says("has ended or died while it drove")
+    assert set(desk.door.seen) == {first.child.pid}
+
+
+@AS_ROOT
+def test_a_program_that_opens_it_twice_is_told_what_to_do(desk: Desk) -> None:
+    driver = desk.script()
+    desk.do(driver, OPEN, OPEN.replace("port =", "other ="))
+    desk.says(
+        f"(pid {driver.child.pid}) has opened the port 2 times, and guard.openers allows 1: nothing that it writes "
+        "moves the robot. Open it once, or set guard.openers = 2"
+    )
+
+
+@pytest.mark.parametrize(
+    ("held", "shares", "opened", "expected"),
+    [
+        pytest.param([(5, 3, 90), (5, 4, 90)], [{(5, 3), (5, 4)}], 1, {5: 1}, id="a copy"),
+        pytest.param([(5, 3, 90), (5, 4, 90)], [], 2, {5: 2}, id="opened twice"),
+        pytest.param([(4, 3, 95), (5, 3, 90)], [{(4, 3), (5, 3)}], 1, {5: 1}, id="the parent is older, by pid or not"),
+        pytest.param([(5, 3, 90), (6, 3, 90)], [{(5, 3), (6, 3)}], 1, {5: 1}, id="both began in one tick"),
+        pytest.param([(7, 3, 99), (5, 3, 90)], [{(7, 3), (5, 3)}], 1, {7: 1}, id="the known one stays the owner"),
+        pytest.param(
+            [(7, 3, 99), (8, 3, 99), (5, 3, 90)], [{(7, 3), (8, 3)}], 2, {7: 1, 5: 1}, id="two programs and a child"
+        ),
+    ],
+)
+def test_whose_an_opening_is(
+    held: list[tuple[int, int, int]], shares: list[set[tuple[int, int]]], opened: int, expected: dict[int, int]
+) -> None:
+    def same(one: Held, other: Held) -> bool:
+        return any({(one.pid, one.fd), (other.pid, other.fd)} <= share for share in shares)
+
+    assert owners([Held(*each) for each in held], {7}, opened, same) == expected
+
+
+@pytest.mark.parametrize(("opened", "expected"), [(1, {5: 1}), (2, {5: 1, 6: 1}), (3, {5: 1, 6: 1, 8: 1})])
+def test_where_the_kernel_does_not_say_what_is_shared_its_events_count(opened: int, expected: dict[int, int]) -> None:
+    held = [Held(8, 3, 99), Held(5, 3, 90), Held(6, 3, 91)]
+    assert owners(held, {}, opened, lambda _one, _other: None) == expected
+
+
+# A program that opens the port for each motion.
+
+
+@pytest.mark.parametrize("stays_s", [0, 0.1])
+def test_a_program_that_closes_the_port_after_each_motion_is_told_to_keep_it_open(desk: Desk, stays_s: float) -> None:
+    """As `echo "m 10 10" > PORT` does."""
+    script = desk.script()
+    close = f"__import__('time').sleep({stays_s}); os.close(port)"
+    desk.do(script, f"{OPEN}; {DRIVE % (7, 7)}; {close}")
+    desk.says("closed the port right after it wrote a motion, and a motion ends when the port is closed: keep it open")
+    assert "write the motion again within 0.3 s" in desk.lines[-1]
+
+
+def test_one_that_asks_or_stops_and_closes_the_port_is_told_nothing(desk: Desk) -> None:
+    script = desk.script()
+    for line in (r"b'e\r'", r"b'm 0 0\r'", r"b'm 7 7\rm 0 0\r'"):
+        desk.do(script, f"{OPEN}; os.write(port, {line}); os.close(port)")
+        desk.turn()
+    assert not [line for line in desk.lines if "right after" in line]
+
+
+# A terminal that root hangs up.
+
+
+@AS_ROOT
+@pytest.mark.parametrize("driven", [True, False], ids=["driven", "alone"])
+def test_a_terminal_that_root_hangs_up_is_replaced(desk: Desk, driven: bool) -> None:
+    driver, root = desk.script(), desk.script()
+    if driven:
+        desk.do(driver, OPEN, DRIVE % (7, 7))
+        desk.says("motion: wheels 7 7")
+    desk.do(root, "import fcntl, termios", OPEN, "fcntl.ioctl(port, 0x5437)", "os.close(port)")
+    lost = f", so python3 (pid {driver.child.pid}) has lost it: start it again" if driven else ""
+    desk.says(f"root hung up the port (vhangup){lost}")
+    assert desk.pty.name == os.readlink(desk.pty.path)
+    again = desk.script()
+    desk.do(again, OPEN, DRIVE % (8, 8))
+    desk.says("motion: wheels 8 8")
