@@ -91,7 +91,7 @@ def test_the_death_of_a_driver_is_its_own_though_a_child_keeps_the_port(arduino:
 
 
 def test_a_driver_that_runs_other_programs_drives_until_it_dies(arduino: GuardScene, diffdrive: str) -> None:
-    """system() gives each of them the port, for as long as it runs; the first runs while the guard looks who drives."""
+    """system() gives each of them the port for as long as it runs."""
     driver = drives(arduino, diffdrive, "serial", "system")
     for _ in range(20):
         assert driver.line().split("|")[1] == "OK"
