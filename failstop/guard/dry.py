@@ -5,6 +5,7 @@ from __future__ import annotations
 from failstop.api.words import velocity
 from failstop.board import kinds
 from failstop.guard.scale import Scale
+from failstop.policy import scale
 from failstop.policy.settings import FIRST_SOURCE
 
 TYPE_CHECKING = False
@@ -28,7 +29,8 @@ class Nothing:
         self.runs = 1
         self.note = ""
         board = kinds.board_of(*settings.board())
-        self.scale = Scale(settings, board.per_rps, board.step_rps)
+        limited = scale.capped(settings, assumed=board.scale_assumed)
+        self.scale = Scale(limited, board.per_rps, board.step_rps, assumed=board.scale_assumed)
         self._tell = tell
         self._shown: set[tuple[float, ...]] = set()
         self._passed: set[bytes] = set()

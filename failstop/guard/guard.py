@@ -308,7 +308,7 @@ class Guard:
         if self._talk is None or self._door.crowded or (command := self._talk.command(now_ns)) is None:
             return
         if beyond := self._board.command(command):
-            self._once(f"{self._who} asks for {beyond}, so it gets that")
+            self._once(f"{self._who} asks for {beyond}")
         settings = self._board.settings
         if command.moves and settings and settings.on("guard.hang_up"):
             block = self._board.block()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import copysign
 
+from failstop.policy import scale
 from failstop.policy.kinematics import Steered, from_settings
 
 TYPE_CHECKING = False
@@ -28,12 +29,14 @@ AXES = (
 class Scale:
     """By the settings' wheels, as the service itself turns a velocity into speeds."""
 
-    def __init__(self, settings: Settings, per_rps: float, step_rps: float) -> None:
+    def __init__(self, settings: Settings, per_rps: float, step_rps: float, *, assumed: bool = False) -> None:
         """`per_rps`: a wheel's turn a second in the unit of the board's motion; `step_rps`: the smallest difference
-        between two speeds of the board, in turns a second."""
+        between two speeds of the board, in turns a second; `assumed`: nobody has confirmed `per_rps`, so the limits in
+        these settings are lower."""
         self._chassis = from_settings(settings)
         self.wheels = len(self._chassis.rest) - self._chassis.steers
         self._limits = [settings[key] for key, *_ in AXES]
+        self._assumed = assumed
         self._per_rps, self._nudge_rps = per_rps, step_rps * _NUDGE
 
     def velocity(self, speeds: Sequence[float], steering_rad: float | None = None) -> Velocity:
@@ -46,8 +49,10 @@ class Scale:
         return vx, vy, wz
 
     def beyond(self, velocity: Velocity) -> str:
-        """What a velocity asks for beyond the settings' limits, in words; empty: nothing."""
+        """What a velocity asks for beyond the settings' limits, and what it gets, in words; empty: nothing."""
         for asked, most, (key, way, unit) in zip(velocity, self._limits, AXES, strict=True):
             if abs(asked) > most * _ROUNDING:
-                return f"{abs(asked):.2f} {unit} {way}; the setting {key} allows {most:g}"
+                capped = self._assumed and most == scale.CAPS[key]
+                why = f"because {scale.ASSUMED}; {scale.REMEDY}" if capped else f"which the setting {key} allows"
+                return f"{abs(asked):.2f} {unit} {way} and gets {most:g}, {why}"
         return ""

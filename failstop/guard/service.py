@@ -61,7 +61,7 @@ class Service:
                 self.runs += 1
                 self.source = SOURCE if SOURCE in settings.sources() else FIRST_SOURCE
                 board = kinds.board_of(*settings.board())
-                self.scale = Scale(settings, board.per_rps, board.step_rps)
+                self.scale = Scale(settings, board.per_rps, board.step_rps, assumed=board.scale_assumed)
         if self._reader and self._client is None and self._who and now_ns - self._tried_ns >= AGAIN_NS // 10:
             self._tried_ns = now_ns
             self._connect()

@@ -177,7 +177,7 @@ def test_a_driver_that_never_ceased_to_command_drives_after_a_zero_alone(arduino
 def test_speeds_beyond_the_limits_are_clamped_and_reported_once(arduino: GuardScene, diffdrive: str) -> None:
     drives(arduino, diffdrive, speed="900")
     assert arduino.guard
-    arduino.guard.until("limits.vx_mps allows")
+    arduino.guard.until("which the setting limits.vx_mps allows")
     time.sleep(0.5)  # past the ramp
     fastest = max(max(map(abs, speeds)) for _, speeds in arduino.motion())
     diameter_m = float(arduino.trial.robot.settings["wheels.diameter_m"])

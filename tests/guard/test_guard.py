@@ -105,9 +105,19 @@ def test_a_longer_timeout_keeps_a_slow_driver_going_and_a_hung_guard_does_not(
         os.kill(scene.guard.pid, 18)
 
 
-def test_without_a_robot_it_prints_what_a_driver_would_get(tmp_path: Path, diffdrive: str) -> None:
+@pytest.mark.parametrize(
+    ("confirmed", "gets"),
+    [
+        (114.5, "and gets 0.2, which the setting limits.vx_mps allows"),
+        (0, "and gets 0.05, because nobody has confirmed the scale of the wheels (board.per_rps); `failstop setup`"),
+    ],
+)
+def test_without_a_robot_it_prints_what_a_driver_would_get(
+    tmp_path: Path, diffdrive: str, confirmed: float, gets: str
+) -> None:
     settings = tmp_path / "settings.toml"
-    write_settings(str(settings), {"board.kind": "arduino", "board.per_rps": 114.5})
+    told = {"board.kind": "arduino", "board.per_rps": 114.5, "board.per_rps_confirmed": confirmed}
+    write_settings(str(settings), {key: value for key, value in told.items() if value})
     port = str(tmp_path / "port")
     guard = Process(*helpers.python("failstop", "guard", "--dry-run", "--config", str(settings), "--path", port))
     driver = None
@@ -118,7 +128,7 @@ def test_without_a_robot_it_prints_what_a_driver_would_get(tmp_path: Path, diffd
         assert f"diffdrive (pid {driver.pid}) has the port open" in guard.line()
         assert "PID gains (u)" in guard.line()
         guard.until("motion: wheels 900 900")  # a question may have come before it
-        guard.until("limits.vx_mps allows 0.2")
+        guard.until(gets)
         driver.kill()
         guard.until("has ended or died while it drove")
     finally:
