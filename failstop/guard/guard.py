@@ -343,6 +343,8 @@ class Guard:
             counts_s = self._talk.timeout_ns / 1e9
             for_s = words.span(silent_ns / 1e9 + counts_s)
             wrong = f"it has written no motion for {for_s}; its last one counted for {counts_s:g} s (guard.timeout_s)"
+        elif self._talk.refused:
+            wrong = f"failstop refused {self._talk.refused}"
         return DRIVES + self._pty.path, wrong
 
     def close(self) -> None:

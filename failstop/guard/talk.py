@@ -59,6 +59,8 @@ class Talk:
         self._steering_rad: float | None = None
         self._lets_go = True
         """Its newest motion of its own was zero, or it has written none. The stop after a refusal is not its own."""
+        self.refused = ""
+        """Why its newest motion was replaced by a stop, for people; empty: it was not."""
         self._written_ns = 0
         """When the newest motion was written, at the earliest."""
         self._sent_ns: int | None = None
@@ -89,9 +91,13 @@ class Talk:
         rows = self._language.wrote(chunk, now_ns)
         answers = [row.data for row in rows if isinstance(row, DriverAnswer)]
         motions = [row for row in rows if isinstance(row, DriverMotion)]
+        why = ""
         for row in rows:
             if isinstance(row, DriverRefusal):
                 self.refuse(row.what, row.why)
+                why = f"{row.what}: {row.why}"
+            elif isinstance(row, DriverMotion):
+                self.refused = why if row.refused else ""
             elif isinstance(row, DriverFrame) and (row.kind in self._frames or len(self._frames) < MOST_FRAMES):
                 self._frames[row.kind] = row.data
         if motions:

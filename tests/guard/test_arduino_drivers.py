@@ -184,6 +184,33 @@ def test_speeds_beyond_the_limits_are_clamped_and_reported_once(arduino: GuardSc
     assert fastest * 3.14159265 * diameter_m <= float(arduino.trial.robot.settings["limits.vx_mps"]) * 1.01
 
 
+def test_raw_pwm_stops_the_wheels_and_everybody_can_see_why(arduino: GuardScene) -> None:
+    arduino.enable()
+    pwm = arduino.folder / "pwm"
+    driver = arduino.python(
+        "import os, sys, time\n"
+        "port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)\n"
+        "print('open', flush=True)\n"
+        "while time.sleep(0.02) is None:\n"
+        "    os.write(port, b'o 100 100\\r' if os.path.exists(sys.argv[2]) else b'm 10 10\\r')\n",
+        str(pwm),
+    )
+    driver.line()
+    arduino.moves()
+    pwm.touch()
+    arduino.stands()
+
+    def wrong() -> str:
+        return "".join(client.wrong for client in arduino.trial.robot.state.clients)
+
+    wait_for("its words", wrong)
+    assert wrong().startswith("failstop refused raw PWM (o): it has no speed that could be limited")
+    assert wrong() in str(arduino.trial.robot.why())
+    pwm.unlink()
+    arduino.moves()
+    wait_for("nothing to be wrong any more", lambda: not wrong())
+
+
 def test_a_driver_that_never_reads_is_driven_all_the_same(arduino: GuardScene, diffdrive: str) -> None:
     driver = drives(arduino, diffdrive, "serial", "mute")
     for _ in range(60):

@@ -153,6 +153,18 @@ def test_a_refusal_is_reported_once() -> None:
     assert [row.what for row in made.refusals] == ["shouting"]
 
 
+def test_a_motion_that_was_replaced_by_a_stop_says_why_until_the_next_one() -> None:
+    made = talk()
+    made.wrote(b"5,5 !", 0, 0)
+    assert made.refused == "", "the wheels turn"
+    made.wrote(b"! #", 1, 1)
+    assert made.refused == "shouting: nothing was done"
+    made.wrote(b"?", 2, 2)
+    assert made.refused == "shouting: nothing was done"
+    made.wrote(b"5,5", 3, 3)
+    assert made.refused == ""
+
+
 @pytest.mark.parametrize("written", [b"nan,1", b"inf,0", b"1", b"1,2,3"])
 def test_a_language_that_says_nonsense_stops_the_wheels(written: bytes) -> None:
     made = talk()
