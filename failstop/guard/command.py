@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from failstop.guard.guard import Board
 
 EXAMPLES = """\
-failstop guard                    # your driver opens the port that it prints
-failstop guard --path /run/port   # at your own path
-failstop guard --dry-run          # no robot: what your driver would get
+failstop guard                             # your driver opens the port that it prints
+failstop guard --path /run/port            # at your own path
+failstop guard --dry-run --board arduino   # no robot: what your driver would get
 """
 PORT = "port"
 """The link's name in the runtime directory."""
@@ -50,6 +50,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="try it without a robot: print what your driver writes and what it would get",
     )
+    add("--board", metavar="KIND", help="with --dry-run: the board to play (default: the setting board.kind)")
     add("--config", metavar="FILE", help="with --dry-run: TOML file with settings (default: the installed file)")
     add_name(parser)
 
@@ -61,8 +62,9 @@ def main(arguments: Namespace) -> int:
     if arguments.dry_run:
         with tempfile.TemporaryDirectory(prefix="failstop-guard-") as folder:
             return _dry_run(arguments, folder, ends)
-    if arguments.config:
-        raise FailstopError("--config goes with --dry-run: a guard has the settings of the service that runs")
+    for option in ("board", "config"):
+        if getattr(arguments, option):
+            raise FailstopError(f"--{option} goes with --dry-run: a guard has the settings of the service that runs")
     service = Service(arguments.name)
     settings = _wait(service, ends)
     return _serve(service, settings, arguments.path or _usual(settings, arguments.name), ends) if settings else 0
@@ -82,7 +84,9 @@ class _Ends:
 
 def _dry_run(arguments: Namespace, folder: str, ends: _Ends) -> int:
     installed = config.installed(arguments.name)
-    settings = config.load(arguments.config or (installed if os.path.exists(installed) else None), {})
+    asked = {"board.kind": arguments.board} if arguments.board else {}
+    settings = config.load(arguments.config or (installed if os.path.exists(installed) else None), asked)
+    _print_line(f"a dry run, as the board {settings.text('board.kind')}: nothing moves")
     path = arguments.path or settings.text("guard.path") or os.path.join(folder, PORT)
     return _serve(Nothing(settings, _print_line), settings, path, ends)
 

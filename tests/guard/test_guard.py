@@ -137,6 +137,27 @@ def test_without_a_robot_it_prints_what_a_driver_would_get(
             driver.close()
 
 
+def test_a_dry_run_plays_the_board_that_is_asked_for_and_needs_no_settings(tmp_path: Path) -> None:
+    port = str(tmp_path / "port")
+    guard = Process(*helpers.python("failstop", "guard", "--dry-run", "--board", "ugv", "--path", port))
+    try:
+        assert guard.line() == "a dry run, as the board ugv: nothing moves"
+        guard.until("your driver opens")
+        driver = os.open(port, os.O_RDWR | os.O_NOCTTY)
+        os.write(driver, b'{"T":1,"L":0.1,"R":0.1}\n')
+        guard.until("motion: wheels 0.1 0.1")
+        os.close(driver)
+    finally:
+        guard.close()
+
+
+@pytest.mark.parametrize("option", ["--board", "--config"])
+def test_what_a_dry_run_alone_takes_is_refused_with_a_service(option: str) -> None:
+    done = failstop("guard", option, "ugv")
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"failstop: {option} goes with --dry-run: a guard has the settings of the service")
+
+
 def test_a_guard_whose_words_nobody_reads_still_answers_its_driver(tmp_path: Path) -> None:
     settings = tmp_path / "settings.toml"
     write_settings(str(settings), {"board.kind": "arduino"})
