@@ -168,8 +168,8 @@ class Guard:
         if orphans and self._door.count:
             self._door.hang_up()
             self._tell(
-                f"a child of {orphans[0]}, which is gone, still had the port open, so the guard hung up: open the port "
-                "with O_CLOEXEC, in the process that drives"
+                f"{orphans[0]} has let go of the port, but a child of it still had it open, so the guard hung up: open "
+                "the port with O_CLOEXEC, in the process that drives"
             )
             new = True
             self._talk = None

@@ -86,7 +86,7 @@ def test_the_death_of_a_driver_is_its_own_though_a_child_keeps_the_port(arduino:
     arduino.stands()
     wait_for("motion to be disabled", lambda: not arduino.trial.robot.state.enabled)
     assert arduino.guard
-    arduino.guard.until("a child of diffdrive")
+    arduino.guard.until("but a child of it still had it open, so the guard hung up")
     drives(arduino, diffdrive).kill()
 
 

@@ -171,7 +171,7 @@ def test_a_driver_that_dies_while_its_child_has_the_port_is_named_with_the_remed
     desk.says("motion: wheels 7 7")
     driver.child.kill()
     desk.says("has ended or died while it drove")
-    desk.says("still had the port open, so the guard hung up: open the port with O_CLOEXEC")
+    desk.says("but a child of it still had it open, so the guard hung up: open the port with O_CLOEXEC")
     assert desk.door.count == 0
 
 
@@ -181,7 +181,7 @@ def test_a_driver_that_closes_the_port_and_leaves_it_open_with_a_child_is_notice
     desk.do(driver, OPEN, FORK_ON, DRIVE % (7, 7))
     desk.says("motion: wheels 7 7")
     desk.do(driver, "os.close(port)")
-    desk.says("still had the port open, so the guard hung up")
+    desk.says("but a child of it still had it open, so the guard hung up")
     again = desk.script()
     desk.do(again, OPEN, DRIVE % (8, 8))
     desk.says("motion: wheels 8 8")
