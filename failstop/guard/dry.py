@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from failstop.api.words import velocity
 from failstop.board import kinds
+from failstop.guard.said import REFUSED, WAITS
 from failstop.guard.scale import Scale
 from failstop.policy import scale
 from failstop.policy.settings import FIRST_SOURCE
@@ -55,7 +56,7 @@ class Nothing:
         if command.speeds not in self._shown and len(self._shown) < MOST_SHOWN:
             self._shown.add(command.speeds)
             speeds = " ".join(f"{speed:g}" for speed in command.speeds)
-            self._tell(f"  motion: wheels {speeds}: {velocity(*asked)}")
+            self._tell(f"  motion: wheels {speeds}: {velocity(*asked) or 'a stop'}")
         return self.scale.beyond(asked)
 
     def forward(self, frame: bytes) -> None:
@@ -65,8 +66,8 @@ class Nothing:
             self._tell(f"  passed on to the board: {frame.decode('ascii', 'backslashreplace').strip()}")
 
     def say(self, sees: str, wrong: str) -> None:
-        """Print what is wrong."""
-        if wrong:
+        """Print what is wrong, except what the guard itself has printed: a refusal, or how a driver ended."""
+        if wrong and not wrong.startswith(REFUSED) and not sees.startswith(WAITS):
             self._tell(f"  {wrong}")
 
     def block(self) -> None:

@@ -9,7 +9,7 @@ from failstop.api import words
 from failstop.api.snapshot import Block
 from failstop.board.driver import language_of
 from failstop.guard.news import HungUp
-from failstop.guard.said import DRIVES, GUARD, WAITS
+from failstop.guard.said import DRIVES, GUARD, REFUSED, WAITS
 from failstop.guard.talk import Talk
 
 TYPE_CHECKING = False
@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 
 LISTEN_NS = 5_000_000
 """How often the board's words are looked for while a driver has the port open."""
+IDLE_NS = 100_000_000
+"""How long the guard sleeps at most while nobody has the port open. A driver's first words may be as old."""
 LOOK_NS = 500_000_000
 """How often it is looked whether the service and the link are there."""
 SAY_NS = 2_000_000_000
@@ -95,6 +97,8 @@ class Guard:
         now_ns = monotonic_ns()
         # Whoever has gone comes before what was written, because the bytes of a dead driver move nothing.
         news = self._door.look(ready)
+        if not self._door.count:
+            self._empty_ns = now_ns
         if news.ended:
             self._end()
         if news.any:
@@ -116,7 +120,7 @@ class Guard:
         self._say(now_ns)
 
     def _wait_s(self, now_ns: int) -> float:
-        due_ns = now_ns + (LISTEN_NS if self._door.count else LOOK_NS)
+        due_ns = now_ns + (LISTEN_NS if self._door.count else IDLE_NS)
         motion_ns = self._talk.due_ns() if self._talk else None
         return max(0, min(due_ns, due_ns if motion_ns is None else motion_ns) - now_ns) / 1e9
 
@@ -344,7 +348,7 @@ class Guard:
             for_s = words.span(silent_ns / 1e9 + counts_s)
             wrong = f"it has written no motion for {for_s}; its last one counted for {counts_s:g} s (guard.timeout_s)"
         elif self._talk.refused:
-            wrong = f"failstop refused {self._talk.refused}"
+            wrong = REFUSED + self._talk.refused
         return DRIVES + self._pty.path, wrong
 
     def close(self) -> None:

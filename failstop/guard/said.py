@@ -6,6 +6,7 @@ GUARD = "failstop guard"
 """Its name while no driver has the port open."""
 DRIVES = "drives through the guard port "
 WAITS = "no driver has opened the guard port "
+REFUSED = "failstop refused "
 
 
 def path_in(sees: str) -> str:

@@ -6,6 +6,7 @@ import os
 import select
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -241,7 +242,17 @@ def test_where_the_kernel_does_not_say_what_is_shared_its_events_count(opened: i
     assert owners(held, {}, opened, lambda _one, _other: None) == expected
 
 
-# A program that opens the port for each motion.
+# How old a driver's first motion is, and one that opens the port for each motion.
+
+
+def test_the_first_motion_of_a_driver_is_as_old_as_its_opening(desk: Desk) -> None:
+    """However long nobody had the port open before."""
+    since_s = time.monotonic()
+    desk.until(lambda: time.monotonic() - since_s > 1.0, "a second without a driver")
+    desk.unseen(desk.script(), OPEN, DRIVE % (7, 7))
+    desk.says("it has written no motion for")
+    first = [line for line in desk.lines if "motion" in line][0]
+    assert "motion: wheels 7 7" in first
 
 
 @pytest.mark.parametrize("stays_s", [0, 0.1])
