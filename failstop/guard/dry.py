@@ -35,6 +35,7 @@ class Nothing:
         self._tell = tell
         self._shown: set[tuple[float, ...]] = set()
         self._passed: set[bytes] = set()
+        self._complained = False
 
     def look(self, now_ns: int) -> bool:
         """Nothing is looked for."""
@@ -52,6 +53,7 @@ class Nothing:
 
     def command(self, command: Command) -> str:
         """Print a motion, the first time."""
+        self._complained = False
         asked = self.scale.velocity(command.speeds, command.steering_rad)
         if command.speeds not in self._shown and len(self._shown) < MOST_SHOWN:
             self._shown.add(command.speeds)
@@ -66,8 +68,10 @@ class Nothing:
             self._tell(f"  passed on to the board: {frame.decode('ascii', 'backslashreplace').strip()}")
 
     def say(self, sees: str, wrong: str) -> None:
-        """Print what is wrong, except what the guard itself has printed: a refusal, or how a driver ended."""
-        if wrong and not wrong.startswith(REFUSED) and not sees.startswith(WAITS):
+        """Print what is wrong, once until the next motion, except what the guard itself has printed: a refusal, or how
+        a driver ended."""
+        if wrong and not wrong.startswith(REFUSED) and not sees.startswith(WAITS) and not self._complained:
+            self._complained = True
             self._tell(f"  {wrong}")
 
     def block(self) -> None:
