@@ -1,14 +1,17 @@
-"""`python -m bench.screens`: takes the pictures of the terminal that README and docs/ show, of a service that runs."""
+"""`python -m bench.screens`: takes the pictures of the terminal that README and docs/ show, of a service that runs, and
+the card of a probe."""
 
 from __future__ import annotations
 
 import fcntl
 import os
 import pty
+import shutil
 import signal
 import struct
 import subprocess
 import sys
+import tempfile
 import termios
 from pathlib import Path
 
@@ -19,12 +22,15 @@ from rich.text import Text
 from failstop.api.snapshot import Stop
 from failstop.messages import layout
 from failstop.setup.ending import interruptible
+from failstop_lab.sim.client import SimBoard
 from failstop_lab.trial import Trial, wait_for
 
 PICTURES = Path(__file__).parents[1] / "docs/pictures"
 NAME = "failstop"
 COLUMNS, ROWS = 80, 50
 SPEED_MPS = 0.199
+CARD_ROWS = "sigkill,sigstop,close,silence"
+"""Everything but the plug, which a simulated board has not."""
 FAILSTOP = (sys.executable, "-m", "failstop")
 WINDOW = """\
 <svg viewBox="0 0 {width} {height}" xmlns="http://www.w3.org/2000/svg">
@@ -83,6 +89,17 @@ def save(name: str, *commands: tuple[str, ...]) -> None:
         )
 
 
+def save_card() -> None:
+    """The picture that a probe makes: a simulated bus of servos, alone and behind the guard port. Raises
+    CalledProcessError."""
+    with tempfile.TemporaryDirectory(prefix="failstop-screens-") as folder:
+        port, card = os.path.join(folder, "board"), os.path.join(folder, "card")
+        words = ["--board", "feetech", "--port", port, "--robot", "a simulated LeKiwi", "--out", card]
+        with SimBoard(port, board="feetech"):
+            subprocess.run((*FAILSTOP, "probe", "serial", *words, "--guard", "--rows", CARD_ROWS, "--yes"), check=True)
+        shutil.copyfile(f"{card}.svg", PICTURES / "probe.svg")
+
+
 def proven(stop: Stop | None) -> bool:
     """True when all is known of it that will be."""
     return stop is not None and stop.observed_s is not None
@@ -92,6 +109,7 @@ def proven(stop: Stop | None) -> bool:
 def main() -> int:
     """Take them."""
     save("demo", ("demo",))
+    save_card()
     with Trial(NAME) as trial:
         trial.enable()
         with subprocess.Popen((*FAILSTOP, "drive", "0.2", "0", "0", "--for", "10"), stderr=subprocess.DEVNULL):
