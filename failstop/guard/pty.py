@@ -93,7 +93,8 @@ class Pty:
         try:
             with contextlib.suppress(FileNotFoundError):
                 if not stat.S_ISLNK(os.lstat(self.path).st_mode):
-                    raise FailstopError(f"{self.path} is there already and is no link: remove it, or choose another --path")
+                    remedy = "remove it, or choose another --path"
+                    raise FailstopError(f"{self.path} is there already and is no link: {remedy}")
             with contextlib.suppress(FileNotFoundError):
                 os.unlink(draft)
             os.symlink(self.name, draft)

@@ -53,6 +53,7 @@ class Script:
     @property
     def says(self) -> bool:
         """It has written something that was not read yet."""
+        assert self.child.stdout
         return bool(select.select([self.child.stdout], [], [], 0)[0])
 
 
@@ -251,8 +252,7 @@ def test_the_first_motion_of_a_driver_is_as_old_as_its_opening(desk: Desk) -> No
     desk.until(lambda: time.monotonic() - since_s > 1.0, "a second without a driver")
     desk.unseen(desk.script(), OPEN, DRIVE % (7, 7))
     desk.says("it has written no motion for")
-    first = [line for line in desk.lines if "motion" in line][0]
-    assert "motion: wheels 7 7" in first
+    assert "motion: wheels 7 7" in next(line for line in desk.lines if "motion" in line)
 
 
 @pytest.mark.parametrize("stays_s", [0, 0.1])
