@@ -54,7 +54,7 @@ def copy(to: Path) -> None:
     for name in (os.fsdecode(name) for name in names if name):
         (to / name).parent.mkdir(parents=True, exist_ok=True)
         if (ROOT / name).exists():
-            shutil.copy2(ROOT / name, to / name, follow_symlinks=False)
+            shutil.copy(ROOT / name, to / name, follow_symlinks=False)
     for link in [path for path in (to / "failstop").iterdir() if path.is_symlink()]:
         link.unlink()
         (to / link.name).rename(link)
