@@ -139,6 +139,18 @@ def test_a_spare_is_believed_once_it_answers() -> None:
     assert not bench.look_alike.heard
 
 
+def test_a_spare_that_has_answered_stays_the_board_when_the_old_one_is_plugged_in() -> None:
+    bench = Bench("A", "B")
+    bench.drive()
+    bench.reset_hub()
+    bench.board(0, serial="C")
+    bench.stopped()
+    bench.other(2, ELSEWHERE, serial="A")
+    bench.simulated.drive(RESET_S)
+    assert bench.simulated.turning()
+    assert not bench.look_alike.heard
+
+
 @pytest.mark.parametrize("says", [b"", b"\x54\x2c" * 40], ids=["silent", "with data of its own"])
 def test_a_device_in_the_board_s_place_is_left_for_the_board(says: bytes) -> None:
     """It is taken for a spare: the bytes that it gets prove nothing, and the board is stopped once it is anywhere."""

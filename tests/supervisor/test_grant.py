@@ -40,6 +40,26 @@ def test_the_command_fits_the_case(scene: Scene, here: Any, unit: str, container
     assert "give it" not in here.advice(realtime=True, managed=bool(unit))
 
 
+@pytest.mark.parametrize(
+    ("managed", "container", "told"),
+    [
+        (True, False, "`sudo systemctl edit robot.service`, with ExecStartPre="),
+        (False, False, "`sudo sh -c 'echo 950000 > /sys/fs/cgroup/cpu/system.slice/robot.service/cpu.rt_runtime_us'`"),
+        (False, True, "`--cpu-rt-runtime=950000`"),
+    ],
+)
+def test_where_the_limits_allow_it_the_command_is_for_the_control_group(
+    scene: Scene, here: Any, managed: bool, container: bool, told: str
+) -> None:
+    """The shell of a person may be in a unit too, which did not start the service."""
+    scene.write("/proc/self/limits", "Max realtime priority     99                   99\n")
+    scene.write(status.CONTROL_GROUP, "4:cpu:/system.slice/robot.service\n")
+    scene.write("/sys/fs/cgroup/cpu/system.slice/robot.service/cpu.rt_runtime_us", "0\n")
+    if container:
+        scene.me.environ[status.CONTAINER_VARIABLE] = "podman"
+    assert told in here.advice(realtime=False, managed=managed)
+
+
 def test_each_command_is_one_line() -> None:
     assert "\n" not in "".join((status.UNIT, status.CONTAINER, status.SHELL, status.GRANTED))
 

@@ -106,6 +106,33 @@ def test_the_opener_s_thread_opens_each_lost_port_and_holds_nobody_up(scene: Sce
     assert slept == [began_ns, began_ns + LOOK_NS, began_ns + 2 * LOOK_NS], "and it rests when it has opened one"
 
 
+@pytest.mark.parametrize(("settled", "looks"), [(True, 3), (False, 60)])
+def test_while_the_port_is_open_the_devices_are_listed_and_an_answer_counts_once(
+    scene: Scene, opener: Any, settled: bool, looks: int
+) -> None:
+    """Often while the open one may not be the board."""
+    calls: list[str] = []
+
+    class Counted(scene.load("failstop.board.finder").Finder):  # type: ignore[misc]
+        @property
+        def settled(self) -> bool:
+            return settled
+
+        def believe(self) -> None:
+            calls.append("believe")
+
+        def look_around(self) -> None:
+            calls.append("look")
+
+    opener.finder = Counted(DEVICE, BOARD.port)
+    opener.begin()
+    scene.machine.run(lambda: bool(calls), MS)
+    calls.clear()
+    opener.believed = True
+    scene.machine.run(lambda: False, 3_040 * MS)
+    assert calls == ["believe", *["look"] * looks]
+
+
 class Watched(Finder):
     """It notes how the thread that looks is scheduled; one look is all."""
 

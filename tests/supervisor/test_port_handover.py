@@ -202,6 +202,31 @@ def test_the_link_of_a_port_that_is_gone_is_unheard(scene: Scene) -> None:
     assert scene.read("link") == b"unheard"
 
 
+@pytest.mark.parametrize(("sure", "state"), [(True, b"unproven"), (False, b"unheard")])
+def test_the_link_of_a_lost_device_that_nobody_heard_is_as_sure_as_the_device_was(
+    scene: Scene, sure: bool, state: bytes
+) -> None:
+    """So a stop that went to a device in the board's place is not taken for one that the board got."""
+    scene.supervisor.handover.opener.finder.sure = sure
+    lose(scene)
+    turn(scene, MS)
+    assert scene.read("link") == state
+
+
+def test_the_device_that_answers_is_the_board_where_another_one_was_known(scene: Scene) -> None:
+    opener = scene.supervisor.handover.opener
+    scene.pings()
+    turn(scene, 2 * MS)
+    assert not opener.believed, "the board that is known is the open one"
+    opener.finder._board = scene.load("failstop.board.finder").Device("1a86", "55d4", "A", "0", "1-1.2")
+    turn(scene, 2 * MS)
+    assert opener.believed
+    lose(scene)
+    turn(scene, LOOK_NS)
+    scene.supervisor.handover.believe()
+    assert not opener.believed, "there is no device"
+
+
 def test_the_supervisor_repeats_the_stop_while_the_port_owner_has_no_port(scene: Scene) -> None:
     """At its pace, from the burst of the opener on."""
     lose(scene)

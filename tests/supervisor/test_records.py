@@ -58,6 +58,14 @@ def test_the_process_table_is_written_anew_when_it_changes(scene: Scene) -> None
     assert scene.number("processes") == number
 
 
+def test_clients_see_when_a_process_that_died_again_is_started(scene: Scene) -> None:
+    for _ in range(2):
+        scene.dies(layout.TELEMETRY)
+        scene.pass_time()
+    [row] = [row for name, row in scene.table("processes")["processes"].items() if name == layout.TELEMETRY]
+    assert (row["state"], row["starts_at"]) == ("waiting", scene.now_ns + scene.settings.ns("restart.backoff_s"))
+
+
 def heard(scene: Scene) -> list[str]:
     """Messages that a service manager gets from now on."""
     said: list[str] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import locale
 import os
 import re
 import subprocess
@@ -134,6 +135,24 @@ def test_on_cgroup_v2_no_group_can_have_any(
 ) -> None:
     machine.v2(group, controllers, config)
     assert refused.advice_if_allowed("7") == told
+
+
+def test_a_group_is_found_by_its_name_in_every_locale(machine: Machine) -> None:
+    machine.v1("/r\u00f6bot", "0")
+    before = locale.setlocale(locale.LC_CTYPE)
+    locale.setlocale(locale.LC_CTYPE, "C")
+    try:
+        said = refused.advice_if_allowed("7")
+    finally:
+        locale.setlocale(locale.LC_CTYPE, before)
+    assert "/r\u00f6bot/cpu.rt_runtime_us" in said
+
+
+def test_another_controller_s_group_whose_name_is_no_text_hides_nothing(machine: Machine, tmp_path: Path) -> None:
+    machine.v1("/robot", "0")
+    groups = tmp_path / "PROC/7/cgroup"
+    groups.write_bytes(b"10:pids:/\xff\n" + groups.read_bytes())
+    assert "/robot/cpu.rt_runtime_us" in refused.advice_if_allowed("7")
 
 
 def test_files_that_cannot_be_read_are_no_reason(machine: Machine) -> None:

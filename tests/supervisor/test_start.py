@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import signal
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,10 +14,12 @@ import pytest
 from failstop.board.rrc.board import BOARD
 from failstop.messages import layout
 from failstop.policy.processes import PROCESS_BY_NAME
+from failstop.policy.settings import SETTINGS_VARIABLE
 from failstop_lab.machine.files import Null, Open
 from failstop_lab.machine.process import Process, Thread
 from failstop_lab.machine.robot import DEVICE, MS, RUN, Robot
 from tests.support.arm_settings import ARM, SERVOS
+from tests.support.boards import own_folder
 from tests.support.supervisor_scene import Scene
 
 DIRECTORY = "/run/failstop/failstop"
@@ -62,6 +66,35 @@ def test_an_interrupt_ends_a_process_at_once(scene: Scene) -> None:
     scene.machine.run(lambda: process.threads[0].waiting, LONG_NS)
     scene.machine.kill(process, signal.SIGINT)
     assert process.dead
+
+
+def fail(scene: Scene, *, takes: bool) -> Process:
+    """A process fails, and is gone at once. `takes`: its stderr has room."""
+    failed_ns = []
+
+    def program(context: Any) -> None:
+        failed_ns.append(scene.now_ns)
+        raise ValueError("seven \udcff")
+
+    scene.stderr.mask = lambda opened: select.EPOLLOUT if takes else 0  # type: ignore[method-assign]
+    process = run(scene, layout.GATE, program)
+    scene.machine.run(lambda: process.dead, LONG_NS)
+    assert failed_ns == [scene.now_ns]
+    scene.machine.run(lambda: process.code is not None, LONG_NS)
+    return process
+
+
+def test_a_process_that_fails_says_where_and_why(scene: Scene) -> None:
+    assert fail(scene, takes=True).code == 1
+    first, *frames, last, rest = b"".join(scene.stderr.heard).decode().split("\n")
+    assert (first, last, rest) == ("Traceback (most recent call last):", "ValueError: seven ?", "")
+    assert [frame.rpartition(", in ")[2] for frame in frames] == ["main", "program"]
+    assert f'File "{__file__}", line ' in frames[1]
+
+
+def test_a_process_that_fails_does_not_wait_for_its_stderr(scene: Scene) -> None:
+    assert fail(scene, takes=False).code == 1
+    assert scene.stderr.heard == []
 
 
 # The supervisor, as `failstop run` becomes it.
@@ -159,6 +192,24 @@ def test_a_service_speaks_to_the_journal_where_that_has_its_stderr(robot: Robot,
     told = [len(journal.of("ready")), robot.said.count("is ready: the stop is written")]
     assert told == ([1, 0] if device == 1 else [0, 1])
     assert "JOURNAL_STREAM" not in process.environ, "nothing that it starts may speak for it"
+
+
+@pytest.mark.starts
+def test_your_own_board_is_tried_before_the_service_begins_and_never_in_it(tmp_path: Path) -> None:
+    """Each trial takes a child process and some time, which a restart of the port owner has not."""
+    robot = Robot(imu_hz=20.0, kind=own_folder(tmp_path / "tank"))
+    robot.join("test")
+    own, asked = robot.loader.load("failstop.board.own"), set()
+    wire = own.wire
+
+    def watched(folder: str, *, tried: bool = False) -> Any:
+        assert robot.machine.current
+        asked.add((SETTINGS_VARIABLE in robot.machine.current.process.environ, tried))
+        return wire(folder, tried=tried)
+
+    own.wire = watched
+    begun(robot)
+    assert asked == {(False, False), (True, True)}
 
 
 def test_it_is_known_how_a_service_was_started(robot: Robot) -> None:

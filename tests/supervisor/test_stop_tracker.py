@@ -89,14 +89,24 @@ def test_a_port_that_was_opened_anew_may_be_another_board(scene: Scene) -> None:
     assert scene.read("link") == b"unheard"
 
 
+@pytest.mark.parametrize(("sure", "state"), [(True, b"unproven"), (False, b"unheard")])
+def test_a_port_that_was_opened_again_and_never_heard_may_have_another_device(
+    scene: Scene, sure: bool, state: bytes
+) -> None:
+    scene.supervisor.tracker.opened(scene.now_ns, scene.now_ns, sure=sure)
+    scene.turn(MS)
+    assert scene.read("link") == state
+
+
 def test_an_answer_to_an_older_question_proves_that_the_board_hears_and_not_the_stop(scene: Scene) -> None:
     asked_ns = scene.now_ns
     scene.turn(MS)
     scene.stops("the first")
+    assert scene.table("stop")["believed"] is False
     scene.answered(asked_ns, scene.now_ns)
     scene.turn(MS)
     assert scene.read("link") == b"alive"
-    assert scene.table("stop")["acknowledged_us"] is None
+    assert (scene.table("stop")["acknowledged_us"], scene.table("stop")["believed"]) == (None, True)
     scene.answered(scene.now_ns, scene.now_ns + MS)
     scene.turn(2 * MS)
     assert scene.table("stop")["acknowledged_us"] > 0
