@@ -45,9 +45,12 @@ class Control:
         except OSError:
             return None
         for level, kind, packed in ancillary:
-            if data and level == _socket.SOL_SOCKET and kind == _socket.SCM_RIGHTS and len(packed) >= _FD.size:
-                (number,) = _NUMBER.unpack_from(data)
-                return _FD.unpack_from(packed)[0], number, data[_NUMBER.size :].decode("utf-8", "replace")
+            if level == _socket.SOL_SOCKET and kind == _socket.SCM_RIGHTS and len(packed) >= _FD.size:
+                (fd,) = _FD.unpack_from(packed)
+                if len(data) >= _NUMBER.size:
+                    (number,) = _NUMBER.unpack_from(data)
+                    return fd, number, data[_NUMBER.size :].decode("utf-8", "replace")
+                os.close(fd)
         return None
 
     def newer(self, ready: dict[int, int], least: int) -> tuple[int, int, str] | None:

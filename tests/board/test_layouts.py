@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import struct
 from math import atan, radians
 
 import pytest
@@ -10,8 +11,9 @@ import pytest
 from failstop.board.checks import FrameError
 from failstop.board.interface import Board
 from failstop.board.kinds import board_of
+from failstop.board.rrc import framing
 from failstop.board.rrc.framing import BUS_SERVO, MOTOR, PWM_SERVO
-from failstop.board.rrc.steering import STEER
+from failstop.board.rrc.steering import LONGEST_WAY_MS, STEER, TAKES_MS
 from failstop.board.servos import SERVO_MOVE
 from failstop.messages.box import WIRE_HEAD
 from failstop.policy.kinematics import Chassis, from_settings
@@ -114,6 +116,32 @@ def test_no_cut_of_a_steered_frame_moves_or_steers_anything_else_behind_a_stop(g
             assert not any(events[-1].speeds)
             assert {pulses(event) for event in events if steers(event)} <= whole
             assert all(abs(rps) <= FAST_RPS for event in events if event.func == MOTOR for rps in event.speeds)
+
+
+def test_a_steering_frame_is_refused_if_it_takes_another_time_or_its_cut_would_steer_elsewhere() -> None:
+    board, refused = board_with(PWM), set()
+    motor = board.motor_speeds(BASE.wheels_rps(0.2, 0.0, 0.0), FAST_RPS)[: len(board.stop)]
+    for ms in range(TAKES_MS - 1, LONGEST_WAY_MS + 2):
+        for angle in range(1300, 1700, 5):
+            data = struct.pack("<BHBH", STEER, ms, 3, angle)
+            frame = motor + framing.seal(PWM_SERVO, data)
+            why = board.check_motion(frame, FAST_RPS)
+            if not TAKES_MS <= ms <= LONGEST_WAY_MS:
+                assert why == f"another servo's frame ({STEER} 3 {ms})"
+                continue
+            cuts = (told(frame[:cut] + board.burst) for cut in range(len(motor), len(frame)))
+            elsewhere = any(event.func == PWM_SERVO and event.data != data for events in cuts for event in events)
+            assert why.startswith("another angle if cut after") if elsewhere else why == ""
+            refused |= {why}
+    assert any(refused)
+
+
+@of_each_servo
+def test_nothing_follows_a_steering_frame(given: dict[str, object]) -> None:
+    """Zeros leave its CRC right."""
+    board = board_with(given)
+    frame = board.motor_speeds(BASE.wheels_rps(0.2, 0.0, 0.5), FAST_RPS)
+    assert board.check_motion(frame + b"\0", FAST_RPS)
 
 
 def told(data: bytes) -> list[Frame]:

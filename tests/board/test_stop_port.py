@@ -14,7 +14,7 @@ from failstop.board.kinds import board_of
 from failstop.board.rrc import codec
 from failstop.board.rrc.board import BOARD
 from failstop.board.rrc.burst import BURST
-from failstop.board.stop_port import DRAIN_S, TRIES, StopPort
+from failstop.board.stop_port import DRAIN_S, EARLY_NS, TRIES, StopPort
 from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import Settings
 from tests.support.ptys import Board, Pty, new_pty
@@ -122,6 +122,101 @@ def test_a_burst_drops_the_rest_of_another_frame_and_one_that_failed_is_tried_ag
     assert kernel.writes == writes, "no port takes nothing"
 
 
+def test_the_rest_of_another_frame_is_still_one_when_a_part_of_it_has_gone(pty: Pty, kernel: Kernel) -> None:
+    own = StopPort(pty.slave, BOARD)
+    own.unsent = MOTION[9:]
+    kernel.planned = [3]
+    assert not own.flush()
+    assert own.burst()
+    assert pty.read() == MOTION[9:12] + BURST
+
+
+def test_stops_do_not_pile_up_at_a_port_that_takes_nothing(pty: Pty, kernel: Kernel) -> None:
+    own = StopPort(pty.slave, BOARD)
+    kernel.planned = [REFUSED] * (2 * TRIES)
+    assert [own.burst() for _ in range(3)] == [False, False, True]
+    assert pty.read() == BURST
+
+
+def test_a_last_byte_that_goes_to_no_device_is_not_written(pty: Pty, kernel: Kernel) -> None:
+    own = StopPort(pty.slave, BOARD)
+    kernel.planned = [WHOLE - 1, NO_DEVICE]
+    assert [own.burst(), own.flush()] == [False, False]
+
+
+class Line:
+    """A board that needs silence on its line, and the port to it."""
+
+    def __init__(self, kind: str) -> None:
+        self.board = board_of(*Settings({"board.kind": kind}).board())
+        self._machine = PortMachine()
+        self.wire = self._machine.wire
+        fd = self._machine.open(self.wire)
+        self.own = self._machine.load("failstop.board.stop_port").StopPort(fd, self.board)
+        self.begun_ns = self._machine.clock()
+        self.ended_ns = self.begun_ns + len(self.board.burst) * self.board.port.byte_ns
+        """When a stop that is written at once has left the line."""
+
+    def bursts(self, at_ns: int) -> bytes:
+        """The bytes that a stop at this time brings; it is written, or on the line."""
+        self._machine.clock.now_ns = at_ns
+        assert self.own.burst()
+        return self.wire.read()
+
+    def early(self, at_ns: int) -> bytes:
+        """The bytes that the thread writes which has learned of a death."""
+        self._machine.clock.now_ns = at_ns
+        self.own.early_stop()
+        return self.wire.read()
+
+    def replug(self) -> None:
+        """Another port is handed over."""
+        self.wire = self.wire.replug()
+        self.own.adopt(self._machine.open(self.wire))
+
+
+def test_a_stop_is_not_written_into_one_that_is_still_on_the_line() -> None:
+    line = Line("hoverboard")
+    silent_ns = line.ended_ns + line.board.after_ns
+    assert line.bursts(line.begun_ns) == line.board.burst
+    assert line.own.free_ns == line.ended_ns + line.board.idle_ns
+    assert [line.bursts(silent_ns - 1), line.early(silent_ns - 1)] == [b"", b""]
+    assert line.bursts(silent_ns) == line.board.burst
+
+
+def test_nothing_is_on_the_line_of_a_port_that_has_gone() -> None:
+    line = Line("hoverboard")
+    assert line.bursts(line.begun_ns) == line.board.burst
+    line.wire.unplug()
+    assert [line.own.holds(), line.own.lost, line.own.burst()] == [False, True, False]
+
+
+def test_another_descriptor_has_nothing_on_its_line() -> None:
+    line = Line("hoverboard")
+    assert line.bursts(line.begun_ns) == line.board.burst
+    line.replug()
+    assert line.bursts(line.begun_ns) == line.board.burst
+
+
+@pytest.mark.parametrize("kind", ["arduino", "hoverboard"])
+def test_the_loop_does_not_write_again_what_the_early_stop_has_just_written(kind: str) -> None:
+    line = Line(kind)
+    assert line.early(line.begun_ns) == line.board.burst
+    assert line.bursts(line.begun_ns + EARLY_NS - 1) == b""
+    assert line.bursts(line.begun_ns + EARLY_NS) == line.board.burst
+
+
+def test_the_bytes_of_two_writes_follow_each_other_on_the_line() -> None:
+    line = Line("arduino")
+    bytes_ns = line.ended_ns - line.begun_ns
+    for count, at_ns in ((1, 0), (2, 0), (3, bytes_ns)):
+        assert line.bursts(line.begun_ns + at_ns) == line.board.burst
+        assert line.own.free_ns == line.begun_ns + count * bytes_ns + line.board.idle_ns
+    late_ns = line.own.free_ns
+    assert line.bursts(late_ns) == line.board.burst
+    assert line.own.free_ns == late_ns + bytes_ns + line.board.idle_ns
+
+
 def test_another_descriptor_takes_the_place_of_the_old_which_is_closed(pty: Pty) -> None:
     with new_pty() as new:
         old = os.dup(pty.slave)
@@ -143,7 +238,7 @@ def test_another_descriptor_takes_the_place_of_the_old_which_is_closed(pty: Pty)
 @pytest.mark.parametrize(
     ("held", "free_after_ms", "rest", "gone", "waited_ms"),
     [
-        *((0, None, b"", False, 0), (1280, 1, b"", False, 1), (1280, None, b"", False, round(DRAIN_S * 1000))),
+        *((0, None, b"", False, 0), (1280, 1, b"", False, 1), (1, None, b"", False, round(DRAIN_S * 1000))),
         *((0, None, BURST[-7:], False, 0), (0, None, b"", True, 0)),
     ],
     ids=["nothing", "soon", "never", "the unsent rest is written first", "a port that has gone"],
@@ -165,6 +260,7 @@ def test_a_drain_waits_for_the_bytes_under_way_but_not_for_ever(
     assert own.drain() is not (gone or (held > 0 and not free_after_ms))
     assert machine.now_ns - began_ns == pytest.approx(waited_ms * MS, abs=0 if gone else MS)
     assert (own.lost, own.errno) == (gone, errno.EIO * gone)
+    assert not gone or not own.holds(), "nobody knows what it holds"
     assert wire.read() == bytes(held) + rest
     assert not StopPort(-1, BOARD).holds()
 

@@ -46,6 +46,29 @@ PROCS: tuple[Reason, ...] = (
     Reason("stop_tool.py", r"\+.*if wait_s <= 0 else", "after an answer of 0 there is no further try"),
     Reason("stop_tool.py", r"\+.*waited_s > WARN_S", "the warning comes one try later at most", same=False),
     Reason(
+        "board/stop_port.py",
+        r"\+.*self\.(_line|free)_ns = 1$|_line_ns (>= 0|> 1) and|self\.lost, self\._line_ns = False, 1$",
+        "the first nanosecond of the machine",
+    ),
+    Reason("board/stop_port.py", r"\+.*error\.errno or 1$", "each error of a write or of a look has a number"),
+    Reason(
+        "board/stop_port.py",
+        r"\+.*sleep\(max\(1, |time\.monotonic_ns\(\)\) / 1000000001\.0",
+        "a billionth of a second",
+        same=False,
+    ),
+    Reason("board/stop_port.py", r"\+.*time\.monotonic\(\) >= until_s", "two times at exact equality"),
+    Reason("board/stop_port.py", r"\+.*self\.adopt\(-2\)$", "any number below 0 is none"),
+    Reason("board/stop_port.py", r"^-.*if old >= 0:\n", "0, 1 and 2 are open: no descriptor here is 0"),
+    Reason("procs/handover.py", r"\+.*SOCK_SEQPACKET, 1, fd\)", "the descriptor is of a socket that has its protocol"),
+    Reason(
+        "procs/handover.py",
+        r"\+.*SOL_SOCKET (and|or) kind == _socket\.SCM_RIGHTS (or|and) len\(",
+        "nothing else comes beside the bytes",
+    ),
+    Reason("procs/handover.py", r"\+.*ready\.get\(self\._fd, 1\) & GONE", "1 is READ, and GONE has not that bit"),
+    Reason("procs/handover.py", r"\+.*self\._(adopt|hold)\(-2\)$", "any number below 0 is none"),
+    Reason(
         "procs/peer.py", r"\+.*max\(\(1, \*\(at_ns", "no last repeat comes as soon as that, so the least time counts"
     ),
     Reason("procs/schedule.py", r"\+\s+last_ns = max\(\(1, \*after_ns\)\)", "no zero comes a nanosecond after a stop"),
@@ -401,6 +424,11 @@ CODEC = (
         "board/rrc/codec.py",
         r"\+.*range\(freq_hz \+ 1, highest (- 1|\+ 2)\)",
         "of nine tones below one so high seven at most are excluded",
+    ),
+    Reason(
+        "board/rrc/steering.py",
+        r"\+.*(LONGEST_WAY_MS (- 1|\+ 2)\)\)|TAKES_MS, \))$",
+        "the cuts of a frame exclude fewer times than there are",
     ),
     Reason("board/rrc/decoder.py", r"\+.*end - at (<= 4|< 5):", "four bytes are no frame, whatever they say"),
     Reason("board/rrc/decoder.py", r"\+.*head = end - 2 if end > at", "a byte more is kept, which begins no head"),

@@ -34,6 +34,7 @@ ROOMS = {
             "tests/procs/test_schedule.py",
             "tests/procs/test_stopper.py",
             "tests/procs/test_wire*.py",
+            "tests/procs/telemetry/test_port.py",
         ),
     ),
     "telemetry": Room(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
+import socket
+import struct
 from collections.abc import Iterator
 
 import pytest
@@ -51,6 +53,30 @@ def test_a_duplicate_arrives_with_number_and_path_and_works(
     assert ends[1].receive() is None
     os.write(ends[0].fd, b"port")
     assert ends[1].receive() is None, "a message without a descriptor is nothing"
+
+
+def send(end: Control, data: bytes, fd: int) -> None:
+    """Send a descriptor with other bytes than send() would."""
+    with socket.socket(fileno=os.dup(end.fd)) as raw:
+        raw.sendmsg([data], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, struct.pack("i", fd))])
+
+
+def test_a_path_that_is_no_text_is_shown_as_far_as_it_is(ends: tuple[Control, Control], pipe: tuple[int, int]) -> None:
+    send(ends[0], struct.pack("<Q", 7) + b"/dev/\xff", pipe[1])
+    sent = ends[1].receive()
+    assert sent is not None
+    assert sent[1:] == (7, "/dev/\ufffd")
+    os.close(sent[0])
+
+
+@pytest.mark.parametrize("data", [b"", bytes(7)])
+def test_a_descriptor_without_a_number_is_no_port_and_is_not_kept(
+    ends: tuple[Control, Control], pipe: tuple[int, int], data: bytes
+) -> None:
+    before = open_fds()
+    send(ends[0], data, pipe[1])
+    assert ends[1].receive() is None
+    assert open_fds() == before
 
 
 def test_a_peer_that_is_gone_is_no_error_and_what_it_had_sent_still_arrives(pipe: tuple[int, int]) -> None:

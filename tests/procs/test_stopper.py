@@ -11,6 +11,7 @@ from failstop.policy.processes import HANG_NS, PROCESS_BY_NAME
 from failstop.procs import starved
 from failstop.procs.stopper.main import STALLED_NS
 from failstop.shm import heartbeat
+from failstop_lab.machine.files import Null, Open
 from tests.support.arm_settings import ARM, SERVOS
 from tests.support.stage import MS, Wire
 from tests.support.stopper_scene import Scene
@@ -223,7 +224,8 @@ def test_a_port_that_it_has_already_is_not_taken_again(scene: Scene, other: Wire
 
 @pytest.mark.parametrize("noticed_by", ["its hang-up", "a write", "none"])
 def test_a_port_that_has_gone_is_let_go_and_said_not_to_be_held(scene: Scene, other: Wire, noticed_by: str) -> None:
-    fd, number = scene.fd("port"), scene.own.word("port_number")
+    fd, number, stdout = scene.fd("port"), scene.own.word("port_number"), Null()
+    scene.me.files[1] = Open(stdout)
     assert number.get() == 1
     if noticed_by == "none":  # the service has none
         scene.stopper.held.let_go()
@@ -239,6 +241,7 @@ def test_a_port_that_has_gone_is_let_go_and_said_not_to_be_held(scene: Scene, ot
     with pytest.raises(OSError, match="Bad file descriptor"):
         scene.os.fstat(fd)
     assert (number.get(), scene.own.word("written_ns").get()) == (0, 0)
+    assert stdout.heard == []
     scene.send_port(other, 2)
     scene.turn(MS)
     assert number.get() == 2
