@@ -63,7 +63,7 @@ PROCS: tuple[Reason, ...] = (
     Reason("procs/handover.py", r"\+.*SOCK_SEQPACKET, 1, fd\)", "the descriptor is of a socket that has its protocol"),
     Reason(
         "procs/handover.py",
-        r"\+.*SOL_SOCKET (and|or) kind == _socket\.SCM_RIGHTS (or|and) len\(",
+        r"\+.*level == .*SOL_SOCKET (or kind == .*RIGHTS and|and kind == .*RIGHTS or) len\(",
         "nothing else comes beside the bytes",
     ),
     Reason("procs/handover.py", r"\+.*ready\.get\(self\._fd, 1\) & GONE", "1 is READ, and GONE has not that bit"),
@@ -327,13 +327,19 @@ SUPERVISOR = (
         "the names are of the run: under them there is no other one's",
     ),
     Reason("supervisor/*.py", r"\n\+.*(gap|silent|unheard)_ns / MS\)", "a cause makes a whole number of its ms"),
-    Reason("supervisor/proof.py", r"now_ns: int = 1\)", "the first nanosecond of the machine"),
+    Reason(
+        "supervisor/proof.py",
+        r"now_ns: int = 1\)|self\._(opened_ns = self\._listened|true)_ns = 1$",
+        "the first nanosecond of the machine",
+    ),
+    Reason("supervisor/proof.py", r"\+\s+self\._missed = True$", "only a device at a port that was opened is missed"),
     Reason(
         "supervisor/proof.py",
         r"1 < self\._patience_ns|self\._said_ns > 1 and",
         "no board pauses for just a nanosecond, or said anything in the machine's first",
     ),
     Reason("supervisor/proof.py", r"quiet_ns >= self\._patience_ns / 2", "a whole number is compared with the half"),
+    Reason("supervisor/fit.py", r"\+.*if 1 < \(baud := ", "no board has one bit a second"),
     Reason("supervisor/fit.py", r"board_of\(kind, (2\.0, 0\.0|1\.0, 1\.0)\)", "no baud rate depends on the wheel"),
     Reason(
         "supervisor/stop_tracker.py",

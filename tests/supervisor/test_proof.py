@@ -482,6 +482,13 @@ def test_an_answer_after_an_echo_of_zeros_counts_only_once_the_stop_is_cleared()
     assert link.state == LINK_ALIVE
 
 
+def test_a_board_that_does_not_report_its_command_is_never_deaf_by_its_reports() -> None:
+    link = heard(T0)
+    link.said(T0 + 1_000 * MS, T0)
+    link.check_echo(T0)
+    assert link.state == LINK_ALIVE
+
+
 def test_a_pause_of_the_reports_is_no_echo_of_zeros() -> None:
     link = echoing()
     link.check_silence(700 * MS, T0 + 600 * MS)
