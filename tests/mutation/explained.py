@@ -224,6 +224,11 @@ SHM: tuple[Reason, ...] = (
     ),
     Reason("shm/futex.py", r"monotonic_ns\(\) <= until_ns", "two times in ns at exact equality"),
     Reason("shm/heartbeat.py", r"\n\+.*if gap_ns >= self\._worst_ns", "the gap that is written is written again"),
+    Reason(
+        "shm/thread_state.py",
+        r'\+.*("rb", \)|file\.read\((None|513)\)|decode\("ascii", \))',
+        "the state is one letter in ASCII, in the line's first bytes",
+    ),
     Reason("files/instance.py", r"\n\+\s+fd = -2$", "no descriptor is below 0"),
     Reason("*instance*.py", r"\n\+.*ftruncate\(fd, 1\)", "the line that is written then begins at byte 0"),
     Reason("files/instance.py", r"\n\+.*int\(os\.pread\(fd, 17, 0\)", "int() takes the line's end, the 17th byte"),

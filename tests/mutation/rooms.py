@@ -80,6 +80,7 @@ ROOMS = {
             "tests/shm/test_segment*.py",
             "tests/shm/test_spoiled.py",
             "tests/shm/test_cell.py",
+            "tests/shm/test_thread_state.py",
             "tests/shm/test_truncated.py",
             "tests/test_data.py",
         ),
