@@ -158,13 +158,13 @@ class Line:
         """When a stop that is written at once has left the line."""
 
     def bursts(self, at_ns: int) -> bytes:
-        """The bytes that a stop at this time brings; it is written, or on the line."""
+        """The bytes that burst() writes at this time."""
         self._machine.clock.now_ns = at_ns
         assert self.own.burst()
         return self.wire.read()
 
     def early(self, at_ns: int) -> bytes:
-        """The bytes that the thread writes which has learned of a death."""
+        """The bytes that the thread writes when it learns of a death."""
         self._machine.clock.now_ns = at_ns
         self.own.early_stop()
         return self.wire.read()

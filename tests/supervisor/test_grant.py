@@ -51,7 +51,7 @@ def test_the_command_fits_the_case(scene: Scene, here: Any, unit: str, container
 def test_where_the_limits_allow_it_the_command_is_for_the_control_group(
     scene: Scene, here: Any, managed: bool, container: bool, told: str
 ) -> None:
-    """The shell of a person may be in a unit too, which did not start the service."""
+    """A person's shell may run in a unit too, but that unit did not start the service."""
     scene.write("/proc/self/limits", "Max realtime priority     99                   99\n")
     scene.write(status.CONTROL_GROUP, "4:cpu:/system.slice/robot.service\n")
     scene.write("/sys/fs/cgroup/cpu/system.slice/robot.service/cpu.rt_runtime_us", "0\n")

@@ -110,7 +110,7 @@ def test_the_opener_s_thread_opens_each_lost_port_and_holds_nobody_up(scene: Sce
 def test_while_the_port_is_open_the_devices_are_listed_and_an_answer_counts_once(
     scene: Scene, opener: Any, settled: bool, looks: int
 ) -> None:
-    """Often while the open one may not be the board."""
+    """They are listed more often while the open device may not be the board."""
     calls: list[str] = []
 
     class Counted(scene.load("failstop.board.finder").Finder):  # type: ignore[misc]

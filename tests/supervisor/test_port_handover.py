@@ -206,7 +206,7 @@ def test_the_link_of_a_port_that_is_gone_is_unheard(scene: Scene) -> None:
 def test_the_link_of_a_lost_device_that_nobody_heard_is_as_sure_as_the_device_was(
     scene: Scene, sure: bool, state: bytes
 ) -> None:
-    """So a stop that went to a device in the board's place is not taken for one that the board got."""
+    """Otherwise a stop that went to another device would count as one that the board got."""
     scene.supervisor.handover.opener.finder.sure = sure
     lose(scene)
     turn(scene, MS)

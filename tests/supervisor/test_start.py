@@ -196,7 +196,7 @@ def test_a_service_speaks_to_the_journal_where_that_has_its_stderr(robot: Robot,
 
 @pytest.mark.starts
 def test_your_own_board_is_tried_before_the_service_begins_and_never_in_it(tmp_path: Path) -> None:
-    """Each trial takes a child process and some time, which a restart of the port owner has not."""
+    """A trial needs a child process and time, and a port owner that restarts has none to lose."""
     robot = Robot(imu_hz=20.0, kind=own_folder(tmp_path / "tank"))
     robot.join("test")
     own, asked = robot.loader.load("failstop.board.own"), set()
