@@ -137,6 +137,13 @@ def test_a_steering_frame_is_refused_if_it_takes_another_time_or_its_cut_would_s
 
 
 @of_each_servo
+def test_a_steering_servo_gets_the_time_until_the_next_frame(given: dict[str, object]) -> None:
+    frame = board_with(given).motor_speeds(BASE.wheels_rps(0.2, 0.0, 0.5), FAST_RPS)
+    [times] = [event.data[1:3] for event in told(frame) if steers(event)]
+    assert int.from_bytes(times, "little") == TAKES_MS
+
+
+@of_each_servo
 def test_nothing_follows_a_steering_frame(given: dict[str, object]) -> None:
     """Zeros leave its CRC right."""
     board = board_with(given)
