@@ -145,10 +145,11 @@ def _controls(board: str, jobs: int, wanted: str, file: str) -> int:
     boards = BOARDS if file else (board,)
     print(control_runs.TABLE_HEAD, flush=True)
     every: list[control_runs.Found | tested_controls.Noticed] = []
-    for found in chain(
+    runs: chain[control_runs.Found | tested_controls.Noticed] = chain(
         control_runs.searched(control_runs.SEARCH_S, jobs, lambda each: asked(each.row) and each.board in boards),
         tested_controls.searched(lambda each: asked(each.row) and BOARDS[0] in boards),
-    ):
+    )
+    for found in runs:
         every.append(found)
         print(found.text(), flush=True)
         if wanted != EVERY:
