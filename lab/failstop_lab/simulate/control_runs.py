@@ -68,8 +68,8 @@ that the model does not have.
 
 ## What a test finds
 
-The simulation's judge looks at wheels and at the bytes on the wire. What shows on neither, a test must notice. It runs
-in a copy of the checkout, in which that part is missing.
+The simulation's judge looks at wheels and at the bytes on the wire. If a missing part shows on neither, a test must
+notice it. That test runs in a copy of the checkout without that part.
 
 {tested}
 
