@@ -79,7 +79,7 @@ def read(path: str | None) -> dict[str, object]:
         text = _text(path)
         found = _flat("", tomllib.loads(text))
         if len(values := dict(found)) < len(found):
-            raise SettingError("a setting is there by its old name and by its new one: leave the old one out")
+            raise SettingError("a setting is given by its old and its new name: remove the old one")
         return values
     except SettingError as error:
         raise SettingError(f"{path}: {error}") from None

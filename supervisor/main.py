@@ -358,7 +358,8 @@ class Supervisor:
                 sleep(HURRY_NS / 1e9)  # the loop's wait would return at once, because nobody handles the dead any more
         heard_ns = self._hear(stop.written_ns)
         link = self.tracker.link.state
-        self.status.notify.stopping("the stop is written; ending every process")
+        told = "the stop is written" if stop.written_ns else "NO STOP COULD BE WRITTEN YET"
+        self.status.notify.stopping(f"{told}; ending every process")
         self.heartbeat.state(heartbeat.BEAT_STOPPING, monotonic_ns())
         for child in reversed(self.children):
             child.kill(END_S)

@@ -153,7 +153,7 @@ class Run:
             del self.named[name]
         if vital := [name for name in gone if not name.startswith(A_SLOT)]:
             text = f"{', '.join(vital)}: removed, so the service ends; a new start creates it again"
-            step = "is RemoveIPC=yes in logind.conf? `failstop doctor` looks"
+            step = "is RemoveIPC=yes in logind.conf? `failstop doctor` checks"
             self.events.log("note", text, level="error", step=step)
             return causes.REMOVED(vital[0])
         for name in gone:

@@ -65,11 +65,13 @@ OF_A_TIMEOUT = 0.9
 UNIT = "`sudo systemctl edit {unit}`, with LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]"
 CONTAINER = "start the container with `--cap-add SYS_NICE --cap-add IPC_LOCK --ulimit rtprio=40 --ulimit memlock=-1`"
 SHELL = "`sudo prlimit --pid $$ --rtprio=40 --memlock=unlimited` in the same shell, then start it again"
-GRANTED = "it has real-time rights, so look at what else has, and at the host of a virtual machine (`failstop doctor`)"
+GRANTED = (
+    "it has real-time rights, so look what else has them, and at the host of a virtual machine (`failstop doctor`)"
+)
 NO_REALTIME = "no real-time rights (SCHED_FIFO): on a busy machine stops come later"
 NO_EARLY_NEWS = (
-    "this kernel tells of a death only once the memory is taken down (no robust futexes): a stop after one comes "
-    "later, 1 ms for each 10 MB; run the service on the host's own kernel"
+    "this kernel reports the death of a process only after it has freed its memory (no robust futexes), so the stop "
+    "comes 1 ms later for each 10 MB; run the service on the host's own kernel"
 )
 CONTAINER_FILES = ("/.dockerenv", "/run/.dockerenv", "/run/.containerenv", "/run/systemd/container")
 CONTROL_GROUP = "/proc/self/cgroup"
@@ -240,8 +242,8 @@ def cost(lease_s: float) -> str:
     if lease_s > LEASE_S:
         usual = f"{LEASE_S * 1e3:.0f} to {PROCESS_BY_NAME[layout.PORT_OWNER].deadline_ns / 1e6:.0f}"
         late = f"after {lease_s * 1e3:.0f} ms instead of {usual}"
-        return f"a hang of gate, supervisor or port owner is stopped for {late} ({LEASE})"
-    return f"some have no cause, since {LEASE} is as short as {lease_s * 1e3:.0f} ms"
+        return f"when the gate, supervisor or port owner hangs, the robot stops {late} ({LEASE})"
+    return f"some stops will have no other reason, because {LEASE} is as short as {lease_s * 1e3:.0f} ms"
 
 
 def lacking(granted: int, advice: str, lease_s: float) -> list[tuple[str, str]]:

@@ -317,7 +317,7 @@ class StopTracker:
         elif link == LINK_UNPROVEN:
             heard, level = "nobody knows whether the board hears (link unproven)", "warning"
         elif link == LINK_UNASKED:
-            heard, level = "this board acknowledges nothing (link unasked)", ""
+            heard, level = "this board never acknowledges a stop (link unasked)", ""
         else:
             heard, level = (
                 f"NOT acknowledged by the board (link {link}); if the wheels turn, use the POWER SWITCH",

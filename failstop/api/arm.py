@@ -74,7 +74,7 @@ class Arm:
     def pose(self, name: str, progress: Progress = None) -> str:
         """Go slowly (arm.pose_speed) to a pose of the settings, "drive" or "tuck". Raises Refused, ValueError."""
         if name not in POSES:
-            raise ValueError(f"no pose {name!r}: there are {' and '.join(POSES)}")
+            raise ValueError(f"no pose {name!r}: the poses are {' and '.join(POSES)}")
         asked_ns = monotonic_ns()
         ends = {joint.name: joint.rad(at) for joint in self.joints.values() if (at := getattr(joint, name)) >= 0}
         if ends:
@@ -118,7 +118,7 @@ class Arm:
         """The arm as the service knows it (State.arm)."""
         found = self._session.state.arm
         if found is None:
-            raise FailstopError(f"the service {self._session.name!r} tells nothing of an arm: see `failstop status`")
+            raise FailstopError(f"the service {self._session.name!r} reports no arm: see `failstop status`")
         return found
 
     def _check_way(self, rows: list[tuple[float, dict[str, float]]]) -> None:
@@ -135,7 +135,7 @@ class Arm:
     def _named(self, values: Mapping[str, float]) -> dict[Joint, float]:
         joints = self.joints
         if unknown := [name for name in values if name not in joints]:
-            raise ValueError(f"no joint {unknown[0]!r}: there are {', '.join(joints)}")
+            raise ValueError(f"no joint {unknown[0]!r}: the joints are {', '.join(joints)}")
         return {joints[name]: value for name, value in values.items()}
 
     def _check(self, angles: Mapping[str, float]) -> None:

@@ -69,7 +69,7 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
         time.sleep(LOOK_S)
     if taken and not reader:
         return (
-            f"the service {name!r} has written the stop; whether it is latched can't be seen from here",
+            f"the service {name!r} has written the stop, but this user can't see whether it is latched",
             problem,
             False,
         )

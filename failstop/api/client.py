@@ -30,7 +30,7 @@ T = TypeVar("T")
 REPEAT_NS = 45_000_000
 """A command that repeats the one before it this soon wakes nobody: the gate looks for it at its tick, before it lets
 the earlier one time out. A wake-up costs 0.2 to 0.4 ms of processor time."""
-GIVEN_UP = "given up for a later request of this program"
+GIVEN_UP = "replaced by a later request of this program"
 LONGEST_SHOWN = 40
 OWN_WORDS_S = 0.1
 """How late the text of an object given as the reason of a stop may come and still be sent."""
@@ -118,7 +118,7 @@ def _own_words(fd: int, why: object, who: str, until_s: float) -> None:
 
 def gone(name: str) -> NoService:
     """The error of every call to a service that was running before."""
-    return NoService(f"the service {name!r} has gone: start it with {host.start(name)}")
+    return NoService(f"the service {name!r} has ended: start it with {host.start(name)}")
 
 
 class SeenRun:
@@ -212,7 +212,7 @@ class Client:
             except segments.AttachError as error:
                 raise FailstopError(str(error)) from None
             except OSError as error:
-                raise NoService(f"the service {name!r} is going away ({error.strerror}): try again") from None
+                raise NoService(f"the service {name!r} is ending ({error.strerror}): try again") from None
             life = None
             # Without a thread or memory, the gate learns about a death later, when the kernel has freed the process.
             with contextlib.suppress(RuntimeError, OSError):

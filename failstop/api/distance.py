@@ -22,7 +22,7 @@ OWN_LINE_S = 0.012
 """How much later than the first board another one takes a stop: its line, its loop, and the repeats of a stop that it
 may need. A USB adapter that forgets gaps adds 0.02 (docs/boards.md)."""
 BRAKING = "limits.braking_mps2"
-WITHIN = "within {:.2f} m of any fault that software answers"
+WITHIN = "within {:.2f} m of any fault that failstop can detect"
 """The longest distance, as every screen words it."""
 Reaction = tuple[float, str]
 """How long the wheels keep being told to turn after a failure, in s, and what has failed."""
@@ -44,7 +44,7 @@ def fastest_mps(settings: Settings) -> float:
 
 
 def reactions(settings: Settings) -> Iterator[Reaction]:
-    """Every failure that software answers, if it happens while the base drives; a death is the first."""
+    """Every failure that failstop can detect, if it happens while the base drives; a death is the first."""
     kind = settings.board()[0]
     board_s = OWN_LINE_S if is_described(kind) else 0.0
     yield DEATH_S + board_s, "a process of the service, or the program that drives, dies"
@@ -74,16 +74,16 @@ def sentences(settings: Settings) -> list[str]:
     way, (seconds, latest) = furthest(settings)
     (death_s, _), *_ = reactions(settings)
     acts_s, does = watchdog_of(settings.board()[0])
-    measured = "" if braking != BY_KEY[BRAKING].default else " (the default: measure yours)"
+    measured = "" if braking != BY_KEY[BRAKING].default else " (the default; measure yours)"
     both = " (forward and sideways at once)" if AXES[settings.text("wheels.layout")][1] else ""
-    beyond = "it drives on: failstop knows of no watchdog that this board has"
+    beyond = "it drives on, because this board has no watchdog that failstop knows of"
     if does:
         beyond = f"the board's own watchdog acts after {speed * acts_s:.2f} m: {WATCHDOGS[does]}"
     if does == "zero":
-        beyond = f"the board's own watchdog has it stand after {distance_m(speed, acts_s, braking):.2f} m"
+        beyond = f"the board's own watchdog stops it within {distance_m(speed, acts_s, braking):.2f} m"
     return [
-        f"From {speed:.2f} m/s{both}, braking with {braking:g} m/s2{measured}, the robot stands {WITHIN.format(way)}. "
-        f"The latest that is answered, after {seconds:.2f} s: {latest}.",
-        f"When a process dies it stands after {distance_m(speed, death_s, braking):.2f} m.",
-        f"When the cable is out or the machine is frozen, {beyond}. Nothing here stops a board that does not obey.",
+        f"At {speed:.2f} m/s{both}, braking with {braking:g} m/s2{measured}, the robot stops {WITHIN.format(way)}. "
+        f"It reacts most slowly, after {seconds:.2f} s, when {latest}.",
+        f"When a process dies, the robot stops within {distance_m(speed, death_s, braking):.2f} m.",
+        f"When the cable is out or the computer is frozen, {beyond}. failstop can't stop a board that does not obey.",
     ]

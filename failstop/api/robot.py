@@ -81,7 +81,7 @@ def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[An
     if source not in rows:
         return Blocked(Block.NO_COMMAND, "the gate has not taken the command yet"), False
     if rows[source]["state"] == "held":
-        return Blocked(Block.HELD, "commanded before motion was enabled: send zero, or pause, to drive"), False
+        return Blocked(Block.HELD, "commanded before motion was enabled: send zero or pause, then drive"), False
     driver = next((row for row in rows.values() if row["state"] == "drives"), rows[source])
     if driver["source"] != source:
         return Preempted(driver["who"], driver["source"]), False

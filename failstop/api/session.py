@@ -69,7 +69,7 @@ _CHECKS: dict[str, Callable[[State], bool]] = {
 assert _CHECKS.keys() == set(get_args(Word))
 
 
-DISABLE_FIRST = "`failstop disable`, or robot.disable(): the arm moves while the wheels may not"
+DISABLE_FIRST = "`failstop disable`, or robot.disable(), because the arm moves only while motion is disabled"
 """The way out of a refusal for wheels that may turn."""
 
 
@@ -292,7 +292,7 @@ class Session:
         word."""
         is_so = what if callable(what) else _CHECKS.get(what)
         if is_so is None:
-            raise ValueError(f"wait_for({what!r}): no such word; there are {', '.join(_CHECKS)}")
+            raise ValueError(f"wait_for({what!r}): unknown word; choose from {', '.join(_CHECKS)}")
         name = getattr(what, "__name__", "that") if callable(what) else what
         limit_s = inf if timeout_s is None else timeout_s
         until_s = time.monotonic() + limit_s

@@ -262,7 +262,7 @@ class Starved:
     """The process that the machine did not run."""
 
     def __str__(self) -> str:
-        return f"the machine starved the service: {self.process} was not run for {self.longest_s * 1e3:.0f} ms"
+        return f"the computer is too busy: {self.process} did not run for {self.longest_s * 1e3:.0f} ms"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -472,7 +472,7 @@ class State:
     """Commanded angle of the steered wheels, rad, positive to the left. None if there are none, or the robot is at
     rest."""
     stands_within_m: float = 0.0
-    """Stopping distance: from any fault that software answers until the robot stands still, m, at the current speed
+    """Stopping distance: from any fault that failstop can detect until the robot is at rest, m, at the current speed
     limit."""
     scale: Scale = Scale()
     """Whether the wheels turn as fast as commanded."""

@@ -60,7 +60,17 @@ def unreached(state: State) -> str:
         return f"the board has said nothing{for_s}, so nobody knows whether a stop reaches the wheels"
     if state.device.link == "unheard":
         return f"{state.device.path} has not answered since it came back, so it may be another device than the board"
+    if state.last_stop and not state.last_stop.sent and not state.moving:
+        return "the board accepts no bytes, so the last stop may not have reached the wheels"
     return ""
+
+
+def link(state: State) -> str:
+    """What the board's answers prove, as a clause. While its port is not open, they prove nothing, and the state of the
+    link is about a port that is to come."""
+    if state.device.state != "open":
+        return f"the port {state.device.path} is {state.device.state}"
+    return LINKS[state.device.link]
 
 
 def reached(state: State) -> str:
@@ -108,7 +118,7 @@ def unheeded(state: State) -> str:
     for_s = state.device.unheeded_s
     if not state.moving or for_s is None or for_s < UNHEEDED_S:
         return ""
-    return f"for {words.span(for_s)} the board has reported that it obeys zero speed"
+    return f"the board has reported zero speed for {words.span(for_s)}"
 
 
 def word(state: State) -> str:
@@ -135,11 +145,13 @@ def large_word(state: State) -> str:
 
 
 def _stopped(state: State, seen: str) -> str:
-    """What is proved about the last stop. That the kernel has its bytes does not prove that the board obeys."""
+    """What is proved about the last stop. Bytes that only the kernel has prove nothing about the board, nor does an IMU
+    that felt nothing prove anything about the wheels."""
     stop = state.last_stop
     if stop is None:
         return WHEELS_MAY_TURN if state.cause else seen
-    if stop.acknowledged_s is not None or stop.observed_s is not None:
+    felt = stop.observed_s is not None and (stop.observed_s > 0 or stop.observed_by != "IMU")
+    if stop.acknowledged_s is not None or felt:
         return seen
     return WRITTEN if stop.written_s is not None and stop.sent else WHEELS_MAY_TURN
 

@@ -26,9 +26,9 @@ STOPPING = "STOPPING"
 TOLD_TO_STOP = "TOLD TO STOP"
 """The wheels are told zero, and nothing shows whether they obey."""
 TURNING = "TURNING"
-"""The board reports that the wheels turn although they are told zero."""
+"""The board reports that the wheels turn although they are told to stop."""
 MOVED = "MOVED"
-"""The IMU feels the robot move although its wheels are told zero: it moves by itself, or somebody moves it."""
+"""The IMU feels the robot move although its wheels are told to stop: it moves by itself, or somebody moves it."""
 MAY_TURN = "MAY TURN"
 """A stop may not have reached the wheels, so nobody must rely on it."""
 MOVING, CAN_MOVE, WRITTEN, WHEELS_MAY_TURN = "MOVING", "CAN MOVE", "STOP WRITTEN", "WHEELS MAY TURN"
@@ -72,16 +72,16 @@ class Row(NamedTuple):
     """What else may turn them, for the advice to use the power switch."""
 
 
-_UNKNOWN = "the wheels are told zero, and what they do is not known now"
-_UNSEEN = "the wheels are told zero, and nothing reports what they do"
+_UNKNOWN = "the wheels are told to stop, but nothing shows what they do now"
+_UNSEEN = "the wheels are told to stop, but nothing reports what they do"
 _TURN_ON, _MOVE_ON = ALTHOUGH_TOLD_ZERO["wheels"], ALTHOUGH_TOLD_ZERO["IMU"]
-_TURNED = "the wheels turned when they were last read, and nothing is read of them now"
+_TURNED = "the wheels were turning at the last reading, and there is no newer one"
 _DRIVES = Row(DRIVING, MOVING)
 _NO_STOP = Row(MAY_TURN, WHEELS_MAY_TURN, alarm=True)
 TABLE: dict[tuple[Commanded, Seen], Row] = {
-    (Commanded.ZERO, Seen.TURN): Row(STOPPING, STOPPING, "the wheels are told zero and turn"),
+    (Commanded.ZERO, Seen.TURN): Row(STOPPING, STOPPING, "the wheels are told to stop, but still turn"),
     (Commanded.ZERO, Seen.TURN_ON): Row(TURNING, WHEELS_TURN, _TURN_ON, True, "somebody pushes it"),
-    (Commanded.ZERO, Seen.MOVE): Row(STOPPING, STOPPING, "the wheels are told zero, and the robot moves"),
+    (Commanded.ZERO, Seen.MOVE): Row(STOPPING, STOPPING, "the wheels are told to stop, but the robot still moves"),
     (Commanded.ZERO, Seen.MOVE_ON): Row(MOVED, ROBOT_MOVES, _MOVE_ON, True, "somebody moves it"),
     (Commanded.ZERO, Seen.STILL): Row(STOPPED, STOPPED),
     (Commanded.ZERO, Seen.TURNED): Row(MAY_TURN, WHEELS_MAY_TURN, _TURNED, True),
@@ -102,7 +102,7 @@ SEEN = {
     Seen.MOVE: "the robot moves, or is being moved",
     Seen.MOVE_ON: _MOVE_ON,
     Seen.STILL: "the wheels are still",
-    Seen.TURNED: "not known; when last read the wheels turned",
+    Seen.TURNED: "not known; at the last reading the wheels were turning",
     Seen.UNREAD: "not known",
     Seen.UNSEEN: "not known: nothing reports what the wheels do",
 }
@@ -151,7 +151,7 @@ def now(state: State) -> str:
     elif known.age_s is not None:
         text += f" (last read {words.span(known.age_s)} ago)"
     elif found is Seen.UNREAD:
-        text += " (the IMU does not tell it yet)"
+        text += " (the IMU can't tell yet)"
     return text
 
 

@@ -83,7 +83,8 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
     also = troubles(state, events)
     if doubt := verdict.doubt(state):
         row = verdict.row(state)
-        switch = f"POWER SWITCH, unless {row.unless}" if row.unless else "then: POWER SWITCH"
+        unless = f", unless {row.unless}" if row.unless else ""
+        switch = f"use the POWER SWITCH{unless}" if row.large != verdict.WHEELS_MAY_TURN else "if they do: POWER SWITCH"
         what = f"THE {row.large} ({switch}): {doubt}; {what}"
     elif verdict.unproven(state):
         what = f"{verdict.proven_word(state)}; {what}"
@@ -130,10 +131,10 @@ def _free(state: State) -> str:
     how = words.velocity(*state.body_vel) or "zero"
     driver = state.driver
     if driver and verdict.unheeded(state):
-        return f"nothing holds the wheels: {driver} commands {how}, which does not reach the board"
+        return f"{driver} commands {how}"
     if driver:
-        return f"nothing holds the wheels: {driver} drives, {how}"
-    return f"nothing holds the wheels: the command is {how}"
+        return f"driving: {driver} commands {how}"
+    return f"motion is enabled, and the command is {how}"
 
 
 def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | None, str]:
@@ -144,8 +145,8 @@ def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | 
         return begun, meaning(state.cause, verdict.reached(state))[0]
     if state.block is Block.NO_SCAN:
         age_s = state.scan_age_s
-        never = "it has not delivered once in this run"
-        return None, never if age_s is None else f"it delivered last {words.span(age_s)} ago"
+        never = "it has sent nothing in this run"
+        return None, never if age_s is None else f"it last sent something {words.span(age_s)} ago"
     if state.block is Block.DISABLED:
         change = verdict.newest(events, verdict.CHANGES)
         return (change.t, change.what.removeprefix("motion disabled: ")) if change else (None, "")
@@ -163,10 +164,10 @@ def _proof(state: State, now_s: float) -> str:
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
         told = ", ".join(text for text, _ in proofs(stop, now_s, state.device.link))
         if stop.written_s is None and not verdict.doubt(state):
-            told += " at first; the port is open now, and the board is told zero"
+            told += " at first; the port is open now, and the board is told to stop"
         return f"{which}{told}"
-    told = verdict.LINKS[state.device.link]
-    return told if state.block in (None, Block.LATCHED) else f"the board is told zero; {told}"
+    told = verdict.link(state)
+    return told if state.block in (None, Block.LATCHED) else f"the board is told to stop; {told}"
 
 
 def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | None]]:
@@ -182,7 +183,7 @@ def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | N
     heard, by = f"NOT acknowledged by the board{yet}", stop.observed_by
     seen = f"NOT seen still by {SEEN_BY[by]}{yet}" if by else NO_IMU
     if not stop.acknowledged_by:
-        heard = "this board acknowledges nothing"
+        heard = "this board never acknowledges a stop"
     elif stop.acknowledged_s is not None:
         heard = f"acknowledged by {ACKNOWLEDGED_BY[stop.acknowledged_by]} after {words.took(stop.acknowledged_s)}"
     elif link == LINK_UNASKED:

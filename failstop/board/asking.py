@@ -28,10 +28,10 @@ QUESTIONS = 2
 MORE_QUESTIONS = 2
 """How often it is asked again if bytes come that answer nothing, because they may be from a part of the board."""
 
-WIRES = "the board's power; its cable, whose TX and RX cross; the port, by device.path; the baud rate of its firmware"
+WIRES = "check the board's power, its cable (TX and RX must cross), device.path, and the baud rate of its firmware"
 """For people: what to check if nothing is received."""
 
-SERVO_PLACES = "its plug on the bus, its power and its id"
+SERVO_PLACES = "check its plug on the bus, its power and its id"
 """For people: what to check if a servo or a motor's controller does not answer."""
 
 ADAPTERS = {
@@ -156,17 +156,17 @@ def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, s
         facts = facts_of(last.kind)
         motors = facts.motors if facts else {}
         which = " and ".join(motors.get(servo, f"servo {servo}") for servo in last.missing)
-        it = f"it is {last.kind}" if last.kind == kind else f"it is {last.kind}, and board.kind is {kind}"
+        it = f"it is {last.kind}" if last.kind == kind else f"it is {last.kind}, but board.kind is {kind}"
         return False, f"{it}; {which} does not answer while others do", SERVO_PLACES
     if last.known and last.kind != kind:
         rate = f" and board.baud = {last.other_baud}" if last.other_baud else ""
-        remedy = f'set board.kind = "{last.kind}"{rate}, or plug the other board in'
-        return False, f"the board that answers is {last.kind}, and board.kind is {kind}", remedy
+        remedy = f'set board.kind = "{last.kind}"{rate}, or plug in the other board'
+        return False, f"the board that answers is {last.kind}, but board.kind is {kind}", remedy
     if last.known and last.other_baud:
-        text = f"it answers as {kind} does, at {last.other_baud} baud, and the settings have {board.port.baud}"
+        text = f"it answers as {kind} does, but at {last.other_baud} baud, and the settings say {board.port.baud}"
         return False, text, f"set board.baud = {last.other_baud}"
     if last.known:
-        reset = f"; opening the port reset it: deaf for {deaf_ns / 1e9:g} s"
+        reset = f"; opening the port reset it, so it heard nothing for {deaf_ns / 1e9:g} s"
         opened = reset if last.after_ns >= deaf_ns else ", and opening the port did not reset it"
         which = f"; its firmware is {last.firmware}" if last.firmware else ""
         return (
@@ -175,9 +175,13 @@ def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, s
             "",
         )
     if any(each.reports for each in heard if each.kind == kind):
-        return False, f"it reports as {kind} does, and answers no question: it does not hear", WIRES
+        return False, f"it reports as {kind} does, but answers no question, so it may hear nothing", WIRES
     if came := max(each.size for each in heard):
-        return False, f"{came} bytes came, which no board that failstop knows says: it is not {kind}", WIRES
+        return False, f"{came} bytes came, but from no board that failstop knows, so this is not {kind}", WIRES
     if not (board.pings or board.echo_ns):
-        return None, f"{kind} has no question, so that nobody knows whether it is there", "questions, in its wire.py"
-    return False, f"nothing answers, neither as {kind} nor as another board that failstop knows", WIRES
+        return (
+            None,
+            f"{kind} can't be asked anything, so nobody knows whether it is there",
+            "add questions to its wire.py",
+        )
+    return False, f"nothing answers as {kind}, or as another board that failstop knows", WIRES

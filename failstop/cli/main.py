@@ -39,7 +39,7 @@ GROUPS = {
     "check": {
         "setup": ("setup.command", "set up your robot by answering questions, and test its stops"),
         "demo": ("failstop_lab.commands.demo", "see it work: a simulated robot, every process killed, stops timed"),
-        "probe": ("failstop_lab.commands.probe", "measure whether a robot without failstop stops"),
+        "probe": ("failstop_lab.commands.probe", "measure whether a robot without failstop stops, on a stand"),
         "doctor": ("cli.commands.doctor", "check the computer, the port and the service; say what to fix"),
         "prove": ("failstop_lab.commands.prove", "time every kind of stop on your robot, on a stand"),
         "chaos": ("failstop_lab.commands.chaos", "inject random faults, and let a simulated board judge the stops"),
@@ -148,6 +148,7 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
     """The parser of one command, and its module. The module's EXAMPLES, a text or one for each command of the module,
     is shown at the end of its help. Raises FailstopError when the command is not installed."""
     import argparse
+    import textwrap
 
     home, what = COMMANDS[name]
     if not here(name):
@@ -155,11 +156,15 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
 
         raise FailstopError(f"`failstop {name}` is not installed here; next: install failstop-lab (docs/install.md)")
     module = __import__(home if home.startswith(LABORATORY) else f"failstop.{home}", fromlist=["main"])
-    parser = argparse.ArgumentParser(
-        prog=f"failstop {name}",
-        description=what[0].upper() + what[1:] + ".",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+
+    class Help(argparse.RawDescriptionHelpFormatter):
+        """Lines that break at spaces alone, so that what people type stays whole."""
+
+        def _split_lines(self, text: str, width: int) -> list[str]:
+            return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
+
+    description = f"{what[0].upper()}{what[1:]}."
+    parser = argparse.ArgumentParser(prog=f"failstop {name}", description=description, formatter_class=Help)
     module.add_arguments(parser)
     parser.epilog = "\n".join([EXAMPLES, *(f"  {line}" for line in examples(module, name))])
     return parser, module
@@ -202,7 +207,7 @@ def _report_error(error: Exception) -> int:
     elif isinstance(error, OSError) and error.errno in LOST:
         standard.let_go()
         if error.errno != errno.EPIPE:
-            standard.say(f"standard output takes no more ({error.strerror}): what is missing there was not written")
+            standard.say(f"standard output can't be written ({error.strerror}), so the output above is incomplete")
     else:
         raise error
     return 1

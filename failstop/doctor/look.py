@@ -129,9 +129,9 @@ class Look:
         if self.device_path:
             return self.device_path, "--device"
         if self.state:
-            return self.state.device.path, "of the running service"
+            return self.state.device.path, "from the running service"
         path, found, _ = self.settings
-        return found.text("device.path"), path or "the default of device.path"
+        return found.text("device.path"), path or "the default"
 
     @cached_property
     def node(self) -> Node | None:

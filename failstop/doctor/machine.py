@@ -18,7 +18,7 @@ SLOW_GOVERNORS = ("powersave", "conservative", "ondemand")
 LATE_US = 5_000.0
 """A tick later than this shows in the stop times."""
 PROCESSORS = "/sys/devices/system/cpu"
-STARVED = "look at what else has real-time priority (`ps -eo pid,rtprio,comm`), and at the host of a virtual machine"
+STARVED = "look what else has real-time priority (`ps -eo pid,rtprio,comm`); in a virtual machine, look at its host"
 
 
 def facts() -> dict[str, Any]:
@@ -43,15 +43,15 @@ def rights(look: Look) -> list[Finding]:
             well = "every process of the service has real-time priority, and its memory is locked"
             return warn(f"{starved}, in spite of real-time priority", "", STARVED) if starved else ok(well)
         told = f"{starved}; " if starved else ""
-        lack = f"no real-time priority, or memory that is not locked: {', '.join(poor)}"
+        lack = f"these processes lack real-time priority or locked memory: {', '.join(poor)}"
         if not all(row.realtime for row in look.state.processes.values()):
             price = f", and {status.cost(look.state.lease_s)}"
     else:
         with look.system.realtime() as granted:
             if granted:
-                return ok("this user gets real-time priority")
-        lack = "this user gets no real-time priority"
-    return warn(f"{told}{lack}; a busy machine delays the stops{price}", *_grant(look))
+                return ok("this user can get real-time priority")
+        lack = "this user can't get real-time priority"
+    return warn(f"{told}{lack}; stops come later on a busy machine{price}", *_grant(look))
 
 
 def _grant(look: Look) -> tuple[str, str]:
@@ -62,7 +62,7 @@ def _grant(look: Look) -> tuple[str, str]:
     if by_group := look.system.refused(look.pid, unit) if lacks else "":
         return "", by_group
     if managed:
-        lines = "LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]; in a container the host decides"
+        lines = "add LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]; in a container the host decides"
         return f"sudo systemctl edit {unit_of(look.name)}", lines
     return "", f"give it real-time rights: {status.CONTAINER if look.system.contained() else status.SHELL}"
 
@@ -70,9 +70,12 @@ def _grant(look: Look) -> tuple[str, str]:
 def early_news(look: Look) -> list[Finding]:
     """How soon the kernel reports a death."""
     if look.system.early_news():
-        return ok("the kernel reports a death before it frees the memory")
-    text = "the kernel reports a death late (no robust futexes), so a stop after it comes 1 ms later for each 10 MB"
-    return warn(text, "", "run the service on the host's own kernel: gVisor and qemu's user mode are such kernels")
+        return ok("the kernel reports a death before it frees the process's memory")
+    text = (
+        "the kernel reports a process's death late (no robust futexes), so its stop comes 1 ms later for each 10 "
+        "MB it used"
+    )
+    return warn(text, "", "run the service on the host's own kernel, not in gVisor or qemu's user mode")
 
 
 def shared_memory(look: Look) -> list[Finding]:
@@ -80,10 +83,14 @@ def shared_memory(look: Look) -> list[Finding]:
     needed, free = sum(spec.size for spec in layout.SEGMENTS), look.system.room(SHM)
     if free is None:
         fix = "sudo mount -t tmpfs -o mode=1777 tmpfs /dev/shm"
-        return fail("no /dev/shm that this user may write: there is no shared memory", fix)
+        return fail("this user can't write to /dev/shm, so there is no shared memory", fix)
     if free < needed and look.state is None:
-        text = f"/dev/shm has {free // 1024} KiB free, the service needs {needed // 1024}"
-        return fail(text, "ls -lS /dev/shm | head", "remove what fills it; or: sudo mount -o remount,size=75% /dev/shm")
+        text = f"/dev/shm has {free // 1024} KiB free, but the service needs {needed // 1024}"
+        return fail(
+            text,
+            "ls -lS /dev/shm | head",
+            "remove what fills it, or make it larger: sudo mount -o remount,size=75% /dev/shm",
+        )
     return ok(f"/dev/shm has room for the {needed // 1024} KiB that the service needs")
 
 
@@ -93,9 +100,9 @@ def processor(look: Look) -> list[Finding]:
     governors = sorted({governor for path in files if (governor := look.system.read(path))})
     if slow := [governor for governor in governors if governor in SLOW_GOVERNORS]:
         fix = f"echo performance | sudo tee {PROCESSORS}/cpu*/cpufreq/scaling_governor"
-        text = f"CPU governor {', '.join(slow)}: the first milliseconds after a wake-up run slowly"
-        return warn(text, fix, "until the next boot; cpupower's service keeps it")
-    scaled = f"governor {', '.join(governors)}" if governors else "frequency is not scaled here"
+        text = f"CPU governor {', '.join(slow)}: processes run slowly for some milliseconds after they wake up"
+        return warn(text, fix, "this lasts until the next boot; cpupower's service makes it permanent")
+    scaled = f"governor {', '.join(governors)}" if governors else "their frequency is not scaled"
     return ok(f"{os.cpu_count()} cores, {scaled}")
 
 
@@ -107,8 +114,8 @@ def ticks(look: Look) -> list[Finding]:
     realtime, late_ns = look.system.ticks()
     in_order, last = sorted(late_ns), len(late_ns) - 1
     median_us, p99_us, worst_us = (in_order[round(last * share)] / 1000 for share in (0.5, 0.99, 1.0))
-    numbers = f"median {median_us:.0f} us, 99 % {p99_us:.0f} us, worst {worst_us:.0f} us of {len(late_ns)}"
-    text = f"woken late {'with real-time priority' if realtime else 'at ordinary priority'}: {numbers}"
+    numbers = f"median {median_us:.0f} us, p99 {p99_us:.0f} us, worst {worst_us:.0f} us ({len(late_ns)} times)"
+    text = f"delay of a wake-up {'with' if realtime else 'without'} real-time priority: {numbers}"
     _, found, _ = look.settings
     lease_s = found[status.LEASE]
     if look.state:
@@ -117,11 +124,11 @@ def ticks(look: Look) -> list[Finding]:
         lease_s = status.lease_without_rights(found)
     spare_us = (lease_s - found["gate.period_s"]) * 1e6
     if worst_us >= spare_us:
-        text += f"; {spare_us / 1000:.0f} ms and the lease runs out: stops without a cause"
+        text += f"; after {spare_us / 1000:.0f} ms the lease runs out, and the robot stops for no other reason"
         if realtime:
-            advice = "find what holds the cores up: a virtual machine, firmware, a runaway real-time program"
+            advice = "find what keeps the cores busy: a virtual machine, firmware, or a runaway real-time program"
             return fail(text, "top -H", advice)
-        return warn(text, "", "give the service real-time priority: see rights")
+        return warn(text, "", "give the service real-time priority (see rights)")
     if realtime and worst_us >= LATE_US:
-        return warn(text, again, "once more on a quiet machine; then a kernel with PREEMPT_RT")
+        return warn(text, again, "try again on a quiet machine; if that does not help, use a kernel with PREEMPT_RT")
     return ok(text)

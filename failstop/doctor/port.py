@@ -12,7 +12,7 @@ from failstop.doctor.look import Finding, Look, fail, ok, skip, warn
 from failstop.doctor.system import Holder, System
 from failstop.policy.layouts import BOARDS
 
-RULE = ("", "the Debian package brings a rule for udev that sees to it (docs/install.md; without dpkg docs/service.md)")
+RULE = ("", "the Debian package has a udev rule for this (docs/install.md; without dpkg: docs/service.md)")
 BRLTTY = "brltty"
 LINK = "/dev/failstop"
 """The board's name by the udev rule of the Debian package: a replug may change its number, and not this."""
@@ -29,26 +29,32 @@ def present(look: Look) -> list[Finding]:
     """The device's file is there."""
     node, (device, origin) = look.node, look.device
     if node is None and os.path.exists(device):
-        return fail(f"{device} is no serial port", *SERIAL_BY_NAME)
+        return fail(f"{device} is not a serial port", *SERIAL_BY_NAME)
     if node is None:
         own = look.board.usb
         candidates = [(path, what) for path, what in look.system.ports(own) if what != NO_DESCRIPTION]
-        there = "here there is " + ", ".join(f"{path} ({what})" for path, what in candidates)
-        text = f"no device {device} ({origin}); {there if candidates else 'there is no USB serial device at all'}"
+        there = "found: " + ", ".join(f"{path} ({what})" for path, what in candidates)
+        text = f"no device {device} ({origin}); {there if candidates else 'no USB serial device is plugged in'}"
         if not candidates and (found := taken(look.system)):
             return fail(f"no device {device} ({origin}); {found[0].text}", found[0].fix, found[0].advice)
         if board := next((path for path, what in candidates if any(usb in what for usb in own)), None):
             return fail(text, f"failstop doctor --device {board}", f"then set device.path to {board}")
-        return fail(text, "sudo dmesg | tail", "plug the board in, and see whether the kernel saw it come")
+        return fail(text, "sudo dmesg | tail", "plug the board in, and look whether the kernel reports it")
     shared = device == LINK or device.startswith(NUMBERED) or (look.twins and device.startswith(BY_ID))
     if shared and look.look_alikes and not look.device_path:
         others = " and ".join(look.look_alikes)
-        text = f"{device} ({origin}) is the board or {others}, which has the same USB chip: a reset may swap them"
-        advice = "set device.path to the board's name in that folder, which is its socket, and restart the service"
+        text = (
+            f"{device} ({origin}) may be the board or {others}: both have the same USB chip, and a reset may swap "
+            "their names"
+        )
+        advice = (
+            "set device.path to the board's name in that folder, which depends only on its USB socket, and "
+            "restart the service"
+        )
         return warn(text, "ls -l /dev/serial/by-path", advice)
     if not look.device_path and device != LINK and os.path.realpath(look.system.path(LINK)) == node.resolved:
-        text = f"{device} ({origin}) is the board now; after a replug that number may be another's"
-        advice = f"set device.path to {LINK}, which is the same board and stays it, and restart the service"
+        text = f"{device} ({origin}) is the board now, but after a replug another device may get that number"
+        advice = f"set device.path to {LINK}, which always names the board, and restart the service"
         return warn(text, "", advice)
     behind = "" if node.resolved == node.path else f", which is {node.resolved}"
     return ok(f"{device}{behind} ({origin})")
@@ -58,12 +64,12 @@ def taken(system: System) -> list[Finding]:
     """A board's chip that is plugged in and has no serial port, because something else has taken it."""
     chips = {**{usb: "a board's own port" for kind in BOARDS for usb in board_of(kind, 1.0, 0.0).usb}, **ADAPTERS}
     for usb in system.portless(chips):
-        what = f"USB {usb} ({chips[usb]}) is plugged in and has no port"
+        what = f"USB {usb} ({chips[usb]}) is plugged in but has no serial port"
         if BRLTTY in _running(system):
-            text = f"{what}, because brltty has taken it for a braille display"
+            text = f"{what}, because brltty took it for a braille display"
             return fail(text, "sudo apt purge brltty", "then unplug the board and plug it in again")
         module = next((module for chip, module in DRIVERS.items() if chips[usb].startswith(chip)), "cdc_acm")
-        advice = "if there is no such module, the kernel was built without the driver for this chip"
+        advice = "if modprobe finds no such module, this kernel was built without the driver for this chip"
         return fail(f"{what}, because no driver has taken it", f"sudo modprobe {module}", advice)
     return []
 
@@ -81,17 +87,23 @@ def identity(look: Look) -> list[Finding]:
     if node.pseudo:
         return ok("a pseudo-terminal: a simulated board, or a program between the board and failstop")
     if usb in board.usb:
-        return ok(f"USB {usb}, the board's")
+        return ok(f"USB {usb}, as the board has it")
     if board.usb_alone and not usb:
-        text = f"{node.path} is no USB device; the board's port is one of {', '.join(board.usb)}"
-        return skip(text, f"failstop doctor --device {node.path}", "if it is the board: naming it allows the stop test")
+        text = f"{node.path} is not a USB device, but the board's port has a USB id: {', '.join(board.usb)}"
+        return skip(
+            text,
+            f"failstop doctor --device {node.path}",
+            "if it is the board, name it like this, and the stop is tested too",
+        )
     if board.usb_alone:
         return fail(f"{node.path} is USB {usb}; the board is {', '.join(board.usb)}", *SERIAL_BY_NAME)
     if chip := ADAPTERS.get(usb):
-        return ok(f"USB {usb}, a {chip} as in many devices: it says nothing of the board behind it")
+        return ok(f"USB {usb}, a {chip} chip: many devices have one, so it doesn't tell which board this is")
     if usb and (other := next((each for each in BOARDS if usb in board_of(each, 1.0, 0.0).usb), None)):
-        return warn(f"{node.path} is USB {usb}, as {other} has it; board.kind is {kind}", *SERIAL_BY_NAME)
-    return ok(f"{f'USB {usb}' if usb else 'no USB device'}; {kind} may be at any port")
+        return warn(
+            f"{node.path} is USB {usb}, which is a board of the kind {other}, but board.kind is {kind}", *SERIAL_BY_NAME
+        )
+    return ok(f"{f'USB {usb}' if usb else 'no USB device'}; a board of the kind {kind} may be at any port")
 
 
 def permission(look: Look) -> list[Finding]:
@@ -100,14 +112,14 @@ def permission(look: Look) -> list[Finding]:
     if node is None:
         return []
     if look.state:
-        return ok(f"left to the service, whose port is {look.state.device.state}")
+        return ok(f"the running service opens the port; it is {look.state.device.state}")
     if node.accessible:
         return ok(f"{who} may open it")
-    text = f"user {who} may not open {node.path}, which is of the group {node.group}"
+    text = f"user {who} may not open {node.path}, which belongs to the group {node.group}"
     # Root's group gives more than a port.
     if node.group == "root":
         return fail(text, *RULE)
-    return fail(text, f"sudo usermod -aG {node.group} {who}", "then log in again")
+    return fail(text, f"sudo usermod -aG {node.group} {who}", "then log out and in again")
 
 
 def held(look: Look) -> list[Finding]:
@@ -116,7 +128,7 @@ def held(look: Look) -> list[Finding]:
     for pid, paths in look.system.open_files():
         for gone in filter(None, map(GONE.fullmatch, sorted(paths or ()))):
             holder = look.system.holder(pid)
-            what = "open from before an unplug: the board comes back by another number"
+            what = "open since before it was unplugged, so the board gets another number when it comes back"
             found += warn(f"{holder} has {gone[1]} {what}", holder.end())
     if look.node is None:
         return found
@@ -126,17 +138,17 @@ def held(look: Look) -> list[Finding]:
     others = [holder for holder in holders if holder.pid not in ours and not holder.is_login]
     for name in dict.fromkeys(holder.instance for holder in others if holder.instance):
         text = f"the service {name!r} has the port open, and two services can't share a board"
-        found += fail(text, f"failstop doctor --name {name}", "this one may be meant; or end it")
+        found += fail(text, f"failstop doctor --name {name}", "perhaps you mean that service; if not, end it")
     for holder in others:
         if not holder.instance:
-            text = f"{holder} has the port open: what it writes goes past every check of failstop"
+            text = f"{holder} has the port open, and failstop checks nothing that it writes"
             known = _known(look, holder)
             found += fail(text, known.fix or holder.end(), known.remedy) if known else fail(text, holder.end())
     if unseen and not found:
-        text = f"nobody else is seen with it, but {unseen} processes hide their files from this user"
-        return warn(text, f'sudo "$(command -v failstop)" {look.again()}', "root sees them")
+        text = f"no other program seems to have it open, but {unseen} processes couldn't be checked as this user"
+        return warn(text, f'sudo "$(command -v failstop)" {look.again()}', "root can check them all")
     holders = tuple(holder for holder in holders if not holder.is_login)
-    return found or ok(f"only the service has it open ({len(holders)} processes)" if holders else "nobody has it open")
+    return found or ok("only the service has it open" if holders else "no program has it open")
 
 
 def talkers(system: System, path: str) -> list[Finding]:
@@ -146,7 +158,7 @@ def talkers(system: System, path: str) -> list[Finding]:
     found: list[Finding] = []
     # The baud rate may follow, behind a comma.
     if any(word.partition(",")[0] in (f"console={name}", f"console={real}") for word in words):
-        advice = "or take that console= out of cmdline.txt; then restart"
+        advice = "or remove that console= from cmdline.txt; then reboot"
         found += fail(f"the kernel writes its messages to {path}", "sudo raspi-config nonint do_serial_cons 1", advice)
     unit = f"serial-getty@{real}.service"
     if (system.said("systemctl", "is-active", unit) or "").strip() == "active":
@@ -171,7 +183,7 @@ def commanders(look: Look) -> list[Finding]:
     for holder in look.system.every():
         if known := _known(look, holder):
             found += warn(f"{holder} runs: {known.who}", known.fix or holder.end(), known.remedy)
-    return found or ok("nobody is known who could command it beside failstop")
+    return found or ok("failstop knows of nothing else here that could drive this board")
 
 
 def _known(look: Look, holder: Holder) -> Commander | None:
@@ -186,13 +198,14 @@ def grabbers(look: Look) -> list[Finding]:
     names = _running(look.system)
     left_alone = look.node and (look.node.modem_ignored or look.node.pseudo)
     if "ModemManager" in names and not left_alone:
-        text = "ModemManager runs and is not told to leave the port alone: it opens it and writes to the board"
+        text = "ModemManager is running and may open the port and write to the board, because no rule tells it not to"
         ours = look.usb_id in ADAPTERS or look.usb_id in look.board.usb
         found += fail(text, *(RULE if ours or look.node is None else ("sudo systemctl disable --now ModemManager", "")))
     if BRLTTY in names:
         text = (
-            "brltty runs: it takes USB serial adapters (CH340, CP210x, FTDI) for braille displays, and their port goes"
+            "brltty is running: it takes USB serial adapters (CH340, CP210x, FTDI) for braille displays, so "
+            "their port disappears"
         )
         found += warn(text, "sudo apt purge brltty")
-    told = "ModemManager runs and is told to leave this port alone"
-    return found or ok(told if "ModemManager" in names else "neither ModemManager nor brltty runs")
+    told = "ModemManager is running, but a rule tells it to leave this port alone"
+    return found or ok(told if "ModemManager" in names else "neither ModemManager nor brltty is running")

@@ -24,7 +24,7 @@ UNIT_USER = "failstop"
 EACH_RUN_S = ("gate.lease_s", "device.path")
 MOST_NAMED = 4
 """Settings that one row names."""
-ALONE = "nothing here measures speeds apart from it, so no drive can show that it is wrong"
+ALONE = "nothing else on this robot measures its speed, so failstop can't notice if board.per_rps is wrong"
 REMOVE_IPC = ("org.freedesktop.login1", "/org/freedesktop/login1", "org.freedesktop.login1.Manager", "RemoveIPC")
 """Where logind says whether it does."""
 
@@ -33,16 +33,16 @@ def settings(look: Look) -> list[Finding]:
     """The settings that a start would read, and whether the service that runs has others."""
     path, _, problem = look.settings
     if problem:
-        text = f"{problem}: the service does not start with them"
-        return fail(text, f"failstop config --check {shlex.quote(path)}", "after the correction")
+        text = f"{problem}; the service won't start until this is fixed"
+        return fail(text, f"failstop config --check {shlex.quote(path)}", "check the file again after you fix it")
     if look.state and (others := _others(look)):
         named = (
             f"{', '.join(others[:MOST_NAMED])}{f' and {len(others) - MOST_NAMED} more' * (len(others) > MOST_NAMED)}"
         )
         if not path:
-            return ok(f"of a file that {look.name!r} was started with ({named})")
-        text = f"{look.name!r} runs with other settings than {path} has: {named}"
-        return warn(text, "", "start it again if they are to count, which stops the wheels")
+            return ok(f"no installed file; {look.name!r} runs with settings of its own ({named})")
+        text = f"{look.name!r} runs with other settings than those in {path}: {named}"
+        return warn(text, "", "restart the service to use the file's; that stops the wheels")
     return ok(path or "no file: every setting has its default")
 
 
@@ -60,29 +60,29 @@ def running(look: Look) -> list[Finding]:
     state, version, problem = look.service
     if problem:
         fix = f"sudo systemctl restart {unit_of(look.name)}" if look.unit.get("ActiveState") == "active" else ""
-        return fail(problem, fix, "a new start of the service helps, and stops the wheels")
+        return fail(problem, fix, "restarting the service helps; it also stops the wheels")
     if state is None:
         return _not_running(look)
     user, newer = look.system.owner(f"/proc/{look.pid}"), "" if version == VERSION else f", this command is {VERSION}"
-    where = f"{look.name!r} runs (pid {look.pid}, user {user}, failstop {version}{newer})"
+    where = f"{look.name!r} is running (pid {look.pid}, user {user}, failstop {version}{newer})"
+    if state.device.state != "open":
+        return fail(f"{where}, and {verdict.unreached(state)}", f"failstop why --name {look.name}", OFF)
     if state.device.link == "deaf":
-        return fail(f"{where}, and the board does not hear", "", f"{OFF}, then look at the wire to it")
+        return fail(f"{where}, and the board does not hear", "", f"{OFF}, then check the cable to the board")
     if state.device.link == "silent":
         text = f"{where}, and {verdict.doubt(state)}"
-        return fail(text, f"failstop why --name {look.name}", f"{OFF}, then look at its supply and the wire from it")
+        return fail(text, f"failstop why --name {look.name}", f"{OFF}, then check the board's power and its cable")
     if state.device.link == "unheard":
         text = f"{where}, and {state.device.path} has not answered since it came back: it may not be the board"
         return fail(text, f"failstop why --name {look.name}", OFF)
     if waits := state.waiting_for or (state.device.link == "unproven" and "the board's first answer"):
         return warn(f"{where} and waits for {waits}", f"failstop status --name {look.name}")
     if doubt := verdict.doubt(state):
-        return fail(
-            f"{where}, and {doubt}", f"failstop why --name {look.name}", "cut the motors' power with the switch"
-        )
-    motion = f"stop latched: {state.cause}" if state.cause else "enabled" if state.enabled else "disabled"
-    found = ok(f"{where}, device {state.device.state}, {verdict.LINKS[state.device.link]}, motion {motion}")
+        return fail(f"{where}, and {doubt}", f"failstop why --name {look.name}", OFF)
+    motion = f"a stop is latched: {state.cause}" if state.cause else f"motion {'en' if state.enabled else 'dis'}abled"
+    found = ok(f"{where}, device {state.device.state}, {verdict.LINKS[state.device.link]}, {motion}")
     if state.imu is None and look.board.observed_by == BY_IMU:
-        text = "no IMU reports: nothing observes whether the wheels stand"
+        text = "no IMU reports, so nothing observes whether the wheels are still"
         off = ok(f"{text} (board.imu is off)")
         found += warn(text, "", 'set board.imu = "off" for a robot without one') if state.device.imu else off
     wrong = [f"the arm: {text}" for text in (state.arm.wrong if state.arm else ())]
@@ -92,11 +92,13 @@ def running(look: Look) -> list[Finding]:
 
 
 def _not_running(look: Look) -> list[Finding]:
-    text = f"no service named {look.name!r} is running, so nothing can drive, and nothing would stop wheels that turn"
+    text = (
+        f"no service named {look.name!r} is running, so nothing drives through failstop, and nothing stops the wheels"
+    )
     if others := look.system.services():
-        text += f" (there is {', '.join(others)})"
+        text += f" (running: {', '.join(others)})"
     if look.node is None:
-        return warn(text, "", "first fix the port")
+        return warn(text, "", "fix the port first")
     if look.unit:
         return warn(text, f"sudo systemctl start {unit_of(look.name)}")
     config = f" --config {shlex.quote(look.settings[0])}" if look.settings[0] else ""
@@ -111,14 +113,14 @@ def wheels_scale(look: Look) -> list[Finding]:
             return []
         if look.board.scale_assumed:
             return warn(scale.cap_text(scale.capped(look.active_settings, assumed=True)), fix)
-        return ok(f"board.per_rps is {look.board.per_rps:g}, and the next drive shows whether it fits")
+        return ok(f"board.per_rps is {look.board.per_rps:g}, and the next drive shows whether it is right")
     known = look.state.scale
     if known.capped:
         return warn(known.capped, fix)
     if known.wrong:
-        return [row for text in known.wrong for row in warn(text, "", "correct the setting, and restart the service")]
-    seen = [(known.wheels, "as the board reports them"), (known.turn, "as the gyro feels the turn")]
-    said = [f"{share:.2f} times as fast as told, {by}" for share, by in seen if share is not None]
+        return [row for text in known.wrong for row in warn(text, "", "correct the setting and restart the service")]
+    seen = [(known.wheels, "as the board reports them"), (known.turn, "as the gyro measures the turn")]
+    said = [f"{share:.2f} times as fast as commanded, {by}" for share, by in seen if share is not None]
     if known.remarks:
         return [row for text in known.remarks for row in ok(text)]
     if said:
@@ -126,7 +128,8 @@ def wheels_scale(look: Look) -> list[Finding]:
     if isinstance(look.board, Unknown):
         return []  # the check of the board says why
     independent = look.board.reports.own_scale or look.active_settings.on("board.imu")
-    return ok("not compared yet: the next drive will show it" if independent else ALONE)
+    way = "drive" if look.board.reports.own_scale else "curve"
+    return ok(f"not compared yet; the next {way} will show it" if independent else ALONE)
 
 
 def clients(look: Look) -> list[Finding]:
@@ -141,9 +144,10 @@ def unit(look: Look) -> list[Finding]:
     """Its systemd unit."""
     name, found = unit_of(look.name), look.unit
     if not found:
-        text = f"systemctl shows no unit {name}: without one nothing starts the service at boot or after a crash"
+        text = f"systemd has no unit {name}, so nothing starts the service at boot or after a crash"
         advice = (
-            "install the Debian package, which has the unit (docs/install.md); in a container its runtime restarts it"
+            "install the Debian package, which has the unit (docs/install.md); in a container, let the "
+            "container's runtime restart it"
         )
         return warn(text, "", advice)
     active, result, restarts = (found.get(key, "") for key in ("ActiveState", "Result", "NRestarts"))
@@ -151,8 +155,8 @@ def unit(look: Look) -> list[Finding]:
         text = f"{name} is {active} ({found.get('SubState')}; result: {result}; restarted by systemd: {restarts})"
         return (warn if active == "active" else fail)(text, f"journalctl -xeu {name}")
     if found.get("UnitFileState") not in ("enabled", "enabled-runtime", "static"):
-        return warn(f"{name} is {active} and not started at boot", f"sudo systemctl enable {name}")
-    return ok(f"{name} is {active}, started at boot")
+        return warn(f"{name} is {active}, but it does not start at boot", f"sudo systemctl enable {name}")
+    return ok(f"{name} is {active}, and it starts at boot")
 
 
 def state_directory(look: Look) -> list[Finding]:
@@ -165,7 +169,7 @@ def state_directory(look: Look) -> list[Finding]:
     uid = system.uid(process)
     path = root.state_directory(look.name, environ, writable=lambda folder: system.writable(folder, uid))
     if reason := system.no_room(path):
-        return warn(f"{reason}: stops leave no incident in {path}", f"df -h {shlex.quote(path)}")
+        return warn(f"{reason}, so incidents can't be saved in {path}", f"df -h {shlex.quote(path)}")
     there = path
     while system.uid(there) < 0 and there != os.path.dirname(there):
         there = os.path.dirname(there)
@@ -175,11 +179,11 @@ def state_directory(look: Look) -> list[Finding]:
         # The unit's own user: one that does not run yet has no process to ask.
         uid = system.account(UNIT_USER) if not look.state else uid
     if not system.writable(there, uid):
-        text = f"the service's user can't write to {there}: stops leave no incident"
+        text = f"the service's user can't write to {there}, so incidents can't be saved"
         return warn(
             text,
             f"ls -ld {shlex.quote(there)}",
-            "give the folder to that user (chown), or start the service as another",
+            "give the folder to that user (chown), or run the service as another user",
         )
     return ok(f"{path} has room" if there == path else f"{path} does not exist yet, and can be made")
 
@@ -189,9 +193,9 @@ def remove_ipc(look: Look) -> list[Finding]:
     process = f"/proc/{look.pid}"
     # A service that systemd would start runs as a system user.
     if look.system.uid(process) < FIRST_REGULAR_UID or (look.unit and not look.state):
-        return ok("RemoveIPC does not concern the service's user")
+        return ok("the service runs as a system user, so RemoveIPC does not matter")
     if look.system.said("busctl", "get-property", *REMOVE_IPC) != "b true\n":
         return ok("RemoveIPC is off")
-    text = f"RemoveIPC is on: the service's shared memory goes when {look.system.owner(process)} logs out"
+    text = f"RemoveIPC is on, so logind deletes the service's shared memory when {look.system.owner(process)} logs out"
     fix = f"sudo mkdir -p {LOGIND} && printf '[Login]\\nRemoveIPC=no\\n' | sudo tee {LOGIND}/failstop.conf"
-    return warn(text, fix, "in force after the next boot; or run it as the system user failstop")
+    return warn(text, fix, "takes effect after the next boot; or run the service as the system user failstop")

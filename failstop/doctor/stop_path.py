@@ -29,14 +29,14 @@ from failstop.policy.proofs import LINK_ALIVE, LINK_DEAF, LINK_SILENT, LINK_UNAS
 from failstop.supervisor.port_handover import OwnPort
 
 ANSWER_S = 0.5
-UNANSWERED = "written; this board acknowledges nothing"
+UNANSWERED = "written; this board never acknowledges a stop"
 
 
 def board(look: Look) -> list[Finding]:
     """The board that the settings name answers, and no other."""
     if isinstance(look.board, asking.Unknown):
         path = look.settings[0]
-        fix, advice = (f"failstop config --check {path}", "") if path else ("", "correct it: the next start needs it")
+        fix, advice = (f"failstop config --check {path}", "") if path else ("", "fix it before the next start")
         return (warn if look.state else fail)(look.board.why, fix, advice)
     if look.state:
         return _known_by_the_service(look, look.state)
@@ -64,8 +64,12 @@ def _left_alone(look: Look) -> list[Finding]:
     elif holders:
         why = f"{holders[0]} has the port open"
     elif not (look.device_path or node.pseudo or look.usb_id in look.board.usb):
-        text = f"not tested: {node.path} may not be the board, and it is not written to"
-        resets = f"opening it may reset the board: deaf for {ns / 1e9:g} s" if (ns := look.board.port.deaf_ns) else ""
+        text = f"not tested: {node.path} may not be the board, so nothing is written to it"
+        resets = (
+            f"opening the port may reset the board, which then hears nothing for {ns / 1e9:g} s"
+            if (ns := look.board.port.deaf_ns)
+            else ""
+        )
         return skip(text, f"failstop doctor --device {node.path}", resets)
     else:
         return []
@@ -76,35 +80,39 @@ def _known_by_the_service(look: Look, state: State) -> list[Finding]:
     """The board as the service hears it."""
     age_s, now = state.ages.board_s, state.is_current(state.ages.battery_s)
     battery = f", and reports a battery of {state.battery_v:.1f} V" if state.battery_v and now else ""
-    if state.device.link in (LINK_DEAF, LINK_SILENT):
-        return fail(verdict.doubt(state), f"failstop why{option(look.name)}", asking.WIRES)
+    if state.device.state != "open" or state.device.link in (LINK_DEAF, LINK_SILENT):
+        return fail(verdict.unreached(state), f"failstop why{option(look.name)}", asking.WIRES)
     if state.device.link == LINK_ALIVE:
         return ok(f"it answers the service's questions as {look.kind} does{battery}")
     if state.device.link == LINK_UNASKED:
-        text = f"the service reads it as {look.kind}, which answers no question{battery}"
+        text = f"the service reads it as {look.kind}, which answers no questions{battery}"
         if age_s is None:
             reports = look.board.echo_ns or look.board.reports.every_ns
-            return warn(f"{text}; no report has come", "", asking.WIRES) if reports else ok(text)
-        return ok(f"{text}; it reported last {words.span(age_s)} ago")
-    text = f"it is not known to be {look.kind}: it answers none of the service's questions{battery}"
+            return warn(f"{text}; it has reported nothing so far", "", asking.WIRES) if reports else ok(text)
+        return ok(f"{text}; its last report was {words.span(age_s)} ago")
+    text = f"it may not be {look.kind}, because it answers none of the service's questions{battery}"
     stop = f"sudo systemctl stop {unit_of(look.name)} && " if look.unit else ""
-    advice = "with no service running doctor asks for the other boards too"
+    advice = "when no service is running, doctor also asks for the other kinds of boards"
     return warn(text, f"{stop}failstop doctor{option(look.name)} --device {state.device.path}", advice)
 
 
 def of_service(name: str, state: State) -> list[Finding]:
     """The outcome of the running service's last stop."""
     stop = state.last_stop
-    if state.device.link in (LINK_DEAF, LINK_SILENT):
-        return fail(f"{verdict.doubt(state)}, whatever its last stop proved", f"failstop why{option(name)}")
+    if unreached := verdict.unreached(state):
+        return fail(f"{unreached}, whatever its last stop proved", f"failstop why{option(name)}")
     if stop and stop.acknowledged_s is not None:
         return ok(f"the service's last stop: acknowledged by the board after {stop.acknowledged_s * 1e3:.1f} ms")
     if stop and stop.written_s is not None and state.device.link == LINK_UNASKED:
         return ok(
             f"the service's last stop: {f'written, {UNMOVED}' if stop.acknowledged_by == BY_ECHO else UNANSWERED}"
         )
-    text = "the service's last stop: not acknowledged by the board" if stop else "the service has stopped nothing yet"
-    advice = f"it latches a stop; then doctor once more, and `failstop reset{option(name)}`"
+    text = (
+        "the board has not acknowledged the service's last stop"
+        if stop
+        else "this run of the service has had no stop yet"
+    )
+    advice = f"this latches a stop; then run doctor again, and `failstop reset{option(name)}`"
     return (warn if stop else skip)(text, f"failstop stop{option(name)}", advice)
 
 
@@ -131,7 +139,7 @@ def by_hand(path: str, boards: Mapping[str, Board], again: str) -> tuple[list[Fi
             known, text, remedy = asking.told_of(heard, kind, board)
             told = fail(text, again, remedy) if known is False else (ok if known else skip)(text, "", remedy)
             if known is False:
-                return told, skip("not tested: it is not known to be the board", "", "fix that first")
+                return told, skip("not tested, because it may not be the board", "", "fix that first")
             set_speed(own.fd, board.port)
             tap = Tap(own.fd, board)
             for writer, write in WRITERS.items():
@@ -141,7 +149,7 @@ def by_hand(path: str, boards: Mapping[str, Board], again: str) -> tuple[list[Fi
                     break
             return told, found
     except (OSError, PortError) as error:
-        advice = "once that is seen to; wheels that turn: the POWER SWITCH"
+        advice = "try again once that is fixed; if a wheel turns, use the POWER SWITCH"
         return told, [*found, *fail(f"no stop was written: {error}", again, advice)]
 
 
@@ -169,9 +177,9 @@ def judged(writer: str, board: Board, answered_ms: float | None, again: str) -> 
     if not (board.pings or board.echo_ns):
         return ok(f"{writer}: {UNANSWERED}")
     if answered_ms is None:
-        proof = "answer the ping behind it" if board.pings else "report that it obeys a stop"
-        text = f"{writer}: the burst was written, and the board did not {proof}"
-        return fail(text, again, "is it the board? if so, cut its power and try again")
+        proof = "answer the ping after it" if board.pings else "report that it obeys"
+        text = f"{writer}: the stop was written, but the board did not {proof}"
+        return fail(text, again, "is this the board? If so, turn its power off and on, and try again")
     if not board.pings:
-        return ok(f"{writer}: written; the board reports that it obeys zero, as it does without hearing anything too")
+        return ok(f"{writer}: written; the board reports zero speed, but it would also do that if it heard nothing")
     return ok(f"{writer}: acknowledged by the board after {answered_ms:.1f} ms")

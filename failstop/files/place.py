@@ -93,4 +93,4 @@ def opened(path: str, flags: int, *, pipe: bool = False) -> int:
     os.close(fd)
     if found.st_uid != owner:
         raise Untrusted(path, f"belongs to {user(found.st_uid)}, its directory to {user(owner)}: remove it")
-    raise Untrusted(path, f"is no {'FIFO' if pipe else 'regular file'}: remove it")
+    raise Untrusted(path, f"is not a {'FIFO' if pipe else 'regular file'}: remove it")

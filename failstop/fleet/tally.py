@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from failstop.fleet.levels import StopAnswer
 
 UNCONFIRMED = {
-    levels.WRITTEN: "asked, but not written as far as it knows",
+    levels.WRITTEN: "asked, but as far as it knows not written",
     levels.ACKNOWLEDGED: "written, but its board has not acknowledged it",
-    levels.OBSERVED: "written, but its IMU has not observed that the wheels stand",
+    levels.OBSERVED: "written, but its IMU has not observed that the wheels have stopped",
 }
 """The words for a robot that has not come to the level that confirms."""
 TAKEN_OFF = "TAKEN OFF"

@@ -11,14 +11,14 @@ def check(look: Look) -> list[Finding]:
     clients = look.state.clients if look.state else ()
     found = [(path_in(client.sees), client) for client in clients if path_in(client.sees)]
     if not found:
-        return ok("no guard port is open: a driver that was written for the bare board can keep its code with one")
+        return ok("no guard port is open; you need one only to keep a driver that was written for the bare board")
     path, client = found[0]
     if look.active_settings.on("scan.gate") and look.state and look.state.scan_age_s is None:
         return warn(
-            f"no program reports an obstacle sensor, and scan.gate is on: a driver at {path} moves no wheel",
+            f"no program reports an obstacle sensor, and scan.gate is on, so a driver at {path} can't move the wheels",
             "",
             'set scan.gate = "off" and restart the service, or have a program call Robot.sensed()',
         )
     if client.name == GUARD:
         return ok(f"the guard port is {path}; no driver has it open")
-    return ok(f"{client.name} (pid {client.pid}) drives through the guard port {path}")
+    return ok(f"{client.name} (pid {client.pid}) uses the guard port {path}")

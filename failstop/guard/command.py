@@ -44,11 +44,11 @@ NICE = -10
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop guard`."""
     add = parser.add_argument
-    add("--path", metavar="PATH", help="where your driver opens it (default: the setting guard.path)")
+    add("--path", metavar="PATH", help="where your driver opens the port (default: the setting guard.path)")
     add(
         "--dry-run",
         action="store_true",
-        help="try it without a robot: print what your driver writes and what it would get",
+        help="try your driver without a robot: print what it writes and what would become of it",
     )
     add("--board", metavar="KIND", help="with --dry-run: the board to play (default: the setting board.kind)")
     add("--config", metavar="FILE", help="with --dry-run: TOML file with settings (default: the installed file)")
@@ -117,7 +117,7 @@ def _usual(settings: Settings, name: str) -> str:
     session = os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{os.getuid()}"
     if os.access(session, os.W_OK):
         return os.path.join(session, f"{name}-{PORT}")
-    raise FailstopError("this user has no folder for the port: choose a place with --path")
+    raise FailstopError("this user can't write to any of the usual folders for the port; choose a place with --path")
 
 
 def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:

@@ -16,6 +16,12 @@ if TYPE_CHECKING:
     from failstop.guard.talk import Command
     from failstop.policy.settings import Settings
 
+AT_DEATH = {
+    "disable": "and motion is disabled",
+    "latch": "and a stop is latched",
+    "stay": "but motion stays enabled",
+}
+"""What follows when a driver dies while it drives, by the setting gate.driver_death."""
 MOST_SHOWN = 200
 """Different motions that are printed of one driver."""
 
@@ -48,8 +54,9 @@ class Nothing:
 
     def leave(self, *, in_order: bool) -> None:
         """A driver ends."""
-        if not in_order:
-            self._tell("  with failstop: the wheels stop, and motion is disabled (gate.driver_death)")
+        if not in_order and self.settings:
+            then = AT_DEATH[self.settings.text("gate.driver_death")]
+            self._tell(f"  with failstop: the wheels stop, {then} (gate.driver_death)")
 
     def command(self, command: Command) -> str:
         """Print a motion, the first time."""

@@ -137,7 +137,7 @@ class Guard:
             self._begin()
         if self._board.note != self._note:
             self._note = self._board.note
-            self._tell(self._note or "the service is there")
+            self._tell(self._note or "the service is running")
         if not self._pty.linked():
             self._pty.link_again()
         self._pty.check()
@@ -298,14 +298,14 @@ class Guard:
         for answer in self._talk.wrote(chunk, now_ns, since_ns):
             self._pty.write(answer)
         if not empty and now_ns - since_ns > LOOK_NS:
-            self._talk.refuse("more than can be read in time", "what it writes may be old, so it moves nothing")
+            self._talk.refuse("more than the guard can read in time", "what it writes may be old, so it moves nothing")
         return empty
 
     def _report(self) -> None:
         """Say what the driver does not get."""
         if self._talk:
             for refusal in self._talk.refusals:
-                self._tell(f"{self._who}: {refusal.what}: {refusal.why}")
+                self._tell(f"{self._who}: refused {refusal.what}: {refusal.why}")
             self._talk.refusals.clear()
 
     def _drive(self, now_ns: int) -> None:
@@ -320,7 +320,7 @@ class Guard:
                 why = "a stop is latched" if block is Block.LATCHED else "motion is disabled"
                 self._board.leave(in_order=True)
                 self._door.hang_up()
-                self._tell(f"{self._who} wants to move while {why}: hung up (guard.hang_up)")
+                self._tell(f"{self._who} wants to move while {why}, so its port was closed (guard.hang_up)")
                 self._begin()
 
     def _forward(self, now_ns: int) -> None:

@@ -60,12 +60,14 @@ class Pty:
         try:
             found = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
         except OSError as error:
-            raise FailstopError(f"{path}: {error.strerror}; another place: failstop guard --path PATH") from None
+            raise FailstopError(f"{path}: {error.strerror}; choose another place with --path") from None
         try:
             fcntl.flock(found, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             os.close(found)
-            raise FailstopError(f"another guard is running at {self.path}: stop it first, or choose --path") from None
+            raise FailstopError(
+                f"another guard is running at {self.path}: stop it first, or choose another --path"
+            ) from None
         return found
 
     def _open(self) -> None:
@@ -94,13 +96,13 @@ class Pty:
             with contextlib.suppress(FileNotFoundError):
                 if not stat.S_ISLNK(os.lstat(self.path).st_mode):
                     remedy = "remove it, or choose another --path"
-                    raise FailstopError(f"{self.path} is there already and is no link: {remedy}")
+                    raise FailstopError(f"{self.path} exists already and is not a link: {remedy}")
             with contextlib.suppress(FileNotFoundError):
                 os.unlink(draft)
             os.symlink(self.name, draft)
             os.rename(draft, self.path)
         except OSError as error:
-            raise FailstopError(f"{self.path}: {error.strerror}; another place: failstop guard --path PATH") from None
+            raise FailstopError(f"{self.path}: {error.strerror}; choose another place with --path") from None
 
     def linked(self) -> bool:
         """Whether the link still leads here. A service that ends may take its runtime directory with it."""

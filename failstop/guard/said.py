@@ -4,7 +4,7 @@ from __future__ import annotations
 
 GUARD = "failstop guard"
 """Its name while no driver has the port open."""
-DRIVES = "drives through the guard port "
+DRIVES = "uses the guard port "
 WAITS = "no driver has opened the guard port "
 REFUSED = "failstop refused "
 

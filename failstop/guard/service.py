@@ -69,7 +69,7 @@ class Service:
 
     def _drop(self) -> None:
         self._reader = None
-        self.note = f"the service {self.name!r} has gone"
+        self.note = f"the service {self.name!r} has ended"
         self._leave(in_order=True)
 
     def _connect(self) -> None:

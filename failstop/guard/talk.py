@@ -29,7 +29,7 @@ MOST_FRAMES = 8
 """How many such frames may wait. A further one is dropped."""
 MOST_REFUSALS = 32
 """Different refusals that are reported of one driver."""
-NOT_WHEELS = "a motion that is no motion"
+NOT_WHEELS = "a motion that is not valid"
 
 
 class Command(Data):

@@ -58,7 +58,7 @@ def save(incident: Incident, path: str) -> int:
         raise IncidentError(NEEDS) from None
     incident.check_layout()
     if not path.endswith(SUFFIX):
-        raise IncidentError(f"{path}: an export's name ends in {SUFFIX}")
+        raise IncidentError(f"{path}: the name must end in {SUFFIX}")
     found = sorted((*_motion(incident), *_board(incident), *_events(incident)), key=lambda message: message[0])
     made = BytesIO()
     writer: Any = Writer(made)

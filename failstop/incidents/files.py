@@ -188,10 +188,12 @@ def read(path: str, *, with_body: bool = True) -> tuple[dict[str, Any], dict[str
         with open(durable.open_regular(path), "rb") as file:
             start = file.read(START_BYTES)
             if len(start) < START_BYTES or not start.startswith(MAGIC):
-                raise IncidentError(f"{path} is no incident of failstop, or its beginning is lost")
+                raise IncidentError(f"{path} is not an incident file of failstop, or its beginning is missing")
             form, _, head_length, head_crc, body_length, body_crc = _LENGTHS.unpack(start[len(MAGIC) :])
             if form != FORMAT:
-                raise IncidentError(f"{path} is of format {form}, this program reads {FORMAT}: use the newer failstop")
+                raise IncidentError(
+                    f"{path} is of format {form}, but this program reads {FORMAT}: use the newer failstop"
+                )
             whole = START_BYTES + head_length + body_length
             found = os.fstat(file.fileno()).st_size
             if found < whole or head_length > LONGEST_HEAD:
@@ -305,7 +307,9 @@ def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
     if len(meant) == 1:
         return str(meant[0]["path"])
     if meant:
-        raise IncidentError(f"incident {wanted!r} may be {', '.join(head['id'] for head in meant)}: write more of it")
+        raise IncidentError(
+            f"incident {wanted!r} could be {', '.join(head['id'] for head in meant)}: write more of its id"
+        )
     if found:
         raise IncidentError(f"no incident {wanted!r} of {name!r}: `failstop incident list` shows them")
     raise IncidentError("; ".join((nothing(name, environ), *problems)))
@@ -328,7 +332,9 @@ def nothing(name: str, environ: Mapping[str, str]) -> str:
     reasons = [why for place in where if os.path.isdir(place) and (why := durable.no_room(place))]
     reasons = list(dict.fromkeys(reasons)) or [why for why in [durable.no_room(where[0])] if why]
     if reasons:
-        return f"no incident of {name!r} is saved, and {' and '.join(reasons)}: stops leave no file until there is room"
+        return (
+            f"no incident of {name!r} is saved, and {' and '.join(reasons)}, so stops leave no file until there is room"
+        )
     return (
         f"no incident of {name!r} is saved in {' or '.join(where)}: see `failstop events`, or name another with --name"
     )

@@ -203,8 +203,8 @@ class Incident:
         """Raise IncidentError for one whose records this version can't read."""
         if self.foreign:
             raise IncidentError(
-                f"{self.id} is of failstop {self.head['versions']['failstop']}, whose records are laid out otherwise: "
-                "use that version for this; `failstop incident show` has what was told"
+                f"{self.id} was saved by failstop {self.head['versions']['failstop']}, which stored its records "
+                "differently: use that version for this; `failstop incident show` shows the logged events"
             )
 
     def ms(self, ns: int) -> float:

@@ -43,7 +43,7 @@ def left(name: str) -> tuple[Why, list[Event]] | None:
         what = f"THE WHEELS MAY TURN; if they do, use the POWER SWITCH: {what}"
         proof = "no stop is known to have been written"
         steps.insert(0, f"{host.stop(device)} if the wheels turn")
-    also = ("its black box is in memory, and is saved as an incident when it is started again",)
+    also = ("its last minute is still in memory, and is saved as an incident when the service is started again",)
     return Why(what, proof, tuple(steps), also, ended_s), [
         event for seq, _, payload in supervisor["rings"]["events"] if (event := unpack(seq, payload))
     ]
@@ -54,6 +54,6 @@ def refusal(name: str, error: NoService) -> NoService:
     if found := left(name):
         return NoService(f"{found[0].what}; {found[0].proof}; next: {', then '.join(found[0].do)}")
     if host.unit(name):
-        told = f"what it told is in {host.journal(name)}"
+        told = f"its log is in {host.journal(name)}"
         return NoService(f"no service named {name!r} is running: start it with {host.start(name)}; {told}")
     return error

@@ -156,13 +156,14 @@ def as_map(payload: bytes) -> dict[str, Any]:
 
 
 def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
-    """The three levels of proof in words, by the head of an incident, each with whether it is one (None: not known)."""
+    """The three levels of proof in words, by the head of an incident, each with whether it is one (None: not known,
+    also because the wheels were not seen to move before the stop either)."""
     stop: dict[str, Any] = head["stop"] or {}
     written_us, heard_us, seen_ms = (stop.get(level) for level in ("written_us", "acknowledged_us", "observed_ms"))
     found: list[tuple[str, bool | None]] = [
         (f"whether a stop was written: {NOT_KNOWN}", None),
-        (f"answer of the board: {NOT_KNOWN}", None),
-        (f"standstill: {NOT_KNOWN}", None),
+        (f"whether the board answered: {NOT_KNOWN}", None),
+        (f"whether the wheels stopped: {NOT_KNOWN}", None),
     ]
     if written_us is not None:
         found[0] = f"written after {took(written_us / 1e6)}", True
@@ -172,7 +173,7 @@ def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
         found[1] = f"acknowledged after {took(heard_us / 1e6)}", True
     if seen_ms is not None:
         # Without a word that would not fit a line of 80 columns.
-        found[2] = seen_after(seen_ms / 1e3, by=stop.get("observed_by") or "IMU"), True
+        found[2] = seen_after(seen_ms / 1e3, by=stop.get("observed_by") or "IMU"), True if seen_ms else None
     elif stop.get("wheels") == "unstill":
         found[2] = "wheels NOT seen still", False
     return found

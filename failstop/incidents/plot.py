@@ -67,7 +67,7 @@ SHADES = {
 def save(incident: Incident, path: str, seconds: float) -> None:
     """Write the picture, from `seconds` before the cause to the end, whole or not at all. Raises IncidentError."""
     if not path.lower().endswith(FORMATS):
-        raise IncidentError(f"{path}: a picture's name ends in {', '.join(FORMATS)}")
+        raise IncidentError(f"{path}: the name must end in {' or '.join(FORMATS)}")
     try:
         from matplotlib import style
         from matplotlib.figure import Figure

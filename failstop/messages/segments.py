@@ -241,7 +241,7 @@ def _open(memory: str, name: str, write: bool, owner: int = -1) -> int:
     try:
         return _open_file(memory, name, os.O_RDWR if write else os.O_RDONLY, os.geteuid() if owner < 0 else owner)
     except FileNotFoundError:
-        raise AttachError("absent", f"{where} is not there: start the service with `failstop run`") from None
+        raise AttachError("absent", f"{where} does not exist: start the service with `failstop run`") from None
     except PermissionError:
         raise AttachError(
             "permission", f"no permission on {where}: join the group `failstop`, or run as its user"
@@ -264,7 +264,7 @@ def _check_header(fd: int, memory: str, spec: SegmentSpec, incarnation: int | No
     """Return the segment's incarnation, or raise AttachError."""
     header, where = _header(os.pread(fd, HEADER_BYTES, 0)), _described(memory, spec.name)
     if header is None:
-        raise AttachError("damaged", f"{where} has no whole header: restart the service")
+        raise AttachError("damaged", f"{where} has an incomplete header: restart the service")
     fingerprint, size, found, name, version = header
     if fingerprint != LAYOUT_HASH:
         raise AttachError(

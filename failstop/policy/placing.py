@@ -76,7 +76,7 @@ def misplaced(text: str, keys: Iterable[str], known: Callable[[str], bool]) -> s
             else:
                 first = min(tables.values(), default=1)
                 where = f"move it above line {first}, the first [table]"
-            found.append(f"{place}`{setting}`, stands below `[{table}]`, so it would set {key}: {where}")
+            found.append(f"{place}`{setting}` is below `[{table}]`, so it would set {key}: {where}")
     more = f"; and {len(found) - MOST_NAMED} more" if len(found) > MOST_NAMED else ""
     return "; ".join(found[:MOST_NAMED]) + more
 

@@ -32,7 +32,7 @@ class Process(Data):
 PROCESSES = (
     Process(
         "port_owner",
-        role="keeps the port, the only writer of motion frames",
+        role="owns the port and is the only process that writes motion frames",
         priority=33,
         deadline_ns=100 * MS,
         outlives_supervisor=True,
@@ -40,7 +40,7 @@ PROCESSES = (
     ),
     Process(
         "stopper",
-        role="is the second stop channel, on its own descriptor of the port",
+        role="is a second way to stop, with its own descriptor of the port",
         priority=32,
         deadline_ns=250 * MS,
         outlives_supervisor=True,

@@ -14,7 +14,7 @@ LINKS_IN_WORDS = {
     LINK_DEAF: "the board does NOT hear",
     LINK_SILENT: "the board says NOTHING any more",
     LINK_UNHEARD: "the board has NOT answered since its port came back",
-    LINK_UNASKED: "this board answers no question, by its nature",
+    LINK_UNASKED: "this board answers no questions, by design",
 }
 """For people: what each state of the link means."""
 NOT_CONNECTED = (LINK_DEAF, LINK_SILENT, LINK_UNHEARD)
@@ -27,23 +27,23 @@ WAITS_FOR = {
 """For people: what motion waits for in these states."""
 TO_A_STRANGER = "to a device that has not answered as the board does"
 """For people: about bytes that the kernel has passed on to an unknown device."""
-NOT_SENT = "NOT sent: the board takes no bytes"
+NOT_SENT = "NOT sent: the board accepts no bytes"
 """For people: about bytes that the kernel took and still holds (with cdc_acm; a full pty takes none)."""
 ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo"}
 """For people: what acknowledges a stop, by the board interface's word."""
-UNMOVED = "not acknowledged: the board's echo shows a stop only where it ends motion"
-"""For people: about a board without pings whose echo was already zero, or did not show that it moves."""
+UNMOVED = "not acknowledged, because this board's echo shows only a stop that ends motion"
+"""For people: about a board without pings whose echo was zero already, or did not say that it moves."""
 SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
 """For people: what observed the wheels, by the board interface's word. If nothing does: NO_IMU."""
 NO_IMU = "not observed: the robot has no IMU"
 NEVER_SEEN = {"IMU": "no shaking seen before or after", "wheels": "not seen turning before or after"}
 """For people: the observer saw no motion that could have come to rest."""
 ALTHOUGH_TOLD_ZERO = {
-    "wheels": "the wheels turn although they are told zero",
-    "IMU": "the robot moves, or is being moved, although its wheels are told zero",
+    "wheels": "the wheels turn although they are told to stop",
+    "IMU": "the robot moves, or is being moved, although its wheels are told to stop",
 }
 """For people: about wheels that turn for longer than they may, by their observer."""
-WATCHDOGS = {"zero": "it stops its wheels", "coast": "its wheels roll on without current", "disarm": "it disarms"}
+WATCHDOGS = {"zero": "it stops its wheels", "coast": "it lets its wheels coast", "disarm": "it disarms its motors"}
 """For people: what the board's own watchdog does, by the board interface's word."""
 RESOLUTION_S = 0.2
 """The IMU can't time the wheels' rest any better than this."""

@@ -93,7 +93,7 @@ def gyro_remark(ratio: float, layout: str) -> str:
 
 
 def _turn(ratio: float) -> str:
-    return f"the robot turns {ratio:.2g} times as fast as it is told, as the gyro feels it"
+    return f"the robot turns {ratio:.2g} times as fast as it is told, as the gyro measures it"
 
 
 def _sizes(layout: str) -> str:

@@ -27,12 +27,12 @@ class Alive:
         if heard and acknowledged:
             self._until_ns, self._met = now_ns + self._timeout_ns, True
         elif not heard and self._met:
-            return "nobody hears of the goal any more"
+            return "nobody receives the goal any more"
         if now_ns < self._until_ns:
             return ""
         if not heard:
-            return "nobody hears of the goal reliably"
-        return f"a node that hears of the goal has acknowledged nothing for {self._timeout_ns / 1e9:g} s"
+            return "nobody receives the goal reliably"
+        return f"a node that receives the goal has acknowledged nothing for {self._timeout_ns / 1e9:g} s"
 
 
 class Unwatched:

@@ -83,7 +83,7 @@ class ArmFace:
         try:
             goal = self._node.create_subscription(type_of(ARM_GOAL.type), ARM_GOAL.name, self._goal, qos)
         except FailstopError as error:
-            self._node.get_logger().warning(f"{ARM_GOAL.name} is not heard: {error}")
+            self._node.get_logger().warning(f"{ARM_GOAL.name} can't be received: {error}")
             return ""
         return str(goal.topic_name)
 
@@ -198,7 +198,7 @@ class ArmFace:
             self._sender = None
         elif gone := self._sender.look(self._node.count_publishers(self._topic), now_ns):
             self._sender = None
-            self._node.get_logger().warning(f"{ARM_GOAL.name}: {gone}: held")
+            self._node.get_logger().warning(f"{ARM_GOAL.name}: {gone}, so the arm is held")
             self._hold_now()
 
     def rivals(self) -> str:

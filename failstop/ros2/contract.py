@@ -209,7 +209,7 @@ STATE_KEYS = {
     "scan_age": "s since the obstacle sensor delivered, or null",
     "gyro_bias_dps": "x, y, z in deg/s",
     "gyro_bias_tracking": "the bias follows the reading now",
-    "arm_holding": "the arm stands with its torque on",
+    "arm_holding": "the arm does not move, and its torque is on",
     "pad_mode": "locked, drive or joint",
     "pad_joint": "the joint that the gamepad turns, or null",
     "auto_tuck_in_s": "s until the arm tucks itself, or null",
@@ -239,7 +239,7 @@ class Parameter(NamedTuple):
 
 
 SETTINGS = (
-    Parameter("cmd_vel_type", "auto", "what is taken on cmd_vel", tuple(COMMAND_TYPES)),
+    Parameter("cmd_vel_type", "auto", "which message type cmd_vel accepts", tuple(COMMAND_TYPES)),
     Parameter("allowed_publishers", [""], "nodes that may publish cmd_vel; another one latches a stop. Empty: any"),
     Parameter("publish_tf", False, "publish odom to base_link; else an EKF does"),
     Parameter("imu_frame_id", "imu_link", "frame of imu/data_raw"),

@@ -18,8 +18,8 @@ STALE = 3
 
 StatusMessage = dict[str, Any]
 LINKS = {
-    "unproven": (WARN, f"unproven: {verdict.NEVER_ANSWERED}, so nobody knows that it hears"),
-    "deaf": (ERROR, "deaf: the board does not hear, so it may not hear a stop: use the POWER SWITCH"),
+    "unproven": (WARN, f"unproven: {verdict.NEVER_ANSWERED}, so nobody knows whether it hears"),
+    "deaf": (ERROR, "deaf: the board does not hear, so a stop may not reach the wheels: use the POWER SWITCH"),
     "silent": (
         ERROR,
         "silent: the board says nothing any more, so nobody knows whether it hears: use the POWER SWITCH",
@@ -107,12 +107,14 @@ def _port(state: State) -> StatusMessage:
 
 def _link(state: State) -> StatusMessage:
     link = state.device.link
+    if state.device.state != "open":
+        return _status("link", ERROR, f"{verdict.unreached(state)}: use the POWER SWITCH if the wheels turn")
     return _status("link", *LINKS.get(link, (OK, f"{link}: {verdict.LINKS[link]}")))
 
 
 def _battery(state: State) -> StatusMessage:
     if not state.battery_v:
-        return _status("battery", OK, "not told by the board")
+        return _status("battery", OK, "not reported by the board")
     age_s = state.ages.battery_s
     if not state.is_current(age_s):
         age = api_words.aged(age_s, current=False)
@@ -134,7 +136,7 @@ def _servos(state: State) -> Iterator[StatusMessage]:
 def _rights(state: State) -> StatusMessage:
     without = [name for name, process in state.processes.items() if process.pid and not process.realtime]
     if without:
-        return _status("real-time rights", WARN, f"missing for {', '.join(without)}: stops come later under load")
+        return _status("real-time rights", WARN, f"missing for {', '.join(without)}, so stops come later under load")
     return _status("real-time rights", OK, "granted")
 
 

@@ -157,7 +157,7 @@ class Inward:
             self._node.destroy_subscription(self._subscription)
             self._type = wanted
             self._subscription = self._subscribe(CMD_VEL, self._command, wanted)
-            self._node.get_logger().info(f"cmd_vel is {wanted} now, as its publisher offers it")
+            self._node.get_logger().info(f"cmd_vel is read as {wanted} now, because its publisher offers that")
 
     def _adopt_run(self) -> None:
         """A run of the service that was not seen before brings its settings, and wants a connection of its own."""

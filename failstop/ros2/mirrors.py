@@ -103,7 +103,9 @@ def differing(given: Mapping[str, object], shown: Mapping[str, ParameterValue]) 
         if name in shown and not _equal(value, shown[name]):
             keys = " and ".join(MIRROR_BY_NAME[name].keys)
             where = f"change {keys} in failstop's TOML file, or remove it here" if keys else f"remove it: {FIXED}"
-            lines.append(f"parameter {name} = {_shown(value)} is not taken, {_shown(shown[name])} holds: {where}")
+            lines.append(
+                f"parameter {name} = {_shown(value)} has no effect, because {_shown(shown[name])} is in force: {where}"
+            )
     return lines
 
 

@@ -40,8 +40,8 @@ BATTERY_NS = SLOW_NS * 9 // 10
 """New voltages are published this far apart at least: a board that reads one a second is sometimes early."""
 SUPERVISOR = "supervisor"
 FROM = {
-    "wheels": "the wheels' turns, as the board reports them",
-    "commands": "the commanded speeds, because the board has not reported its wheels",
+    "wheels": "the board's reports of the wheels",
+    "commands": "the commands, because the board has not reported its wheels",
 }
 """Each Odometry.source in words for people."""
 

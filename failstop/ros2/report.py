@@ -176,7 +176,7 @@ def status(state: State) -> dict[str, Any]:
 def _seen(stop: Stop) -> str:
     """Say whether the wheels were seen standing."""
     if stop.observed_s is None:
-        return "not seen still yet" if stop.observed_by else NO_IMU
+        return "wheels not seen still yet" if stop.observed_by else NO_IMU
     return f"observed after {stop.observed_s * 1e3:.0f} ms" if stop.observed_s else wheels_seen(0.0, stop.observed_by)
 
 
@@ -203,7 +203,7 @@ def proof(before: State | None, now: State | None, *, final: bool = False) -> tu
     more may become known. `final`: no more is waited for."""
     stop = now.last_stop if now else None
     if now is None or stop is None or not now.estop or (before and stop == before.last_stop and not before.estop):
-        return (False, "asked for a stop; the service has not told of it yet") if final else None
+        return (False, "the stop was requested, but the service has not confirmed it yet") if final else None
     if stop.written_s is None:
         return False, f"stop latched ({words.plain(now.cause)}), and it could NOT be written: use the POWER SWITCH"
     if (stop.observed_s if stop.observed_by else stop.acknowledged_s) is None and not final:

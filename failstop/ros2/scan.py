@@ -36,9 +36,9 @@ class ScanWatch:
             return "nobody publishes scan", ["nobody publishes scan: start the lidar's node, or remap its topic"]
         names = ", ".join(dict.fromkeys(publisher.node or NAMELESS for publisher in self._publishers))
         if self._heard_ns is None:
-            return f"scan: {names}", [f"{names} publishes scan and has sent nothing yet"]
+            return f"scan: {names}", [f"{names} publishes scan, but has sent nothing yet"]
         if now_ns - self._heard_ns > self.timeout_s * 1e9:
-            return f"scan: {names}", [f"{names} publishes scan and is silent"]
+            return f"scan: {names}", [f"{names} publishes scan, but is silent"]
         return f"scan: {names}", []
 
 

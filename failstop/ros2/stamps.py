@@ -39,7 +39,7 @@ class Stamps:
         if not stamp_ns:
             return ""
         if not (ros_ns := self._ros_ns()):
-            return f"how old its stamp is nobody knows: {NO_CLOCK}"
+            return f"nobody knows how old its stamp is: {NO_CLOCK}"
         age_s = (ros_ns - stamp_ns) / 1e9
         if abs(age_s) <= most_s:
             return ""

@@ -34,7 +34,7 @@ SETTLED_NS = 500_000_000
 """By then the client of the goal before has acknowledged what it was sent, if it lives."""
 FEEDBACK = f"{ARM_ACTION.name}/_action/feedback"
 """Every client of the action hears it."""
-UNSETTLED = "a node that heard of the goal before is dead or stopped, and DDS counts it for up to 20 s: try again then"
+UNSETTLED = "a node that received an earlier goal is dead or stopped, and DDS counts it for up to 20 s: try again then"
 Way = list[tuple[float, dict[str, float]]]
 
 
@@ -81,7 +81,7 @@ class Feedback:
         try:
             self.acknowledged()
         except Exception as error:
-            raise FailstopError(f"whether its client lives can't be seen with this RMW ({error})") from None
+            raise FailstopError(f"this RMW doesn't show whether its client is alive ({error})") from None
 
     def heard(self) -> int:
         """How many nodes hear it reliably; the others acknowledge nothing."""
@@ -180,7 +180,7 @@ class TrajectoryFace:
                 looked_ns = now_ns
                 if gone := client.look(self._feedback.heard(), self._feedback.acknowledged(), now_ns):
                     client = None
-                    self._node.get_logger().warning(f"{ARM_ACTION.name}: {gone}: held")
+                    self._node.get_logger().warning(f"{ARM_ACTION.name}: {gone}, so the arm is held")
                     self._hold()
             if now_ns - told_ns >= FEEDBACK_NS:
                 told_ns = now_ns

@@ -26,7 +26,7 @@ def kind_check(answer: str) -> str:
     """A kind of board. Raises NotAnAnswer."""
     if answer in BOARDS or is_own(answer):
         return answer
-    raise NotAnAnswer(f"type {', '.join(BOARDS)}, or the path of a folder of your own")
+    raise NotAnAnswer(f"type {', '.join(BOARDS)}, or the path of your own board's folder")
 
 
 def can_id_check(answer: str) -> str:
@@ -57,10 +57,10 @@ def step(talk: Talk, path: str) -> tuple[str, dict[str, object]]:
             if not kind:
                 sought = text if wanted or heard[-1].missing else f"no board that failstop knows answers at {path}"
                 talk.draft.forget("board", "port")
-                raise Left(f"{sought}; look at {remedy}")
+                raise Left(f"{sought}; {remedy}")
             if wanted and kind != wanted:
                 talk.draft.forget("board")
-                raise Left(f"{text}: give --board {kind}, or plug the other board in")
+                raise Left(f"{text}: give --board {kind}, or plug in the other board")
             baud = heard[-1].other_baud if heard[-1].known else 0
             found: dict[str, object] = {"board.baud": baud} if baud else {}
             if lone:
@@ -95,7 +95,7 @@ def _second(talk: Talk, fd: int, kind: str) -> dict[str, object]:
     board = board_of(kind, 1.0, 0.0, can_id=int(answer))
     if asking.ask(Tap(fd, board), board, stop=True) is None:
         talk.draft.forget("can_id")
-        raise Left(f"no controller answers at CAN id {answer}; look at {asking.SERVO_PLACES}")
+        raise Left(f"no controller answers at CAN id {answer}; {asking.SERVO_PLACES}")
     return {CAN_ID: int(answer)}
 
 

@@ -29,7 +29,7 @@ failstop setup --afresh                # begin again
 """
 QUESTIONS = {
     "port": "the board's port",
-    "board": f"the kind of board: {', '.join(BOARDS)}, or the folder of your own",
+    "board": f"the kind of board: {', '.join(BOARDS)}, or your own board's folder",
     "can_id": "the CAN id of the second VESC; none: there is one motor",
     "robot": "the robot's name, or other if failstop does not know it",
     "layout": "the kind of base, for example mecanum, if failstop does not know the robot",

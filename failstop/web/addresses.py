@@ -54,7 +54,8 @@ def terminal_text(found: dict[str, Any]) -> str:
     parts += [f"page  {place}" for place in places]
     if found["fingerprint"]:
         parts.append(
-            "The browser warns of the certificate, which is the robot's own. Go on only if it shows this SHA-256:"
+            "The browser warns about the certificate, because the robot made it itself. Go on only if it shows "
+            "this SHA-256:"
         )
         half = len(found["fingerprint"]) // 2 + 1
         parts += [f"  {found['fingerprint'][:half]}", f"  {found['fingerprint'][half:]}"]

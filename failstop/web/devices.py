@@ -130,9 +130,7 @@ class Pairing:
         """Use it up. Raises NotPaired for a wrong code, and when there is none to be had."""
         if not self._code or now_s > self._until_s:
             self._code = ""
-            raise NotPaired(
-                "there is no code to enter now: run failstop web pair on the robot, which shows one for two minutes"
-            )
+            raise NotPaired("no code is valid now: run failstop web pair on the robot, which shows one for two minutes")
         if not hmac.compare_digest(self._code.encode(), typed(code).encode("utf-8", "replace")):
             self._left -= 1
             if not self._left:

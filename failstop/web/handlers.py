@@ -223,7 +223,7 @@ class Verb(Guarded):
             return
         percent = messages.whole(self.body().get("percent"), 100)
         if verb == "limit" and percent is not None and percent > self.page.limit():
-            self.refuse(409, "a higher limit is held for, on the page")
+            self.refuse(409, "to raise the limit, hold its button on the page")
             return
         done, said = await self.page.workers.ask(verb, self.who(), percent)
         if done:
@@ -259,7 +259,7 @@ class Story(Guarded):
         elif (content := self.page.incidents.picture(identity)) is None:
             self.refuse(NOT_YET, "not yet")
         elif not content:
-            self.refuse(404, "no picture: that needs matplotlib on the robot")
+            self.refuse(404, "no picture, because it needs matplotlib on the robot")
         else:
             self.set_header("Content-Type", "image/png")
             self.set_header("Cache-Control", "private, max-age=86400, immutable")

@@ -100,7 +100,7 @@ class Live(Socket):
             if self.device() is None or not strangers:
                 self.refuse(503, "too many viewers")
             else:
-                strangers[0].close(1013, "a paired device takes this place")
+                strangers[0].close(1013, "a paired device needs this connection")
                 self.page.leave(strangers[0])
 
     def open(self, *_: str, **__: str) -> None:

@@ -53,7 +53,7 @@ def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
         "battery_age": words.aged(state.ages.battery_s, current=state.is_current(0.0)),
         "plugged": state.plugged,
         "port": f"{state.device.path} {state.device.state}",
-        "link": state.device.link,
+        "board": words.sentence(verdict.link(state)) if state.device.state == "open" else "not known",
         "imu": state.device.imu,
         "clients": [f"{client.name} (pid {client.pid})" for client in state.clients],
         "attended": state.attended_by,
@@ -100,7 +100,7 @@ def absent(note: str) -> dict[str, Any]:
         "battery_age": "",
         "plugged": "unknown",
         "port": "",
-        "link": "",
+        "board": "not known",
         "imu": True,
         "clients": [],
         "attended": None,
@@ -111,7 +111,8 @@ def absent(note: str) -> dict[str, Any]:
 
 
 def stop_of(stop: Stop | None) -> dict[str, Any] | None:
-    """The last stop with its three times in words; an empty text: not known (yet)."""
+    """The last stop with its three times in words. An empty text: that is not proved, and `lacks` says what is known
+    instead, if anything is."""
     if stop is None:
         return None
     return {
@@ -119,13 +120,25 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
         "t": stop.t,
         "written": _written(stop),
         "acknowledged": "" if stop.acknowledged_s is None else words.took(stop.acknowledged_s),
-        "observed": "" if stop.observed_s is None else proofs.still_or_unseen(stop.observed_s, "<", stop.observed_by),
-        "unseen": "" if stop.observed_by else "no IMU",
+        "observed": proofs.still_or_unseen(stop.observed_s, "<", stop.observed_by) if stop.observed_s else "",
+        "lacks": {
+            "written": "NO: it could not be written" if stop.written_s is None else "NO: the board accepts no bytes",
+            "acknowledged": "" if stop.acknowledged_by else "this board never does",
+            "observed": _unseen(stop),
+        },
     }
 
 
+def _unseen(stop: Stop) -> str:
+    """Why the wheels' rest was not observed; empty: not known (yet)."""
+    if not stop.observed_by:
+        return "no IMU"
+    return "" if stop.observed_s is None else proofs.NEVER_SEEN[stop.observed_by]
+
+
 def _written(stop: Stop) -> str:
-    if stop.written_s is None:
+    """The time until the bytes were sent; empty if they were not, or wait in the kernel."""
+    if stop.written_s is None or not stop.sent:
         return ""
     return f"{words.took(stop.written_s)}{'' if stop.believed else ', to a device that has not answered'}"
 

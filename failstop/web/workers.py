@@ -25,7 +25,7 @@ class Workers:
     async def ask(self, verb: str, who: str, percent: int | None = None, epoch: int | None = None) -> tuple[bool, str]:
         """(done, what was said). `percent`: of the speed limit; `epoch`: the newest stop that the asker knew of."""
         if self._waiting >= MOST_AT_WORK:
-            return False, "others are asking: again in a moment"
+            return False, "the page is busy: try again in a moment"
         self._waiting += 1
         try:
             return await asyncio.get_running_loop().run_in_executor(self._threads, self._ask, verb, who, percent, epoch)

@@ -55,7 +55,9 @@ class ScanGate:
             return Note("scan", text, {"state": "back", "age_s": age_s}, level="info")
         if not self.delivered_ns:
             return Note("scan", "no scan yet: programs can't move the wheels", {"state": "silent"})
-        return Note("scan", f"no scan for {age_s:.2f} s: wheels stopped", {"state": "silent", "age_s": age_s})
+        return Note(
+            "scan", f"no scan for {age_s:.2f} s, so the wheels are told to stop", {"state": "silent", "age_s": age_s}
+        )
 
 
 class Interlocks:

@@ -86,7 +86,7 @@ class Requests:
             # A stop that comes after this look is newer than the request, so the supervisor refuses it.
             return refused(UNSEEN) if seen and seen != self._epoch_word.get() else None
         if any(request.asked_ns < self._asked_ns.get(each, 0) for each in GIVES_WAY.get(request.verb, ())):
-            return refused("a later request took its place: ask again")
+            return refused("a later request replaced it: ask again")
         return None
 
     def settle(self, request: Request, reply: Reply, now_ns: int, *, enabled: bool = False) -> None:

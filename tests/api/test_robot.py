@@ -101,7 +101,7 @@ def test_waiting_for_a_word_and_for_a_function(robot: Robot) -> None:
     found = robot.wait_for(lambda state: "waited for" in (state.estop or ""), 5.0)
     assert found.block is Block.LATCHED
     robot.wait_for("still", 5.0)
-    with pytest.raises(ValueError, match=r"^wait_for\('stopt'\): no such word; there are ready, enabled"):
+    with pytest.raises(ValueError, match=r"^wait_for\('stopt'\): unknown word; choose from ready, enabled"):
         robot.wait_for("stopt")  # type: ignore[arg-type]
 
 

@@ -151,7 +151,7 @@ def test_a_board_whose_firmware_has_another_baud_rate_is_found_at_it(wanted: str
     known, text, remedy = told_of(heard, wanted, boards(wanted)[wanted])
     assert not known
     if wanted == "arduino":
-        assert text == "it answers as arduino does, at 115200 baud, and the settings have 57600"
+        assert text == "it answers as arduino does, but at 115200 baud, and the settings say 57600"
         assert remedy == "set board.baud = 115200"
     else:
         assert remedy.startswith('set board.kind = "arduino" and board.baud = 115200')
@@ -175,9 +175,9 @@ def test_a_bus_on_which_one_wheel_does_not_answer_is_known_and_the_servo_named(m
     assert isinstance(on.model.receiver, Bus)
     on.model.receiver.silent.add(missing)
     known, text, remedy = told_of(on.asked(wanted), wanted, boards(wanted)[wanted])
-    it = "it is feetech" if wanted == "feetech" else "it is feetech, and board.kind is rrc"
+    it = "it is feetech" if wanted == "feetech" else "it is feetech, but board.kind is rrc"
     assert (known, text) == (False, f"{it}; servo {missing} does not answer while others do")
-    assert remedy == "its plug on the bus, its power and its id"
+    assert remedy == "check its plug on the bus, its power and its id"
     assert not on.turned()
 
 
@@ -266,31 +266,31 @@ SILENT = [heard(each) for each in ("ugv", "hoverboard", "arduino", "rrc")]
             "arduino",
             [heard("arduino"), heard("arduino", answered_ms=3.1, after_s=2.01)],
             True,
-            "it answers as arduino does; opening the port reset it: deaf for 2 s",
+            "it answers as arduino does; opening the port reset it, so it heard nothing for 2 s",
             "",
         ),
         (
             "rrc",
             [heard("rrc", size=90), heard("hoverboard", reports=1, size=90)],
             False,
-            "the board that answers is hoverboard, and board.kind is rrc",
+            "the board that answers is hoverboard, but board.kind is rrc",
             'set board.kind = "hoverboard"',
         ),
         (
             "ugv",
             [heard("ugv", reports=1, size=9), *SILENT],
             False,
-            "it reports as ugv does, and answers no question: it does not hear",
+            "it reports as ugv does, but answers no question, so it may hear nothing",
             "TX and RX",
         ),
         (
             "ugv",
             [heard("ugv", size=77), *SILENT],
             False,
-            "77 bytes came, which no board that failstop knows says: it is not ugv",
+            "77 bytes came, but from no board that failstop knows, so this is not ugv",
             "baud rate",
         ),
-        ("ugv", SILENT, False, "nothing answers, neither as ugv nor as another board that failstop knows", "power"),
+        ("ugv", SILENT, False, "nothing answers as ugv, or as another board that failstop knows", "power"),
     ],
 )
 def test_the_verdict_on_a_board(name: str, answers: list[Heard], known: bool, text: str, advice: str) -> None:
@@ -303,7 +303,7 @@ def test_of_a_board_without_a_question_nobody_knows_whether_it_is_there() -> Non
     silent = Described(Wire(**{**vars(wire_of("arduino")), "questions": ()}), 1.0, 0.1)
     known, text, remedy = told_of([heard("/etc/tank"), *SILENT], "/etc/tank", silent)
     assert known is None
-    assert text.startswith("/etc/tank has no question")
+    assert text.startswith("/etc/tank can't be asked anything")
     assert "questions" in remedy
 
 
@@ -314,7 +314,7 @@ def test_a_second_vesc_that_does_not_answer_is_named_where_it_is_looked_for(want
     model.receiver.can_dead = True
     heard = on.asked(wanted)
     known, text, remedy = told_of(heard, wanted, boards(wanted)[wanted])
-    it = "it is vesc" if wanted == "vesc" else "it is vesc, and board.kind is rrc"
+    it = "it is vesc" if wanted == "vesc" else "it is vesc, but board.kind is rrc"
     assert (heard[-1].kind, known) == ("vesc", False)
     assert text == f"{it}; motor 2 (the VESC on its CAN) does not answer while others do"
-    assert remedy == "its plug on the bus, its power and its id"
+    assert remedy == "check its plug on the bus, its power and its id"

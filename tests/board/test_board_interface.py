@@ -175,10 +175,10 @@ def test_a_board_without_pings_is_driven_and_only_not_asked(monkeypatch: pytest.
     pings.stopped(0)
     assert not pings.due(10**12)
     (found,) = stop_path.judged("stopper's duplicate", BOARD, Tap(-1, BOARD).answered_ms(0.0), "failstop doctor")
-    assert (found.level, found.text) == (OK, "stopper's duplicate: written; this board acknowledges nothing")
+    assert (found.level, found.text) == (OK, "stopper's duplicate: written; this board never acknowledges a stop")
     unasked = Device("/dev/ttyACM0", "open", "unasked")
     (found,) = stop_path.of_service("failstop", latched(device=unasked, last_stop=stop(acknowledged_s=None)))
-    assert (found.level, found.text) == (OK, "the service's last stop: written; this board acknowledges nothing")
+    assert (found.level, found.text) == (OK, "the service's last stop: written; this board never acknowledges a stop")
 
 
 @pytest.mark.parametrize("kind", BOARDS)

@@ -89,7 +89,7 @@ def test_proofs_that_are_missing_are_seen() -> None:
         summary.last_stop(latched(last_stop=unseen), NOW_S)
     )
     held = latched(last_stop=stop(sent=False, acknowledged_s=None))
-    assert "NOT sent: the board takes no bytes, NOT acknowledged" in shown(summary.last_stop(held, NOW_S))
+    assert "NOT sent: the board accepts no bytes, NOT acknowledged" in shown(summary.last_stop(held, NOW_S))
     unwritten = latched(last_stop=stop(written_s=None))
     assert "could NOT be written" in shown(summary.last_stop(unwritten, NOW_S))
 
@@ -187,7 +187,7 @@ def test_an_event_is_a_line() -> None:
 def test_every_kind_fits_its_column_and_every_level_has_a_role() -> None:
     assert {kind.level for kind in EVENT_KINDS} <= set(summary.LEVEL_STYLES)
     assert events.kinds("stop, died") == {"stop", "died"}
-    with pytest.raises(FailstopError, match="no kind of event is called foo"):
+    with pytest.raises(FailstopError, match="no events have the kind foo"):
         events.kinds("stop,foo")
 
 
@@ -198,7 +198,7 @@ def test_since_an_age(text: str, age_s: float) -> None:
 
 @pytest.mark.parametrize("text", ["", "m", "10", "10y", "-5m", "25:00", "1.2.3s", "yesterday", "14:03", "٣m"])
 def test_since_nonsense(text: str) -> None:
-    with pytest.raises(FailstopError, match="allowed is"):
+    with pytest.raises(FailstopError, match="give an age"):
         events.since(text, NOW_S)
 
 
@@ -237,10 +237,10 @@ def test_a_row_of_an_event_leaves_out_what_to_do_next() -> None:
     [
         (True, True, "holding"),
         (True, None, "holding"),
-        (True, False, "holding, but for wrist"),
+        (True, False, "holding, except for wrist"),
         (False, False, "its torque is off"),
         (None, False, "its torque is off"),
-        (None, None, "stands; whether its torque is on is not read yet"),
+        (None, None, "not moving; its torque has not been read yet"),
     ],
 )
 def test_an_arm_is_said_to_hold_by_what_its_joints_tell(base: bool | None, wrist: bool | None, told: str) -> None:

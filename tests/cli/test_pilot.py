@@ -78,6 +78,14 @@ def test_the_screen_shows_keys_command_and_state(pilot: Pilot) -> None:
     assert [part for part in (*parts, "a note", "a tap drives") if part not in said] == []
 
 
+@pytest.mark.parametrize("slides", [True, False])
+def test_the_screen_offers_no_key_that_the_base_can_not_obey(scribe: Scribe, slides: bool) -> None:
+    pilot = Pilot(cast("Robot", scribe), "cmd_vel", (FULL[0], FULL[1] * slides, FULL[2]))
+    said = shown(pilot.lines(ENABLED, 1.0, 80))
+    assert ("slide left, right" in said) is slides
+    assert "r      reset a latched stop" in said
+
+
 def test_the_screen_says_what_helps_against_a_jerk(pilot: Pilot) -> None:
     for now_s in (1.0, 1.5, 1.53):
         assert "kbdrate" not in shown(pilot.lines(ENABLED, now_s, 80))

@@ -64,7 +64,7 @@ def test_output_that_nothing_takes_is_told_in_one_line(words: str, buffered: boo
         done = subprocess.run(command, **to, env=environ, text=True, timeout=60, check=False)  # type: ignore[call-overload]
     assert done.returncode == 1
     assert done.stderr == (
-        "failstop: standard output takes no more (No space left on device): what is missing there was not written\n"
+        "failstop: standard output can't be written (No space left on device), so the output above is incomplete\n"
     )
 
 

@@ -127,7 +127,9 @@ def test_a_terminal_without_escapes_gets_none(trial: Trial) -> None:
     for words in (["teleop"], ["status", "-w"]):
         with Typist([*FAILSTOP, *words, "--name", trial.name], environ={"TERM": "dumb"}) as typist:
             assert typist.end() == 1
-            assert "this needs a terminal with a screen, and TERM is 'dumb'" in " ".join(typist.raw.split())
+            assert "this command needs a terminal that can draw a screen, but TERM is 'dumb'" in " ".join(
+                typist.raw.split()
+            )
             assert "\x1b" not in typist.raw
 
 

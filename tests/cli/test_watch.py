@@ -83,7 +83,7 @@ def test_without_a_service_or_a_terminal(trial: Trial) -> None:
     command = [*FAILSTOP, "status", "-w", "--name", trial.name]
     done = subprocess.run(command, capture_output=True, text=True, timeout=20, stdin=subprocess.DEVNULL)
     assert done.returncode == 1
-    assert "needs a terminal" in done.stderr
+    assert "run it in a terminal" in done.stderr
 
 
 def _ticks(pid: int) -> int:

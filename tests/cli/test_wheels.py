@@ -62,13 +62,13 @@ def screens(found: State) -> dict[str, str]:
 
 
 TELLS = {
-    "status": "the wheels turn although they are told zero",
-    "watch": "the wheels turn although they are told zero",
-    "why": "THE WHEELS TURN (POWER SWITCH",
-    "page": "WHEELS TURN. The wheels turn although they are told zero.",
+    "status": "the wheels turn although they are told to stop",
+    "watch": "the wheels turn although they are told to stop",
+    "why": "THE WHEELS TURN (use the POWER SWITCH",
+    "page": "WHEELS TURN. The wheels turn although they are told to stop.",
     "fleet": '"wheels_may_turn"',
     "metrics": "failstop_wheels_unexpected 1",
-    "diagnostics": "TURNING: the wheels turn although they are told zero",
+    "diagnostics": "TURNING: the wheels turn although they are told to stop",
     "ros state": '"word": "TURNING", "does": "turning", "by": "wheels", "unexpected": true',
     "ros status": '"wheels_unexpected": true',
     "json": '"unexpected": true',
@@ -136,7 +136,8 @@ def test_a_board_that_does_not_answer_and_reports_turning_wheels_is_told_as_both
         (states.UNREAD, "not known (last read 3.2 s ago)"),
         (
             states.TURNED,
-            "not known; when last read the wheels turned: front left +0.80, rear left +0.80, front right +0.80, "
+            "not known; at the last reading the wheels were turning: front left +0.80, rear left +0.80, front "
+            "right +0.80, "
             "rear right +0.80 turns/s (last read 3.2 s ago)",
         ),
         (states.UNSEEN, "not known: nothing reports what the wheels do"),
@@ -152,7 +153,7 @@ def test_what_is_seen_has_its_source_and_its_age(turning: Turning, text: str) ->
 def test_an_imu_that_says_nothing_yet_is_named() -> None:
     sample = Imu(1, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
     found = state(turning=states.UNSEEN, imu=sample)
-    assert wheels.now(found) == "not known (the IMU does not tell it yet)"
+    assert wheels.now(found) == "not known (the IMU can't tell yet)"
     assert verdict.word(found) == "TOLD TO STOP"
 
 

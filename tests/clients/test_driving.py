@@ -50,7 +50,7 @@ def test_a_program_drives_and_its_end_stops_the_wheels(trial: Trial, driver: Dri
     assert driver.state()["answer_block"] == DISABLED
     trial.robot.enable()
     wait_for("the command to be held", lambda: driver.do("drive 0.2 0 0") or driver.state()["answer_block"] == HELD)
-    assert driver.text("why") == "commanded before motion was enabled: send zero, or pause, to drive"
+    assert driver.text("why") == "commanded before motion was enabled: send zero or pause, then drive"
     wait_for("the zero to be heard", lambda: driver.do("drive 0 0 0") or driver.state()["answer_block"] != HELD)
     wait_for("the wheels to turn", lambda: driver.do("for 0.05 0.2") or trial.turning())
     assert driver.state()["answer"] == DRIVING

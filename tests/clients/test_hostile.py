@@ -156,7 +156,7 @@ def test_a_service_whose_supervisor_has_just_died_is_not_connected_to(fresh: Tri
         fresh.service.kill()
         driver.do(f"open {fresh.name} 0")
         assert driver.do("connect") == NO_SERVICE
-        assert "is going away: try again" in driver.text("error")
+        assert "is ending: try again" in driver.text("error")
     finally:
         for pid in others:
             os.kill(pid, signal.SIGCONT)
@@ -168,13 +168,14 @@ def test_an_error_of_an_earlier_connection_is_not_told_again(fresh: Trial, drive
     fresh.leave()
     fresh.service.end()
     assert driver.do(f"open {fresh.name} 0") == NO_SERVICE
-    assert "no service named" in driver.text("error")
+    no_service = f"no service named '{fresh.name}' is running: start it with `failstop run --name {fresh.name}`"
+    assert driver.text("error") == no_service
     fresh.service.start()
     assert driver.do("connect") == OK
     assert driver.text("error") == ""
     fresh.service.end()
     assert driver.do("drive 0 0 0") == NO_SERVICE
-    assert "the service has gone" in driver.text("error")
+    assert "the service has ended" in driver.text("error")
 
 
 def test_a_slot_that_is_truncated_under_a_program_does_not_kill_it(fresh: Trial, driver: Driver) -> None:

@@ -42,7 +42,7 @@ OWNERS = {"/proc/100": "failstop", "/proc/self": "anna", STATE_FOLDER: "failstop
 SHARED: dict[str, Any] = {"quick": False, "device_path": None, "settings": ("", Settings(), ""), "service": SERVICE}
 SHARED |= {
     "unit": UNIT,
-    "device": ("/dev/ttyACM0", "the default of device.path"),
+    "device": ("/dev/ttyACM0", "the default"),
     "node": NODE,
     "active_settings": Settings(),
 }

@@ -92,7 +92,7 @@ def test_each_kind_of_board_is_known_and_another_told(kind: str, doctor: Doctor,
         config.write_text(f'board.kind = "{kind}"\n')
         _, found = doctor("--config", str(config), "--device", board.link, "--name", name)
         assert found["board"][0]["level"] == "ok", found["board"]
-        heard = ": written; the board reports that it obeys zero" if kind == "hoverboard" else ": acknowledged"
+        heard = ": written; the board reports zero speed" if kind == "hoverboard" else ": acknowledged"
         assert [line.partition(heard)[0] for line in stop_path(found)] == [
             "ok: supervisor's opening",
             "ok: stopper's duplicate",
@@ -102,9 +102,9 @@ def test_each_kind_of_board_is_known_and_another_told(kind: str, doctor: Doctor,
         assert not any(event.is_motion for event in board.events())
     assert code == 1
     [told] = found["board"]
-    assert told["text"] == f"the board that answers is {kind}, and board.kind is rrc"
+    assert told["text"] == f"the board that answers is {kind}, but board.kind is rrc"
     assert told["advice"].startswith(f'set board.kind = "{kind}"')
-    assert stop_path(found) == ["skip: not tested: it is not known to be the board"]
+    assert stop_path(found) == ["skip: not tested, because it may not be the board"]
 
 
 def test_a_board_that_does_not_hear_is_a_failure(doctor: Doctor, tmp_path: Path, name: str) -> None:
@@ -113,8 +113,8 @@ def test_a_board_that_does_not_hear_is_a_failure(doctor: Doctor, tmp_path: Path,
         code, found = doctor("--device", board.link, "--name", name)
     assert code == 1
     [told] = found["board"]
-    assert told["text"] == "it reports as rrc does, and answers no question: it does not hear"
-    assert stop_path(found) == ["skip: not tested: it is not known to be the board"]
+    assert told["text"] == "it reports as rrc does, but answers no question, so it may hear nothing"
+    assert stop_path(found) == ["skip: not tested, because it may not be the board"]
 
 
 def test_a_port_that_somebody_has_open_is_left_alone(doctor: Doctor, board: SimBoard, name: str) -> None:
@@ -151,7 +151,7 @@ def test_a_running_service_is_looked_at_and_left_alone(doctor: Doctor, name: str
         assert found["holders"][0]["level"] == "ok", found["holders"]
         assert trial.robot.state.last_stop is None
         assert found["board"][0]["text"].startswith("it answers the service's questions as rrc does")
-        assert stop_path(found) == ["skip: the service has stopped nothing yet"]
+        assert stop_path(found) == ["skip: this run of the service has had no stop yet"]
 
         trial.enable()
         trial.robot.estop("smoke")

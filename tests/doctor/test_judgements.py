@@ -15,6 +15,7 @@ from failstop.doctor.machine import PROCESSORS
 from failstop.doctor.service import ALONE
 from failstop.doctor.system import Holder
 from failstop.doctor.table import CHECKS, examine
+from failstop.policy import causes
 from failstop.policy.settings import Settings
 from failstop.version import VERSION
 from tests.doctor.parts import NOBODY, NODE, STATE, STATE_FOLDER, UNIT, but, look, of, on, serving
@@ -26,7 +27,7 @@ STARVED = Starved(0.07, "gate")
 PORT = STATE.device
 VENDORS = "/home/ws/ugv_rpi/ugv-env/bin/python /home/ws/ugv_rpi/app.py"
 BRIDGE = Client(0, "ros2", 7, False, "no scan", "/a and /b drive", 0.1)
-DRIVER = Client(0, "nav", 42, True, sees="drives through the guard port /p")
+DRIVER = Client(0, "nav", 42, True, sees="uses the guard port /p")
 WAITS = Client(0, "failstop guard", 41, False, sees="no driver has opened the guard port /p")
 NO_SENSOR = Settings({"scan.gate": "off"})
 BRIDGED = serving(clients=(but(BRIDGE, said_s=None),))
@@ -45,6 +46,11 @@ def linked(link: str, **changed: Any) -> Any:
     return serving(device=but(PORT, link=link), **changed)
 
 
+def ported(port: str, link: str = "unheard") -> Any:
+    """The service, with its port like this. The link's state is then about a port that is to come."""
+    return serving(device=but(PORT, state=port, link=link), last_stop=stop())
+
+
 def nodes(*users: str) -> dict[str, Any]:
     """Nodes of these users, of whom the last has the bridge, with Fast DDS's shared memory."""
     owners = {f"/dev/shm/fastrtps_{user}": user for user in users}
@@ -56,27 +62,37 @@ UDP = {"/dev/shm/fastrtps_anna": "", "/proc/7/maps": "7f1c2000-7f1c3000 r-xp 0 0
 """A bridge without shared memory, beside a node with it."""
 
 CASES: tuple[tuple[str, Look, str, str], ...] = (
-    ("port", look(node=None, device=("/", "x")), FAIL, "no serial port"),
-    ("port", look(node=but(NODE, resolved="/nowhere/dev/failstop")), WARN, "that number may be another"),
-    ("port", look(look_alikes=LIDAR), WARN, "or /dev/ttyACM1, which has the same USB chip"),
+    ("port", look(node=None, device=("/", "x")), FAIL, "is not a serial port"),
+    ("port", look(node=but(NODE, resolved="/nowhere/dev/failstop")), WARN, "another device may get that number"),
+    ("port", look(look_alikes=LIDAR), WARN, "or /dev/ttyACM1: both have the same USB chip"),
     ("port", look(look_alikes=LIDAR, device=("/dev/failstop", "x")), WARN, "or /dev/ttyACM1"),
     ("port", look(look_alikes=LIDAR, device=(BY_ID, "x"), twins=True), WARN, "or /dev/ttyACM1"),
     ("identity", look(usb_id="0403:6001"), FAIL, "0403:6001"),
-    ("identity", look(usb_id=""), SKIP, "no USB device"),
+    ("identity", look(usb_id=""), SKIP, "is not a USB device"),
     ("permission", look(node=but(NODE, accessible=False), service=NOBODY), FAIL, "anna may not open"),
     ("holders", look(holders=((Holder(7, "python3"),), 0)), FAIL, "python3 (pid 7)"),
     ("holders", look(holders=((Holder(7, "driver", "old.service"),), 0)), FAIL, "old.service"),
     ("holders", look(holders=((Holder(7, "fs:gate", instance="left"),), 0)), FAIL, "the service 'left' has the port"),
-    ("holders", look(opens=REMOVED, files=on("minicom", 7)), WARN, "/dev/ttyACM0 open from before"),
+    ("holders", look(opens=REMOVED, files=on("minicom", 7)), WARN, "/dev/ttyACM0 open since before"),
     ("holders", look(node=None, opens=REMOVED, files=on("minicom", 7)), WARN, "minicom (pid 7)"),
-    ("holders", look(holders=((), 3)), WARN, "3 processes hide"),
-    ("identity", look(usb_id="2341:0043", active_settings=of("ugv")), WARN, "is USB 2341:0043, as arduino has it"),
+    ("holders", look(holders=((), 3)), WARN, "3 processes couldn't be checked"),
+    (
+        "identity",
+        look(usb_id="2341:0043", active_settings=of("ugv")),
+        WARN,
+        "is USB 2341:0043, which is a board of the kind arduino",
+    ),
     ("board", look(service=linked("deaf")), FAIL, "the board does not hear"),
     ("board", look(service=linked("silent", ages=Ages(4.0))), FAIL, "has said nothing for 4.0 s"),
     ("stop path", look(service=linked("silent", ages=Ages(4.0))), FAIL, "has said nothing for 4.0 s"),
     ("service", look(service=linked("silent", ages=Ages(4.0))), FAIL, "has said nothing for 4.0 s"),
     ("board", look(service=linked("unproven", battery_v=7.2)), WARN, "questions, and reports a battery of 7.2 V"),
-    ("board", look(service=linked("unasked"), active_settings=of("hoverboard")), WARN, "no report has"),
+    (
+        "board",
+        look(service=linked("unasked"), active_settings=of("hoverboard")),
+        WARN,
+        "it has reported nothing so far",
+    ),
     (
         "commanders",
         look(files=on("python3", command=VENDORS), active_settings=of("ugv")),
@@ -97,13 +113,19 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
         "settings",
         look(active_settings=of("ugv"), settings=("x.toml", Settings(), "")),
         WARN,
-        "other settings than x.toml has: board",
+        "other settings than those in x.toml: board",
     ),
-    ("deaths", look(early_news=False), WARN, "reports a death late"),
+    ("deaths", look(early_news=False), WARN, "reports a process's death late"),
     ("service", look(service=NOBODY), WARN, "no service named 'failstop' is running"),
     ("service", look(service=(None, "", "is of failstop 0.0.9")), FAIL, "0.0.9"),
     ("service", look(service=linked("deaf")), FAIL, "does not hear"),
     ("service", look(service=linked("unheard")), FAIL, "has not answered since it came back"),
+    ("service", look(service=ported("lost")), FAIL, "the port /dev/ttyACM0 is lost, so no stop reaches the board"),
+    ("service", look(service=ported("closed")), FAIL, "the port /dev/ttyACM0 is closed"),
+    ("board", look(service=ported("lost")), FAIL, "the port /dev/ttyACM0 is lost"),
+    ("board", look(service=ported("closed", "alive")), FAIL, "the port /dev/ttyACM0 is closed"),
+    ("stop path", look(service=ported("lost")), FAIL, "is lost, so no stop reaches the board, whatever its last stop"),
+    ("stop path", look(service=linked("unheard")), FAIL, "has not answered since it came back"),
     ("service", look(service=linked("unproven")), WARN, "waits for the board's first answer"),
     ("service", look(service=serving(waiting_for="the port")), WARN, "waits for the port"),
     ("service", look(service=serving(arm=arm(wrong=("it hangs",)))), WARN, "it hangs"),
@@ -121,25 +143,30 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
     ("unit", look(unit=but(UNIT, ActiveState="inactive", Result="watchdog")), FAIL, "result: watchdog"),
     ("unit", look(unit=but(UNIT, NRestarts="3")), WARN, "restarted by systemd: 3"),
     ("unit", look(unit=RESTARTING), FAIL, "auto-restart"),
-    ("unit", look(unit=but(UNIT, UnitFileState="disabled")), WARN, "not started at boot"),
+    ("unit", look(unit=but(UNIT, UnitFileState="disabled")), WARN, "does not start at boot"),
     ("rights", look(service=serving(processes=UNRIGHTED)), WARN, "supervisor, port_owner"),
     ("rights", look(service=serving(processes=UNLOCKED)), WARN, "supervisor, port_owner"),
-    ("rights", look(service=serving(processes=UNRIGHTED, starved=STARVED)), WARN, "for 70 ms; no"),
+    ("rights", look(service=serving(processes=UNRIGHTED, starved=STARVED)), WARN, "for 70 ms; these processes lack"),
     ("rights", look(service=serving(starved=STARVED)), WARN, "for 70 ms, in spite of"),
-    ("rights", look(service=serving(processes=UNRIGHTED, lease_s=0.2)), WARN, "stopped for after 200 ms instead of"),
-    ("rights", look(service=NOBODY, realtime=False), WARN, "this user gets no real-time priority"),
-    ("shared memory", look(room=None), FAIL, "no /dev/shm that this user may write"),
+    (
+        "rights",
+        look(service=serving(processes=UNRIGHTED, lease_s=0.2)),
+        WARN,
+        "the robot stops after 200 ms instead of",
+    ),
+    ("rights", look(service=NOBODY, realtime=False), WARN, "this user can't get real-time priority"),
+    ("shared memory", look(room=None), FAIL, "this user can't write to /dev/shm"),
     ("shared memory", look(room=1024, service=NOBODY), FAIL, "1 KiB free"),
     ("fleet", look(says={"systemctl": DEAF}), WARN, "obeys no fleet stop: no key"),
     ("RemoveIPC", look(**BY_HAND), WARN, "when anna logs out"),
     ("RemoveIPC", look(service=NOBODY, unit={}), WARN, "when anna logs out"),
-    ("state directory", look(no_room="the disk of / is full (0 kB free)"), WARN, "is full (0 kB free): stops leave no"),
-    ("state directory", look(writable=False), WARN, "can't write to /var/lib/failstop/failstop: stops leave no"),
+    ("state directory", look(no_room="the disk of / is full (0 kB free)"), WARN, "is full (0 kB free), so incidents"),
+    ("state directory", look(writable=False), WARN, "can't write to /var/lib/failstop/failstop, so incidents"),
     ("state directory", look(**BY_HAND, writable=False), WARN, "can't write to /state"),
     ("state directory", look(**BY_HAND, environ=None), SKIP, "can't see where the service keeps its incidents"),
     ("processor", look(files={f"{PROCESSORS}/cpu1/cpufreq/scaling_governor": "powersave"}), WARN, "powersave"),
     ("ticks", look(quick=True), SKIP, "not measured"),
-    ("ticks", look(ticks=(True, [1000, 41_000_000])), FAIL, "40 ms and the lease runs out"),
+    ("ticks", look(ticks=(True, [1000, 41_000_000])), FAIL, "after 40 ms the lease runs out"),
     ("scale", look(service=serving(scale=Scale(capped="speed capped at 0.05 m/s"))), WARN, "capped at 0.05 m/s"),
     ("scale", look(service=serving(scale=Scale(wheels=5.0, wrong=("turn 5 times",)))), WARN, "turn 5 times"),
     (
@@ -149,11 +176,21 @@ CASES: tuple[tuple[str, Look, str, str], ...] = (
         "speed capped at 0.05 m/s, because nobody has confirmed",
     ),
     ("ticks", look(ticks=(True, [1000, 6_000_000])), WARN, "worst 6000 us"),
-    ("ticks", look(ticks=(False, [1000, 41_000_000])), WARN, "ordinary priority"),
-    ("ticks", look(service=serving(lease_s=0.1), ticks=(False, [1000, 81_000_000])), WARN, "80 ms and the lease runs"),
-    ("ticks", look(service=NOBODY, ticks=(False, [1000, 181_000_000])), WARN, "180 ms and the lease runs out"),
-    ("stop path", look(service=serving(last_stop=stop(acknowledged_s=None))), WARN, "not acknowledged by the board"),
-    ("stop path", look(service=serving(last_stop=None)), SKIP, "has stopped nothing yet"),
+    ("ticks", look(ticks=(False, [1000, 41_000_000])), WARN, "without real-time priority"),
+    (
+        "ticks",
+        look(service=serving(lease_s=0.1), ticks=(False, [1000, 81_000_000])),
+        WARN,
+        "after 80 ms the lease runs",
+    ),
+    ("ticks", look(service=NOBODY, ticks=(False, [1000, 181_000_000])), WARN, "after 180 ms the lease runs out"),
+    (
+        "stop path",
+        look(service=serving(last_stop=stop(acknowledged_s=None))),
+        WARN,
+        "has not acknowledged the service's last",
+    ),
+    ("stop path", look(service=serving(last_stop=None)), SKIP, "has had no stop yet"),
 )
 
 
@@ -173,11 +210,12 @@ def said(given: Look, check: str) -> list[tuple[str, str, str]]:
     return [(row.text, row.fix, row.advice) for name, row in examine(given) if name == check]
 
 
-RUNS = f"'failstop' runs (pid 100, user failstop, failstop {VERSION}"
+RUNS = f"'failstop' is running (pid 100, user failstop, failstop {VERSION}"
 WELL = "device open, the board answers, motion"
-FT232 = "USB 0403:6001, a FT232 as in many devices: it says nothing of the board behind it"
+FT232 = "USB 0403:6001, a FT232 chip: many devices have one, so it doesn't tell which board this is"
 READ = (
-    "the service reads it as hoverboard, which answers no question, and reports a battery of 36.1 V; it reported last "
+    "the service reads it as hoverboard, which answers no questions, and reports a battery of 36.1 V; its last "
+    "report was "
     "0.0 s ago"
 )
 OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
@@ -186,63 +224,84 @@ OPENED = ((Holder(101, "fs:port_owner", "failstop.service", "failstop"),), 0)
 @pytest.mark.parametrize(
     ("check", "given", "says"),
     [
-        ("port", look(), "/dev/ttyACM0 (the default of device.path)"),
-        ("port", look(node=but(NODE, resolved="/dev/x")), "/dev/ttyACM0, which is /dev/x (the default of device.path)"),
-        ("permission", look(), "left to the service, whose port is open"),
+        ("port", look(), "/dev/ttyACM0 (the default)"),
+        ("port", look(node=but(NODE, resolved="/dev/x")), "/dev/ttyACM0, which is /dev/x (the default)"),
+        ("permission", look(), "the running service opens the port; it is open"),
         ("permission", look(service=NOBODY), "anna may open it"),
-        ("holders", look(), "nobody has it open"),
-        ("holders", look(holders=OPENED), "only the service has it open (1 processes)"),
-        ("grabbers", look(), "neither ModemManager nor brltty runs"),
+        ("holders", look(), "no program has it open"),
+        ("holders", look(holders=OPENED), "only the service has it open"),
+        ("grabbers", look(), "neither ModemManager nor brltty is running"),
         ("console", look(), "no login waits on it, and the kernel writes no messages to it"),
         (
             "console",
             look(files=on("agetty", command="/sbin/agetty -8 - tty1 linux")),
             "no login waits on it, and the kernel writes no messages to it",
         ),
-        ("grabbers", look(files=on("ModemManager")), "ModemManager runs and is told to leave this port alone"),
+        (
+            "grabbers",
+            look(files=on("ModemManager")),
+            "ModemManager is running, but a rule tells it to leave this port alone",
+        ),
         ("service", look(), f"{RUNS}), {WELL} disabled"),
         ("service", look(service=serving(enabled=True)), f"{RUNS}), {WELL} enabled"),
-        ("identity", look(usb_id="2341:0043", active_settings=of("arduino")), "USB 2341:0043, the board's"),
+        (
+            "service",
+            look(service=serving(cause=causes.KEY(1), estop="key1")),
+            f"{RUNS}), {WELL.removesuffix('motion')}a stop is latched: key1",
+        ),
+        ("identity", look(usb_id="2341:0043", active_settings=of("arduino")), "USB 2341:0043, as the board has it"),
         ("identity", look(usb_id="0403:6001", active_settings=of("ugv")), FT232),
-        ("identity", look(usb_id="1209:2444", active_settings=of("ugv")), "USB 1209:2444; ugv may be at any port"),
-        ("identity", look(usb_id="", active_settings=of("ugv")), "no USB device; ugv may be at any port"),
+        (
+            "identity",
+            look(usb_id="1209:2444", active_settings=of("ugv")),
+            "USB 1209:2444; a board of the kind ugv may be at any port",
+        ),
+        (
+            "identity",
+            look(usb_id="", active_settings=of("ugv")),
+            "no USB device; a board of the kind ugv may be at any port",
+        ),
         ("board", look(), "it answers the service's questions as rrc does, and reports a battery of 12.0 V"),
         (
             "board",
             look(service=linked("unasked", battery_v=36.1, ages=Ages(0.01)), active_settings=of("hoverboard")),
             READ,
         ),
-        ("scale", look(), "not compared yet: the next drive will show it"),
+        ("scale", look(), "not compared yet; the next curve will show it"),
         (
             "scale",
             look(service=serving(scale=Scale(wheels=0.98))),
-            "they turn 0.98 times as fast as told, as the board reports them",
+            "they turn 0.98 times as fast as commanded, as the board reports them",
         ),
         (
             "scale",
             look(service=NOBODY, active_settings=of("hoverboard")),
-            "board.per_rps is 60, and the next drive shows whether it fits",
+            "board.per_rps is 60, and the next drive shows whether it is right",
         ),
         ("scale", look(active_settings=of("feetech")), ALONE),
-        ("commanders", look(active_settings=of("arduino")), "nobody is known who could command it beside failstop"),
+        (
+            "commanders",
+            look(active_settings=of("arduino")),
+            "failstop knows of nothing else here that could drive this board",
+        ),
         ("ROS 2", look(**nodes("anna")), "no bridge to ROS 2 is connected"),
         (
             "guard",
             look(),
-            "no guard port is open: a driver that was written for the bare board can keep its code with one",
+            "no guard port is open; you need one only to keep a driver that was written for the bare board",
         ),
         (
             "guard",
             look(service=serving(clients=(DRIVER,)), active_settings=NO_SENSOR),
-            "nav (pid 42) drives through the guard port /p",
+            "nav (pid 42) uses the guard port /p",
         ),
         (
             "guard",
             look(service=serving(clients=(WAITS,)), active_settings=NO_SENSOR),
             "the guard port is /p; no driver has it open",
         ),
-        ("unit", look(), "failstop.service is active, started at boot"),
-        ("RemoveIPC", look(), "RemoveIPC does not concern the service's user"),
+        ("unit", look(), "failstop.service is active, and it starts at boot"),
+        ("RemoveIPC", look(), "the service runs as a system user, so RemoveIPC does not matter"),
         ("RemoveIPC", look(**BY_HAND, says={"busctl": "b false\n"}), "RemoveIPC is off"),
         ("state directory", look(), "/var/lib/failstop/failstop has room"),
         ("state directory", look(**BY_HAND), "/state has room"),
@@ -272,12 +331,14 @@ def test_an_imu_that_would_observe_the_wheels_and_is_not_there_is_told(kind: str
 
 def test_a_service_of_another_version_is_told_from_this_command() -> None:
     [(text, *_)] = said(look(service=(STATE, "0.0.9", "")), "service")
-    assert text.startswith(f"'failstop' runs (pid 100, user failstop, failstop 0.0.9, this command is {VERSION}), ")
+    assert text.startswith(
+        f"'failstop' is running (pid 100, user failstop, failstop 0.0.9, this command is {VERSION}), "
+    )
 
 
 def test_other_services_are_named() -> None:
     [(text, *_)] = said(look(service=NOBODY, services=["left", "right"]), "service")
-    assert text.endswith(" (there is left, right)")
+    assert text.endswith(" (running: left, right)")
 
 
 SWITCHED = "sudo systemctl disable --now failstop-ros2@bob && sudo systemctl enable --now failstop-ros2@anna"
@@ -295,7 +356,7 @@ UNREADABLE = (None, "", "is of another version")
             "crontab -e",
             "then reboot",
         ),
-        ("holders", look(holders=((), 3)), 'sudo "$(command -v failstop)" doctor', "root sees them"),
+        ("holders", look(holders=((), 3)), 'sudo "$(command -v failstop)" doctor', "root can check them all"),
         ("service", look(service=UNREADABLE), "sudo systemctl restart failstop.service", "stops the wheels"),
         ("service", look(service=UNREADABLE, unit={}), "", "stops the wheels"),
         ("rights", look(service=serving(processes=UNRIGHTED)), "sudo systemctl edit failstop.service", "LimitRTPRIO"),
@@ -314,7 +375,7 @@ def test_the_verdict_on_a_burst() -> None:
     assert (found.level, found.text) == (OK, "stop tool: acknowledged by the board after 4.5 ms")
     [found] = stop_path.judged("stop tool", BOARD, None, "failstop doctor")
     assert (found.level, found.fix) == (FAIL, "failstop doctor")
-    assert "did not answer the ping behind it" in found.text
+    assert "did not answer the ping after it" in found.text
 
 
 UNTOUCHED = but(NODE, accessible=False)
@@ -329,7 +390,7 @@ ACM = "/dev/ttyACM0"
         ({"node": UNTOUCHED}, "this user may not open the port", ""),
         ({"holders": ((Holder(7, "x"),), 0)}, "x (pid 7) has the port open", ""),
         ({"settings": ("x", Settings(), "wrong")}, "the settings that name the board can't be used", ""),
-        ({"usb_id": ""}, f"{ACM} may not be the board, and it is not written to", f"failstop doctor --device {ACM}"),
+        ({"usb_id": ""}, f"{ACM} may not be the board, so nothing is written to it", f"failstop doctor --device {ACM}"),
     ],
 )
 def test_where_the_stop_path_is_left_alone(changed: dict[str, Any], why: str, fix: str) -> None:
@@ -350,14 +411,14 @@ def test_where_it_is_tried(changed: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("devices", "says"),
     [
-        ([("/dev/ttyACM1", "x, USB 1a86:55d4")], "here there is /dev/ttyACM1"),
-        ([("/dev/ttyS0", "n/a")], "no USB serial device at all"),
+        ([("/dev/ttyACM1", "x, USB 1a86:55d4")], "found: /dev/ttyACM1"),
+        ([("/dev/ttyS0", "n/a")], "no USB serial device is plugged in"),
     ],
 )
 def test_a_device_that_is_not_there(devices: list[tuple[str, str]], says: str) -> None:
     [finding] = [finding for name, finding in examine(look(node=None, ports=devices)) if name == "port"]
     assert finding.level == FAIL
-    assert "no device /dev/ttyACM0 (the default of device.path); " in finding.text
+    assert "no device /dev/ttyACM0 (the default); " in finding.text
     assert says in finding.text
     assert finding.fix
 
@@ -368,7 +429,7 @@ def test_a_device_that_is_not_there(devices: list[tuple[str, str]], says: str) -
         (
             "10c4:ea60",
             on("brltty"),
-            "USB 10c4:ea60 (CP210x) is plugged in and has no port, because brltty",
+            "USB 10c4:ea60 (CP210x) is plugged in but has no serial port, because brltty",
             "purge brltty",
         ),
         ("0403:6001", on("brltty"), "USB 0403:6001 (FT232) is plugged in", "sudo apt purge brltty"),
@@ -386,7 +447,7 @@ def test_a_chip_that_is_plugged_in_without_a_port_is_named(
     [finding] = [finding for name, finding in examine(changed) if name == "port"]
     assert says in finding.text
     assert fix in finding.fix
-    assert "no USB serial device at all" not in finding.text
+    assert "no USB serial device is plugged in" not in finding.text
 
 
 def test_a_port_that_our_rule_does_not_know_is_kept_from_modemmanager_by_a_command() -> None:
@@ -446,7 +507,7 @@ def test_who_is_let_into_which_group() -> None:
         [(_, *remedy)] = said(look(node=but(NODE, accessible=False, group=group), service=NOBODY), "permission")
         return remedy[0], remedy[1]
 
-    assert closed("dialout") == ("sudo usermod -aG dialout anna", "then log in again")
+    assert closed("dialout") == ("sudo usermod -aG dialout anna", "then log out and in again")
     assert closed("root") == port.RULE, "not root's group"
 
 
@@ -461,7 +522,7 @@ def test_how_a_service_that_does_not_run_is_started() -> None:
 
 def test_ticks_in_numbers() -> None:
     [(text, *_)] = said(look(ticks=(False, [n * 1000 for n in range(100, -1, -1)])), "ticks")
-    assert text == "woken late at ordinary priority: median 50 us, 99 % 99 us, worst 100 us of 101"
+    assert text == "delay of a wake-up without real-time priority: median 50 us, p99 99 us, worst 100 us (101 times)"
 
 
 def test_what_refuses_rights_that_are_granted_already_is_told_in_the_place_of_them() -> None:
@@ -485,7 +546,7 @@ def test_rights_are_granted_by_who_starts_the_service(changed: dict[str, Any], c
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        (look(active_settings=of("ugv")), "of a file that 'failstop' was started with (board.kind,"),
+        (look(active_settings=of("ugv")), "no installed file; 'failstop' runs with settings of its own (board.kind,"),
         (look(active_settings=Settings({"gate.lease_s": 0.2})), "no file: every setting has its default"),
         (look(active_settings=of("ugv"), settings=("x.toml", of("ugv"), "")), "x.toml"),
     ],
@@ -501,4 +562,4 @@ def test_a_service_whose_own_board_can_not_be_described_any_more_is_looked_at_al
     given = look(active_settings=Settings({"board.kind": "/nowhere/tank"}), service=linked("alive", imu=None))
     [(text, fix, advice)] = said(given, "board")
     assert text == "board.kind: /nowhere: No such file or directory"
-    assert (fix, advice) == ("", "correct it: the next start needs it")
+    assert (fix, advice) == ("", "fix it before the next start")

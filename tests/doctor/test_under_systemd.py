@@ -45,7 +45,7 @@ def test_the_installed_service(scene: Scene) -> None:
     found = findings(scene)
     assert f"{UNIT} is active" in found["unit"][0]["text"]
     assert "user failstop" in found["service"][0]["text"]
-    assert found["permission"][0]["text"] == "left to the service, whose port is open"
+    assert found["permission"][0]["text"] == "the running service opens the port; it is open"
     assert (found["holders"][0]["level"], found["RemoveIPC"][0]["level"]) == ("ok", "ok")
     scene.failstop("stop", user="root")
     wait_for("the board's answer", lambda: "acknowledged by" in findings(scene)["stop path"][0]["text"])

@@ -69,7 +69,7 @@ def test_a_speed_limit_outlives_the_gate(simulated: Simulated) -> None:
     assert simulated.command("limit", "50") == (0, "speed limited to 50 % of the settings'\n", "")
     assert "limit     speed limited to 50 %" in simulated.command("status")[1]
     simulated.enable()
-    assert "no faster than 0.10 m/s forward" in simulated.printed("drive", "0.2", "0", "0", "--for", "0.5")
+    assert "but only 0.10 m/s forward" in simulated.printed("drive", "0.2", "0", "0", "--for", "0.5")
     refusal = "failstop: refused: a speed limit of 2 %: must be 5 to 100\n"
     assert simulated.command("limit", "2") == (2, "", refusal)
     for wrong, *words in ((2, "limit", "0"), (1, "drive", "nan", "0", "0")):

@@ -77,7 +77,7 @@ def test_a_service_of_another_version_can_be_stopped_and_only_that(simulated: Si
     assert "a hand (" in simulated.said
     code, out, err = simulated.command("estop", "even", "so")
     assert (code, "with another layout" in err) == (0, True)
-    assert out.startswith("the service 'failstop' has written the stop; whether it is latched can't be")
+    assert out.startswith("the service 'failstop' has written the stop, but this user can't see whether")
 
 
 def test_without_its_shared_memory_a_service_can_be_stopped(simulated: Simulated) -> None:

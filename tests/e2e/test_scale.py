@@ -120,7 +120,7 @@ def test_a_turn_tells_by_the_gyro() -> None:
     simulated.robot.enable()
     driven(simulated, 0.0, 0.5, 3.0)
     (wrong,) = simulated.robot.state.scale.wrong
-    assert "as the gyro feels it: one of wheels.track_m" in wrong
+    assert "as the gyro measures it: one of wheels.track_m" in wrong
 
 
 def test_a_scale_that_fits_is_told_as_a_number() -> None:

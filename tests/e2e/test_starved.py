@@ -51,7 +51,7 @@ def test_while_idle_it_is_left_alone_and_that_is_told(simulated: Simulated, proc
     assert state.starved.longest_s == pytest.approx(long_s(process), abs=0.1)
     assert "the computer is too busy: " in simulated.said
     for command in ("status", "why"):
-        assert "the machine starved the service: " in simulated.printed(command).lower(), command
+        assert "the computer is too busy: " in simulated.printed(command).lower(), command
 
 
 # On the machine that there is, without rights.

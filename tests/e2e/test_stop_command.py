@@ -137,7 +137,7 @@ def test_a_wait_that_is_not_allowed_costs_the_wait_alone(tool: Tool) -> None:
     tool.lab.write(FILE, '[device]\npath = "/dev/board"\n[stop]\nwait_s = "long"\n')
     assert tool.waits("--config", FILE) == ("/dev/board", pytest.approx(30.0, abs=0.1))
     code, device, _, err = tool.goes("--config", FILE)
-    said = "failstop: stop.wait_s = 'long': it must be a number, 0 to 3600 s; going on without it\n"
+    said = "failstop: stop.wait_s = 'long': it must be a number, 0 to 3600 s; stopping without it\n"
     assert (code, device, err) == (0, "/dev/board", said)
 
 
@@ -149,8 +149,11 @@ def test_a_file_that_says_nothing_stops_the_default_port_and_says_so(tool: Tool,
     code, device, _, err = tool.goes("--config", FILE)
     assert (code, device) == (1, "/dev/ttyACM0")
     first, last = err.splitlines()
-    assert first.endswith("; going on without it")
-    assert last == "failstop: it went to /dev/ttyACM0, the default: is this the board? Name it with --device"
+    assert first.endswith("; stopping without it")
+    assert (
+        last
+        == "failstop: the stop went to /dev/ttyACM0, the default. If that is not the board, name its port with --device"
+    )
 
 
 def test_the_installed_file_counts_where_none_is_named(tool: Tool) -> None:
@@ -162,7 +165,7 @@ def test_the_installed_file_counts_where_none_is_named(tool: Tool) -> None:
 def test_of_another_name_the_default_is_a_guess(tool: Tool) -> None:
     code, device, _, err = tool.goes("--name", "left")
     assert (code, device) == (1, "/dev/ttyACM0")
-    assert "is this the board? Name it with --device" in err
+    assert "If that is not the board, name its port with --device" in err
     tool.lab.write(f"{config.FOLDER}/left.toml", 'device.path = "/dev/left"\n')
     assert Tool.run(tool, "--name", "left")[0] == 0
     assert tool.boards["/dev/left"].without_pings() == BURST
@@ -190,7 +193,7 @@ def test_whatever_goes_wrong_with_a_service_the_port_is_written_to(tool: Tool) -
     tool.machine.at_seam = fail
     code, device, _, err = tool.goes()
     assert (code, device) == (0, "/dev/ttyACM0")
-    assert "no service can be asked (a defect): writing to the port itself" in err
+    assert "no service could be asked (a defect); writing the stop to the port instead" in err
 
 
 @pytest.mark.parametrize(
@@ -199,7 +202,12 @@ def test_whatever_goes_wrong_with_a_service_the_port_is_written_to(tool: Tool) -
         ("/dev/last", "", "/dev/last", ""),
         ("/dev/last", f"--config {FILE}", "/dev/board", ""),
         ("/dev/last", "--device /dev/other", "/dev/other", ""),
-        ("/dev/gone", "", "/dev/board", "failstop: /dev/gone of the last run is not there, so it went to /dev/board: "),
+        (
+            "/dev/gone",
+            "",
+            "/dev/board",
+            "failstop: /dev/gone, the port of the last run, does not exist, so the stop went to /dev/board. ",
+        ),
     ],
 )
 def test_the_last_run_s_port_goes_before_the_installed_file_s(
@@ -210,7 +218,7 @@ def test_the_last_run_s_port_goes_before_the_installed_file_s(
     tool.last_run(last, 1, 10)
     code, found, _, said = tool.goes(*words.split(), servos=(1, 10) if device == "/dev/last" else ())
     assert (code, found) == (1 if err else 0, device)
-    assert said == (f"{err}is this the board? Name it with --device\n" if err else "")
+    assert said == (f"{err}If that is not the board, name its port with --device\n" if err else "")
 
 
 def test_a_last_run_s_port_that_fails_is_no_reason_to_write_to_another(tool: Tool) -> None:
@@ -228,7 +236,7 @@ def test_two_ports_that_are_not_there_are_both_named(tool: Tool) -> None:
     code, _, err = tool.run("--wait", "0")
     assert (code, err.count("\n")) == (1, 1)
     assert err.startswith("failstop: no device /dev/gone: ")
-    assert err.endswith(f" (it was the last run's; /dev/nor-this is not there either); {MAY_TURN}\n")
+    assert err.endswith(f" (the last run used it; /dev/nor-this does not exist either); {MAY_TURN}\n")
 
 
 def test_the_last_run_of_another_name_is_no_guess_at_all(tool: Tool) -> None:
@@ -260,7 +268,7 @@ def test_it_says_whether_the_board_answers(tool: Tool, kind: str, mute: bool) ->
         assert err.startswith("failstop: nothing at /dev/board answers as ")
         assert "so the wheels may turn: use the POWER SWITCH" in err
     else:
-        how = "reports that it obeys zero speed" if kind == "hoverboard" else "answers"
+        how = "reports zero speed" if kind == "hoverboard" else "answers"
         assert (code, answer, err) == (0, [f"the board at /dev/board {how}"], "")
 
 

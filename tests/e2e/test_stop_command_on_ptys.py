@@ -82,7 +82,7 @@ def unanswered(link: str) -> str:
     """The complaint where nothing answers."""
     return (
         f"failstop: nothing at {link} answers as {BOARD.name} does, so the wheels may turn: use the POWER SWITCH. "
-        "Is that the board? Name it with --device\n"
+        "If that is not the board, name its port with --device\n"
     )
 
 
@@ -109,7 +109,7 @@ def test_a_service_that_was_just_starting_is_asked_once_it_listens(
     assert asked == ["a hand"]
     said = capsys.readouterr()
     assert said.out == ("stop latched\n" if stops else "")
-    assert ("is held exclusively by another process; asked in vain: failstop" in said.err) != stops
+    assert ("is held exclusively by another process; asked without success: failstop" in said.err) != stops
 
 
 def test_the_setting_is_declared_once() -> None:
@@ -153,7 +153,7 @@ def test_no_file_keeps_the_stop_from_the_wire(
     assert cli.main(["stop", "--config", str(file), "--device", link]) == 1
     said = capsys.readouterr().err
     assert said.startswith(f"failstop: configuration {file}")
-    assert said.endswith(f"; going on without it\n{unanswered(link)}")
+    assert said.endswith(f"; stopping without it\n{unanswered(link)}")
     assert said.count("\n") == 2
     gets(master, BURST)
 
@@ -285,11 +285,11 @@ def test_a_port_that_another_user_s_file_names_and_that_is_not_theirs_is_not_wri
     settings.write_text(f'device.path = "{link}"\n')
     assert cli.main(["stop"]) == 1
     gets(master, BURST)
-    assert f"so it went to {link}: is this the board?" in capsys.readouterr().err
+    assert f"so the stop went to {link}. If that is not the board," in capsys.readouterr().err
     settings.unlink()
     assert cli.main(["stop", "--wait", "0"]) == 1
     said = capsys.readouterr().err
-    assert f"{os.ttyname(theirs)} is named by a file of nobody (uid {NOBODY}), and is not theirs to open: name" in said
+    assert f"a file of nobody (uid {NOBODY}) names {os.ttyname(theirs)}, but that user may not open it: name" in said
     os.set_blocking(other, False)
     with pytest.raises(BlockingIOError):
         os.read(other, 1)

@@ -142,9 +142,9 @@ def test_a_service_that_does_not_obey_is_stopped_beside(simulated: Simulated) ->
         simulated.suspend(name)
     code, out, err = simulated.command("stop")
     port = simulated.link
-    unknown = f"whether the board at {port} answers is not known: a service reads that port"
+    unknown = f"nobody knows whether the board at {port} answers, because a service reads that port"
     assert (code, out) == (0, f"stop frame sent (after 0.0 s), directly to {port}\n{unknown}\n")
-    assert "has not latched it within 1 s: writing to the port itself" in err
+    assert "has not latched it within 1 s; writing the stop to the port instead" in err
     assert not simulated.turning()
 
 

@@ -72,6 +72,33 @@ def test_a_differential_base_says_that_it_cannot_move_sideways() -> None:
     assert simulated.command("drive", "0.1", "0", "0.1", "--for", "0.2")[0] == 0
 
 
+def test_a_drive_that_another_source_has_taken_over_says_so() -> None:
+    simulated = Simulated({"sources.teleop.priority": 10})
+    simulated.enable()
+    simulated.leave()
+    with simulated.failstop.Robot(client="person", disable_on_exit=False) as person:
+        drives = "drives as teleop, which has priority over cmd_vel"
+
+        def drive() -> None:
+            person.drive(0.1, 0.0, 0.0, manual=True, source="teleop", wait_s=0.0)
+
+        drive()
+        simulated.wait(0.1)
+        drive()
+        code, out, err = simulated.command("drive", "0.2", "0", "0", each=drive)
+    assert (code, out) == (2, "")
+    assert drives in err
+
+
+def test_a_drive_that_the_board_does_not_obey_is_not_said_to_have_been_driven() -> None:
+    simulated = Simulated(deaf=True)
+    simulated.enable()
+    assert (
+        "unproven: the board has never answered; commanded for 0.3 s"
+        in simulated.command("drive", "0.1", "0", "0", "--for", "0.3")[1]
+    )
+
+
 # Trips and refusals.
 
 

@@ -1,5 +1,5 @@
-"""Wheels that turn although they are told zero: no screen of the service says that they are stopped, whatever happened
-before, on every board that reports its wheels and on one whose IMU feels them."""
+"""Wheels that turn although they are told to stop: no screen of the service says that they are stopped, whatever
+happened before, on every board that reports its wheels and on one whose IMU feels them."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def test_everybody_who_is_missing_is_named_with_what_is_known() -> None:
         "b": "written, but its board has not acknowledged it",
         "c": "refused: dated old by 60 s",
         "d": "failed: no service",
-        "e": "asked, but not written as far as it knows",
+        "e": "asked, but as far as it knows not written",
         "f": "no answer: its connection is broken",
         "g": "no answer: its publisher was ended",
     }
@@ -220,7 +220,7 @@ def test_a_robot_confirms_by_what_its_board_can_give() -> None:
         tally.answer(answer(robot, levels.WRITTEN, confirms=confirms), 0.1)
     assert {row.robot: row.why for row in tally.missing()} == {
         "a": "written, but its board has not acknowledged it",
-        "b": "written, but its IMU has not observed that the wheels stand",
+        "b": "written, but its IMU has not observed that the wheels have stopped",
     }
     assert not tally.all_confirmed()
     tally.answer(answer("a", levels.ACKNOWLEDGED), 0.2)

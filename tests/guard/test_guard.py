@@ -75,7 +75,7 @@ def test_a_driver_that_wants_to_move_while_motion_is_disabled_is_hung_up_on(scen
     driver = scene.driver(diffdrive, scene.path, "serial", "10", "10", RATE)
     assert driver.until("error").startswith("error")
     assert scene.guard
-    scene.guard.until("wants to move while motion is disabled: hung up (guard.hang_up)")
+    scene.guard.until("wants to move while motion is disabled, so its port was closed (guard.hang_up)")
     scene.enable()
     again = scene.driver(diffdrive, scene.path, "serial", "10", "10", RATE)
     assert again.line() == "start Invalid Command|OK"
@@ -260,6 +260,17 @@ def test_what_was_written_before_it_is_known_by_whom_is_answered_and_moves_nothi
         driver.communicate()
         guard.close()
         pty.close()
+
+
+@pytest.mark.parametrize(
+    ("death", "then"),
+    [("disable", "motion is disabled"), ("latch", "a stop is latched"), ("stay", "motion stays enabled")],
+)
+def test_a_dry_run_says_what_the_settings_do_when_a_driver_dies(death: str, then: str) -> None:
+    lines: list[str] = []
+    dry = Nothing(config.load(None, {"board.kind": "arduino", "gate.driver_death": death}), lines.append)
+    dry.leave(in_order=False)
+    assert [then in line for line in lines] == [True]
 
 
 def test_what_was_written_by_nobody_who_is_there_is_thrown_away(tmp_path: Path) -> None:

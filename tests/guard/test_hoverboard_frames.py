@@ -76,7 +76,7 @@ def test_what_is_no_frame_stops_the_wheels_and_is_named_once(garbage: bytes) -> 
     assert commanded(garbage) == []
     assert set(motions(garbage)) == {(0.0, 0.0)}
     refusals = {row.what for row in made().wrote(garbage, 0) if isinstance(row, DriverRefusal)}
-    assert refusals == {"bytes that are no frame"}
+    assert refusals == {"bytes that are not a frame"}
     assert motions(garbage, FORWARD)[-1] == (100, 100)
 
 

@@ -98,8 +98,8 @@ def test_frames_may_come_split_and_glued() -> None:
 @pytest.mark.parametrize(
     ("chunk", "what"),
     [
-        (speeds((0, float("nan"))), "a speed that is no number"),
-        (speeds((0, 1.0), (1, float("-inf"))), "a speed that is no number"),
+        (speeds((0, float("nan"))), "a speed that is not a number"),
+        (speeds((0, 1.0), (1, float("-inf"))), "a speed that is not a number"),
         (speeds((4, 1.0)), "motor 5"),
         (frame(MOTOR, 2, 200), "motor 201"),
         (frame(MOTOR, 1, 3, *struct.pack("<Bf", 0, 1.0)), "a motor frame that does not fit its length"),
@@ -109,7 +109,7 @@ def test_frames_may_come_split_and_glued() -> None:
         (frame(MOTOR), "a motor frame that does not fit its length"),
         (frame(MOTOR, 5, 1, *struct.pack("<Bf", 0, 50.0)), "a duty cycle (set_motor_duty)"),
         (speeds((0, 1.0))[:-1] + b"\0", "a frame with a wrong check"),
-        (b"m 10 10\r", "bytes that are no frame"),
+        (b"m 10 10\r", "bytes that are not a frame"),
     ],
 )
 def test_what_is_no_motion_is_refused_whole_and_stops_the_wheels(chunk: bytes, what: str) -> None:

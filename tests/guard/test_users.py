@@ -130,14 +130,14 @@ def test_a_link_of_somebody_s_is_replaced_and_never_followed(tmp_path: Path, nam
 def test_a_link_in_the_place_of_the_lock_is_not_followed(tmp_path: Path) -> None:
     victim = tmp_path / "victim"
     (tmp_path / "port.lock").symlink_to(victim)
-    with pytest.raises(FailstopError, match=r"port\.lock.*another place: failstop guard --path PATH"):
+    with pytest.raises(FailstopError, match=r"port\.lock.*choose another place with --path"):
         Pty(str(tmp_path / "port"))
     assert not victim.exists()
 
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("port", "is there already and is no link"), ("port.new", "another place"), ("port.lock", "another place")],
+    [("port", "exists already and is not a link"), ("port.new", "another place"), ("port.lock", "another place")],
 )
 def test_a_folder_in_its_way_is_named_and_left_as_it_is(tmp_path: Path, name: str, message: str) -> None:
     (tmp_path / name).mkdir()

@@ -123,8 +123,8 @@ def test_what_would_turn_a_motor_without_a_speed_stops_both(chunk: bytes, what: 
         (wrapped(b"\x01"), "command 1"),
         (packet(SERVO, 500, 2), "the servo"),
         (wrapped(bytes((FORWARD, 1, 4))), "a question for the second VESC"),
-        (b"m 100 100\r", "bytes that are no packet"),
-        (packet(RPM, 1000)[:-1] + b"\0", "bytes that are no packet"),
+        (b"m 100 100\r", "bytes that are not a packet"),
+        (packet(RPM, 1000)[:-1] + b"\0", "bytes that are not a packet"),
     ],
 )
 def test_what_is_refused_is_named_and_moves_nothing(chunk: bytes, what: str) -> None:

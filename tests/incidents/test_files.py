@@ -46,7 +46,7 @@ def test_a_file_that_is_cut_anywhere_says_so(path: str) -> None:
     whole = Path(path).read_bytes()
     for size in range(len(whole)):
         Path(path).write_bytes(whole[:size])
-        with pytest.raises(IncidentError, match=r"cut short: \d+ of \d+ bytes|is no incident"):
+        with pytest.raises(IncidentError, match=r"cut short: \d+ of \d+ bytes|is not an incident"):
             files.read(path)
 
 
@@ -55,7 +55,7 @@ def test_a_changed_byte_is_found_wherever_it_is(path: str) -> None:
     unused = range(len(files.MAGIC) + 2, len(files.MAGIC) + 4)
     for at in set(range(len(whole))) - set(unused):
         Path(path).write_bytes(whole[:at] + bytes((whole[at] ^ 0x41,)) + whole[at + 1 :])
-        with pytest.raises(IncidentError, match=r"damaged|cut short|no incident|of format"):
+        with pytest.raises(IncidentError, match=r"damaged|cut short|not an incident|of format"):
             files.read(path)
 
 
@@ -107,11 +107,11 @@ def test_an_incident_of_another_layout_tells_what_was_told(tmp_path: Path) -> No
     for whole in (False, True):
         text = printed(screen.text(found, 200, found.head["t"], whole=whole))
         assert re.search(r"^  why +the mast fell$", text, re.M)
-        assert "Of failstop 0.1.0, which laid its records out otherwise" in text
+        assert "Saved by failstop 0.1.0, which stored its records differently" in text
         assert "gate (pid 102) was killed by SIGKILL" in text
     assert story.as_dict(found)["reason"] == "the mast fell"
     for save in (lambda name: plot.save(found, name, 5.0), lambda name: export.save(found, name)):
-        with pytest.raises(IncidentError, match=r"of failstop 0\.1\.0, whose records are laid out otherwise: use that"):
+        with pytest.raises(IncidentError, match=r"by failstop 0\.1\.0, which stored its records differently: use that"):
             save(str(tmp_path / "x.png"))
     assert os.listdir(tmp_path) == ["000001-old.incident"]
 

@@ -40,7 +40,7 @@ def test_last_is_the_newest_of_this_name(environ: dict[str, str]) -> None:
 
 def test_the_beginning_of_an_id_is_enough_if_it_is_the_only_one(environ: dict[str, str]) -> None:
     assert Incident.read(files.find("20260922", "failstop", environ)).id == IDS[2]
-    with pytest.raises(IncidentError, match=f"may be {IDS[0]}, {IDS[1]}: write more of it"):
+    with pytest.raises(IncidentError, match=f"could be {IDS[0]}, {IDS[1]}: write more of its id"):
         files.find("20260921", "failstop", environ)
     with pytest.raises(IncidentError, match="`failstop incident list` shows them"):
         files.find("2025", "failstop", environ)
@@ -120,7 +120,9 @@ def test_a_full_disk_is_named_where_no_incident_is_saved(
     monkeypatch.setattr(os, "statvfs", lambda path: os.statvfs_result(fields))
     assert main(["incident", "show"]) == 1
     told = capsys.readouterr().err
-    assert f"the disk of {tmp_path} is full ({free // 1000} kB free): stops leave no file until there is room" in told
+    assert (
+        f"the disk of {tmp_path} is full ({free // 1000} kB free), so stops leave no file until there is room" in told
+    )
     assert "latched" not in told
 
 

@@ -174,7 +174,7 @@ def known(record: bytes | None, events: list[bytes], cause_ns: int) -> dict[str,
     return logged_stop({"supervisor": supervisor}, cause_ns)
 
 
-UNKNOWN = "answer of the board: not known"
+UNKNOWN = "whether the board answered: not known"
 
 
 def proof(stop: dict[str, Any] | None) -> str:
@@ -189,9 +189,10 @@ OUTCOME = event("stop_outcome", **NAMED, epoch=7, acknowledged_us=None, observed
 def test_the_record_of_this_stop_and_of_no_other_is_its_proof() -> None:
     found = known(msgpack.packb(RECORD), [], T)
     assert proof(found) == "written after 82 us, acknowledged after 4.40 ms, still after about 0.3 s"
+    assert [proven for _, proven in memory.proofs({"t": 100.0, "saved": 102.2, "stop": found})] == [True] * 3
     assert known(msgpack.packb(RECORD), [], T + 1) is None
     assert known(None, [TOLD, OUTCOME], T + 1) is None, "of another stop for the same cause"
-    assert proof(None) == f"whether a stop was written: not known, {UNKNOWN}, standstill: not known"
+    assert proof(None) == f"whether a stop was written: not known, {UNKNOWN}, whether the wheels stopped: not known"
 
 
 LACKING = causes.REQUESTED(f"two drive: /nav, a node whose name is {causes.NOT_KNOWN}", "ros2", 77)
@@ -209,6 +210,11 @@ def test_a_cause_that_was_completed_since_is_saved_whole(now: Cause | None, foun
 def test_the_proofs_of_a_stop_whose_cause_was_completed() -> None:
     first = event("stop", reason=str(LACKING), noticed_ns=T, written_by="port_owner", latency_us=80.0)
     assert "written after 80 us" in proof(known(None, [first], T))
+
+
+def test_wheels_that_were_not_seen_to_move_before_either_are_no_proof_that_the_stop_worked() -> None:
+    stop = known(msgpack.packb({**RECORD, "observed_ms": 0.0}), [], T)
+    assert memory.proofs({"t": 100.0, "saved": 102.2, "stop": stop})[2] == ("no shaking seen before or after", None)
 
 
 def test_what_was_told_of_it_outlasts_the_record() -> None:

@@ -88,4 +88,4 @@ def test_an_older_one_is_not_shown_without_a_word(service: Simulated, command: A
     assert service.now_ns() - began_ns == pytest.approx(command.SAVED_S * NS, abs=NS // 10)
     assert code == 0
     assert printed.startswith("Incident ")
-    assert errors == "failstop: the last stop (gate died) is in no file so far: this is another\n"
+    assert errors == "failstop: the last stop (gate died) is not saved yet, so this is an earlier one\n"

@@ -50,7 +50,7 @@ def test_a_missing_extra_is_named(
 def test_a_name_of_no_such_file_is_refused(incident: Incident, tmp_path: Path, needed: str, ends: str) -> None:
     pytest.importorskip(needed)
     path = str(tmp_path / "a.txt")
-    with pytest.raises(IncidentError, match=rf"ends in {ends}"):
+    with pytest.raises(IncidentError, match=rf"must end in {ends}"):
         plot.save(incident, path, 5.0) if needed == "matplotlib" else export.save(incident, path)
 
 

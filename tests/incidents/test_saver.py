@@ -208,7 +208,7 @@ def test_a_segment_of_another_version_is_said_in_one_line(saving: Saving) -> Non
     path = f"/dev/shm/failstop.{saving.name}.gate"
     with open(path, "r+b") as file:
         file.write(bytes(128))
-    assert str(saving.save(**saving.live())["wrong"]).endswith("has no whole header: restart the service")
+    assert str(saving.save(**saving.live())["wrong"]).endswith("has an incomplete header: restart the service")
 
 
 @pytest.mark.parametrize(

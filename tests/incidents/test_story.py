@@ -163,9 +163,9 @@ def test_the_report_reads_from_the_reason_to_the_versions(incident: Incident) ->
         *("Incident 20260921-143320-gate-died", "why gate died", ", 2 h 0 min ago; service"),
         *("driving, 0.20 m/s forward; nav (pid 77) as cmd_vel", "noticed by the port owner"),
         *("proof written after 0.21 ms", "acknowledged after 3.10 ms", "still after about 0.3 s"),
-        *("Story, milliseconds from the cause", "motion enabled by nav", ">>         0  CAUSE"),
+        *("Story, in ms from the cause", "motion enabled by nav", ">>         0  CAUSE"),
         *("! gate (pid 102) was killed by SIGKILL", "battery 11.80 V, read"),
-        *("after the cause; at least 11.20 V", "readings the newest before the cause, and how old it was then: IMU"),
+        *("after the cause; lowest 11.20 V", "readings age of the newest one at the cause: IMU"),
         *("load 0.50 0.40 0.30", "device.path = /dev/pts/7", "failstop 0.1.0, python 3.11.7"),
     ]
     places = [re.sub(r"\s+", " ", shown).find(re.sub(r"\s+", " ", part)) for part in parts]
@@ -270,7 +270,7 @@ def test_a_cause_without_who_asked_for_it(cause: Cause, text: str) -> None:
 def test_who_asked_for_a_stop_and_who_noticed_it_are_two() -> None:
     made = Recorder(causes.REQUESTED("hand near wheel", "failstop estop", 9))
     assert fact(made, "why") == "stop request: hand near wheel"
-    assert fact(made, "noticed") == "by the port owner; the asker says it is failstop estop (pid 9)"
+    assert fact(made, "noticed") == "by the port owner; the program says it is failstop estop (pid 9)"
 
 
 def test_since_when_the_wheels_stood() -> None:
@@ -313,9 +313,9 @@ def test_readings_have_ages(incident: Incident) -> None:
     assert story.as_dict(old)["ages"]["wheels_s"] == 20.0
     shown = text(old, 160)
     assert "wheels    turned, at most 0.80 turns/s, 20 s before; TURNED at the last report, 20.0 s before it" in shown
-    assert "readings  the newest before the cause, and how old it was then: wheels 20.0 s" in shown
+    assert "readings  age of the newest one at the cause: wheels 20.0 s" in shown
     assert "were still, 20 s before" in text(rolled((-20_000, 0.0)), 160)
-    assert "battery   11.80 V, read 1.0 s after the cause; at least 11.20 V" in text(incident, 160)
+    assert "battery   11.80 V, read 1.0 s after the cause; lowest 11.20 V" in text(incident, 160)
     ages = story.as_dict(incident)["ages"]
     assert (ages["battery_s"], ages["wheels_s"], ages["servos_s"]) == (1.0, None, None)
 

@@ -214,7 +214,7 @@ def test_a_stick_held_through_a_stop_and_a_reset_turns_no_joint_until_let_go_of(
     assert scene.at(2) > stood + 10
 
 
-LATER = "a later request took its place: ask again"
+LATER = "a later request replaced it: ask again"
 DATED = [
     *((verb, None, "before the last stop") for verb in (records.ARM_DRIVE, records.ARM_MOVE)),
     (records.ARM_DRIVE, records.ARM_HOLD, LATER),

@@ -28,7 +28,7 @@ def test_requests_are_answered_in_the_order_in_which_they_were_asked(scene: Scen
         assert scene.ask(verb) == (False, refusal)
     asked_ns = scene.clock() - 1
     assert scene.ask(records.DISABLE)[0]
-    assert scene.ask(records.ENABLE, asked_ns) == (False, "a later request took its place: ask again")
+    assert scene.ask(records.ENABLE, asked_ns) == (False, "a later request replaced it: ask again")
     assert scene.ask(records.DISABLE, scene.clock() + 10_000 * MS)[0]
     scene.turn(20 * MS)
     assert scene.ask(records.ENABLE)[0], "one that is dated in the future keeps nobody from enabling"

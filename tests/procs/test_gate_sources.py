@@ -120,7 +120,7 @@ def test_a_sensor_that_is_silent_and_back_is_told_of_once_with_its_age() -> None
         gate.core.notes.clear()
         cruise(gate, 0.1)
         fall_silent(gate)
-        assert gate.told() == ["no scan for 0.52 s: wheels stopped"]
+        assert gate.told() == ["no scan for 0.52 s, so the wheels are told to stop"]
         scan(gate)
         gate.command(0.1)
         assert gate.tick() == pytest.approx(0.01), "by itself, along the ramp"

@@ -15,7 +15,7 @@ from tests.ros2.scene import NODE, BridgeTrial, Node
 from tests.support.arm_settings import DRIVE, SERVOS
 
 SETTINGS = ARM_SETTINGS
-UNHEARD = f"a node that hears of the goal has acknowledged nothing for {GOAL_TIMEOUT_S:g} s: held"
+UNHEARD = f"a node that receives the goal has acknowledged nothing for {GOAL_TIMEOUT_S:g} s, so the arm is held"
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def test_the_end_of_the_action_s_client_holds_the_arm(scene: BridgeTrial, planne
     wait_for("the arm to move", lambda: scene.state()["arm_moving"])
     scene.leave(planner)
     scene.state(lambda state: not state["arm_moving"])
-    wait_for("the line", lambda: "nobody hears of the goal any more: held" in scene.bridge.said())
+    wait_for("the line", lambda: "nobody receives the goal any more, so the arm is held" in scene.bridge.said())
 
 
 def test_a_listener_of_the_feedback_is_no_hindrance(scene: BridgeTrial, planner: Node) -> None:

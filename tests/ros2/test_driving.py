@@ -136,7 +136,7 @@ def test_without_a_scan_nothing_moves_and_the_log_says_so(scene: BridgeTrial) ->
     lidar.ask("rest", topic="scan")
     scene.standing()
     state = scene.state(lambda state: state["blocked"] == "no scan")
-    scene.state(lambda state: state["wrong"] == "/lidar publishes scan and is silent")
+    scene.state(lambda state: state["wrong"] == "/lidar publishes scan, but is silent")
     lidar.ask("repeat", topic="scan", fields={}, hz=20.0)
     scene.moving()
 

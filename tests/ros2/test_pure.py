@@ -41,14 +41,23 @@ def test_every_mirror_shows_settings_that_there_are() -> None:
     ("given", "line"),
     [
         ({"max_linear": 0.2}, ""),
-        ({"max_linear": 1}, "parameter max_linear = 1 is not taken, 0.2 holds: change limits.vx_mps and limits.vy_mps"),
+        (
+            {"max_linear": 1},
+            "parameter max_linear = 1 has no effect, because 0.2 is in force: change limits.vx_mps and limits.vy_mps",
+        ),
         ({"estop_key": 1.0}, ""),
         ({"accel_scale": [1.0, 1.0, 1.0]}, ""),
-        ({"accel_scale": [1.0, 1.0, 1.1]}, "parameter accel_scale = [1, 1, 1.1] is not taken, [1, 1, 1] holds"),
+        (
+            {"accel_scale": [1.0, 1.0, 1.1]},
+            "parameter accel_scale = [1, 1, 1.1] has no effect, because [1, 1, 1] is in force",
+        ),
         ({"device": "/dev//ttyACM0"}, ""),
-        ({"device": "/dev/ttyACM1"}, "parameter device = /dev/ttyACM1 is not taken, /dev/ttyACM0 holds"),
-        ({"pad_sounds": True}, "parameter pad_sounds = true is not taken, false holds: change buzzer.tones"),
-        ({"drive_pan": 500}, "parameter drive_pan = 500 is not taken, -1 holds: change arm.drive_pan"),
+        ({"device": "/dev/ttyACM1"}, "parameter device = /dev/ttyACM1 has no effect, because /dev/ttyACM0 is in force"),
+        (
+            {"pad_sounds": True},
+            "parameter pad_sounds = true has no effect, because false is in force: change buzzer.tones",
+        ),
+        ({"drive_pan": 500}, "parameter drive_pan = 500 has no effect, because -1 is in force: change arm.drive_pan"),
         ({"somebody_elses": 1}, ""),
     ],
 )
@@ -209,7 +218,7 @@ def test_the_proof_of_a_stop_grows() -> None:
     assert report.proof(before, asked) is None
     assert report.proof(before, asked, final=True) == (
         True,
-        "stop latched (stop service): written after 0.2 ms, not acknowledged yet, not seen still yet",
+        "stop latched (stop service): written after 0.2 ms, not acknowledged yet, wheels not seen still yet",
     )
     blind = states.latched(asked_for, last_stop=states.stop(observed_s=None, observed_by=""))
     assert report.proof(before, blind) == (
@@ -230,7 +239,7 @@ def test_the_proof_of_a_stop_grows() -> None:
         (states.stop(observed_s=0.0), True, "acknowledged after 4.4 ms, no shaking seen before or after"),
         (states.stop(sent=False), False, "NOT sent"),
         (states.stop(written_s=None), False, "could NOT be written: use the POWER SWITCH"),
-        (None, False, "asked for a stop; the service has not told of it yet"),
+        (None, False, "the stop was requested, but the service has not confirmed it yet"),
     ],
 )
 def test_a_stop_counts_as_done_once_it_is_known_to_be_written(stop: Stop | None, done: bool, said: str) -> None:
@@ -258,6 +267,13 @@ def test_own_name_and_number_are_left_out_of_reasons() -> None:
 
 
 # Diagnostics.
+
+
+def test_a_link_without_a_port_is_no_link_to_a_board_that_came_back() -> None:
+    rows = diagnostics.statuses("base", states.state(device=Device("/dev/x", "lost", "unheard")), "", [], [])
+    (link,) = (row for row in rows if row["name"] == "base: link")
+    assert link["level"] == diagnostics.ERROR
+    assert link["message"].startswith("the port /dev/x is lost, so no stop reaches the board")
 
 
 def test_diagnostics_of_a_service_that_is_well() -> None:
@@ -312,10 +328,10 @@ def test_what_is_heard_of_the_sensor() -> None:
     watch = ScanWatch(0.5)
     assert watch.says(S)[1] == ["nobody publishes scan: start the lidar's node, or remap its topic"]
     watch.look([Publisher("/ld19", SCAN, False)])
-    assert watch.says(S) == ("scan: /ld19", ["/ld19 publishes scan and has sent nothing yet"])
+    assert watch.says(S) == ("scan: /ld19", ["/ld19 publishes scan, but has sent nothing yet"])
     watch.heard(S)
     assert watch.says(S + S // 2) == ("scan: /ld19", [])
-    assert watch.says(S + S // 2 + 1)[1] == ["/ld19 publishes scan and is silent"]
+    assert watch.says(S + S // 2 + 1)[1] == ["/ld19 publishes scan, but is silent"]
     watch.look([Publisher("/depth", "sensor_msgs/msg/PointCloud2")])
     assert watch.says(S)[1] == ["/depth publishes PointCloud2 on scan, which is LaserScan"]
 

@@ -72,8 +72,11 @@ def test_a_parameter_is_not_set_and_says_what_to_change(scene: BridgeTrial) -> N
 
 def test_a_launch_file_that_wants_otherwise_is_told_of_by_name(scene: BridgeTrial) -> None:
     said = scene.bridge.said()
-    assert "parameter max_linear = 0.5 is not taken, 0.2 holds: change limits.vx_mps and limits.vy_mps in" in said
-    assert "parameter gyro_noise_rad_s = 0.1 is not taken, 0.0012 holds: remove it" in said
+    assert (
+        "parameter max_linear = 0.5 has no effect, because 0.2 is in force: change limits.vx_mps and limits.vy_mps in"
+        in said
+    )
+    assert "parameter gyro_noise_rad_s = 0.1 has no effect, because 0.0012 is in force: remove it" in said
     assert "parameter cmd_timeout" not in said, "the same value is no contradiction"
 
 

@@ -79,11 +79,11 @@ def test_the_words_stay_while_the_age_is_about_the_same(stamps: Stamps) -> None:
 
 def test_where_ros_has_no_time_no_stamp_is_believed() -> None:
     stamps = Stamps(lambda: 0)
-    assert stamps.late("cmd_vel", "/nav", stamp(0.0), 0.3, S) == f"how old its stamp is nobody knows: {NO_CLOCK}"
+    assert stamps.late("cmd_vel", "/nav", stamp(0.0), 0.3, S) == f"nobody knows how old its stamp is: {NO_CLOCK}"
     assert stamps.wrong(S) == [NO_CLOCK]
 
 
-UNACKNOWLEDGED = "a node that hears of the goal has acknowledged nothing for {:g} s"
+UNACKNOWLEDGED = "a node that receives the goal has acknowledged nothing for {:g} s"
 SILENT_NS = S + S // 2
 """When one whose last acknowledgement was at S is gone, by a timeout of 0.5 s."""
 
@@ -96,9 +96,9 @@ SILENT_NS = S + S // 2
         (0.5, [(1, True, S, ""), (2, False, SILENT_NS - 1, ""), (2, False, SILENT_NS, UNACKNOWLEDGED.format(0.5))]),
         # No shorter than three messages.
         (0.1, [(1, True, S, ""), (1, False, S + LEAST_NS - 1, ""), (1, False, S + LEAST_NS, "a node")]),
-        (0.5, [(1, True, S, ""), (0, True, S + 1, "nobody hears of the goal any more")]),
+        (0.5, [(1, True, S, ""), (0, True, S + 1, "nobody receives the goal any more")]),
         # Who is never met has the time of discovery; best effort acknowledges nothing.
-        (0.5, [(0, True, DISCOVERY_NS - 1, ""), (0, True, DISCOVERY_NS, "nobody hears of the goal reliably")]),
+        (0.5, [(0, True, DISCOVERY_NS - 1, ""), (0, True, DISCOVERY_NS, "nobody receives the goal reliably")]),
         (0.5, [(1, False, DISCOVERY_NS - 1, ""), (1, False, DISCOVERY_NS, "a node")]),
     ],
 )

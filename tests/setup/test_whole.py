@@ -48,7 +48,7 @@ def proved(person: Person) -> None:
     for _ in range(PROOFS):
         person.says('Type "spin"', "spin")
         person.reads(" skipped")
-        if "INVALID" not in person.reads("Proved is what was done here"):
+        if "INVALID" not in person.reads("This result covers only what was tested here"):
             return
         person.says("Run it again?", "")
     pytest.skip("the machine is too busy")

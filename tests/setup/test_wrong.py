@@ -64,12 +64,12 @@ WRONG: dict[str, tuple[dict[str, str], tuple[str, ...], str]] = {
     "no kind": (
         {"board": "esp32"},
         (),
-        "type rrc, arduino, feetech, hoverboard, ugv, or the path of a folder of your own",
+        "type rrc, arduino, feetech, hoverboard, ugv, or the path of your own board's folder",
     ),
     "wrong kind": (
         {"board": "rrc"},
         (),
-        "the board that answers is ugv, and board.kind is rrc: give --board ugv, or plug",
+        "the board that answers is ugv, but board.kind is rrc: give --board ugv, or plug",
     ),
     "no robot": ({"robot": "9"}, (), "type a number from 1 to 4"),
     "not on a stand": ({"stand": "no"}, (), "nothing was moved: put the robot on a stand"),
@@ -201,7 +201,7 @@ STOPPED = "the wheels are stopped, as the board reports"
 UNPROVED = "the robot did not pass the stand test"
 FAULTS: dict[tuple[str, str], str] = {
     ("ask", "silent"): "no board that failstop knows answers at",
-    ("ask", "deaf"): "it does not hear; look at the board's power; its cable, whose TX and RX cross",
+    ("ask", "deaf"): "so it may hear nothing; check the board's power, its cable (TX and RX must cross)",
     ("ask", "unplug"): "has disappeared",
     **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("ctrl-c", "hang-up")), STOPPED),
     **dict.fromkeys(product(("wheel_0", "forward", "prove"), ("unplug",)), UNPLUGGED),

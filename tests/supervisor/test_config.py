@@ -96,19 +96,19 @@ ABOVE = TABLES.replace("[device]", "{}[device]")
     [
         (
             TABLES + "scan.gate = 'off'\n",
-            "line 8, `scan.gate`, stands below `[arm]`, so it would set arm.scan.gate: "
+            "line 8, `scan.gate` is below `[arm]`, so it would set arm.scan.gate: "
             "move it above line 2, the first [table]",
             ABOVE.format("scan.gate = 'off'\n"),
         ),
         (
             TABLES + "board.kind = 'ugv'\n",
-            "line 8, `board.kind`, stands below `[arm]`, so it would set arm.board.kind: "
+            "line 8, `board.kind` is below `[arm]`, so it would set arm.board.kind: "
             "write it as `kind = ...` below `[board]` (line 4)",
             TABLES.replace("[board]\n", "[board]\nkind = 'ugv'\n"),
         ),
         (
             TABLES + "[joints.pan]\nservo = 1\nsources.page.priority = 5\n",
-            "line 10, `sources.page.priority`, stands below `[joints.pan]`, so it would set "
+            "line 10, `sources.page.priority` is below `[joints.pan]`, so it would set "
             "joints.pan.sources.page.priority: move it above line 2, the first [table]",
             ABOVE.format("sources.page.priority = 5\n") + "[joints.pan]\nservo = 1\n",
         ),
@@ -146,7 +146,7 @@ def test_a_line_in_the_wrong_place_is_told_where_it_belongs_and_is_right_there(
 def test_of_many_misplaced_lines_the_first_are_named_and_the_rest_counted(file: Path) -> None:
     lines = "".join(f"wheels.sign_{number} = 1\n" for number in (1, 2, 3, 4)) + "web.port = 1\n"
     message = refusal(file, TABLES + lines)
-    assert message.count("stands below `[arm]`") == 4
+    assert message.count("is below `[arm]`") == 4
     assert message.endswith("; and 1 more")
 
 
@@ -359,7 +359,7 @@ def test_the_smallest_speed_of_a_board_is_told_and_smaller_limits_are_refused(
 ) -> None:
     """One unit is a turn a minute, of wheels of 8 cm."""
     file.write_text('board.kind = "hoverboard"\n')
-    said = f"{file} is right; it sets 1 value; a wheel that is to be slower than 0.0042 m/s stands\n"
+    said = f"{file} is right; it sets 1 value; a wheel that should go slower than 0.0042 m/s does not turn\n"
     assert run(capsys, "config", "--check", str(file)) == (0, said, "")
     file.write_text('board.kind = "hoverboard"\nboard.per_rps = 1.0\nlimits.vx_mps = 0.1\nlimits.wz_radps = 0.1\n')
     code, _, err = run(capsys, "config", "--check", str(file))

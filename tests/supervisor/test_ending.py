@@ -88,7 +88,7 @@ def test_a_board_that_can_not_answer_is_waited_for_no_longer_than_for_its_echo()
     )
     well, told = end(scene)
     assert well
-    assert told[1][1].endswith("not acknowledged: the board's echo shows a stop only where it ends motion")
+    assert told[1][1].endswith("not acknowledged, because this board's echo shows only a stop that ends motion")
     assert scene.now_ns == began_ns + echo_ns + KILLED_NS + repeats_ns[-1]
 
 
@@ -127,6 +127,19 @@ def test_a_second_stop_that_the_kernel_does_not_take_or_keeps_is_a_failure(scene
     assert not well
     how = "could NOT be written, acknowledged" if full else "was handed over, NOT sent"
     assert told[1][1].startswith(f"stopped; the second stop {how}")
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_the_service_manager_hears_of_no_stop_that_could_not_be_written(scene: Scene, full: bool) -> None:
+    scene.supervisor.processes[layout.PORT_OWNER].kill(20.0)
+    scene.port_owner.word("stopped_epoch").set(1)
+    said: list[str] = []
+    scene.supervisor.status.notify.say = said.append
+    if full:
+        scene.wire.fill()
+    end(scene)
+    told = "NO STOP COULD BE WRITTEN YET" if full else "the stop is written"
+    assert [line for line in said if "STOPPING" in line] == [f"STOPPING=1\nSTATUS={told}; ending every process"]
 
 
 def test_an_end_without_a_port_owner_has_the_supervisor_s_stop_and_waits_for_nobody(scene: Scene) -> None:

@@ -107,9 +107,9 @@ def test_people_are_told_what_is_lacking() -> None:
 
 def test_a_lease_is_told_with_what_it_costs() -> None:
     late = "after 200 ms instead of 60 to 100 (gate.lease_s)"
-    assert status.cost(0.2) == f"a hang of gate, supervisor or port owner is stopped for {late}"
-    assert status.cost(1.5).endswith("is stopped for after 1500 ms instead of 60 to 100 (gate.lease_s)")
-    assert status.cost(0.06) == "some have no cause, since gate.lease_s is as short as 60 ms"
+    assert status.cost(0.2) == f"when the gate, supervisor or port owner hangs, the robot stops {late}"
+    assert status.cost(1.5).endswith("the robot stops after 1500 ms instead of 60 to 100 (gate.lease_s)")
+    assert status.cost(0.06) == "some stops will have no other reason, because gate.lease_s is as short as 60 ms"
     assert status.cost(0.05946).endswith(" as short as 59 ms")
 
 

@@ -152,7 +152,7 @@ def test_it_is_told_at_last_without_answer_and_without_imu() -> None:
 def test_what_the_kernel_still_holds_is_not_said_to_be_sent() -> None:
     last = proof()
     last.held = True
-    assert last.outcome("deaf") == "gate died: handed over, NOT sent: the board takes no bytes, not observed"
+    assert last.outcome("deaf") == "gate died: handed over, NOT sent: the board accepts no bytes, not observed"
     assert last.fields("deaf")["sent"] is False
     assert last.as_record()["sent"] is False
     assert last.ponged(T0 + MS, T0 + 2 * MS), "it takes them again"

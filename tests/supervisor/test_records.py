@@ -81,7 +81,7 @@ def test_the_service_manager_is_told_first_of_wheels_that_turn_although_told_zer
     scene.telemetry.latest_writer("wheels").write(seen)
     scene.pass_time()
     assert said == [
-        "STATUS=THE WHEELS TURN ALTHOUGH THEY ARE TOLD ZERO; "
+        "STATUS=THE WHEELS TURN ALTHOUGH THEY ARE TOLD TO STOP; "
         "motion disabled, waiting for port_owner, stopper, gate, telemetry"
     ]
 

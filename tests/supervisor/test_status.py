@@ -61,10 +61,10 @@ def test_the_line(missing: str, down: str, latched: str, gate: dict[str, Any], l
 @pytest.mark.parametrize(
     ("by", "unexpected", "age_ms", "told"),
     [
-        (2, True, 100, "the wheels turn although they are told zero"),
-        (1, True, 100, "the robot moves, or is being moved, although its wheels are told zero"),
+        (2, True, 100, "the wheels turn although they are told to stop"),
+        (1, True, 100, "the robot moves, or is being moved, although its wheels are told to stop"),
         (2, False, 100, ""),
-        (2, True, 500, "the wheels turn although they are told zero"),
+        (2, True, 500, "the wheels turn although they are told to stop"),
         (2, True, 501, ""),
     ],
 )

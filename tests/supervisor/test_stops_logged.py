@@ -76,7 +76,7 @@ ONCE = "stopped; the second stop could NOT be written, "
 DEAF = "NOT acknowledged by the board (link deaf); if the wheels turn, use the POWER SWITCH"
 
 
-HANDED = "stopped; the second stop was handed over, NOT sent: the board takes no bytes, "
+HANDED = "stopped; the second stop was handed over, NOT sent: the board accepts no bytes, "
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_the_end_is_told_with_what_is_known_of_the_stop(
 
 @pytest.mark.parametrize(
     ("by", "text"),
-    [(("", "wheels"), "this board acknowledges nothing (link unasked)"), (("echo", ""), UNMOVED)],
+    [(("", "wheels"), "this board never acknowledges a stop (link unasked)"), (("echo", ""), UNMOVED)],
 )
 def test_the_end_of_a_board_that_is_asked_nothing_is_told_with_what_acknowledges_its_stops(
     scene: Scene, tracker: Any, by: tuple[str, str], text: str
@@ -186,7 +186,7 @@ def test_the_processes_remarks_are_passed_on_and_a_damaged_one_is_left_out(scene
 
 
 WROTE = "stop frame written by the port owner after 80 us"
-HANDED_OVER = "stop frame handed over by the port owner after 80 us, NOT sent: the board takes no bytes"
+HANDED_OVER = "stop frame handed over by the port owner after 80 us, NOT sent: the board accepts no bytes"
 
 
 @pytest.mark.parametrize(

@@ -280,7 +280,7 @@ def test_a_c_program_is_stopped_by_an_upgrade_and_can_still_stop(place: Place, p
         motor = [event for event in place.board.events() if event.is_motor]
         first = next(at for at, event in enumerate(motor) if event.is_stop)
         assert not [event for event in motor[first:] if any(event.speeds)], "it went on commanding"
-        assert program.text("error").startswith("the service has gone: start it, then call fs_connect()")
+        assert program.text("error").startswith("the service has ended: start it, then call fs_connect()")
         assert place.ready()
         assert program.do("stop by a C program of before") == OK
         wait_for("the stop", lambda: "by a C program of before" in why(place))

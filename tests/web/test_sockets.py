@@ -183,7 +183,10 @@ def test_strangers_hold_nothing(latched: Trial, web: Web) -> None:
 
 def test_a_limit_is_lowered_by_a_touch_and_raised_by_a_hold(trial: Trial, web: Web, anna: dict[str, str]) -> None:
     assert web.post("/api/limit", {"percent": 25}, anna)[0] == 200
-    assert web.post("/api/limit", {"percent": 50}, anna) == (409, {"error": "a higher limit is held for, on the page"})
+    assert web.post("/api/limit", {"percent": 50}, anna) == (
+        409,
+        {"error": "to raise the limit, hold its button on the page"},
+    )
     assert trial.robot.state.speed_limit == 0.25
     with Viewer(web, anna) as viewer:
         assert viewer.hold("limit", percent=100)["done"]

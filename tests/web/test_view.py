@@ -21,6 +21,8 @@ DEAF = dataclasses.replace(PORT, link="deaf")
 UNPROVEN = dataclasses.replace(PORT, link="unproven")
 WRITTEN = states.stop(acknowledged_s=None, observed_s=None)
 HELD = states.stop(acknowledged_s=None, observed_s=None, sent=False)
+UNFELT = states.stop(acknowledged_s=None, observed_s=0.0)
+"""The IMU felt nothing, before the stop or after it."""
 SEEN = states.stop(acknowledged_s=None, observed_s=0.3)
 DRIVING = {"enabled": True, "blocked": None, "body_vel": (0.2, 0.0, 0.0), "wheels_radps": (6.0, 6.0, 6.0, 6.0)}
 
@@ -53,17 +55,18 @@ def shown(state: State) -> dict[str, Any]:
         (
             states.latched(turning=states.TURNS_ON),
             "WHEELS TURN",
-            "although they are told zero",
+            "although they are told to stop",
             "unless somebody pushes",
         ),
         (states.state(turning=states.MOVES_ON), "ROBOT MOVES", "or is being moved", "unless somebody moves it."),
-        (states.latched(turning=states.TURNS), "STOPPING", "are told zero and turn. Somebody pressed", "hold RESET"),
+        (states.latched(turning=states.TURNS), "STOPPING", "but still turn. Somebody pressed", "hold RESET"),
         (states.state(turning=states.UNSEEN), "TOLD TO STOP", "nothing reports what they do. Motion is", "Hold ENABLE"),
         (states.latched(last_stop=WRITTEN), "STOP WRITTEN", "pressed key 1", "then hold RESET"),
         (states.latched(last_stop=WRITTEN, device=UNPROVEN), "STOP WRITTEN", "pressed key 1", "POWER SWITCH"),
+        (states.latched(last_stop=UNFELT), "STOP WRITTEN", "pressed key 1", "then hold RESET"),
         (states.latched(last_stop=SEEN, device=UNPROVEN), "STOPPED, UNPROVEN", "pressed key 1", "then hold RESET"),
         (states.state(last_stop=WRITTEN), "STOP WRITTEN", "Motion is disabled", "Hold ENABLE"),
-        (states.latched(last_stop=HELD), "WHEELS MAY TURN", "pressed key 1", "POWER SWITCH"),
+        (states.latched(last_stop=HELD), "WHEELS MAY TURN", "accepts no bytes, so the last stop", "POWER SWITCH"),
         (states.latched(last_stop=None), "WHEELS MAY TURN", "pressed key 1", "POWER SWITCH"),
     ],
 )
@@ -128,9 +131,44 @@ def test_what_stands_in_the_way() -> None:
 def test_the_three_levels_of_a_stop() -> None:
     stop = states.stop(acknowledged_s=None, observed_s=None)
     assert view.stop_of(stop) == {
-        "reason": "key1", "t": NOW_S - 12, "written": "0.21 ms", "acknowledged": "", "observed": "", "unseen": ""
+        "reason": "key1", "t": NOW_S - 12, "written": "0.21 ms", "acknowledged": "", "observed": "",
+        "lacks": {"written": "NO: the board accepts no bytes", "acknowledged": "", "observed": ""},
     }  # fmt: skip
     assert view.stop_of(None) is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "level", "lacks"),
+    [
+        ({"written_s": None}, "written", "NO: it could not be written"),
+        ({"sent": False}, "written", "NO: the board accepts no bytes"),
+        ({"acknowledged_s": None, "acknowledged_by": ""}, "acknowledged", "this board never does"),
+        ({"observed_s": 0.0}, "observed", "no shaking seen before or after"),
+        ({"observed_s": 0.0, "observed_by": "wheels"}, "observed", "not seen turning before or after"),
+        ({"observed_s": None, "observed_by": ""}, "observed", "no IMU"),
+    ],
+)
+def test_a_level_that_is_not_proved_has_no_time_and_says_what_is_known(
+    changed: dict[str, Any], level: str, lacks: str
+) -> None:
+    """The page ticks off a level that has a time."""
+    found = view.stop_of(states.stop(**changed))
+    assert found
+    assert (found[level], found["lacks"][level]) == ("", lacks)
+
+
+@pytest.mark.parametrize(
+    ("device", "says"),
+    [
+        (PORT, "The board answers."),
+        (DEAF, "The board does NOT hear."),
+        (dataclasses.replace(PORT, link="silent"), "The board says NOTHING any more."),
+        (dataclasses.replace(PORT, link="unheard"), "The board has NOT answered since its port came back."),
+        (dataclasses.replace(PORT, state="lost", link="unheard"), "not known"),
+    ],
+)
+def test_what_is_known_of_the_board_is_in_words(device: Device, says: str) -> None:
+    assert shown(states.state(device=device))["board"] == says
 
 
 def test_without_a_service() -> None:

@@ -265,6 +265,8 @@ FSI int fsi_send(int fd, const void *data, size_t size);
 FSI bool fsi_is_pipe(int fd);
 FSI bool fsi_over(const struct fsi_run *run);
 FSI bool fsi_held(int fd, off_t byte, bool by_writer);
+/* Why there is no such service, with the command that starts it. */
+FSI void fsi_no_service(char *why, size_t room, const struct fsi_places *places);
 /* FS_OK, or an error and why in `why`. */
 FSI int fsi_attach(struct fsi_run **run, const struct fsi_places *places, int which, char *why, size_t size);
 FSI void fsi_detach(struct fsi_run *run);

@@ -177,7 +177,7 @@ static uint64_t pid_namespace(void) {
 
 static int going_away(fs_robot *robot) {
   char why[400];
-  snprintf(why, sizeof why, "the service '%s' is going away: try again", robot->places.name);
+  snprintf(why, sizeof why, "the service '%s' is ending: try again", robot->places.name);
   return fsi_fail_with(robot, FS_NO_SERVICE, why);
 }
 
@@ -247,9 +247,7 @@ static int attach_to(fs_robot *robot) {
   int which, stop = fsi_open_stop(&robot->places, &which, &refusal);
   if (stop < 0) {
     if (refusal.why == ENOENT || refusal.why == ENXIO || refusal.why == ENOTDIR) {
-      snprintf(why, sizeof why, "no service named '%s' is running: start it with `failstop run%s%s`", robot->places.name,
-               strcmp(robot->places.name, TEXT_DEFAULT_NAME) ? " --name " : "",
-               strcmp(robot->places.name, TEXT_DEFAULT_NAME) ? robot->places.name : "");
+      fsi_no_service(why, sizeof why, &robot->places);
       return fsi_fail_with(robot, FS_NO_SERVICE, why);
     }
     fsi_describe(why, sizeof why, &robot->places, which, "stop", &refusal);
@@ -519,7 +517,7 @@ static int reply_to(fs_robot *robot, uint64_t number) {
   if (answered < number) return -1;
   atomic_thread_fence(memory_order_seq_cst); /* the state then shows what the request has changed */
   if (answered > number) {
-    fsi_fail_with(robot, FS_REFUSED, "given up for a later request of this program");
+    fsi_fail_with(robot, FS_REFUSED, "replaced by a later request of this program");
     return REPLY_REFUSED;
   }
   int done = entry.data[F_REPLY_DONE];
@@ -634,7 +632,7 @@ const char *fs_result_text(int result) {
 
 static const char *sentence(int code) {
   switch (code) {
-    case FS_NO_SERVICE: return "the service has gone: start it, then call fs_connect(), or open a new handle";
+    case FS_NO_SERVICE: return "the service has ended: start it, then call fs_connect(), or open a new handle";
     case FS_NOT_CONNECTED: return "this handle has no client slot: call fs_connect() first";
     case FS_UNDECLARED: return "the service's settings don't name it: add it there and restart the service";
     case FS_INVALID: return "an argument is NULL, not finite, too long, or its size is not set; nothing was sent";

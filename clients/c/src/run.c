@@ -40,7 +40,7 @@ int fsi_open_segment(const struct fsi_run *run, const char *name, bool write, ch
     char reason[128] = "";
     const char *said = strerror_r(error, reason, sizeof reason);
     if (error == ENOENT) {
-      snprintf(why, room, "shared memory %s is not there: start the service with `failstop run`", name);
+      snprintf(why, room, "shared memory %s does not exist: start the service with `failstop run`", name);
       return FS_NO_SERVICE;
     }
     if (error == EACCES || error == EPERM) {
@@ -65,7 +65,7 @@ int fsi_check_segment(int fd, const char *name, uint64_t incarnation, uint64_t *
   char own[F_HEADER_CLIENT - F_HEADER_NAME + 1] = "", version[N_HEADER - F_HEADER_VERSION + 1] = "";
   if (pread(fd, raw, sizeof raw, 0) != (ssize_t)sizeof raw || !fsi_check(raw, sizeof raw, fsi_seed("header", 0), &entry) ||
       entry.size != N_HEADER || memcmp(entry.data, TEXT_MAGIC, strlen(TEXT_MAGIC)) != 0) {
-    snprintf(why, room, "shared memory %s has no whole header: restart the service", name);
+    snprintf(why, room, "shared memory %s has an incomplete header: restart the service", name);
     return FS_DAMAGED;
   }
   memcpy(own, entry.data + F_HEADER_NAME, sizeof own - 1);
@@ -204,6 +204,12 @@ static int attach_all(struct fsi_run *run, char *why, size_t room) {
   return FS_OK;
 }
 
+void fsi_no_service(char *why, size_t room, const struct fsi_places *places) {
+  bool named = strcmp(places->name, TEXT_DEFAULT_NAME) != 0;
+  snprintf(why, room, "no service named '%s' is running: start it with `failstop run%s%s`", places->name,
+           named ? " --name " : "", named ? places->name : "");
+}
+
 int fsi_attach(struct fsi_run **found, const struct fsi_places *places, int which, char *why, size_t room) {
   struct fsi_refusal refusal;
   char digits[RUN_DIGITS + 1] = "";
@@ -212,7 +218,7 @@ int fsi_attach(struct fsi_run **found, const struct fsi_places *places, int whic
   int fd = fsi_open_in(places, which, "run", O_RDONLY, false, &refusal);
   if (fd < 0) {
     if (refusal.why == ENOENT || refusal.why == ENOTDIR) {
-      snprintf(why, room, "no service named '%s' is running: start it with `failstop run`", places->name);
+      fsi_no_service(why, room, places);
       return FS_NO_SERVICE;
     }
     fsi_describe(why, room, places, which, "run", &refusal);
@@ -229,7 +235,7 @@ int fsi_attach(struct fsi_run **found, const struct fsi_places *places, int whic
     incarnation = incarnation << 4 | (uint64_t)(digit ? digit - HEX : 0);
   }
   if (failed || !number) {
-    snprintf(why, room, "no service named '%s' is running: start it with `failstop run`", places->name);
+    fsi_no_service(why, room, places);
     return FS_NO_SERVICE;
   }
   struct fsi_run *run = calloc(1, sizeof *run);

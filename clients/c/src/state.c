@@ -299,10 +299,10 @@ int fs_get_state(const fs_robot *robot, fs_state *given) {
 
 static const char *block_text(int block) {
   switch (block) {
-    case FS_BLOCK_DISABLED: return "disabled";
-    case FS_BLOCK_HELD: return "let go first";
-    case FS_BLOCK_NO_COMMAND: return "no command";
-    case FS_BLOCK_NO_SCAN: return "no scan";
+    case FS_BLOCK_DISABLED: return "motion is disabled";
+    case FS_BLOCK_HELD: return "a program commanded before motion was enabled, so it must send zero or pause";
+    case FS_BLOCK_NO_COMMAND: return "no program sends commands";
+    case FS_BLOCK_NO_SCAN: return "the obstacle sensor is silent";
     default: return "";
   }
 }
@@ -326,11 +326,11 @@ int fs_why(const fs_robot *robot, char *out, size_t size) {
     fsi_add_cause(&text, decided.packed, decided.packed_size);
   } else if (decided.answer == FS_PREEMPTED) {
     fsi_add(&text, decided.by, decided.by_size);
-    fsi_adds(&text, " drives: a source of higher priority");
+    fsi_adds(&text, " drives, as a source of higher priority");
   } else if (decided.answer == FS_BLOCKED && block == FS_BLOCK_NO_COMMAND && !decided.taken) {
     fsi_adds(&text, "the gate has not taken the command yet");
   } else if (decided.answer == FS_BLOCKED && block == FS_BLOCK_HELD) {
-    fsi_adds(&text, "commanded before motion was enabled: send zero, or pause, to drive");
+    fsi_adds(&text, "commanded before motion was enabled: send zero or pause, then drive");
   } else {
     fsi_adds(&text, block_text(block));
   }

@@ -45,18 +45,18 @@ _LOST_NS = 100_000_000
 """After this time without an answer the board is asked again; failstop itself asks ten times a second."""
 
 _GAINS = "the board keeps its gains"
-_PINS = "failstop reads no pins, and sets those that the setting guard.pins names"
+_PINS = "failstop reads no pins, and sets only those that the setting guard.pins names"
 _WITHOUT_EFFECT = {
     ord("r"): (_OK, "", ""),
-    ord("u"): (_OK, "PID gains (u)", f"{_GAINS}: build those that you need into its firmware"),
-    ord("w"): (_OK, "writing a pin (w)", f"{_PINS}: 5, 6, 9, 10, 12 and 13 drive the motors"),
-    ord("x"): (_OK, "PWM on a pin (x)", f"{_PINS}: 5, 6, 9 and 10 drive the motors"),
+    ord("u"): (_OK, "PID gains (u)", f"{_GAINS}, so build the ones that you need into its firmware"),
+    ord("w"): (_OK, "writing a pin (w)", f"{_PINS}; 5, 6, 9, 10, 12 and 13 drive the motors"),
+    ord("x"): (_OK, "PWM on a pin (x)", f"{_PINS}; 5, 6, 9 and 10 drive the motors"),
     ord("c"): (_OK, "setting up a pin (c)", _PINS),
-    ord("a"): (b"0\r\n", "reading an analog pin (a)", f"{_PINS}: it was answered 0"),
-    ord("d"): (b"0\r\n", "reading a pin (d)", f"{_PINS}: it was answered 0"),
-    ord("p"): (b"0\r\n", "the sonar (p)", "it would hold the board up for as long as a second: it was answered 0"),
+    ord("a"): (b"0\r\n", "reading an analog pin (a)", f"{_PINS}, so the answer is 0"),
+    ord("d"): (b"0\r\n", "reading a pin (d)", f"{_PINS}, so the answer is 0"),
+    ord("p"): (b"0\r\n", "the sonar (p)", "it would keep the board busy for up to a second, so the answer is 0"),
     ord("s"): (_OK, "moving a servo (s)", "failstop knows no servos on this board"),
-    ord("t"): (b"0\r\n", "a servo's angle (t)", "failstop knows no servos on this board: it was answered 0"),
+    ord("t"): (b"0\r\n", "a servo's angle (t)", "failstop knows no servos on this board, so the answer is 0"),
 }
 """Commands that change nothing on the board, each with (answer, what it is, why it has no effect). `r` only sets the
 counts that the driver sees to zero, so it is not refused."""

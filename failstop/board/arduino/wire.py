@@ -103,8 +103,8 @@ WIRE = Wire(
     ),
     commanders=(
         Commander(
-            who="the bridge's own node drives past failstop",
-            remedy="take it out of the launch file; what it published, a program of failstop's can",
+            who="ros_arduino_bridge's own node writes to the board, and failstop checks nothing that it writes",
+            remedy="remove it from the launch file, or let it open the guard port (docs/guard.md)",
             program="ros_arduino_python/nodes/arduino_node.py",
         ),
     ),

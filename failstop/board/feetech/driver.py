@@ -44,8 +44,8 @@ _SPEEDS = range(codec.GOAL_SPEED, codec.GOAL_SPEED + 2)
 _BEFORE_SPEED = range(codec.GOAL_POSITION, codec.GOAL_SPEED)
 """Goal position and goal time (42 to 45), which a servo in velocity mode ignores while they are zero."""
 _STOPPED = "so the wheels were stopped"
-_ARM = "failstop moves the arm for programs that use its plugin or Robot.arm, and for no driver at the guard port"
-_BY_ID = "servos are named one by one at the guard port"
+_ARM = "failstop moves the arm only for programs that use its plugin or Robot.arm"
+_BY_ID = "at the guard port, servos must be written one by one"
 
 
 class FeetechDriver:
@@ -121,10 +121,10 @@ class FeetechDriver:
             if servo not in self._memory:
                 if servo < codec.EVERY_SERVO:
                     what = f"servo {servo}"
-                    rows.append(DriverRefusal(what, "it is no wheel, and no joint of the settings names it"))
+                    rows.append(DriverRefusal(what, "it is not a wheel, and no joint in the settings has this servo"))
             elif wanted.stop <= _MEMORY and self._knows(servo, wanted):
                 if wanted.stop > _KNOWN_TO and wanted.start < _SENSORS + 15:
-                    why = "failstop does not ask the servos for it: it was answered 0"
+                    why = "failstop does not ask the servos for it, so the answer is 0"
                     rows.append(DriverRefusal("reading status or current (65 to 70)", why))
                 answers += self._packet_of(servo, bytes(self._memory[servo][address : wanted.stop]))
         return [*rows, DriverAnswer(answers)] if answers else rows

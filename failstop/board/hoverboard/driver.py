@@ -37,7 +37,7 @@ the board drops incomplete bytes as soon as the line is idle."""
 _LENGTHS = (18, 22, 26)
 _REST = (0.0, 0.0)
 _NO_FRAME = DriverRefusal(
-    "bytes that are no frame",
+    "bytes that are not a frame",
     "the board drops them too, so the wheels were stopped: is the driver made for this board?",
 )
 

@@ -138,12 +138,12 @@ class Rrc(Board):
     arm: RrcArm = RrcArm()
     commanders = (
         Commander(
-            who="a gamepad at the board, or Bluetooth: with some firmware they drive without this computer",
+            who="a gamepad at the board, or Bluetooth: with some firmware it drives the robot without this computer",
             remedy="switch that off in the firmware, or unplug and unpair what you don't drive with",
         ),
         Commander(
-            who="the vendor's ROS node writes to the board, past every check of failstop",
-            remedy="the vendor's service starts it at boot: on some robots start_node.service, by a container",
+            who="the vendor's ROS node writes to the board, and failstop checks nothing that it writes",
+            remedy="the vendor's service starts it at boot (on some robots start_node.service, in a container)",
             program="lib/ros_robot_controller/",
             fix="sudo systemctl disable --now start_app_node.service",
         ),

@@ -35,7 +35,7 @@ _ONE, _SEVERAL, _STOP_ONE, _STOP_SEVERAL, _TYPE_OR_DUTY = 0, 1, 2, 3, 5
 _ENTRY = Struct("<Bf")
 _TYPE_LENGTH = 2
 _STOPPED = "so the wheels were stopped"
-_NOT_PASSED = "failstop passes motion and the buzzer's tones on to this board, and nothing else yet"
+_NOT_PASSED = "failstop passes only motion and the buzzer's tones on to this board so far"
 _PASSED = (framing.SYS, framing.KEY_FUNC, framing.IMU_FUNC, framing.GAMEPAD, framing.SBUS)
 _NAMES = {LED: "an LED (1)", BUZZER: "the buzzer (2)", OLED: "the display (10)", RGB: "RGB lights (11)"}
 _PWM_READS = {0x05: 2, 0x09: 1}
@@ -44,7 +44,7 @@ _BUS_READS = {0x05: 2, 0x07: 2, 0x09: 1, 0x0D: 1, 0x12: 1, 0x22: 1, 0x32: 4, 0x3
 _PWM_SET_OFFSET = 0x07
 _BUS_SETS = (0x10, 0x20, 0x24, 0x30, 0x34, 0x38)
 _FAILED = b"\xff"
-_FOR_PROGRAMS = "failstop moves servos for programs that use Robot.arm, and steers by itself"
+_FOR_PROGRAMS = "failstop steers by itself, and moves servos only for programs that use Robot.arm"
 
 
 class RrcDriver:
@@ -78,7 +78,7 @@ class RrcDriver:
             if self._skipped:
                 return []
             self._skipped = True
-            return self._refuse("bytes that are no frame", "the board ignores them")
+            return self._refuse("bytes that are not a frame", "the board ignores them")
         if self._state == _START_2:
             self._state = _FUNC if value == framing.HEAD[1] else _START
         elif self._state == _FUNC:
@@ -140,7 +140,7 @@ class RrcDriver:
             if motor >= WHEELS:
                 return self._refuse(f"motor {motor + 1}", f"the board has {WHEELS}")
             if not isfinite(rps):
-                return self._refuse("a speed that is no number", "the board would take it")
+                return self._refuse("a speed that is not a number", "the board would take it")
             speeds[motor] = rps
         self._speeds = speeds
         return [DriverMotion(tuple(speeds))]
@@ -164,7 +164,9 @@ class RrcDriver:
             return [DriverAnswer(framing.seal(self._func, kept))]
         # A PWM servo's answer has no room for a failure.
         failed = (_FAILED if self._func == BUS_SERVO else b"") + bytes(size)
-        why = "failstop has no answer of it" + (": it was answered 0" if self._func == PWM_SERVO else ", so it failed")
+        why = "failstop has not read it from the board" + (
+            ", so the answer is 0" if self._func == PWM_SERVO else ", so it failed"
+        )
         name = "PWM" if self._func == PWM_SERVO else "bus"
         return [
             DriverRefusal(f"reading {name} servo {servo} ({self._func}, {kind:02X})", why),

@@ -108,7 +108,7 @@ class UgvDriver:
 
     def _not_json(self) -> list[Row]:
         why = "the board ignores it, so the wheels were stopped: is the driver made for this board?"
-        return [DriverRefusal("a line that is no JSON", why), DriverMotion(_REST, refused=True)]
+        return [DriverRefusal("a line that is not JSON", why), DriverMotion(_REST, refused=True)]
 
     def _motion(self, kind: int, fields: dict[bytes, object]) -> list[Row]:
         if kind == _SPEEDS:

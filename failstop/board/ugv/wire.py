@@ -101,26 +101,29 @@ WIRE = Wire(
     silent_ns=600 * _MS,
     commanders=(
         Commander(
-            who="its Wi-Fi: who joins its access point (UGV, 12345678, unless changed), or the network that it has "
-            "joined, drives it by the page at its address",
-            remedy="a password of your own, typed on that page (192.168.4.1) while it stands, as it hears nothing for "
-            '15 s: {"T":407,"mode":1,"ap_ssid":"NAME","ap_password":"SECRET","sta_ssid":"none","sta_password":"none"}; '
-            "then look for the old one with a phone",
+            who="its Wi-Fi: anyone who joins its access point (UGV, password 12345678 unless changed), or the network "
+            "that it has joined, can drive the robot with the page at its address",
+            remedy="set your own password on that page (192.168.4.1) while the robot is at rest, because the board "
+            'then hears nothing for 15 s: {"T":407,"mode":1,"ap_ssid":"NAME","ap_password":"SECRET","sta_ssid":"none",'
+            '"sta_password":"none"}; then check with a phone that the old network is gone',
         ),
         Commander(
-            who="ESP-NOW: any ESP32 near it drives it by radio, without a password (it follows by default)",
-            remedy='{"T":301,"mode":0} on its page ends that until the next power-on; for good as a step of its '
-            'mission "boot": {"T":222,"name":"boot","step":"{\\"T\\":301,\\"mode\\":0}"}',
+            who="ESP-NOW: any ESP32 nearby can drive the robot by radio, without a password (by default)",
+            remedy='{"T":301,"mode":0} on its page turns this off until the next power-on; to turn it off forever, '
+            'add it to its mission "boot": {"T":222,"name":"boot","step":"{\\"T\\":301,\\"mode\\":0}"}',
         ),
         Commander(
-            who="the vendor's app (ugv_rpi) writes to the board, and drives it by a page on port 5000",
-            remedy="put a # before its line @reboot, and before that of start_jupyter.sh; then reboot",
+            who=(
+                "the vendor's app (ugv_rpi) writes to the board, and anyone can drive the robot with its page on "
+                "port 5000"
+            ),
+            remedy="put a # before its @reboot line and before that of start_jupyter.sh, then reboot",
             program="ugv_rpi/app.py",
             fix="crontab -e",
         ),
         Commander(
-            who="the vendor's ROS 2 node (ugv_ws) writes to the board: T:13, which its watchdog does not end",
-            remedy="start the bridge of failstop instead (docs/ros2.md)",
+            who="the vendor's ROS 2 node (ugv_ws) writes T:13 to the board, whose watchdog does not stop that",
+            remedy="start failstop's bridge instead (docs/ros2.md)",
             program="lib/ugv_bringup/",
         ),
     ),

@@ -24,7 +24,9 @@ PATIENCE_NS = 1_000_000_000
 _VALUE, _PLACE = Struct(">i"), Struct(">h")
 _VERSION, _VALUES, _CURRENT, _BRAKE, _POSITION, _HANDBRAKE, _ALIVE = 0, 4, 6, 7, 9, 10, 30
 _PASSED_ON = frozenset((_VERSION, _VALUES))
-_NO_PACKET = DriverRefusal("bytes that are no packet", "the board skips them too: is the driver made for this board?")
+_NO_PACKET = DriverRefusal(
+    "bytes that are not a packet", "the board skips them too: is the driver made for this board?"
+)
 _NO_SPEED = {
     codec.DUTY: "a duty cycle",
     _CURRENT: "a current",

@@ -85,7 +85,7 @@ def main(arguments: Namespace) -> int:
     """Attend until q, a signal, or the line's end. Raises FailstopError."""
     if other := _between():
         raise FailstopError(
-            f"{other} answers in your terminal's place, and would go on when you are gone: run this outside of it"
+            f"{other} would keep answering for your terminal after you have left, so run this outside of {other}"
         )
     questions = Questions()
     user = arguments.who or os.environ.get("SUDO_USER") or os.environ.get("USER") or os.getuid()
@@ -124,5 +124,5 @@ def _lines(robot: Robot, who: str, columns: int) -> list[Line]:
         return head + style.wrap([(f"{verdict.NO_SERVICE}  ", FAIL), (str(error), STRONG)], columns, 0)
     rows = summary.wrapped(summary.wheels(state), columns)
     if state.attended_by is None:
-        rows += [[], [('nobody needs to attend this robot: attend.required is "off"', WARN)]]
+        rows += [[], [('this robot needs nobody to attend, because attend.required is "off"', WARN)]]
     return [*head, *rows]

@@ -37,7 +37,7 @@ GROUPS = {
     "attend": "An operator who must be present for the robot to move.",
     "imu": "The IMU: correcting its acceleration and its gyro's bias.",
     "odometry": "Where the robot is, computed from how its wheels turned or, if the board doesn't report that, from "
-    "what they were told.",
+    "the commands.",
     "battery": "The battery: stopping when it is low, detecting the charger, logging the voltage.",
     "pad": "The gamepad whose receiver is plugged into the board.",
     "link": "Pings to the board, whose answers prove that it hears.",
@@ -98,10 +98,11 @@ def main(arguments: Namespace) -> int:
         checked_board(settings := config.checked(read, arguments.check), arguments.check)
         if settings.on("web.drive") and not settings.on("attend.required"):
             raise SettingError(
-                f"{arguments.check}: {UNATTENDED_DRIVE}: the page shows no stick without. Set it, or take web.drive out"
+                f"{arguments.check}: {UNATTENDED_DRIVE}: the page shows no stick without it. Set it, or remove "
+                "web.drive"
             )
         count, slowest = sum(value != {} for value in read.values()), slowest_mps(settings)
-        rest = f"; a wheel that is to be slower than {slowest:.2g} m/s stands" if slowest else ""
+        rest = f"; a wheel that should go slower than {slowest:.2g} m/s does not turn" if slowest else ""
         print(f"{arguments.check} is right; it sets {count} value{'' if count == 1 else 's'}{rest}")
     elif arguments.within is not None:
         print(_fastest(config.load(arguments.config), arguments.within))
@@ -123,8 +124,8 @@ def _fastest(settings: Settings, metres: float) -> str:
     _, latest = distance.furthest(settings)
     fastest = distance.speed_mps(metres, latest[0], settings[distance.BRAKING])
     return (
-        f"To stand {distance.WITHIN.format(metres)} ({latest[1]}: {latest[0]:.2f} s), braking with "
-        f"{settings[distance.BRAKING]:g} m/s2: at most {fastest:.3f} m/s."
+        f"To stop {distance.WITHIN.format(metres)}, the robot may go at most {fastest:.3f} m/s. It reacts most slowly, "
+        f"after {latest[0]:.2f} s, when {latest[1]}, and brakes with {settings[distance.BRAKING]:g} m/s2."
     )
 
 

@@ -54,7 +54,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(
         "--report",
         metavar="FILE",
-        help="also write a report to send with a question: versions, settings, last incident, no secrets",
+        help="write a report that you can send with a question: versions, settings, last incident, but no secrets",
     )
     add_name(parser)
 
@@ -68,7 +68,10 @@ def main(arguments: Namespace) -> int:
     told = {"worst": worst, **facts(), "findings": records}
     if arguments.report:
         files.write_as(arguments.report, report(look, told).encode())
-        print(f"wrote {arguments.report}; read it before you send it: it has the reasons that people gave for a stop")
+        print(
+            f"wrote {arguments.report}; read it before you send it, because it quotes the reasons that people "
+            "gave for stops"
+        )
     else:
         lines = screen(found, style.width() if sys.stdout.isatty() else UNBROKEN)
         style.show(style.record(told) if arguments.json else lines)

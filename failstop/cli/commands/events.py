@@ -35,7 +35,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop events`."""
     add = parser.add_argument
     add("-f", "--follow", action="store_true", help="keep printing new events, even after the service restarts")
-    add("--since", metavar="AGE", help="only events of the last 30s, 10m, 2h, 1d")
+    add("--since", metavar="AGE", help="only events of the last 30s, 10m, 2h or 1d")
     add("--kind", metavar="KIND,...", help="only events of these kinds, for example stop,died,enabled")
     add("--json", action="store_true", help="print one JSON object per line")
     add_name(parser)
@@ -107,7 +107,7 @@ def kinds(text: str) -> frozenset[str]:
     """`stop,died` as a set. Raises FailstopError for a kind that there is none of."""
     found, known = frozenset(text.replace(" ", "").split(",")) - {""}, [kind.name for kind in EVENT_KINDS]
     if unknown := sorted(found.difference(known)):
-        raise FailstopError(f"no kind of event is called {', '.join(unknown)}; there are {', '.join(known)}")
+        raise FailstopError(f"no events have the kind {', '.join(unknown)}; the kinds are {', '.join(known)}")
     return found
 
 
@@ -117,4 +117,4 @@ def since(text: str, now_s: float) -> float:
     unit_s = UNITS_S.get(text[len(number) :])
     if unit_s and number.replace(".", "", 1).isdigit() and number.isascii():
         return now_s - float(number) * unit_s
-    raise FailstopError(f"--since {text}: allowed is an age, such as 30s, 10m, 2h, 1d")
+    raise FailstopError(f"--since {text}: give an age, such as 30s, 10m, 2h or 1d")

@@ -122,10 +122,13 @@ def _meant(arguments: Namespace) -> str:
             time.sleep(0.1)
         if stop:
             why = failed(arguments.name, stop)
-            told = f"was not saved: {why}" if why else "is in no file so far: this is another"
+            told = f"was not saved: {why}" if why else "is not saved yet, so this is an earlier one"
             standard.say(f"the last stop ({stop.reason}) {told}")
         elif left(arguments.name):
-            standard.say("how the last run ended is saved when the service is started again: this is from before it")
+            standard.say(
+                "how the last run ended is saved only when the service is started again; this incident is from "
+                "before that"
+            )
     return files.find(arguments.id, arguments.name, os.environ)
 
 

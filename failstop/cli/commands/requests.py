@@ -8,13 +8,14 @@ from collections.abc import Callable
 
 from failstop.api import steps, verdict
 from failstop.api.errors import FailstopError, Refused
-from failstop.api.robot import Robot
+from failstop.api.robot import Blocked, Driving, Preempted, Robot
 from failstop.api.words import velocity
 from failstop.cli import standard
 from failstop.cli.commands import add_name, seconds
 from failstop.cli.screen.progress import Progress
 from failstop.messages.records import CAUSE
 from failstop.policy.kinematics import AXES
+from failstop.policy.settings import FIRST_SOURCE
 
 EXAMPLES = {
     "enable": """\
@@ -84,7 +85,7 @@ def main(arguments: Namespace) -> int:
             standard.print_line(said)
             if command == "enable" and (state := robot.state):
                 if why := verdict.unproven(state):
-                    see_to = "next: check its power and its cable, then `failstop doctor`"
+                    see_to = "next: check the board's power and its cable, then `failstop doctor`"
                     standard.say(f"unproven: {why}, so no stop is known to reach the wheels; {see_to}")
                 if doubt := verdict.doubt(state):
                     standard.say(f"{doubt}; next: {steps.line(state)}")
@@ -106,23 +107,30 @@ def _limit(robot: Robot, percent: float | None) -> str:
 
 def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str:
     """A velocity for a while, then zero. A person types it, so it is a manual command. Raises Refused as soon as
-    something blocks the wheels."""
+    something blocks the wheels or another source drives them, and if no command ever counted."""
     until_s = time.monotonic() + for_s
     if refused := _blocked(robot):
         raise refused
     if asked[1] and not AXES[str(robot.settings["wheels.layout"])][1]:
-        raise Refused(f"this base can't move sideways: {asked[1]:g} m/s left is not for it; give 0")
-    reached = asked
+        raise Refused(f"this base can't move sideways, so vy must be 0 (not {asked[1]:g})")
+    reached, driven = asked, False
     while time.monotonic() < until_s:
-        robot.drive(*asked, manual=True)
+        answer = robot.drive(*asked, manual=True)
+        driven = driven or isinstance(answer, Driving)
+        if isinstance(answer, Preempted):
+            raise Refused(f"{answer.by} drives as {answer.source}, which has priority over {FIRST_SOURCE}")
         time.sleep(min(REPEAT_S, max(0.0, until_s - time.monotonic())))
         if refused := _blocked(robot):
             time.sleep(RESTARTED_S)
             raise _blocked(robot) or refused
         reached = robot.state.body_vel
+    if not driven:
+        raise Refused(f"the wheels got no command: {answer.why}" if isinstance(answer, Blocked) else "the gate is busy")
     less = any(abs(got) < 0.98 * abs(wanted) for got, wanted in zip(reached, asked, strict=True))
-    held = f", no faster than {velocity(*reached) or 'zero'} (limits and ramp)" if less else ""
-    return f"drove for {for_s:g} s{held}; the wheels stop"
+    held = f", but only {velocity(*reached) or 'zero'} (limits and ramp)" if less else ""
+    doubt = verdict.unproven(robot.state)
+    what = f"unproven: {doubt}; commanded" if doubt else "drove"
+    return f"{what} for {for_s:g} s{held}; now the wheels are told to stop"
 
 
 def _blocked(robot: Robot) -> Refused | None:

@@ -116,7 +116,7 @@ class Order(Data):
 
 Outcome = int | str
 """The exit code, once a stop is out; or why none is, for people (empty: nothing to tell)."""
-NEXT = ": writing to the port itself"
+NEXT = "; writing the stop to the port instead"
 
 
 def _ask_services(order: Order) -> Outcome:
@@ -128,7 +128,7 @@ def _ask_services(order: Order) -> Outcome:
         running = instances.listening() if device else [order.name] if instances.listens(order.name) else []
         return _ask(order, running, device) if running else ""
     except Exception as error:  # the port is still to be written to
-        return f"no service can be asked ({error})"
+        return f"no service could be asked ({error})"
 
 
 def _ask(order: Order, names: list[str], device: str) -> Outcome:
@@ -405,33 +405,40 @@ class Target:
         stop_tool.answered()."""
         (device, owner), board = self._chosen(), self.board()
         if isinstance(board, kept.Kept):
-            standard.print_line("whether the board has heard it is not known, because its description can't be used")
+            standard.print_line(
+                "nobody knows whether the board has heard the stop, because its description can't be used"
+            )
             return False
         heard = stop_tool.answered(device, board, patient=patient, named_by=owner)
         if heard:
-            how = "answers" if board.pings else "reports that it obeys zero speed"
+            how = "answers" if board.pings else "reports zero speed"
             standard.print_line(f"the board at {device} {how}")
         elif heard is None and (board.pings or board.echo_ns):
-            standard.print_line(f"whether the board at {device} answers is not known: a service reads that port")
+            standard.print_line(
+                f"nobody knows whether the board at {device} answers, because a service reads that port"
+            )
         elif heard is None:
-            standard.print_line("this board answers no question, so nothing proves that it has stopped")
+            standard.print_line("this board answers no questions, so nothing proves that it has stopped")
         else:
             who = f"nothing at {device} answers as {board.name} does"
             standard.say(
-                f"{who}, so the wheels may turn: use the POWER SWITCH. Is that the board? Name it with --device"
+                f"{who}, so the wheels may turn: use the POWER SWITCH. If that is not the board, name its port "
+                "with --device"
             )
         return heard is False
 
     def complain(self) -> None:
         """Say what is wrong with the file, as far as it was asked: after the stop, for this may be held up."""
         while self._problems:
-            standard.say(f"{self._problems.pop(0)}; going on without it")
+            standard.say(f"{self._problems.pop(0)}; stopping without it")
 
     def doubtful(self) -> bool:
         """True, and said, when the port that was written to is a mere guess."""
         if self._instead[0]:
-            gone = f"{self._last.device} of the last run is not there"
-            standard.say(f"{gone}, so it went to {self._instead[0]}: is this the board? Name it with --device")
+            gone = f"{self._last.device}, the port of the last run, does not exist"
+            standard.say(
+                f"{gone}, so the stop went to {self._instead[0]}. If that is not the board, name its port with --device"
+            )
             return True
         if self._is_last():
             return False
@@ -439,17 +446,19 @@ class Target:
             return False
         if not self._unknown and self._name == instance.DEFAULT_NAME:
             return False
-        standard.say(f"it went to {self.device()}, the default: is this the board? Name it with --device")
+        standard.say(
+            f"the stop went to {self.device()}, the default. If that is not the board, name its port with --device"
+        )
         return True
 
     def explained(self, error: PortError) -> str:
         """Why no stop was written, and what to do: with the name of the process that holds the port, if it is found."""
         device, owner = self._chosen()
         if error.kind == "absent" and self._is_last() and self._guess()[0] != self._last.device:
-            return f"{error} (it was the last run's; {self._guess()[0]} is not there either); {MAY_TURN}"
+            return f"{error} (the last run used it; {self._guess()[0]} does not exist either); {MAY_TURN}"
         if self.is_not_theirs(error):
-            what = "is no serial port" if error.kind == "not-a-tty" else "is not theirs to open"
-            named = f"{device} is named by a file of {place.user(owner)}, and {what}"
+            what = "is not a serial port" if error.kind == "not-a-tty" else "that user may not open it"
+            named = f"a file of {place.user(owner)} names {device}, but {what}"
             return f"{named}: name the board's port with --device; {MAY_TURN}"
         if error.kind != "busy":
             return f"{error}; {MAY_TURN}"
@@ -458,8 +467,8 @@ class Target:
 
         holders, _ = System().holders(device)
         who = dict.fromkeys(f"the service {it.instance!r}" if it.instance else str(it) for it in holders)
-        asked = f"; asked in vain: {', '.join(self.asked)}" if self.asked else ""
-        sudo = f", or `sudo failstop stop --device {device}`, which writes all the same" if os.geteuid() else ""
+        asked = f"; asked without success: {', '.join(self.asked)}" if self.asked else ""
+        sudo = f", or `sudo failstop stop --device {device}`, which writes anyway" if os.geteuid() else ""
         by = ", ".join(who) or "another process"
         return f"{device} is held exclusively by {by}{asked}: use the POWER SWITCH{sudo}"
 

@@ -23,6 +23,7 @@ from failstop.cli.screen.terminal import Terminal
 from failstop.cli.style import DIM, FAIL, OK, PLAIN, STRONG, WARN, Line, Span
 from failstop.messages import box
 from failstop.messages.layout import GATE
+from failstop.policy import kinematics
 from failstop.policy.settings import FIRST_SOURCE
 
 EXAMPLES = """\
@@ -45,15 +46,16 @@ TURNS = {"[": -1, "]": 1}
 KEYS = """\
 w s  \u2191 \u2193    forward, backward     space  STOP, latched
 a d  \u2190 \u2192    turn left, right      e      enable motion
-j l         slide left, right     r      reset a latched stop
+{slide:<34}r      reset a latched stop
 + -         faster, slower        q      leave: stop; disable what e enabled
 """
+SLIDE = "j l         slide left, right"
 JOINTS = "[ ]         turn the chosen joint {digits:<7}choose a joint of the arm"
 JERKS = (
     "the wheels stop after the first press because this keyboard repeats late; on the computer of the keyboard: "
     "`xset r rate 200 30` (X11), `sudo kbdrate -d 250 -r 30` (text console), else its keyboard settings"
 )
-HOW = "hold a key to drive: a tap drives 0.3 s, going on when the terminal repeats it"
+HOW = "hold a key to drive; a tap drives for 0.3 s"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -72,7 +74,8 @@ def main(arguments: Namespace) -> int:
     with Robot(arguments.name, client=CLIENT, disable_on_exit=False) as robot:
         robot.assert_interlocks()  # takes the client slot: what is wrong with that is said before the screen changes
         vx_mps, vy_mps, wz_radps = (float(robot.settings[key]) for key in LIMITS)
-        pilot = Pilot(robot, arguments.source, (vx_mps, vy_mps, wz_radps))
+        slides = kinematics.AXES[str(robot.settings["wheels.layout"])][1]
+        pilot = Pilot(robot, arguments.source, (vx_mps, vy_mps * slides, wz_radps))
         try:
             with terminal:
                 _drive(terminal, pilot)
@@ -103,7 +106,7 @@ class Pilot:
     """Keys in, requests and commands out. A request that fails is a note on the screen. Raises NoService."""
 
     def __init__(self, robot: Robot, source: str, full: Velocity) -> None:
-        """`full`: the velocity at 100 %, m/s forward, m/s left, rad/s counter-clockwise."""
+        """`full`: the velocity at 100 %, m/s forward, m/s left (0: the base can't slide), rad/s counter-clockwise."""
         self.robot = robot
         self.source = source
         self.percent = FIRST_PERCENT
@@ -279,7 +282,7 @@ class Pilot:
         """The screen."""
         speed_mps, _, turn_radps = (full * self.percent / 100 for full in self._full)
         command = self._command if now_s - self._commanded_s <= COMMAND_S else None
-        keys = KEYS.splitlines()
+        keys = KEYS.format(slide=SLIDE if self._full[1] else "").splitlines()
         if state.arm:
             keys.append(JOINTS.format(digits=f"1 - {len(state.arm.joints)}"))
         rows: list[Line] = [

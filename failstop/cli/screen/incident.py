@@ -18,7 +18,7 @@ Lines = list[list[tuple[str, str]]]
 Fact = tuple[str, str, str]
 """Its name, what it says, and its role."""
 
-MORE = "--all tells the rest; `plot` in place of `show` draws it"
+MORE = "--all shows the rest; `plot` instead of `show` draws it"
 NARROWEST = 60
 LABEL = 10
 LEAD = 2 + 10 + 2 + LABEL + 2
@@ -72,7 +72,7 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
     noticed = f"by the {named(by)}" if by else memory.NOT_KNOWN
     if incident.cause.kind in causes.SIGNED:
         asked = incident.cause.named()
-        noticed += f"; the asker says it is {asked['who']} (pid {asked['pid']})"
+        noticed += f"; the program says it is {asked['who']} (pid {asked['pid']})"
     rows = [
         ("why", incident.why, FAIL),
         ("when", f'{words.clock(head["t"])}{ago}; service "{head["name"]}" on {head["host"]}', PLAIN),
@@ -85,10 +85,16 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
     for name, (said, proven) in zip(("proof", "", ""), memory.proofs(head), strict=True):
         rows.append((name, said, PROOFS[proven]))
     if incident.left:
-        rows.append(("note", "The supervisor was gone: saved at the next start from what its run had left.", WARN))
+        rows.append(
+            (
+                "note",
+                "The supervisor had died, so this was saved at the next start, from what the run had left in memory.",
+                WARN,
+            )
+        )
     if incident.foreign:
-        version = f"Of failstop {head['versions']['failstop']}, which laid its records out otherwise"
-        rows.append(("note", f"{version}: what was told, no more.", WARN))
+        version = f"Saved by failstop {head['versions']['failstop']}, which stored its records differently"
+        rows.append(("note", f"{version}, so this shows only the logged events.", WARN))
     if incident.undecoded:
         rows.append(("damaged", f"{incident.undecoded} records could not be decoded", WARN))
     return rows
@@ -132,7 +138,7 @@ def _wheels(incident: Incident) -> list[Fact]:
 
 def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
     """A row for each line; where there is no room, what an event says is cut, or told in several rows (`whole`)."""
-    found: Lines = [[("Story", STRONG), (", milliseconds from the cause; of several alike, the last", PLAIN)]]
+    found: Lines = [[("Story", STRONG), (", in ms from the cause; of repeated lines, the last", PLAIN)]]
     for line in story.whole(incident) if whole else story.brief(incident):
         cause = line.what == CAUSE
         at = f">>{0:>10}  " if cause else f"  {incident.ms(line.ns):>+10.1f}  "
@@ -157,14 +163,14 @@ def _battery(incident: Incident) -> str:
         return memory.NOT_KNOWN
     ns, volts = incident.battery_v[-1]
     least = min(volts for _, volts in incident.battery_v)
-    return f"{volts:.2f} V, read {_when(incident, ns)} the cause; at least {least:.2f} V"
+    return f"{volts:.2f} V, read {_when(incident, ns)} the cause; lowest {least:.2f} V"
 
 
 def _ages(incident: Incident) -> str:
     """How old the newest readings were when it happened."""
     ages = {READINGS[name]: age_s for name, age_s in incident.ages().items() if age_s is not None}
     old = ", ".join(f"{name} {words.took(age_s)}" for name, age_s in ages.items())
-    return f"the newest before the cause, and how old it was then: {old}" if old else memory.NOT_KNOWN
+    return f"age of the newest one at the cause: {old}" if old else memory.NOT_KNOWN
 
 
 def _around(incident: Incident) -> list[Fact]:
@@ -175,6 +181,6 @@ def _around(incident: Incident) -> list[Fact]:
         ("battery", _battery(incident), PLAIN),
         ("readings", _ages(incident), PLAIN),
         ("machine", ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in incident.machine.items()), PLAIN),
-        ("settings", ", ".join(changed) or "all as by default", PLAIN),
+        ("settings", ", ".join(changed) or "all defaults", PLAIN),
         ("versions", ", ".join(f"{name} {value}" for name, value in incident.head["versions"].items()), PLAIN),
     ]

@@ -138,7 +138,7 @@ def device(state: State) -> Line:
 def battery(state: State) -> Line:
     """Its voltage, and whether it is charged."""
     if not state.battery_v:
-        return row("battery", "not told by the board")
+        return row("battery", "not reported by the board")
     found = row("battery", f"{state.battery_v:.2f} V", WARN if state.battery_v < verdict.BATTERY_LOW_V else PLAIN)
     charger = f", charger {state.plugged}" if state.plugged != "unknown" else ""
     return [*found, (charger, PLAIN), (words.aged(state.ages.battery_s, current=state.is_current(0.0)), WARN)]
@@ -146,7 +146,7 @@ def battery(state: State) -> Line:
 
 def _sensors(state: State) -> Line:
     age_s = state.scan_age_s
-    scan = "obstacle sensor " + ("never delivered" if age_s is None else f"delivered {words.span(age_s)} ago")
+    scan = "obstacle sensor " + ("never heard" if age_s is None else f"heard {words.span(age_s)} ago")
     pad = f", gamepad {state.pad_mode}" if state.pad_mode else ""
     imu = "" if state.device.imu else ", no IMU"
     return row("sensor", scan + pad + imu, WARN if state.block is Block.NO_SCAN else PLAIN)
@@ -208,5 +208,5 @@ def _holding(arm: ArmState) -> str:
     torques = {joint.torque for joint in arm.joints.values()}
     loose = [name for name, joint in arm.joints.items() if joint.torque is False]
     if True in torques:
-        return f"holding, but for {', '.join(loose)}" if loose else "holding"
-    return "its torque is off" if loose else "stands; whether its torque is on is not read yet"
+        return f"holding, except for {', '.join(loose)}" if loose else "holding"
+    return "its torque is off" if loose else "not moving; its torque has not been read yet"

@@ -35,10 +35,10 @@ class Terminal:
     def __init__(self) -> None:
         """Raises FailstopError when standard output is no terminal, or one that obeys no escape sequences."""
         if not os.isatty(OUT):
-            raise FailstopError("this needs a terminal; `failstop status --json` is for programs")
+            raise FailstopError("this command shows a live screen, so run it in a terminal")
         if not style.lives(os.environ, terminal=True):
             term = os.environ.get("TERM", "")
-            raise FailstopError(f"this needs a terminal with a screen, and TERM is {term!r}; see `failstop status`")
+            raise FailstopError(f"this command needs a terminal that can draw a screen, but TERM is {term!r}")
         self._shown: list[str] | None = None
         """The screen's lines; None: it may show anything."""
         self._keyboard = os.isatty(IN)

@@ -75,9 +75,10 @@ function showStop() {
     const level = item.dataset.level, when = stop[level];
     item.classList.toggle("there", !!when);
     const said = level === "observed" ? when : when && `after ${when}`;
-    if (item.dataset.said === said) continue;
-    item.dataset.said = said;
-    item.replaceChildren(level, node("b", said || (level === "observed" && stop.unseen) || "not known"));
+    const shown = said || stop.lacks[level] || "not known";
+    if (item.dataset.said === shown) continue;
+    item.dataset.said = shown;
+    item.replaceChildren(level, node("b", shown));
   }
   if (own === null) return;
   if (view.latched) own.epoch = view.epoch;
@@ -87,10 +88,15 @@ function showStop() {
     return;
   }
   const first = stop.t >= own.asked - 0.5;
+  if (first && !stop.written) {
+    text("stop-said", `NOT SENT: use the POWER SWITCH`);
+    $("stop").dataset.phase = "failed";
+    return;
+  }
   const proofs = first ? ["written", "acknowledged", "observed"].filter((proof) => stop[proof]) : ["written"];
   const said = proofs.map((proof) => `\u2713\u00a0${proof}`).join("  ");
-  text("stop-said", first ? said || "written" : `${said}; it had stopped already`);
-  $("stop").dataset.phase = proofs.at(-1) || "written";
+  text("stop-said", first ? said : `${said}; a stop was latched already`);
+  $("stop").dataset.phase = proofs.at(-1);
 }
 
 function showFacts() {
@@ -99,10 +105,10 @@ function showFacts() {
     ["Wheels", ""],
     ["Driver", view.driver || "none"],
     ...(view.limit < 100 ? [["Limit", `${view.limit} % of the speeds in the settings`]] : []),
-    ["Stops within", view.stands],
+    ["Stops", view.stands],
     ["Battery", view.battery_v ? `${view.battery_v.toFixed(2)} V${charger}${view.battery_age}` : "not known"],
     ["Port", view.port],
-    ["Board", {alive: "answers", deaf: "DOES NOT ANSWER", unproven: "has never answered", unasked: "can't answer, by design"}[view.link] || view.link],
+    ["Board", view.board],
     ...(view.imu ? [] : [["IMU", "none"]]),
     ["Clients", view.clients.join(", ") || "none"],
   ];
@@ -183,7 +189,7 @@ function news(message) {
 
 addEventListener("stopping", () => { before = view ? view.epoch : 0; });
 addEventListener("stopped", (event) => {
-  speak("STOP is written", "");
+  speak("STOP was written", "");
   own = {asked: event.detail.asked, epoch: before + 1};
   if (event.detail.view && !(view && event.detail.view.epoch < view.epoch)) { view = event.detail.view; heard = performance.now(); show(); }
 });

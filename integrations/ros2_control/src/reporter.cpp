@@ -25,9 +25,9 @@ std::string reason(const failstop::Robot & robot, const failstop::State & state)
     case FS_BLOCK_DISABLED:
       return "motion is disabled; next: failstop enable";
     case FS_BLOCK_HELD:
-      return "a controller has commanded a speed since before motion was enabled; next: let it command zero";
+      return "a controller commanded a speed before motion was enabled; next: let it command zero";
     case FS_BLOCK_NO_SCAN:
-      return "the obstacle sensor is silent; next: see that something reports it to failstop, or set scan.gate";
+      return "the obstacle sensor is silent; next: let a program report it to failstop, or set scan.gate = \"off\"";
     default:
       return "";
   }
@@ -45,7 +45,7 @@ void Reporter::start(const failstop::Robot & robot)
   try {
     thread_ = std::thread(&Reporter::follow, this, std::cref(robot));
   } catch (const std::system_error & error) {
-    RCLCPP_WARN(logger_, "nothing will be logged of why the robot does not move: %s", error.what());
+    RCLCPP_WARN(logger_, "can't log why motion is blocked: %s", error.what());
   }
   pthread_sigmask(SIG_SETMASK, &before, nullptr);
 }
@@ -76,9 +76,9 @@ void Reporter::follow(const failstop::Robot & robot)
       const std::string why = reason(robot, state);
       if (why != before) {
         if (!why.empty()) {
-          RCLCPP_WARN(logger_, "the robot does not move: %s", why.c_str());
+          RCLCPP_WARN(logger_, "motion is blocked: %s", why.c_str());
         } else if (before != "at the start") {
-          RCLCPP_INFO(logger_, "the robot may move");
+          RCLCPP_INFO(logger_, "motion is no longer blocked");
         }
         before = why;
       }

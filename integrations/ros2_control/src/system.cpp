@@ -175,7 +175,7 @@ std::string System::parse()
     }
   }
   if (!info_.gpios.empty()) {
-    return "gpio " + info_.gpios.front().name + ": failstop has none; make it a sensor";
+    return "gpio " + info_.gpios.front().name + ": failstop has no gpio; declare it as a sensor";
   }
   return "";
 }

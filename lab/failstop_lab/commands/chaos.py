@@ -50,11 +50,11 @@ def add_arguments(parser: ArgumentParser) -> None:
         type=int,
         default=0,
         metavar="I",
-        help="begin at this fault of the seed's campaign; a failure prints its number",
+        help="begin at the fault with this number in the seed's campaign; a failure prints its number",
     )
     add("--only", metavar="ROW,...", help="only these faults; * stands for anything")
     add_board(parser)
-    add("--config", metavar="FILE", help="TOML file with settings; those that a campaign needs replace yours")
+    add("--config", metavar="FILE", help="TOML file with settings; a campaign overrides the ones that it needs")
     add("--list", action="store_true", help="list the faults")
     add("--json", metavar="FILE", help="write the result to this file")
     add("--markdown", action="store_true", help="print the result as docs/reference/faults.md")
@@ -65,7 +65,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="with --markdown: use this result (of --json) instead of a new run",
     )
     add("--device", metavar="PATH", help="use a real board on a stand, judged by its IMU; needs both consents")
-    add("--on-the-stand", action="store_true", help="consent: the robot stands on a stand")
+    add("--on-the-stand", action="store_true", help="consent: the robot is on a stand, with its wheels off the ground")
     add("--wheels-are-free", action="store_true", help="consent: nobody and nothing is near the wheels")
 
 
@@ -86,7 +86,7 @@ def main(arguments: Namespace) -> int:
         return 0
     if arguments.source:
         if not arguments.markdown:
-            raise FailstopError("--from is for --markdown")
+            raise FailstopError("--from goes with --markdown")
         print(report.markdown(_read(arguments.source)), end="")
         return 0
     check_json(arguments.json)
@@ -96,7 +96,7 @@ def main(arguments: Namespace) -> int:
         with open(arguments.json, "w", encoding="utf-8") as file:
             json.dump(result, file, indent=1)
     print(report.markdown(result) if arguments.markdown else f"{tally.table()}\n\n{tally.summary()}", flush=True)
-    print(f"{'interrupted; ' if tally.interrupted else ''}the same again: --seed {tally.seed}", file=sys.stderr)
+    print(f"{'interrupted; ' if tally.interrupted else ''}to repeat it: --seed {tally.seed}", file=sys.stderr)
     for story in tally.stories[:STORIES]:
         print(f"\n{story}", file=sys.stderr)
     if len(tally.stories) > STORIES:
@@ -109,11 +109,13 @@ def _check(arguments: Namespace) -> None:
     for word in ("seconds", "count", "each"):
         value = getattr(arguments, word)
         if value is not None and value <= 0:
-            raise FailstopError(f"--{word} {value:g}: more than 0 is expected")
+            raise FailstopError(f"--{word} {value:g}: it must be more than 0")
     if arguments.device is not None and arguments.board != BOARDS[0]:
-        raise FailstopError("--board is a simulated board's: of a real one (--device) the settings say which it is")
+        raise FailstopError(
+            "--board goes with a simulated board; the kind of a real one (--device) is the setting board.kind"
+        )
     if arguments.each is not None and arguments.first:
-        raise FailstopError("--first goes with --count and --seconds: --each takes every row from its first on")
+        raise FailstopError("--first goes with --count and --seconds; --each injects every row from its beginning")
 
 
 def _rows(only: str | None, board: str) -> tuple[Row, ...]:
@@ -126,7 +128,7 @@ def _read(path: str) -> dict[str, object]:
         with open(path, encoding="utf-8") as file:
             found: dict[str, object] = json.load(file)
     except (OSError, ValueError) as error:
-        raise FailstopError(f"{path} is no result of a campaign: {error}; make one with --json {path}") from None
+        raise FailstopError(f"{path} is not the result of a campaign: {error}; make one with --json {path}") from None
     return found
 
 

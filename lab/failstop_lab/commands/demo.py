@@ -32,7 +32,7 @@ STRIKES = 3
 """How often a kill is tried at most, because one that found the wheels at rest shows nothing."""
 STEP_COLUMNS = 28
 MEANING = (
-    "All times are in milliseconds from the kill, measured on the board's side of the wire: when the first stop frame "
+    "All times are counted from the kill and measured on the board's side of the wire: when the first stop frame "
     "arrived, and when the board had set the last wheel to zero. The ROS driver that failstop replaces took 130 ms. "
     "The demo restarts a dead supervisor, as systemd does on a robot."
 )
@@ -53,7 +53,7 @@ failstop demo --ros2         # with ROS 2 nodes, if rclpy is installed
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop demo`."""
-    parser.add_argument("--ros2", action="store_true", help="let ROS 2 nodes drive too, and kill their bridge")
+    parser.add_argument("--ros2", action="store_true", help="also let ROS 2 nodes drive, and kill their bridge")
     add_board(parser)
     parser.add_argument("--rounds", type=int, default=1, help="how often to kill each process (default: 1)")
 
@@ -85,7 +85,7 @@ def main(arguments: Namespace) -> int:
     """Run the demo; exit code 1 when any stop was missing or late, or anything moved after it."""
     if arguments.ros2:
         find_rclpy()
-    print(paint("failstop demo", STRONG) + ": a simulated motor board that keeps its last wheel speed forever\n")
+    print(paint("failstop demo", STRONG) + ": a simulated motor board, which keeps its last wheel speed forever\n")
     _step("board and service start")
     with interruptible(), Trial(f"demo-{os.getpid()}", kind=arguments.board) as trial:
         first = next(event for event in trial.board.events() if event.is_stop)
@@ -110,14 +110,14 @@ def judged(rows: list[Row], code: int, said: str) -> int:
     """Show the table, and what was wrong; returns the exit code. `code`, `said`: the service's own, and its words."""
     faults = [fault for row in rows if (fault := row.fault())]
     if code:
-        faults.append(f"the service ended with exit code {code}; it said last:")
+        faults.append(f"the service ended with exit code {code}; its last output:")
     _table(rows)
     if faults:
         _paragraph(("FAILED: ", FAIL), ("; ".join(faults), PLAIN))
         if code:
             print(said[-LOG_CHARACTERS:].strip())
         return 1
-    _paragraph(("Every kill was answered by a stop, and nothing moved again before the next enable.", OK))
+    _paragraph(("Every kill led to a stop, and nothing moved again until the next enable.", OK))
     return 0
 
 
@@ -169,7 +169,7 @@ def _kill(trial: Trial, process: str, vx_mps: float) -> Row:
         row = _killed_program(trial, vx_mps) if process == PROGRAM else _killed(trial, process)
         if row.stopped.was_turning:
             break
-        _done(f"the wheels were not turning then ({_why(trial)}): is the machine busy?")
+        _done(f"the wheels were not turning ({_why(trial)}), so this kill shows nothing")
     if fault := row.fault():
         _done(paint(fault, FAIL))
     else:

@@ -22,8 +22,9 @@ from failstop_lab.prove.stand import ProveStand
 from failstop_lab.prove.table import Path, Turning, within
 
 WARNING = """\
-THIS TURNS THE WHEELS and kills the programs that stop them, at random, on {device}. Ctrl-C stops the wheels; the POWER
-SWITCH is to be at hand. The judges are the board's answers and its IMU.
+THIS TURNS THE WHEELS on {device},
+and kills the programs that stop them, at random. Ctrl-C stops the wheels. Keep
+the POWER SWITCH at hand. The stops are judged by the board's answers and its IMU.
 """
 
 
@@ -33,7 +34,7 @@ def run(arguments: Namespace, seed: int, default_s: float) -> int:
     _check(arguments, device)
     chosen = _chosen(arguments.only)
     if not os.path.exists(device):
-        raise FailstopError(f"no device {device}: plug the board in, or name another")
+        raise FailstopError(f"no device {device}: plug the board in, or give another --device")
     path = config.chosen(DEFAULT_NAME, arguments.config)
     config.load(path)
     check_free(device, DEFAULT_NAME, *instances.listening())
@@ -50,7 +51,7 @@ def run(arguments: Namespace, seed: int, default_s: float) -> int:
     if arguments.json:
         with open(arguments.json, "w", encoding="utf-8") as file:
             json.dump({"seed": seed, **evidence.as_dict()}, file, indent=1)
-    print(f"the same again: the same options and --seed {seed}", file=sys.stderr)
+    print(f"to repeat it: the same options and --seed {seed}", file=sys.stderr)
     return evidence.exit_code
 
 
@@ -58,9 +59,9 @@ def _check(arguments: Namespace, device: str) -> None:
     """Raises Refused, FailstopError."""
     given = {"--on-the-stand": arguments.on_the_stand, "--wheels-are-free": arguments.wheels_are_free}
     if missing := [word for word, consent in given.items() if not consent]:
-        raise Refused(f"{device} moves real wheels: put the robot on a stand, then say {' '.join(missing)}")
+        raise Refused(f"{device} moves real wheels: put the robot on a stand, then add {' '.join(missing)}")
     if arguments.markdown or arguments.source:
-        raise FailstopError("--markdown and --from are for the simulated board; --json FILE keeps this one")
+        raise FailstopError("--markdown and --from go with a simulated board; use --json FILE to keep this result")
 
 
 def _chosen(only: str | None) -> list[Path]:

@@ -20,6 +20,7 @@ from failstop.cli import style
 from failstop.policy.halted import OF_CTRL_C, Halted
 from failstop.policy.layouts import BOARDS
 from failstop.policy.settings import BAUDS
+from failstop.ros2.command import find_rclpy
 from failstop.setup.ending import interruptible
 from failstop_lab.probe import judge, ros2, serial
 from failstop_lab.probe.card import Card, Row
@@ -37,14 +38,14 @@ failstop probe ros2 --cmd-vel /cmd_vel --odom /odom
 WORD = "spin"
 DIAMETER_M = 0.08
 WARNING = """\
-THIS TURNS THE WHEELS, slowly, for up to {seconds:.0f} s at a time, {count} times, and lets the
-program that drives them fail. They may turn on until this stops them.
+THIS TURNS THE WHEELS slowly, {count} times, for up to {seconds:.0f} s each, and makes the program
+that drives them fail. The wheels may keep turning until the probe stops them.
 
-  1. The robot stands on a stand: every wheel is OFF THE GROUND, free to turn.
+  1. The robot is on a stand: every wheel is OFF THE GROUND and free to turn.
   2. No person, hair, clothing, cable or tool is near the wheels.
   3. The POWER SWITCH is at hand.
 
-Ctrl-C stops the wheels. Type "{word}" to begin, anything else to leave it: """
+Ctrl-C stops the wheels. Type "{word}" to begin, or anything else to quit: """
 ENDED_BY_PERSON = "interrupted"
 NEVER_TURNED = "no wheel was turned"
 
@@ -58,8 +59,12 @@ def add_arguments(parser: ArgumentParser) -> None:
     add = by_port.add_argument
     add("--port", required=True, metavar="PATH", help="the board's port")
     add("--baud", type=int, default=0, metavar="RATE", help="the firmware's baud rate (default: the board's usual one)")
-    add("--frame", metavar="TEXT", help=r"what your driver sends, as text with \n or 0x.. (default: slow wheels)")
-    add("--guard", action="store_true", help="measure again through failstop's guard port, as a second column")
+    add(
+        "--frame",
+        metavar="TEXT",
+        help=r"what your driver sends, as text with \n or as 0x.. (default: the board's frame for slow wheels)",
+    )
+    add("--guard", action="store_true", help="also measure through failstop's guard port, in a second column")
     add = by_ros.add_argument
     add(
         "--cmd-vel",
@@ -73,18 +78,23 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="TOPIC",
         help="judge by this IMU instead, because some odometry only repeats what was commanded",
     )
-    add("--stamped", action="store_true", help="its commands are TwistStamped")
-    add("--driver-pid", type=int, metavar="PID", help="its driver's process, to be killed as the last row")
+    add("--stamped", action="store_true", help="publish TwistStamped instead of Twist")
+    add(
+        "--driver-pid",
+        type=int,
+        metavar="PID",
+        help="the process of the robot's driver, which is killed in the last row",
+    )
     for way, rows in ((by_port, serial.ROWS), (by_ros, ros2.ROWS)):
         add = way.add_argument
         add("--rows", metavar="ROW,...", help=f"only these rows: {', '.join(rows)}")
-        add("--key", action="store_true", help="you press a key when the wheels have stopped")
+        add("--key", action="store_true", help="you judge: press a key when the wheels have stopped")
         add("--robot", default="", metavar="TEXT", help="for the card: which robot")
         add("--firmware", default="", metavar="TEXT", help="for the card: the firmware and its version")
         add("--driver", default="", metavar="TEXT", help="for the card: the driver and its version")
         add("--out", metavar="BASE", help="where to write the card: BASE.txt, .json, .svg (default: card-DATE)")
         add("--json", action="store_true", help="print the card as JSON")
-        add("--yes", action="store_true", help="begin without asking, because the wheels are off the ground")
+        add("--yes", action="store_true", help="don't ask: the wheels are off the ground")
 
 
 def main(arguments: Namespace) -> int:
@@ -99,7 +109,7 @@ def main(arguments: Namespace) -> int:
         for path in card.save(base):
             print(f"card: {os.path.relpath(path)}", file=sys.stderr)
     except OSError as error:
-        print(f"failstop: the card could not be kept: {error}", file=sys.stderr)
+        print(f"failstop: the card could not be saved: {error}", file=sys.stderr)
     shown = [row.guarded or row for row in card.rows]
     return code or int(bool(card.ended) or any(row.never or row.unjudged for row in shown))
 
@@ -135,7 +145,7 @@ def _rows(given: str | None, known: Mapping[str, str]) -> list[str]:
     names = given.split(",") if given else list(known)
     for name in names:
         if name not in known:
-            raise FailstopError(f"no row {name!r}: there is {', '.join(known)}")
+            raise FailstopError(f"no row {name!r}: the rows are {', '.join(known)}")
     return names
 
 
@@ -148,20 +158,22 @@ def _frame(text: str) -> bytes:
             else text.encode().decode("unicode_escape").encode("latin1")
         )
     except (ValueError, UnicodeError):
-        raise FailstopError(rf"--frame {text}: write hexadecimal digits behind 0x, or text with \n") from None
+        raise FailstopError(rf"--frame {text}: write hexadecimal digits after 0x, or text with \n") from None
 
 
 def _serial(arguments: Namespace) -> tuple[Card, int]:
     if not arguments.board:
-        raise FailstopError(f"which board? give --board: {', '.join(BOARDS)}, or a folder of your own")
+        raise FailstopError(
+            f"which board is it? Give --board with {', '.join(BOARDS)}, or the path of your own board's folder"
+        )
     if arguments.baud not in BAUDS:
-        raise FailstopError(f"--baud {arguments.baud}: it is one of {', '.join(map(str, BAUDS[1:]))}")
+        raise FailstopError(f"--baud {arguments.baud}: it must be one of {', '.join(map(str, BAUDS[1:]))}")
     board = board_of(arguments.board, DIAMETER_M, 0.0, baud=arguments.baud)
     sent = _frame(arguments.frame) if arguments.frame else serial.frame_of(board)
     names = _rows(arguments.rows, serial.ROWS)
     if arguments.guard and arguments.key:
         raise FailstopError(
-            "--guard with --key: the board's own reports judge the guard port, so leave one of them out"
+            "--guard and --key: leave one of them out, because only the board's reports can judge the guard port"
         )
     if arguments.guard and language_of(arguments.board, config.load(None).flat()) is None:
         raise FailstopError(f"--guard: {arguments.board} does not say what a driver may write to it (docs/guard.md)")
@@ -169,14 +181,14 @@ def _serial(arguments: Namespace) -> tuple[Card, int]:
         raise FailstopError(f"no port {arguments.port}: plug the board in; `failstop doctor --quick` lists ports")
     check_free(arguments.port)
     if doubt := serial.check_kind(arguments.port, arguments.board, arguments.baud):
-        _say(f"Not known to be {arguments.board}: {doubt}.")
+        _say(f"This may not be {arguments.board}: {doubt}.")
     _consent(arguments, len(names) * (2 if arguments.guard else 1) + 1)
     driver = arguments.driver or f"a throw-away process, one frame every {serial.PERIOD_S:g} s"
     card = Card(arguments.robot, arguments.board, arguments.firmware, driver)
     probe = serial.SerialProbe(arguments.port, arguments.board, board, sent, by_key=arguments.key, say=_say)
     try:
         with interruptible(), probe:
-            _say("first, how its wheels look at rest and while they turn ...")
+            _say("first, what the board reports while its wheels are still and while they turn ...")
             probe.character()
             for name in names:
                 if name == "plug" and not sys.stdin.isatty():
@@ -194,12 +206,10 @@ def _serial(arguments: Namespace) -> tuple[Card, int]:
 def _guarded(arguments: Namespace, board: Board, sent: bytes, probe: serial.SerialProbe, card: Card) -> int:
     """The second column; the exit code of its end, or 0."""
     if probe.by == judge.PERSON:
-        card.ended = (
-            "the guard port was not measured: nothing that the board reports tells turning wheels from resting ones"
-        )
+        card.ended = "the guard port was not measured, because the board's reports don't show whether its wheels turn"
         return 1
-    _say("and the same through the guard port: a service starts ...")
-    column = GuardProbe(arguments.port, arguments.board, arguments.baud, board, sent, probe.shaking)
+    _say("now the same through the guard port; a service starts ...")
+    column = GuardProbe(arguments.port, arguments.board, arguments.baud, board, sent, probe.shaking, _say)
     try:
         with interruptible(), column:
             for at, row in enumerate(card.rows):
@@ -207,20 +217,19 @@ def _guarded(arguments: Namespace, board: Board, sent: bytes, probe: serial.Seri
                 found = column.run_row(row.name)
                 card.rows[at] = dataclasses.replace(row, guarded=found)
                 _say(f"   {found.found}")
-    except KeyboardInterrupt:
-        card.ended = f"{ENDED_BY_PERSON}; the service has stopped the wheels"
-        return OF_CTRL_C
+    except KeyboardInterrupt as error:
+        return _ended(card, column.outcome or probe.outcome, error)
     except (FailstopError, OSError) as error:
-        card.ended = f"at the guard port: {error}"
-        return 1
-    return 0
+        return _ended(card, column.outcome or probe.outcome, FailstopError(f"at the guard port: {error}"))
+    return _ended(card, column.outcome, None)
 
 
 def _ros2(arguments: Namespace) -> tuple[Card, int]:
     names = _rows(arguments.rows, ros2.ROWS)
     # A number below 1 would mean more than one process.
     if (pid := arguments.driver_pid) is not None and (pid < 1 or not os.path.exists(f"/proc/{pid}")):
-        raise FailstopError(f"no process {pid}: `ps -ef` shows the driver's")
+        raise FailstopError(f"no process has the pid {pid}; `ps -ef` lists all processes")
+    find_rclpy()
     _consent(arguments, len(names))
     card = Card(arguments.robot, f"behind {arguments.cmd_vel}", arguments.firmware, arguments.driver or "a ROS 2 node")
     probe = ros2.RosProbe(arguments, _say)

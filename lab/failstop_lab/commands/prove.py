@@ -51,17 +51,18 @@ ARM_WARNING = """\
 """
 SAFETY = """\
 THIS TURNS THE WHEELS, at {fastest},
-and kills the programs that stop them: {count} runs, {minutes:.0f} min.
+and kills the programs that stop them: {count} runs, about {minutes:.0f} min.
+The board is at {device}.
 
-  1. The robot stands on a stand: every wheel is OFF THE GROUND, free to turn.
+  1. The robot is on a stand: every wheel is OFF THE GROUND and free to turn.
   2. No person, hair, clothing, cable or tool is near the wheels, and nobody
      will come near.
-  3. The POWER SWITCH is at hand, and you will use it when the wheels turn on.
-  4. This is a latched protective stop by software, no emergency stop in the
-     sense of ISO 13850.
+  3. The POWER SWITCH is at hand, and you will use it if the wheels keep turning.
+  4. You know that failstop is a protective stop by software, not an emergency
+     stop in the sense of ISO 13850.
 
 {arm}Ctrl-C stops everything at any time.
-Type "{word}" to begin, anything else to leave it: """
+Type "{word}" to begin, or anything else to quit: """
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -71,8 +72,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_board(parser, None, "with --sim: {} (default: the setting board.kind)")
     add("--quick", action="store_true", help="test only the main stop paths, each at one velocity")
     add("--only", metavar="PATH,...", help=f"only these stop paths: {', '.join(KNOWN)}")
-    add("--at", metavar="V,...", help=f"only these velocities, within the limits: {', '.join(BY_TURNING)}")
-    add("--pad", action="store_true", help="also test the gamepad: you are asked to press a button")
+    add("--at", metavar="V,...", help=f"only these velocities, if the limits allow them: {', '.join(BY_TURNING)}")
+    add("--pad", action="store_true", help="also test the gamepad; it asks you to press a button")
     add("--device", metavar="PATH", help="the board's port (default: the setting device.path)")
     add("--config", metavar="FILE", help="the service's settings (default: the installed file, if there is one)")
     add(
@@ -93,10 +94,10 @@ def main(arguments: Namespace) -> int:
         print(pack.verified(arguments.check))
         return 0
     if arguments.pack and not arguments.pack.endswith(".html"):
-        raise FailstopError(f"--pack {arguments.pack}: name it FILE.html")
+        raise FailstopError(f"--pack {arguments.pack}: the name must end in .html")
     only, at = _words(arguments)
     if arguments.board and not arguments.sim:
-        raise FailstopError("--board is for --sim: a real board is the one that the settings name, by board.kind")
+        raise FailstopError("--board goes with --sim; the kind of a real board is the setting board.kind")
     say = (lambda _: None) if arguments.json else report.print_now
 
     def run_session(device: str, user: dict[str, object], plan: Plan, board: SimBoard | None = None) -> Evidence:
@@ -140,8 +141,8 @@ def _plan(
     plan = table.plan(quick=arguments.quick, only=only, at=at, has_arm=has_arm, beside=beside, settings=settings)
     fitted = [(means.fitted(path), velocity) for path, velocity in plan if not means.lacks(path)]
     if not fitted:
-        why = {means.lacks(path) for path, _ in plan} or {"the settings name no joints, and this is the arm's alone"}
-        raise FailstopError(f"nothing to do of {', '.join(only)}: {'; '.join(sorted(why))}")
+        why = {means.lacks(path) for path, _ in plan} or {"it needs an arm, and the settings have no joints"}
+        raise FailstopError(f"nothing to test of {', '.join(only)}: {'; '.join(sorted(why))}")
     return fitted, has_arm
 
 
@@ -155,7 +156,7 @@ def _words(arguments: Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
         names = tuple(given.split(",")) if given else ()
         for name in names:
             if name not in known:
-                raise FailstopError(f"no {what} {name!r}: there is {', '.join(known)}")
+                raise FailstopError(f"no {what} {name!r}: choose from {', '.join(known)}")
         chosen.append(names)
     return chosen[0], chosen[1]
 
@@ -163,9 +164,10 @@ def _words(arguments: Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
 def _ask_consent(device: str, plan: Plan, *, has_arm: bool) -> None:
     fastest = " and ".join(dict.fromkeys(velocity.words for _, velocity in plan))
     arm = ARM_WARNING.format(reach=REACH_RAD) if has_arm else ""
-    print(f"{device}:", file=sys.stderr)
     minutes = max(1.0, len(plan) * RUN_S / 60)
-    sys.stderr.write(SAFETY.format(fastest=fastest, count=len(plan), minutes=minutes, word=WORD, arm=arm))
+    sys.stderr.write(
+        SAFETY.format(fastest=fastest, count=len(plan), minutes=minutes, device=device, word=WORD, arm=arm)
+    )
     sys.stderr.flush()
     if sys.stdin.readline().strip() != WORD:
         raise Refused("no consent: nothing was moved")

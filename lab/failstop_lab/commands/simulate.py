@@ -66,9 +66,12 @@ def add_arguments(parser: ArgumentParser) -> None:
         nargs="?",
         const=EVERY,
         metavar="ROW",
-        help="remove parts of the protocol, and check that the runs notice; ROW: only this part, event by event",
+        help=(
+            "remove one part of the stop protocol after another, and check that the runs find it; ROW: only this "
+            "part, event by event"
+        ),
     )
-    add("--page", metavar="FILE", help="with --controls: do it for every board, and renew their rows in this page")
+    add("--page", metavar="FILE", help="with --controls: do this for every board, and update the rows in this page")
     add("--list", action="store_true", help="list the scenarios")
     add("--marks", action="store_true", help="print how often each mark was reached")
 
@@ -81,12 +84,14 @@ def main(arguments: Namespace) -> int:
         from failstop_lab.simulate.for_seeds import for_seeds_of, play_of
         from failstop_lab.simulate.scenarios import scenarios_of
     except ModuleNotFoundError as error:
-        raise FailstopError(f"this needs the package {error.name}: `pip install {error.name}`") from None
+        raise FailstopError(f"this needs the Python package {error.name}; next: `pip install {error.name}`") from None
 
     board, traits = arguments.board, traits_of(arguments.board)
     known = scenarios_of(traits)
     there = known if not (arguments.scenario or arguments.list) else [*known, *for_seeds_of(traits)]
-    names = matching(arguments.scenario, {name: name for name in there}, "no scenario {}: --list has them")
+    names = matching(
+        arguments.scenario, {name: name for name in there}, "no scenario {}; `failstop simulate --list` has them"
+    )
     if arguments.list:
         for name in names:
             print(f"{name:<24} {play_of(name).__doc__ or ''}")
@@ -95,6 +100,11 @@ def main(arguments: Namespace) -> int:
         if len(names) != 1 or not arguments.fault:
             raise FailstopError("--call needs one --scenario and a --fault")
         run = single_faults.one(single_faults.Plan(names[0], only=(arguments.call, arguments.fault), board=board))
+        if not run.fault:
+            raise FailstopError(
+                f"no fault {arguments.fault!r} can happen at call {arguments.call} of {names[0]}; "
+                "copy both from the last line of a failed run"
+            )
         print(run.text())
         return int(bool(run.violations))
     if arguments.controls:
@@ -141,7 +151,7 @@ def _controls(board: str, jobs: int, wanted: str, file: str) -> int:
     tested = [each.row for each in tested_controls.TESTED]
     known = [*(each.row for each in control_runs.BOTH), *tested, *controls.NOT_EXPRESSED]
     if not any(map(asked, known)):
-        raise FailstopError(f"no control {wanted}; there are: {'; '.join(known)}")
+        raise FailstopError(f"no control {wanted}; choose from: {'; '.join(known)}")
     boards = BOARDS if file else (board,)
     print(control_runs.TABLE_HEAD, flush=True)
     every: list[control_runs.Found | tested_controls.Noticed] = []
@@ -156,7 +166,7 @@ def _controls(board: str, jobs: int, wanted: str, file: str) -> int:
             print(found.story)
     for row, why in controls.NOT_EXPRESSED.items():
         if asked(row):
-            print(f"not expressed: {row}: {why}")
+            print(f"not in the code: {row}: {why}")
     if file:
         before = ""
         if os.path.exists(file):
@@ -177,7 +187,7 @@ def _seeds(first: int, seconds: float, jobs: int, names: list[str] | None, board
         print(f"{run.text()}\n")
     rate = total.events / max(total.took_s, 1e-9)
     kinds = ", ".join(f"{count} {group}" for group, count in total.groups.most_common())
-    print(f"from seed {first}: {kinds}; {total.twice} runs made twice, the same to the byte")
+    print(f"from seed {first}: {kinds}; {total.twice} runs were repeated and gave the same bytes")
     told = f"{total.runs} seeds, {total.rounds} rounds, {total.events} faults ({rate:.0f} a second of a core)"
     print(f"{told}: {len(total.wrong)} wrong: {[run.seed for run in total.wrong]}")
     return int(bool(total.wrong))
@@ -208,12 +218,12 @@ def _decided(told: str, names: list[str] | None, board: str) -> int:
         draws = {str(label): int(value) for label, value in decisions["draws"].items()}
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
         raise FailstopError(
-            "these are no decisions: copy everything between the quotes that `failstop simulate` printed"
+            "this is not a list of decisions: copy everything between the quotes that `failstop simulate` printed"
         ) from None
     run = Nursery(names, board=board).run(0, draws)
     print(run.text())
     if decisions.get("commit") != commit():
-        print(f"the decisions are from commit {decisions.get('commit')}, and this is {commit()}: they may not fit")
+        print(f"the decisions are from commit {decisions.get('commit')}, but this is {commit()}, so they may not fit")
     return int(bool(run.violations))
 
 
@@ -231,7 +241,7 @@ def _report(total: Result, took_s: float, missing: list[str], *, told_marks: boo
     for name in missing:
         print(f"not reached: {name}")
     rate = total.runs / max(total.used_s, 1e-9)
-    counts = f"{total.runs} runs at {total.calls} calls, and {total.equivalent} that are the same as one of them"
+    counts = f"{total.runs} runs at {total.calls} calls; {total.equivalent} more would be the same as one of these"
     times = f"{took_s:.0f} s, {total.used_s:.0f} s of a processor ({rate:.0f} a second of it)"
     print(f"\n{counts}: {len(total.wrong)} wrong, in {times}")
     return int(bool(total.wrong or missing))

@@ -37,14 +37,16 @@ TEXTS = {
     "stop_outcome": (
         "Did the stop reach the wheels? @FAILSTOP_REASON@",
         "Two proofs beyond the written bytes. acknowledged: the board answered a ping that was sent after the stop\n"
-        "(FAILSTOP_ACKNOWLEDGED_US from the cause). observed: the IMU saw the wheels come to rest\n"
-        "(FAILSTOP_OBSERVED_MS). If a proof is missing, nobody knows; it does not mean that the wheels turn.\n"
+        "(FAILSTOP_ACKNOWLEDGED_US from the cause). observed: the board's reports or the IMU showed that the wheels\n"
+        "came to rest (FAILSTOP_OBSERVED_MS). If a proof is missing, nobody knows; it does not mean that the wheels\n"
+        "turn.\n"
         "Next: if the wheels were NOT seen still, use the POWER SWITCH; else failstop status --name @FAILSTOP_NAME@",
     ),
     "unstill": (
         "The wheels do not come to rest",
-        "A stop was written for: @FAILSTOP_REASON@. The IMU still shakes: the board does not obey, or somebody\n"
-        "pushes the robot. The stop is written again and again, and still.command is run if it is set.\n"
+        "A stop was written for: @FAILSTOP_REASON@. The board still reports turning wheels, or the IMU still feels\n"
+        "the robot shake: the board does not obey, or somebody pushes the robot. The stop is written again and again,\n"
+        "and still.command is run if it is set.\n"
         "Next: use the POWER SWITCH. Software can do no more.",
     ),
     "wheels_turn": (
@@ -91,7 +93,7 @@ TEXTS = {
     ),
     "not_started": (
         "@FAILSTOP_NAME@ could not be started",
-        "@FAILSTOP_REASON@. The stop was written before, but from now on nothing watches the robot.\n"
+        "@FAILSTOP_REASON@. failstop writes a stop as it begins, but from now on nothing watches the robot.\n"
         "Next: fix the reason, then start the service again",
     ),
     "fenced": (

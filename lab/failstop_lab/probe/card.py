@@ -30,7 +30,7 @@ GUARDED_AT = 330
 VALUE, REASON = 64, 92
 """Letters of a value in the picture, and of why the probe ended."""
 EARLY = "Ended early: "
-RECKON = "Wheels off the ground. On the ground a base goes on for longer."
+RECKON = "Measured with the wheels off the ground. On the ground it takes longer."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Row:
     @property
     def remark(self) -> str:
         """For people: what else is to be said; empty: nothing."""
-        late = f"give or take {self.within_s:.2f} s: its reports came late" if self.within_s > SHARP_S else ""
+        late = f"give or take {self.within_s:.2f} s, because its reports came late" if self.within_s > SHARP_S else ""
         return self.unjudged or late
 
     @property
@@ -150,7 +150,11 @@ class Card:
         times = [row.stands_s for row in found if row.stands_s is not None]
         if len(times) < len(found):
             return [f"Through the guard port it does NOT stop in {len(found) - len(times)} of {len(found)} failures."]
-        return [f"Through the guard port: within {max(times):.2f} s of each of {len(found)}."]
+        return [f"Through the guard port it stops: within {max(times):.2f} s of each of {len(found)}."]
+
+    def _reckon(self) -> list[str]:
+        """A sentence about the ground; none if nothing was measured."""
+        return [RECKON] if self.measured else []
 
     @property
     def slowest_s(self) -> float:
@@ -161,7 +165,7 @@ class Card:
         """The things that were probed."""
         pairs = [("robot", self.robot), ("board", self.board), ("firmware", self.firmware), ("driver", self.driver)]
         return [
-            *((name, printable(what) or "not said") for name, what in pairs),
+            *((name, printable(what) or "not given") for name, what in pairs),
             ("made", f"{self.day}, failstop probe {VERSION}"),
         ]
 
@@ -189,14 +193,14 @@ class Card:
         """For people, in a terminal of 80 columns."""
         edge = "+" + "-" * COLUMNS + "+"
         lines = [edge, _boxed(TITLE), *(_boxed(f"{name:<9} {what}") for name, what in self.heads()), edge]
-        heads = f"{'bare board':>12} {'guard port':>12}" if self.guarded else f"{'wheels stand':>13}"
+        heads = f"{'bare board':>12} {'guard port':>12}" if self.guarded else f"{'stopped after':>13}"
         wide = 31 if self.guarded else 40
         lines.append(_boxed(f"{'what failed':<{wide}} {heads}  judged by"))
         for row in self.rows:
             times = f"{row.found:>12} {row.guarded.found:>12}" if row.guarded else f"{row.found:>{len(heads)}}"
             lines.append(_boxed(f"{row.words:<{wide}} {times}  {row.judge}"))
             lines += [_boxed(f"  {row.remark}")] if row.remark else []
-        lines += [edge, _boxed(self.verdict), *map(_boxed, self._guarded_verdict()), _boxed(RECKON)]
+        lines += [edge, _boxed(self.verdict), *map(_boxed, self._guarded_verdict()), *map(_boxed, self._reckon())]
         why = [(f"{EARLY}{printable(self.ended)}", style.PLAIN)]
         ended = style.wrap(why, COLUMNS - 2, 2) if self.ended else []
         lines += [_boxed(style.plain(line)) for line in ended]
@@ -214,7 +218,7 @@ class Card:
         parts.append(f'<line x1="{MARGIN}" y1="{y}" x2="{WIDTH - MARGIN}" y2="{y}" stroke="#d0d7de"/>')
         y += 24
         bare_at = GUARDED_AT if self.guarded else TIMES_AT
-        columns = [(MARGIN, "what failed"), (bare_at, "bare board" if self.guarded else "wheels stand")]
+        columns = [(MARGIN, "what failed"), (bare_at, "bare board" if self.guarded else "stopped after")]
         columns += [(TIMES_AT, "guard port")] if self.guarded else []
         for x, head in (*columns, (BY_AT, "judged by")):
             parts.append(_said(x, y, head, colour=GREY, size=13))
@@ -238,7 +242,7 @@ class Card:
         for line in self._guarded_verdict():
             y += 28
             parts.append(_said(MARGIN, y + 36, line, size=20, weight="bold"))
-        parts.append(_said(MARGIN, y + 62, RECKON, colour=GREY, size=14))
+        parts += [_said(MARGIN, y + 62, line, colour=GREY, size=14) for line in self._reckon()]
         if self.ended:
             y += 26
             parts.append(_said(MARGIN, y + 62, cut(f"{EARLY}{self.ended}", REASON), colour=RED, size=14))

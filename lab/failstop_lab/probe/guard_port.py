@@ -18,7 +18,9 @@ from failstop import helpers
 from failstop.api.errors import FailstopError
 from failstop.api.robot import Robot
 from failstop.board.interface import Board
-from failstop.setup.ending import end_with_parent
+from failstop.policy.halted import Halted
+from failstop.setup.ending import end_with_parent, uninterrupted
+from failstop.setup.halt import Halt
 from failstop_lab.probe import judge
 from failstop_lab.probe.card import Row
 from failstop_lab.probe.serial import PERIOD_S, ROWS, SIGNALS, TURN_S, TURNS_S
@@ -33,11 +35,20 @@ class GuardProbe:
     """A context manager: a service and its guard port, from its beginning to its end."""
 
     def __init__(
-        self, port: str, kind: str, baud: int, board: Board, frame: bytes, shaking: judge.Shaking | None
+        self,
+        port: str,
+        kind: str,
+        baud: int,
+        board: Board,
+        frame: bytes,
+        shaking: judge.Shaking | None,
+        say: Callable[[str], None],
     ) -> None:
-        """`shaking`: how the IMU of a board that reports no wheels judges; None: the wheels' reports do."""
+        """`shaking`: how the IMU of a board that reports no wheels judges; None: the wheels' reports do. `say`: prints
+        a line for people."""
         self._port, self._kind, self._baud, self._board, self._frame = port, kind, baud, board, frame
         self._shaking = shaking
+        self._halt = Halt(port, board, say)
         self._rest = contextlib.ExitStack()
         self._watch = Watch(port, board)
 
@@ -50,7 +61,17 @@ class GuardProbe:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._rest.close()
+        """End the service, which stops the wheels, and ask the board whether they are stopped."""
+        with uninterrupted():
+            try:
+                self._rest.close()
+            finally:
+                self._halt.now()
+
+    @property
+    def outcome(self) -> Halted | None:
+        """What is known of the wheels at the end."""
+        return self._halt.last
 
     def _start(self) -> None:
         folder = self._rest.enter_context(tempfile.TemporaryDirectory(prefix="failstop-probe-"))
@@ -93,8 +114,9 @@ class GuardProbe:
         finally:
             driver.kill()
             driver.communicate()
-            self._robot.disable()
-            self._until(judge.RESTS_S)
+            with contextlib.suppress(FailstopError):  # a Ctrl-C in the terminal ends the service too
+                self._robot.disable()
+                self._until(judge.RESTS_S)
 
     def _of(self, name: str, driver: subprocess.Popen[str]) -> Row:
         assert driver.stdin

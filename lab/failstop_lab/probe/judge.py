@@ -78,9 +78,9 @@ def believed(samples: Sequence[SeenSample], rest: int | None) -> bool:
 SILENT_S = 2.0
 """Reports that ended so long before the end of a row say nothing of its end."""
 ANSWERS_S = 60.0
-NO_REPORTS = "{} said nothing any more: watch the wheels, and use --key"
+NO_REPORTS = "{} stopped reporting: watch the wheels, and use --key"
 NO_WORD = "nobody said whether the wheels still turned"
-NO_JUDGE = "no report tells turning from rest, and there is no terminal for a key"
+NO_JUDGE = "no report shows whether the wheels turn, and there is no terminal to press a key at"
 
 
 def silent(samples: Sequence[SeenSample], now_ns: int) -> bool:
@@ -98,7 +98,7 @@ def turned_on(say: Callable[[str], None], wait: Callable[[float, Callable[[], bo
     did. `wait`: waits for so many seconds, or until it is so."""
     if not somebody():
         return NO_WORD
-    say(f"No key within {NEVER_S:g} s. Did the wheels turn until they were stopped just now? Type yes or no.")
+    say(f"No key within {NEVER_S:g} s. Did the wheels keep turning until the probe stopped them? Type yes or no.")
     said: list[bytes] = []
 
     def answered() -> bool:

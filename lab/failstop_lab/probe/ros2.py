@@ -48,7 +48,7 @@ ROWS = {
     "silence": "its publisher falls silent",
     "sigkill": "its publisher is killed (SIGKILL)",
     "sigstop": "its publisher hangs (SIGSTOP)",
-    "abort": "its publisher ends by an exception",
+    "abort": "its publisher ends with an exception",
     "nan": "it is sent NaN, then nothing",
     "two": "two publish at once, and one is killed",
     "driver": "its driver's node is killed (SIGKILL)",
@@ -215,7 +215,7 @@ class RosProbe:
         assert listener
         assert guard
         if arguments.imu and not arguments.key:
-            self._say("first, how its IMU feels rest and turning wheels ...")
+            self._say("first, what the IMU measures while the wheels are still and while they turn ...")
             _character(arguments, listener, guard)
         for name in names:
             words = ROWS[name]
@@ -278,18 +278,18 @@ def _character(arguments: Namespace, listener: Listener, guard: Publisher) -> No
         spinning = shake.noise(listener.stretch(TURNS_S))
     shaking = judge.Shaking(still, spinning) if still and spinning else None
     if shaking is None or not shaking.distinguishes:
-        what = "does not tell turning wheels from resting ones" if shaking else "says too little"
-        raise FailstopError(f"{arguments.imu} {what}: judge by odometry, or by --key")
+        what = "does not show whether the wheels turn" if shaking else "publishes too little"
+        raise FailstopError(f"{arguments.imu} {what}: leave --imu out, or use --key")
     listener.shaking = shaking
 
 
 def _row(name: str, arguments: Namespace, listener: Listener, guard: Publisher, say: Callable[[str], None]) -> Row:
     with _driving(arguments, listener, guard, 2 if name == "two" else 1) as publishers:
         if not arguments.key and not listener.until(SEEN_S, listener.turning):
-            raise FailstopError(f"{listener.topic} did not say within {SEEN_S:g} s that it moves: is its driver there?")
+            raise FailstopError(f"{listener.topic} reported no motion within {SEEN_S:g} s: is its driver running?")
         listener.until(TURNS_S)
         if arguments.key:
-            say("Press Enter as soon as the wheels stand.")
+            say("Press Enter as soon as the wheels have stopped.")
             judge.key_pressed()
         listener.samples.clear()
         cause_ns = time.monotonic_ns()

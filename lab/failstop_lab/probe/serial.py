@@ -219,8 +219,11 @@ class SerialProbe:
         if not tells and not judge.somebody():
             self._unjudged = judge.NO_JUDGE
         elif not tells:
-            self._say("What the board reports does not tell turning wheels from resting ones: your key judges.")
-            self._say("Ctrl-C if no wheel has turned: its supply is off, or it does not know these frames.")
+            self._say("The board's reports don't show whether its wheels turn, so you will press a key when they stop.")
+            self._say(
+                "If no wheel has turned, press Ctrl-C: the motors have no power, or the board does not know "
+                "these frames."
+            )
             self._by_key = True
 
     def _rest_ns(self) -> int | None:
@@ -239,7 +242,7 @@ class SerialProbe:
         self._until(self._turns_s)
         assert self._driver
         if self._by_key:
-            self._say("Press Enter as soon as the wheels stand.")
+            self._say("Press Enter as soon as the wheels have stopped.")
             judge.key_pressed()
         self._samples.clear()
         cause_ns = time.monotonic_ns()
@@ -250,7 +253,7 @@ class SerialProbe:
         unseen = not self._by_key and judge.silent(self._samples, time.monotonic_ns())
         self._finish()
         if self._gone_ns:
-            raise FailstopError(f"{self._path} went away meanwhile, so nobody saw the wheels")
+            raise FailstopError(f"{self._path} disappeared during the test, so nobody saw what the wheels did")
         if stands_ns is None:
             why = judge.NO_REPORTS.format("the board") if unseen else self._asked() if self._by_key else ""
             return Row(name, ROWS[name], None, self.by, cause_ns=cause_ns, unjudged=why)
@@ -289,7 +292,7 @@ class SerialProbe:
         self._start()
         self._until(self._turns_s)
         self._gone_ns = 0
-        self._say("PULL THE BOARD'S PLUG NOW, then press Enter as soon as the wheels stand.")
+        self._say("PULL THE BOARD'S PLUG NOW, then press Enter as soon as the wheels have stopped.")
         judge.key_pressed()
         if not self._until(PLUG_S, lambda: self._gone_ns > 0):
             self._finish()
@@ -300,9 +303,9 @@ class SerialProbe:
         self._by_key = by_key
         self._end_driver()
         if stands_ns is None:
-            self._say(f"No key within {judge.NEVER_S:g} s. Plug it in again, and the stop is written at once.")
+            self._say(f"No key within {judge.NEVER_S:g} s. Plug the board in again; then the stop is written at once.")
         else:
-            self._say("Plug it in again.")
+            self._say("Plug the board in again.")
         self._until(PLUG_S, lambda: os.path.exists(self._path))
         self._order(STOP_WORD)
         self._open()
@@ -364,7 +367,7 @@ def check_kind(path: str, kind: str, baud: int = 0) -> str:
         raise FailstopError(str(error)) from None
     if heard[-1].known and heard[-1].kind != kind:
         found = heard[-1].kind
-        raise FailstopError(f"the board that answers is {found}, not {kind}: give --board {found}, or plug {kind} in")
+        raise FailstopError(f"the board that answers is {found}, not {kind}: give --board {found}, or plug in {kind}")
     if heard[-1].known and heard[-1].other_baud:
         raise FailstopError(f"{kind} answers at {heard[-1].other_baud} baud: give --baud {heard[-1].other_baud}")
     known, text, _ = asking.told_of(heard, kind, boards[kind])

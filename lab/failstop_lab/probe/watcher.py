@@ -40,10 +40,12 @@ STARTS_S = 15.0
 """How long a watcher may take to answer at first, on a busy machine, or at its end."""
 ANSWERS_S = 3.0
 """How long it may take later: a stop is written WRITES times, and repeated by some boards' rules."""
-WATCHER_GONE = "the probe's watcher has ended, so the probe ended too: repeat it"
-WATCHER_HANGS = "the probe's watcher does not answer, so it was killed, and the probe ended: repeat it"
-WATCHER_LATE = "the machine did not run this probe in time, so its watcher ended the driving: repeat it"
-WATCHER_UNWRITTEN = "the probe's watcher could not write the stop"
+WATCHER_GONE = "the probe's watcher process has ended, so the probe ended too: run it again"
+WATCHER_HANGS = "the probe's watcher process did not answer, so it was killed, and the probe ended: run it again"
+WATCHER_LATE = (
+    "the computer was too busy to run this probe in time, so its watcher process killed the driver: run it again"
+)
+WATCHER_UNWRITTEN = "the probe's watcher process could not write the stop"
 
 
 class Watcher:

@@ -172,7 +172,7 @@ class ArmRun:
             result.wrong.append("THE WHEELS DID NOT COME TO REST" if after else f"the {sight.source} is silent")
             result.runaway = True
         elif rest_ns is None:
-            result.doubt(f"no moment of rest in the samples of the {sight.source}")
+            result.doubt(f"the samples of the {sight.source} show no moment of rest")
         else:
             assert result.arm is not None
             rest_s = result.arm["wheels_rest_s"] = round(max(0, rest_ns - self._cause_ns) / NS, 3)

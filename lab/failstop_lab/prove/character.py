@@ -21,9 +21,9 @@ STILL_S = 3.0
 SPIN_S = 2.0
 STOOD_S = 1.0
 """Watched at rest, where the board reports its wheels."""
-MOUNTED = "lift the robot less softly, or mount the IMU firmly"
+MOUNTED = "put the robot on a firmer stand, or mount the IMU more firmly"
 SIMULATED = "the simulated board was held up, or its wheels were stopped; repeat on a quieter machine"
-SUPPLIED = "are the motors' supply and the encoders plugged in, and is board.per_rps right?"
+SUPPLIED = "check the motors' power, the encoders' plugs and board.per_rps"
 NOT_AT_REST = "THE WHEELS DID NOT COME TO REST after {}: use the POWER SWITCH"
 
 
@@ -73,7 +73,7 @@ def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -
     stood = _collect(stand, STOOD_S)
     judged = sight.rests(stood)
     if not judged or not judged[-1][1]:
-        seen = "the board says that its wheels turn" if judged else "the board reports nothing of its wheels"
+        seen = "the board reports that its wheels turn" if judged else "the board does not report its wheels"
         raise Unfit(f"at rest: {seen}")
     found = ByWheels(sight.longest_gap_s(stood), {})
     for velocity in velocities:
@@ -87,21 +87,21 @@ def _by_wheels(stand: ProveStand, velocities: Iterable[Turning], share: float) -
         if state.cause and state.scale.wrong:
             # Wheels that are far too fast are stopped before they were at speed for long enough to be measured here.
             wrong = "; ".join(state.scale.wrong)
-            raise WrongScale(f"at {velocity.words} {wrong}; correct it, and repeat (they were stopped: {state.cause})")
+            raise WrongScale(f"at {velocity.words} {wrong}; correct it and run this again (a stop came: {state.cause})")
         if (ratio := pace.measured(turned, stand.language.reports, commanded)) is not None:
             found.speeds[velocity.name] = ratio
             holds, per_rps = stand.language.reports.holds_speed, stand.language.per_rps
             if wrong := scale.wheels_differ(ratio, per_rps, holds_speed=holds):
-                raise WrongScale(f"at {velocity.words} {wrong}; correct it, and repeat")
+                raise WrongScale(f"at {velocity.words} {wrong}; correct it and run this again")
             if remark := scale.wheels_remark(ratio, per_rps):
                 found = dataclasses.replace(found, notes=(*found.notes, f"at {velocity.words} {remark}"))
         elif true_rps and not found.notes:
             found = dataclasses.replace(found, notes=pace.of_simulated(true_rps, told_rps, stand.language.per_rps))
         if not found.turning(turned):
             if cause := stand.driver.robot.state.cause:
-                raise Unfit(f"a stop came while the wheels were to turn: {cause}")
+                raise Unfit(f"a stop came while the wheels should have turned: {cause}")
             raise Unfit(
-                f"at {velocity.words} the board's reports do not show turning wheels: "
+                f"at {velocity.words} the board does not report that its wheels turn: "
                 f"{SIMULATED if stand.board else SUPPLIED}"
             )
         found = dataclasses.replace(found, gap_s=max(found.gap_s, sight.longest_gap_s(turned)))

@@ -126,7 +126,7 @@ class FrozenRun(PathRun):
             raise Skipped(self._unread)
         while entered():
             pass  # keys that were pressed before
-        self.ask("the whole service is frozen: press Enter as soon as the wheels stand")
+        self.ask("the whole service is frozen: press Enter as soon as the wheels have stopped")
 
     def _bar_s(self) -> float:
         """A board that takes the current away does not say for how long the wheels roll."""

@@ -10,16 +10,15 @@ from failstop.board.wire import COAST
 from failstop.policy.proofs import ACKNOWLEDGED_BY, SEEN_BY, WATCHDOGS, observer
 from failstop_lab.prove.table import FROZEN, PAD_STOP, Path
 
-NEVER_ACTS = "this board has no watchdog of its own, and keeps its last speed"
+NEVER_ACTS = "this board has no watchdog of its own, so it keeps its last speed"
 NO_PAD = "this board has no gamepad"
 NO_REPORTS = (
-    "at rest: neither the wheels nor an IMU are reported here. Watch the wheels, and use the POWER SWITCH when they "
-    "turn on"
+    "at rest: nothing here reports whether the wheels turn. Watch them, and use the POWER SWITCH if they keep turning"
 )
-NO_ANSWER = "acknowledged: this board answers no question, and does not report the command that it obeys"
-UNCONFIRMED = "speeds: no turn of a wheel has confirmed board.per_rps, so the speed is capped here (`failstop setup`)"
-SAME_SCALE = "speeds: this board's reports share board.per_rps, so a wrong one does not show in them"
-UNMEASURED = "speeds: this board reports none of its wheels"
+NO_ANSWER = "acknowledged: this board answers no questions, and does not report which command it obeys"
+UNCONFIRMED = "speeds: nobody has confirmed board.per_rps by turning a wheel, so speeds are capped (`failstop setup`)"
+SAME_SCALE = "speeds: this board's reports depend on board.per_rps too, so they can't show that it is wrong"
+UNMEASURED = "speeds: this board does not report how its wheels turn"
 FREEZES = "a frozen computer, a pulled cable"
 
 
@@ -74,7 +73,7 @@ class Means:
             found.append(f"{FREEZES}: {NEVER_ACTS}")
         elif self.does == COAST:
             found.append(
-                "a frozen computer on a slope: its watchdog takes the current away, and the wheels may roll on"
+                "a frozen computer on a slope: the board's watchdog only cuts the current, so the wheels may roll on"
             )
         return found
 

@@ -58,6 +58,6 @@ def of_simulated(true_rps: Sequence[float], told: Sequence[float], per_rps: floa
     if ratio <= 0 or scale.near(ratio, scale.WHEELS_FIT[True]):
         return ()
     return (
-        f"THE SIMULATED WHEELS TURN {ratio:.2g} TIMES AS FAST AS TOLD: this simulated board has board.per_rps = "
+        f"THE SIMULATED WHEELS TURN {ratio:.2g} TIMES AS FAST AS COMMANDED: this simulated board has board.per_rps = "
         f"{per_rps / ratio:.4g}, the settings say {per_rps:.4g}, and reports that share the setting can't show it",
     )

@@ -144,7 +144,7 @@ def verified(path: str) -> str:
     data = _read(path)
     found = RECORD.search(data.decode("utf-8", "replace"))
     if not found:
-        raise FailstopError(f"{path} is no evidence pack: it has no record")
+        raise FailstopError(f"{path} is not an evidence pack: it has no record")
     try:
         record = json.loads(found[1])
         # As bytes, because decoding replaces whatever is no UTF-8.
@@ -153,15 +153,15 @@ def verified(path: str) -> str:
         raise FailstopError(f"{path}: its record can't be read ({printable(str(error))})") from None
     if not same:
         raise FailstopError(
-            f"{path} was changed, or is of another version of failstop: it is not the page of its record"
+            f"{path} was changed, or was made by another version of failstop: the page does not match its record"
         )
     digest = hashlib.sha256(canonical(record).encode()).hexdigest()
     told = printable(f"{record['verdict']}, {record['begun']}, failstop {record['version']}")
-    words = f"{told}\nrecord {digest}: whole"
+    words = f"{told}\nrecord {digest}: unchanged"
     if not os.path.exists(f"{path}.sig"):
-        return f"{words}\nno signature: anyone could have written this file"
+        return f"{words}\nno signature, so anyone may have made this file"
     arguments = ["-Y", "check-novalidate", "-n", NAMESPACE, "-s", f"{path}.sig"]
-    return f"{words}\n{_openssh(arguments, f'{path}.sig is not of this file', data)}"
+    return f"{words}\n{_openssh(arguments, f'{path}.sig does not belong to this file', data)}"
 
 
 def _read(path: str) -> bytes:
@@ -170,9 +170,9 @@ def _read(path: str) -> bytes:
         with open(durable.open_regular(path), "rb") as file:
             data = file.read(LONGEST_PACK + 1)
     except OSError as error:
-        raise FailstopError(f"{path} is no evidence pack: {error.strerror}") from None
+        raise FailstopError(f"{path} can't be read: {error.strerror}") from None
     if len(data) > LONGEST_PACK:
-        raise FailstopError(f"{path} is no evidence pack: it has more than {LONGEST_PACK} bytes")
+        raise FailstopError(f"{path} is not an evidence pack: it has more than {LONGEST_PACK} bytes")
     return data
 
 
@@ -183,7 +183,7 @@ def _openssh(arguments: list[str], failed: str, data: bytes | None = None) -> st
             check=False, timeout=60,
         )  # fmt: skip
     except FileNotFoundError:
-        raise FailstopError(f"{failed}: there is no ssh-keygen here (openssh-client)") from None
+        raise FailstopError(f"{failed}: ssh-keygen is not installed (package openssh-client)") from None
     if done.returncode:
         raise FailstopError(f"{failed}: {_printable(done.stderr or done.stdout)}")
     return _printable(done.stdout)

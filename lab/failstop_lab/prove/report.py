@@ -27,8 +27,8 @@ from failstop_lab.prove.sight import ByImu, Sight
 from failstop_lab.prove.table import FROZEN
 
 CAN_NOT = (
-    "Proved is what was done here: this robot, this battery, wheels in the air, each path so many times. Wheels on the "
-    "ground take longer to stop. A software stop needs a board that obeys; the power switch needs nobody."
+    "This result covers only what was tested here: this robot, this battery, wheels off the ground. On the ground the "
+    "robot takes longer to stop. A software stop needs a board that obeys; the power switch does not."
 )
 INTERRUPTED = "interrupted"
 VERDICT_STYLES = {"PASS": style.OK, "FAIL": style.FAIL, "INVALID": style.WARN, "SKIP": style.WARN}
@@ -131,7 +131,8 @@ def ways(evidence: Evidence) -> list[str]:
         seconds = (slowest.written_ms or 0.0) / 1000
         way = distance.distance_m(distance.fastest_mps(evidence.user), seconds, evidence.user[distance.BRAKING])
         lines.append(
-            f"By these runs {way:.2f} m: the latest stop, of {slowest.path.name}, came after {1000 * seconds:.1f} ms."
+            f"In these runs the slowest stop, {slowest.path.name}, was written after {1000 * seconds:.1f} ms: "
+            f"{way:.2f} m."
         )
     return lines
 
@@ -205,9 +206,9 @@ def row(result: Result, paint: Callable[[str, str], str] = _plain, width: int = 
     why = f" {'; '.join(result.wrong) or result.skipped}" if result.wrong or result.skipped else ""
     if result.verdict == "INVALID":
         why = f" {repeat(result.starved)};{why}"
-    notes = [f"blind for {result.blind_s:.2f} s"] if result.blind_s and result.rest_s is not None else []
-    notes += [f"turning again {result.back_s:.1f} s after the return"] if result.back_s is not None else []
-    notes += [f"taken {len(result.again) + 1} times"] if result.again else []
+    notes = [f"no reading for {result.blind_s:.2f} s"] if result.blind_s and result.rest_s is not None else []
+    notes += [f"turning again {result.back_s:.1f} s after the sensor was back"] if result.back_s is not None else []
+    notes += [f"measured {len(result.again) + 1} times"] if result.again else []
     note = f" ({'; '.join(notes)})" if notes else ""
     name = f"{result.path.name:<{width}}"
     if narrow():

@@ -131,7 +131,7 @@ class PathRun:
             self._spin()
             if before := self.stand.driver.robot.state.cause:
                 result.starved = self.stand.held.starved(begun, before)
-                raise TrialError(f"a stop came before the cause: {before}")
+                raise TrialError(f"a stop came before the test caused one: {before}")
             try:
                 self._stop()
                 if self.path.kind == table.SCAN and not result.runaway:
@@ -241,7 +241,7 @@ class PathRun:
             return
         rest_ns = sight.rest_ns(before + after, self.velocity.name)
         if rest_ns is None:
-            result.doubt(f"no moment of rest in the samples of the {sight.source}")
+            result.doubt(f"the samples of the {sight.source} show no moment of rest")
             return
         rest_ns = max(rest_ns, self.cause_ns)
         result.rest_s = (rest_ns - self.cause_ns) / NS
@@ -290,7 +290,7 @@ class PathRun:
         if self.stand.run(BACK_S + speed_up_s(self.stand, self.velocity), turns):
             self.result.back_s = (time.monotonic_ns() - begun_ns) / NS
         else:
-            self.result.doubt("the sensor is back, and the wheels do not turn again")
+            self.result.doubt("the sensor is back, but the wheels do not turn again")
 
     def _recover(self) -> None:
         """To wheels at rest, nothing enabled, every process running."""

@@ -165,12 +165,14 @@ def check_free(device: str, *names: str, system: System | None = None) -> None:
             if not (node and node.pseudo and served and os.path.realpath(served) != node.resolved):
                 running = system.service(name)
                 end = running.end() if running else f"sudo systemctl stop {unit_of(name)}"
-                raise Refused(f"the service {name!r} runs, and this test kills what it runs: {end}")
+                raise Refused(
+                    f"the service {name!r} is running, and this test kills a service's processes; end it first: {end}"
+                )
     if node is None:
         return  # the run reports it, with the devices that exist
     holders, _ = system.holders(node.resolved)
     for holder in holders:
-        raise Refused(f"{holder} has {device} open: {holder.end()}")
+        raise Refused(f"{holder} has {device} open; end it first: {holder.end()}")
 
 
 def _alarm(text: str) -> None:

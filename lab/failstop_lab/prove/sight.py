@@ -95,11 +95,11 @@ class ByImu(Sight):
         lines = [f"IMU at rest        {_noise(self.still)}"]
         lines += [f"IMU at {name:<11} {_noise(noise)}" for name, noise in self.spinning.items()]
         if self.limit_radps == self.configured_radps:
-            return [*lines, f"still.std_radps = {self.configured_radps:g} lies between: it fits this robot"]
+            return [*lines, f"still.std_radps = {self.configured_radps:g} is between the two, so it fits this robot"]
         return [
             *lines,
-            f"still.std_radps = {self.configured_radps:g} does not lie between: "
-            f"set it to {self.limit_radps:.4f}, which is used here",
+            f"still.std_radps = {self.configured_radps:g} is not between the two: "
+            f"set it to {self.limit_radps:.4f}, which this test uses",
         ]
 
     def as_dict(self) -> dict[str, Any]:

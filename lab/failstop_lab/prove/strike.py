@@ -54,7 +54,7 @@ def _press(stand: ProveStand, ask: Ask | None) -> int:
     if stand.board:
         stand.board.pad(buttons=SIM_BUTTON)
     elif ask:
-        ask(f"the wheels turn: press a button of the gamepad (not MODE) within {PRESS_S:g} s")
+        ask(f"the wheels are turning: press a button of the gamepad (not MODE) within {PRESS_S:g} s")
     if not stand.run(PRESS_S, pressed):
-        raise Skipped("no button was seen")
+        raise Skipped("no press of a button arrived")
     return next(t_ns for t_ns, buttons in stand.watch.buttons[known:] if buttons & ~ignored)

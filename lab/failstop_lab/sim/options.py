@@ -56,8 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_positive,
         default=0.0,
         metavar="N",
-        help="one turn a second of its wheels in its own unit, whatever board.per_rps says: of an Arduino the encoder "
-        "counts of a turn, divided by 30 (default: as such boards usually have it)",
+        help="the speed of one wheel turn per second in the board's own unit, whatever board.per_rps says; on an "
+        "Arduino: encoder counts of a turn, divided by 30 (default: as such boards usually have it)",
     )
     add(
         "--motors",
@@ -76,7 +76,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--battery-mv", type=_millivolts, default=BATTERY_MV, metavar="N", help="battery, mV (default %(default)s)")
     add("--seed", type=int, default=0, metavar="N", help="seed of the noise and the faults (default %(default)s)")
-    add("--first-invalid-func", type=int, choices=(10, 11, 12), default=12, help="by firmware (default %(default)s)")
+    add(
+        "--first-invalid-func",
+        type=int,
+        choices=(10, 11, 12),
+        default=12,
+        help="depends on the firmware (default %(default)s)",
+    )
     add(
         "--mode", type=_octal, metavar="OCTAL", help="permissions of the port, for example 0660 (default: the system's)"
     )
@@ -91,13 +97,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         const=VHCI,
         default="",
         metavar="PLACE",
-        help="a USB board with the kernel's own driver before it, instead of a pty: by this machine's vhci_hcd (root), "
-        "or on the virtual machine whose usb-redir listens at PLACE (HOST:PORT, or a socket's path)",
+        help="simulate a USB device instead of a pty, so that the kernel's own driver makes the port: on this machine "
+        "(vhci_hcd, as root), or on the virtual machine whose usb-redir listens at PLACE (HOST:PORT, or a socket's "
+        "path)",
     )
     add(
         "--verbose",
         action="store_true",
-        help="print what the wheels do, stop bursts, and every 10 s how much else came",
+        help="print what the wheels do, each stop burst, and every 10 s a count of the rest",
     )
     add("--until-eof", action="store_true", help="end when standard input is closed")
 
@@ -106,7 +113,7 @@ def add_board(
     parser: argparse.ArgumentParser, default: str | None = BOARDS[0], words: str = "{} (default: %(default)s)"
 ) -> None:
     """Add the option that says which board. `words`: its help, around the kinds there are."""
-    kinds = f"{', '.join(BOARDS)}, or the path of a folder of your own"
+    kinds = f"{', '.join(BOARDS)}, or the path of your own board's folder"
     parser.add_argument("--board", type=_kind, metavar="KIND", default=default, help=words.format(kinds))
 
 

@@ -430,7 +430,7 @@ def _wheels_turn_unasked(stage: Stage, robot: Any) -> None:
 driven(
     _wheels_turn_unasked,
     "wheels_turn_unasked",
-    "Wheels turn although they are told zero while motion is enabled, until a stop is latched for it.",
+    "Wheels turn although they are told to stop while motion is enabled, until a stop is latched for it.",
     needs=(HAS_WHEEL_REPORTS,),
 )
 

@@ -152,11 +152,11 @@ def test_the_furthest_follows_the_settings(changed: dict[str, Any], latest: str)
 @pytest.mark.parametrize(
     ("kind", "told"),
     [
-        ("rrc", "it drives on: failstop knows of no watchdog that this board has."),
-        ("feetech", "it drives on: failstop knows of no watchdog that this board has."),
-        ("ugv", "the board's own watchdog has it stand after 0.12 m."),
-        ("hoverboard", "the board's own watchdog acts after 0.16 m: its wheels roll on without current."),
-        ("vesc", "the board's own watchdog acts after 0.20 m: its wheels roll on without current."),
+        ("rrc", "it drives on, because this board has no watchdog that failstop knows of."),
+        ("feetech", "it drives on, because this board has no watchdog that failstop knows of."),
+        ("ugv", "the board's own watchdog stops it within 0.12 m."),
+        ("hoverboard", "the board's own watchdog acts after 0.16 m: it lets its wheels coast."),
+        ("vesc", "the board's own watchdog acts after 0.20 m: it lets its wheels coast."),
     ],
 )
 def test_a_frozen_machine_is_told_of(kind: str, told: str) -> None:
@@ -166,6 +166,8 @@ def test_a_frozen_machine_is_told_of(kind: str, told: str) -> None:
 
 def test_the_speed_for_a_distance_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["config", "--within", "0.1"]) == 0
-    assert capsys.readouterr().out.endswith("braking with 1 m/s2: at most 0.166 m/s.\n")
+    assert capsys.readouterr().out.startswith(
+        "To stop within 0.10 m of any fault that failstop can detect, the robot may go at most 0.166 m/s."
+    )
     assert main(["config", "--within", "0"]) == 1
     assert capsys.readouterr().err == "failstop: --within 0: it must be a distance above 0, in m\n"

@@ -96,7 +96,7 @@ def test_an_interrupted_campaign_tells_what_it_has(tmp_path: Path) -> None:
         out, err = process.communicate(timeout=30)
     assert process.returncode == 130, err
     assert " 0 not as the table says" in out
-    assert "interrupted; the same again: --seed " in err
+    assert "interrupted; to repeat it: --seed " in err
 
 
 class Impatient(io.StringIO):
@@ -116,7 +116,7 @@ def test_ctrl_c_right_after_the_first_line_tells_the_seed(
     stderr = Impatient()
     monkeypatch.setattr("sys.stderr", stderr)
     assert cli.main(["chaos", "--only", "kill-gate", "--seconds", "60", "--seed", "7"]) == 130
-    assert stderr.getvalue().splitlines() == ["seed 7, 1 rows", "interrupted; the same again: --seed 7"]
+    assert stderr.getvalue().splitlines() == ["seed 7, 1 rows", "interrupted; to repeat it: --seed 7"]
     assert " 0 not as the table says" in capsys.readouterr().out
 
 
@@ -140,13 +140,13 @@ def test_a_page_from_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [
-        (("--count", "0"), 1, "--count 0: more than 0 is expected"),
-        (("--seconds", "-3"), 1, "--seconds -3: more than 0 is expected"),
+        (("--count", "0"), 1, "--count 0: it must be more than 0"),
+        (("--seconds", "-3"), 1, "--seconds -3: it must be more than 0"),
         (("--each", "2", "--first", "7"), 1, "--first goes with --count and --seconds"),
         (("--json", "/nowhere/chaos.json"), 1, "--json /nowhere/chaos.json: No such file or directory"),
         (("--only", "nonsense"), 1, "no row 'nonsense' in the fault table"),
-        (("--from", "/nowhere"), 1, "--from is for --markdown"),
-        (("--markdown", "--from", "/nowhere"), 1, "/nowhere is no result of a campaign"),
+        (("--from", "/nowhere"), 1, "--from goes with --markdown"),
+        (("--markdown", "--from", "/nowhere"), 1, "/nowhere is not the result of a campaign"),
         (("--device", "/dev/ttyACM0"), 2, "say --on-the-stand --wheels-are-free"),
         (("--device", "/dev/ttyACM0", "--on-the-stand"), 2, "say --wheels-are-free"),
         (("--device", "/dev/ttyNONE", "--on-the-stand", "--wheels-are-free"), 1, "no device /dev/ttyNONE"),

@@ -175,7 +175,7 @@ def test_a_stop_that_never_arrives_is_not_acknowledged_by_the_zero_of_the_board_
     assert "acknowledges nothing" not in sim.said
     # Where its watchdog had acted before the stop it is known to be deaf.
     deaf = before_s >= 0.7
-    told = "(link deaf)" if deaf else "not acknowledged: the board's echo shows a stop only where it ends motion"
+    told = "(link deaf)" if deaf else "not acknowledged, because this board's echo shows only a stop that ends motion"
     assert told in sim.said
 
 

@@ -58,7 +58,7 @@ def test_a_draw_that_cannot_be_is_nothing_odd(value: int) -> None:
 def test_a_file_that_is_no_tape_is_told(made_up: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "decisions").write_bytes(made_up)
     assert main(["simulate", "--decisions", str(tmp_path / "decisions")]) == 1
-    assert "these are no decisions: copy everything between the quotes" in capsys.readouterr().err
+    assert "this is not a list of decisions: copy everything between the quotes" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("needed", [{"a"}, {"c", "j"}, {"a", "e", "h"}, set()])

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from failstop.cli.main import main
 from failstop.policy.layouts import BOARDS
 from failstop_lab.boards.traits import traits_of
 from failstop_lab.simulate import coverage, single_faults
@@ -67,6 +68,12 @@ def test_a_scenario_misses_what_is_taken_out(row: str) -> None:
     stage = Stage(SCENARIOS[control.scenario], patches=control.patches)
     stage.run()
     assert stage.witness.violations
+
+
+def test_a_fault_that_can_not_happen_at_a_call_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """Else a run without a fault would look like one that was harmless."""
+    assert main(["simulate", "--scenario", "drive", "--call", "5", "--fault", "nap"]) == 1
+    assert capsys.readouterr().err.startswith("failstop: no fault 'nap' can happen at call 5 of drive; ")
 
 
 def test_what_was_not_reached_is_told() -> None:

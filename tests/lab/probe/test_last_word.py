@@ -32,8 +32,8 @@ def board(tmp_path: Path) -> Iterator[SimBoard]:
         yield running
 
 
-def probing(board: SimBoard, tmp_path: Path) -> Terminal:
-    words = ["probe", "serial", "--board", "rrc", "--port", board.link, "--yes", "--rows", "silence"]
+def probing(board: SimBoard, tmp_path: Path, *more: str) -> Terminal:
+    words = ["probe", "serial", "--board", "rrc", "--port", board.link, "--yes", "--rows", "silence", *more]
     return Terminal(*FAILSTOP, *words, "--out", str(tmp_path / "card"), patience_s=ENDS_S)
 
 
@@ -102,6 +102,23 @@ def test_a_second_ctrl_c_ends_the_waiting_with_the_truth(board: SimBoard, tmp_pa
     assert not psutil.wait_procs([watcher], ENDS_S)[1], "its repeats wait for no port that has gone again"
 
 
+@pytest.mark.parametrize("deaf", [False, True])
+def test_a_probe_of_the_guard_port_that_is_interrupted_says_what_the_board_confirms(
+    deaf: bool, board: SimBoard, tmp_path: Path
+) -> None:
+    """Its service ends cleanly, and only the board's answer says whether that stop has arrived."""
+    with probing(board, tmp_path, "--guard") as person:
+        person.reads("now the same through the guard port")
+        board.wait_wheels(False, STOPS_S)
+        board.wait_wheels(True, MOVES_S)
+        board.deaf(deaf)
+        person.presses(CTRL_C)
+        assert person.ends() == (1 if deaf else 130)
+        assert any(board.wheels()) is deaf
+    told = f"a stop was written to {board.link}, but the board did not confirm it: {MAY_TURN}" if deaf else CONFIRMED
+    assert ended(tmp_path) == f"interrupted; {told}"
+
+
 def test_a_plug_that_is_pulled_in_the_middle_of_a_row_is_no_answer_of_the_board(
     board: SimBoard, tmp_path: Path
 ) -> None:
@@ -115,4 +132,4 @@ def test_a_plug_that_is_pulled_in_the_middle_of_a_row_is_no_answer_of_the_board(
         board.wait_wheels(False, STOPS_S)
     card = json.loads((tmp_path / "card.json").read_text())
     assert not card["rows"]
-    assert "went away" in card["ended"]
+    assert "disappeared during the test" in card["ended"]

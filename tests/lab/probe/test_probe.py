@@ -22,6 +22,7 @@ import pytest
 from failstop.api.errors import FailstopError
 from failstop.board.kinds import board_of
 from failstop.cli import style
+from failstop.cli.missing import INCOMPLETE
 from failstop.policy.halted import CONFIRMED
 from failstop_lab.boards.live import DIAMETER_M
 from failstop_lab.probe import judge
@@ -147,7 +148,7 @@ def test_a_person_pulls_the_plug_and_says_when_the_wheels_stand(tmp_path: Path) 
         # By its own watchdog, which is no frame that could be waited for.
         wait_for("the wheels to stand", lambda: not any(board.wheels()), STOPS_S)
         really_s = (person.type(b"\n") - pulled_ns) / 1e9
-        person.wait("Plug it in again.", MOVES_S)
+        person.wait("Plug the board in again.", MOVES_S)
         board.replug()
         assert person.end(ENDS_S) == 0
     (row,) = json.loads(Path(f"{out}.json").read_text())["rows"]
@@ -208,7 +209,7 @@ def test_a_watcher_that_is_killed_is_missed(tmp_path: Path) -> None:
 
         killer = threading.Thread(target=kill)
         killer.start()
-        with pytest.raises(FailstopError, match="the probe's watcher has ended"), probe:
+        with pytest.raises(FailstopError, match="the probe's watcher process has ended"), probe:
             probe.run_row("silence")
         killer.join()
         assert not any(board.wheels())
@@ -293,14 +294,14 @@ def test_a_card_is_a_text_of_80_columns_a_picture_and_json(tmp_path: Path) -> No
 
 
 def test_a_card_that_ended_early_says_why_in_each_form(tmp_path: Path) -> None:
-    why = "the probe's watcher has ended, so the probe ended too: " + "repeat it " * 10
+    why = "the probe's watcher process has ended, so the probe ended too: " + "repeat it " * 10
     card = Card(
         "\u673a\u5668\u4eba", "ugv", "", "mine", [Row("sigkill", ROWS["sigkill"], 0.2, judge.OWN_WORD)], ended=why
     )
     lines = card.text().splitlines()
     assert {style.cells(line) for line in lines} == {80}
     assert why.strip() in " ".join("".join(line.strip("|") for line in lines).split())
-    assert "Ended early: the probe's watcher has ended" in card.svg()
+    assert "Ended early: the probe's watcher process has ended" in card.svg()
     assert "Ended early" not in dataclasses.replace(card, ended="").svg()
 
 
@@ -328,7 +329,7 @@ def test_a_board_of_another_kind_is_told_before_a_wheel_turns(tmp_path: Path) ->
         assert not any(any(event.speeds) for event in board.events() if event.is_motor)
         assert check_kind(board.link, "ugv") == ""
         board.deaf(True)
-        assert "does not hear" in check_kind(board.link, "ugv")
+        assert "it may hear nothing" in check_kind(board.link, "ugv")
 
 
 def test_wrong_options_are_told() -> None:
@@ -338,8 +339,16 @@ def test_wrong_options_are_told() -> None:
     for pid in ("-1", "0", str(2**22 + 1)):
         done = failstop("probe", "ros2", "--yes", "--driver-pid", pid)
         assert done.returncode == 1
-        assert f"no process {pid}: " in done.stderr
+        assert f"no process has the pid {pid}; " in done.stderr
     assert "no row 'nap'" in failstop("probe", "serial", "--port", "/nowhere", "--board", "ugv", "--rows", "nap").stderr
+
+
+def test_without_ros_a_probe_of_ros_says_so_and_makes_no_card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "rclpy.py").write_text("raise ImportError('none here')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    done = failstop("probe", "ros2", "--yes", "--out", str(tmp_path / "card"))
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (INCOMPLETE, "", 1), done.stderr
+    assert not list(tmp_path.glob("card*"))
 
 
 @pytest.mark.slow
@@ -370,7 +379,7 @@ def test_a_card_with_two_columns_fits_a_terminal_and_says_both() -> None:
     text = card.text()
     assert {len(line) for line in text.splitlines()} == {80}
     assert " never       0.03 s " in text
-    assert "Through the guard port: within 0.03 s of each of 1." in text
+    assert "Through the guard port it stops: within 0.03 s of each of 1." in text
     assert ElementTree.fromstring(card.svg()).tag.endswith("svg")
     assert ">0.03 s<" in card.svg()
     late = dataclasses.replace(bare, guarded=dataclasses.replace(guarded, stands_s=None))

@@ -84,7 +84,7 @@ def test_a_person_says_when_the_wheels_of_a_board_that_reports_nothing_stand(tmp
             said = []
             for line in process.stdout:
                 said.append(line)
-                if "press Enter as soon as the wheels stand" in line:
+                if "press Enter as soon as the wheels have stopped" in line:
                     assert any(board.wheels()), "nobody has stopped them"
                     wait_for("its own watchdog", lambda: not any(board.wheels()))
                     process.stdin.write("\n")
@@ -105,8 +105,8 @@ def test_a_person_says_when_the_wheels_of_a_board_that_reports_nothing_stand(tmp
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (("--sim", "--board", "ugv", "--only", "pad"), f"nothing to do of pad: {NO_PAD}"),
-        (("--sim", "--only", "frozen"), f"nothing to do of frozen: {NEVER_ACTS}"),
+        (("--sim", "--board", "ugv", "--only", "pad"), f"nothing to test of pad: {NO_PAD}"),
+        (("--sim", "--only", "frozen"), f"nothing to test of frozen: {NEVER_ACTS}"),
         (("--board", "ugv"), "--board is for --sim"),
     ],
 )

@@ -157,7 +157,7 @@ def test_paths_that_the_short_form_leaves_out(tmp_path: Path) -> None:
         stand.driver.each = stand.look
         result = one(stand, "scan")
     assert result.verdict == "FAIL"
-    assert firm(result.wrong) == ["the sensor is back, and the wheels do not turn again"]
+    assert firm(result.wrong) == ["the sensor is back, but the wheels do not turn again"]
 
 
 def test_without_the_word_nothing_is_written(board: SimBoard) -> None:
@@ -176,7 +176,7 @@ def test_a_service_that_runs_is_left_alone_and_hinders_no_simulated_board(board:
         done = prove("--name", name, "--device", trial.link, said=WORD)
         assert done.returncode == 2
         supervisor = trial.service.pids()["supervisor"]
-        assert f"kills what it runs: sudo kill {supervisor}\n" in done.stderr  # it is in no unit
+        assert f"end it first: sudo kill {supervisor}\n" in done.stderr  # it is in no unit
         done = prove("--device", trial.link, said=WORD)
         assert done.returncode == 2
         found = f"the service '{name}' (pid {supervisor}) has {trial.link} open: sudo kill {supervisor}\n"
@@ -237,7 +237,7 @@ def test_an_unplugged_board_is_waited_for_and_stopped(back: bool, board: SimBoar
     """Ctrl-C, with the plug out: nobody says that the wheels are stopped before the stop is on the board."""
     command = [*FAILSTOP, "prove", "--device", board.link, "--quick", "--out", str(tmp_path / "evidence")]
     with Terminal(*command, patience_s=60.0) as person:
-        person.says("anything else to leave it:", WORD.strip())
+        person.says("anything else to quit:", WORD.strip())
         board.wait_wheels(True, 60.0)
         board.unplug()
         person.presses(CTRL_C)

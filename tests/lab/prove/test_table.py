@@ -77,8 +77,8 @@ def test_rows_say_what_was_measured_and_what_is_wrong() -> None:
     assert "301.00 (340)" in report.row(result())
     assert report.row(result()).endswith("PASS")
     assert report.row(result(wrong=["NO STOP written"])).endswith("FAIL NO STOP written")
-    assert report.row(result(skipped="no button was seen")).endswith("SKIP no button was seen")
-    assert "blind for 0.30 s" in report.row(result(blind_s=0.3))
+    assert report.row(result(skipped="no press of a button arrived")).endswith("SKIP no press of a button arrived")
+    assert "no reading for 0.30 s" in report.row(result(blind_s=0.3))
 
 
 @pytest.mark.starts

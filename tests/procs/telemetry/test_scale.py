@@ -107,7 +107,7 @@ def test_the_gyro_tells_a_turn_that_is_not_as_told(ratio: float) -> None:
     robot.drive(0.0, 1.0, DRIVE_S)
     robot.drive(0.0, 0.0, 1.0)
     (said,) = robot.said
-    assert "as the gyro feels it: one of wheels.track_m, wheels.diameter_m" in said
+    assert "as the gyro measures it: one of wheels.track_m, wheels.diameter_m" in said
 
 
 def test_a_turn_that_skidding_wheels_explain_is_a_remark() -> None:

@@ -18,6 +18,8 @@ def main() -> int:
         from failstop.cli import main as cli
     except ImportError as error:
         version = f"Python {sys.version_info[0]}.{sys.version_info[1]}"
-        sys.stderr.write(f"failstop can't be imported by ROS's {version} ({error}): install it with that one's pip\n")
+        sys.stderr.write(
+            f"failstop can't be imported by ROS's {version} ({error}): install it with that Python's pip\n"
+        )
         return INCOMPLETE
     return cli.main(["ros2", *sys.argv[1:]])
