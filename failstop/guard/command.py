@@ -140,7 +140,7 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
             _print_line(f"your driver opens {path} instead of the board's port; Ctrl-C ends")
             gc.freeze()
             with contextlib.suppress(OSError):  # without the right to it a busy machine answers late
-                os.setpriority(os.PRIO_PROCESS, 0, NICE)
+                _go_first()
             while not ends.now:
                 guard.turn()
         finally:
@@ -148,6 +148,18 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
     finally:
         pty.close()
     return 0
+
+
+def _go_first() -> None:
+    """Go before ordinary programs. Raises OSError.
+
+    Linux shares the processor among sessions first (autogroup), so a nice value counts only within its own session. As a
+    service the guard has a session to itself, whose nice value counts among all; a terminal's is other programs' too.
+    """
+    os.setpriority(os.PRIO_PROCESS, 0, NICE)
+    if os.getsid(0) == os.getpid():
+        with open("/proc/self/autogroup", "w", encoding="ascii") as file:
+            file.write(str(NICE))
 
 
 def _print_line(line: str) -> None:

@@ -310,6 +310,33 @@ sys.stdin.readline()
 """A program that opens the port twice; by the second line it has said what it got, and drives."""
 
 
+@pytest.mark.parametrize("alone", [True, False], ids=["as a service", "in a terminal"])
+def test_a_guard_that_has_a_session_to_itself_goes_before_all_others(tmp_path: Path, alone: bool) -> None:
+    """A nice value counts only within a session, and a terminal's session is other programs' too."""
+    group = Path("/proc/self/autogroup")
+    if not group.exists() or os.geteuid() != 0:
+        pytest.skip("no autogroup here, or not the right to a better nice value")
+    before = group.read_text().split()[-1]
+    port = tmp_path / "port"
+    words = ("guard", "--dry-run", "--board", "arduino", "--path", str(port))
+    guard = subprocess.Popen(
+        helpers.python("failstop", *words), stdout=subprocess.PIPE, text=True, start_new_session=alone
+    )
+    try:
+        assert guard.stdout
+        while "your driver opens" not in guard.stdout.readline():
+            pass
+        driver = os.open(port, os.O_RDWR | os.O_NOCTTY)
+        os.write(driver, b"b\r")
+        assert os.read(driver, 100) == b"57600\r\n", "it is at its work"
+        os.close(driver)
+        assert os.getpriority(os.PRIO_PROCESS, guard.pid) == -10
+        assert Path(f"/proc/{guard.pid}/autogroup").read_text().split()[-1] == ("-10" if alone else before)
+    finally:
+        guard.kill()
+        guard.communicate()
+
+
 # The pseudo-terminal.
 
 
