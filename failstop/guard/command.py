@@ -153,8 +153,8 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
 def _go_first() -> None:
     """Go before ordinary programs. Raises OSError.
 
-    Linux shares the processor among sessions first (autogroup), so a nice value counts only within its own session. As a
-    service the guard has a session to itself, whose nice value counts among all; a terminal's is other programs' too.
+    Linux shares the processor among sessions first (autogroup), so a nice value counts only within its own session. As
+    a service the guard has a session to itself, whose nice value counts among all; a terminal's is other programs' too.
     """
     os.setpriority(os.PRIO_PROCESS, 0, NICE)
     if os.getsid(0) == os.getpid():

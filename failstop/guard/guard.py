@@ -252,6 +252,12 @@ class Guard:
             drove = held or self._door.crowded
             self._board.leave(in_order=not drove)
             self._tell(f"{self._who} has ended{' or died while it drove' if drove else ''}")
+            if late := talk.late(now_ns):
+                late_ms, waits_ms = (ns // 1_000_000 for ns in late)
+                self._tell(
+                    f"before that an answer came up to {late_ms} ms late, and this driver waits {waits_ms} ms: the "
+                    "computer is busy"
+                )
             if held and now_ns - self._opened_ns < talk.timeout_ns:
                 self._tell_hasty(talk)
         elif unread and not self._door.count and (talk := self._new_talk()) and talk.ended(unread, now_ns):

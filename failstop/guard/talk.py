@@ -29,6 +29,8 @@ MOST_FRAMES = 8
 """How many such frames may wait. A further one is dropped."""
 MOST_REFUSALS = 32
 """Different refusals that are reported of one driver."""
+LATE_FOR_NS = 3_000_000_000
+"""A driver that ends so long after a late answer may have ended because of it."""
 NOT_WHEELS = "a motion that is not valid"
 
 
@@ -63,6 +65,8 @@ class Talk:
         """Why its newest motion was replaced by a stop, for people; empty: it was not."""
         self._written_ns = 0
         """When the newest motion was written, at the earliest."""
+        self._late_ns = self._late_at_ns = 0
+        """How late the newest late answer was at the most, and when it was given."""
         self._sent_ns: int | None = None
         """The moment that the command counts from that was handed over last; None: this motion was not yet."""
         self._frames: dict[str, bytes] = {}
@@ -105,7 +109,16 @@ class Talk:
             self._steering_rad = motions[-1].steering_rad
             self._lets_go = self._let_go_by(motions)
         late = now_ns - since_ns > self._language.patience_ns
+        if late and answers:
+            self._late_ns, self._late_at_ns = now_ns - since_ns, now_ns
         return answers[-1:] if late else answers
+
+    def late(self, now_ns: int) -> tuple[int, int] | None:
+        """How late an answer was that the driver had given up, at the most, and how long it waits; None: none was in
+        the last seconds."""
+        if not self._late_at_ns or now_ns - self._late_at_ns > LATE_FOR_NS:
+            return None
+        return self._late_ns, self._language.patience_ns
 
     def asked(self, chunk: bytes, now_ns: int) -> list[bytes] | None:
         """These bytes may be this driver's, or those of the one before. Returns the answers to them; None: they would

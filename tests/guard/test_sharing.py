@@ -273,6 +273,17 @@ def test_one_that_asks_or_stops_and_closes_the_port_is_told_nothing(desk: Desk) 
     assert not [line for line in desk.lines if "right after" in line]
 
 
+@pytest.mark.parametrize("desk", [{"board.kind": "feetech"}], indirect=True)
+def test_a_host_that_ends_after_a_late_answer_is_named_with_the_reason(desk: Desk) -> None:
+    host = desk.script()
+    desk.do(host, OPEN)
+    desk.unseen(host, r"os.write(port, b'\xff\xff\x07\x02\x01\xf5')")
+    time.sleep(0.1)  # the guard is held up for longer than a host waits
+    desk.turn()
+    host.child.kill()
+    desk.says("ms late, and this driver waits 34 ms: the computer is busy")
+
+
 # A terminal that root hangs up.
 
 

@@ -153,6 +153,17 @@ def test_a_refusal_is_reported_once() -> None:
     assert [row.what for row in made.refusals] == ["shouting"]
 
 
+def test_a_late_answer_is_remembered_for_as_long_as_a_driver_may_end_because_of_it() -> None:
+    made = talk()
+    made.wrote(b"? 5,5", 900 * MS, 0)
+    assert made.late(900 * MS) is None, "it was in time"
+    made.wrote(b"5,5", 3 * S, 1 * S)
+    assert made.late(3 * S) is None, "nobody asked"
+    made.wrote(b"?", 6 * S, 4 * S)
+    assert made.late(8 * S) == (2 * S, Words.patience_ns)
+    assert made.late(10 * S) is None
+
+
 def test_a_motion_that_was_replaced_by_a_stop_says_why_until_the_next_one() -> None:
     made = talk()
     made.wrote(b"5,5 !", 0, 0)
