@@ -180,7 +180,7 @@ def waits(pid: int) -> bool:
 
 def test_what_it_does_for_people_comes_before_the_picture_of_processes() -> None:
     shown = re.findall(r"\(docs/pictures/(.*?)\)", README.read_text())
-    assert shown == ["crash.svg", "where.svg"]
+    assert shown == ["crash.svg", "probe.svg", "where.svg"]
 
 
 @pytest.mark.parametrize("word", ["floor", "bar"])
