@@ -343,7 +343,7 @@ def test_a_guard_that_has_a_session_to_itself_goes_before_all_others(tmp_path: P
 def test_a_link_that_is_there_is_replaced_only_where_it_is_a_link(tmp_path: Path) -> None:
     path = tmp_path / "port"
     path.write_text("mine")
-    with pytest.raises(FailstopError, match="is there already and is no link"):
+    with pytest.raises(FailstopError, match="exists already and is not a link"):
         Pty(str(path))
     assert path.read_text() == "mine"
     path.unlink()
