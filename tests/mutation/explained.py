@@ -326,6 +326,7 @@ SUPERVISOR = (
     ),
     Reason("supervisor/proof.py", r"_asked_ns = 1", "an unproven board is never deaf, and its first answer sets both"),
     Reason("supervisor/proof.py", r"_deaf_ns / 2", "a number is compared with the half, whole or not"),
+    Reason("supervisor/run.py", r"\n\+.*from_bytes\(os\.urandom\(8\), \)", "random bytes are as random in each order"),
     Reason(
         "supervisor/run.py",
         r"\n\+.*segments\.attach\(self\.memory, (layout\.SUPERVISOR|each), (None)?(, )?(write=True)?\)",
