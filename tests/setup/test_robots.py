@@ -11,7 +11,7 @@ from failstop.policy.layouts import BOARDS
 from failstop.policy.scale import PER_RPS, PER_RPS_CONFIRMED
 from failstop.policy.setting import SettingError
 from failstop.policy.settings import Settings
-from failstop.setup import robots
+from failstop.setup import finish, robots
 from failstop.setup.command import layouts_of
 from failstop.supervisor.fit import checked_board
 from failstop_lab.boards.line import model_of
@@ -28,6 +28,8 @@ def test_its_settings_are_those_of_a_robot_that_the_board_can_drive(file: Path) 
     assert robot.kind in BOARDS
     assert robots.of_kind(robot.kind)[robot.key] == robot
     assert checked_board(Settings(dict(robot.settings)), str(file)).wheels
+    written = finish.text(dict(robot.settings), robot.name, {}).split("\n")
+    assert max(len(line) for line in written if line.startswith("#")) <= 77, "setup shows it, with an indent of three"
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
