@@ -23,7 +23,7 @@ LAYOUT_MODULE, RUN_MODULE = "failstop.messages.layout", "failstop.supervisor.run
 DISTANCE_MODULE = "failstop.api.distance"
 NOTICED, PASSED = 1, 0
 """The exit codes of pytest for a test that fails, and for one that passes."""
-FAILURES, SAID = "= FAILURES =", "E   "
+FAILURES, TOLD_BY = "= FAILURES =", "E   "
 """How pytest begins its part about tests that failed, and a line of what is wrong. A test that can't begin or end, such
 as one without its fixture, is an error of another part, and notices nothing."""
 MOST_SAID = 160
@@ -148,7 +148,7 @@ def search(control: ByTest) -> Noticed:
     _, failed, told = done.stdout.partition(FAILURES)
     if done.returncode != (NOTICED if failed else PASSED):
         raise FailstopError(f"{control.test} can't be run: {done.stdout[-MOST_SAID:] or done.stderr[-MOST_SAID:]}")
-    said = [line.removeprefix(SAID).strip() for line in told.splitlines() if line.startswith(SAID)]
+    said = [line.removeprefix(TOLD_BY).strip() for line in told.splitlines() if line.startswith(TOLD_BY)]
     wrong = " ".join(said[:1]).removeprefix("AssertionError: ")[:MOST_SAID].replace("|", "\\|") or "it fails"
     return Noticed(control, used_s() - begun_s, wrong if failed else "", done.stdout, commit())
 
