@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from failstop.guard.guard import Board
 
 EXAMPLES = """\
-failstop guard                             # your driver opens the port that it prints
-failstop guard --path /run/port            # at your own path
-failstop guard --dry-run --board arduino   # no robot: what your driver would get
+failstop guard                    # your driver opens the port that it prints
+failstop guard --path /run/port   # at your own path
+failstop guard --dry-run          # no robot: what your driver would get
 """
 PORT = "port"
 """The link's name in the runtime directory."""

@@ -207,6 +207,6 @@ def test_nothing_stays_open(folder: Any) -> None:
         with pytest.raises(OSError, match=r"is a link|No such file"):
             on.place.opened(f"{FOLDER}/{path}", os.O_RDONLY)
     for path, pipe, kind in ((CLAIMS, True, "FIFO"), (STOP_PIPE, False, "regular file")):
-        with pytest.raises(on.place.Untrusted, match=f"is no {kind}: remove it"):
+        with pytest.raises(on.place.Untrusted, match=f"is not a {kind}: remove it"):
             on.place.opened(path, os.O_RDWR, pipe=pipe)
     assert open_fds(on) == before

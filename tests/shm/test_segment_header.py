@@ -68,7 +68,7 @@ def header(**words: Any) -> Spoil:
     return lambda name, of: write_header(name, of, **words)
 
 
-NO_HEADER = ("damaged", "no whole header")
+NO_HEADER = ("damaged", "an incomplete header")
 NO_FILE = ("damaged", "wrong size or name")
 OTHER = {"layout": LAYOUT_HASH ^ 1, "version": "9.8.7"}
 OTHER_VERSION = ("version", f"is of failstop 9.8.7, this program is {VERSION}")

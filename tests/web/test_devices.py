@@ -38,13 +38,13 @@ def test_different_bytes_are_different_codes() -> None:
 def test_a_code_pairs_once() -> None:
     pairing = offered()
     pairing.redeem("ab12 cd34", 100.0)
-    with pytest.raises(NotPaired, match="there is no code to enter now"):
+    with pytest.raises(NotPaired, match="no code is valid now"):
         pairing.redeem(CODE, 100.0)
 
 
 def test_a_code_ends_after_two_minutes() -> None:
     offered().redeem(CODE, 100.0 + CODE_S)
-    with pytest.raises(NotPaired, match="there is no code to enter now"):
+    with pytest.raises(NotPaired, match="no code is valid now"):
         offered().redeem(CODE, 100.1 + CODE_S)
 
 
@@ -53,7 +53,7 @@ def test_guessing_ends_the_offer() -> None:
     for _ in range(TRIES):
         with pytest.raises(NotPaired, match="wrong code"):
             pairing.redeem("AB12-CD35", 100.0)
-    with pytest.raises(NotPaired, match="there is no code to enter now"):
+    with pytest.raises(NotPaired, match="no code is valid now"):
         pairing.redeem(CODE, 100.0)
 
 

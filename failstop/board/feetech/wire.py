@@ -57,7 +57,7 @@ WIRE = Wire(
     stop=TimedStop(
         writes=(Write(0, codec.BURST),),
         after_ns=0,
-        repeats_ns=tuple(tuple(at * _MS for at in row) for row in ((0, 8, 103), (0, 11, 113), (0, 17, 127))),
+        repeats_ns=tuple(tuple(at * _MS for at in row) for row in ((0, 9, 103), (0, 11, 113), (0, 17, 127))),
     ),
     pace=Pace(idle_ns=ANSWERS_NS, unanswered=1),
     watchdog=NO_WATCHDOG,
