@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.policy.processes import PROCESSES, SUPERVISOR_PRIORITY
 from failstop.version import VERSION
 from failstop_lab.controller_manager import PLUGIN, RELEASES
 from failstop_lab.trial import Trial
@@ -115,3 +116,12 @@ def test_the_manifest() -> None:
     for controller in ("ackermann_steering", "diff_drive", "mecanum_drive"):
         assert f"{controller}_controller/" in types
         assert f"{controller}_controller" in names
+
+
+@pytest.mark.parametrize("base", ["ackermann", "diff", "mecanum"])
+def test_the_loop_of_each_example_runs_below_failstop(base: str) -> None:
+    """ros2_control's default, 50, is above it: an endless loop there would leave failstop no processor if there is
+    only one."""
+    found = re.search(r"^    thread_priority: (\d+)$", (PLUGIN / "config" / f"{base}.yaml").read_text(), re.MULTILINE)
+    assert found
+    assert int(found[1]) < min(SUPERVISOR_PRIORITY, *(row.priority for row in PROCESSES))
