@@ -245,7 +245,8 @@ $(VENV)/ros2/.installed: pyproject.toml
 	@$(VENV)/ros2/bin/pip install --quiet --disable-pip-version-check $(EDITABLE) '.[test]' $(LAB) 'numpy<2; python_version < "3.13"'
 	@touch $@
 
-# The hardware interface on a real controller manager of ros2_control: the tests of tests/integrations/ros2_control/real.py.
+# The hardware interface on a real controller manager of ros2_control: tests/integrations/ros2_control/test_real.py,
+# with failstop's plugin, and with diffdrive_arduino at the guard port if it is built in that ROS.
 ros2-control: $(VENV)/.dev
 	@[ -n "$(ROS)" ] || { echo "there is no ROS 2 here (no /opt/ros/*/setup.sh): CONTRIBUTING.md says what is needed"; exit 1; }
 	@bash -c '. $(ROS) && command -v colcon >/dev/null && ros2 pkg prefix diff_drive_controller >/dev/null 2>&1 && ros2 pkg prefix controller_manager >/dev/null 2>&1' || \

@@ -46,11 +46,17 @@ case $ROS in /opt/ros/*) from= ;; *) from=", built from source" ;; esac
 echo "ROS 2 $ROS_DISTRO, rclpy $version$from"
 """
 """For a ROS in one folder, as Debian's packages and `colcon build --merge-install` make it."""
+ASK_ROS2_CONTROL = """
+. "$ROS" && cd "$(ros2 pkg prefix controller_manager)/share/controller_manager"
+case $ROS in /opt/ros/*) from= ;; *) from=", built from source" ;; esac
+echo "ROS 2 $ROS_DISTRO, ros2_control $(grep -o "[0-9.]*</version>" package.xml | cut -d "<" -f 1)$from"
+"""
 ROWS = {
     "versions": Row("quick tests", ("versions", "ALL=yes"), ""),
     "test": Row("all tests", ("test",), f'"$BIN"/python -c "{ASK}"'),
     "lerobot": Row("robot for LeRobot", ("lerobot",), f'"$LEROBOT" -c "{ASK_LEROBOT}"'),
     "ros2": Row("bridge to ROS 2", ("ros2",), ASK_ROS),
+    "ros2-control": Row("controller manager of ros2_control, killed and hung", ("ros2-control",), ASK_ROS2_CONTROL),
     "web": Row("operator's page, also under attack", ("web",), "chromium --version | head -n 1"),
     "fleet": Row("fleet", ("fleet",), "PATH=$PATH:/usr/sbin mosquitto -h | head -n 1"),
     "package-test": Row("life of the Debian packages", ("package-test",), "echo Debian 12 and 13"),
