@@ -178,7 +178,8 @@ def test_what_the_controllers_publish(real: Real) -> None:
     time.sleep(OBEYS_S)  # past the ramp
     speed = ("--field", "twist.twist.linear.x", "/base_controller/odom", "nav_msgs/msg/Odometry")
     odometry = real.ros.run(*ECHO, *speed)
-    assert float(odometry.split()[0]) == pytest.approx(MPS, rel=0.1)
+    # diffdrive_arduino divides each step of the counts by the period of its loop, so its speeds jitter.
+    assert float(odometry.split()[0]) == pytest.approx(MPS, rel=0.1 if real.plugin == OURS else 0.5)
     if real.plugin == OURS:
         states = real.ros.run(*ECHO, "/dynamic_joint_states", "control_msgs/msg/DynamicJointState")
         for name in ("enabled", "latched", "blocked", "turning", "voltage"):
