@@ -115,7 +115,9 @@ class Deadline:
             return
         now_ns, again_ns = self._machine.now_ns, self._begins_again_ns()
         if again_ns is not None:
-            self.begin(Phase.BAR, after_ns=again_ns - now_ns)
+            # A process that reaches the wheels only just before the end of a bar would have no time.
+            reached = self._witness.reached()
+            self.begin(Phase.BAR if reached else Phase.UNREACHED, after_ns=again_ns - now_ns)
         elif more_ns := self._witness.all_paused_ns(self._by) - self._paused_ns:
             self.begin(self._phase, left_ns=more_ns)
         else:
