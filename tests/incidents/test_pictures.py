@@ -46,7 +46,9 @@ def test_a_missing_extra_is_named(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("needed", "ends"), [("matplotlib", r"\.png or \.svg or \.pdf"), ("mcap_ros2.writer", r"\.mcap")])
+@pytest.mark.parametrize(
+    ("needed", "ends"), [("matplotlib", r"\.png or \.svg or \.pdf"), ("mcap_ros2.writer", r"\.mcap")]
+)
 def test_a_name_of_no_such_file_is_refused(incident: Incident, tmp_path: Path, needed: str, ends: str) -> None:
     pytest.importorskip(needed)
     path = str(tmp_path / "a.txt")

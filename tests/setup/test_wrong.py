@@ -161,7 +161,11 @@ def test_a_wrong_answer_ends_with_what_helps_and_is_taken_up_again(
     [
         (
             0o600,
-            ("User nobody may not open ", "which belongs to the group root. -> the Debian package", "can't be used yet"),
+            (
+                "User nobody may not open ",
+                "which belongs to the group root. -> the Debian package",
+                "can't be used yet",
+            ),
         ),
         (0o666, ("you may not write to ",)),
     ],

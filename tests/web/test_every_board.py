@@ -39,7 +39,9 @@ def test_a_stop_on_the_page_stops_every_board_and_shows_its_proofs(kind: str, tm
             wait_for("the wheels to turn", trial.turning)
             if traits.language.observed_by == BY_WHEELS:  # a hoverboard reports no speed below 5.3 rpm
                 wait_for("the board to report it", lambda: trial.robot.state.turning.does == "turning")
-            answers = "The board answers." if HAS_PINGS in traits.parts else "This board answers no questions, by design."
+            answers = (
+                "The board answers." if HAS_PINGS in traits.parts else "This board answers no questions, by design."
+            )
             assert web.until("MOVING")["board"] == answers
             trial.board.events()
             moving, asked_ns = trial.turning(), time.monotonic_ns()
