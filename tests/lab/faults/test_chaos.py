@@ -147,8 +147,8 @@ def test_a_page_from_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         (("--only", "nonsense"), 1, "no row 'nonsense' in the fault table"),
         (("--from", "/nowhere"), 1, "--from goes with --markdown"),
         (("--markdown", "--from", "/nowhere"), 1, "/nowhere is not the result of a campaign"),
-        (("--device", "/dev/ttyACM0"), 2, "say --on-the-stand --wheels-are-free"),
-        (("--device", "/dev/ttyACM0", "--on-the-stand"), 2, "say --wheels-are-free"),
+        (("--device", "/dev/ttyACM0"), 2, "add --on-the-stand --wheels-are-free"),
+        (("--device", "/dev/ttyACM0", "--on-the-stand"), 2, "add --wheels-are-free"),
         (("--device", "/dev/ttyNONE", "--on-the-stand", "--wheels-are-free"), 1, "no device /dev/ttyNONE"),
     ],
 )
