@@ -21,6 +21,7 @@ MAY_NAME_THE_INTERPRETER = {
     "lab/failstop_lab/prove/frozen.py": "-I -S, and nothing but Python's own modules",
     "failstop/extras.py": "advice for a person",
     "failstop/cli/missing.py": "advice for a person",
+    "lab/failstop_lab/simulate/tested_controls.py": "pytest, in a changed copy of the checkout",
 }
 STARTS = frozenset({"Popen", "run", "call", "check_call", "check_output", "create_subprocess_exec"})
 OF_OS = frozenset({"system", "popen", "execv", "execl", "execvp", "execlp", "spawnv", "spawnl", "spawnlp", "spawnvp"})

@@ -277,7 +277,7 @@ def test_a_program_that_has_another_shm_is_told_and_stops(trial: Trial) -> None:
         if os.geteuid():
             pytest.skip("only root may mount")
         assert apart.do(f"open {trial.name} 0") == NO_SERVICE
-        assert "is not there" in apart.text("error")
+        assert "does not exist" in apart.text("error")
         assert apart.do("connect") == NO_SERVICE
         assert apart.do("stop it") == OK
     wait_for("the stop to be latched", lambda: trial.robot.state.cause)

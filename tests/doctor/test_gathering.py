@@ -105,7 +105,7 @@ def test_an_own_folder_that_can_not_be_used_is_told_and_its_port_left_alone(tmp_
     [found] = stop_path.stop_path(look)
     assert found.text == "not tested: the settings that name the board can't be used"
     [found] = port.identity(look)
-    assert found.text == f"no USB device; {tmp_path}/tank may be at any port"
+    assert found.text == f"no USB device; a board of the kind {tmp_path}/tank may be at any port"
 
 
 SYSTEMCTL = """#!/bin/sh
@@ -135,7 +135,7 @@ def test_who_has_a_device_open_that_an_unplug_has_removed(tmp_path: Path) -> Non
     (files / "3").symlink_to("/dev/ttyACM0 (deleted)")
     (files / "4").symlink_to("/dev/ttyACM1")
     [found] = port.held(Look(device_path="/nowhere", system=System(str(tmp_path))))
-    assert found.text.startswith("minicom (pid 77) has /dev/ttyACM0 open from before an unplug")
+    assert found.text.startswith("minicom (pid 77) has /dev/ttyACM0 open since before it was unplugged")
 
 
 def test_who_has_a_device_open() -> None:

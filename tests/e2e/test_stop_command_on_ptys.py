@@ -240,7 +240,7 @@ def test_the_stop_of_an_own_board_is_written_whatever_became_of_its_description(
     done = subprocess.run([*FAILSTOP, "stop", "hand near"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert came(master, len(own.burst)).startswith(own.burst)
-    assert "is not known, because its description can't be used" in done.stdout
+    assert "nobody knows whether the board has heard the stop, because its description can't be used" in done.stdout
 
 
 @pytest.mark.parametrize("by", ["the last run", "the file"])

@@ -317,7 +317,7 @@ def test_a_robot_without_an_imu_says_so_and_waits_for_none() -> None:
     assert "no IMU" in robot.printed("status").partition("sensor")[2]
     assert robot.json("why")["proof"].endswith(f"{NO_IMU}; now: not known: nothing reports what the wheels do")
     shown = robot.load("failstop.web.view").view(robot.robot.state, [], 0.0)
-    assert (shown["imu"], shown["stop"]["observed"], shown["stop"]["unseen"]) == (False, "", "no IMU")
+    assert (shown["imu"], shown["stop"]["observed"], shown["stop"]["lacks"]["observed"]) == (False, "", "no IMU")
 
 
 @pytest.mark.parametrize(

@@ -122,7 +122,7 @@ def test_a_goal_of_the_topic_ends_with_its_publisher(scene: BridgeTrial) -> None
     publish_once(sender, {"joint_names": ["base"], "points": [point(3, 0.9)]})
     scene.state(lambda state: state["arm_moving"])
     scene.leave(sender)
-    wait_for("the line", lambda: "arm/goal: its publisher has gone: held" in scene.bridge.said())
+    wait_for("the line", lambda: "arm/goal: its publisher has gone, so the arm is held" in scene.bridge.said())
     scene.state(lambda state: not state["arm_moving"])
     assert abs(scene.trial.board.joints()[1] - start) < 180, "0.9 rad are 215 pulses"
 

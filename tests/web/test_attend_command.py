@@ -75,4 +75,4 @@ def test_what_answers_in_its_place_is_refused(trial: Trial, name: str, tmp_path:
     with Typist([str(shell), "-c", f"{' '.join(FAILSTOP)} attend --name {trial.name}; exit $?"]) as typist:
         assert typist.process.wait(20) == 1
         written = os.read(typist.master, 4096).decode()
-    assert f"{BETWEEN[name]} answers in your terminal's place" in " ".join(written.split())
+    assert f"{BETWEEN[name]} would keep answering for your terminal" in " ".join(written.split())

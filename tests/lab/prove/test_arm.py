@@ -131,7 +131,7 @@ def test_a_joint_that_goes_on_after_the_read_back_fails(stand: ProveStand) -> No
 def test_a_robot_without_an_arm_has_no_such_paths() -> None:
     done = failstop("prove", "--sim", "--only", "arm-kill-gate")
     assert done.returncode == 1
-    assert "the settings name no joints" in done.stderr
+    assert "the settings have no joints" in done.stderr
 
 
 def test_plans() -> None:

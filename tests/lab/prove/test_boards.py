@@ -107,7 +107,7 @@ def test_a_person_says_when_the_wheels_of_a_board_that_reports_nothing_stand(tmp
     [
         (("--sim", "--board", "ugv", "--only", "pad"), f"nothing to test of pad: {NO_PAD}"),
         (("--sim", "--only", "frozen"), f"nothing to test of frozen: {NEVER_ACTS}"),
-        (("--board", "ugv"), "--board is for --sim"),
+        (("--board", "ugv"), "--board goes with --sim"),
     ],
 )
 def test_a_row_that_a_board_can_not_have_is_refused(

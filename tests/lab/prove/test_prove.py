@@ -179,7 +179,7 @@ def test_a_service_that_runs_is_left_alone_and_hinders_no_simulated_board(board:
         assert f"end it first: sudo kill {supervisor}\n" in done.stderr  # it is in no unit
         done = prove("--device", trial.link, said=WORD)
         assert done.returncode == 2
-        found = f"the service '{name}' (pid {supervisor}) has {trial.link} open: sudo kill {supervisor}\n"
+        found = f"the service '{name}' (pid {supervisor}) has {trial.link} open; end it first: sudo kill {supervisor}\n"
         assert found in done.stderr
         done = prove("--name", name, "--device", board.link, said="no\n")
         assert (done.returncode, "no consent" in done.stderr) == (2, True), done.stderr

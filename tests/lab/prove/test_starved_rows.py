@@ -225,7 +225,7 @@ def test_a_row_that_the_machine_spoils_is_taken_again() -> None:
     told: list[Result] = []
     found = session.until_valid(iter([*spoiled[:2], result()]).__next__, told.append)
     assert (found.verdict, found.again, told) == ("PASS", ["held 0", "held 1"], spoiled[:2])
-    assert "taken 3 times" in report.row(found)
+    assert "measured 3 times" in report.row(found)
     assert session.until_valid(iter(spoiled).__next__, told.append).verdict == "INVALID"
     for last in (result(wrong=["NO STOP"]), result(wrong=["late"], doubts=["late"], starved="held", over="no service")):
         assert session.until_valid(iter([last]).__next__, told.append).again == []
