@@ -186,7 +186,7 @@ def test_a_service_that_runs_is_left_alone_and_hinders_no_simulated_board(board:
         # Of a robot's port it is not known whether the service is about to open it under another name.
         real = dataclasses.replace(System().node(board.link), pseudo=False)  # type: ignore[type-var]
         system = SimpleNamespace(node=lambda _: real, service=System().service)
-        with pytest.raises(Refused, match=f"the service '{name}' runs"):
+        with pytest.raises(Refused, match=f"the service '{name}' is running"):
             check_free(board.link, name, system=system)  # type: ignore[arg-type]
         assert trial.service.ready()
         assert not any(event.is_motion for event in trial.board.events())
