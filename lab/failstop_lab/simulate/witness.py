@@ -196,6 +196,9 @@ class Witness:
         """Early stops by threads of the port owner (True) and of others: when the stop is over, and how many frames may
         still turn the wheels after it, before a program asks for motion again."""
         self._begun: set[tuple[int, int]] = set()
+        self._kept = False
+        """Whether bytes that the kernel had kept have come since a run was seen to begin. Nobody can say whose they
+        are, so they may have been a run's first."""
         """The runs of the service, each by its supervisor's pid and with a port's number, that have written there."""
         self._late_ns: dict[str, int] = {}
         """Until when a thread of each process may pause."""
@@ -290,6 +293,8 @@ class Witness:
         thread = self.machine.current
         if thread:
             self._begins(thread.process, data)
+        else:
+            self._kept = True
         if thread is None or self._asking or not data.startswith(self._first_stop):
             return
         own = thread.process.name == "port_owner"
@@ -305,7 +310,8 @@ class Witness:
         if port is None or run is None or (key := (run.pid, port.number)) in self._begun:
             return
         self._begun.add(key)
-        if not (data.startswith(self._first_stop) or self._first_stop.startswith(data)):
+        kept, self._kept = self._kept, False
+        if not (kept or data.startswith(self._first_stop) or self._first_stop.startswith(data)):
             self.wrong(f"the first bytes of {run.name} (pid {run.pid}) to the board are no stop: {data[:16].hex(' ')}")
 
     def _repeats_late(self) -> bool:
