@@ -100,7 +100,7 @@ def test_a_service_without_rights_has_the_lease_that_its_settings_give(name: str
     write_settings(str(config), {status.LEASE: status.LEASE_S})
     with ordinary(Trial(name, ("--config", str(config)), imu_hz=IMU_HZ)) as running:
         assert running.robot.state.lease_s == status.LEASE_S
-        wait_for("the price to be told", lambda: "some have no cause" in running.service.said())
+        wait_for("the price to be told", lambda: "some stops will have no other reason" in running.service.said())
 
 
 @pytest.mark.alone
