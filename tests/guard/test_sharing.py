@@ -132,18 +132,24 @@ def test_a_descriptor_that_was_copied_is_no_second_program(desk: Desk) -> None:
     desk.says("motion: wheels 7 7")
 
 
-@pytest.mark.parametrize("begins", ["before", "after"])
-def test_a_child_that_ends_leaves_its_parent_the_port(desk: Desk, begins: str) -> None:
-    """As with system() and popen() in C, which inherit every descriptor. The child begins before the guard has looked
-    who opened the port, or afterwards."""
+def driving_with_a_child(desk: Desk, fork: str, begins: str) -> Script:
+    """A driver whose motion has come, and whose child has the port open too. The child `begins` before the guard has
+    looked who opened the port, or after."""
     driver = desk.script()
     if begins == "before":
-        desk.unseen(driver, OPEN, FORK)
+        desk.unseen(driver, OPEN, fork)
         desk.says("has the port open")
     else:
-        desk.do(driver, OPEN, FORK)
+        desk.do(driver, OPEN, fork)
     desk.do(driver, DRIVE % (7, 7))
     desk.says("motion: wheels 7 7")
+    return driver
+
+
+@pytest.mark.parametrize("begins", ["before", "after"])
+def test_a_child_that_ends_leaves_its_parent_the_port(desk: Desk, begins: str) -> None:
+    """As with system() and popen() in C, which inherit every descriptor."""
+    driver = driving_with_a_child(desk, FORK, begins)
     assert not desk.door.crowded
     desk.do(driver, END_CHILD)
     desk.turn()
@@ -163,14 +169,7 @@ def test_a_program_that_runs_another_one_again_and_again_goes_on_driving(desk: D
 
 @pytest.mark.parametrize("begins", ["before", "after"])
 def test_a_driver_that_dies_while_its_child_has_the_port_is_named_with_the_remedy(desk: Desk, begins: str) -> None:
-    driver = desk.script()
-    if begins == "before":
-        desk.unseen(driver, OPEN, FORK_ON)
-        desk.says("has the port open")
-    else:
-        desk.do(driver, OPEN, FORK_ON)
-    desk.do(driver, DRIVE % (7, 7))
-    desk.says("motion: wheels 7 7")
+    driver = driving_with_a_child(desk, FORK_ON, begins)
     driver.child.kill()
     desk.says("has ended or died while it drove")
     desk.says("but a child of it still had it open, so the guard hung up: open the port with O_CLOEXEC")
