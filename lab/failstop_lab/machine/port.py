@@ -42,6 +42,8 @@ class Port(Node):
         self.gone = False
         self.on_first_open: Callable[[], None] | None = None
         """Called when it is opened for the first time since it was plugged in."""
+        self.on_taken: Callable[[bytes], None] = lambda data: None
+        """Called with what the kernel takes of each write, before any of it is passed on."""
         self.board: Any = None
         self.settings: list[Any] = [0, 0, 0, 0, 0, 0, [b"\0"] * 32]
 
@@ -72,6 +74,7 @@ class Port(Node):
         taken = bytes(data[: self.ROOM - len(self.held)])
         if not taken or self.refuses:
             raise BlockingIOError(errno.EAGAIN, "full")
+        self.on_taken(taken)
         if self.stalls:
             self._down += taken
         elif self.drains:

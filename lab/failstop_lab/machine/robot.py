@@ -42,6 +42,8 @@ class BoardPort:
         self.port: Port | None = None
         self.on_frame: Callable[[Frame], None] = lambda frame: None
         self.on_bytes: Callable[[bytes], None] = lambda data: None
+        self.on_taken: Callable[[bytes], None] = lambda data: None
+        """Called with what the kernel takes of each write to the port, when it takes it."""
         self.down_ns = self.up_ns = 0
         """How long bytes are on their way to the board, and back: as behind a slow bridge. They overtake none."""
         self._down_last_ns = self._up_last_ns = 0
@@ -179,21 +181,23 @@ class Robot:
         """Plug the board in, under its own name."""
         port = Port(self.machine, self._numbers)
         self._numbers += 1
-        port.board = self.board
-        port.on_first_open = self.board.opened
-        self.board.port = port
+        self._connect(port)
         self.machine.root.folder("/dev").put("ttyACM0", port)
         return port
+
+    def _connect(self, port: Port) -> None:
+        """Put the board behind this port."""
+        port.board, self.board.port = self.board, port
+        port.on_first_open = self.board.opened
+        port.on_taken = lambda data: self.board.on_taken(data)
 
     def plug_usb(self, name: str, plug: Plug, look_alike: LookAlike | None = None) -> Port:
         """Plug the board in as a device on USB, with that name of a tty; or a look-alike."""
         port = Port(self.machine, NODES.index(name))
-        port.board = look_alike or self.board
         if look_alike:
-            look_alike.port = port
+            port.board, look_alike.port = look_alike, port
         else:
-            port.on_first_open = self.board.opened
-            self.board.port = port
+            self._connect(port)
         self._usb.add(name, port, plug)
         self._plugged[name] = port, plug
         self.machine.root.folder("/dev").put(name, port)

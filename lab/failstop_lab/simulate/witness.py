@@ -196,9 +196,6 @@ class Witness:
         """Early stops by threads of the port owner (True) and of others: when the stop is over, and how many frames may
         still turn the wheels after it, before a program asks for motion again."""
         self._begun: set[tuple[int, int]] = set()
-        self._kept = False
-        """Whether bytes that the kernel had kept have come since a run was seen to begin. Nobody can say whose they
-        are, so they may have been a run's first."""
         """The runs of the service, each by its supervisor's pid and with a port's number, that have written there."""
         self._late_ns: dict[str, int] = {}
         """Until when a thread of each process may pause."""
@@ -216,6 +213,7 @@ class Witness:
         robot.machine.on_event = self._on_event
         self.board.on_frame = self._frame
         self.board.on_bytes = self._written
+        self.board.on_taken = self._taken
 
     def note(self, text: str) -> None:
         """Add a step to the story."""
@@ -291,10 +289,6 @@ class Witness:
         if self.board.port and self.board.port.drained_ns == self.machine.now_ns:
             self._old_ns = self.wire_ns
         thread = self.machine.current
-        if thread:
-            self._begins(thread.process, data)
-        else:
-            self._kept = True
         if thread is None or self._asking or not data.startswith(self._first_stop):
             return
         own = thread.process.name == "port_owner"
@@ -304,14 +298,17 @@ class Witness:
             return
         self._stops.setdefault(own, (begun_ns + len(self._first_stop) * self._byte_ns, 0 if own else 1))
 
-    def _begins(self, writer: Process, data: bytes) -> None:
-        """The first bytes of a run to each port are a stop, or as much of one as the kernel has taken."""
+    def _taken(self, data: bytes) -> None:
+        """What the kernel takes of the running thread's write. The first bytes of a run to each port are a stop, or as
+        much of one as the kernel takes."""
+        if self.machine.current is None:
+            return
+        writer = self.machine.current.process
         port, run = self.board.port, writer if writer.name == "supervisor" else writer.parent
         if port is None or run is None or (key := (run.pid, port.number)) in self._begun:
             return
         self._begun.add(key)
-        kept, self._kept = self._kept, False
-        if not (kept or data.startswith(self._first_stop) or self._first_stop.startswith(data)):
+        if not (data.startswith(self._first_stop) or self._first_stop.startswith(data)):
             self.wrong(f"the first bytes of {run.name} (pid {run.pid}) to the board are no stop: {data[:16].hex(' ')}")
 
     def _repeats_late(self) -> bool:
