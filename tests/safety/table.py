@@ -27,40 +27,60 @@ class Row:
 
 
 TABLE = (
-    Row("ask for a stop", EVERYONE, "any bytes in the stop pipe are one", "stop"),
-    Row("read the state, the events, who drives", EVERYONE, "", "read_state"),
-    Row("read the reasons that others give for a stop", EVERYONE, "write nothing private into one", "read_reasons"),
-    Row("keep the robot stopped, asking again and again", EVERYONE, "what moves meanwhile is stopped", "keep_stopped"),
+    Row("ask for a stop", EVERYONE, "anything that is written into the stop pipe is a request", "stop"),
+    Row("read the state, the events, and which program drives", EVERYONE, "", "read_state"),
+    Row(
+        "read the reasons that others give for a stop", EVERYONE, "so write nothing private into a reason",
+        "read_reasons",
+    ),
+    Row(
+        "keep the robot stopped by asking again and again", EVERYONE,
+        "if somebody enables motion in between, the next request stops it", "keep_stopped",
+    ),
     Row("reset and enable", DRIVERS, "", "enable"),
     Row("drive", DRIVERS, "within the limits", "drive"),
-    Row("pose as another client: write into its slot", DRIVERS, "within the limits", "pose"),
-    Row("take a client slot away from others", DRIVERS, "stops need none", "take_slot"),
+    Row("pose as another client by writing into its memory slot", DRIVERS, "within the limits", "pose"),
+    Row("take client slots away from others", DRIVERS, "a stop request needs no slot", "take_slot"),
     Row("read or take away the stop requests of others", OWNERS, "", "overhear"),
     Row(
-        "have a stop shown as somebody else's", NOBODY, "a name in a request is shown as what the asker says",
+        "have a stop shown as somebody else's", NOBODY,
+        "if a request names somebody, failstop shows that as the words of the sender",
         "tests/policy/test_causes.py::test_a_forged_sender_is_what_somebody_says",
     ),
     Row("write into the memory of the service's processes", OWNERS, "", "write_memory"),
-    Row("remove or replace a segment, a pipe, the lock", OWNERS, "the service sees it, stops and ends", "replace"),
-    Row("hold the lock of the name", OWNERS, "", "hold_lock"),
-    Row("signal the service's processes", OWNERS, "each death is a stop", "signal_it"),
-    Row("open the port beside the service", (ROOT,), "a second service is refused to root too", "open_port_too"),
-    Row("take the names of a run's memory before it", NOBODY, "nobody knows them before", "take_names"),
+    Row(
+        "remove or replace the service's memory, pipes or lock", OWNERS,
+        "if anything but the lock or a client slot is missing, the service stops the wheels and ends", "replace",
+    ),
+    Row("hold the service's lock", OWNERS, "", "hold_lock"),
+    Row("send signals to the service's processes", OWNERS, "if a process dies, the wheels stop", "signal_it"),
+    Row(
+        "open the port while the service has it", (ROOT,), "but even root can't start a second service on this port",
+        "open_port_too",
+    ),
+    Row(
+        "create the shared memory of a run before the run starts", NOBODY, "nobody knows its names in advance",
+        "take_names",
+    ),
     Row("make a run that has died look alive", OWNERS, "", "look_alive"),
-    Row("pass off memory as the service's", OWNERS, "refused by path and owner", "pass_off_memory"),
-    Row("pass off a runtime directory as the service's", OWNERS, "refused by path and owner", "pass_off_directory"),
-    Row("have root write through a link that is planted", NOBODY, "no link is followed", "plant_link"),
+    Row("pass off memory as the service's", OWNERS, "the error of a refusal names path and owner", "pass_off_memory"),
+    Row(
+        "pass off a runtime directory as the service's", OWNERS, "the error of a refusal names path and owner",
+        "pass_off_directory",
+    ),
+    Row("make root write through a link", NOBODY, "failstop follows no link", "plant_link"),
     Row(
         "keep a user without a session from starting a service", EVERYONE,
-        "by `/dev/shm/failstop-UID`; never root. The service writes the stop first, and names path and owner",
+        "by creating `/dev/shm/failstop-UID` first. This never affects root, and the refused service still writes the "
+        "stop, and names path and owner",
         "be_in_the_way",
     ),
     Row(
-        "keep the service from starting, by filling `/dev/shm`", EVERYONE, "the stop is written first",
+        "keep the service from starting, by filling `/dev/shm`", EVERYONE, "the service writes the stop before it ends",
         "tests/e2e/test_start_refused.py::test_a_full_file_system",
     ),
     Row(
-        "fill the stop pipe so that nobody else's request gets in", EVERYONE, "what fills it is a stop",
+        "fill the stop pipe, so that no other request gets in", EVERYONE, "the bytes that fill it stop the robot",
         "tests/lab/faults/test_table.py::test_row",
     ),
 )  # fmt: skip
@@ -68,6 +88,6 @@ TABLE = (
 
 def lines() -> list[str]:
     """The table of the page."""
-    head = ["", *USERS, ""]
+    head = ["attempt", *USERS, "remarks"]
     rows = [[row.what, *("yes" if user in row.can else "no" for user in USERS), row.but] for row in TABLE]
     return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows)]

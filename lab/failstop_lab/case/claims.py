@@ -36,184 +36,193 @@ CLAIMS = (
     ),
     Claim(
         "DEATH-1",
-        "If any one process of the service dies, at whatever moment, the wheels stop.",
+        "If any one of the service's processes dies, at any moment, the wheels stop.",
         20.0, "from the death", ("LIFELINE", "WRITE", "RECEIVER", "RIGHTS"),
         "a kill after which the board executes no stop frame in its time",
     ),
     Claim(
         "HANG-1",
-        "If a process of the service hangs or spins, the wheels stop.",
-        515.0, "from the hang; 75 ms if the gate or the supervisor hangs, 115 the port owner, 265 the stopper",
+        "If one of the service's processes hangs or runs in an endless loop, the wheels stop.",
+        515.0,
+        "from the hang. This is the bar of telemetry; the stopper has 265 ms, the port owner 115 ms, the gate and the "
+        "supervisor have 75 ms",
         ("CLOCK", "RIGHTS", "SYSTEMD"),
         "a process that is halted for longer than its deadline, and wheels that keep turning",
     ),
     Claim(
         "SEVERAL-1",
-        "If two to five processes die or hang at once, the wheels stop. If none is left that can write, the stop "
-        "tool that systemd starts writes the stop.",
+        "If two to five of the service's processes die or hang at once, the wheels stop. If no process is left that "
+        "can write the stop, systemd starts the stop tool, which writes it.",
         265.0, "from the first of the faults", ("LIFELINE", "WRITE", "SYSTEMD", "RIGHTS"),
         "any set of deaths and hangs after which no stop frame is executed",
     ),
     Claim(
         "ASK-1",
-        "Every local user may stop the robot, with any bytes in the stop pipe, and anyone at the board with its "
-        "button or key. A service that a user starts by hand obeys only that user.",
+        "Every local user can stop the robot by writing anything into the stop pipe, and anyone can stop it with the "
+        "board's stop key or with any gamepad button except MODE. If a user without write access to `/run` starts a "
+        "service by hand, that service takes stop requests only from this user.",
         10.0, "from the request", ("RIGHTS",),
         "a request that stops nothing, or a user whose request is refused",
     ),
     Claim(
         "ASK-2",
-        "A stop request is answered even if the machine has no processor time, memory, descriptor or disk to spare.",
-        1020.0, "from the request or the fault; 20 ms unless names of shared memory are removed", ("RIGHTS",),
+        "A stop request stops the wheels even if the machine has no processor time, memory, file descriptor or disk "
+        "space to spare. If somebody deletes the service's shared memory or its stop pipe, the service stops the "
+        "wheels and ends.",
+        1020.0, "from the deletion. After a stop request or another fault it is 20 ms", ("RIGHTS",),
         "a shortage under which a request stops nothing",
     ),
     Claim(
         "CLIENT-1",
-        "A driver that dies disables motion. A driver that falls silent stops the wheels when its command has timed "
-        "out. A command that is not a number, or a second program that commands as one source, latches a stop.",
-        320.0, "from its last command; 20 from its death or an exception", ("LIFELINE", "CLOCK"),
+        "When a driver dies, motion is disabled. When a driver falls silent, the wheels stop after its last command "
+        "has timed out. A command that is not a number latches a stop, and so does a second program that commands "
+        "under the name of the same source.",
+        320.0, "from the driver's last command. After its death or an exception it is 20 ms", ("LIFELINE", "CLOCK"),
         "a driver that has died or fallen silent, and wheels that still obey its last command",
     ),
     Claim(
         "MEMORY-1",
-        "A client that damages the memory that it shares with the service can't move anything by that, and only "
-        "that client loses its connection.",
-        60.0, "from its last command", ("CRC",),
+        "If a client damages the memory that it shares with the service, nothing moves because of that, and only that "
+        "client loses its connection.",
+        60.0, "from the client's last command", ("CRC",),
         "damage that turns a wheel, prevents a stop or ends the service",
     ),
     Claim(
         "SENSOR-1",
-        "An obstacle sensor or an interlock that falls silent stops the motion that programs command.",
-        525.0, "from the last delivery or assertion", ("CLOCK",),
+        "If the obstacle sensor falls silent, motion that a program commands is stopped. If an interlock is no longer "
+        "asserted, motion is disabled.",
+        525.0, "from the sensor's last reading, or the interlock's last assertion", ("CLOCK",),
         "a program that drives on without a valid scan or interlock",
     ),
     Claim(
         "ATTEND-1",
-        "If an operator is required (`attend.required`), an operator who leaves or is no longer heard latches a "
-        "stop.",
-        1020.0, "from the last proof, with a lease of 1 s (`attend.lease_s`)", ("CLOCK",),
+        "If an operator must be present (`attend.required`), a stop is latched when the last operator leaves or is no "
+        "longer heard.",
+        1020.0, "from the last sign of the operator, with a lease of 1 s (`attend.lease_s`)", ("CLOCK",),
         "a robot that drives on without its operator",
     ),
     Claim(
         "PORT-1",
-        "When an unplugged board is back, it is told to stop before anything else is written to it.",
-        1200.0, "from its return; 20 ms unless the supervisor hangs meanwhile", ("PTY", "SYSTEMD"),
+        "When a board that was unplugged is back, failstop writes a stop to it before anything else.",
+        1200.0, "from the board's return, if the supervisor hangs just then; otherwise it is 20 ms", ("PTY", "SYSTEMD"),
         "a board that is back, and turns its wheels without an enable",
     ),
     Claim(
         "BOARD-1",
-        "If a board takes no bytes, hears nothing or does not obey, failstop reports that and writes the stop again "
-        "and again.",
-        250.0, "from when it takes or hears bytes again", ("PING", "IMU"),
+        "If a board accepts no bytes, hears nothing or does not obey, failstop reports it and keeps repeating the "
+        "stop.",
+        250.0, "from the moment when the board accepts or hears bytes again", ("PING", "IMU"),
         "a board that hears again and is not stopped, or a stop that is shown as obeyed although it is not",
     ),
     Claim(
         "RUNAWAY-1",
-        "If the board reports what its wheels do, a wheel that turns faster than commanded, in the other direction, "
-        "or although zero is commanded, stops the robot.",
-        1700.0, "from when it runs away, at 0.1 m/s, on the board that reports least often", ("RECEIVER", "WRITE"),
+        "If the board reports what its wheels do, failstop stops the robot when a wheel turns faster than commanded, "
+        "turns the other way, or turns although zero is commanded.",
+        1700.0, "from when the wheel runs away, at 0.1 m/s, with the board that reports least often (`arduino`)",
+        ("RECEIVER", "WRITE"),
         "a wheel that is reported beyond its margin for its run-down time without slowing down, and is not stopped",
     ),
     Claim(
         "SILENCE-1",
-        "When a board that reported all the time falls silent, failstop says so, and stops the wheels while motion is"
-        " enabled.",
-        1000.0, "from its last report, if its reports come at least every 0.1 s", ("RECEIVER", "WRITE"),
+        "When a board that has reported regularly falls silent, failstop shows it, and stops the wheels if motion is "
+        "enabled.",
+        1000.0, "from the board's last report, if it reports at least every 0.1 s", ("RECEIVER", "WRITE"),
         "a board that says nothing for longer, while motion is enabled",
     ),
     Claim(
         "TIME-1",
-        "If the machine froze or slept, the wheels are stopped as soon as it is back. Steps of the wall clock stop "
-        "nothing.",
-        65.0, "from the thaw or waking", ("CLOCK",),
+        "If the computer was frozen or asleep, failstop stops the wheels as soon as the computer runs again. Setting "
+        "the system clock does not stop the robot.",
+        65.0, "from the moment when the computer runs again", ("CLOCK",),
         "motion that goes on after a sleep",
     ),
     Claim(
         "END-1",
-        "When the service is ended normally, it leaves the wheels stopped.",
+        "When the service ends normally, the wheels are stopped.",
         20.0, "from SIGTERM", ("WRITE",),
         "an end after which the last speed that the board has got is not zero",
     ),
     Claim(
         "ARM-1",
-        "A stop of the wheels also stops the arm, with its torque on.",
-        575.0, "from the fault until the last joint is at rest; 65 ms for deaths", ("SERVO",),
+        "A stop of the wheels also stops the arm, and the arm keeps its torque.",
+        575.0, "from the hang of telemetry until the last joint is at rest. If a process dies, it is 65 ms", ("SERVO",),
         "a joint that turns later than its row, or lets go",
     ),
     Claim(
         "MOVE-1",
-        "Only one process writes motion, and it checks for a stop (the epoch) just before each frame. So after a "
-        "stop by another process at most one motion frame follows, which had already passed that check; after a stop "
-        "by the same process none.",
-        None, "motion frames after a stop: 0, or that one", ("MODEL", "WRITE", "PAIRS", "BARRIER"),
+        "Only the port owner writes motion, and just before each motion frame it checks the epoch, which every stop "
+        "raises. So if another process writes a stop, at most one motion frame can follow it: the frame that had "
+        "already passed the check. If the port owner writes the stop, no motion frame follows.",
+        None, "motion frames after a stop: 0, or that one frame", ("MODEL", "WRITE", "PAIRS", "BARRIER"),
         "a second frame of motion after a stop",
     ),
     Claim(
         "MOVE-2",
-        "After a latched stop nothing moves until somebody resets and enables. After a start, a disable, a lost "
-        "interlock or a driver's death nothing moves until somebody enables. No process of failstop does either by "
-        "itself.",
+        "After a latched stop, nothing moves until somebody resets the stop and enables motion. After a start of the "
+        "service, a disable, a lost interlock or the death of a driver, nothing moves until somebody enables motion. "
+        "failstop never resets or enables by itself.",
         None, "motion frames before the enable: 0", ("MODEL", "PAIRS", "SIMULATED"),
         "a motion frame without an enable that a client asked for after the stop",
     ),
     Claim(
         "GUARD-1",
-        "A driver at the guard port moves nothing that the board itself would not move for it, nothing beyond the "
-        "limits, and nothing after its death.",
+        "A driver at the guard port can't turn a wheel with bytes that the board itself would refuse, can't exceed the "
+        "limits, and can't turn a wheel after it has died.",
         None, "motion frames while disabled or latched, of a dead driver, or beyond a limit: 0", ("PTY", "USERS"),
         "a wheel that turns because of bytes that the board would refuse, or of a driver that has died",
     ),
     Claim(
         "LIMIT-1",
-        "Nothing drives faster, or changes speed faster, than the settings allow, whichever program commands.",
-        None, "frames past a limit or a ramp: 0", ("ENCODER",),
+        "No program can make the robot drive faster, or change its speed faster, than the settings allow.",
+        None, "motion frames that exceed a limit or a ramp: 0", ("ENCODER",),
         "a frame whose wheel speeds are more than a limit",
     ),
     Claim(
         "CAUSE-1",
-        "The first cause of a stop is kept until the reset, and shown in words, with what to do next.",
-        None, "stops with another cause than the first: 0", ("PAIRS",),
+        "failstop keeps the first cause of a stop until the reset, and shows it in words, with what to do next.",
+        None, "stops that show another cause than the first: 0", ("PAIRS",),
         "a latched stop that names a later cause, or none",
     ),
     Claim(
         "PROOF-1",
-        "The three proofs of a stop are shown separately: written, acknowledged, observed. No proof is shown that "
-        "was not seen.",
-        None, "proofs shown and not seen: 0", ("PING", "IMU"),
+        "failstop shows the three proofs of a stop (written, acknowledged, observed) separately, and never shows a "
+        "proof that it has not received.",
+        None, "proofs that are shown but were not received: 0", ("PING", "IMU"),
         "a screen that shows a proof which the board has not given",
     ),
     Claim(
         "ACCESS-1",
-        "Only members of the group `failstop` may drive, reset and enable. Everybody else is refused, and so are "
-        "their memory and folders.",
-        None, "ways in for others: 0", ("USERS",),
+        "Only members of the group `failstop`, the service's own user and root can drive, reset and enable. failstop "
+        "refuses all other users, and any memory or folder that belongs to them.",
+        None, "ways in for other users: 0", ("USERS",),
         "a user outside of the group who moves a wheel, or takes a stop away",
     ),
     Claim(
         "BOARD-2",
-        "Each board's stop works from every state of its receiver, also after cut frames and next to another "
-        "writer.",
-        None, "stops lost: 0; 40 ms later than at the first board by its own line and loop", ("RECEIVER", "WRITE"),
+        "Each board's stop works whatever state the board's receiver is in, also after a frame that was cut off, and "
+        "while another process writes.",
+        None, "stops lost: 0. A stop takes at most 40 ms longer than with Hiwonder's board", ("RECEIVER", "WRITE"),
         "a state of the board's own firmware from which a burst does not stop the wheels",
     ),
     Claim(
         "WATCHDOG-1",
-        "If a board has its own watchdog, failstop arms it, feeds it only while the service lives, and tests show that "
-        "the board stops the wheels when it hears nothing.",
-        None, "boards that stop by themselves within the time that was set", ("RECEIVER",),
+        "If a board has its own watchdog, failstop arms it, and feeds it only while the service lives. When the board "
+        "then hears nothing, it stops its wheels or lets them roll out, as tests show.",
+        None, "boards that drive on after the time that was set: 0", ("RECEIVER",),
         "a board whose `status` says armed, and that drives on when everything is frozen",
     ),
     Claim(
         "DISTANCE-1",
-        "Wherever a limit is set, failstop says how far the robot goes until it has stopped, from the deceleration "
-        "that you measured.",
-        None, "5 % of the way of simulated wheels", ("BRAKE",),
+        "Wherever you set a speed limit, failstop shows how far the robot goes until it has stopped. It computes this "
+        "distance from the deceleration that you measured.",
+        None, "how much further than shown simulated wheels roll: at most 5 %", ("BRAKE",),
         "two screens that show different distances, or wheels that brake as the settings say and roll further",
     ),
     Claim(
         "RETURN-1",
-        "When nothing fails any more, a reset and an enable are granted, and the wheels turn.",
-        None, "2 s of simulated time; every run of the model ends", ("SIMULATED", "MODEL"),
+        "When nothing fails any more, failstop grants a reset and an enable, and the wheels turn again.",
+        None, "simulated time until the wheels turn again: at most 2 s. Runs of the model that never end: 0",
+        ("SIMULATED", "MODEL"),
         "a service that is whole and never grants motion again",
     ),
 )  # fmt: skip

@@ -171,7 +171,7 @@ class Tally:
 
 
 def processor_ticks() -> tuple[int, int]:
-    """(all, withheld by the host) of the processors' time so far, in ticks; zeros where the kernel does not say."""
+    """(all, taken by the host) of the processors' time so far, in ticks; zeros where the kernel does not say."""
     try:
         with open("/proc/stat", encoding="ascii") as file:
             ticks = [int(word) for word in file.readline().split()[1:9]]
@@ -187,7 +187,7 @@ def conditions(begun: tuple[int, int]) -> str:
     with rights.realtime(1) as granted:
         found = "with real-time rights" if granted else "without real-time rights"
     load = os.getloadavg()[0]
-    return f"{found}, at a load of {load:.1f}, while the host withheld {share:.1%} of the processors' time"
+    return f"{found}, at a load of {load:.1f} and a steal of {share:.1%} (processor time that the host took away)"
 
 
 def bar_held(fault: Fault | ArmFault, row: dict[str, Any]) -> bool | None:
@@ -197,12 +197,12 @@ def bar_held(fault: Fault | ArmFault, row: dict[str, Any]) -> bool | None:
 
 
 def kept(faults: dict[str, Fault | ArmFault], measured: dict[str, dict[str, Any]]) -> str:
-    """How many rows kept their bars, and which did not."""
+    """In how many rows the p99 was within the bar, and in which it was not, as a clause."""
     judged = {name: bar_held(fault, measured.get(name, {})) for name, fault in faults.items()}
     late = [name for name, verdict in judged.items() if verdict is False]
     count = sum(verdict is not None for verdict in judged.values())
-    named = f", all but {', '.join(late)}" if late else ""
-    return f"{count - len(late)} of {count} rows with a bar kept it{named}"
+    named = f", but not for {', '.join(late)}" if late else ""
+    return f"the p99 was within its bar for {count - len(late)} of {count} kinds of fault{named}"
 
 
 def _bar(fault: Fault | ArmFault) -> str:
@@ -223,6 +223,7 @@ def markdown(result: dict[str, Any]) -> str:
     of, known = "" if board == BOARDS[0] else f", board {board}", rows_of(traits_of(board)).values()
     measured = {row["name"]: row for row in result["rows"]}
     machine = result["machine"]
+    within = kept(rows_of(traits_of(board)), measured)
     lines = [
         "# Faults",
         "",
@@ -238,7 +239,7 @@ def markdown(result: dict[str, Any]) -> str:
         f"{machine['took_s']} s, seed {result['seed']}: **{result['missed']} stops missed, "
         f"{result['motion_after']} motion frames after a stop, {result['wrong']} not as the table says**.",
         "",
-        f"**{kept(rows_of(traits_of(board)), measured)}.** {_conditions(machine)}",
+        f"**{within[0].upper()}{within[1:]}.** {_conditions(machine)}",
         "",
         *CONDITIONS,
         "",

@@ -10,6 +10,7 @@ from failstop_lab.case.cited import Citation
 from failstop_lab.case.claims import Claim
 from failstop_lab.faults import report
 from failstop_lab.simulate import control_runs
+from failstop_lab.simulate.controls import Mutant
 
 HAZARDS_HEAD = """\
 # What can still go wrong
@@ -75,7 +76,7 @@ def _link(claim: Claim, folder: str = "") -> str:
 
 def claims_table(root: Path) -> str:
     """The table of docs/safety.md, and how the last campaign of a checkout found its times."""
-    lines = ["| | claim | p99, at most | counted | taken out of the code: found by |", "|---|---|---|---|---|"]
+    lines = ["| | claim | p99, at most | counted | bug put in | noticed |", "|---|---|---|---|---|---|"]
     found = (root / "docs/reference/controls.md").read_text("utf-8")
     for claim in claims.CLAIMS:
         bound = "" if claim.bound_ms is None else f"{claim.bound_ms:g} ms"
@@ -84,16 +85,21 @@ def claims_table(root: Path) -> str:
     campaign = report.result_of((root / "docs/reference/faults.md").read_text("utf-8"))
     kept = report.kept(report.EVERY, {row["name"]: row for row in campaign["rows"]})
     day, count, missed = campaign["machine"]["date"], campaign["count"], campaign["missed"]
-    lines += ["", f"In the last campaign ({day}, {count} faults) {kept}; {missed} stops were missed."]
+    lines += ["", f"In the last campaign ({day}, {count:,} faults) {kept}, and {missed or 'no'} stops were missed."]
     return "\n".join(lines)
 
 
 def _controlled(claim: Claim, found: str) -> str:
-    """What was taken out of the code for this claim, and what has found it."""
+    """Two cells: what the changed code of this claim's first control does wrong, with how many other controls the claim
+    has; and what noticed it."""
     first, *more = control_runs.controls_of(claim.name)
+    bug = first.bug if isinstance(first, Mutant) and first.bug else first.row
     by, _ = control_runs.found_by(first, found)
-    by = f"`{by.strip('`').rpartition('::')[2]}`" if by.startswith("`") else by.partition(",")[0]
-    return f"{first.row}: {by or control_runs.UNSOUGHT}" + f", and {len(more)} more" * bool(more)
+    if by.startswith("`"):
+        noticed = f"by `{by.strip('`').rpartition('::')[2]}`"
+    else:
+        noticed = f"after {by.partition(',')[0].replace('seed', 'random run')}" if by else control_runs.UNSOUGHT
+    return f"{bug}{f' (1 of {1 + len(more)} bugs)' if more else ''} | {noticed}"
 
 
 def evidence_page(root: Path) -> str:

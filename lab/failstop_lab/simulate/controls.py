@@ -61,6 +61,8 @@ class Mutant:
     """The kinds of events that seeds of it may draw; empty: all."""
     claims: tuple[str, ...] = ()
     """The claims (lab/case/claims.py) that rest on what is taken out."""
+    bug: str = ""
+    """What the changed code does wrong, for docs/safety.md, if `row` is a name that only the model's readers know."""
 
 
 CONTROLS = (
@@ -69,6 +71,7 @@ CONTROLS = (
         "stops_in_one_breath",
         ((ADMISSION_MODULE, "frame_epoch == epoch and epoch > self.stopped_in", "epoch > self.stopped_in"),),
         claims=("MOVE-1", "MOVE-2"),
+        bug="the port owner does not check the epoch of motion frames",
     ),
     Mutant(
         "own stop does not refuse motion",
@@ -97,9 +100,10 @@ CONTROLS = (
         ),
         CUT_AND_ASKED,
         claims=("BOARD-2",),
+        bug="a stop is a single stop frame instead of a burst",
     ),
     Mutant(
-        "no lease of the gate",
+        "the port owner does not notice that the gate is silent",
         "gate_hangs",
         (
             (
@@ -118,6 +122,7 @@ CONTROLS = (
             (STOPPER_MODULE, "            life.kill()\n", ""),
         ),
         claims=("RETURN-1",),
+        bug="a process that hangs is not killed",
     ),
     Mutant(
         "the stopper does not fence",
@@ -133,7 +138,7 @@ CONTROLS = (
         claims=("HANG-1",),
     ),
     Mutant(
-        "the stopper does not notice a silence",
+        "the stopper does not notice that the port owner is silent",
         "port_owner_and_supervisor_hang",
         ((STOPPER_MODULE, "self._excused_ns) + HANG_NS", "self._excused_ns) + 1000 * HANG_NS"),),
         claims=("SEVERAL-1",),
@@ -171,7 +176,7 @@ CONTROLS = (
         claims=("MOVE-1",),
     ),
     Mutant(
-        "nobody answers the port owner's death",
+        "the supervisor does not write a stop when the port owner dies",
         "port_owner_dies",
         (
             (
@@ -212,6 +217,7 @@ CONTROLS = (
             (STOPPER_MODULE, "            self._write()\n\n    def _hangs_ns", "\n    def _hangs_ns"),
         ),
         claims=("PORT-1",),
+        bug="no process writes a stop to a board that is back while the port owner is down",
     ),
     Mutant(
         "a sleep of the machine goes unnoticed",
@@ -220,28 +226,28 @@ CONTROLS = (
         claims=("TIME-1",),
     ),
     Mutant(
-        "nobody stops for a wheel that runs away",
+        "a wheel that runs away does not stop the robot",
         "wheel_runs_away",
         ((TELEMETRY_MODULE, "self._raise(causes.RUNAWAY(name, told, seen))", "pass"),),
         board="hoverboard",
         claims=("RUNAWAY-1",),
     ),
     Mutant(
-        "nobody stops for a board that says nothing",
+        "a board that falls silent does not stop the robot",
         "board_says_nothing",
         ((TRACKER_MODULE, "{LINK_DEAF: causes.DEAF, LINK_SILENT: causes.BOARD_SILENT}", "{LINK_DEAF: causes.DEAF}"),),
         board="ugv",
         claims=("SILENCE-1",),
     ),
     Mutant(
-        "wheels that turn unasked do not disable motion",
+        "wheels that turn although zero is commanded do not disable motion",
         "wheels_turn_unasked",
         ((TURNING_MODULE, "if not unexpected or by != _BY_REPORTS:", "if unexpected or by != _BY_REPORTS:"),),
         board="hoverboard",
         claims=("RUNAWAY-1",),
     ),
     Mutant(
-        "wheels that turn on unasked latch no stop",
+        "wheels that keep turning although motion was disabled latch no stop",
         "wheels_turn_unasked",
         ((UNASKED_MODULE, "return Reaction(causes.UNSTILL(), False, None)", "return NO_REACTION"),),
         board="hoverboard",
@@ -305,7 +311,7 @@ CONTROLS = (
     ),
     Mutant("a stop is not repeated", "drive", (NOT_REPEATED,), CUT_AND_ASKED, "hoverboard", claims=("BOARD-2",)),
     Mutant(
-        "a command counts a thousand times as long",
+        "a command stays valid for a thousand times its timeout",
         "silence",
         ((SOURCES_MODULE, "{name: timeout_ns for", "{name: 1000 * timeout_ns for"),),
         claims=("CLIENT-1",),
@@ -341,7 +347,7 @@ CONTROLS = (
         claims=("PORT-1",),
     ),
     Mutant(
-        "bytes in the stop pipe are no stop",
+        "bytes in the stop pipe do not stop the robot",
         "stop_pipe",
         (
             (
@@ -354,7 +360,7 @@ CONTROLS = (
         claims=("ASK-1",),
     ),
     Mutant(
-        "a key of the board is no stop",
+        "the board's stop key does not stop the robot",
         "key",
         (
             (
@@ -367,13 +373,13 @@ CONTROLS = (
         claims=("ASK-1",),
     ),
     Mutant(
-        "nobody notices that the stop pipe was removed",
+        "the service does not notice that its stop pipe was removed",
         "pipe_is_removed",
         ((SUPERVISOR_MODULE, "if cause := self._run.lost(now_ns):", "if cause := None:"),),
         claims=("ASK-2",),
     ),
     Mutant(
-        "the command of a driver that has died counts on",
+        "the command of a dead driver stays valid",
         "driver_dies",
         (
             (CORE_MODULE, "        self.sources.drop(session)\n", ""),
@@ -382,7 +388,7 @@ CONTROLS = (
         claims=("CLIENT-1",),
     ),
     Mutant(
-        "a command that is no number counts",
+        "a command that is not a number is accepted",
         "two_programs",
         (
             (
@@ -401,7 +407,7 @@ CONTROLS = (
         claims=("CLIENT-1",),
     ),
     Mutant(
-        "the CRC of a record does not count",
+        "records with a wrong CRC are accepted",
         "memory_is_damaged",
         ((CELL_MODULE, " or crc32(raw[4:end], crc_seed) != crc", ""),),
         claims=("MEMORY-1",),
@@ -419,7 +425,7 @@ CONTROLS = (
         claims=("CLIENT-1", "MOVE-2"),
     ),
     Mutant(
-        "an interlock that is lost disables nothing",
+        "a lost interlock does not disable motion",
         "interlock_is_lost",
         (
             (
@@ -431,7 +437,7 @@ CONTROLS = (
         claims=("SENSOR-1",),
     ),
     Mutant(
-        "a silent obstacle sensor blocks nothing",
+        "a silent obstacle sensor does not block motion",
         "sensor_falls_silent",
         (
             (CORE_MODULE, "if not driving.manual and self.scan.silent(now_ns):", "if False:"),
@@ -440,7 +446,7 @@ CONTROLS = (
         claims=("SENSOR-1",),
     ),
     Mutant(
-        "an operator who is not heard is not missed",
+        "an operator who is no longer heard does not stop the robot",
         "operator_is_lost",
         (
             (
@@ -457,7 +463,7 @@ CONTROLS = (
         claims=("ATTEND-1",),
     ),
     Mutant(
-        "a stopped board is not told zero again and again",
+        "zero is not repeated to a stopped board",
         "board_falls_silent",
         ((PORT_OWNER_MODULE, "            self.wire.frame(self.board.refresh)\n", "            pass\n"),),
         claims=("BOARD-1",),
@@ -475,7 +481,7 @@ CONTROLS = (
         claims=("MOVE-2",),
     ),
     Mutant(
-        "a speed beyond the limit counts",
+        "speeds above the limit are not reduced",
         "commands_more_than_the_limit",
         ((CORE_MODULE, "max(-limit, min(limit, want))", "want"),),
         claims=("LIMIT-1",),

@@ -64,13 +64,13 @@ TESTED = (
         ("END-1",),
     ),
     ByTest(
-        "a stop leaves the arm out",
+        "a stop does not stop the arm",
         "tests/procs/test_port_owner_arm.py::test_every_stop_has_the_arm_s_behind_it",
         ((STOP_PORT_MODULE, ' + (board.arm.stops(servos) if board.arm else b"")', ""),),
         ("ARM-1",),
     ),
     ByTest(
-        "a later cause takes the place of the first",
+        "a later cause replaces the first one",
         "tests/supervisor/test_stops.py::test_the_first_noticed_of_those_that_came_first_is_latched",
         (
             (
@@ -82,13 +82,13 @@ TESTED = (
         ("CAUSE-1",),
     ),
     ByTest(
-        "a ping from before a stop acknowledges it",
+        "the answer to a ping from before the stop acknowledges the stop",
         "tests/supervisor/test_proof.py::test_a_ping_from_before_the_stop_proves_nothing",
         ((PROOF_MODULE, "sent_ns < self.stop.written_ns or not self.stop.written_ns:", "not self.stop.written_ns:"),),
         ("PROOF-1",),
     ),
     ByTest(
-        "everybody may write into a client's memory",
+        "every user may write into a client's memory",
         "tests/safety/test_table.py::test_row",
         (
             (LAYOUT_MODULE, "CLIENTS_WRITE = 0o660", "CLIENTS_WRITE = 0o666"),
@@ -97,7 +97,7 @@ TESTED = (
         ("ACCESS-1",),
     ),
     ByTest(
-        "the way while it brakes is left out",
+        "the stopping distance leaves out the braking",
         "tests/lab/case/test_distance.py::test_every_screen_tells_the_way_that_the_wheels_make",
         ((DISTANCE_MODULE, "speed_mps * seconds + speed_mps**2 / (2 * braking_mps2)", "speed_mps * seconds"),),
         ("DISTANCE-1",),

@@ -101,11 +101,11 @@ def test_a_bar_that_was_missed_is_marked_on_the_page_and_named() -> None:
         page = report.markdown(tally.as_dict())
         (row,) = (line for line in page.splitlines() if line.startswith("| `kill-gate` "))
         assert row.endswith(f"| {bar_ms:g} | {mark} |")
-        kept = "0 of 1 rows with a bar kept it, all but kill-gate" if late else "1 of 1 rows with a bar kept it"
-        assert kept in page
-        assert kept in tally.summary()
+        found = "0 of 1 kinds of fault, but not for kill-gate" if late else "1 of 1 kinds of fault"
+        assert f"**The p99 was within its bar for {found}.**" in page
+        assert tally.summary().endswith(f"; the p99 was within its bar for {found}")
         assert ("MISSED" in tally.table()) is bool(late)
-        assert "while the host withheld" in page
+        assert "(processor time that the host took away)." in page
         assert report.remade(page) == page
 
 
@@ -120,7 +120,7 @@ def test_the_page_marks_every_bar_that_its_numbers_missed() -> None:
     }
     assert wrong == {}
     missed = sum(row[-1] == "**no**" for row in timed)
-    assert f"**{len(timed) - missed} of {len(timed)} rows with a bar kept it" in page
+    assert f"**The p99 was within its bar for {len(timed) - missed} of {len(timed)} kinds of fault" in page
 
 
 def test_the_stopping_distance_reckons_with_what_was_measured() -> None:

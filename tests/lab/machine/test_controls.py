@@ -19,25 +19,25 @@ PAGE = (ROOT / "docs/reference/controls.md").read_text("utf-8")
 BY_ITSELF = (
     "a run begins without a stop",
     "a board that is back is not stopped first",
-    "bytes in the stop pipe are no stop",
-    "a key of the board is no stop",
-    "nobody notices that the stop pipe was removed",
-    "the command of a driver that has died counts on",
-    "a command that is no number counts",
+    "bytes in the stop pipe do not stop the robot",
+    "the board's stop key does not stop the robot",
+    "the service does not notice that its stop pipe was removed",
+    "the command of a dead driver stays valid",
+    "a command that is not a number is accepted",
     "two programs may command under one source",
-    "the CRC of a record does not count",
+    "records with a wrong CRC are accepted",
     "a driver's death leaves motion enabled",
-    "an interlock that is lost disables nothing",
-    "a silent obstacle sensor blocks nothing",
-    "an operator who is not heard is not missed",
-    "a stopped board is not told zero again and again",
+    "a lost interlock does not disable motion",
+    "a silent obstacle sensor does not block motion",
+    "an operator who is no longer heard does not stop the robot",
+    "zero is not repeated to a stopped board",
     "a disable leaves motion enabled",
-    "a speed beyond the limit counts",
+    "speeds above the limit are not reduced",
     "a driver's death at the guard port goes unnoticed",
     "a process that has died is not started again",
 )
 """What its scenario shows without any fault."""
-QUICK = "a ping from before a stop acknowledges it"
+QUICK = "the answer to a ping from before the stop acknowledges the stop"
 
 
 @pytest.mark.parametrize("control", [*BOTH, *TESTED], ids=lambda control: control.row)
@@ -97,5 +97,5 @@ def test_the_page_tells_what_was_found_what_was_not_and_what_nobody_looked_for()
 
 
 def test_the_controls_of_a_claim_are_those_that_name_it() -> None:
-    assert [each.row for each in controls_of("SILENCE-1")] == ["nobody stops for a board that says nothing"]
+    assert [each.row for each in controls_of("SILENCE-1")] == ["a board that falls silent does not stop the robot"]
     assert controls_of("NEW-1") == []

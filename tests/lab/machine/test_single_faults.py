@@ -22,10 +22,10 @@ FOUND = ("own stop does not refuse motion", "one stop frame for a burst", "a sle
 DAY_S = 86_400
 PARTS = 2
 PLAYED = (
-    "no lease of the gate",
+    "the port owner does not notice that the gate is silent",
     "nobody fences",
     "the stopper does not fence",
-    "the stopper does not notice a silence",
+    "the stopper does not notice that the port owner is silent",
     "ready before the port owner's answer",
     "a program drives on through an enable",
 )
