@@ -63,10 +63,13 @@ TABLE = (
         "take_names",
     ),
     Row("make a run that has died look alive", OWNERS, "", "look_alive"),
-    Row("pass off memory as the service's", OWNERS, "the error of a refusal names path and owner", "pass_off_memory"),
     Row(
-        "pass off a runtime directory as the service's", OWNERS, "the error of a refusal names path and owner",
-        "pass_off_directory",
+        "pass off memory as the service's", OWNERS,
+        "memory of other users is refused, and the error names its path and owner", "pass_off_memory",
+    ),
+    Row(
+        "pass off a runtime directory as the service's", OWNERS,
+        "a directory of another user is refused, and the error names its path and owner", "pass_off_directory",
     ),
     Row("make root write through a link", NOBODY, "failstop follows no link", "plant_link"),
     Row(

@@ -168,7 +168,9 @@ CLAIMS = (
         "GUARD-1",
         "A driver at the guard port can't turn a wheel with bytes that the board itself would refuse, can't exceed the "
         "limits, and can't turn a wheel after it has died.",
-        None, "motion frames while disabled or latched, of a dead driver, or beyond a limit: 0", ("PTY", "USERS"),
+        None,
+        "motion frames while motion is disabled or a stop is latched, from a dead driver, or above a limit: 0",
+        ("PTY", "USERS"),
         "a wheel that turns because of bytes that the board would refuse, or of a driver that has died",
     ),
     Claim(
@@ -194,7 +196,7 @@ CLAIMS = (
         "ACCESS-1",
         "Only members of the group `failstop`, the service's own user and root can drive, reset and enable. failstop "
         "refuses all other users, and any memory or folder that belongs to them.",
-        None, "ways in for other users: 0", ("USERS",),
+        None, "attempts of other users that succeed: 0", ("USERS",),
         "a user outside of the group who moves a wheel, or takes a stop away",
     ),
     Claim(
@@ -208,14 +210,14 @@ CLAIMS = (
         "WATCHDOG-1",
         "If a board has its own watchdog, failstop arms it, and feeds it only while the service lives. When the board "
         "then hears nothing, it stops its wheels or lets them roll out, as tests show.",
-        None, "boards that drive on after the time that was set: 0", ("RECEIVER",),
+        None, "boards that still drive after the time that was set for the watchdog: 0", ("RECEIVER",),
         "a board whose `status` says armed, and that drives on when everything is frozen",
     ),
     Claim(
         "DISTANCE-1",
         "Wherever you set a speed limit, failstop shows how far the robot goes until it has stopped. It computes this "
         "distance from the deceleration that you measured.",
-        None, "how much further than shown simulated wheels roll: at most 5 %", ("BRAKE",),
+        None, "simulated wheels roll at most 5 % further than shown", ("BRAKE",),
         "two screens that show different distances, or wheels that brake as the settings say and roll further",
     ),
     Claim(

@@ -135,6 +135,18 @@ def test_assumptions_and_assertions_name_tests_that_are_there() -> None:
     assert [path for path in paths if not (ROOT / path).is_file()] == []
 
 
+def test_each_claim_is_shown_with_a_bug_and_what_noticed_it() -> None:
+    rows = [line.strip("| ").split(" | ") for line in claims_table(ROOT).splitlines() if line.startswith("| [")]
+    assert len(rows) == len(CLAIMS)
+    for claim, row in zip(CLAIMS, rows, strict=True):
+        first, *more = controls_of(claim.name)
+        assert re.fullmatch(r"after \d+ (random run|random runs|single fault|single faults)|by `test_\w+`", row[-1]), (
+            row
+        )
+        assert row[-2].endswith(f" (1 of {1 + len(more)} bugs)") is bool(more)
+        assert (first.row in row[-2]) is not (isinstance(first, Mutant) and bool(first.bug))
+
+
 def of_the_page() -> Iterator[str]:
     """The sentences of the page that claim something."""
     part = SAFETY.read_text("utf-8").partition("## What is claimed")[2].partition("\n## ")[0]
