@@ -134,7 +134,7 @@ class Status:
         if missing or self.ever:
             return False
         self.ever, self._logged_missing = True, ""
-        text = f"{self._run.name!r} is ready: the stop is written, motion disabled"
+        text = f"{self._run.name!r} is ready: it has told the wheels to stop, and motion is disabled"
         self._run.events.log("ready", text, step=self._run.events.command("enable"))
         return True
 

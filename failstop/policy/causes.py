@@ -239,7 +239,7 @@ def completed(latched: Cause, later: Cause) -> bool:
 
 DIED = Kind(
     1, "died", "{process} died", "port_owner supervisor",
-    "the process {process} died, which {role}", _AGAIN,
+    "the process {process}, which {role}, died", _AGAIN,
 )  # fmt: skip
 HANGS = Kind(
     2, "hangs", "{process} hangs: {ms:d} ms silent", "port_owner gate supervisor",

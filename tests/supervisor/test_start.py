@@ -191,7 +191,7 @@ def test_a_service_speaks_to_the_journal_where_that_has_its_stderr(robot: Robot,
     process = begun(robot, JOURNAL_STREAM=stream(robot, device))
     robot.machine.kill(process, signal.SIGTERM)
     code_of(robot, process)
-    told = [len(journal.of("ready")), robot.said.count("is ready: the stop is written")]
+    told = [len(journal.of("ready")), robot.said.count("is ready: it has told the wheels to stop")]
     assert told == ([1, 0] if device == 1 else [0, 1])
     assert "JOURNAL_STREAM" not in process.environ, "nothing that it starts may speak for it"
 

@@ -232,6 +232,6 @@ def test_each_long_wait_and_its_end_are_told(scene: Scene, status: Any) -> None:
         status.log_waiting(missing, T0 + at * WAITED_NS)
     found = told(scene)
     assert [kind for kind, *_ in found] == ["ready", "waiting", "waiting", "ready", "waiting", "ready"]
-    text = " is ready: the stop is written, motion disabled; next: `failstop enable --name stage`"
+    text = " is ready: it has told the wheels to stop, and motion is disabled; next: `failstop enable --name stage`"
     assert found[0][1].endswith(text)
     assert found[3][1] == "gate, the port is there now: motion can be enabled again"

@@ -29,7 +29,7 @@ JOURNAL_S = 60.0
 BOOT_STOP_S = 10.0
 """From the node to the first word of a stop, the service's when it is ready: amid a boot that takes it 7 s there."""
 NODE_S = "dmesg | sed -n 's/^\\[ *\\([0-9.]*\\)\\] cdc_acm .*ttyACM.*/\\1/p' | head -n 1"
-STOP_TOLD = ("the stop is written", "stop frame sent")
+STOP_TOLD = ("has told the wheels to stop", "the stop is written", "stop frame sent")
 """The words of the service when it is ready, and of its stop tool."""
 STOP_S = (
     f"journalctl -b -u failstop -o short-monotonic --no-pager | grep -E '{'|'.join(STOP_TOLD)}' | "

@@ -298,7 +298,7 @@ def test_the_initrd_is_an_archive_that_loads_mounts_and_hands_over(tmp_path: Pat
 
 
 STOP_WORDS = (
-    "'failstop' is ready: the stop is written, motion disabled",
+    "'failstop' is ready: it has told the wheels to stop, and motion is disabled",
     "stop frame sent (after 0.0 s), directly to it",
 )
 

@@ -36,7 +36,7 @@ DEADLINES_MS = {name: row.deadline_ns / 1e6 + SLACK_MS for name, row in PROCESS_
 TOOL_MS = 200.0
 """The stop tool is a new process, started once systemd, here the campaign, has seen that the supervisor is gone."""
 
-NEW_RUN_SAYS = "is ready: the stop is written"
+NEW_RUN_SAYS = "is ready: it has told the wheels to stop"
 SPARE_S = 0.12
 """Time for the burst's repeats."""
 
