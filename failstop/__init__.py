@@ -8,7 +8,7 @@
         while robot.state.enabled:
             robot.sensed()                  # the obstacle sensor delivered just now
             robot.drive(0.2, 0.0, 0.0)      # m/s forward, m/s left, rad/s counter-clockwise
-            time.sleep(0.05)                # a command counts for 0.3 s
+            time.sleep(0.05)                # a command is valid for 0.3 s
         print(robot.why())                  # what holds the wheels, what proves it, what to do
                                             # leaving `with` stops the wheels
 
