@@ -59,24 +59,26 @@ CMD_VEL = Topic(
     TWIST,
     PLAIN,
     0,
-    "the velocity command; TwistStamped too, as `cmd_vel_type` says (auto: what the publisher offers). A stamp older "
-    "than the command timeout is refused, a zero stamp counts as now. So is a command that comes so much later than "
-    "others of its publisher, as what DDS sends again does. A zero command always counts. A value that is not finite, "
-    "in any of the six fields, latches a stop",
+    "the velocity command. The bridge reads the type that the publisher offers, Twist or TwistStamped, or only the "
+    "type that you set with `cmd_vel_type`. A best-effort publisher is not heard. A command is refused if its stamp is "
+    "older than the command timeout (a stamp of zero counts as now), or if it took that much longer to arrive than "
+    "other commands from its publisher, for example because DDS resent it. A zero velocity is never refused. NaN or "
+    "infinity in any of the six fields latches a stop",
 )
 SCAN = Topic(
     "scan",
     "sensor_msgs/msg/LaserScan",
     SENSOR,
     0,
-    "the obstacle sensor: each arrival counts, whatever it holds; without one for 0.5 s nothing moves (`no scan`)",
+    "the obstacle sensor. Every message counts, whatever it contains. If none has arrived for 0.5 s, the wheels stop "
+    '(`no scan`), unless you set `scan.gate = "off"`',
 )
 ESTOP = Topic(
     "estop",
     "std_msgs/msg/Bool",
     PLAIN,
     0,
-    "true latches a stop (`estop topic`); false does nothing. A best-effort publisher is heard too",
+    "true latches a stop (`estop topic`); false does nothing. Best-effort publishers are heard too",
 )
 ESTOP_LOSSY = ESTOP._replace(qos=LOSSY)
 """A second subscription: a reliable one hears no best-effort publisher, and a best-effort one alone may lose what a
@@ -88,69 +90,79 @@ IMU = Topic(
     "sensor_msgs/msg/Imu",
     PLAIN,
     110,
-    "every sample, with the time of its arrival, less the gyro's bias; two are published at once; no orientation "
-    "(`orientation_covariance[0]` is -1)",
+    "every sample of the board's IMU, usually two at a time, each with the time of its arrival. The gyro's bias is "
+    "subtracted. 110 Hz is the rate of Hiwonder's board. There is no orientation (`orientation_covariance[0]` is -1)",
 )
 BATTERY = Topic(
     "battery",
     "sensor_msgs/msg/BatteryState",
     PLAIN,
     1,
-    "the voltage, and whether it is charged, as far as that is known; percentage, current and charge are NaN",
+    "the voltage. `power_supply_status` is charging while a charger is plugged in and discharging while none is. It is "
+    "unknown if failstop can't tell, because only a step of the voltage shows the charger. Percentage, current and "
+    "charge are NaN. If the board stops reporting its battery, the voltage is NaN too and `present` is false",
 )
 ODOMETRY = Topic(
     "wheel/odom",
     "nav_msgs/msg/Odometry",
     PLAIN,
     50,
-    "from the wheels where the board reports them, as often as it does (10 times a second or more), with a covariance "
-    "that grows; else from what was commanded, with a variance of 1000. The transform only with `publish_tf`",
+    "if the board reports its wheels: one message for each report, usually 10 a second or more and at most 50, with a "
+    "covariance that grows with the distance. When the reports stop, so does this topic. Before the first report, and "
+    "if the board never sends one: 50 Hz, computed from the commands, with a pose variance of 1000",
 )
 GAMEPAD = Topic(
-    "gamepad", "sensor_msgs/msg/Joy", PLAIN, 20, "each frame: axes lx, ly, rx, ry / 127 and the hat; 16 buttons"
+    "gamepad",
+    "sensor_msgs/msg/Joy",
+    PLAIN,
+    20,
+    "every report of the gamepad whose receiver is at the board: the axes lx, ly, rx and ry, divided by 127, and the "
+    "hat; 16 buttons",
 )
 JOINT_STATES = Topic(
     "joint_states",
     "sensor_msgs/msg/JointState",
     PLAIN,
     10,
-    "the wheels: position and velocity as the board reports them (a velocity is NaN while its report is older than "
-    "0.5 s), else integrated from what was commanded; of a steered base `steering`, the angle that was commanded last, "
-    "positive to the left",
+    "each wheel's position and velocity as the board reports them; the velocity is NaN if the last report is older "
+    "than 0.5 s. If the board does not report its wheels, both are computed from the commands. A steered base also has "
+    "`steering`, the last commanded angle, positive to the left. An arm adds each joint that has been read",
 )
-STATE = Topic("~/state", "std_msgs/msg/String", PLAIN, 10, "the state as JSON; its keys are below")
+STATE = Topic("~/state", "std_msgs/msg/String", PLAIN, 10, "the state as JSON, with the keys that are listed below")
 STATUS = Topic(
     "~/status",
     "failstop_msgs/msg/Status",
     PLAIN,
     10,
-    "the state, typed; only where the package failstop_msgs is built",
+    "the most important values of `~/state` as a typed message, if you have built the package failstop_msgs",
 )
 EMERGENCY_STOP = Topic(
     "~/emergency_stop",
     "std_msgs/msg/Bool",
     LASTING,
     10,
-    "true while a stop is latched, or nobody knows that none is; on every change too",
+    "true while a stop is latched, and while the bridge can't reach the service, because a stop may be latched then. "
+    "Also published when it changes",
 )
 DIAGNOSTICS = Topic(
     "/diagnostics",
     "diagnostic_msgs/msg/DiagnosticArray",
     PLAIN,
     1,
-    "the stop layer with the next command, the wheels, each process, port, link, battery, real-time rights, what ROS "
-    "nodes do; on every change too",
+    "what holds the wheels and what to type next; the wheels, each process, port, link, battery and real-time rights; "
+    "which nodes publish cmd_vel and scan. Also published when something changes",
 )
 ARM_GOAL = Topic(
     "arm/goal",
     "trajectory_msgs/msg/JointTrajectory",
     PLAIN,
     0,
-    "where the arm goes: joints by the names of the settings, rad; without points it is held. A second publisher "
-    "latches a stop. A goal that is older than arm.goal_timeout_s, by its stamp or since it had to wait, is refused; "
-    "so is one that takes longer than arm.unwatched_s. The end of its publisher holds the arm",
+    "where the arm must go: joints by their names in the settings, angles in rad. A message without points holds the "
+    "arm. A second publisher latches a stop. A goal is refused if it is older than `arm.goal_timeout_s`, by its stamp "
+    "or because it had to wait, or if it takes longer than `arm.unwatched_s`. When its publisher exits, the arm is "
+    "held",
 )
-ARM_BUSY = Topic("~/arm_busy", "std_msgs/msg/Bool", PLAIN, 10, "true while the arm moves, or is about to")
+ARM_BUSY = Topic("~/arm_busy", "std_msgs/msg/Bool", PLAIN, 10, "true while the arm moves or is about to")
 OUTWARD = (
     IMU,
     BATTERY,
@@ -162,69 +174,78 @@ OUTWARD = (
     EMERGENCY_STOP,
     DIAGNOSTICS,
 )
-TF = Topic("/tf", "tf2_msgs/msg/TFMessage", Qos(100), 50, "odom to base_link, only with `publish_tf`")
+TF = Topic(
+    "/tf", "tf2_msgs/msg/TFMessage", Qos(100), 50, "the transform from odom to base_link, only if `publish_tf` is true"
+)
 
 ENABLE_SERVICE = Service(
-    "~/enable", "std_srvs/srv/SetBool", "enables or disables motion; the message is the gate's answer"
+    "~/enable", "std_srvs/srv/SetBool", "enables or disables motion; the message is failstop's answer"
 )
 RESET_SERVICE = Service(
     "~/reset_estop",
     "std_srvs/srv/Trigger",
-    "clears the latched stop and nothing else; refused while a nonzero cmd_vel arrives, or two nodes publish it",
+    "clears the latched stop; motion stays disabled. Refused while nonzero commands arrive on cmd_vel, and while two "
+    "nodes publish it",
 )
 STOP_SERVICE = Service(
     "~/stop",
     "std_srvs/srv/Trigger",
-    "a latched stop; a success when it is known to be written, with what is known of it within 1 s",
+    "latches a stop and answers after 1 s at most. Success means that the stop is known to be written to the board; "
+    "the message says what else is proved",
 )
 SERVICES = (ENABLE_SERVICE, RESET_SERVICE, STOP_SERVICE)
 ARM_SERVICES = tuple(
     Service(f"~/arm/{name}", "std_srvs/srv/Trigger", text)
     for name, text in (
-        ("read_state", "reads where each joint is; the message is JSON, rad by joint"),
-        ("drive", "to the drive pose"),
-        ("tuck", "to the tuck pose"),
-        ("hold", "stops the arm where it is; its torque stays"),
-        ("release", "switches the torque off: the arm falls; refused while motion is enabled"),
+        ("read_state", "reads where each joint is; the message is JSON, with each joint's angle in rad"),
+        ("drive", "moves the arm to the drive pose"),
+        ("tuck", "moves the arm to the tuck pose"),
+        ("hold", "stops the arm where it is, with its torque on"),
+        ("release", "switches the arm's torque off, so the arm falls; refused while motion is enabled"),
     )
 )
-"""Likewise."""
 ARM_ACTION = Service(
     "~/arm/follow_joint_trajectory",
     "control_msgs/action/FollowJointTrajectory",
-    "the arm along a trajectory, for planners such as MoveIt; only with joints, and where the package control_msgs is "
-    "installed. Its positions and times count; limits and tolerances are the service's settings",
+    "moves the arm along a trajectory, for planners such as MoveIt. Offered only if the settings name joints and the "
+    "package control_msgs is installed. Only positions and times of the goal are used, because limits and tolerances "
+    "are failstop's settings",
 )
 
 STATE_KEYS = {
-    "enabled": "motion is enabled",
-    "estop": "the latch's first reason, or null",
-    "plugged": "the charger: true, false, or null while that is not known",
-    "arm_enabled": "there is an arm, and it may be moved now",
-    "arm_moving": "it moves",
-    "arm_pose": "its pulses by servo, as read; empty without an arm",
-    "servo_silent": "servos that do not answer",
-    "blocked": "why the wheels may not turn, or null",
-    "body_vel": "m/s forward, m/s left, rad/s counter-clockwise, as commanded now",
-    "scan_age": "s since the obstacle sensor delivered, or null",
-    "gyro_bias_dps": "x, y, z in deg/s",
-    "gyro_bias_tracking": "the bias follows the reading now",
-    "arm_holding": "the arm does not move, and its torque is on",
-    "pad_mode": "locked, drive or joint",
-    "pad_joint": "the joint that the gamepad turns, or null",
-    "auto_tuck_in_s": "s until the arm tucks itself, or null",
-    "next": "what to do for the wheels to move, a list",
-    "driver": "who drives, or null",
+    "enabled": "true while motion is enabled",
+    "estop": "the first cause of the latched stop; null if none is latched",
+    "plugged": "true while a charger is plugged in, false while none is; null if failstop can't tell",
+    "arm_enabled": "true while the arm may be moved; false without an arm",
+    "arm_moving": "true while the arm moves",
+    "arm_pose": "each servo's last reading, in pulses, by the servo's number; empty without an arm",
+    "servo_silent": "the numbers of the servos that do not answer",
+    "blocked": "why the wheels may not turn; null if they may",
+    "body_vel": "the velocity that is commanded now: m/s forward, m/s left, rad/s counter-clockwise",
+    "scan_age": "seconds since the last scan; null if there was none",
+    "gyro_bias_dps": "the gyro's bias about x, y and z, in deg/s",
+    "gyro_bias_tracking": "true while failstop adjusts that bias, which it does while the robot is still",
+    "arm_holding": "true while the arm is still and its torque is on",
+    "pad_mode": "what the gamepad moves: `drive` (the wheels), `joint` (one joint of the arm) or `locked` (nothing)",
+    "pad_joint": "the joint that the gamepad turns; null if none",
+    "auto_tuck_in_s": "seconds until the arm tucks itself; null if it will not",
+    "next": "a list of what to do so that the wheels can move",
+    "driver": "the program that drives now, and its source; null if none drives",
     "publishers": "the nodes that publish cmd_vel",
-    "wrong": "what is wrong with cmd_vel, scan or estop, or null",
-    "link": "whether the board answers: unproven, alive, deaf, silent, unheard, unasked",
-    "port": "open, closed or lost",
-    "processes": "pid, state, age_ms and restarts of each",
-    "last_stop": "reason, written_us, acknowledged_us, observed_ms, or null",
-    "wheels": "what is seen of the wheels: word (as in `failstop status`), does (turning, still, unknown), by (wheels: "
-    "the board's reports; IMU; null), unexpected (they turn although they were told zero), age_ms of the reading, and "
-    "radps, the measured speed by wheel",
-    "state_age_ms": "of the gate's record; null: no service",
+    "wrong": "what is wrong with cmd_vel, scan or estop; null if nothing is",
+    "link": "whether the board answers. `alive`: it does; `unproven`: it has never answered since the port was opened; "
+    "`deaf`: it does not hear; `silent`: it used to send reports and now sends nothing; `unheard`: it has not answered "
+    "since it was plugged in again; `unasked`: this kind of board can't answer",
+    "port": "the board's serial port: `open`, `closed` or `lost` (unplugged)",
+    "processes": "for each process of failstop: `pid`, `state`, `age_ms` (the time since its last sign of life) and "
+    "`restarts`",
+    "last_stop": "the last stop, or null. `reason`: its cause; `written_us`, `acknowledged_us`, `observed_ms`: the "
+    "times from the cause until the stop was written, until the board acknowledged it and until the wheels were seen "
+    "still",
+    "wheels": "what is observed of the wheels. `word`: as in `failstop status`; `does`: turning, still or unknown; "
+    "`by`: wheels (the board's reports), IMU or null; `unexpected`: true if they turn although they were told to stop; "
+    "`age_ms`: the age of the reading; `radps`: each wheel's measured speed",
+    "state_age_ms": "the age of these values; null if no service runs",
 }
 """The keys of ~/state: up to auto_tuck_in_s those of the driver before, then the bridge's own."""
 
@@ -240,8 +261,8 @@ class Parameter(NamedTuple):
 
 SETTINGS = (
     Parameter("cmd_vel_type", "auto", "which message type cmd_vel accepts", tuple(COMMAND_TYPES)),
-    Parameter("allowed_publishers", [""], "nodes that may publish cmd_vel; another one latches a stop. Empty: any"),
-    Parameter("publish_tf", False, "publish odom to base_link; else an EKF does"),
+    Parameter("allowed_publishers", [""], "nodes that may publish cmd_vel; any other latches a stop. Empty: all may"),
+    Parameter("publish_tf", False, "publish the transform from odom to base_link. Leave it false if an EKF does"),
     Parameter("imu_frame_id", "imu_link", "frame of imu/data_raw"),
     Parameter("odom_frame_id", "odom", "frame of wheel/odom"),
     Parameter("base_frame_id", "base_link", "child frame of wheel/odom"),

@@ -36,14 +36,15 @@ def _shown(value: object) -> str:
 
 def text() -> str:
     """The tables."""
-    topics = [("in", topic, "") for topic in (*INWARD, ARM_GOAL)]
-    topics += [("out", topic, f"{topic.hz} Hz") for topic in (*OUTWARD, TF, ARM_BUSY)]
+    topics = [("reads", topic, "") for topic in (*INWARD, ARM_GOAL)]
+    topics += [("publishes", topic, f"{topic.hz} Hz") for topic in (*OUTWARD, TF, ARM_BUSY)]
     shown = mirrors.values(Settings().flat())
     lines = [
-        f"The node is `{contract.NODE}`. Names are relative to its namespace, `~` is the node.",
+        f"The node is called `{contract.NODE}` unless you rename it. A name without a leading `/` is relative to the "
+        "node's namespace, and `~` stands for the node's name.",
         "",
         *_table(
-            "way | topic | type | quality of service | rate | what",
+            "the bridge | topic | type | QoS | rate | what",
             (
                 (way, f"`{topic.name}`", f"`{topic.type}`", topic.qos.words(), hz, topic.text)
                 for way, topic, hz in topics
@@ -59,12 +60,13 @@ def text() -> str:
     lines += ["", "Parameters of the bridge itself, read at its start:", ""]
     own = ((f"`{s.name}`", f"`{_shown(s.default)}`", _words(s)) for s in SETTINGS)
     lines += _table("parameter | default | what", own)
-    lines += ["", "Parameters that show failstop's settings, and are changed there alone:", ""]
+    shows = "These parameters show failstop's settings. `ros2 param set` is refused: change the setting instead."
+    lines += ["", shows, ""]
     rows = (
-        (f"`{m.name}`", f"`{_shown(shown[m.name])}`", ", ".join(f"`{key}`" for key in m.keys) or "fixed")
+        (f"`{m.name}`", f"`{_shown(shown[m.name])}`", ", ".join(f"`{key}`" for key in m.keys) or "can't be changed")
         for m in mirrors.TABLE
     )
-    lines += _table("parameter | with the defaults | setting", rows)
+    lines += _table("parameter | default | setting", rows)
     lines += ["", "The keys of `~/state`:", "", *_table("key | value", ((f"`{k}`", v) for k, v in STATE_KEYS.items()))]
     return "\n".join(lines)
 

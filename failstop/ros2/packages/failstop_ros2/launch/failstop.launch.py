@@ -1,6 +1,6 @@
 """The bridge, and where the laser and the IMU are on the robot: `ros2 launch failstop_ros2 failstop.launch.py`.
 
-The service itself is none of ROS's: systemd starts it, and it makes the robot stop whatever becomes of this launch.
+systemd starts the service itself, which needs no ROS and stops the robot even if this launch fails.
 """
 
 from __future__ import annotations
@@ -12,24 +12,25 @@ from launch.events.process import ProcessExited, ShutdownProcess
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+PLACE = {"x": "m", "y": "m", "z": "m", "yaw": "rad", "pitch": "rad", "roll": "rad"}
 ARGUMENTS = {
-    "name": ("failstop", "the service's name"),
+    "name": ("failstop", "the name of failstop's service"),
     "namespace": ("", "the namespace of the bridge"),
     "node": ("rosorin_board_driver", "the name of the bridge's node"),
-    "params_file": ("", "a file with the bridge's parameters, such as a copy of config/bridge.yaml"),
+    "params_file": ("", "a file with the bridge's parameters, such as a copy of this package's config/bridge.yaml"),
     "log_level": ("info", "debug, info, warn, error or fatal"),
     "cmd_vel": ("cmd_vel", "the topic of the velocity commands"),
     "scan": ("scan", "the topic of the obstacle sensor"),
     "laser_frame_id": ("laser", "frame of the obstacle sensor, for static_tf"),
-    "static_tf": ("true", "publish where the laser and the IMU are on the base"),
-    **{f"laser_{part}": ("0", f"of laser on base_link: {part}") for part in ("x", "y", "z", "yaw", "pitch", "roll")},
-    **{f"imu_{part}": ("0", f"of imu_link on base_link: {part}") for part in ("x", "y", "z", "yaw", "pitch", "roll")},
+    "static_tf": ("true", "publish the transforms from the base to the laser and to the IMU"),
+    **{f"laser_{part}": ("0", f"where the laser is on the base: {part}, {unit}") for part, unit in PLACE.items()},
+    **{f"imu_{part}": ("0", f"where the IMU is on the base: {part}, {unit}") for part, unit in PLACE.items()},
 }
 
 PARAMETERS = {
     "cmd_vel_type": ("auto", "auto, twist or stamped"),
-    "allowed_publishers": ("[]", "nodes that may publish the velocity commands, such as [/velocity_smoother]; []: any"),
-    "publish_tf": ("false", "publish the transform from the odometry's frame to the base; else an EKF does"),
+    "allowed_publishers": ("[]", "nodes that may publish cmd_vel, such as [/velocity_smoother]; []: all may"),
+    "publish_tf": ("false", "publish the transform from the odometry frame to the base, if no EKF does"),
     "odom_frame_id": ("odom", "frame of wheel/odom"),
     "base_frame_id": ("base_link", "child frame of wheel/odom"),
     "imu_frame_id": ("imu_link", "frame of imu/data_raw"),
@@ -56,7 +57,7 @@ def _argument(context: LaunchContext, name: str) -> str:
 def _placed(context: LaunchContext, frame: str, prefix: str) -> Node:
     """A static transform from the base."""
     words = []
-    for part in ("x", "y", "z", "yaw", "pitch", "roll"):
+    for part in PLACE:
         words += [f"--{part}", LaunchConfiguration(f"{prefix}_{part}")]
     base = _argument(context, "base_frame_id")
     return Node(
