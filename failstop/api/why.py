@@ -219,8 +219,9 @@ def troubles(state: State, events: Sequence[Event]) -> list[str]:
     if state.arm:
         found += [f"the arm: {text}" for text in state.arm.wrong]
     for who, sees, wrong in words.said(state):
+        # Not "says": the guard reports about a driver under the name of the driver.
         if wrong:
-            found.append(f"{who} says: {wrong}")
+            found.append(f"{who}: {wrong}")
         elif state.block in WAITS:
-            found.append(f"{who} says: {sees}")
+            found.append(f"{who}: {sees}")
     return found

@@ -136,7 +136,7 @@ def clients(look: Look) -> list[Finding]:
     """Remarks of clients on themselves."""
     found = []
     for who, sees, wrong in words.said(look.state) if look.state else ():
-        found += warn(f"{who} says: {wrong}", f"failstop why --name {look.name}") if wrong else ok(f"{who}: {sees}")
+        found += warn(f"{who}: {wrong}", f"failstop why --name {look.name}") if wrong else ok(f"{who}: {sees}")
     return found or ok("no program reports anything about itself")
 
 

@@ -137,7 +137,7 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
     try:
         guard = Guard(board, pty, Door(pty), _print_line)
         try:
-            _print_line(f"your driver opens {path} instead of the board's port; Ctrl-C ends")
+            _print_line(f"your driver opens {path} instead of the board's port; Ctrl-C ends the guard")
             gc.freeze()
             with contextlib.suppress(OSError):  # without the right to it a busy machine answers late
                 _go_first()

@@ -352,7 +352,7 @@ class Guard:
         elif silent_ns := self._talk.silent_ns(now_ns):
             counts_s = self._talk.timeout_ns / 1e9
             for_s = words.span(silent_ns / 1e9 + counts_s)
-            wrong = f"it has written no motion for {for_s}; its last one counted for {counts_s:g} s (guard.timeout_s)"
+            wrong = f"it has written no speed for {for_s}, and a speed counts for {counts_s:g} s (guard.timeout_s)"
         elif self._talk.refused:
             wrong = REFUSED + self._talk.refused
         return DRIVES + self._pty.path, wrong

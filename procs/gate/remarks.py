@@ -147,8 +147,8 @@ def _words(before: SaidRow | None, row: SaidRow) -> Note | None:
         return None
     fields: dict[str, str | int | float] = {"who": who, "sees": sees, "wrong": wrong}
     if wrong and (before is None or before[5] != wrong):
-        return Note("said", f"{who} says: {wrong}", fields, level="warning")
-    return Note("said", f"{who} says: {sees}", fields)
+        return Note("said", f"{who}: {wrong}", fields, level="warning")
+    return Note("said", f"{who}: {sees}", fields)
 
 
 def _gone(row: SaidRow) -> Note:

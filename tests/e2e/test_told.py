@@ -382,12 +382,12 @@ def test_words_of_a_client_reach_people(simulated: Simulated) -> None:
         assert 0 <= client.said_s < 0.25, "looked at every ten periods, and at rest a period later"
         status, why = simulated.printed("status"), simulated.printed("why")
         assert "says eyes: looks ahead" in status
-        assert "eyes says: nobody feeds the lidar" in status
-        assert "also eyes says: nobody feeds the lidar" in why
+        assert "eyes: nobody feeds the lidar" in status
+        assert "also eyes: nobody feeds the lidar" in why
         robot.say("looks ahead")
         simulated.wait_for("that it is well", lambda: not any(client.wrong for client in robot.state.clients))
     simulated.wait_for("that it has gone", lambda: "has gone" in simulated.printed("events", "--kind", "said"))
     assert simulated.robot.state.clients == ()
     _, told, _ = simulated.command("events", "--kind", "said")
-    said = [line.partition("says: ")[2] for line in told.splitlines()]
+    said = [line.partition("): ")[2] for line in told.splitlines()]
     assert said[:2] == ["nobody feeds the lidar", "looks ahead"]

@@ -204,7 +204,7 @@ def test_raw_pwm_stops_the_wheels_and_everybody_can_see_why(arduino: GuardScene)
         return "".join(client.wrong for client in arduino.trial.robot.state.clients)
 
     wait_for("its words", wrong)
-    assert wrong().startswith("failstop refused raw PWM (o): it has no speed that could be limited")
+    assert wrong().startswith("failstop refused raw PWM (o): its speed can't be limited")
     assert wrong() in str(arduino.trial.robot.why())
     pwm.unlink()
     arduino.moves()

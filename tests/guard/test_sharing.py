@@ -250,7 +250,7 @@ def test_the_first_motion_of_a_driver_is_as_old_as_its_opening(desk: Desk) -> No
     since_s = time.monotonic()
     desk.until(lambda: time.monotonic() - since_s > 1.0, "a second without a driver")
     desk.unseen(desk.script(), OPEN, DRIVE % (7, 7))
-    desk.says("it has written no motion for")
+    desk.says("it has written no speed for")
     assert "motion: wheels 7 7" in next(line for line in desk.lines if "motion" in line)
 
 

@@ -125,5 +125,5 @@ def test_a_script_that_writes_once_is_told_why_it_stops(ugv: GuardScene) -> None
     def wrong() -> str:
         return " ".join(client.wrong for client in ugv.trial.robot.state.clients)
 
-    wait_for("the guard to say so", lambda: "has written no motion for" in wrong())
+    wait_for("the guard to say so", lambda: "has written no speed for" in wrong())
     assert "guard.timeout_s" in wrong()

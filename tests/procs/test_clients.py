@@ -209,11 +209,11 @@ def test_words_are_told_once_when_they_change_and_when_their_client_goes() -> No
     said = SelfReports(0)
     assert said.update([], 0) is None
     for t_ns, wrong, told in (
-        (5, "", [("nav (pid 7) says: all well", "")]),
+        (5, "", [("nav (pid 7): all well", "")]),
         (5, "", None),
         (6, "", []),  # only said again: a new time, no news
-        (7, "no map", [("nav (pid 7) says: no map", "warning")]),
-        (8, "", [("nav (pid 7) says: all well", "")]),
+        (7, "no map", [("nav (pid 7): no map", "warning")]),
+        (8, "", [("nav (pid 7): all well", "")]),
     ):
         news = said.update([(11, 0, "nav (pid 7)", t_ns, "all well", wrong)], S)
         assert (None if news is None else [(note.text, note.level) for note in news]) == told

@@ -120,8 +120,8 @@ def test_a_wrong_type_is_told_everywhere(scene: BridgeTrial) -> None:
     )
     assert row["level"] == 1
     told(scene, said, "status")
-    told(scene, f"ros2 says: {said}", "why")
-    told(scene, f"ros2 says: {said}", "doctor", "--quick")
+    told(scene, f"ros2: {said}", "why")
+    told(scene, f"ros2: {said}", "doctor", "--quick")
     told(scene, said, "events", "--kind", "said")
 
 

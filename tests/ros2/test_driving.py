@@ -55,7 +55,7 @@ def test_an_old_stamp_is_refused_and_whose_clock_disagrees_is_told_everywhere(sc
     def why() -> str:
         return " ".join(failstop("why", "--name", scene.trial.name).stdout.split())
 
-    wait_for("`failstop why` to tell it", lambda: "ros2 says: /nav publishes cmd_vel with stamps" in why())
+    wait_for("`failstop why` to tell it", lambda: "ros2: /nav publishes cmd_vel with stamps" in why())
     assert "do fix what ros2 reports, then" in why()
     driver.ask("repeat", topic="cmd_vel", fields={"twist": FORWARD}, hz=20.0, stamp=True)
     scene.moving()

@@ -134,9 +134,7 @@ class ArduinoDriver:
             return [DriverAnswer(b"57600\r\n")]
         if self._command == ord("o"):
             return [
-                DriverRefusal(
-                    "raw PWM (o)", "it has no speed that could be limited, so the wheels were stopped: use m"
-                ),
+                DriverRefusal("raw PWM (o)", "its speed can't be limited, so the wheels were stopped: use m"),
                 DriverMotion(_REST, refused=True),
                 DriverAnswer(_OK),
             ]

@@ -42,9 +42,7 @@ _MIT, _POSITION, _FORCE = 0, 1, 3
 """Modes by the hundreds of the CAN id that their commands have."""
 _NO_SPEED = {_MIT: "an MIT command", _POSITION: "a position", _FORCE: "a position with a force"}
 _STORE = 0xAA
-_USE_SPEEDS = (
-    "it has no speed that could be limited, so the wheels were stopped: use the speed mode (CAN id 0x200 + id)"
-)
+_USE_SPEEDS = "its speed can't be limited, so the wheels were stopped: use the speed mode (CAN id 0x200 + id)"
 _NO_LINE = DriverRefusal(
     "bytes that are no line of slcan",
     "to the adapter they could mean anything, so the wheels stop until the driver sets up adapter and motors again",

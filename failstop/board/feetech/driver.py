@@ -215,7 +215,7 @@ class FeetechDriver:
             return []
         if at < _MEMORY and self._memory[servo][at] == value:
             return []
-        why = "the servo keeps its own: set servos up without the guard port"
+        why = "the servo keeps its own; to set up servos, end failstop and use the board's own port"
         return [DriverRefusal(f"a setting of a servo (address {at})", why)]
 
     # What the servos say.

@@ -38,7 +38,7 @@ _LENGTHS = (18, 22, 26)
 _REST = (0.0, 0.0)
 _NO_FRAME = DriverRefusal(
     "bytes that are not a frame",
-    "the board drops them too, so the wheels were stopped: is the driver made for this board?",
+    "the board would ignore them and drive on, so the wheels were stopped: is the driver made for this board?",
 )
 
 

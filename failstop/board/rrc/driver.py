@@ -108,7 +108,7 @@ class RrcDriver:
         if self._func in (PWM_SERVO, BUS_SERVO):
             return self._servo(data)
         what = "a setting of the board (0)" if self._func == SYS else f"a frame of function {self._func}"
-        return [DriverRefusal(what, "use the board without the guard port for it")]
+        return [DriverRefusal(what, "end failstop, and send it to the board's own port")]
 
     def _refuse(self, what: str, why: str) -> list[Row]:
         self._speeds = [0.0] * WHEELS
@@ -127,9 +127,7 @@ class RrcDriver:
         if kind == bytes((_TYPE_OR_DUTY,)) and len(data) == _TYPE_LENGTH:
             return [DriverRefusal("the type of the motors (3, 5)", "the board keeps the one that it has")]
         if kind == bytes((_TYPE_OR_DUTY,)):
-            return self._refuse(
-                "a duty cycle (set_motor_duty)", "it has no speed that could be limited; TurboPi is not supported"
-            )
+            return self._refuse("a duty cycle (set_motor_duty)", "its speed can't be limited; TurboPi is not supported")
         return self._refuse(
             "a motor frame that does not fit its length", "the board would take what follows for speeds"
         )
@@ -156,7 +154,8 @@ class RrcDriver:
                 return []  # the vendor's node sets it to 0 at its start
             return [DriverRefusal(f"the offset of {name} (4, 07)", "the board keeps the one that it has")]
         if func == BUS_SERVO and kind in _BUS_SETS:
-            return [DriverRefusal(f"a setting of {name} (5, {kind:02X})", "set servos up without the guard port")]
+            why = "to set up servos, end failstop and use the board's own port"
+            return [DriverRefusal(f"a setting of {name} (5, {kind:02X})", why)]
         return [DriverRefusal(f"moving {name} ({func}, {kind:02X})", _FOR_PROGRAMS)]
 
     def _question(self, servo: int, kind: int, size: int) -> list[Row]:

@@ -43,7 +43,7 @@ _OWN = (1002, 139)
 _FLOW, _INTERVAL, _ECHO, _RADIO = 131, 142, 143, 300
 _KEEPS = {4: "the type of its module (T:4)", 900: "the type of the robot (T:900)"}
 _ARM = (*range(100, 124), 144, 210, 1041)
-_NOT_PASSED = "failstop moves no arm on this board yet"
+_NO_ARM = "failstop can't move an arm on this board yet"
 _ODD = "a field in it is not known, or too long, so it was not passed on"
 
 
@@ -88,7 +88,7 @@ class UgvDriver:
         if kind in (_SPEEDS, _BODY):
             return self._motion(kind, fields)
         if kind == _PWM:
-            why = "it has no speed that could be limited, so the wheels were stopped: use T:1"
+            why = "its speed can't be limited, so the wheels were stopped: use T:1"
             return [DriverRefusal("raw PWM (T:11)", why), DriverMotion(_REST, refused=True)]
         if kind in _ANSWERED_BY:
             kept = self._kept.get(_ANSWERED_BY[kind])
@@ -107,7 +107,7 @@ class UgvDriver:
         return [DriverFrame(line, f"{kind} {texts.get('lineNum', '')}")]
 
     def _not_json(self) -> list[Row]:
-        why = "the board ignores it, so the wheels were stopped: is the driver made for this board?"
+        why = "the board would ignore it and drive on, so the wheels were stopped: is the driver made for this board?"
         return [DriverRefusal("a line that is not JSON", why), DriverMotion(_REST, refused=True)]
 
     def _motion(self, kind: int, fields: dict[bytes, object]) -> list[Row]:
@@ -135,14 +135,15 @@ class UgvDriver:
         if kind == _ECHO and not value:
             return []
         if kind in _ARM:
-            return [DriverRefusal(f"an arm (T:{kind})", _NOT_PASSED)]
+            return [DriverRefusal(f"a command for an arm (T:{kind})", _NO_ARM)]
         if kind == _RADIO and not _whole(fields.get(b"mode")):
             return [DriverFrame(codec.RADIO_OFF, "radio")]
         if kind in _KEEPS:
             return [DriverRefusal(_KEEPS[kind], "the board keeps the one that it has")]
         if kind == _RADIO:
             return [DriverRefusal("obeying ESP-NOW radio (T:300)", "anybody near it could drive the robot")]
-        return [DriverRefusal(f"T:{kind}", "it changes the board, or is not known: use it without the guard port")]
+        why = "it may change the board's settings; end failstop, and send it to the board's own port"
+        return [DriverRefusal(f"T:{kind}", why)]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
         """Pass on the board's reports, in whole lines, but not the answers to failstop's own questions."""

@@ -85,7 +85,7 @@ class VescDriver:
                 return self._set(motor, float(value))
             if not value and command in (codec.DUTY, _CURRENT):
                 return self._set(motor, 0.0)
-            why = "it has no speed that could be limited, so the wheels were stopped: use a speed (SetRPM)"
+            why = "its speed can't be limited, so the wheels were stopped: use a speed (SetRPM)"
             return [DriverRefusal(_NO_SPEED[command], why), *self._stopped()]
         return [DriverRefusal(f"command {command}", "failstop passes on no settings, tests or other questions")]
 
