@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import threading
@@ -36,8 +37,11 @@ from tests.clients.scene import (
     UNDECLARED,
     set_off,
 )
-from tests.support.c_client import SOURCE, Driver, compiled
+from tests.support.c_client import SOURCE, Driver, compiled, library
 from tests.support.children import NOBODY, needs_root
+from tests.support.pages import ROOT, blocks
+
+PAGE = ROOT / "docs" / "c.md"
 
 
 def test_a_program_drives_and_its_end_stops_the_wheels(trial: Trial, driver: Driver) -> None:
@@ -260,11 +264,57 @@ def test_wheel_speeds_drive_the_base_that_has_them(trial: Trial, driver: Driver)
     assert trial.turning()
 
 
+def of_the_page(language: str, words: str) -> str:
+    """The one program of docs/c.md in this language that has these words."""
+    (found,) = (block.text for block in blocks(PAGE) if block.language == language and words in block.text)
+    return found
+
+
 def test_the_example_of_the_page_drives(trial: Trial, tmp_path: Path) -> None:
     source = SOURCE / "examples" / "patrol.c"
     own = tmp_path / "patrol.c"
     own.write_text(source.read_text().replace("fs_open(&robot, NULL,", f'fs_open(&robot, "{trial.name}",'))
-    program = compiled(own, tmp_path / "patrol")
+    patrols(trial, compiled(own, tmp_path / "patrol"))
+
+
+def test_the_example_of_the_page_in_c_plus_plus_drives(trial: Trial, tmp_path: Path) -> None:
+    if not (found := shutil.which("c++")):
+        pytest.skip("no C++ compiler here: apt install g++")
+    where, own, program = library(), tmp_path / "patrol.cpp", tmp_path / "patrol"
+    own.write_text(of_the_page("cpp", "int main").replace("open(nullptr,", f'open("{trial.name}",'))
+    command = (found, "-Wall", "-Wextra", "-Werror", f"-I{SOURCE / 'include'}", "-o", program, own)
+    linked = (f"-L{where}", "-lfailstop", f"-Wl,-rpath,{where}", "-pthread")
+    done = subprocess.run((*command, *linked), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    patrols(trial, program)
+
+
+CRASHES = """
+#include <stdlib.h>
+
+int main(int count, char **words) {
+  if (count < 3 || fs_open(&robot, words[1], "crash")) return 1;
+  catch_crashes();
+  return raise(atoi(words[2]));
+}
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGABRT, signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL])
+def test_the_handler_of_the_page_stops_the_robot_and_the_crash_goes_on(
+    trial: Trial, tmp_path: Path, number: int
+) -> None:
+    own = tmp_path / "crash.c"
+    own.write_text(of_the_page("c", "on_crash") + CRASHES)
+    program = compiled(own, tmp_path / "crash")
+    done = subprocess.run(("sh", "-c", 'ulimit -c 0 && exec "$0" "$@"', program, trial.name, str(int(number))), check=False)
+    assert done.returncode == -number
+    wait_for("the stop", lambda: trial.robot.state.cause)
+    assert "crashed" in str(trial.robot.state.cause)
+
+
+def patrols(trial: Trial, program: Path) -> None:
+    """It waits for an enable, drives, and says what stopped it."""
     with subprocess.Popen((program,), stdout=subprocess.PIPE, text=True) as run:
         wait_for("it to connect", lambda: any(client.name == "patrol" for client in trial.robot.state.clients))
         trial.robot.enable()
@@ -277,7 +327,7 @@ def test_the_example_of_the_page_drives(trial: Trial, tmp_path: Path) -> None:
 
 
 def test_the_page_has_the_example() -> None:
-    page, example = (SOURCE.parents[1] / "docs" / "c.md").read_text(), (SOURCE / "examples" / "patrol.c").read_text()
+    page, example = PAGE.read_text(), (SOURCE / "examples" / "patrol.c").read_text()
     assert f"```c\n{example}```" in page
     assert len(example.splitlines()) <= 30
 
