@@ -248,7 +248,7 @@ FS_API FS_MUST_LOOK int fs_open(fs_robot **robot, const char *service, const cha
  * now on the service watches this program: if it dies while it drives, the wheels stop.
  *
  * Call it again after FS_NO_SERVICE, to follow a service that was restarted. It does nothing while the slot is good.
- * Motion is never enabled in a new run.
+ * A new run starts with motion disabled.
  *
  * It opens files, maps memory and starts a thread that only sleeps. No other thread may use the handle meanwhile.
  */

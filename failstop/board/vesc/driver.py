@@ -2,8 +2,8 @@
 
 A driver sets speeds in ERPM and the servo's place, and asks for the firmware's version and for values (RoboRacer's
 vesc_driver, f1tenth/vesc 01f6304; pyvesc 1.0.5). Both questions are passed on, and so are their answers. A speed keeps
-the servo where it was sent before. A duty cycle or a current has no speed that could be limited, so it is refused
-unless it is zero. Bytes that are no packet are skipped as the firmware skips them.
+the servo where it was sent before. A duty cycle or a current is refused unless it is zero, because failstop can't limit
+the speed that it leads to. Bytes that are no packet are skipped as the firmware skips them.
 """
 
 from __future__ import annotations
