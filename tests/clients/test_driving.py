@@ -318,11 +318,14 @@ def test_the_handler_of_the_page_stops_the_robot_and_the_crash_goes_on(
 def patrols(trial: Trial, program: Path) -> None:
     """It waits for an enable, drives, and says what stopped it."""
     with subprocess.Popen((program,), stdout=subprocess.PIPE, text=True) as run:
-        wait_for("it to connect", lambda: any(client.name == "patrol" for client in trial.robot.state.clients))
-        trial.robot.enable()
-        trial.board.wait_wheels(turning=True, timeout_s=5.0)
-        trial.robot.estop("enough")
-        words, _ = run.communicate(timeout=5)
+        try:
+            wait_for("it to connect", lambda: any(client.name == "patrol" for client in trial.robot.state.clients))
+            trial.robot.enable()
+            trial.board.wait_wheels(turning=True, timeout_s=5.0)
+            trial.robot.estop("enough")
+            words, _ = run.communicate(timeout=5)
+        finally:
+            run.kill()
     assert words.startswith("stop request: enough")
     assert run.returncode == 0
     assert not trial.turning()
