@@ -6,6 +6,7 @@ from collections import deque
 from time import monotonic_ns
 
 from failstop.api import words
+from failstop.api.errors import FailstopError
 from failstop.api.snapshot import Block
 from failstop.board.driver import language_of
 from failstop.guard.news import HungUp
@@ -211,8 +212,12 @@ class Guard:
         return talk if self._door.count else None
 
     def _new_talk(self) -> Talk | None:
+        """Raises FailstopError for settings that make no conversation."""
         settings = self._board.settings
-        language = language_of(settings.text("board.kind"), settings.flat()) if settings else None
+        try:
+            language = language_of(settings.text("board.kind"), settings.flat()) if settings else None
+        except ValueError as error:  # of a service that was started again, with other settings
+            raise FailstopError(str(error)) from None
         if settings is None or language is None:
             return None
         self._door.most = int(settings["guard.openers"]) or language.openers

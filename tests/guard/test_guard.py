@@ -273,6 +273,20 @@ def test_a_dry_run_says_what_the_settings_do_when_a_driver_dies(death: str, then
     assert [then in line for line in lines] == [True]
 
 
+def test_a_service_that_comes_back_with_wrong_settings_ends_the_guard_with_the_reason(tmp_path: Path) -> None:
+    pty = Pty(str(tmp_path / "port"))
+    board = Nothing(config.load(None, {"board.kind": "arduino"}), print)
+    guard = Guard(board, pty, Door(pty), print)
+    board.settings = config.load(None, {"board.kind": "arduino", "guard.pins": "13"})
+    board.runs += 1
+    try:
+        with pytest.raises(FailstopError, match="guard.pins: 13, must be among 4, 7, 8"):
+            guard.turn()
+    finally:
+        guard.close()
+        pty.close()
+
+
 def test_what_was_written_by_nobody_who_is_there_is_thrown_away(tmp_path: Path) -> None:
     """Else the guard would never sleep again, and the next driver would be taken for its writer."""
     lines: list[str] = []
