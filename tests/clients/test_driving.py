@@ -307,9 +307,8 @@ def test_the_handler_of_the_page_stops_the_robot_and_the_crash_goes_on(
     own = tmp_path / "crash.c"
     own.write_text(of_the_page("c", "on_crash") + CRASHES)
     program = compiled(own, tmp_path / "crash")
-    done = subprocess.run(
-        ("sh", "-c", 'ulimit -c 0 && exec "$0" "$@"', program, trial.name, str(int(number))), check=False
-    )
+    words = ("sh", "-c", 'ulimit -c 0 && exec "$0" "$@"', program, trial.name, str(int(number)))
+    done = subprocess.run(words, check=False)
     assert done.returncode == -number
     wait_for("the stop", lambda: trial.robot.state.cause)
     assert "crashed" in str(trial.robot.state.cause)
