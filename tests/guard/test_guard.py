@@ -280,7 +280,7 @@ def test_a_service_that_comes_back_with_wrong_settings_ends_the_guard_with_the_r
     board.settings = config.load(None, {"board.kind": "arduino", "guard.pins": "13"})
     board.runs += 1
     try:
-        with pytest.raises(FailstopError, match="guard.pins: 13, must be among 4, 7, 8"):
+        with pytest.raises(FailstopError, match="pins: 13, must be among 4, 7, 8"):
             guard.turn()
     finally:
         guard.close()
