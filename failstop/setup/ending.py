@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import os
 import signal
 from collections.abc import Iterator
 from types import FrameType
@@ -56,6 +57,20 @@ def noted() -> Iterator[list[int]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def arrivals() -> Iterator[int]:
+    """A descriptor that can be read once a signal has arrived. A wait that includes it misses none: a signal that
+    arrives just before a plain read() interrupts nothing, and its handler runs only when the read returns."""
+    reads, writes = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+    before = signal.set_wakeup_fd(writes, warn_on_full_buffer=False)
+    try:
+        yield reads
+    finally:
+        signal.set_wakeup_fd(before)
+        os.close(reads)
+        os.close(writes)
 
 
 def end_with_parent() -> None:

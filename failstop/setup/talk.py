@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import select
 import sys
 import termios
 from collections.abc import Callable, Mapping, Sequence
@@ -10,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from failstop.api.errors import FailstopError
 from failstop.cli import style
 from failstop.setup.draft import Draft
+from failstop.setup.ending import arrivals
 
 WIDEST = 80
 AGAIN = "run `failstop setup` again to go on from here"
@@ -99,7 +102,7 @@ class Talk:
             )
             style.show(lines)
             try:
-                answer = input(style.plain(last).rstrip() + " ").strip() or default
+                answer = read_line(style.plain(last).rstrip() + " ").strip() or default
             except EOFError:
                 raise Left("the terminal was closed") from None
             self.asked += 1
@@ -111,6 +114,18 @@ class Talk:
     def agreed(self, key: str, question: str, default: str = "") -> bool:
         """Yes or no."""
         return self.ask(key, question, default, yes_or_no, keep=False) == YES
+
+
+def read_line(prompt: str) -> str:
+    """The line that a person types. Unlike input(), it misses no Ctrl-C. Raises EOFError."""
+    sys.stdout.write(prompt)
+    sys.stdout.flush()
+    with arrivals() as arrived:
+        while sys.stdin not in select.select((sys.stdin, arrived), (), ())[0]:
+            os.read(arrived, 4096)  # of signals whose handlers let it go on
+    if not (line := sys.stdin.readline()):
+        raise EOFError
+    return line
 
 
 def option(key: str) -> str:

@@ -8,6 +8,7 @@ import functools
 import os
 import re
 import select
+import signal
 import struct
 import subprocess
 import termios
@@ -39,7 +40,8 @@ class Terminal:
     def __init__(self, *command: str, patience_s: float, environ: Mapping[str, str] | None = None) -> None:
         """`patience_s`: for each of its words; `environ`: variables beside those of this process."""
         self._command, self._patience_s = command, patience_s
-        self._environ = {**os.environ, "TERM": "xterm-256color", "NO_COLOR": "1", **(environ or {})}
+        self._environ = {**os.environ, "TERM": "xterm-256color", "NO_COLOR": "1", "PYTHONFAULTHANDLER": "1"}
+        self._environ |= environ or {}
         self._read = 0
         self.said = ""
         """All that it has said."""
@@ -88,6 +90,12 @@ class Terminal:
                 return True
         return False
 
+    def _shows_where(self) -> None:
+        """Python's fault handler adds each thread's stack to what a command has said, and ends it."""
+        self.process.send_signal(signal.SIGABRT)
+        while self._hears() and self.process.poll() is None:
+            pass
+
     def types(self, answer: str = "") -> None:
         """Type a line."""
         self.presses(answer.encode() + b"\n")
@@ -108,6 +116,7 @@ class Terminal:
         while self.process.poll() is None:
             self._hears()
             if time.monotonic() > until_s:
+                self._shows_where()
                 raise TrialError(f"it does not end; it has said: {self.said[-SHOWN:]}")
         while select.select([self._end], [], [], 0)[0] and self._hears():
             pass
