@@ -207,19 +207,24 @@ class Trial:
     """A context manager: board, service and driving client under a name of their own."""
 
     def __init__(
-        self, name: str | None = None, options: tuple[str, ...] = (), imu_hz: float = 110.0, kind: str = ""
+        self,
+        name: str | None = None,
+        options: tuple[str, ...] = (),
+        imu_hz: float = 110.0,
+        kind: str = "",
+        settings: Mapping[str, object] | None = None,
     ) -> None:
-        """`kind`: the board's; the service is told of it where its `options` name no file of settings."""
+        """`kind`: the board's. The service gets it, and these `settings`, where its `options` name no file of them."""
         self.name = name or f"trial-{os.getpid()}"
         self._directory = tempfile.TemporaryDirectory(prefix="failstop-", ignore_cleanup_errors=True)
         self.link = os.path.join(self._directory.name, "board")
         self.state = os.path.join(self._directory.name, "state")
         """The state directory of the service: nothing of a trial goes to the machine's own."""
         self.board = SimBoard(self.link, imu_hz=imu_hz, board=kind)
-        if kind and "--config" not in options:
-            settings = os.path.join(self._directory.name, "settings.toml")
-            write_settings(settings, traits_of(kind).settings)
-            options = (*options, "--config", settings)
+        if (kind or settings) and "--config" not in options:
+            path = os.path.join(self._directory.name, "settings.toml")
+            write_settings(path, {**(traits_of(kind).settings if kind else {}), **(settings or {})})
+            options = (*options, "--config", path)
         self.service = Service(self.name, self.link, self.state, options)
         if is_described(kind):
             self.service.ready_s += wire_of(kind).port.deaf_ns / 1e9
