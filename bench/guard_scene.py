@@ -164,8 +164,14 @@ class GuardScene:
         wait_for("nobody at the port", lambda: set(self.clients()) <= {"trial", "failstop guard"})
 
     def moves(self) -> None:
-        """Wait until the wheels turn, by the board's word."""
-        wait_for("the wheels to turn", self.trial.turning)
+        """Wait until the wheels turn, by the board's word. Raises TrialError, which says why they don't."""
+        try:
+            wait_for("the wheels to turn", self.trial.turning)
+        except TrialError as error:
+            if self.guard:
+                self.guard.drain()
+            said = self.guard.lines[-5:] if self.guard else "nothing"
+            raise TrialError(f"{error}: {self.trial.robot.why()}; the guard said {said}") from None
 
     def stands(self) -> None:
         wait_for("the wheels to stand", lambda: not self.trial.turning())

@@ -40,7 +40,10 @@ while True:
             print("bad check" if check else "%d %d %d %d" % (heard, words[4], -words[3], words[5]), flush=True)
     steer, speed = left - right, (left + right) // 2
     frame = struct.pack("<Hhh", 0xABCD, steer, speed)
-    os.write(port, frame + struct.pack("<H", 0xABCD ^ steer & 0xFFFF ^ speed & 0xFFFF))
+    try:
+        os.write(port, frame + struct.pack("<H", 0xABCD ^ steer & 0xFFFF ^ speed & 0xFFFF))
+    except BlockingIOError:  # the port's buffer is full: they say so, and write the next one
+        pass
     time.sleep(1 / hertz)
 """
 """As hoverboard-robotics' ROS drivers: nothing at opening, non-blocking reads, a frame each period."""
