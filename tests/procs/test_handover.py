@@ -69,6 +69,18 @@ def test_a_path_that_is_no_text_is_shown_as_far_as_it_is(ends: tuple[Control, Co
     os.close(sent[0])
 
 
+def test_a_message_that_is_too_long_is_cut_and_the_next_one_arrives(
+    ends: tuple[Control, Control], pipe: tuple[int, int]
+) -> None:
+    send(ends[0], struct.pack("<Q", 7) + b"/" * (2 * PATH_BYTES), pipe[1])
+    ends[0].send(pipe[1], 8, "/dev/b")
+    for expected in ((7, "/" * PATH_BYTES), (8, "/dev/b")):
+        sent = ends[1].receive()
+        assert sent is not None
+        assert sent[1:] == expected
+        os.close(sent[0])
+
+
 @pytest.mark.parametrize("data", [b"", bytes(7)])
 def test_a_descriptor_without_a_number_is_no_port_and_is_not_kept(
     ends: tuple[Control, Control], pipe: tuple[int, int], data: bytes
