@@ -53,7 +53,7 @@ def test_an_unplug_in_vain_is_no_answer_and_the_question_comes_again(
         kept.append(dict(Draft("failstop", {"STATE_DIRECTORY": str(tmp_path)}).answers))
         return next(answers)
 
-    monkeypatch.setattr("builtins.input", typed)
+    monkeypatch.setattr("failstop.setup.talk.read_line", typed)
     monkeypatch.setattr(ports, "nodes", lambda: {"/dev/ttyS0"})
     monkeypatch.setattr(ports.went, "__defaults__", (lambda: {"/dev/ttyS0"}, 0.0))
     assert ports.choose(Talk({}, draft, silent=False), Computer(tmp_path, {})) == path

@@ -143,6 +143,6 @@ def test_sizes_of_a_robot_without_a_name_are_asked_for_and_nobody_elses_are_offe
 def test_sizes_of_a_robot_with_a_name_are_offered(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     conversation = talk(place)
     conversation.silent = False
-    monkeypatch.setattr("builtins.input", lambda _: "")
+    monkeypatch.setattr("failstop.setup.talk.read_line", lambda _: "")
     found = sizes.step(conversation, {"board.kind": "rrc", "wheels.layout": "mecanum"}, known=True)
     assert found["wheels.diameter_m"] == 0.08

@@ -390,7 +390,7 @@ def test_a_yes_is_not_the_word_replace_and_is_asked_again(
     path = place / "made.toml"
     path.write_text("old")
     answers = iter(["yes", "", "replace"])
-    monkeypatch.setattr("builtins.input", lambda _: next(answers))
+    monkeypatch.setattr("failstop.setup.talk.read_line", lambda _: next(answers))
     finish.write(Talk({"file": str(path)}, talk(place).draft, silent=False), "new", "failstop")
     assert path.read_text() == "new"
     assert capsys.readouterr().out.count("type the whole word replace, or no") == 2
