@@ -98,6 +98,19 @@ def test_the_second_controller_is_named_when_it_leaves_two_questions_unanswered(
     assert {row[0]: row[-1] for row in back.rows} == {codec.LOCAL: 0, codec.BEHIND: 0}
 
 
+@pytest.mark.parametrize("at", range(len(answer(0, 1, 1))))
+def test_an_answer_that_was_garbled_on_the_line_is_not_missing(at: int) -> None:
+    """Noise on the line is no lost wheel. Once the line is quiet, a controller that answers nothing is missing."""
+    reader = PAIR.replies()
+    reader.feed(answer(0, 0, 1) + answer(0, 1, 1))
+    garbled = bytearray(answer(0, 1, 1))
+    garbled[at] ^= 0x5A
+    heard = [sample for _ in range(20) for sample in reader.feed(answer(0, 0, 1) + bytes(garbled))]
+    assert not any(bits for sample in heard if isinstance(sample, Health) for *_, bits in sample.rows)
+    quiet = [sample for _ in range(20) for sample in reader.feed(answer(0, 0, 1))]
+    assert any(bits for sample in quiet if isinstance(sample, Health) for *_, bits in sample.rows)
+
+
 def test_a_controller_s_fault_and_temperature_are_reported() -> None:
     reader = PAIR.replies()
     found = reader.feed(answer(1, 0, 1) + answer(1, 1, 1, fault=5))

@@ -38,7 +38,7 @@ from failstop.data import Data
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 
 SHORT, LONG, END = 2, 3, 3
@@ -64,8 +64,8 @@ repeats."""
 LOCAL, BEHIND = 1, 2
 """The controllers as reports name them: the one at the port, and the one behind its CAN."""
 MISSES = 2
-"""If the second controller leaves this many questions in a row unanswered while the first one answers, it is
-missing."""
+"""If the second controller leaves this many questions unanswered while the first one answers, it is missing. A question
+after which something garbled came is not counted."""
 REPORT_EVERY = 20
 """After this many answers, the temperatures are reported: about once a second."""
 WRONG = {1: SERVO_VOLTAGE, 2: SERVO_VOLTAGE, 4: SERVO_CURRENT, 5: SERVO_HEAT, 6: SERVO_HEAT}
@@ -96,27 +96,28 @@ def packet(payload: bytes) -> bytes:
 
 
 def payloads(data: bytes) -> tuple[list[bytes], bytes]:
-    """The payloads of all whole packets, and an incomplete packet at the end. Bytes that are no packet are skipped one
-    at a time, as the firmware does."""
-    found: list[bytes] = []
+    """The payloads of all whole packets, and an incomplete packet at the end."""
+    pieces = list(_pieces(data))
+    return [payload for payload, _ in pieces if payload], data[sum(size for _, size in pieces) :]
+
+
+def _pieces(data: bytes) -> Iterator[tuple[bytes, int]]:
+    """The payload of each whole packet, with the packet's length. Bytes that are no packet are skipped one at a time,
+    as the firmware does: each comes as an empty payload."""
     at = 0
     while at < len(data):
         head = data[at]
         size = int.from_bytes(data[at + 1 : at + head], "big") if head in (SHORT, LONG) else 0
-        begin = at + head
-        if head not in (SHORT, LONG) or (begin <= len(data) and not _LEAST[head] <= size <= MOST_PAYLOAD):
-            at += 1
-            continue
-        end = begin + size + 3
-        if begin > len(data) or end > len(data):
-            break
-        payload = data[begin : begin + size]
-        if data[end - 1] == END and crc_hqx(payload, 0) == int.from_bytes(data[end - 3 : end - 1], "big"):
-            at = end
-            found.append(payload)
-        else:
-            at += 1
-    return found, data[at:]
+        begin, payload, length = at + head, b"", 1
+        if head in (SHORT, LONG) and not (begin <= len(data) and not _LEAST[head] <= size <= MOST_PAYLOAD):
+            end = begin + size + 3
+            if begin > len(data) or end > len(data):
+                return
+            inside = data[begin : begin + size]
+            if data[end - 1] == END and crc_hqx(inside, 0) == int.from_bytes(data[end - 3 : end - 1], "big"):
+                payload, length = inside, end - at
+        yield payload, length
+        at += length
 
 
 VALUES, FIRMWARE = packet(b"\x04"), packet(b"\0")
@@ -222,6 +223,9 @@ class Replies(Reader):
         """The mask and the values in the last answer of the controller at the port, while the other one has not
         answered; else None."""
         self._misses = 0
+        self._garbled = False
+        """Bytes that are no packet came since the last answer of the controller at the port. They may have been the
+        other one's answer."""
         self._heat = {LOCAL: 0}
         self._wrong = {LOCAL: 0}
         """For each controller that has answered: its temperature, and what is wrong with it."""
@@ -234,13 +238,18 @@ class Replies(Reader):
         self._kept += chunk
         found: list[Sample] = []
         while True:
-            whole, self._kept = payloads(self._kept)
-            for payload in whole:
-                found += self._heard(payload)
+            done = 0
+            for payload, size in _pieces(self._kept):
+                done += size
+                if payload:
+                    found += self._heard(payload)
+                else:
+                    self._garbled = True
+            self._kept = self._kept[done:]
             # An incomplete packet that is longer than any answer is none: its head was garbled.
             if len(self._kept) <= _LONGEST:
                 return found
-            self._kept = self._kept[1:]
+            self._kept, self._garbled = self._kept[1:], True
 
     def _heard(self, payload: bytes) -> list[Sample]:
         mask = int.from_bytes(payload[1:5], "big")
@@ -269,7 +278,8 @@ class Replies(Reader):
         if one == BEHIND:
             self._misses = 0
             return self._answered(mask, first[1], values) if first and first[0] == mask else []
-        self._misses += first is not None
+        self._misses += first is not None and not self._garbled
+        self._garbled = False
         if self._misses >= MISSES:
             self._wrong[BEHIND] = SERVO_MISSING
         self._first = mask, values
