@@ -37,9 +37,9 @@ def receiver(simulated: Simulated) -> Vesc:
 
 
 def answer(which: int, can_id: int, steps: int, fault: int = 0, decivolts: int = DECIVOLTS, erpm: int = 0) -> bytes:
-    """As a controller answers the first or second question."""
+    """As a controller answers a question: 45 degrees, its motor 21."""
     mask = codec.MASKS[which].to_bytes(4, "big")
-    heat = (450).to_bytes(2, "big") if which else b""
+    heat = (450).to_bytes(2, "big") * bool(mask[3] & 1) + (210).to_bytes(2, "big") * bool(mask[3] & 2)
     values = (
         erpm.to_bytes(4, "big", signed=True)
         + decivolts.to_bytes(2, "big")
@@ -111,11 +111,14 @@ def test_an_answer_that_was_garbled_on_the_line_is_not_missing(at: int) -> None:
     assert any(bits for sample in quiet if isinstance(sample, Health) for *_, bits in sample.rows)
 
 
-def test_a_controller_s_fault_and_temperature_are_reported() -> None:
+@pytest.mark.parametrize("which", range(len(codec.MASKS)))
+def test_a_controller_s_fault_and_temperature_are_reported(which: int) -> None:
     reader = PAIR.replies()
-    found = reader.feed(answer(1, 0, 1) + answer(1, 1, 1, fault=5))
+    found = reader.feed(answer(which, 0, 1) + answer(which, 1, 1, fault=5))
     health = [sample for sample in found if isinstance(sample, Health)][-1]
-    assert health.rows == ((codec.LOCAL, 0.0, 45, 0), (codec.BEHIND, 0.0, 45, SERVO_HEAT))
+    heat = 45 if codec.MASKS[which] & 1 else 0
+    assert health.rows == ((codec.LOCAL, 0.0, heat, 0), (codec.BEHIND, 0.0, heat, SERVO_HEAT))
+    assert [sample.text for sample in found if isinstance(sample, Answer)] == [str(which)]
 
 
 def test_older_firmware_leaves_the_status_out() -> None:

@@ -76,12 +76,15 @@ Positions between them are sent in thousandths."""
 _PLACE = Struct(">Bh")
 _SPEED = Struct(">Bi")
 _ASK = Struct(">BI")
-_HEAT, _SPEED_NOW, _VOLTS, _TACHOMETER, _FAULT, _ID, _STATUS = (1 << bit for bit in (0, 7, 8, 13, 15, 17, 21))
+_HEAT, _MOTOR_HEAT, _SPEED_NOW, _VOLTS, _TACHOMETER, _FAULT, _ID, _STATUS = (
+    1 << bit for bit in (0, 1, 7, 8, 13, 15, 17, 21)
+)
 _MASK = _SPEED_NOW | _VOLTS | _TACHOMETER | _FAULT | _ID | _STATUS
-MASKS = (_MASK, _HEAT | _MASK)
-"""Which values the questions ask for. An answer repeats the mask, so it says which question it belongs to. No byte of a
-mask looks like the head of a packet, because after a cut question the receiver would wait for that packet."""
-_VALUES = {MASKS[0]: Struct(">BIihiBB"), MASKS[1]: Struct(">BIhihiBB")}
+MASKS = (_MASK, _HEAT | _MASK, _MOTOR_HEAT | _MASK, _HEAT | _MOTOR_HEAT | _MASK)
+"""Which values the questions ask for. An answer repeats the mask, so it says which question it belongs to: the more
+there are, the sooner a loss of answers is made up for. No byte of a mask looks like the head of a packet, because after
+a cut question the receiver would wait for that packet."""
+_VALUES = {mask: Struct(f">BI{'h' * (mask & (_HEAT | _MOTOR_HEAT)).bit_count()}ihiBB") for mask in MASKS}
 """The forms of the answers, without the status, which older firmware leaves out."""
 _LONGEST = 128
 """No packet that a controller sends to failstop, or to a driver at the guard port, has this many bytes."""
@@ -260,7 +263,7 @@ class Replies(Reader):
         values = Values(float(speed) if abs(speed) >= STILL else 0.0, float(tachometer), decivolts / 10)
         one = BEHIND if bytes((can_id,)) == self._other else LOCAL
         self._wrong[one] = WRONG.get(fault, 0)
-        if heat:
+        if mask & _HEAT:
             self._heat[one] = max(0, min(heat[0] // 10, 255))
         found = self._paired(mask, values, one)
         due = any(isinstance(sample, Answer) for sample in found) and self._answers % REPORT_EVERY == 1
