@@ -25,33 +25,33 @@ GROUPS = {
         "stop": ("cli.commands.stop", "stop now, even if the service is dead"),
         "estop": ("cli.commands.stop", "the same as stop"),
         "reset": ("cli.commands.requests", "clear a latched stop; nothing moves until the next enable"),
-        "limit": ("cli.commands.requests", "limit the speed of every driver, in percent of the settings"),
+        "limit": ("cli.commands.requests", "limit every driver to a percentage of the speeds in the settings"),
         "arm": ("cli.commands.arm", "move the arm, hold it, release it, or show where it is"),
     },
     "look": {
-        "status": ("cli.commands.status", "show what the wheels do and why, and the last stop; -w: live"),
+        "status": ("cli.commands.status", "show what the wheels do and why, and the last stop; live with -w"),
         "why": ("cli.commands.status", "show why the wheels are stopped, and what to do next"),
         "events": ("cli.commands.events", "list what happened: stops, crashes, requests"),
-        "incident": ("cli.commands.incident", "show the minute before a latched stop: as text, a plot or MCAP"),
-        "metrics": ("fleet.metrics_command", "print the state for Prometheus, or serve it over HTTP"),
-        "fleet": ("fleet.command", "watch and stop many robots at once, or add this robot to them"),
+        "incident": ("cli.commands.incident", "show the minute before a latched stop as text, plot or MCAP file"),
+        "metrics": ("fleet.metrics_command", "print metrics for Prometheus, or serve them over HTTP"),
+        "fleet": ("fleet.command", "watch and stop many robots at once, or add this robot to the fleet"),
     },
     "check": {
         "setup": ("setup.command", "set up your robot by answering questions, and test its stops"),
-        "demo": ("failstop_lab.commands.demo", "see it work: a simulated robot, every process killed, stops timed"),
-        "probe": ("failstop_lab.commands.probe", "measure whether a robot without failstop stops, on a stand"),
-        "doctor": ("cli.commands.doctor", "check the computer, the port and the service; say what to fix"),
+        "demo": ("failstop_lab.commands.demo", "kill a simulated robot's programs one by one, and time the stops"),
+        "probe": ("failstop_lab.commands.probe", "measure how your robot stops today, without failstop, on a stand"),
+        "doctor": ("cli.commands.doctor", "check the computer, port and service, and say what to fix"),
         "prove": ("failstop_lab.commands.prove", "time every kind of stop on your robot, on a stand"),
         "chaos": ("failstop_lab.commands.chaos", "inject random faults, and let a simulated board judge the stops"),
         "config": ("cli.commands.config", "show the settings and where each comes from, or check a file"),
     },
     "service": {
         "run": ("cli.commands.run", "run the service in the foreground"),
-        "simulate": ("failstop_lab.commands.simulate", "inject every fault at every step of a simulated computer"),
+        "simulate": ("failstop_lab.commands.simulate", "run the service on a simulated computer, with every fault"),
         "sim": ("failstop_lab.commands.sim", "start a simulated motor board"),
         "guard": ("guard.command", "keep your driver: give it a serial port that behaves like the board"),
         "web": ("web.command", "serve the operator's page: stop the robot from a phone"),
-        "ros2": ("ros2.command", "connect ROS 2: its nodes drive through the service"),
+        "ros2": ("ros2.command", "connect ROS 2, so that its nodes drive through the service"),
     },
 }
 """Groups of `failstop --help`: each command with its module and its purpose."""
@@ -135,9 +135,14 @@ def _meant(word: str) -> str:
     return f"did you mean `failstop {found[0]}`? " if found else ""
 
 
+def is_laboratory(name: str) -> bool:
+    """True for a command of the laboratory, which a robot's installation may lack."""
+    return COMMANDS[name][0].startswith(LABORATORY)
+
+
 def here(name: str) -> bool:
-    """Whether this installation has the command: a robot's may come without the laboratory."""
-    if not COMMANDS[name][0].startswith(LABORATORY):
+    """True if this installation has the command."""
+    if not is_laboratory(name):
         return True
     from importlib.util import find_spec
 

@@ -31,8 +31,8 @@ from failstop.notify import Notify
 EXAMPLES = """\
 failstop fleet                       # every robot, live
 failstop fleet stop smoke in hall 2  # stop all of them
-failstop fleet key                   # once; then copy it to every robot
-failstop fleet publish               # on the robot
+failstop fleet key                   # make the key that all robots share
+failstop fleet publish               # run this on each robot
 """
 
 
@@ -52,12 +52,12 @@ def add_arguments(parser: ArgumentParser) -> None:
     below = parser.add_subparsers(dest="action", metavar="ACTION")
     actions = {name: below.add_parser(name, help=what) for name, (_, what) in ACTIONS.items()}
     stop = actions["stop"].add_argument
-    stop("reason", nargs="*", help="why you stop them; each robot shows it")
-    stop("--by", metavar="NAME", help="who stops them (default: USER@HOST)")
-    wait = "how long to keep trying (default: 5 s, or longer if robots may be reconnecting after the broker restarted)"
+    stop("reason", nargs="*", help="why you stop the robots; each robot shows it")
+    stop("--by", metavar="NAME", help="who stops the robots (default: USER@HOST)")
+    wait = "for how many seconds to keep trying (default: 5, or more if the broker has just restarted)"
     stop("--wait", type=_seconds, metavar="S", help=wait)
     for name in ("list", "stop"):
-        actions[name].add_argument("--json", action="store_true", help="print it as JSON")
+        actions[name].add_argument("--json", action="store_true", help="print JSON instead of text")
     actions["forget"].add_argument("robot", help="the robot's name in the fleet")
     add_name(actions["publish"])
     del actions["config"]
@@ -298,9 +298,9 @@ def _forget(arguments: Namespace) -> int:
 ACTIONS: dict[str, tuple[Callable[[Namespace], int], str]] = {
     "watch": (_watch, "show every robot, live; the same as `failstop fleet`"),
     "list": (_list, "list every robot, once"),
-    "stop": (_stop, "stop all robots, and show which have not confirmed"),
-    "publish": (_publish, "run on the robot: publish its state, and obey fleet stops"),
-    "key": (_key, "make the fleet's key; do this once for all robots"),
-    "forget": (_forget, "remove a robot that is gone for good from the broker"),
-    "config": (_config, "print a file with every setting at its default"),
+    "stop": (_stop, "stop all robots, and show which of them have not confirmed the stop"),
+    "publish": (_publish, "publish this robot's state, and obey fleet stops; run it on each robot"),
+    "key": (_key, "make the fleet's key; do this once, then copy the key to every robot"),
+    "forget": (_forget, "make the broker forget a robot that is gone for good"),
+    "config": (_config, "print a file with every setting of the fleet at its default"),
 }

@@ -11,7 +11,7 @@ from failstop.cli.commands import add_name
 from failstop.fleet import exposition
 
 EXAMPLES = """\
-failstop metrics                         # one print
+failstop metrics                         # print them once
 failstop metrics --serve 127.0.0.1:9464  # http://127.0.0.1:9464/metrics
 failstop metrics > /var/lib/node_exporter/failstop.prom
 """
@@ -20,7 +20,7 @@ failstop metrics > /var/lib/node_exporter/failstop.prom
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop metrics`."""
     parser.add_argument(
-        "--serve", metavar="HOST:PORT", help="serve it over HTTP until Ctrl-C, instead of printing it once"
+        "--serve", metavar="HOST:PORT", help="serve the metrics over HTTP until Ctrl-C, instead of printing them once"
     )
     add_name(parser)
 

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from failstop.guard.guard import Board
 
 EXAMPLES = """\
-failstop guard                    # your driver opens the port that it prints
-failstop guard --path /run/port   # at your own path
-failstop guard --dry-run          # no robot: what your driver would get
+failstop guard                    # prints the path that your driver must open
+failstop guard --path /run/port   # your driver opens this path
+failstop guard --dry-run          # without a robot: shows what it writes
 """
 PORT = "port"
 """The link's name in the runtime directory."""
@@ -48,9 +48,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     add(
         "--dry-run",
         action="store_true",
-        help="try your driver without a robot: print what it writes and what would become of it",
+        help="try your driver without a robot: print what it writes, and what failstop would do with it",
     )
-    add("--board", metavar="KIND", help="with --dry-run: the board to play (default: the setting board.kind)")
+    add("--board", metavar="KIND", help="with --dry-run: the board that the port imitates (default: the setting board.kind)")
     add("--config", metavar="FILE", help="with --dry-run: TOML file with settings (default: the installed file)")
     add_name(parser)
 

@@ -24,30 +24,31 @@ from failstop.setup.wheels import Trial
 
 EXAMPLES = """\
 failstop setup                         # takes about ten minutes
-failstop setup --port /dev/ttyUSB0     # asks only the rest
-failstop setup --afresh                # begin again
+failstop setup --port /dev/ttyUSB0     # asks everything except for the port
+failstop setup --afresh                # forgets earlier answers
 """
 QUESTIONS = {
     "port": "the board's port",
     "board": f"the kind of board: {', '.join(BOARDS)}, or your own board's folder",
-    "can_id": "the CAN id of the second VESC; none: there is one motor",
-    "robot": "the robot's name, or other if failstop does not know it",
-    "layout": "the kind of base, for example mecanum, if failstop does not know the robot",
+    "can_id": "the CAN id of the second VESC, or none if the robot has one motor",
+    "robot": "the robot, by its number or name in the list that setup prints, or other if it is not in the list",
+    "layout": f"the kind of base, if failstop does not know the robot: {', '.join(sizes.OF_LAYOUT)}",
     "stand": "yes: the wheels are off the ground and can turn freely",
-    "per_rps": "the speed of one wheel turn per second in the board's own unit, instead of turning a wheel by hand (on "
-    "an Arduino: encoder counts of a turn, divided by 30); the speed stays capped, because no turn has confirmed the "
-    "number; or: unknown",
+    "per_rps": "how many of the board's speed units make one wheel turn per second (on an Arduino: the encoder counts "
+    "of one wheel turn, divided by 30), or unknown. With a number you need not turn a wheel by hand, but the speed "
+    "stays capped, because nobody has confirmed it",
     **{
-        f"wheel_{number - 1}": f"which wheel motor id {number - 1} turned, and which way: fl+ is front left, forward"
+        f"wheel_{number - 1}": f"which wheel the motor with id {number - 1} turned, and which way: fl+ means front "
+        "left, forward"
         for number in NUMBERS
     },
-    "forward": "yes: every wheel turned forward",
-    "turn": "yes: the robot would have turned to the left",
+    "forward": "yes: every wheel turned forward when all wheels turned together",
+    "turn": "yes: the wheels turned as they must for a turn to the left",
     **sizes.OPTIONS,
     "prove": "yes: do the stand test without asking; no: skip it",
     "unproved": "yes: write the settings even if the stand test did not pass",
     "file": "where to write the settings",
-    "replace": "replace: overwrite an existing file (the old one is kept)",
+    "replace": "replace: overwrite the file if it exists (a copy of the old file is kept)",
 }
 """Every question, with the help text of its option."""
 ROWS_SAY = "see the rows above; usual reasons are a loose plug or a wrong size"

@@ -15,21 +15,26 @@ from failstop.policy.settings import Settings
 from failstop.web.source import Source
 
 EXAMPLES = """\
-failstop web                          # http://127.0.0.1:8477/
-failstop web --listen 0.0.0.0         # https, for the network
+failstop web                          # opens at http://127.0.0.1:8477/
+failstop web --listen 0.0.0.0         # for the network, with https
 failstop web pair                     # prints a code and a QR code
 failstop web devices                  # which devices are paired
 failstop web revoke 1a2b3c4d          # unpair this device
 """
+WHAT = (
+    "serve (default): serve the page; pair: print a code and a QR code with which a phone can pair; devices: list the "
+    "paired devices; revoke: unpair the device with this ID"
+)
+"""What each action does."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop web`."""
     add = parser.add_argument
-    add("action", nargs="?", choices=tuple(ACTIONS), default="serve", help="what to do (default: serve)")
-    add("device", nargs="?", metavar="ID", help="the device to revoke; `failstop web devices` lists them")
-    add("--listen", metavar="ADDRESS", help="address to listen at (default: the setting web.address)")
-    add("--port", type=int, metavar="N", help="port to listen at; 0: any free one (default: the setting web.port)")
+    add("action", nargs="?", choices=tuple(ACTIONS), default="serve", help=WHAT)
+    add("device", nargs="?", metavar="ID", help="with revoke: which device; `failstop web devices` lists the ids")
+    add("--listen", metavar="ADDRESS", help="the address to listen at (default: the setting web.address)")
+    add("--port", type=int, metavar="N", help="the port to listen at; 0: any free port (default: the setting web.port)")
     add("--config", metavar="FILE", help="TOML file with settings (default: the running service's settings)")
     add_name(parser)
 

@@ -18,37 +18,50 @@ from failstop.cli.screen.progress import Progress
 
 EXAMPLES = """\
 failstop arm                           # where each joint is, and any faults
-failstop arm drive                     # to the drive pose, slowly; also tuck
+failstop arm drive                     # slowly to the drive pose
 failstop arm move base=0.5 wrist=-0.3  # rad, as fast as the settings allow
-failstop arm move base=0 --over 3      # in 3 s
-failstop arm jog base=0.2 --for 1      # rad/s
-failstop arm hold                      # stop where it is; torque stays
+failstop arm move base=0 --over 3      # within 3 s
+failstop arm jog base=0.2 --for 1      # turn it at 0.2 rad/s for 1 s
+failstop arm hold                      # stop where it is; the torque stays on
 failstop arm release                   # torque off: the arm falls
 """
 
 TORQUES = {True: "on", False: "off", None: "not read"}
 VERBS = ("status", "move", "jog", "drive", "tuck", "hold", "release", "read")
+WHAT = (
+    "status (default): show where each joint is; move: go to the given angles; jog: turn joints at the given speeds; "
+    "drive, tuck: go to the pose of that name; hold: stop where the arm is; release: switch off the torque, so the arm "
+    "falls; read: ask the servos where they are, then show the status"
+)
+"""What each of VERBS does."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop arm`."""
     add = parser.add_argument
-    add("verb", nargs="?", default="status", choices=VERBS, help="what to do (default: status)")
+    add("verb", nargs="?", default="status", choices=VERBS, help=WHAT)
     add(
         "joints",
         nargs="*",
         metavar="JOINT=VALUE",
-        help="where each joint goes, rad (move), or how fast it turns, rad/s (jog)",
+        help="with move: the angle of each joint, rad; with jog: its speed, rad/s",
     )
     add(
         "--over",
         type=seconds,
         default=0.0,
         metavar="S",
-        help="move: take this long (default: as fast as the settings allow)",
+        help="with move: how many seconds the move takes (default: as few as the settings allow)",
     )
-    add("--for", dest="seconds", type=seconds, default=1.0, metavar="S", help="jog: for how long (default: 1)")
-    add("--json", action="store_true", help="status: print it as JSON")
+    add(
+        "--for",
+        dest="seconds",
+        type=seconds,
+        default=1.0,
+        metavar="S",
+        help="with jog: for how many seconds (default: 1)",
+    )
+    add("--json", action="store_true", help="with status: print JSON instead of text")
     add_name(parser)
 
 

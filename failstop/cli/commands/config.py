@@ -18,8 +18,8 @@ from failstop.supervisor.fit import checked_board, slowest_mps
 EXAMPLES = """\
 failstop config                         # every value, unit and origin
 failstop config --config robot.toml
-failstop config --check robot.toml
-failstop config --example > robot.toml
+failstop config --check robot.toml      # is this file right?
+failstop config --example > robot.toml  # a file to start from
 failstop config --within 0.1            # how fast, to stop within 0.1 m
 """
 
@@ -78,13 +78,20 @@ SAMPLES: dict[str, dict[str, dict[str, float | str]]] = {
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop config`."""
-    parser.add_argument("--config", metavar="FILE", help="show the settings of this TOML file")
-    parser.add_argument("--json", action="store_true", help="print it as JSON")
     parser.add_argument(
-        "--within", metavar="M", type=float, help="print only how fast the robot may drive to stop within M metres"
+        "--config", metavar="FILE", help="TOML file with settings (without it, every setting has its default)"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
+    parser.add_argument(
+        "--within",
+        metavar="M",
+        type=float,
+        help="print only how fast the robot may drive if it must stop within M metres",
     )
     other = parser.add_mutually_exclusive_group()
-    other.add_argument("--check", metavar="FILE", help="only check this file; exit code 0: it is right, 1: it is not")
+    other.add_argument(
+        "--check", metavar="FILE", help="only check this file; exit code 0: the file is right, 1: it is not"
+    )
     whole = "print a TOML file with every setting and its meaning, all commented out"
     other.add_argument("--example", action="store_true", help=whole)
 

@@ -22,7 +22,7 @@ from failstop.incidents import files, story
 from failstop.incidents.incident import Incident
 
 EXAMPLES = """\
-failstop doctor             # everything: 5 s, 10 s if no board answers
+failstop doctor             # takes 5 s, or 10 s if no board answers
 failstop doctor --quick
 failstop doctor --report report.json    # send it with your question
 failstop doctor --json | jq '.findings[] | select(.level != "ok")'
@@ -48,13 +48,18 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop doctor`."""
     add = parser.add_argument
     add("--config", metavar="FILE", help="the service's settings (default: the installed file, if there is one)")
-    add("--device", metavar="PATH", help="the board's port (default: the running service's, else device.path)")
+    add(
+        "--device",
+        metavar="PATH",
+        help="the board's port (default: that of the running service, else the setting device.path)",
+    )
     add("--quick", action="store_true", help="skip the timing test, which takes 5 s")
-    add("--json", action="store_true", help="print it as JSON")
+    add("--json", action="store_true", help="print JSON instead of text")
     add(
         "--report",
         metavar="FILE",
-        help="write a report that you can send with a question: versions, settings, last incident, but no secrets",
+        help="write a report that you can send along with a question. It has versions, settings and the last incident, "
+        "but no secrets",
     )
     add_name(parser)
 

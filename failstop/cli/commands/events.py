@@ -21,8 +21,8 @@ from failstop.supervisor.kinds import EVENT_KINDS
 
 EXAMPLES = """\
 failstop events                        # all events that the service remembers
-failstop events --follow               # and new ones, until Ctrl-C
-failstop events --since 10m --kind stop,died
+failstop events --follow               # then new ones, until Ctrl-C
+failstop events --since 10m --kind stop,died   # stops and deaths
 failstop events --json | jq -r .text   # for programs
 """
 
@@ -35,7 +35,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop events`."""
     add = parser.add_argument
     add("-f", "--follow", action="store_true", help="keep printing new events, even after the service restarts")
-    add("--since", metavar="AGE", help="only events of the last 30s, 10m, 2h or 1d")
+    add("--since", metavar="AGE", help="only events that are younger than AGE, for example 30s, 10m, 2h or 1d")
     add("--kind", metavar="KIND,...", help="only events of these kinds, for example stop,died,enabled")
     add("--json", action="store_true", help="print one JSON object per line")
     add_name(parser)

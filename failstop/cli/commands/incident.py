@@ -23,13 +23,13 @@ EXAMPLES = """\
 failstop incident list
 failstop incident show                       # the last one
 failstop incident show 42                    # by its number
-failstop incident show 20260130-0214 --all   # by its date and time, in full
-failstop incident plot                       # the last one, as ./ID.png
+failstop incident show 20260130-0214 --all   # by its date, in full
+failstop incident plot                       # the last one, to ./ID.png
 failstop incident export last -o stop.mcap   # for Foxglove, rosbag2
 """
 
 WHICH = (
-    "which incident: its id, its number, its date, the beginning of any of these, a file's path, or `last` (default)"
+    "the incident: its number, id or date, the beginning of its id or date, the path of its file, or `last` (default)"
 )
 SUFFIXES = {"plot": ".png", "export": ".mcap"}
 SAVED_S = 3.0
@@ -42,18 +42,18 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop incident`."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="list|show|plot|export")
     listing = actions.add_parser("list", help="list all saved incidents, the newest last")
-    told = actions.add_parser("show", help="print what happened: the facts, then the events in order")
-    plot = actions.add_parser("plot", help="plot an incident, as PNG, SVG or PDF; needs matplotlib")
+    told = actions.add_parser("show", help="print what happened: first the facts, then the events in order")
+    plot = actions.add_parser("plot", help="plot an incident as PNG, SVG or PDF; needs matplotlib")
     export = actions.add_parser(
-        "export", help="export an incident as MCAP with ROS 2 messages, for Foxglove; needs mcap"
+        "export", help="export an incident for Foxglove, as MCAP with ROS 2 messages; needs the Python package mcap"
     )
     for action in (told, plot, export):
         action.add_argument("id", nargs="?", default=files.LAST, help=WHICH)
     told.add_argument(
-        "--all", action="store_true", help="print everything: each event, the computer, settings and versions"
+        "--all", action="store_true", help="print everything: each event, the computer, the settings and the versions"
     )
     for action in (listing, told):
-        action.add_argument("--json", action="store_true", help="print everything as JSON")
+        action.add_argument("--json", action="store_true", help="print everything, as JSON")
     for name, action in (("plot", plot), ("export", export)):
         where = f"the file to write (default: ID{SUFFIXES[name]} in this folder)"
         action.add_argument("-o", "--output", metavar="FILE", help=where, default="")
@@ -62,7 +62,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         type=seconds,
         default=5.0,
         metavar="S",
-        help="begin this many seconds before the cause (default: 5)",
+        help="how many seconds before the cause the plot begins (default: 5)",
     )
     for action in (listing, told, plot, export):
         add_name(action)

@@ -20,20 +20,20 @@ from failstop.policy.settings import FIRST_SOURCE
 EXAMPLES = {
     "enable": """\
 failstop enable
-failstop enable --name left  # the service of this name
+failstop enable --name left  # ask the service named left
 """,
     "disable": """\
-failstop disable             # stops at once; enable to drive again
+failstop disable             # the wheels stop at once
 failstop disable --name left
 """,
     "reset": """\
-failstop reset   # moves nothing
-failstop enable  # look at the robot first
+failstop reset   # clears the stop and moves nothing
+failstop enable  # only after you have looked at the robot
 """,
     "limit": """\
 failstop limit      # print the limit
-failstop limit 30   # for all drivers, until you change it
-failstop limit 100  # lift it
+failstop limit 30   # 30 % for all drivers, until you change it
+failstop limit 100  # lift the limit
 """,
     "drive": """\
 failstop drive 0.1 0 0             # 0.1 m/s forward for 1 s
@@ -58,13 +58,13 @@ def add_arguments(parser: ArgumentParser) -> None:
             nargs="?",
             type=float,
             metavar="PERCENT",
-            help=f"{ALLOWED_PERCENT} percent (without it: print the limit)",
+            help=f"the new limit, {ALLOWED_PERCENT} percent (without it, the command prints the limit)",
         )
     if command == "drive":
         add("vx", type=float, help="speed forward, m/s")
         add("vy", type=float, help="speed to the left, m/s")
         add("wz", type=float, help="turn rate counter-clockwise, rad/s")
-        add("--for", dest="seconds", type=seconds, default=1.0, metavar="S", help="for how long (default: 1)")
+        add("--for", dest="seconds", type=seconds, default=1.0, metavar="S", help="for how many seconds (default: 1)")
     add_name(parser)
 
 

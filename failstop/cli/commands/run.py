@@ -33,7 +33,9 @@ failstop run --name left --device /dev/ttyACM1  # a second robot
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop run`."""
-    parser.add_argument("--config", metavar="FILE", help="TOML file with settings (default: every setting's default)")
+    parser.add_argument(
+        "--config", metavar="FILE", help="TOML file with settings (without it, every setting has its default)"
+    )
     parser.add_argument("--device", metavar="PATH", help="the board's port (default: the setting device.path)")
     add_name(parser)
 

@@ -1,4 +1,4 @@
-"""`failstop status`, one screen, live as `failstop status -w`; `failstop why`, what holds the wheels in a few lines."""
+"""`failstop status` (`-w`: live) shows the state; `failstop why` says in a few lines why the wheels are stopped."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from failstop.policy.settings import BY_KEY
 
 EXAMPLES = {
     "status": """\
-failstop status                        # one screen
-failstop status -w                     # live; q or Ctrl-C ends it
+failstop status                        # print the state once
+failstop status -w                     # show it live
 ssh -t robot failstop status -w        # from another computer
 failstop status --json | jq .blocked   # for programs
 """,
     "why": """\
-failstop why                           # what holds the wheels, since when
-failstop why --json | jq -r '.do[]'  # the steps alone
+failstop why                         # why the wheels are stopped
+failstop why --json | jq -r '.do[]'  # only the steps to take
 """,
 }
 
@@ -55,9 +55,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of the two."""
     how = parser.add_mutually_exclusive_group()
     if parser.prog.endswith("status"):
-        live = "keep showing it, with velocity and vibration, until q or Ctrl-C"
+        live = "show the state live, with velocity and vibration; q or Ctrl-C ends it"
         how.add_argument("-w", "--watch", action="store_true", help=live)
-    how.add_argument("--json", action="store_true", help="print it as JSON")
+    how.add_argument("--json", action="store_true", help="print JSON instead of text")
     add_name(parser)
 
 

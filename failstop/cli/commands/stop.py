@@ -48,8 +48,8 @@ REST_S = 1.0
 
 EXAMPLES = """\
 failstop stop
-failstop stop hand near wheel
-failstop stop --device /dev/ttyACM1 --wait 60
+failstop stop hand near wheel   # with a reason
+failstop stop --device /dev/ttyACM1 --wait 60   # another port, for a minute
 failstop stop --config /etc/failstop/failstop.toml
 """
 
@@ -57,28 +57,36 @@ failstop stop --config /etc/failstop/failstop.toml
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of the two."""
     device, wait_s = DEFAULTS[DEVICE], DEFAULTS[WAIT]
-    parser.add_argument("reason", nargs="*", help="why you stop it; `failstop status` and the journal show it")
+    parser.add_argument("reason", nargs="*", help="why you stop the robot; `failstop status` and the journal show it")
     add_name(parser)
     parser.add_argument(
         "--config",
         metavar="FILE",
-        help=f"TOML file with settings; {DEVICE}, {KIND}, {BAUD}, {CAN_ID} and {WAIT} are used",
+        help="TOML file with settings (default: the installed file, if there is one); stop uses only "
+        f"{DEVICE}, {KIND}, {BAUD}, {CAN_ID} and {WAIT}",
     )
     parser.add_argument(
-        "--device", metavar="PATH", help=f"the board's port (default: the last run's, else {DEVICE}, else {device})"
+        "--device",
+        metavar="PATH",
+        help=f"the board's port (default: {DEVICE} of the file given with --config, else the last run's port, else "
+        f"{DEVICE} of the installed file, else {device})",
     )
     parser.add_argument(
-        "--wait", metavar="S", type=float, help=f"how long to keep trying (default: {WAIT}, else {wait_s:g} s)"
+        "--wait",
+        metavar="S",
+        type=float,
+        help=f"for how many seconds to keep trying (default: the setting {WAIT}, else {wait_s:g})",
     )
     parser.add_argument(
         "--services",
         action="store_true",
-        help="ask every running service to stop, and write to no port; only the unit that runs before a sleep uses it",
+        help="ask every running service to stop, but write to no port; only for the systemd unit that runs before the "
+        "computer sleeps",
     )
     parser.add_argument(
         "--end-service",
         action="store_true",
-        help="first SIGKILL what is left of the service; only the systemd unit uses it (ExecStopPost)",
+        help="first kill (SIGKILL) all remaining processes of the service; only for its systemd unit (ExecStopPost)",
     )
 
 

@@ -27,8 +27,8 @@ from failstop.policy import kinematics
 from failstop.policy.settings import FIRST_SOURCE
 
 EXAMPLES = """\
-failstop teleop                         # e enables, space stops, q leaves
-failstop teleop --source teleop         # as the source [sources.teleop]
+failstop teleop                         # keys: e enables, space stops, q leaves
+failstop teleop --source teleop         # as [sources.teleop] of the settings
 ssh -t robot failstop teleop            # from another computer
 """
 
@@ -61,7 +61,7 @@ HOW = "hold a key to drive; a tap drives for 0.3 s"
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop teleop`."""
     parser.add_argument(
-        "--source", default=FIRST_SOURCE, help=f"drive as this command source (default: {FIRST_SOURCE})"
+        "--source", default=FIRST_SOURCE, help=f"drive as this source of the settings (default: {FIRST_SOURCE})"
     )
     add_name(parser)
 

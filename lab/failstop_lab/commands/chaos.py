@@ -28,7 +28,7 @@ failstop chaos                          # a minute of random faults
 failstop chaos --list
 failstop chaos --each 5 --only 'kill-*'
 failstop chaos --count 100 --seed 7 --json chaos.json
-failstop chaos --board hoverboard       # another board, or your own
+failstop chaos --board hoverboard       # on another board
 failstop chaos --device /dev/ttyACM0 --on-the-stand --wheels-are-free
 """
 
@@ -41,32 +41,32 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop chaos`."""
     add = parser.add_argument
     length = parser.add_mutually_exclusive_group()
-    length.add_argument("--seconds", type=float, metavar="S", help=f"for how long (default: {CAMPAIGN_S:g} s)")
-    length.add_argument("--count", type=int, metavar="N", help="inject this many faults instead")
-    length.add_argument("--each", type=int, metavar="N", help="inject every fault this many times instead, in order")
+    length.add_argument("--seconds", type=float, metavar="S", help=f"for how many seconds (default: {CAMPAIGN_S:g})")
+    length.add_argument("--count", type=int, metavar="N", help="inject this many faults, instead of running for --seconds")
+    length.add_argument("--each", type=int, metavar="N", help="inject every fault this many times, in order, instead of at random")
     add("--seed", type=int, metavar="K", help="seed of the random choices; every campaign prints its seed")
     add(
         "--first",
         type=int,
         default=0,
         metavar="I",
-        help="begin at the fault with this number in the seed's campaign; a failure prints its number",
+        help="begin with this fault of the seed's campaign, by its number; a fault that fails prints its number",
     )
-    add("--only", metavar="ROW,...", help="only these faults; * stands for anything")
+    add("--only", metavar="NAME,...", help="inject only these faults; * matches anything; --list prints the names")
     add_board(parser)
-    add("--config", metavar="FILE", help="TOML file with settings; a campaign overrides the ones that it needs")
+    add("--config", metavar="FILE", help="TOML file with settings; chaos overrides those that it needs itself")
     add("--list", action="store_true", help="list the faults")
     add("--json", metavar="FILE", help="write the result to this file")
-    add("--markdown", action="store_true", help="print the result as docs/reference/faults.md")
+    add("--markdown", action="store_true", help="print the result as the page docs/reference/faults.md")
     add(
         "--from",
         dest="source",
         metavar="FILE",
-        help="with --markdown: use this result (of --json) instead of a new run",
+        help="with --markdown: don't run anything, but print the result in this file, which --json wrote",
     )
-    add("--device", metavar="PATH", help="use a real board on a stand, judged by its IMU; needs both consents")
-    add("--on-the-stand", action="store_true", help="consent: the robot is on a stand, with its wheels off the ground")
-    add("--wheels-are-free", action="store_true", help="consent: nobody and nothing is near the wheels")
+    add("--device", metavar="PATH", help="test a real board on a stand, at this port; its answers and its IMU judge; needs both consents")
+    add("--on-the-stand", action="store_true", help="your consent: the robot is on a stand, with its wheels off the ground")
+    add("--wheels-are-free", action="store_true", help="your consent: nobody and nothing is near the wheels")
 
 
 def main(arguments: Namespace) -> int:

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from failstop.cli.style import Span
 
 LATE_MS = 50.0
-"""A stop later than this fails the demo: generous, for slow and busy machines; `make bench` has the real bars."""
+"""A stop that takes longer than this fails the demo. The bar is generous, because machines may be slow and busy;
+`make bench` has the real bars."""
 
 STRIKES = 3
 """How often a kill is tried at most, because one that found the wheels at rest shows nothing."""
@@ -46,11 +47,11 @@ times are those of a service that has nothing else to do, as a robot's has at ne
 ORDER = (layout.GATE, layout.PORT_OWNER, layout.TELEMETRY, layout.STOPPER, layout.SUPERVISOR)
 
 
-EXAMPLES = """\
-failstop demo                # exit code 1 if any stop was missing or late
+EXAMPLES = f"""\
+failstop demo                # exit code 1: a stop is missing, or took over {LATE_MS:g} ms
 failstop demo --rounds 5
 failstop demo --board hoverboard
-failstop demo --ros2         # with ROS 2 nodes, if rclpy is installed
+failstop demo --ros2         # also with ROS 2 nodes; needs rclpy
 """
 
 
@@ -58,7 +59,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop demo`."""
     parser.add_argument("--ros2", action="store_true", help="also let ROS 2 nodes drive, and kill their bridge")
     add_board(parser)
-    parser.add_argument("--rounds", type=int, default=1, help="how often to kill each process (default: 1)")
+    parser.add_argument("--rounds", type=int, default=1, metavar="N", help="how often to kill each process (default: 1)")
 
 
 class Row:

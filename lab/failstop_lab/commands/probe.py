@@ -53,48 +53,49 @@ NEVER_TURNED = "no wheel was turned"
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop probe`."""
     ways = parser.add_subparsers(dest="way", required=True, metavar="serial|ros2")
-    by_port = ways.add_parser("serial", help="a motor board on a serial port")
-    by_ros = ways.add_parser("ros2", help="a robot that obeys cmd_vel")
-    add_board(by_port, None, "the board's kind: {}")
+    by_port = ways.add_parser("serial", help="measure a motor board on a serial port")
+    by_ros = ways.add_parser("ros2", help="measure a robot that obeys cmd_vel")
+    add_board(by_port, None, "the kind of board: {}")
     add = by_port.add_argument
     add("--port", required=True, metavar="PATH", help="the board's port")
-    add("--baud", type=int, default=0, metavar="RATE", help="the firmware's baud rate (default: the board's usual one)")
+    add("--baud", type=int, default=0, metavar="RATE", help="the firmware's baud rate (default: the board's usual rate)")
     add(
         "--frame",
         metavar="TEXT",
-        help=r"what your driver sends, as text with \n or as 0x.. (default: the board's frame for slow wheels)",
+        help=r"the bytes that your driver sends, as text with \n or as hexadecimal digits after 0x (default: the "
+        "board's own frame for slow wheels)",
     )
-    add("--guard", action="store_true", help="also measure through failstop's guard port, in a second column")
+    add("--guard", action="store_true", help="then measure again through failstop's guard port, and show that in a second column")
     add = by_ros.add_argument
     add(
         "--cmd-vel",
         default="/cmd_vel",
         metavar="TOPIC",
-        help="the topic of its velocity commands (default: %(default)s)",
+        help="the topic that the robot takes velocity commands from (default: %(default)s)",
     )
-    add("--odom", default="/odom", metavar="TOPIC", help="the topic that reports how it moves (default: %(default)s)")
+    add("--odom", default="/odom", metavar="TOPIC", help="the topic with the robot's odometry (default: %(default)s)")
     add(
         "--imu",
         metavar="TOPIC",
-        help="judge by this IMU instead, because some odometry only repeats what was commanded",
+        help="the topic of an IMU that judges instead of the odometry, because some odometry only repeats the commands",
     )
     add("--stamped", action="store_true", help="publish TwistStamped instead of Twist")
     add(
         "--driver-pid",
         type=int,
         metavar="PID",
-        help="the process of the robot's driver, which is killed in the last row",
+        help="the pid of the robot's driver, so that the probe can kill it (the failure named driver)",
     )
     for way, rows in ((by_port, serial.ROWS), (by_ros, ros2.ROWS)):
         add = way.add_argument
-        add("--rows", metavar="ROW,...", help=f"only these rows: {', '.join(rows)}")
-        add("--key", action="store_true", help="you judge: press a key when the wheels have stopped")
-        add("--robot", default="", metavar="TEXT", help="for the card: which robot")
-        add("--firmware", default="", metavar="TEXT", help="for the card: the firmware and its version")
-        add("--driver", default="", metavar="TEXT", help="for the card: the driver and its version")
-        add("--out", metavar="BASE", help="where to write the card: BASE.txt, .json, .svg (default: card-DATE)")
-        add("--json", action="store_true", help="print the card as JSON")
-        add("--yes", action="store_true", help="don't ask: the wheels are off the ground")
+        add("--rows", metavar="ROW,...", help=f"measure only these failures: {', '.join(rows)}")
+        add("--key", action="store_true", help="judge by eye: you press a key when the wheels have stopped")
+        add("--robot", default="", metavar="TEXT", help="the robot's name, for the result card")
+        add("--firmware", default="", metavar="TEXT", help="the firmware and its version, for the result card")
+        add("--driver", default="", metavar="TEXT", help="the driver and its version, for the result card")
+        add("--out", metavar="BASE", help="write the result card to BASE.txt, BASE.json and BASE.svg (default: card-DATE)")
+        add("--json", action="store_true", help="print the result card as JSON")
+        add("--yes", action="store_true", help="don't ask for consent, because the wheels are off the ground")
 
 
 def main(arguments: Namespace) -> int:

@@ -31,7 +31,7 @@ from failstop_lab.sim.options import IMU_HZ, add_board
 
 EXAMPLES = """\
 failstop prove --sim --quick            # on a simulated board, half a minute
-failstop prove --sim --board hoverboard # another kind of board
+failstop prove --sim --board hoverboard # on another kind of board
 sudo systemctl stop failstop && sudo failstop prove
 failstop prove --sim --quick --pack evidence.html
 failstop prove --check evidence.html    # is it unchanged, and who signed it?
@@ -44,6 +44,7 @@ WORD = "spin"
 PROVE_FOLDER = "prove"
 RUN_S = 3.5
 KNOWN = (*BY_PATH, *BY_ARM_PATH)
+SPEEDS = ", ".join(f"{turning.name} ({turning.words})" for turning in BY_TURNING.values())
 ARM_WARNING = """\
   5. THE ARM MOVES: to its drive pose, and its base joint swings by {reach:g} rad.
      Nobody and nothing is in its reach.
@@ -69,11 +70,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop prove`."""
     add = parser.add_argument
     add("--sim", action="store_true", help="use a simulated board, and ask nothing")
-    add_board(parser, None, "with --sim: {} (default: the setting board.kind)")
-    add("--quick", action="store_true", help="test only the main stop paths, each at one velocity")
-    add("--only", metavar="PATH,...", help=f"only these stop paths: {', '.join(KNOWN)}")
-    add("--at", metavar="V,...", help=f"only these velocities, if the limits allow them: {', '.join(BY_TURNING)}")
-    add("--pad", action="store_true", help="also test the gamepad; it asks you to press a button")
+    add_board(parser, None, "with --sim: the kind of board: {} (default: the setting board.kind)")
+    add("--quick", action="store_true", help="test only the main stop paths, each at one speed")
+    add("--only", metavar="PATH,...", help=f"test only these stop paths: {', '.join(KNOWN)}")
+    add("--at", metavar="V,...", help=f"test only at these speeds, or at your limits if they are lower: {SPEEDS}")
+    add("--pad", action="store_true", help="also test the gamepad: you are asked to press one of its buttons")
     add("--device", metavar="PATH", help="the board's port (default: the setting device.path)")
     add("--config", metavar="FILE", help="the service's settings (default: the installed file, if there is one)")
     add(
@@ -82,8 +83,8 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="where to keep the evidence (default: prove/ in the state directory; with --sim: nowhere)",
     )
     add("--pack", metavar="FILE", help="write the evidence as one page (FILE.html) that opens without a network")
-    add("--key", metavar="FILE", help="with --pack: sign it with this OpenSSH key")
-    add("--check", metavar="FILE", help="only check whether an evidence pack is unchanged, and who signed it")
+    add("--key", metavar="FILE", help="with --pack: sign that page with this OpenSSH key")
+    add("--check", metavar="FILE", help="test nothing; check whether this --pack page is unchanged, and who signed it")
     add("--json", action="store_true", help="print the result as JSON")
     add_name(parser)
 

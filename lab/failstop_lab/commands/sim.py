@@ -12,9 +12,9 @@ __all__ = ["add_arguments", "main"]
 
 EXAMPLES = """\
 failstop sim               # then: failstop run --device /tmp/board
-failstop sim --verbose     # prints what the wheels do
+failstop sim --verbose     # also prints what the wheels do
 failstop sim --device /tmp/board --record board.jsonl --imu-hz 0
-failstop sim --device /run/board --usb   # as root: on USB (vhci_hcd)
+failstop sim --device /run/board --usb   # as root: a USB device
 """
 
 

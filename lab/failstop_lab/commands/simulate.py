@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from failstop_lab.simulate.single_faults import Result
 
 EXAMPLES = """\
-failstop simulate                 # one call of each line of code, every fault
+failstop simulate                 # every fault, once for each line of code
 failstop simulate --part 3/16     # one sixteenth of that
-failstop simulate --own           # only faults of the calling process
-failstop simulate --whole         # every call
-failstop simulate --board ugv     # another board, or your own
+failstop simulate --own           # only faults of the process that calls
+failstop simulate --whole         # every fault at every call
+failstop simulate --board ugv     # on another board
 failstop simulate --scenario replug --call 1041 --fault dies
 failstop simulate --seeds 60      # random faults and orders, for a minute
-failstop simulate --seed 537      # repeat one of them
+failstop simulate --seed 537      # repeat one random run
 failstop simulate --decisions FILE  # repeat a failure from its printout
-failstop simulate --controls      # remove parts of the protocol
+failstop simulate --controls      # are removed parts noticed?
 """
 EVERY = "*"
 SEEDS_A_DAY = 1_000_000
@@ -38,10 +38,10 @@ STORIES = 3
 def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop simulate`."""
     add = parser.add_argument
-    add("--scenario", metavar="NAME,...", help="only these scenarios; * stands for anything")
+    add("--scenario", metavar="NAME,...", help="run only these scenarios; * matches anything; --list prints the names")
     add_board(parser)
-    add("--whole", action="store_true", help="inject at every call, instead of one call per line of code")
-    add("--own", action="store_true", help="only faults of the process that makes the call")
+    add("--whole", action="store_true", help="inject at every call to the system, not only at one for each line of code")
+    add("--own", action="store_true", help="inject only faults of the process that makes the call")
     add(
         "--jobs",
         type=int,
@@ -49,31 +49,45 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="N",
         help="how many processes to use (default: one per core)",
     )
-    add("--part", type=_part, default=(0, 1), metavar="K/N", help="only the K-th of N parts")
-    add("--call", type=int, metavar="N", help="only one run, with the fault at this call")
-    add("--fault", metavar="NAME", help="with --call: which fault")
-    add("--seeds", type=float, metavar="SECONDS", help="random runs, for this long on each processor")
+    add("--part", type=_part, default=(0, 1), metavar="K/N", help="run only the K-th of N parts")
+    add(
+        "--call",
+        type=int,
+        metavar="N",
+        help="with --scenario and --fault: run once, with the fault at the call of this number",
+    )
+    add("--fault", metavar="NAME", help="with --call: the name of the fault")
+    add("--seeds", type=float, metavar="SECONDS", help="make random runs instead, for so many seconds on each processor")
     add(
         "--seed",
         type=int,
         metavar="N",
-        help="only this random run, printed event by event; with --seeds: begin with this one",
+        help="make only this random run, and print each event; with --seeds: begin with this run",
     )
-    add("--decisions", metavar="FILE", help="repeat a failed run from the decisions it printed: a file, or the text")
-    add("--day", action="store_true", help="with --seeds: begin with today's date as the seed")
+    add(
+        "--decisions",
+        metavar="FILE",
+        help="repeat a failed run from the decisions that it printed, given as a file or as text",
+    )
+    add("--day", action="store_true", help="with --seeds: begin with a run whose number comes from today's date")
     add(
         "--controls",
         nargs="?",
         const=EVERY,
         metavar="ROW",
         help=(
-            "remove one part of the stop protocol after another, and check that the runs find it; ROW: only this "
-            "part, event by event"
+            "remove the parts of the stop protocol one by one, and check that the runs fail without each of them; with "
+            "ROW: remove only this part, and print each event"
         ),
     )
-    add("--page", metavar="FILE", help="with --controls: do this for every board, and update the rows in this page")
+    add("--page", metavar="FILE", help="with --controls: test every kind of board, and update this page of results")
     add("--list", action="store_true", help="list the scenarios")
-    add("--marks", action="store_true", help="print how often each mark was reached")
+    add(
+        "--marks",
+        action="store_true",
+        help="print how often the runs reached each mark: a cause, an answer of the admission table, or a change of a "
+        "process's state",
+    )
 
 
 def main(arguments: Namespace) -> int:

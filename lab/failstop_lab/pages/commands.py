@@ -11,17 +11,17 @@ from failstop_lab.pages import completion, man
 PAGE_HEAD = """# Commands
 
 On this page you can look up every command with its options. On the robot `failstop COMMAND --help` and `man failstop`
-say the same. `demo`, `sim`, `chaos`, `probe` and `prove` come with the package `failstop-lab`; a checkout has them.
-Generated from the parsers (`make docs`).
+say the same. {laboratory} come with the package `failstop-lab`; a checkout has them too.
+This page is generated from the parsers (`make docs`).
 """
 
 SECOND = "The same as "
-"""The begin of the help of a second name."""
+"""The first words of the help of a command that is only a second name."""
 
 
 def page() -> str:
     """The page."""
-    parts = [PAGE_HEAD]
+    parts = [PAGE_HEAD.format(laboratory=_listed(name for name in cli.COMMANDS if cli.is_laboratory(name)))]
     for title, names in cli.GROUPS.items():
         parts.append(f"## {title.capitalize()}\n")
         parts += [part for name in names for below in completion.walk(cli.load(name)[0]) for part in command(below)]
@@ -42,12 +42,18 @@ def command(parser: argparse.ArgumentParser) -> Iterator[str]:
         yield f"`{' '.join(_synopsis(parser))}`\n"
     rows = []
     for action in completion.arguments(parser):
-        value = completion.value(action)
+        value = completion.shown(action)
         names = ", ".join(f"`{f'{flag} {value}'.strip()}`" for flag in action.option_strings or ("",))
         rows.append((names, completion.help_of(parser, action)))
     yield from _table("argument", rows)
     if examples := completion.examples(parser):
         yield "\n".join(["```sh", *examples, "```\n"])
+
+
+def _listed(names: Iterable[str]) -> str:
+    """The names as they are read in a sentence: `a`, `b` and `c`."""
+    *others, last = (f"`{name}`" for name in names)
+    return f"{', '.join(others)} and {last}"
 
 
 def _synopsis(parser: argparse.ArgumentParser) -> Iterator[str]:

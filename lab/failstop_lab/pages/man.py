@@ -13,25 +13,26 @@ from failstop.version import VERSION
 from failstop_lab.pages import completion
 
 DESCRIPTION = (
-    "failstop is the layer between everything that wants to drive a robot and a motor board that keeps its last wheel "
-    "speed forever. Whatever part of it dies or hangs, the wheels are told to stop, and nothing moves them "
-    "until somebody enables motion. A client that dies stops them too; one that falls silent, when its last "
-    "command is older than its source's timeout (0.3 s unless the settings say otherwise).",
-    "It is a stop by software and no emergency stop in the sense of ISO 13850: keep a power switch in reach.",
-    "A service, \x01failstop run\x02, owns the board's port. The commands enable, disable, reset, drive, teleop, "
-    "status, why and events talk to the service of the same name; the others need none.",
+    "Most motor boards keep the last wheel speed forever, so a robot keeps going when the program that drives it "
+    "crashes. failstop owns the board's port, and your programs drive through it. If one of failstop's own processes "
+    "dies or hangs, failstop stops the wheels, and nothing moves them until somebody enables motion. If a program that "
+    "drives dies, the wheels stop too. If it falls silent, they stop as soon as its last command is older than the "
+    "timeout of its source (0.3 s unless the settings say otherwise).",
+    "This is a stop by software, not an emergency stop in the sense of ISO 13850, so keep a power switch within reach.",
+    "The service is \x01failstop run\x02. Commands that drive or look, such as enable, drive and status, talk to the "
+    "service that is running under the name given with --name. \x01failstop stop\x02 works with and without a service.",
 )
 
 EXITS = (
     ("0", "Done."),
     ("1", "An error; one line says what happened and what to do."),
-    ("2", "Refused, by the service or by the command itself, with the reason."),
-    ("3", "No service of that name runs."),
-    ("78", "A Python package that failstop needs is missing; one line names it and the Python."),
+    ("2", "The service or the command itself refused, and printed the reason."),
+    ("3", "No service of that name is running."),
+    ("78", "A Python package that failstop needs is missing; one line names the package and the Python."),
     (
         "128 plus the signal's number",
-        "A signal ended it, for example 130 for Ctrl-C. SIGTERM and Ctrl-C are the normal way to end run and sim, "
-        "which then exit with 0.",
+        "A signal ended the command, for example 130 for Ctrl-C. SIGTERM and Ctrl-C are the normal way to end run and "
+        "sim, which then exit with 0.",
     ),
 )
 
@@ -39,28 +40,35 @@ FILES = (
     ("/etc/failstop/failstop.toml", "The settings of the service that systemd runs."),
     (
         "/run/failstop/NAME",
-        "The runtime directory of a service: its lock, its claims, the pipe for stop requests, the gate's bell, how "
-        "the last run was started, and which shared memory belongs to it. failstop ignores one that another user "
-        "could have put there.",
+        "The runtime directory of the service NAME. It holds the service's lock, the file in which programs lock their "
+        "client slots, the pipe for stop requests, the pipe that wakes the gate when a program has written a command, "
+        "the command line of the last run, and the number that identifies the shared memory of this run. failstop "
+        "ignores a directory that another user could have put there.",
     ),
-    ("/var/lib/failstop", "The state directory, with incidents, evidence and the battery log."),
+    (
+        "/var/lib/failstop/NAME",
+        "The state directory of the service NAME. It holds the incidents, the evidence of failstop prove and the "
+        "battery log.",
+    ),
 )
 
 ENVIRONMENT = (
     ("NO_COLOR", "If it is set, the output has no colours."),
     (
         "XDG_RUNTIME_DIR",
-        "If /run/failstop can't be used, the runtime directory is below this folder (default: /run/user/UID). If "
-        "neither can be used, it is below /dev/shm/failstop-UID, except for root.",
+        "If your user can't use /run/failstop, the runtime directory is below this folder (default: /run/user/UID). If "
+        "your user can use neither, it is below /dev/shm/failstop-UID. Root never uses /dev/shm for it; failstop then "
+        "prints an error instead.",
     ),
     (
         root.VARIABLE,
-        "A folder that takes the place of / in /run/failstop, /var/lib/failstop and /etc/failstop, to keep runs apart.",
+        "A folder that takes the place of / in /run/failstop, /var/lib/failstop and /etc/failstop. Use it to keep a "
+        "test apart from the installed service.",
     ),
-    ("STATE_DIRECTORY", "The state directory, as systemd sets it for a service."),
+    ("STATE_DIRECTORY", "The state directory. systemd sets this variable for a service."),
     (
         "XDG_STATE_HOME",
-        "If /var/lib/failstop can't be used, the state directory is below this folder (default: ~/.local/state).",
+        "If your user can't use /var/lib/failstop, the state directory is below this folder (default: ~/.local/state).",
     ),
 )
 
@@ -123,7 +131,7 @@ def _synopsis(prog: str, arguments: list[argparse.Action]) -> str:
 
 def _head(action: argparse.Action) -> str:
     flags = ", ".join(f"\\fB{_escaped(flag)}\\fR" for flag in action.option_strings)
-    shown = completion.value(action)
+    shown = completion.shown(action)
     return " ".join(filter(None, (flags, shown and f"\\fI{_escaped(shown)}\\fR")))
 
 

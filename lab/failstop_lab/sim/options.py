@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--device",
         metavar="LINK",
         default=LINK,
-        help="where to place the link to the simulated port (default: %(default)s)",
+        help="the path at which programs open the simulated port (default: %(default)s)",
     )
     add_board(parser)
     add(
@@ -56,15 +56,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_positive,
         default=0.0,
         metavar="N",
-        help="the speed of one wheel turn per second in the board's own unit, whatever board.per_rps says; on an "
-        "Arduino: encoder counts of a turn, divided by 30 (default: as such boards usually have it)",
+        help="how many of the board's speed units make one wheel turn per second, whatever board.per_rps says; on an "
+        "Arduino: the encoder counts of one wheel turn, divided by 30 (default: the usual value of such boards)",
     )
     add(
         "--motors",
         type=int,
         choices=(2, 3, 4),
         default=0,
-        help="how many motors it has, with --board damiao (default: 2)",
+        help="with --board damiao: how many motors the board has (default: 2)",
     )
     add("--record", metavar="FILE", help="write every chunk, frame and fault to FILE, one JSON object per line")
     add(
@@ -72,16 +72,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_rate_hz,
         default=IMU_HZ,
         metavar="N",
-        help="IMU frames per second, 0 for none (default %(default)g)",
+        help="IMU frames per second; 0: none (default: %(default)g)",
     )
-    add("--battery-mv", type=_millivolts, default=BATTERY_MV, metavar="N", help="battery, mV (default %(default)s)")
-    add("--seed", type=int, default=0, metavar="N", help="seed of the noise and the faults (default %(default)s)")
+    add("--battery-mv", type=_millivolts, default=BATTERY_MV, metavar="N", help="battery voltage, mV (default: %(default)s)")
+    add("--seed", type=int, default=0, metavar="N", help="seed of the noise and the faults (default: %(default)s)")
     add(
         "--first-invalid-func",
         type=int,
         choices=(10, 11, 12),
         default=12,
-        help="depends on the firmware (default %(default)s)",
+        help="with --board rrc: the lowest function number that the firmware rejects, which depends on its version "
+        "(default: %(default)s)",
     )
     add(
         "--mode", type=_octal, metavar="OCTAL", help="permissions of the port, for example 0660 (default: the system's)"
@@ -89,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--cooked",
         action="store_true",
-        help="begin with the kernel's terminal mode (echo and so on), as a real port does",
+        help="begin in the terminal mode that the kernel gives a real port: with echo and line editing",
     )
     add(
         "--usb",
@@ -97,16 +98,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         const=VHCI,
         default="",
         metavar="PLACE",
-        help="simulate a USB device instead of a pty, so that the kernel's own driver makes the port: on this machine "
-        "(vhci_hcd, as root), or on the virtual machine whose usb-redir listens at PLACE (HOST:PORT, or a socket's "
-        "path)",
+        help="simulate a USB device instead of a pty, so that the kernel's own driver makes the port. Without PLACE the "
+        "device is plugged into this machine (vhci_hcd; needs root). PLACE is where the usb-redir of a virtual machine "
+        "listens: HOST:PORT, or the path of a socket",
     )
     add(
         "--verbose",
         action="store_true",
-        help="print what the wheels do, each stop burst, and every 10 s a count of the rest",
+        help="print what the wheels do and each stop burst, and every 10 s how many other frames came",
     )
-    add("--until-eof", action="store_true", help="end when standard input is closed")
+    add("--until-eof", action="store_true", help="exit when standard input is closed")
 
 
 def add_board(
