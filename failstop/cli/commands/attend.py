@@ -21,7 +21,7 @@ from failstop.cli.screen.terminal import Terminal
 from failstop.cli.style import DIM, FAIL, STRONG, WARN, Line
 
 EXAMPLES = """\
-failstop attend                       # keys: q leaves, space stops
+failstop attend                       # q leaves, space stops
 ssh -t robot failstop attend          # from another computer
 failstop attend --as Anna
 """

@@ -27,7 +27,7 @@ from failstop.policy import kinematics
 from failstop.policy.settings import FIRST_SOURCE
 
 EXAMPLES = """\
-failstop teleop                         # keys: e enables, space stops, q leaves
+failstop teleop                         # e enables, space stops, q leaves
 failstop teleop --source teleop         # as [sources.teleop] of the settings
 ssh -t robot failstop teleop            # from another computer
 """
