@@ -90,7 +90,7 @@ class Peer:
         self._named = 0
 
     def named(self) -> int:
-        """The pid that the supervisor names; 0 before the first process."""
+        """The pid of this process, as the supervisor publishes it; 0 before the process is first started."""
         return records.unpack_life(self._word.get())[0]
 
     def follow(self) -> int:

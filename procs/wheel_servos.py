@@ -1,4 +1,4 @@
-"""Whether motion has to wait for the servo of a wheel, by telemetry's newest report about the servos."""
+"""Whether motion has to wait for the servo of a wheel, according to telemetry's newest report about the servos."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
 
 class WheelServos:
-    """The servos that turn wheels. A board without such servos costs nothing at each turn, because its reports are not
-    read."""
+    """Answers whether motion must wait for a wheel's servo. On a board whose wheels are not turned by servos it reads
+    no reports, so it costs nothing."""
 
     def __init__(self, settings: Settings, health: LatestReader) -> None:
         self._settings = settings

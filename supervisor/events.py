@@ -173,7 +173,7 @@ class Events:
 
 
 def _asked(kind: str, fields: Mapping[str, Value]) -> bool:
-    """True for events that anyone can cause again and again."""
+    """True for events that anyone could cause again and again, so that they might flood the log."""
     return kind in AGAIN and fields.get("cause") in ASKED
 
 

@@ -35,10 +35,11 @@ def checked_board(settings: Settings, path: str | None) -> Board:
 
 
 def usual_baud(kind: str) -> int:
-    """The baud rate that such boards usually have."""
+    """The usual baud rate of a board of this kind."""
     return board_of(kind, 1.0, 0.0).port.baud
 
 
 def slowest_mps(settings: Settings) -> float:
-    """The slowest rim speed in m/s that the board can be sent; slower ones are rounded to zero. 0 means any speed."""
+    """The slowest speed at a wheel's rim that can be commanded, m/s, because slower ones are rounded to zero; 0 if any
+    speed can."""
     return board_of(*settings.board()).step_rps * pi * settings["wheels.diameter_m"]

@@ -104,8 +104,8 @@ def unseen(state: State) -> str:
 
 
 def unproven(state: State) -> str:
-    """Why nothing proves what the wheels are said to do. Empty if the board's answers do, if the wheels are in doubt,
-    and for a board that answers nothing by design."""
+    """Why nothing proves that the wheels do what is shown; empty if the board's answers prove it. It is also empty if
+    doubt() says more, and for a board that can't answer."""
     if doubt(state):
         return ""
     never = state.device.state == "open" and state.device.link == "unproven"
@@ -113,7 +113,7 @@ def unproven(state: State) -> str:
 
 
 def unheeded(state: State) -> str:
-    """How long the board has reported that it obeys zero speed although motion is commanded. Empty if it does not, or
+    """For how long the board has reported zero speed although motion is commanded, as a text; empty if it has not, or
     not for long enough to be sure."""
     for_s = state.device.unheeded_s
     if not state.moving or for_s is None or for_s < UNHEEDED_S:

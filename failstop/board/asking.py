@@ -29,10 +29,10 @@ MORE_QUESTIONS = 2
 """How often it is asked again if bytes come that answer nothing, because they may be from a part of the board."""
 
 WIRES = "check the board's power, its cable (TX and RX must cross), device.path, and the baud rate of its firmware"
-"""For people: what to check if nothing is received."""
+"""What people should check if no bytes come from the board."""
 
 SERVO_PLACES = "check its plug on the bus, its power and its id"
-"""For people: what to check if a servo or a motor's controller does not answer."""
+"""What people should check if a servo or a motor's controller does not answer."""
 
 ADAPTERS = {
     "0403:6001": "FT232",
@@ -62,16 +62,16 @@ class Unknown(Board):
     observed_by = ""
 
     def __init__(self, why: str) -> None:
-        """`why`: one line, with the remedy."""
+        """`why`: one line for people that says why the board's folder can't be used, and what to do."""
         self.why = why
 
 
 class Heard(Data):
-    """A port, read in one board's language."""
+    """The result of asking at a port as one kind of board."""
 
     kind: str
     known: bool
-    """True if it is this board."""
+    """True if the device at the port is a board of this kind."""
     answered_ms: float | None
     reports: frozenset[int]
     """The kinds of its reports, as the interface numbers them."""
@@ -144,7 +144,8 @@ def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
 
 
 def heard_ms(tap: Tap, board: Board) -> float | None:
-    """The time in ms until the board answered a question or, if it has none, reported that it obeys zeros."""
+    """The time in ms until the board answered a question. For a board without questions: until it reported that it
+    obeys zero speed. None if it did neither."""
     return tap.answered_ms(ANSWER_S) if board.pings else tap.zeros_ms(ANSWER_S)
 
 

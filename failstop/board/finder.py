@@ -133,7 +133,8 @@ class Search:
         return [] if self.board.serial else self._moved()
 
     def _moved(self) -> list[Device]:
-        """Devices that report the same as the board, without the neighbours that are where they were before."""
+        """Devices with the same description as the board (vendor, product, serial number). Neighbours that are still in
+        their own sockets don't count."""
         return [device for device in self.devices - self.neighbours if device.what == self.board.what]
 
     def in_its_stead(self) -> list[Device]:

@@ -1,7 +1,8 @@
-"""Standard input, output and error: made to be there, for a program that was started without them, and in nobody's way.
+"""Standard input, output and error: open them if the program was started without them, and write to them without ever
+failing.
 
-A descriptor from 0 to 2 that is closed is the number that the next open() returns. Were that the board's port, every
-line for people would go to the board.
+open() returns the lowest free descriptor. If 1 or 2 were free and the board's port got that number, every line for
+people would go to the board.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import sys
 
 
 def fill() -> None:
-    """Call before anything is opened: what is closed of the three becomes /dev/null. Never raises."""
+    """Open /dev/null in place of each of the three that is closed. Call it before anything else is opened. Never
+    raises."""
     try:
         while (fd := os.open(os.devnull, os.O_RDWR)) <= 2:
             os.set_inheritable(fd, True)
@@ -25,8 +27,8 @@ def fill() -> None:
 
 
 def say(text: str) -> None:
-    """One line on stderr, broken at words on a terminal. Never raises: that people can't be told (a full disk, a
-    terminal that has gone) is no reason not to do what they asked for."""
+    """Write one line to stderr; on a terminal it is wrapped at words. Never raises, because a full disk or a closed
+    terminal is no reason not to do what people asked for."""
     from failstop.supervisor.events import PREFIX, fitted
 
     with contextlib.suppress(OSError, ValueError):
@@ -35,7 +37,7 @@ def say(text: str) -> None:
 
 
 def print_line(text: str) -> None:
-    """One line on stdout, of something that was done; on stderr if stdout does not take it. Never raises."""
+    """Write one line about something that was done to stdout, or to stderr if stdout can't be written. Never raises."""
     from failstop.supervisor.events import fitted
 
     try:
@@ -47,7 +49,8 @@ def print_line(text: str) -> None:
 
 
 def let_go() -> None:
-    """Drop the bytes that stdout still holds; else the interpreter would try again at its end, and tell of it."""
+    """Drop the bytes that stdout still holds. Otherwise the interpreter would try to write them when it exits, and
+    print an error."""
     with contextlib.suppress(OSError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)

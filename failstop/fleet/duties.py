@@ -98,7 +98,8 @@ class Duties:
         self._refused_s = -AGAIN_EVERY_S
 
     def hear(self, message: bytes, now_s: float, unix_s: float) -> tuple[Order | None, StopAnswer | None]:
-        """A message came: the stop to carry out now, if it is a new one, or what to answer."""
+        """Handle a message. Returns (order, answer): the stop to carry out now, if it is a new one, and the answer to
+        publish now; both may be None."""
         try:
             order = levels.read_order(self._key, message)
         except signed.Forged as error:
@@ -116,7 +117,8 @@ class Duties:
         return None, StopAnswer(order.id, self._robot, {levels.REFUSED: 0.0}, verdict)
 
     def _again(self, order: Order, now_s: float) -> StopAnswer | None:
-        """The answer that was given before; of a stop from before a restart, that it was asked for."""
+        """The answer to a stop that has come before. If this program was restarted since then, the answer only says
+        that the stop was requested."""
         duty = self._duties.get(order.id)
         if duty is None:
             return StopAnswer(order.id, self._robot, {levels.ASKED: 0.0}, FORGOTTEN)

@@ -1,6 +1,6 @@
-"""Message: what a robot publishes on the broker - its connection, its state, its last event - as JSON. Pure.
+"""The JSON messages that a robot publishes on the broker: its connection, its state and its last event. Pure.
 
-A value that is not known has no field. Times are seconds: `t` since 1970, all others as their names say.
+A value that is not known is left out. `t` is Unix time in s; all other times are durations in s.
 """
 
 from __future__ import annotations
@@ -23,36 +23,37 @@ if TYPE_CHECKING:
 
 ONLINE = "online"
 OFFLINE = "offline"
-"""Its publisher was ended, and said so."""
+"""The publisher has ended cleanly, and has announced it."""
 LOST = "lost"
 """The last will, which the broker publishes when the connection breaks."""
 FLEET_STOP_OFF = "fleet_stop_off"
-"""The kind of a robot's error: it obeys no stop of the fleet."""
+"""The kind of error of a robot that obeys no fleet stop."""
 DOUBLED = "doubled_name"
-"""The kind of a robot's error: another publisher uses its name."""
+"""The kind of error of a robot whose name is also used by another publisher."""
 WARNING = "warning"
 FATAL = "fatal"
 NO_SERVICE_NEXT = "`failstop why` on the robot says more"
 LATEST_S = 1e11
-"""The latest date that is believed, in the year 5138: a larger number is no date."""
+"""The latest Unix time that is believed, in the year 5138. A larger number is not a date."""
 
 
 class Header:
-    """The fields that every message of a robot begins with; its number counts by topic."""
+    """Adds the fields with which every message of a robot begins, such as its number, which is counted separately for
+    each topic."""
 
     def __init__(self, fleet: str, robot: str, publisher: str = "") -> None:
-        """`publisher`: the number that its publisher drew (twins.py)."""
+        """`publisher`: the random number of this publisher (twins.py)."""
         self.fleet = fleet
         self.robot = robot
         self._own = {"publisher": publisher} if publisher else {}
         self._sent: dict[str, int] = {}
 
     def topic(self, last: str) -> str:
-        """The topic of this robot that ends in `last`."""
+        """This robot's topic that ends in `last`."""
         return topics.of_robot(self.fleet, self.robot, last)
 
     def message(self, last: str, body: Message, unix_s: float) -> bytes:
-        """The next message for that topic."""
+        """The next message for this robot's topic that ends in `last`."""
         number = self._sent[last] = self._sent.get(last, -1) + 1
         head = {
             "number": number,
@@ -66,21 +67,22 @@ class Header:
 
 
 def date(found: object) -> float | None:
-    """The time that a message gives as `t`, seconds since 1970; None for anything that is no time."""
+    """A message's `t` as Unix time, s; None if it is not a time."""
     if isinstance(found, bool) or not isinstance(found, (int, float)) or not 0.0 <= found <= LATEST_S:
         return None
     return float(found)
 
 
 def connection(state: str, period_s: float | None = None, heard: Sequence[str] = ()) -> Message:
-    """ONLINE, OFFLINE or LOST. `period_s`: how often a state follows at least; `heard`: the numbers of the other
-    publishers under this name that this one has heard (twins.py)."""
+    """The body of a connection message. `state`: ONLINE, OFFLINE or LOST; `period_s`: the longest time between two
+    state messages, s; `heard`: the numbers of other publishers that use this robot's name (twins.py)."""
     period = {} if period_s is None else {"state_period_s": period_s}
     return {"connection": state, **period, **({"heard": list(heard)} if heard else {})}
 
 
 def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Message:
-    """The fields of a state. None: no service, and `note` says why; `extra`: errors that the publisher itself has."""
+    """The body of a state message. `state`: None if no service is running, and then `note` says why; `extra`: the
+    publisher's own errors."""
     if state is None:
         error = _error("no_service", FATAL, note, NO_SERVICE_NEXT)
         words = {"word": verdict.NO_SERVICE, "why": note, "next": NO_SERVICE_NEXT}
@@ -103,13 +105,13 @@ def body(state: State | None, note: str, extra: tuple[Message, ...] = ()) -> Mes
 
 
 def steady(found: Message) -> Message:
-    """The fields of a body that don't change all the time: not how fast, how full, or how old a reading is."""
+    """The fields of a state message that don't change all the time, so without speeds, battery voltage and ages."""
     changing = ("velocity", "battery", "wheels", *(("why",) if found["moves"] else ()))
     return {key: value for key, value in found.items() if key not in changing}
 
 
 def why(state: State) -> str:
-    """One line on what the wheels do or why not."""
+    """One line that says what the wheels do, or why they don't move."""
     if doubt := verdict.doubt(state):
         return doubt
     blocked = str(state.cause) if state.cause else state.blocked
@@ -119,12 +121,12 @@ def why(state: State) -> str:
 
 
 def warning(kind: str, text: str, then: str) -> Message:
-    """An error of the publisher's own; `then`: what to do about it."""
+    """A warning about the publisher itself. `then`: what to do about it."""
     return _error(kind, WARNING, text, then)
 
 
 def _finite(named: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """JSON has no number that is not finite."""
+    """These values as JSON fields, without infinities and NaN, which JSON does not have."""
     return {name: round(value, 4) for name, value in named if math.isfinite(value)}
 
 
@@ -156,7 +158,7 @@ def _errors(state: State) -> list[Message]:
 
 
 def _seen(state: State) -> Message:
-    """What is seen of the wheels."""
+    """What is observed about the wheels."""
     known = state.turning
     found: Message = {"does": known.does, "by": known.by or None, "unexpected": known.unexpected}
     if known.age_s is not None:
@@ -168,7 +170,7 @@ def _seen(state: State) -> Message:
 
 
 def _proofs(stop: Stop) -> Message:
-    """The last stop, with those of its three proofs that are known."""
+    """The last stop, and those of its three proofs that are known."""
     found = {
         "cause": stop.cause.kind.name,
         "reason": stop.reason,

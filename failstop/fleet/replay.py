@@ -1,8 +1,8 @@
-"""Replay: whether a genuine stop is a new one. Pure; the wall clock is an argument.
+"""Replay: tell a new fleet stop from a recorded one that somebody sends again. Pure; the wall clock is an argument.
 
-A stop has an id and a date. Each id is obeyed once. The date must be near this robot's clock; ids whose date is past
-that are forgotten, and the newest date that was forgotten is remembered: whatever is not newer is refused, wherever the
-clock is set. So a stop that somebody recorded stops nothing again, after a restart neither.
+A stop has an id and a date. Each id is obeyed once, and the date must be close to this robot's clock. Ids whose date is
+no longer close are forgotten, but the newest of the forgotten dates is kept, and a stop that is not newer than it is
+refused, even if the clock was set back. So a recorded stop never works again, not even after a restart.
 """
 
 from __future__ import annotations
@@ -19,22 +19,23 @@ if TYPE_CHECKING:
 NEW = "new"
 AGAIN = "again"
 MOST = 256
-"""Ids that are remembered; a sender with the key who sends more in a tolerance pushes out the oldest."""
+"""How many ids are remembered. If more stops arrive within the tolerance, the oldest ids are forgotten first."""
 ID = re.compile(r"[0-9a-f]{16,64}")
 UNKNOWN_S = 0.0
 
 
 class Seen:
-    """The stops that were obeyed."""
+    """The ids of the stops that were obeyed."""
 
     def __init__(self, tolerance_s: float, ids: dict[str, float] | None = None, floor_s: float = UNKNOWN_S) -> None:
-        """`ids`: their dates; `floor_s`: nothing dated so or earlier is new."""
+        """`ids`: the date of each id that was obeyed; `floor_s`: a stop of this date or an earlier one is refused.
+        Dates are Unix time, s."""
         self._tolerance_s = tolerance_s
         self._ids = dict(ids or {})
         self._floor_s = floor_s
 
     def judge(self, stop_id: str, dated_s: float, now_s: float) -> str:
-        """NEW, AGAIN (it was obeyed already), or why it is refused."""
+        """NEW, AGAIN (this id was obeyed already), or the reason why the stop is refused."""
         if stop_id in self._ids:
             return AGAIN
         off_s = dated_s - now_s
@@ -47,7 +48,7 @@ class Seen:
         return NEW
 
     def obeyed(self, stop_id: str, dated_s: float, now_s: float) -> None:
-        """It was; or once more, with another date."""
+        """Remember that this stop was obeyed. The same id may come again with another date."""
         self._ids[stop_id] = max(dated_s, self._ids.get(stop_id, dated_s))
         gone = [known for known, date_s in self._ids.items() if date_s < now_s - self._tolerance_s]
         left = sorted((known for known in self._ids if known not in gone), key=lambda known: self._ids[known])
@@ -58,12 +59,12 @@ class Seen:
             self._floor_s = max(self._floor_s, self._ids.pop(known))
 
     def dump(self) -> bytes:
-        """For the file that outlives a restart."""
+        """The content of the file that keeps this over a restart."""
         return json.dumps({"ids": self._ids, "floor_s": self._floor_s}).encode()
 
     @classmethod
     def load(cls, data: bytes, tolerance_s: float) -> Seen:
-        """The inverse. Raises ValueError."""
+        """The object that dump() wrote. Raises ValueError."""
         try:
             found = json.loads(data)
             ids = {str(known): float(date_s) for known, date_s in found["ids"].items()}

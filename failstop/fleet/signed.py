@@ -1,7 +1,9 @@
-"""Signed: messages with a proof that their sender has the fleet's key. Pure but for reading and making the key's file.
+"""Signed messages, which prove that their sender has the fleet's key. Pure, except for the functions that read and make
+the key's file.
 
-{"body": "...", "mac": "..."}: the proof is HMAC-SHA256 of the body as it is written there, so that no two programs have
-to agree on how JSON is spelled, and of what it is for, so that an answer is never taken for a stop.
+A message is {"body": "...", "mac": "..."}. The mac is the HMAC-SHA256 of the purpose and of the body's text. The text
+is signed as it is, so programs may format JSON differently. The purpose is signed too, so an answer is never taken for
+a stop.
 """
 
 from __future__ import annotations
@@ -29,17 +31,17 @@ OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
 class Forged(ValueError):
-    """A message that nobody with the fleet's key has made, or none at all."""
+    """The bytes are not a message that was signed with the fleet's key."""
 
 
 def sign(key: bytes, purpose: str, body: dict[str, Any]) -> bytes:
-    """The message."""
+    """The signed message with this body, as bytes. `purpose`: STOP_PURPOSE or ANSWER_PURPOSE."""
     text = json.dumps(body, separators=(",", ":"), sort_keys=True)
     return json.dumps({"body": text, "mac": _mac(key, purpose, text)}, separators=(",", ":")).encode()
 
 
 def verify(key: bytes, purpose: str, message: bytes) -> dict[str, Any]:
-    """Its body. Raises Forged."""
+    """The body of a signed message. Raises Forged if it was not signed with this key for this purpose."""
     if len(message) > MOST_BYTES:
         raise Forged(f"{len(message)} bytes")
     try:

@@ -1,4 +1,4 @@
-"""Topics: where a robot and the program that stops the fleet publish on the broker.
+"""The topics on which a robot, and the program that stops the fleet, publish on the broker.
 
 failstop/v1/FLEET/stop                      to all robots: stop
 failstop/v1/FLEET/stop/ROBOT                to one robot: stop
@@ -21,16 +21,16 @@ def of_robot(fleet: str, robot: str, last: str) -> str:
 
 
 def robot_of(topic: str) -> tuple[str, str]:
-    """The robot of such a topic, and its last part."""
+    """Split a topic that of_robot() has made into the robot's name and the last part."""
     parts = topic.split("/")
     return (parts[-2], parts[-1]) if len(parts) > 1 else ("", topic)
 
 
 def stop(fleet: str, robot: str = "") -> str:
-    """To all robots, or to one: stop."""
+    """The topic of stops for all robots, or for one."""
     return f"{ROOT}/{fleet}/stop{'/' if robot else ''}{robot}"
 
 
 def answer(fleet: str, stop_id: str, robot: str) -> str:
-    """The topic of one robot's answer, or of ANY."""
+    """The topic of the answer of one robot, or of ANY, to this stop."""
     return f"{ROOT}/{fleet}/answer/{stop_id}/{robot}"

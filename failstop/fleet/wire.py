@@ -77,7 +77,7 @@ class MqttWire:
         return taken
 
     def messages(self) -> list[Message]:
-        """Those that have come since the last call, the oldest first."""
+        """The messages that have arrived since the last call, the oldest first."""
         taken, self._messages = self._messages, []
         return taken
 

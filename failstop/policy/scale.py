@@ -1,10 +1,10 @@
-"""Scale: how much of the board's unit is one turn a second of a wheel (the setting board.per_rps), and what holds until
-a person has confirmed it. Pure.
+"""Scale: how many of the board's speed units make one wheel turn per second (the setting board.per_rps), and how slowly
+the robot drives until a person has confirmed that number. Pure.
 
-Where commands and reports share the scale, their ratio is 1 whatever it is: only a person, who sees the wheel, can tell
-that it is wrong. So a robot whose scale nobody has confirmed drives slowly, and a number that a person has only written
-into the settings confirms nothing. Where the board reports in a unit of its
-own, or a gyro feels the turn, what was measured is compared with what was told.
+If commands and reports use the same scale, they always agree, even if the scale is wrong, and only a person who sees
+the wheel can tell. So the robot drives slowly until a person has watched a wheel turn; writing the number into the
+settings does not count. If the board reports in another unit, or a gyro feels the turn, failstop compares the measured
+speed with the commanded one.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ WHEELS_FIT = {True: 1.25, False: 2.0}
 board that holds the commanded speed, and for one that sets a voltage, whose wheels are faster downhill and slower under
 load."""
 GYRO_FITS = (1 / 1.6, 1.25)
-"""The same for a turn of the robot, as the least and the largest factor. Tracks and skidding wheels turn the robot less
-than they roll, but nothing turns it more."""
+"""How far the measured turn rate of the robot may differ from the commanded one: the smallest and the largest factor.
+The range is wider below 1, because tracks and skidding wheels turn the robot less than they roll."""
 FITS = 1.25
 """If a speed differs by more than this factor, people get a remark, even if a healthy robot may explain it."""
 ON_A_STAND = 0.1
@@ -58,15 +58,17 @@ def near(ratio: float, factor: float) -> bool:
 
 
 def wheels_differ(ratio: float, per_rps: float, *, holds_speed: bool) -> str:
-    """The text about wheels that turn at `ratio` times the commanded speed, and about the setting; empty if it fits.
-    `per_rps`: the value in use, in the board's unit."""
+    """The text about wheels that turn at `ratio` times the commanded speed, with the value of board.per_rps that would
+    fit; empty if the difference can be explained. `per_rps`: the value in use, in the board's unit."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, WHEELS_FIT[holds_speed]):
         return ""
     return f"{_wheels(ratio)}: board.per_rps = {per_rps / ratio:.4g} would fit it (now {per_rps:.4g})"
 
 
 def wheels_remark(ratio: float, per_rps: float) -> str:
-    """The same if a healthy robot may explain it, because its board sets a voltage; empty if it fits."""
+    """A remark for people about wheels that turn at `ratio` times the commanded speed, when that may also have a
+    harmless reason, such as a slope; empty if the difference is small. `per_rps`: the value in use, in the board's
+    unit."""
     if not (isfinite(ratio) and ratio > 0) or near(ratio, FITS):
         return ""
     would = f"board.per_rps = {per_rps / ratio:.4g} fits it (now {per_rps:.4g})"
@@ -78,7 +80,8 @@ def _wheels(ratio: float) -> str:
 
 
 def gyro_differs(ratio: float, layout: str) -> str:
-    """The same for a robot whose gyro feels `ratio` times the commanded turn."""
+    """The text about a robot that turns `ratio` times as fast as commanded, as its gyro measures it, and about the
+    settings that may be wrong; empty if the difference can be explained."""
     least, most = GYRO_FITS
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or least <= ratio <= most:
         return ""
@@ -86,7 +89,8 @@ def gyro_differs(ratio: float, layout: str) -> str:
 
 
 def gyro_remark(ratio: float, layout: str) -> str:
-    """The same if a healthy robot may explain it, because its tracks or wheels skid; empty if it fits."""
+    """A remark for people about a robot that turns `ratio` times as fast as commanded, when skidding tracks or wheels may also explain it; empty if the
+    difference is small."""
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or near(ratio, FITS):
         return ""
     return f"{_turn(ratio)}; tracks and skidding wheels do that, but otherwise one of {_sizes(layout)} is wrong"

@@ -67,14 +67,14 @@ def servo_faults(rows: Iterable[tuple[int, float, int, int]], settings: Settings
 
 
 def missing_wheel(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:
-    """The first wheel whose servo does not answer while another wheel's does, as in `rear wheel (servo 8)`; empty: none
-    is known."""
+    """The first wheel whose servo does not answer although another wheel's servo does, for example `rear wheel (servo
+    8)`; empty if none is known."""
     wheels = _wheels(settings)
     return next((_parts(settings)[servo] for servo, _, _, bits in rows if bits & SERVO_MISSING and servo in wheels), "")
 
 
 def waited_for(rows: Iterable[tuple[int, float, int, int]], settings: Settings) -> str:
-    """What motion waits for while a wheel's servo does not answer; empty: for nothing."""
+    """What motion must wait for because a wheel's servo does not answer, as a text; empty if all answer."""
     wheel = missing_wheel(rows, settings)
     return f"the {wheel}, which does not answer" if wheel else ""
 

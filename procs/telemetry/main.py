@@ -338,7 +338,7 @@ class Telemetry:
             self._latest["bias"].write(records.BIAS.pack(*gyro.bias_radps, *flags), now_ns)
 
     def _note(self, kind: str, text: str, fields: Fields = NO_FIELDS, *, level: str = "", step: str = "") -> None:
-        """Report something to people; the supervisor passes it on."""
+        """Hand a note for people to the supervisor, which logs it as an event."""
         self._pass_on(Note(kind, text, fields, level, step))
 
     def _pass_on(self, note: Note) -> None:

@@ -1,4 +1,4 @@
-"""Restarts: how telemetry reacts when the board has restarted. restart.py detects it."""
+"""Restarts: telemetry's reaction to a restart of the board, which restart.py detects."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from failstop.procs.telemetry.restart import RestartWatch
 
 
 class Restarts:
-    """Counts restarts for the port owner, which sends the board its settings again. While motion is enabled, a restart
-    is a stop, because the next frame of motion would drive the board again."""
+    """Counts the board's restarts for the port owner, which then sends the board its settings again. If the board
+    restarts while motion is enabled, the robot is stopped, because the next motion frame would drive it on."""
 
     def __init__(
         self, context: Context, enabled: Callable[[], bool], note: Callable[..., None], stop: Callable[[Cause], None]
     ) -> None:
-        """`enabled`: whether motion is enabled; `note`: reports to people; `stop`: has the port owner stop."""
+        """`enabled` returns whether motion is enabled, `note` logs an event, `stop` makes the port owner stop."""
         board = context.board
         self._watch = RestartWatch(board.silent_ns)
         self._regular = interface.HEARD_IMU if board.observed_by == interface.BY_IMU else interface.HEARD_WHEELS

@@ -1,9 +1,9 @@
-"""Runaway: whether a wheel follows its commands, by the board's reports. Pure.
+"""Runaway: find a wheel that does not follow its commands, by the board's reports. Pure.
 
-Every report is compared with all that the wheels were told in the time that it may be about. A wheel has run away when
-it has turned faster than that, or the other way, for its run-down time, and has not slowed down meanwhile. One that
-stands although it is told to turn is a warning. procs/telemetry/runaway.md has the thresholds, and why they are what
-they are.
+A report is compared with all speeds that were commanded in the time that it may describe. A wheel has run away if it
+turns faster than those speeds, or the other way, for longer than it needs to run down, without slowing down. A wheel
+that stands still although it is commanded to turn is only a warning. procs/telemetry/runaway.md explains the
+thresholds.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Margins(Data):
 
 
 HOLDS_SPEED = Margins(0.3, 0.05)
-"""For a board that measures the speed and controls it."""
+"""For a board that measures the wheel speeds and controls them."""
 SETS_VOLTAGE = Margins(0.75, 0.1)
 """For a board that sets a voltage: its wheels turn faster downhill and with a full battery, and roll back on a
 slope."""
@@ -81,7 +81,7 @@ class Limits(Data):
     """If the commanded speed is lower than this, the wheel may stand still."""
 
     def rolls_ns(self, told_rps: float) -> int:
-        """How long a wheel may be beyond its commanded speeds."""
+        """How long a wheel may turn faster than commanded, ns: the time to run down from `told_rps`, and a margin."""
         return BEYOND_NS + round(abs(told_rps) / self.braking_rps2 * 1e9)
 
 
@@ -165,7 +165,9 @@ class _Wheel:
 
 
 class RunawayJudge:
-    """Call follow() at each look at what the gate commands, and add() for each report, in the order of time."""
+    """Judges whether the wheels follow their commands. Call follow() at each turn with the speeds that the gate
+    commands, and add() for each report of the board, in the order of time. add() returns a Finding for a wheel that has
+    run away or that stands still although it should turn, and None while all is well or nothing can be said."""
 
     def __init__(self, limits: Limits, wheels: Sequence[int]) -> None:
         """`wheels`: the wire ids of the wheels that the robot has."""

@@ -49,7 +49,8 @@ class Measured:
     """
 
     def __init__(self, reports: WheelReports, most_rps: float = 0.0) -> None:
-        """`most_rps`: the highest wheel speed that the board can be sent."""
+        """`most_rps`: the highest speed that may be commanded, in turns per second; a report far above it is not
+        believed."""
         self._reports = reports
         self._fastest_rps = max(FASTEST_RPS, 4 * most_rps)
         self.counts = reports.position_per_turn > 0

@@ -53,8 +53,9 @@ def seal(func: int, data: bytes) -> bytes:
 
 
 def zeros_complete(func: int, data: bytes, least: int = 1) -> int:
-    """After how many bytes of data (`least` or more, at least 1) zeros would complete a cut of this frame; 0 if after
-    no number of them. Zeros leave a CRC of zero unchanged, and the next zero passes as the CRC."""
+    """If this frame were cut off and zeros followed, after how many bytes of its data would the zeros complete it?
+    Returns the smallest such number that is at least `least` (1 or more), or 0 if there is none. Zeros can do that once
+    the CRC so far is zero: more zeros leave it zero, and the last one passes as the CRC."""
     crc = crc8((func, len(data)))
     for end, byte in enumerate(data):
         if not crc and end >= least:

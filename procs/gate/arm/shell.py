@@ -253,7 +253,8 @@ class Arm:
         return reply
 
     def _out_of_pose(self, trajectory: Trajectory) -> str:
-        """Why motion may not be enabled at the end of the way to the drive pose; the readings decide."""
+        """Why motion can't be enabled although the arm has finished its way to the drive pose, by the joints' measured
+        positions; empty if it can."""
         core = self.core
         absent = all(joint.silent for joint in core.joints if joint.drive >= 0)
         if absent and core.ignore_absent:

@@ -38,11 +38,13 @@ class Space:
         return [joint for joint in self._joints if not joint.silent or joint in joints] if self._model else joints
 
     def begin(self) -> None:
-        """Start from where the joints are, whatever they touch."""
+        """Begin a movement at the joints' present positions. If the arm already touches something there, only coming
+        closer counts as a hit."""
         self._gap_m = self._nearest()[0]
 
     def hit(self) -> str:
-        """What the arm would hit at the joints' next positions; empty if nothing. Then the joints go on from there."""
+        """What the arm would hit at the joints' next positions. If it is empty, the arm may go there, and those
+        positions count as the present ones."""
         gap_m, name, other = self._nearest()
         if gap_m < min(0.0, self._gap_m):
             return would_hit(name, other)
@@ -56,7 +58,7 @@ class Space:
 
 
 class Stream:
-    """Moving joints, and when each gets its next move."""
+    """The joints that move, and when each one gets its next move."""
 
     def __init__(self, settings: Settings, bus: ServoBus, space: Space) -> None:
         self._bus = bus
@@ -89,7 +91,7 @@ class Stream:
         return max(self._schedule[0][0], self._apart_ns)
 
     def begin(self, joints: list[Joint], now_ns: int) -> None:
-        """Give each of these joints, starting where it is now, a move every period from now on."""
+        """Give each of these joints a move every period from now on. It starts from its present position."""
         self._space.begin()
         self._blocked.clear()
         groups = [joints[at : at + MOST_MOVES] for at in range(0, len(joints), MOST_MOVES)]
@@ -99,14 +101,14 @@ class Stream:
             joint.stepped_ns = 0
 
     def end(self) -> None:
-        """Send no further move; the positions of these joints must be read again."""
+        """Send no further move. Where these joints are must then be read again."""
         for joint in self.joints:
             joint.forget()
         self._schedule = []
 
     def move(self, followed: Goal | Trajectory, now_ns: int) -> tuple[bytes, str]:
-        """The frame with the moves that are due, toward the followed goal. If the arm would hit something, its joints
-        stay where they are, and the text says what."""
+        """Returns (frame, hit): the frame with the moves that are due, towards the followed goal, and a text that names
+        what the arm would hit, or "". If it would hit something, its joints stay where they are."""
         due_ns, group = self._schedule[0]
         self._apart_ns = now_ns + MOVES_APART_NS
         # Count from when it was due, so that a late wake-up shifts one frame and not all that follow.
@@ -123,7 +125,7 @@ class Stream:
         return self._bus.move(moves, self._move_ms), hit
 
     def _advance(self, group: list[Joint], followed: Goal | Trajectory, now_ns: int) -> None:
-        """Move each joint on to where it must be at the end of its next move; a joint that no goal names slows down."""
+        """Advance each joint to its position at the end of its next move. A joint without a goal slows down."""
         targets = followed.targets(now_ns + self._period_ns)
         for joint in group:
             elapsed_ns = min(now_ns - joint.stepped_ns, LONGEST_MOVE_NS) if joint.stepped_ns else self._period_ns
