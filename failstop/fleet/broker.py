@@ -1,4 +1,5 @@
-"""Broker: one connection to it, kept up. A thin shell around paho-mqtt, without its threads."""
+"""Broker: a connection to the broker that is made again whenever it breaks. A thin shell around paho-mqtt, without its
+threads."""
 
 from __future__ import annotations
 
@@ -25,38 +26,40 @@ if TYPE_CHECKING:
     from failstop.fleet.settings import FleetSettings
 
 CONNECT_S = 3.0
-"""How long a connection may take."""
+"""How long connecting may take, s."""
 FIRST_WAIT_S = 0.5
 LONGEST_WAIT_S = 5.0
-"""Between two attempts; from the first to the longest each wait is twice the one before."""
+"""The longest time between two attempts to connect, s. Each wait is twice as long as the one before, up to this."""
 SPREAD = 0.2
-"""Each wait is up to this share shorter or longer, so that a broker that comes back is not overrun by all robots at
-once."""
+"""Each wait is made longer or shorter by up to this share at random, so that not all robots connect at once to a broker
+that comes back."""
 LONGEST_PAUSE_S = (1 + SPREAD) * LONGEST_WAIT_S + CONNECT_S
-"""After so long a client that can reach the broker is connected again."""
+"""A client that can reach the broker is connected again within this time, s."""
 NOT_YET = "not connected yet"
 NO_REASON = "Unspecified error"
-"""paho-mqtt's reason for a connection that the broker closed without a word."""
+"""paho-mqtt's reason when the broker closes a connection without giving one."""
 MOST_SECRET_BYTES = 1024
 BACKLOG = 200
-"""Messages of ours that may wait for the broker; of a state the newest counts."""
+"""How many of our messages may wait for the broker. Of several states only the newest counts."""
 MOST_READS = 16
-"""Reads of up to client.READ_BYTES in one turn, so that a flood leaves time for the rest."""
+"""How often one turn reads up to client.READ_BYTES, so that a flood leaves time for other work."""
 CLOSE_S = 1.0
-"""How long the broker may take to end a connection that is to be closed."""
+"""How long the broker may take to end a connection after we have disconnected, s."""
 READ_BYTES = 1 << 16
 HEAR_S = 0.02
-"""How long the messages of one turn are heard where the newest comes first: those that are left are dropped."""
+"""With `newest_first`: how long the messages of one turn are handed on, s. Older ones that are left then are
+dropped."""
 ONCE = 1
-"""MQTT's quality of service for what the broker keeps until it has arrived: a thousand at most for each client, of
-which a few are on their way at a time."""
+"""MQTT's quality of service for messages that the broker stores until they are delivered. It stores at most a thousand
+for each client, and sends only a few of them at a time."""
 ANYHOW = 0
-"""MQTT's quality of service for what goes out as it comes, in any number, and is lost with the connection. All
-subscriptions have it: a broker waits for no acknowledgement then, whatever floods the topic."""
+"""MQTT's quality of service for messages in any number, which are lost if the connection breaks. All subscriptions use
+it, because then the broker waits for no acknowledgement, even if somebody floods the topic."""
 
 
 class Broker:
-    """Connects by itself at turns. `problem` says why it is not connected; empty: it is."""
+    """A connection to the broker, made and kept by turn(). `problem` says why it is not connected; empty: it is
+    connected."""
 
     def __init__(
         self,
@@ -68,9 +71,9 @@ class Broker:
         *,
         newest_first: bool = False,
     ) -> None:
-        """`subscriptions`: topics; `hear`: is given topic, payload, and whether it was retained; `up`: is called at
-        each connection; `newest_first`: of what has come at once the newest is heard first, for HEAR_S. Raises
-        FleetError: no paho-mqtt, a file that can't be read."""
+        """`subscriptions`: topics; `hear`: called for each message with its topic, its payload and whether it was
+        retained; `up`: called at each new connection; `newest_first`: of messages that have come together, hand on the
+        newest first, for HEAR_S. Raises FleetError if paho-mqtt is missing or a file can't be read."""
         try:
             from paho.mqtt.enums import CallbackAPIVersion
 
@@ -80,9 +83,9 @@ class Broker:
         self.where = f"{settings.text('broker.host')}:{settings.number('broker.port'):.0f}"
         self.problem = NOT_YET
         self.listening = False
-        """The broker has answered every subscription: from then on nothing is missed."""
+        """True once the broker has answered every subscription, so that no message is missed from then on."""
         self.denied: tuple[str, ...] = ()
-        """Topics that the broker does not let this client hear."""
+        """Topics that the broker does not let this client read."""
         self._unconfirmed: dict[int | None, str] = {}
         self._settings = settings
         self._subscriptions = subscriptions
@@ -93,7 +96,7 @@ class Broker:
         self._try_at_s = 0.0
         self._closing = False
         self.up_s = 0.0
-        """When the connection was made, monotonic."""
+        """When the connection was made (time.monotonic()), s."""
         self.client: Client = Client(
             CallbackAPIVersion.VERSION2, client_id=client_id, clean_session=True, reconnect_on_failure=False
         )
@@ -135,29 +138,30 @@ class Broker:
         self.client.tls_set_context(context)
 
     def will(self, topic: str, payload: bytes) -> None:
-        """Set the broker's retained message for when this client is lost; counts from the next connection on."""
+        """Set the retained message that the broker publishes when it loses this client. It takes effect with the next
+        connection."""
         self.client.will_set(topic, payload, qos=ONCE, retain=True)
 
     def say(self, topic: str, payload: bytes, *, qos: int = ONCE, retain: bool = False) -> None:
-        """Publish; nothing happens while there is no connection."""
+        """Publish a message. While there is no connection, this does nothing."""
         if not self.problem:
             self.client.publish(topic, payload, qos=qos, retain=retain)
 
     def connected_s(self) -> float:
-        """How long this connection has lasted; 0 while there is none."""
+        """How long this connection has lasted, s; 0 without a connection."""
         return 0.0 if self.problem else time.monotonic() - self.up_s
 
     def fileno(self) -> int:
-        """The descriptor to wait for; -1 while there is no connection."""
+        """The descriptor to wait on; -1 without a connection."""
         found = self.client.socket()
         return found.fileno() if found else -1
 
     def wants_write(self) -> bool:
-        """True while something waits to be sent."""
+        """True while bytes wait to be sent."""
         return bool(self.client.want_write())
 
     def turn(self, timeout_s: float) -> None:
-        """Wait for the broker at most so long, and do what there is to do."""
+        """Wait for the broker for at most `timeout_s`, then read, write and reconnect as needed."""
         if self.fileno() < 0:
             self.connect(time.monotonic())
             if self.fileno() < 0:
@@ -166,7 +170,7 @@ class Broker:
         self.serve(readable=self._poll(0.0 if self.client.buffered() else timeout_s))
 
     def _poll(self, timeout_s: float) -> bool:
-        """Wait at most so long; True when something is there to be read, or the connection has ended."""
+        """Wait for at most `timeout_s`. True if there is something to read, or the connection has ended."""
         if (fd := self.fileno()) < 0:
             return False
         poll = select.poll()
@@ -174,7 +178,7 @@ class Broker:
         return any(event != select.POLLOUT for _, event in poll.poll(timeout_s * 1e3))
 
     def serve(self, *, readable: bool) -> None:
-        """Read what has come, write what waits, keep the connection alive."""
+        """Read what has come, write what waits, and keep the connection alive."""
         for _ in range(MOST_READS):
             if not (readable or self.client.buffered()):
                 break
@@ -186,8 +190,8 @@ class Broker:
         self.client.loop_misc()
 
     def deliver(self, clock_s: Callable[[], float] = time.monotonic) -> None:
-        """Hand on the messages that were read. Where the newest comes first, a flood's older ones are dropped: the
-        sender of a genuine one repeats it."""
+        """Hand on the messages that were read. With `newest_first`, the older ones of a flood are dropped, because the
+        sender of a genuine stop repeats it."""
         messages = self.client.wire.messages()
         if not self._newest_first:
             for message in messages:
@@ -200,7 +204,7 @@ class Broker:
                 return
 
     def connect(self, now_s: float) -> None:
-        """Try to, if it is time; the broker's answer comes in a turn."""
+        """Try to connect, if it is time for the next attempt. The broker's answer comes in a later turn()."""
         if now_s < self._try_at_s:
             return
         self._try_at_s = now_s + self._wait_s * random.uniform(1 - SPREAD, 1 + SPREAD)
@@ -216,7 +220,8 @@ class Broker:
             self.problem = f"no broker at {self.where}: {getattr(error, 'strerror', None) or error}"
 
     def confirmed(self, wait_s: float) -> bool:
-        """Wait at most so long until the broker is connected and has acknowledged every message that went out ONCE."""
+        """Wait for at most `wait_s`. True once the broker is connected and has acknowledged every message that was sent
+        with ONCE."""
         until_s = time.monotonic() + wait_s
         self._try_at_s = 0.0
         while self.problem or self.client.waits():
@@ -227,8 +232,8 @@ class Broker:
 
     def close(self) -> None:
         """Disconnect cleanly, so that the broker does not publish the last will. The connection stays open until the
-        broker has ended it, or for CLOSE_S: bytes that come to a closed one reset it, and a broker that meets the reset
-        before it has read the end takes the client for lost."""
+        broker ends it, or for CLOSE_S. If we closed it first, bytes that still arrive would reset it, and the broker
+        might see the reset before our goodbye and take the client for lost."""
         self._closing = True
         if (fd := self.fileno()) < 0:
             return
@@ -241,11 +246,12 @@ class Broker:
                     break
 
     def drop(self) -> None:
-        """End the connection without a word: the broker says the last will."""
+        """End the connection without a goodbye, so that the broker publishes the last will."""
         self.client.drop()
 
     def _on_socket(self, _client: Any, _: object, found: Any) -> None:
-        """A new connection. Small messages leave at once: waiting for more to send costs 40 ms each time."""
+        """Prepare a new connection so that small messages leave at once; otherwise the kernel waits 40 ms for more
+        bytes to send together."""
         found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.client.wire = MqttWire()
 
@@ -274,7 +280,8 @@ class Broker:
 
 
 def _check_readable(key: str, path: str, credential: str) -> None:
-    """Raises FleetError, which names the setting and the file: the errors of TLS name neither."""
+    """Raise FleetError, which names the setting and the file, if the file can't be read. The errors of TLS would name
+    neither."""
     if not path:
         return
     try:
@@ -284,7 +291,7 @@ def _check_readable(key: str, path: str, credential: str) -> None:
 
 
 def read_secret(path: str) -> str:
-    """The first line of a file that nobody else may read. Raises FleetError."""
+    """The first line of a file that no other user may read. Raises FleetError."""
     try:
         fd = durable.open_regular(path)
         try:

@@ -1,4 +1,4 @@
-"""The check of the robot's part in its fleet: whether a stop of the fleet would be obeyed here."""
+"""The doctor's check of the fleet: would this robot obey a fleet stop?"""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ PROPERTIES = "LoadState,ActiveState,UnitFileState,StatusText,StatusErrno"
 
 
 def check(look: Look) -> list[Finding]:
-    """The publisher's own words to systemd. One that runs in a shell tells its own terminal."""
+    """The findings, from the status that the publisher reports to systemd. A publisher that was started by hand reports
+    only to its own terminal."""
     said = look.system.said("systemctl", "show", UNIT, "--property", PROPERTIES)
     found = dict(line.split("=", 1) for line in (said or "").splitlines() if "=" in line)
     active, enabled = found.get("ActiveState") == "active", found.get("UnitFileState", "").startswith("enabled")

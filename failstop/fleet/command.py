@@ -1,4 +1,4 @@
-"""`failstop fleet`: the robots of a broker - see them, stop all of them, publish this one."""
+"""`failstop fleet`: watch the robots on a broker, stop all of them, or publish this one."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ failstop fleet publish               # run this on each robot
 WATCH_S = 0.25
 """Between two pictures."""
 LIST_S = 1.5
-"""How long the broker may take to say what it knows."""
+"""How long the broker may take to report all that it knows, s."""
 LONGEST_STOP_S = 3600.0
 PROGRESS_S = 0.25
-"""Between two lines of progress."""
+"""Time between two updates of the progress line, s."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
@@ -74,7 +74,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _seconds(text: str) -> float:
-    """A time to wait. Raises ArgumentTypeError."""
+    """The value of --wait, s. Raises ArgumentTypeError."""
     try:
         found = float(text)
     except ValueError:
@@ -198,7 +198,8 @@ def _list(arguments: Namespace) -> int:
 
 
 def _blind(broker: Broker) -> str:
-    """Why robots may be missing, if the broker refused to let this client read of them; empty: it refused nothing."""
+    """If the broker does not let this client read some topics: why robots may be missing from the screen. Otherwise
+    empty."""
     denied = " and ".join(broker.denied)
     return f"the broker does not let you read {denied}: see its access list" if denied else ""
 
@@ -226,7 +227,8 @@ def _stop(arguments: Namespace) -> int:
 
 
 class Progress:
-    """One line on the terminal, in place, while a stop is not confirmed by all. Nothing where stderr is no terminal."""
+    """A line on the terminal that is updated in place until all robots have confirmed a stop. It shows nothing if
+    stderr is not a terminal."""
 
     def __init__(self, stopping: Sender) -> None:
         self._stopping = stopping
@@ -234,7 +236,7 @@ class Progress:
         self._began_s = self._next_s = time.monotonic()
 
     def show(self) -> None:
-        """Renew it, if it is time."""
+        """Update the line, if it is time."""
         now_s = time.monotonic()
         if not self._shows or now_s < self._next_s:
             return
@@ -243,7 +245,7 @@ class Progress:
         self._write(report.progress(tally, problem, now_s - self._began_s))
 
     def clear(self) -> None:
-        """Take it away."""
+        """Remove the line."""
         if self._shows:
             self._write("")
 
@@ -255,8 +257,8 @@ class Progress:
 
 
 def _check_gone(robot: Robot, broker: Broker) -> None:
-    """Raises FleetError for a robot that shows a sign of life. What the broker says of its connection is no proof: one
-    that was switched off while the broker was down stays connected there."""
+    """Raise FleetError if the robot shows a sign of life. Its connection at the broker proves nothing: a robot that was
+    switched off while the broker was down still counts as connected there."""
 
     def over() -> bool:
         gone = robot.connection in (message.OFFLINE, message.LOST)

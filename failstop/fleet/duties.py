@@ -1,6 +1,7 @@
-"""Duties: the stops of the fleet on the robot's side: which are obeyed, and what is answered when. Pure.
+"""Duties: fleet stops on the robot's side, which of them it obeys, and when it answers what. Pure.
 
-A stop is asked for first and remembered after: what a crash between the two lets through is a stop too many.
+The robot first requests a stop and then remembers its id. If it crashes in between, the worst that can happen is that
+the same stop is obeyed twice.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ if TYPE_CHECKING:
     from failstop.fleet.replay import Seen
 
 FOLLOWED_S = 6.0
-"""By then all is known that will be known of a stop."""
+"""How long a stop is followed, s. All its proofs are known by then."""
 AGAIN_EVERY_S = 0.25
-"""An id that comes again is answered this often at most."""
+"""An id that comes again is answered at most this often, s."""
 MOST_DUTIES = 32
 UNWRITTEN = "latched but NOT written, so the board did not get it"
 FORGOTTEN = "requested, but then its publisher was restarted, so nobody knows whether the robot stopped"
@@ -27,8 +28,8 @@ class Duty:
     """One stop that this robot carries out."""
 
     def __init__(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
-        """It is in the stop pipe. `now_s`: monotonic; `before`: the service's state before that, None where that was
-        not to be read."""
+        """The request is in the stop pipe. `now_s`: now (time.monotonic()); `before`: the service's state before the
+        request, None if it could not be read."""
         self.id = order.id
         self.reached: dict[str, float] = {levels.ASKED: 0.0}
         self.why = ""
@@ -40,7 +41,7 @@ class Duty:
         self._latched = before.cause if before else None
 
     def look(self, state: State | None, now_s: float) -> bool:
-        """True when something more has become known of it."""
+        """Follow this stop. True if a further level was reached."""
         stop = state.last_stop if state else None
         if state is None or stop is None or not self._answers_it(state, stop):
             return False
@@ -59,8 +60,9 @@ class Duty:
         return bool(new)
 
     def _answers_it(self, state: State, stop: Stop) -> bool:
-        """A stop of before the request is no answer to it; whichever came after it is. So is the one that was latched
-        before, and is: the service has heard the request, follows the first stop alone, and still hears the board."""
+        """True if the service's last `stop` answers this request: it came after the request, or it was latched before
+        and still is. In the second case the service must have heard the request (its epoch grew) and still hear the
+        board; it then only keeps the first stop."""
         if self._epoch is None:
             return stop.t >= self._unix_s
         was_latched = self._latched is not None and state.cause == self._latched
@@ -69,24 +71,24 @@ class Duty:
         )
 
     def open(self, now_s: float) -> bool:
-        """More may become known of it."""
+        """True while more may become known about this stop."""
         return now_s - self._since_s <= FOLLOWED_S and not set(levels.PROOFS) <= set(self.reached)
 
 
 def confirming(state: State) -> str:
-    """The level that confirms a stop of this robot: what its board answers, or where that answers nothing by its nature
-    what its IMU sees, or where there is none that the stop was written."""
+    """The level at which a stop of this robot counts as confirmed: acknowledged, if its board can answer; else
+    observed, if it has an IMU; else written."""
     if state.device.link != LINK_UNASKED:
         return levels.ACKNOWLEDGED
     return levels.OBSERVED if state.imu else levels.WRITTEN
 
 
 class Duties:
-    """The robot's duties by messages on the stop topic."""
+    """Decides about each message on the stop topic, and what this robot answers."""
 
     def __init__(self, key: bytes, robot: str, seen: Seen) -> None:
         self.forged = 0
-        """Messages that were not the fleet's."""
+        """How many messages were not signed with the fleet's key."""
         self.last_forged = ""
         self._key = key
         self._robot = robot
@@ -94,7 +96,7 @@ class Duties:
         self._duties: dict[str, Duty] = {}
         self._followed: list[Duty] = []
         self._new: list[str] = []
-        """Asked for, and not told of yet."""
+        """Ids of stops that were requested and are not answered yet."""
         self._refused_s = -AGAIN_EVERY_S
 
     def hear(self, message: bytes, now_s: float, unix_s: float) -> tuple[Order | None, StopAnswer | None]:
@@ -127,11 +129,12 @@ class Duties:
         return self._answer(duty, now_s)
 
     def failed(self, order: Order, problem: str) -> StopAnswer:
-        """It could not be asked for. It stays new: it is tried again when the sender repeats it."""
+        """The answer to a stop that could not be requested. The stop still counts as new, so it is tried again when the
+        sender repeats it."""
         return StopAnswer(order.id, self._robot, {levels.FAILED: 0.0}, problem)
 
     def begin(self, order: Order, now_s: float, unix_s: float, before: State | None) -> None:
-        """It was asked for, at `now_s`; `before`: the service's state before that."""
+        """Follow a stop that was requested at `now_s`. `before`: the service's state before the request."""
         self._seen.obeyed(order.id, order.unix_s, unix_s)
         duty = self._duties[order.id] = Duty(order, now_s, unix_s, before)
         self._followed = [*self._followed, duty][-MOST_DUTIES:]
@@ -140,7 +143,8 @@ class Duties:
         self._new.append(order.id)
 
     def look(self, state: State | None, now_s: float) -> list[StopAnswer]:
-        """Answers, as more has become known; the first time, that it was asked for."""
+        """The answers that are due because more has become known. The first answer of a stop says that it was
+        requested."""
         new, self._new = self._new, []
         changed = [duty for duty in self._open(now_s) if duty.look(state, now_s) or duty.id in new]
         return [self._answer(duty, now_s) for duty in changed]
@@ -150,11 +154,11 @@ class Duties:
         return StopAnswer(duty.id, self._robot, dict(duty.reached), duty.why, duty.confirms)
 
     def busy(self, now_s: float) -> bool:
-        """True while more is to be known of one."""
+        """True while more may become known about a stop."""
         return bool(self._open(now_s))
 
     def waits(self, now_s: float) -> bool:
-        """True while one is to be confirmed: the sender counts on that."""
+        """True while a stop still has to be confirmed, because its sender waits for that."""
         return any(duty.confirms not in duty.reached for duty in self._open(now_s))
 
     def _open(self, now_s: float) -> list[Duty]:

@@ -1,4 +1,4 @@
-"""Exposition: the metrics of a service as Prometheus reads them, once or over HTTP."""
+"""Exposition: a service's metrics in the form that Prometheus reads, once or over HTTP."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Collector:
-    """Reads whatever run of the service is there, at each scrape anew. For several threads."""
+    """Reads the state again at each scrape, from the run of the service that exists then. Thread-safe."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -29,7 +29,7 @@ class Collector:
         self._lock = threading.Lock()
 
     def state(self) -> State | None:
-        """The state now; None while there is none."""
+        """The state now; None if no service is running."""
         with self._lock:
             for _ in range(2):  # a reader of a run that has ended says so, and the next run may be there
                 try:
@@ -41,7 +41,7 @@ class Collector:
         return None
 
     def collect(self) -> Iterator[Metric]:
-        """The metrics, as a registry of prometheus_client asks for them."""
+        """The metrics, in the form in which a registry of prometheus_client asks for them."""
         from prometheus_client.core import Metric
 
         for family, samples in metrics.collect(self.state()):
@@ -53,7 +53,7 @@ class Collector:
 
 
 def registry(name: str) -> CollectorRegistry:
-    """With the service's metrics alone. Raises FleetError without prometheus_client."""
+    """A registry that has only the service's metrics. Raises FleetError without prometheus_client."""
     try:
         from prometheus_client import CollectorRegistry
     except ImportError:
@@ -64,7 +64,7 @@ def registry(name: str) -> CollectorRegistry:
 
 
 def text(name: str) -> str:
-    """The metrics now, in Prometheus's text format. Raises FleetError."""
+    """The present metrics of the service of this name, in Prometheus's text format. Raises FleetError."""
     found = registry(name)
     from prometheus_client import generate_latest
 
@@ -73,7 +73,7 @@ def text(name: str) -> str:
 
 @contextlib.contextmanager
 def serving(name: str, host: str, port: int) -> Iterator[int]:
-    """Serve /metrics, in threads, while the context lasts; gives the port. Raises FleetError."""
+    """Serve /metrics in threads for as long as the context lasts; yields the port. Raises FleetError."""
     found = registry(name)
     from prometheus_client import make_wsgi_app
 
@@ -90,7 +90,7 @@ def serving(name: str, host: str, port: int) -> Iterator[int]:
 
 
 def address(text: str) -> tuple[str, int]:
-    """HOST:PORT, [IPv6]:PORT or :PORT, of which the host is then 127.0.0.1. Raises FleetError."""
+    """The host and the port of HOST:PORT, [IPv6]:PORT or :PORT (host 127.0.0.1). Raises FleetError."""
     host, colon, port = text.rpartition(":")
     if not colon or not (port.isascii() and port.isdigit()) or int(port) > 65535:
         raise FleetError(f"--serve {text}: HOST:PORT is expected, 127.0.0.1:9464 for one")

@@ -1,4 +1,4 @@
-"""Levels: how far a stop of the fleet has come on one robot, and the two messages that tell of it. Pure."""
+"""Levels: how far a fleet stop has come on one robot, and the two messages about it: the order and the answer. Pure."""
 
 from __future__ import annotations
 
@@ -14,67 +14,68 @@ if TYPE_CHECKING:
     from typing import Any
 
 REFUSED = "refused"
-"""It is too old, or too far ahead."""
+"""The stop's date is too old, or too far ahead."""
 FAILED = "failed"
-"""Nothing could be asked for here, or it was not written."""
+"""The stop could not be requested, or was not written."""
 ASKED = "asked"
-"""It is in the stop pipe."""
+"""The request is in the stop pipe."""
 WRITTEN = "written"
-"""The kernel has its bytes."""
+"""The kernel has the bytes of the stop."""
 ACKNOWLEDGED = "acknowledged"
-"""The board answered a ping that was written after it."""
+"""The board has answered a ping that was written after the stop."""
 OBSERVED = "observed"
-"""The IMU calls the wheels still."""
+"""The IMU shows that the wheels are still."""
 PROOFS = (WRITTEN, ACKNOWLEDGED, OBSERVED)
 ORDER = (REFUSED, FAILED, ASKED, *PROOFS)
 MOST_TEXT = 120
-"""Characters of a reason or a name."""
+"""The longest reason or name, characters."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Order:
-    """A stop of the fleet."""
+    """A fleet stop, as its sender orders it."""
 
     id: str
     unix_s: float
-    """When it was signed, by the sender's clock."""
+    """When the order was signed, by the sender's clock (Unix time, s)."""
     reason: str
     by: str
 
     def message(self, key: bytes) -> bytes:
-        """Signed; no longer than robots read, whatever the reason."""
+        """The signed message. However long the reason is, the message is no longer than robots accept."""
         body = {"id": self.id, "t": self.unix_s, "reason": self.reason[:MOST_TEXT], "by": self.by[:MOST_TEXT]}
         return signed.sign(key, signed.STOP_PURPOSE, body)
 
 
 def read_order(key: bytes, message: bytes) -> Order:
-    """Raises signed.Forged."""
+    """The order in a message. Raises signed.Forged."""
     body = signed.verify(key, signed.STOP_PURPOSE, message)
     return Order(_id(body), _number(body, "t"), _text(body, "reason"), _text(body, "by"))
 
 
 @dataclasses.dataclass(frozen=True)
 class StopAnswer:
-    """A robot's answer to a stop of the fleet."""
+    """A robot's answer to a fleet stop."""
 
     id: str
-    """The stop's."""
+    """The id of the stop."""
     robot: str
     reached: dict[str, float]
-    """Every level that it has come to, and after how many seconds at the robot."""
+    """Every level that the stop has reached on this robot, with the seconds after which it did."""
     why: str = ""
-    """In words, for REFUSED and FAILED."""
+    """The reason, for REFUSED and FAILED."""
     confirms: str = ACKNOWLEDGED
-    """The level that confirms the stop: the first that its board and its IMU can give."""
+    """The level that confirms the stop: the first one that this robot's board or IMU can give."""
     publisher: str = ""
-    """The number that its publisher drew. Empty: an older failstop, which draws none."""
+    """The random number of the publisher (twins.py); empty for an older failstop, which has none."""
     doubled: bool = False
-    """Its publisher knows of another one with its name."""
+    """True if the publisher knows of another one that uses its name."""
     connected_s: float = 0.0
-    """How long its connection to the broker has lasted. The broker has run for at least as long."""
+    """How long the publisher's connection to the broker has lasted, s. The broker has been running for at least as
+    long."""
 
     def message(self, key: bytes) -> bytes:
-        """Signed."""
+        """The signed message."""
         body: dict[str, Any] = {"id": self.id, "robot": self.robot, "reached": self.reached}
         body |= {"why": self.why, "confirms": self.confirms}
         body |= {"publisher": self.publisher, "doubled": self.doubled, "connected_s": self.connected_s}
@@ -82,7 +83,7 @@ class StopAnswer:
 
 
 def read_answer(key: bytes, message: bytes) -> StopAnswer:
-    """Raises signed.Forged."""
+    """The answer in a message. Raises signed.Forged."""
     body = signed.verify(key, signed.ANSWER_PURPOSE, message)
     reached = body.get("reached")
     if not isinstance(reached, dict) or not set(reached) <= set(ORDER):

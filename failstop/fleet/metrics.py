@@ -1,7 +1,7 @@
-"""Metrics: a state as families of samples, by a table. Pure.
+"""Metrics: a table that turns a state into Prometheus's metrics. Pure.
 
-Each row is a metric as Prometheus has them: base units, the unit at the end of the name, `_total` for what only grows.
-A value that is not known has no sample; `failstop_up` alone is there without a service.
+The names follow Prometheus's rules: base units, with the unit at the end of the name, and `_total` for counters that
+only grow. A value that is not known has no sample. Without a service the only metric is `failstop_up`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PROCESS_STATES = ("starting", "running", "hanging", "suspended", "fenced", "wait
 
 @dataclasses.dataclass(frozen=True)
 class Family:
-    """One metric: its name, what kind it is, what it says, and how it is read from a state."""
+    """A metric: its name, its type, its help text, and how its samples are read from a state."""
 
     name: str
     kind: str
@@ -43,7 +43,7 @@ class Family:
 
 
 def collect(state: State | None) -> Iterator[tuple[Family, list[Sample]]]:
-    """Every family that has samples now; None: no service runs, or it says nothing."""
+    """Every metric that has samples now. None: no service is running, or it does not answer."""
     yield UP, [((), float(state is not None))]
     if state is not None:
         for family in FAMILIES[1:]:
@@ -60,7 +60,7 @@ def _each(label: str, values: dict[str, float]) -> list[Sample]:
 
 
 def _states(label: str, names: Iterable[str], now: str) -> list[Sample]:
-    """One sample for each word that there is, of which one is 1."""
+    """A sample for each of these words: 1 for the one that is true `now`, 0 for the others."""
     return _each(label, {name: float(name == now) for name in dict.fromkeys((*names, now))})
 
 
@@ -111,7 +111,8 @@ def _stop_cause(state: State) -> list[Sample]:
 
 
 def _wheel_speeds(state: State) -> list[Sample]:
-    """The wheels' speeds. None if the reading is old, because nobody knows whether the wheels still turn like that."""
+    """The measured speed of each wheel. No samples if the reading is old, because nobody knows whether the wheels still
+    turn like that."""
     known = state.turning
     if known.speeds_radps is None or not known.by:
         return []

@@ -1,4 +1,4 @@
-"""`failstop metrics`: the state as Prometheus reads it, once or over HTTP."""
+"""`failstop metrics`: the state in the form that Prometheus reads, once or over HTTP."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Print, or serve. Raises FleetError. Without a service it is `failstop_up 0`, and no error."""
+    """Print the metrics, or serve them. If no service is running, that is no error: the metrics are then `failstop_up
+    0`. Raises FleetError."""
     if arguments.serve is None:
         sys.stdout.write(exposition.text(arguments.name))
         return 0

@@ -1,7 +1,7 @@
-"""Publisher: one robot on the broker - its connection, state and events, and its obedience to a stop of the fleet.
+"""Publisher: publishes one robot's connection, state and events on the broker, and carries out fleet stops.
 
-Outside the stop path: the robot runs as well without it, and it holds nothing that moves the robot. It writes into the
-stop pipe, as every local user may, and reads what everybody may read.
+It is not on the stop path: the robot works without it, and it can't move the robot. It writes into the stop pipe, as
+every local user may, and reads only what everybody may read.
 """
 
 from __future__ import annotations
@@ -44,30 +44,32 @@ if TYPE_CHECKING:
 
 
 LOOK_S = 0.2
-"""Between two looks at the state."""
+"""Time between two looks at the state, s."""
 BUSY_LOOK_S = 0.02
-"""While a stop is to be confirmed."""
+"""Time between two looks while a stop is not confirmed yet, s."""
 LAST_LOOK_S = 0.1
-"""While the wheels of one that is confirmed are watched: that takes most of a second, and holds up nobody."""
+"""Time between two looks after a stop was confirmed, while it is watched whether the wheels come to rest, s. That takes
+most of a second, and nobody waits for it."""
 BUSY_STATE_S = 1.0
-"""Between two states while a stop is carried out: its answers go first. A thousand robots that told both at once would
-confirm later."""
+"""Time between two state messages while a stop is carried out, s, because its answers matter more. If a thousand robots
+sent both at once, they would confirm later."""
 FIRST_LOOK_S = 0.003
-"""By then the service has written it: its first answer says so at once."""
+"""When to look first after a stop was requested, s. The service has usually written it by then, so the first answer
+already says so."""
 CHANGES_S = 1.0
-"""The shortest time between two messages on values that change all the time, as a velocity does."""
+"""The shortest time between two messages about values that change all the time, such as a velocity, s."""
 MOST_EVENTS = 20
-"""At one look: the newest. The journal has all of them."""
+"""At most this many events, the newest, are published at one look. The journal has all of them."""
 FORGED_S = 60.0
-"""How long a message that was not the fleet's is told of."""
+"""For how long the publisher reports a message that was not signed with the fleet's key, s."""
 CLOSE_S = 1.5
-"""How long the broker may take to confirm the end of this robot's publisher."""
+"""How long the broker may take to confirm that this publisher has ended, s."""
 SEEN = "fleet-stops.json"
 NOT_LISTENING = "the broker has not answered the subscription yet"
 
 
 class Service:
-    """The service of this machine, whatever run of it is there."""
+    """The service of this name on this computer, in whatever run exists."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -75,7 +77,7 @@ class Service:
         self._log: EventLog | None = None
 
     def read(self) -> tuple[State | None, str]:
-        """The state now; None, and why."""
+        """The state now and "", or None and the reason why there is no state."""
         note = ""
         for _ in range(2):  # a reader of a run that has ended, and then one of the next
             try:
@@ -87,7 +89,7 @@ class Service:
         return None, note
 
     def events(self) -> list[Event]:
-        """Events since the last call."""
+        """The events since the last call."""
         try:
             self._log = self._log or EventLog(self.name)
             return self._log.read()
@@ -96,7 +98,7 @@ class Service:
             return []
 
     def stop(self, reason: str, by: str) -> str:
-        """Ask for one; returns what is wrong."""
+        """Request a stop; returns what went wrong, or ""."""
         try:
             send_stop(self.name, reason, f"{records.FLEET_PREFIX}{by}")
         except FailstopError as error:
@@ -105,7 +107,7 @@ class Service:
 
 
 class Publisher:
-    """Call turn() for ever."""
+    """Publishes this robot and carries out fleet stops. Call turn() in an endless loop."""
 
     def __init__(self, settings: FleetSettings, name: str, robot: Robot, robot_id: str, store: str) -> None:
         """`store`: the folder in which obeyed stops are remembered. Raises FleetError."""
@@ -115,7 +117,7 @@ class Publisher:
         self._fleet = fleet
         self._publish_s = settings.number("robot.publish_s")
         self.number = draw()
-        """This publisher's, in all that it publishes."""
+        """This publisher's random number, which is in all its messages."""
         self.twins = Twins(self.number, time.time())
         self._header = message.Header(fleet, robot_id, self.number)
         self._connection_topic = self._header.topic(topics.CONNECTION)
@@ -124,16 +126,17 @@ class Publisher:
         self._store = os.path.join(store, SEEN)
         self._seen = _remembered(self._store, settings.number("stop.tolerance_s"))
         self.duties = Duties(self._key, robot_id, self._seen)
-        """Judges what claims to be a stop of the fleet."""
+        """Judges messages that claim to be fleet stops; None without a key."""
         self.unsaved = False
-        """Written after the answers have left: a disk may take its time."""
+        """True if obeyed stops still have to be saved. They are saved after the answers were sent, because the disk may
+        be slow."""
         self._said_forged = 0
         self._said_denied = self._said_doubled = ""
         self._forged_s = -FORGED_S
         self._look_at_s = self._published_s = self._built_s = 0.0
         self._shown: tuple[object, object] = (None, None)
         self._word = message.ONLINE
-        """The robot's connection, as the broker is told at each new one."""
+        """The robot's connection (message.ONLINE ...) that the broker gets at each new connection."""
         # A client's own: two robots of one name would throw each other off the broker by the name alone.
         name = f"failstop-{robot_id}-{self.number}"
         wanted = (*self._stop_topics(), self._connection_topic)
@@ -144,7 +147,7 @@ class Publisher:
         return self._stop_topic, topics.stop(self._fleet, self.robot_id)
 
     def turn(self, longest_s: float = LOOK_S) -> None:
-        """Wait for the broker, for as long as there is nothing else to do, then do that."""
+        """Wait for the broker until something is to be done, `longest_s` at most, then do it."""
         was = self.broker.problem
         self.broker.turn(min(longest_s, max(0.0, self._look_at_s - time.monotonic())))
         if self.broker.problem != was and not self.twins.others:  # two may end each other's connection every second
@@ -185,7 +188,7 @@ class Publisher:
                 self._publish_event(event)
 
     def deaf(self) -> str:
-        """Why no stop of the fleet is obeyed here now; empty: it would be."""
+        """Why this robot would not obey a fleet stop now; empty if it would."""
         return self._off or self.broker.problem or self._denied() or ("" if self.broker.listening else NOT_LISTENING)
 
     def _denied(self) -> str:
@@ -193,7 +196,7 @@ class Publisher:
         return f"the broker does not let this robot read {denied}: check its access list" if denied else ""
 
     def doubled(self) -> str:
-        """What is wrong, and what to do, if another publisher uses this robot's name; empty: none is known."""
+        """If another publisher uses this robot's name: what is wrong, and what to do. Otherwise empty."""
         if not self.twins.others:
             return ""
         return (
@@ -203,15 +206,15 @@ class Publisher:
         )
 
     def busy(self, now_s: float) -> bool:
-        """True while a stop of the fleet is carried out."""
+        """True while a fleet stop is being carried out."""
         return self.duties.busy(now_s)
 
     def _soon_s(self, now_s: float) -> float:
         return BUSY_LOOK_S if self.duties.waits(now_s) else LAST_LOOK_S
 
     def close(self) -> None:
-        """End cleanly: the broker confirms that the robot is offline, so it is not lost. If it does not confirm within
-        CLOSE_S, it publishes the last will."""
+        """End cleanly: publish that the robot is offline, so that it does not count as lost. If the broker does not
+        confirm that within CLOSE_S, it publishes the last will."""
         self._word = message.OFFLINE
         self._connection()
         if self.broker.confirmed(CLOSE_S):
@@ -257,7 +260,8 @@ class Publisher:
         self.broker.say(self._header.topic(topics.EVENT), payload, qos=ANYHOW, retain=True)
 
     def own_errors(self, now_s: float) -> tuple[dict[str, Any], ...]:
-        """Errors of this publisher, beside the robot's: it is deaf, or somebody forges stops."""
+        """This publisher's own errors, which are added to the robot's: it would obey no fleet stop, or somebody sends
+        forged stops."""
         found = []
         if off := self._off or self._denied():
             found.append(message.warning(message.FLEET_STOP_OFF, off, "`failstop doctor` on the robot says more"))
@@ -270,7 +274,8 @@ class Publisher:
         return tuple(found)
 
     def _hear(self, topic: str, payload: bytes, retained: bool) -> None:
-        """A stop of the fleet, or a message that claims to be one; or one on the connection of this name."""
+        """Handle a message: a stop, or something that claims to be one, or a message about the connection of this
+        robot's name."""
         if topic == self._connection_topic:
             self.twins.hear(payload, retained=retained)
             return
@@ -309,7 +314,8 @@ class Publisher:
         self.broker.say(topic, whole.message(self._key), qos=ANYHOW)  # the sender asks again for what is lost
 
     def _remember(self) -> None:
-        """Save the orders that were obeyed, over a restart. A failure is said, and is no reason not to stop."""
+        """Save the ids of obeyed stops, so that they outlive a restart. If that fails, it is logged, because it is no
+        reason not to stop."""
         draft = f"{self._store}.new"
         try:
             durable.write_draft(draft, self._seen.dump())
@@ -321,7 +327,7 @@ class Publisher:
 
 
 def _key(settings: FleetSettings) -> tuple[bytes, str]:
-    """The fleet's key, or why there is none."""
+    """The fleet's key and "", or an empty key and the reason why there is none."""
     try:
         return signed.read_key(settings.secret("stop.key_file", KEY)), ""
     except FleetError as error:
@@ -330,8 +336,8 @@ def _key(settings: FleetSettings) -> tuple[bytes, str]:
 
 
 def _remembered(path: str, tolerance_s: float) -> Seen:
-    """The stops that were obeyed before; of none, where that can't be read: then a stop that is as young as the
-    tolerance could be repeated, and no other."""
+    """The stops that were obeyed before. If the file can't be read, there are none; then somebody could repeat a
+    recorded stop until it is older than the tolerance."""
     try:
         fd = durable.open_own(path)
         with contextlib.closing(os.fdopen(fd, "rb")) as file:
@@ -344,7 +350,7 @@ def _remembered(path: str, tolerance_s: float) -> Seen:
 
 
 def store(name: str) -> str:
-    """The folder for what is remembered; made. Raises FleetError."""
+    """The folder in which obeyed stops are remembered; it is made if needed. Raises FleetError."""
     path = state_directory(name, os.environ)
     try:
         os.makedirs(path, exist_ok=True)

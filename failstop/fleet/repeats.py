@@ -1,34 +1,34 @@
-"""Repeats: when a stop of the fleet is sent again. Pure; times are monotonic seconds."""
+"""Repeats: when a fleet stop is sent again. Pure; times are those of time.monotonic(), s."""
 
 from __future__ import annotations
 
 AGAIN_S = 0.5
-"""Time between two sendings of one stop, each with its own date."""
+"""Time between two sendings of one stop, s. Each sending has its own date."""
 MANY_AGAIN_S = 1.5
-"""Time between two sendings while many are missing: every robot answers each of them."""
+"""Time between two sendings while many robots are missing, s, because every robot answers every sending."""
 MANY = 100
-"""Missing robots above which they are many."""
+"""More missing robots than this are many."""
 LATEST_S = 4.5
-"""The longest time between two sendings. Until then a fleet whose answers still come in is not asked again: a
-thousand robots that take two seconds to answer would answer twice, and take four."""
+"""The longest time between two sendings, s. Until then nothing is sent while answers still come in: a thousand robots
+take two seconds to answer, and if they had to answer twice, they would take four."""
 
 
 class Repeats:
-    """The next sending: due at once, before the first one."""
+    """Knows when the next sending is due; the first one is due at once."""
 
     def __init__(self) -> None:
         self._due_s = self._latest_s = 0.0
 
     def sent(self, now_s: float, missing: int) -> None:
-        """The stop went out, while so many robots had not confirmed it."""
+        """The stop was sent while this many robots had not confirmed it."""
         many = missing > MANY
         self._due_s = now_s + (MANY_AGAIN_S if many else AGAIN_S)
         self._latest_s = now_s + LATEST_S if many else self._due_s
 
     def heard(self, now_s: float) -> None:
-        """A robot told something new."""
+        """A robot has reported something new."""
         self._due_s = min(self._latest_s, max(self._due_s, now_s + AGAIN_S))
 
     def due(self, now_s: float) -> bool:
-        """True when the stop goes out once more."""
+        """True when the stop must be sent again."""
         return now_s >= self._due_s

@@ -1,4 +1,4 @@
-"""Report: what became of a stop of the fleet, for people and for programs. Pure."""
+"""Report: the result of a fleet stop, for people and for programs. Pure."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 
 NAME_COLUMNS = 64
-"""As long as a robot's name may be; whoever may write on the broker may write a longer one."""
+"""The longest name of a robot. Anyone who may publish on the broker could send a longer one."""
 MOST_NAMED = 5
-"""Robots in the line of progress."""
+"""How many robots the progress line names."""
 
 
 def lines(tally: Tally, doubts: Sequence[str] = (), *, listed: bool = False) -> list[Line]:
-    """N of M, how far each level has come, and who is missing. `doubts`: why there may be more robots; `listed`: a file
-    names those that there are."""
+    """How many robots have confirmed, how far each level has come, and who is missing. `doubts`: why there may be more
+    robots; `listed`: a file names the robots that exist."""
     robots, missing = tally.robots(), tally.missing()
     if not robots:
         return [[("This broker knows NO ROBOT, so none has confirmed", FAIL)], *_doubts(doubts)]
@@ -61,7 +61,8 @@ def _name(robot: str) -> str:
 
 
 def progress(tally: Tally, problem: str, age_s: float) -> str:
-    """One line while the sender waits. `problem`: with the broker; `age_s`: since the sender began."""
+    """The progress line while the sender waits. `problem`: a problem with the broker; `age_s`: time since the sender
+    began, s."""
     end = f"({age_s:.0f} s; Ctrl-C shows the report so far)"
     if problem:
         return f"{problem}: trying again {end}"
@@ -75,7 +76,8 @@ def progress(tally: Tally, problem: str, age_s: float) -> str:
 
 
 def as_dict(tally: Tally, doubts: Sequence[str] = ()) -> dict[str, Any]:
-    """For programs. `complete` is what exit code 0 says: all have confirmed, and these are known to be all."""
+    """The result for programs. `complete` is true if all robots have confirmed and it is certain that these are all;
+    then the exit code is 0."""
     missing = {row.robot: row.why for row in tally.missing()}
     robots = tally.robots()
     return {

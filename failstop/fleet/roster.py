@@ -1,4 +1,4 @@
-"""Roster: what the broker tells of every robot. Pure; the clocks are arguments."""
+"""Roster: what the robots have published on the broker. Pure; the clocks are arguments."""
 
 from __future__ import annotations
 
@@ -13,39 +13,40 @@ if TYPE_CHECKING:
     from typing import Any
 
 MOST_BYTES = 65536
-"""The longest message, bytes. A longer one is not read."""
+"""The longest message that is read, bytes."""
 MOST_VOLTS = 1000.0
 MOST_TEXT = 200
 """The longest text that is kept from a robot, characters."""
 LONGEST_PERIOD_S = 30.0
-"""Between two states of a robot that does not say its own period; robot.publish_s may be no longer."""
+"""The time between two states of a robot that does not report its own period, s. The setting robot.publish_s can't be
+longer."""
 MISSED_PERIODS = 3
 LATE_S = 2.0
-"""A robot is lost after so many periods without a state, and so much for the network."""
+"""A robot counts as lost if it is silent for this many of its periods, plus this many seconds for the network."""
 
 
 @dataclasses.dataclass
 class Robot:
-    """One robot, as far as it was told of."""
+    """One robot, as far as it has published anything."""
 
     id: str
-    """Its name, printable."""
+    """Its name, with printable characters only."""
     connection: str = ""
-    """message.ONLINE, OFFLINE or LOST; empty: the broker never showed it."""
+    """message.ONLINE, OFFLINE or LOST; empty if the broker has never reported it."""
     word: str = ""
     why: str = ""
     next: str = ""
     volts: float | None = None
     latched: bool = False
     moves: bool = False
-    """It is commanded to move, or its wheels are seen to turn."""
+    """True if it is commanded to move, or its wheels are seen to turn."""
     errors: tuple[str, ...] = ()
-    """Types of those that need a person."""
+    """The kinds of its errors that need a person."""
     warnings: int = 0
     deaf: str = ""
-    """Why it obeys no stop of the fleet; empty: it says nothing of the kind."""
+    """Why it would obey no fleet stop; empty if it reports no such error."""
     doubled: str = ""
-    """What it says about another publisher of its name; empty: nothing."""
+    """Its report about another publisher of its name; empty if it has reported none."""
     period_s: float = LONGEST_PERIOD_S
     """The robot publishes a state at least this often, s."""
     stamped_s: float | None = None
@@ -53,33 +54,34 @@ class Robot:
     dated_s: float | None = None
     """When the robot made its newest message, by the robot's own clock (Unix, s)."""
     heard_s: float | None = None
-    """When its last state came, by this machine's monotonic clock, s. None: the broker had kept it."""
+    """When its last state arrived, by this computer's monotonic clock, s. None if the broker had stored that state."""
     sign_s: float | None = None
-    """When it last showed that it is alive, by this monotonic clock; None: not since this roster began."""
+    """When it last showed that it is alive, by this computer's monotonic clock, s; None: not since this roster
+    began."""
     first_s: float | None = None
-    """When its first message came, by this machine's monotonic clock, s."""
+    """When its first message arrived, by this computer's monotonic clock, s."""
 
     def age_s(self, now_s: float, unix_s: float) -> float | None:
-        """The age of its last state, s. None: there is no state."""
+        """The age of its last state, s; None if it has published none."""
         if self.heard_s is not None:
             return now_s - self.heard_s
         return None if self.stamped_s is None else max(0.0, unix_s - self.stamped_s)
 
     def silent_s(self, now_s: float, unix_s: float) -> float:
-        """How long it has shown no sign of life, as far as is known. Of what the broker had kept, by the robot's clock:
-        one that is ahead makes it shorter."""
+        """For how long it has shown no sign of life, s, as far as is known. The age of a message that the broker had
+        stored is taken from the robot's clock, so it seems younger if that clock is ahead."""
         if self.sign_s is not None:
             return now_s - self.sign_s
         watched_s = 0.0 if self.first_s is None else now_s - self.first_s
         return watched_s if self.dated_s is None else max(watched_s, unix_s - self.dated_s)
 
     def silent_after_s(self) -> float:
-        """Silent for so long, it is lost, whatever the broker calls it: one that was switched off while the broker was
-        down stays ONLINE there."""
+        """After how long a silence, s, the robot counts as lost, even if the broker still calls it ONLINE. The broker
+        does that for a robot that was switched off while the broker was down."""
         return MISSED_PERIODS * self.period_s + LATE_S
 
     def lost(self, now_s: float, unix_s: float) -> bool:
-        """Nothing that it published is known to hold now."""
+        """True if the robot is lost, so that nothing that it has published is known to be true now."""
         silent = self.silent_s(now_s, unix_s) > self.silent_after_s()
         if not self.connection and self.sign_s is not None:
             return silent  # the broker hides its connection, and passes on its states
@@ -87,16 +89,16 @@ class Robot:
 
 
 class Roster:
-    """Every robot that was told of."""
+    """Every robot that has published something."""
 
     def __init__(self) -> None:
         self.robots: dict[str, Robot] = {}
-        """By their names in topics."""
+        """The robots by their names in topics."""
         self.strange = 0
-        """Messages that could not be read."""
+        """How many messages could not be read."""
 
     def hear(self, topic: str, payload: bytes, now_s: float, *, retained: bool) -> None:
-        """A message of a robot's; an empty one takes what was there away."""
+        """Take in a robot's message. An empty message removes what the broker had stored."""
         robot, last = topics.robot_of(topic)
         if not payload:
             self.robots.pop(robot, None)
@@ -124,12 +126,13 @@ class Roster:
         self.robots[robot] = known
 
     def sorted(self) -> list[Robot]:
-        """By name, numbers in them as numbers."""
+        """The robots by name; numbers in names are compared as numbers."""
         return sorted(self.robots.values(), key=lambda robot: _natural(robot.id))
 
 
 def _update_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> None:
-    """Raises ValueError, KeyError, TypeError, AttributeError, OverflowError for what is no state."""
+    """Take in a state message. Raises ValueError, KeyError, TypeError, AttributeError or OverflowError if it is not
+    one."""
     errors = found["errors"]
     robot.volts = _number(found.get("battery", {}).get("volts"), -MOST_VOLTS, MOST_VOLTS)
     robot.moves = found["moves"] is True
@@ -143,12 +146,13 @@ def _update_state(robot: Robot, found: dict[str, Any], now_s: float | None) -> N
 
 
 def _text(found: object) -> str:
-    """A text of a robot's, on one line, and no longer than people read."""
+    """A robot's text on one line, cut to the length that people read."""
     return words.printable(str(found)[:MOST_TEXT])[:MOST_TEXT]
 
 
 def _number(found: object, low: float, high: float) -> float | None:
-    """A number in that range; None for everything else: JSON here has NaN, and integers of any length."""
+    """The number, if it is in this range; None for anything else, because JSON as Python reads it has NaN and integers
+    of any length."""
     if isinstance(found, bool) or not isinstance(found, (int, float)) or not low <= found <= high:
         return None
     return float(found)

@@ -1,4 +1,4 @@
-"""Scraped: the HTTP server for the metrics. Whatever connects, it has few threads and little memory."""
+"""Scraped: the HTTP server for the metrics. Its threads and memory stay limited, whatever connects."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ from typing import Any
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
 MOST_CONNECTIONS = 8
-"""One more closes the oldest: a scrape takes milliseconds, so that one is idle."""
+"""How many connections there may be. One more closes the oldest, which must be idle, because a scrape takes
+milliseconds."""
 REQUEST_S = 5.0
-"""How long a request may take to come, or an answer to be taken."""
+"""How long a request may take to arrive, or an answer to be received, s."""
 
 
 class Handler(WSGIRequestHandler):
-    """One request, without a line on stderr."""
+    """Answers one request, and writes no line to stderr."""
 
     timeout = REQUEST_S
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing: a scrape comes every few seconds."""
+        """Log nothing, because a scrape comes every few seconds."""
 
 
 class Server(ThreadingMixIn, WSGIServer):
-    """A thread for each of the newest connections."""
+    """A server that answers each of the newest connections in a thread of its own."""
 
     daemon_threads = True
     block_on_close = False
@@ -34,12 +35,13 @@ class Server(ThreadingMixIn, WSGIServer):
     def __init__(self, host: str, port: int) -> None:
         """Raises OSError, OverflowError."""
         self._open: dict[socket.socket, threading.Thread] = {}
-        """In the order in which they came; the thread that accepts adds to it, each other takes its own away."""
+        """The open connections, the oldest first. The thread that accepts connections adds to it, and every other
+        thread removes its own."""
         self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         super().__init__((host, port), Handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own, after the oldest has ended where there are too many."""
+        """Answer in a new thread. If there are too many connections, close the oldest one first."""
         known = list(self._open)
         for oldest in known[: max(0, len(known) - MOST_CONNECTIONS + 1)]:
             self._end(oldest)
@@ -62,12 +64,12 @@ class Server(ThreadingMixIn, WSGIServer):
         self._open.pop(request, None)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Nothing: a connection has ended in the midst of a request."""
+        """Report nothing: a connection has ended in the middle of a request."""
 
 
 @contextlib.contextmanager
 def running(server: Server) -> Iterator[int]:
-    """Serve while the context lasts; gives the port."""
+    """Serve for as long as the context lasts; yields the port."""
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     try:

@@ -1,4 +1,4 @@
-"""Sender: a stop of the whole fleet, repeated until every robot has confirmed it or the time is over."""
+"""Sender: sends a fleet stop, and repeats it until every robot has confirmed it or the time is over."""
 
 from __future__ import annotations
 
@@ -21,36 +21,36 @@ if TYPE_CHECKING:
     from failstop.fleet.settings import FleetSettings
 
 OBSERVED_S = 2.5
-"""How long to go on for the third proof when all have confirmed."""
+"""How long to wait for the third proof after all robots have confirmed, s."""
 WAIT_S = 5.0
-"""How long to wait for robots that have not confirmed, unless somebody says otherwise."""
+"""How long to wait for robots that have not confirmed, s, unless --wait says otherwise."""
 TURN_S = 0.05
 BY_HAND = "stop them by hand (power switch)"
 
 
 class Sender:
-    """One stop."""
+    """Sends one fleet stop."""
 
     def __init__(self, found: FleetSettings, reason: str, by: str) -> None:
         """Raises FleetError."""
         self.id = secrets.token_hex(16)
         listed = settings.robots(found)
         self.listed = listed is not None
-        """A file names the robots that must confirm."""
+        """True if a file names the robots that must confirm."""
         self.tally = Tally(listed)
         self.sent_s: float | None = None
-        """When it was handed to the broker first, monotonic."""
+        """When the stop was first handed to the broker (time.monotonic()), s."""
         self.doubts: tuple[str, ...] = ()
-        """After run(): why there may be robots that are not counted, in words. Empty: none is known of."""
+        """After run(): why there may be robots that are not counted; empty if nothing suggests that."""
         self._key = signed.read_key(found.text("stop.key_file"))
         self._order = Order(self.id, 0.0, reason, by)
         self._fleet = found.text("robot.fleet")
         self._away_s = LONGEST_PAUSE_S + found.number("robot.publish_s")
-        """How long a robot may take to be connected again after the broker was restarted: it notices at its next state,
-        then makes attempts."""
+        """How long a robot may take to connect again after the broker was restarted, s: until its next state message,
+        at which it notices, and then until an attempt succeeds."""
         self._probe = topics.answer(self._fleet, self.id, "probe/end")
         self.heard_all = False
-        """The broker has said whom it remembers, on this connection."""
+        """True once the broker has named all robots that it remembers, on this connection."""
         self._repeats = Repeats()
         self._connections = topics.of_robot(self._fleet, topics.ANY, topics.CONNECTION)
         wanted = (topics.answer(self._fleet, self.id, topics.ANY), self._connections, self._probe)
@@ -58,9 +58,10 @@ class Sender:
         self.broker = Broker(found, f"failstop-stop-{self.id[:12]}", wanted, self._hear, self._up)
 
     def run(self, wait_s: float | None = None, progress: Callable[[], None] = lambda: None) -> bool:
-        """Send until all have confirmed, `wait_s` at most. None: WAIT_S, and longer while the broker may have been
-        restarted so lately that a robot is not back. `progress` is called at each turn. Returns True when every robot
-        has confirmed and there is no doubt that these are all. Raises FleetError when no broker took the stop."""
+        """Send the stop until all robots have confirmed, for at most `wait_s`. None means WAIT_S, or longer if the
+        broker may have restarted so recently that a robot is not connected again. `progress` is called at each turn.
+        Returns True if every robot has confirmed and it is certain that these are all. Raises FleetError if no broker
+        took the stop."""
         until_s = time.monotonic() + (WAIT_S if wait_s is None else wait_s)
         confirmed_s: float | None = None
         try:
@@ -94,7 +95,7 @@ class Sender:
         return self.heard_all and self.tally.all_confirmed()
 
     def _late(self, now_s: float) -> str:
-        """Why a robot may be alive that the broker does not know of yet; empty: it has had the time to connect."""
+        """Why a robot may exist that the broker does not know yet; empty if every robot has had time to connect."""
         after_s = now_s - (self.sent_s or now_s)
         oldest_s = self.tally.oldest_s()
         if self.broker.connected_s() < self._away_s and (oldest_s is None or after_s - oldest_s < self._away_s):
@@ -111,7 +112,7 @@ class Sender:
         return ""
 
     def _doubts(self, now_s: float) -> list[str]:
-        """All that keeps a count from being known to be whole."""
+        """All reasons why the count of robots may be incomplete."""
         found = []
         if self.sent_s is not None and self.broker.problem:
             found.append(f"the connection was lost in the meantime: {self.broker.problem}")
@@ -140,7 +141,7 @@ class Sender:
         self.broker.say(self._probe, b"end")
 
     def _send(self, now_s: float) -> None:
-        """To all; then to the robots that have not confirmed, one by one, unless most are missing."""
+        """Send the stop to all robots; when it is repeated and only a few are missing, to each of these."""
         if self.broker.problem:
             return
         message = dataclasses.replace(self._order, unix_s=time.time()).message(self._key)

@@ -21,7 +21,7 @@ PLACE = f"{config.FOLDER}/fleet/fleet.toml"
 KEY_PLACE = f"{config.FOLDER}/fleet/fleet.key"
 UNIT = "failstop-fleet.service"
 KEY, PASSWORD, CERT_KEY = "fleet.key", "broker.password", "broker.cert_key"
-"""The names of the credentials that the unit may hand over (LoadCredential)."""
+"""The names of the credentials that systemd may hand over to the unit (LoadCredential)."""
 ID = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
 """The allowed names of a robot or a fleet: without `/`, `+` and `#`, which mean something in a topic."""
 
@@ -89,14 +89,14 @@ GONE = {
     "robot.manufacturer": "failstop no longer publishes VDA 5050. Remove this line; if it named your fleet, write "
     "robot.fleet instead, the same on every robot and on the computer that stops them",
 }
-"""Settings that failstop had, each with what to do about it."""
+"""Settings that no longer exist, with what to do about each."""
 
 
 class FleetSettings:
     """A complete, checked set of values."""
 
     def __init__(self, given: dict[str, object]) -> None:
-        """`given`: by whole key; the rest are defaults. Raises SettingError."""
+        """`given`: values by whole key; all other settings have their defaults. Raises SettingError."""
         for key in sorted(set(given) & set(GONE)):
             raise SettingError(f"{key}: {GONE[key]}")
         if unknown := sorted(set(given) - set(BY_KEY)):
@@ -121,17 +121,18 @@ class FleetSettings:
                 raise SettingError(f"{key} is set but {needed} is not, so it would not be used: set {needed} too")
 
     def text(self, key: str) -> str:
-        """A text's value."""
+        """The value of a text setting."""
         return str(self._values[key])
 
     def secret(self, key: str, credential: str) -> str:
-        """The path of a secret: the credential that systemd hands over under that name, else the setting."""
+        """The path of the file with a secret: systemd's credential of this name if it exists, else the file in the
+        setting."""
         folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
         handed = os.path.join(folder, credential)
         return handed if folder and os.path.exists(handed) else self.text(key)
 
     def number(self, key: str) -> float:
-        """A number's value."""
+        """The value of a number setting."""
         return float(self._values[key])
 
     def on(self, key: str) -> bool:

@@ -69,7 +69,7 @@ def _mac(key: bytes, purpose: str, text: str) -> str:
 
 
 def make_key(path: str) -> None:
-    """A new key, in a file that its owner alone reads and that was not there. Raises FleetError."""
+    """Make a new key in a new file that only its owner may read. Raises FleetError, also if the file exists."""
     try:
         os.makedirs(os.path.dirname(path) or ".", exist_ok=True)
         fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -84,7 +84,7 @@ def make_key(path: str) -> None:
 
 
 def read_key(path: str) -> bytes:
-    """Raises FleetError: it is not there, others may read it, or it is no key."""
+    """The key in a file. Raises FleetError if the file is missing, others may read it, or it is not a key."""
     try:
         fd = durable.open_regular(path)
         try:
@@ -109,6 +109,7 @@ def read_key(path: str) -> bytes:
 
 
 def _handed_over(path: str) -> bool:
-    """By systemd, as a credential: in a folder of this service's own, with rights that look wider than they are."""
+    """True for a credential from systemd. It is in a folder that only this service can open, so it does not matter that
+    its rights look too wide."""
     folder = os.environ.get("CREDENTIALS_DIRECTORY", "")
     return bool(folder) and os.path.dirname(os.path.realpath(path)) == os.path.realpath(folder)

@@ -1,4 +1,5 @@
-"""Tally: who of the fleet has confirmed a stop, and who is missing. Pure; times in seconds from the first sending."""
+"""Tally: which robots have confirmed a fleet stop, and which are missing. Pure; times are counted from the first
+sending, s."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ UNCONFIRMED = {
 }
 """The words for a robot that has not come to the level that confirms."""
 TAKEN_OFF = "TAKEN OFF"
-"""Somebody removed the robot's connection from the broker during this stop."""
+"""Somebody removed the robot's connection from the broker while the stop was sent."""
 WORDS = {
     message.OFFLINE: "its publisher was ended",
     message.LOST: "its connection is broken",
@@ -35,46 +36,46 @@ DOUBLED = (
 )
 OLDER = "its failstop is older and can't tell a second robot of this name apart: update it"
 STABLE_S = 2.0
-"""A connection as old as this is one that no other client of the same name has taken over in the meantime: two that do
-so alternate every second."""
+"""A connection of this age, s, is certainly not one of two clients that use the same name, because two such clients
+take the connection from each other every second."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Missing:
-    """A robot that has not confirmed, and what is known of it."""
+    """A robot that has not confirmed, and what is known about it."""
 
     robot: str
     why: str
 
 
 class Tally:
-    """The robots that must confirm, and those that did."""
+    """The robots that must confirm a stop, and the answers of each."""
 
     def __init__(self, listed: frozenset[str] | None) -> None:
-        """`listed`: robots that must confirm whether the broker remembers them or not."""
+        """`listed`: robots that must confirm even if the broker does not remember them."""
         self._listed = listed or frozenset()
         self._connections: dict[str, tuple[str, str]] = {}
-        """For every robot that the broker named: (the last report on its connection, whose connection that is). No
-        robot is ever dropped."""
+        """For every robot that the broker has named: (the last report about its connection, the number of the publisher
+        that has it). No robot is ever removed."""
         self._answers: dict[str, dict[str, float]] = {}
         self._whys: dict[str, str] = {}
         self._confirms: dict[str, str] = {}
-        """The level that confirms, by each robot's own word."""
+        """The level that confirms a stop, as each robot has reported it."""
         self._reached_it: set[str] = set()
-        """Robots that have come to that level."""
+        """Robots that have reached that level."""
         self._barred: dict[str, str] = {}
-        """Robots that never count as confirmed, and why."""
+        """Robots that never count as confirmed, each with the reason."""
         self._publishers: dict[str, set[str]] = {}
-        """The numbers of all who were connected or answered by each name."""
+        """For each name, the numbers of all publishers that were connected or answered."""
         self._doubled: set[str] = set()
-        """Robots whose publishers say that they are."""
+        """Robots whose publishers report that another one uses the same name."""
         self._since_s: dict[str, float] = {}
-        """When the connections began that were answered over."""
+        """When the connections began through which the robots answered."""
         self._counts: dict[str, int] = {}
 
     def connection(self, robot: str, word: str, publisher: str = "") -> None:
-        """Take the broker's word on a robot's connection, and the number of the publisher that it is of. An empty word:
-        somebody has taken it away."""
+        """Take in the broker's report about a robot's connection, and the number of its publisher. An empty word means
+        that somebody has removed the report."""
         if word:
             self._connections[robot] = word, publisher
         elif robot in self._connections:
@@ -84,7 +85,8 @@ class Tally:
         self._judge(robot)
 
     def answer(self, answer: StopAnswer, after_s: float) -> bool:
-        """Take the first of each level, and what was said last of what is wrong. True when a level is new."""
+        """Take in a robot's answer: the first time of each level, and the newest report of what is wrong. True if it
+        brought a new level."""
         told = self._answers.setdefault(answer.robot, {})
         new = [level for level in answer.reached if level not in told]
         for level in new:
@@ -102,7 +104,7 @@ class Tally:
         return bool(new)
 
     def _judge(self, robot: str) -> None:
-        """Bar a robot whose name stands for two."""
+        """Bar a robot if two publishers use its name."""
         publishers = self._publishers.get(robot, set())
         word, number = self._connections.get(robot, ("", ""))
         # The last word on its connection is of a publisher that has gone, and another one answers.
@@ -115,48 +117,51 @@ class Tally:
             self._barred.pop(robot, None)
 
     def reconnected(self) -> None:
-        """The sender's connection is a new one: how long the broker has run is to be learned again."""
+        """The sender has a new connection, so how long the broker has been running must be found out again."""
         self._since_s.clear()
 
     def robots(self) -> list[str]:
-        """Everybody who must confirm: as listed, or seen; and whoever answered."""
+        """All robots that must confirm: those in the file, those that the broker has named, and those that have
+        answered."""
         return sorted({*self._known(), *self._answers})
 
     def _known(self) -> Set[str]:
         return self._connections.keys() | self._listed
 
     def hidden(self) -> list[str]:
-        """Robots that answered although the broker never named them: it names not all, then."""
+        """Robots that have answered although the broker never named them. So the broker does not name all."""
         return sorted(self._answers.keys() - self._connections.keys())
 
     def reached(self, level: str) -> list[str]:
-        """The robots that told of this level. None whose name stands for two: it is not known which of them it was."""
+        """The robots that have reported this level. Robots with two publishers are left out, because nobody knows which
+        of the two answered."""
         return sorted(robot for robot, told in self._answers.items() if level in told and robot not in self._barred)
 
     def all_reached(self, level: str) -> bool:
-        """Everybody did; False while nobody is known."""
+        """True if every robot has reported this level; False if no robot is known."""
         if self._counts.get(level, 0) < max(1, len(self._answers)):
             return False  # the quick way: this is asked after each answer
         robots = self.robots()
         return bool(robots) and self.reached(level) == robots
 
     def times_s(self, level: str) -> list[float]:
-        """When they told of it, the first one first."""
+        """When the robots reported this level, the earliest first."""
         return sorted(self._answers[robot][level] for robot in self.reached(level))
 
     def all_confirmed(self) -> bool:
-        """Every robot has confirmed the stop; False while none is known."""
+        """True if every robot has confirmed the stop; False if no robot is known."""
         confirmed = self._reached_it
         if not confirmed or self._barred.keys() & confirmed:
             return False
         return confirmed >= self._known() and confirmed >= self._answers.keys()
 
     def oldest_s(self) -> float | None:
-        """When the oldest connection of a robot began, as far as their answers say: the broker has run since then."""
+        """When the oldest connection of a robot began, according to the answers; the broker has been running since
+        then."""
         return min(self._since_s.values(), default=None)
 
     def young(self, after_s: float) -> list[str]:
-        """Robots that may still take turns with another one of their name."""
+        """Robots whose connection is so young that another robot of the same name may be taking turns with it."""
         return sorted(robot for robot, since_s in self._since_s.items() if after_s - since_s < STABLE_S)
 
     def confirmed_by(self) -> dict[str, str]:
@@ -164,7 +169,7 @@ class Tally:
         return {robot: self._confirms[robot] for robot in sorted(self._reached_it - self._barred.keys())}
 
     def missing(self) -> list[Missing]:
-        """The robots that have not confirmed it, and why, as far as is known."""
+        """The robots that have not confirmed the stop, each with the reason, if it is known."""
         confirmed = self._reached_it - self._barred.keys()
         return [Missing(robot, self._why(robot)) for robot in self.robots() if robot not in confirmed]
 

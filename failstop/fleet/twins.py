@@ -1,9 +1,9 @@
 """Twins: other publishers on the broker that use this robot's name. Pure.
 
-A robot's name is the host's by default, so two cards of one image have the same. Every publisher draws a number when it
-starts, puts it into all that it publishes, and names the numbers that it has heard from others under its name. Nobody
-can name a number before it is drawn, so a message that names this publisher's was made by one that runs alongside it,
-in whatever order the broker delivers, and whatever the clocks show.
+By default a robot has the name of its computer, so two SD cards with the same image have the same name. Every publisher
+draws a random number when it starts, puts it into all its messages, and also lists the numbers that it has heard from
+other publishers under its name. Nobody can list a number before it is drawn. So a message that lists this publisher's
+number was made by a publisher that runs at the same time, whatever the order of delivery and whatever the clocks show.
 """
 
 from __future__ import annotations
@@ -19,38 +19,38 @@ from failstop.fleet import message
 NUMBER_BYTES = 8
 NUMBER = re.compile(rf"[0-9a-f]{{{2 * NUMBER_BYTES}}}")
 MOST = 64
-"""Numbers that are remembered, so that nobody who may write to the topic can fill the memory. The first other one bars
-the robot from being confirmed, so a later one changes nothing."""
+"""How many numbers are remembered, so that nobody who may write to the topic can fill the memory. More are not needed:
+the first other publisher already keeps the robot from being confirmed."""
 
 
 def draw() -> str:
-    """Return a new publisher's number."""
+    """Return the random number of a new publisher."""
     return secrets.token_hex(NUMBER_BYTES)
 
 
 def number_of(found: object) -> str:
-    """Return a number that a message gives as `publisher`. Empty: it has none."""
+    """Return the number that a message has in its field `publisher`; empty if it has none."""
     return found if isinstance(found, str) and NUMBER.fullmatch(found) else ""
 
 
 class Said(NamedTuple):
-    """What a message on a connection says."""
+    """The content of a message about a connection."""
 
     word: str = ""
-    """ONLINE, OFFLINE or LOST. Empty: the message was taken away, or can't be read."""
+    """ONLINE, OFFLINE or LOST; empty if the message was removed or can't be read."""
     number: str = ""
-    """The number of its publisher; empty if it gives none."""
+    """The number of the publisher that made the message; empty if the message has none."""
     dated_s: float | None = None
-    """When it was made, Unix seconds, by the clock of its publisher."""
+    """When the message was made, by the clock of its publisher (Unix time, s)."""
     heard: tuple[str, ...] = ()
-    """The numbers that its publisher had heard."""
+    """The numbers that its publisher had heard from others."""
 
 
 NOTHING = Said()
 
 
 def connection_of(payload: bytes) -> Said:
-    """Return what a message on a connection says."""
+    """Return the content of a message about a connection."""
     try:
         found = json.loads(payload) if payload else {}
         if word := found.get("connection"):
@@ -63,35 +63,35 @@ def connection_of(payload: bytes) -> Said:
 
 
 class Twins:
-    """What the topic of this robot's connection says of other publishers."""
+    """The other publishers that use the topic of this robot's connection."""
 
     def __init__(self, own: str, started_s: float) -> None:
         """`own`: this publisher's number; `started_s`: when it started, Unix time."""
         self.others: set[str] = set()
-        """Their numbers, MOST at most. None is ever dropped: a robot that is switched off or renamed was still one of
-        two, and may be driving. The publisher forgets when it is restarted."""
+        """The numbers of the other publishers, at most MOST. None is ever removed, because a robot that is switched off
+        or renamed was still one of two and may be driving. Only a restart of this publisher forgets them."""
         self.again = False
-        """The broker keeps somebody else's message, or none, or this publisher has a new number to name, so it must say
-        its connection again."""
+        """True if this publisher must publish its connection again: the broker has stored somebody else's message or
+        none, or this publisher has heard a new number."""
         self._own = own
         self._started_s = started_s
         self._connections = 0
         self._heard: dict[str, None] = {}
         self._kept_s: dict[str, float] = {}
         """The numbers that were in use before this publisher's first connection, each with the date of the message that
-        the broker had kept; infinite if the date isn't known. Such a publisher may have ended or may still run, and its
-        clock may have been ahead."""
+        the broker had stored; infinite if the date isn't known. Such a publisher may have ended or may still run, and
+        its clock may have been ahead."""
 
     def connected(self) -> None:
-        """Count a new connection to the broker, which begins with the message that the broker has kept."""
+        """Count a new connection to the broker. It begins with the message that the broker has stored."""
         self._connections += 1
 
     def heard(self) -> list[str]:
-        """Return the numbers to name in this publisher's next messages, the oldest first."""
+        """Return the numbers to list in this publisher's next messages, the oldest first."""
         return [number for number in self._heard if number]
 
     def hear(self, payload: bytes, *, retained: bool) -> None:
-        """Take a message on the connection of this name. They may come in any order."""
+        """Take in a message about the connection of this name. Messages may come in any order."""
         said = connection_of(payload)
         if said.number == self._own:
             self.again = self.again or said.word != message.ONLINE
@@ -114,6 +114,6 @@ class Twins:
             self.others.add(said.number)
 
     def _later(self, said: Said) -> bool:
-        """Whether a message is dated after this publisher's start. That is no proof, because a clock may be wrong, but
-        nothing else shows a twin that hangs before it has named anybody."""
+        """True if a message is dated after this publisher's start. That is no proof, because a clock may be wrong, but
+        it is the only sign of a twin that hangs before it has listed any number."""
         return said.dated_s is not None and said.dated_s > max(self._started_s, self._kept_s.get(said.number, 0.0))

@@ -18,11 +18,12 @@ LOST = "LOST"
 ENDED = "OFFLINE"
 OTHER = "other"
 ROBOT_COLUMNS, WORD_COLUMNS, WHY_COLUMNS = 64, 20, 240
-"""The widest cells of a table. Anyone who may publish at the broker could otherwise send texts that push all others off
-the screen."""
+"""The widest cells of a table, in columns. Otherwise anyone who may publish on the broker could send texts that push
+everything else off the screen."""
 LEAST_ROBOT_COLUMNS = 16
 OLD_S = 40.0
-"""A state older than this, of a robot that is connected, is worth a look: one comes every 30 s or sooner."""
+"""If the state of a connected robot is older than this, s, it is shown as old, because a new one comes every 30 s or
+sooner."""
 ROLES = {
     verdict.DRIVING: OK,
     verdict.STANDING: OK,
@@ -46,18 +47,18 @@ ORDER = (
     verdict.STANDING,
     ENDED,
 )
-"""The order of rows: those that need a person come first."""
+"""The order of rows: robots that need a person come first."""
 
 
 def word(robot: Robot, now_s: float, unix_s: float) -> str:
-    """A word on its wheels; of a robot that is lost, only that. `now_s`: monotonic."""
+    """A word about the robot's wheels, or only LOST for a robot that is lost. `now_s`: time.monotonic()."""
     if robot.connection == message.OFFLINE:
         return ENDED
     return LOST if robot.lost(now_s, unix_s) else robot.word or "?"
 
 
 def why(robot: Robot, now_s: float, unix_s: float) -> str:
-    """A line on why."""
+    """A line that says why its wheels do that."""
     if robot.connection == message.OFFLINE:
         return "its publisher was ended, so nobody here knows what the robot does"
     if robot.lost(now_s, unix_s):
@@ -78,7 +79,7 @@ def _lost(robot: Robot, now_s: float, unix_s: float) -> str:
 
 
 def counts(robots: Sequence[Robot], now_s: float, unix_s: float) -> Line:
-    """How many do what."""
+    """How many robots do what, in one line."""
     found = [word(robot, now_s, unix_s) for robot in robots]
     line: Line = [(f"{len(robots)} robot{'' if len(robots) == 1 else 's'}", STRONG)]
     for name in (*ORDER, OTHER):
@@ -93,7 +94,8 @@ def counts(robots: Sequence[Robot], now_s: float, unix_s: float) -> Line:
 
 
 def table(robots: Sequence[Robot], now_s: float, unix_s: float, columns: int | None = None) -> list[Line]:
-    """A row for each, those that need a person first. `columns`: of the screen, a third of which is for the names."""
+    """A row for each robot; robots that need a person come first. `columns`: the width of the screen, of which the
+    names get a third."""
     most = ROBOT_COLUMNS if columns is None else min(ROBOT_COLUMNS, max(LEAST_ROBOT_COLUMNS, columns // 3))
     heads = ("robot", "wheels", " battery", " age", "why")
     rows: list[Line] = [[(head, DIM) for head in heads]]
@@ -125,7 +127,7 @@ def lines(
     rows: int,
     blind: str = "",
 ) -> list[Line]:
-    """The whole screen. `problem`: with the broker; `blind`: why robots may be missing; empty: none."""
+    """The whole screen. `problem`: a problem with the broker; `blind`: why robots may be missing. Both may be empty."""
     left, right = f"fleet at {where}", f"{words.clock(unix_s, unix_s)}   q quits"
     title: Line = [(left, STRONG), (" " * max(1, columns - len(left) - len(right)), PLAIN), (right, DIM)]
     head: list[Line] = [title, []]

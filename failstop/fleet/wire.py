@@ -1,39 +1,39 @@
-"""Wire: what a broker sends, cut into packets before paho-mqtt reads it. Pure.
+"""Wire: cuts the bytes from a broker into packets before paho-mqtt reads them. Pure.
 
-A broker passes on whatever others publish: any size, any topic, at any rate. Messages are taken out here, all that have
-come at once, so that their reader can begin with the newest. The rest, answers to what this client has said, is left
-for paho-mqtt.
+A broker passes on whatever others publish: any size, any topic, at any rate. So messages are taken out here, all that
+have arrived together, and their reader can begin with the newest. The other packets, which are answers to this client's
+own packets, are left for paho-mqtt.
 """
 
 from __future__ import annotations
 
 Message = tuple[str, bytes, bool]
-"""A published message: (topic, payload, whether the broker had kept it)."""
+"""A published message: (topic, payload, True if the broker had stored it)."""
 MOST_BYTES = 1 << 17
-"""The longest packet, bytes. A longer one is skipped as it comes in, and never kept in memory."""
+"""The longest packet, bytes. A longer one is skipped while it arrives, and never kept in memory."""
 LONGEST_HEAD = 5
 PUBLISH, KIND, QOS, RETAIN = 0x30, 0xF0, 0x06, 0x01
 """Bits of a packet's first byte."""
 
 
 class Malformed(ConnectionError):
-    """Bytes that are no MQTT: what comes after them can't be read either."""
+    """The bytes are not MQTT, so all bytes after them can't be read either."""
 
 
 class MqttWire:
-    """One connection's."""
+    """The incoming bytes of one connection."""
 
     def __init__(self) -> None:
         self.skipped = 0
-        """Packets that were too long, or messages without a topic that can be read."""
+        """How many packets were too long, and how many messages had no readable topic."""
         self._bytes = bytearray()
         self._skip = 0
-        """Bytes still to come of a packet that was too long."""
+        """How many bytes of a too long packet are still to come."""
         self._rest = bytearray()
         self._messages: list[Message] = []
 
     def feed(self, data: bytes) -> None:
-        """Bytes have come. Raises Malformed."""
+        """Add bytes that have arrived. Raises Malformed."""
         self._bytes += data
         at, end = min(self._skip, len(self._bytes)), len(self._bytes)
         self._skip -= at
@@ -51,7 +51,8 @@ class MqttWire:
         del self._bytes[:at]
 
     def _sort(self, start: int, body: int, end: int) -> None:
-        """One whole packet: a message that asks for no acknowledgement, or something for paho-mqtt."""
+        """Sort one whole packet: keep a message that asks for no acknowledgement, and leave anything else for
+        paho-mqtt."""
         first = self._bytes[start]
         if first & (KIND | QOS) != PUBLISH:
             self._rest += self._bytes[start:end]
@@ -67,11 +68,11 @@ class MqttWire:
         self._messages.append((topic, bytes(self._bytes[payload:end]), bool(first & RETAIN)))
 
     def holds(self) -> bool:
-        """True while there is something for paho-mqtt."""
+        """True while there are bytes for paho-mqtt."""
         return bool(self._rest)
 
     def read(self, most: int) -> bytes:
-        """Bytes for paho-mqtt, at most so many."""
+        """The next bytes for paho-mqtt, at most `most`."""
         taken = bytes(self._rest[:most])
         del self._rest[:most]
         return taken
@@ -83,7 +84,8 @@ class MqttWire:
 
 
 def _head(data: bytearray, at: int) -> tuple[int, int] | None:
-    """Where the body of the packet that begins there is, and where it ends; None: too little of it has come."""
+    """Where the body of the packet begins whose first byte is at `at`, and where it ends; None if too few bytes have
+    arrived."""
     length = 0
     for place in range(at + 1, min(at + LONGEST_HEAD, len(data))):
         length |= (data[place] & 0x7F) << (7 * (place - at - 1))

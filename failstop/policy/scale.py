@@ -89,8 +89,8 @@ def gyro_differs(ratio: float, layout: str) -> str:
 
 
 def gyro_remark(ratio: float, layout: str) -> str:
-    """A remark for people about a robot that turns `ratio` times as fast as commanded, when skidding tracks or wheels may also explain it; empty if the
-    difference is small."""
+    """A remark for people about a robot that turns `ratio` times as fast as commanded, when skidding tracks or wheels
+    may also explain it; empty if the difference is small."""
     if not (isfinite(ratio) and ratio >= ON_A_STAND) or near(ratio, FITS):
         return ""
     return f"{_turn(ratio)}; tracks and skidding wheels do that, but otherwise one of {_sizes(layout)} is wrong"
