@@ -1,1 +1,1 @@
-"""The parent: starts and watches the processes; has the latch, the stops and the events. Its loop is main.py."""
+"""The supervisor: starts and watches the other processes, latches stops, and logs events. Its loop is in main.py."""

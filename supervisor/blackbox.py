@@ -27,15 +27,16 @@ START_NS = 150_000_000
 must not use up the gate's lease. So it happens before anyone has enabled motion again, once the repeats at 20 and 100
 ms are out."""
 COPY_NS = 2_200_000_000
-"""The copy is made this long after the stop, because after 2.0 s nothing more will be learned about it (proof.py)."""
+"""The saver copies the rings this long after the stop. Nothing more is learned about a stop after 2.0 s (proof.py)."""
 PATIENCE_NS = 60_000_000_000
-"""The saver of a dead run waits this long, at most, for the service to be ready."""
+"""The longest time that the saver of a dead run waits for the service to be ready."""
 MOST_SAVERS = 4
 """How many savers may run at the same time."""
 MOST_STOPS_WAITING = 16
-"""How many stops may wait for a saver. Stops come no faster than a person can reset the last one."""
+"""How many stops may wait for a saver. That is enough, because a person must reset each stop before the next one can be
+latched."""
 ON_TIME_NS = START_NS
-"""A saver that is later than this waits until nothing moves, because motion may have been enabled by then."""
+"""A saver that is later than this waits until nothing moves, because somebody may have enabled motion by then."""
 GIVE_UP_NS = 30_000_000_000
 """After this time the rings hold less than half a minute before the stop."""
 FINISH_S = 1.0
@@ -44,7 +45,8 @@ TOO_OFTEN = "find out what stops and resets the robot so often"
 
 
 class BlackBox:
-    """Call begin() once, when the other processes are started, and poll() once per turn."""
+    """The supervisor's part of the black box. Call begin() once the other processes are started, and poll() once per
+    turn."""
 
     def __init__(self, run: Run, moves: Callable[[], bool]) -> None:
         """`moves`: returns True while motion is enabled, or motion was the last thing written."""
@@ -59,10 +61,10 @@ class BlackBox:
         self._silences = [(0, 0)] * len(self._beats)
         """The longest silence of each process since the last sample, and when it was seen, both in ns."""
         self._waiting: list[tuple[int, dict[str, object]]] = []
-        """The savers that are not started yet: when to start each, and with which command line."""
+        """The savers that are not started yet: when to start each of them, and its command line."""
         self._savers: dict[int, _socket.socket] = {}
-        """The socket to each running saver, by its pid. If it is closed, the saver copies now. The saver's report comes
-        back on it."""
+        """The socket to each running saver, by its pid. When the supervisor closes it, the saver copies at once. The
+        saver sends its report on it."""
         self._for_dead_run = 0
         """The pid of the saver that waits for this run to be ready, or 0."""
         self._sampled_ns = 0
@@ -152,7 +154,7 @@ class BlackBox:
                 self._log_saved(code, told if isinstance(told, dict) else None)
 
     def _log_saved(self, code: int, told: dict[str, str | float] | None) -> None:
-        """Log what a saver that has ended has saved, or what is `wrong`. `told` is its report; None if it sent none."""
+        """Log what a saver has saved, or what went wrong. `told`: its report; None if it sent none."""
         if not code and told == {}:
             return
         told = told or {}
@@ -169,7 +171,7 @@ class BlackBox:
         self._events.log("incident", f"incident not saved: {why}", reason, level="warning", step=step)
 
     def finish(self) -> None:
-        """Save at once whatever is still waiting. Called at the end of the service, after its stops are written."""
+        """Save everything that still waits, at once. Called at the end of the service, after its stops are written."""
         while self._waiting and len(self._savers) < MOST_SAVERS:
             self._start(self._waiting.pop(0)[1], self._run.readable)
         for _ in self._waiting:

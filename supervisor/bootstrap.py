@@ -41,9 +41,9 @@ def main(argv: list[str]) -> int:
 
 
 def fail(error: Exception) -> NoReturn:
-    """End a process that can't go on: print the traceback as Python would, without source lines, if stderr takes it,
-    then die at once as if killed. Shutting the interpreter down would take 5 ms during which no other process stops for
-    this one."""
+    """End a process that can't go on. Print the traceback as Python would, without source lines and only if stderr
+    accepts it, then die at once as if killed. A normal shutdown of the interpreter would take 5 ms, and meanwhile no
+    other process would stop the robot for this one."""
     try:
         lines = ["Traceback (most recent call last):"]
         at = error.__traceback__

@@ -49,29 +49,30 @@ NEXT = {
     FENCED: {BEATS: FENCED, TERMINATED: DEAD},
     DEAD: {BEATS: DEAD, REAPED: WAITING},
 }
-"""The next state of a process, by its state and the event. An event that a state does not name can't happen then: it is
-a defect, which leaves the state as it is and stops the robot. A gate that is down is started again after a while, so
-DOWN has STARTED too."""
+"""The table of a process: its next state, for each state and event. An event that has no entry for a state can't happen
+in it. If it happens all the same, the state stays as it is, and the robot is stopped for the defect. DOWN has an entry
+for STARTED, because a gate that is down is started again after a while."""
 ALIVE = tuple(state for state, after in NEXT.items() if TERMINATED in after)
 
 
 class Fence(Data):
-    """The record of killing a hung process, which keeps it from doing anything more. Times are CLOCK_MONOTONIC in ns; 0
-    means it has not happened."""
+    """How a hung process was killed, so that it can do nothing more. Times are CLOCK_MONOTONIC in ns; 0 means that it
+    has not happened."""
 
     noticed_ns: int
     kill_ns: int
     burst_ns: int
-    """When the stop was written on the supervisor's own descriptor, as for a hung port owner."""
+    """When the supervisor wrote the stop on its own descriptor, as it does for a hung port owner."""
     silent_ns: int = 0
     was_starved: bool = False
-    """The machine did not run it, so the hang was not its own fault."""
+    """True if the machine did not run the process, so the hang was not the process's own fault."""
     gone_ns: int = 0
     again_ns: int = 0
-    """When the stop was written again because the process had ended."""
+    """When the supervisor wrote the stop again, after the process had ended."""
 
     def _steps_us(self) -> list[tuple[str, str, float]]:
-        """The steps that have happened: the name for programs, the name for people, and us after the notice."""
+        """The steps that have happened: the name for programs, the name for people, and how many us after the hang was
+        noticed."""
         words = (("kill", "killed"), ("burst", "stop written"), ("gone", "gone"), ("again", "stop again"))
         times_ns = (self.kill_ns, self.burst_ns, self.gone_ns, self.again_ns)
         return [(*step, (at - self.noticed_ns) / 1e3) for step, at in zip(words, times_ns, strict=True) if at]
@@ -89,29 +90,30 @@ class Child:
     """One row of the process table, with its current state."""
 
     def __init__(self, row: Process, beat: HeartbeatReader, restart: Timer, settings: Settings) -> None:
-        """The time that a process may be silent is never shorter than a lease: a machine that can't run one process
-        sooner can't run another sooner."""
+        """`row`: the process in the table; `beat`: its heartbeat; `restart`: the timer for its restart. The deadline of
+        a process is never shorter than the lease, because a machine that is too slow for the lease is also too slow for
+        a shorter deadline."""
         self.row = row
         self.beat = beat
         self._settings = settings
         self._deadline_ns = max(row.deadline_ns, settings.ns("gate.lease_s"))
         self._deaths: list[int] = []
-        """Times of its deaths that still count."""
+        """When it died, for the deaths that still count."""
         self.state = WAITING
         self.pid = 0
-        """0 while no process exists, because it waits or is down."""
+        """Its pid; 0 while no process exists, because it waits or is down."""
         self.block = 0
-        """The index of the block of futexes that it holds."""
+        """The index of its block of futexes."""
         self.life: Lifeline | None = None
         self.started_ns = 0
         self.restart = restart
-        """When to start it again, if it is not started yet."""
+        """The timer for its next start."""
         self.fence: Fence | None = None
-        """The record of killing it for a hang, if that has happened."""
+        """How it was killed for a hang; None if it was not."""
         self.excused_ns = 0
-        """Silence before this time is not the process's own fault."""
+        """Silence before this time does not count against the process."""
         self._spared_ns = 0
-        """Its last sign of life before a silence that the machine explains, while that silence lasts; else 0."""
+        """Its last sign of life before a silence that the machine explains; 0 if there is no such silence now."""
         self.defects: list[Cause] = []
         """How many impossible events have happened since the robot was last stopped for one."""
         self.times_restarted = 0
@@ -120,7 +122,7 @@ class Child:
         """True if the process before it was killed by a signal."""
 
     def on(self, event: str) -> None:
-        """Change to the next state after an event. An event that can't happen in this state is kept as a defect."""
+        """Change to the next state after an event. An event that can't happen in this state is counted as a defect."""
         after = NEXT[self.state].get(event)
         if after is None:
             self.defects.append(causes.DEFECT(self.row.name, event, self.state))
@@ -161,7 +163,7 @@ class Child:
         return max(self.beat.ns.get(), self.started_ns)
 
     def allowed_ns(self) -> int:
-        """How long it may be silent, in ns; longer until it has reported that it runs."""
+        """How long the process may be silent, ns. The time is longer until it has reported that it runs."""
         return self._deadline_ns if self.running() else STARTING_NS
 
     def spare(self, now_ns: int, silent_ns: int) -> None:
@@ -180,14 +182,14 @@ class Child:
         return silent_ns
 
     def overdue_ns(self) -> int:
-        """When it counts as hanging unless it beats first; NEVER if no beat is expected."""
+        """When the process counts as hanging unless it beats before; NEVER if no beat is expected."""
         if KILLED not in NEXT[self.state]:
             return NEVER
         sign_ns = self.beat.ns.get() if self.running() else self.started_ns
         return max(sign_ns, self.excused_ns) + self.allowed_ns()
 
     def kill(self, wait_s: float) -> None:
-        """Kill it, and reap it if it ends within `wait_s`."""
+        """Kill the process, and reap it if it ends within `wait_s`."""
         if self.life:
             self.life.kill()
             self.life.wait(wait_s)

@@ -1,5 +1,5 @@
-"""Entry of the supervisor, which has replaced `failstop run`. By now the stop is written, the port is open and the name
-is locked."""
+"""The supervisor's entry point. The supervisor replaces `failstop run` in the same process, and by then the stop is
+written, the port is open and the name is locked."""
 
 from __future__ import annotations
 
@@ -84,8 +84,9 @@ def _serve(supervisor: Supervisor) -> int:
 
 
 def _keep_descriptors(lock: int, port: int) -> int:
-    """Close every other inherited descriptor and move these two to small numbers, because select() can't use numbers
-    from 1024 on. Neither is inherited any more. The lock stays open for the life of this process; returns the port."""
+    """Close all other inherited descriptors, and move these two to small numbers, because select() can't use numbers
+    from 1024 on. Children inherit neither of them. The lock stays open for the life of this process; returns the new
+    number of the port."""
     with contextlib.suppress(OSError):  # without /proc they stay open
         for fd in set(map(int, os.listdir("/proc/self/fd"))) - {0, 1, 2, lock, port}:
             with contextlib.suppress(OSError):  # the descriptor of the listing itself

@@ -24,10 +24,10 @@ FloodSort = tuple[str, str, bool]
 JOURNAL = "/run/systemd/journal/socket"
 STDERR = 2
 LONGEST_HOLD_NS = 50_000_000
-"""Events wait at most this long for a stop's bytes, which are out within 5 ms where they can be written at all."""
+"""The longest time that events wait for the bytes of a stop. If a stop can be written at all, it is out within 5 ms."""
 MOST_EVENTS_WAITING = 256
 EVENT_CUTS = ((280, 280), (200, 60), (120, 24))
-"""The same as packing.NOTE_CUTS."""
+"""How long an event's text may be, the same as packing.NOTE_CUTS."""
 EVENT_BYTES = layout.SEGMENT_BY_NAME[layout.SUPERVISOR].records["events"].capacity
 ASKED = frozenset(kind.name for kind in (*causes.SIGNED, causes.PIPED, causes.FLEET))
 AGAIN = frozenset(("stop_again", "stop_also"))
@@ -42,7 +42,7 @@ nothing."""
 LEAST_COLUMNS = 40
 """With fewer columns a hanging indent leaves too little room."""
 PREFIX = "failstop: "
-"""How the service's lines and the errors of commands begin."""
+"""The first word of the service's lines, and of the errors of commands."""
 JOINED = "\0"
 """Marks a space at which a line must not be broken."""
 
@@ -91,7 +91,8 @@ def say(text: str) -> None:
 
 
 class Events:
-    """The one place where events leave the service. Without a journal they are lines on stderr."""
+    """The only place where events leave the service: to the journal if there is one, else as lines on stderr, and to
+    the ring."""
 
     def __init__(self, name: str, ring: RingWriter | None = None, journal: Outbox | None = None) -> None:
         """`name`: the name of the instance."""
@@ -100,11 +101,11 @@ class Events:
         self._journal = journal
         self._waiting: list[EventRow] = []
         self._minute_ns = 0
-        """When the minute that the allowances count for began."""
+        """When the minute began for which the allowances count."""
         self._spent: Counter[FloodSort] = Counter()
-        """The bytes of each sort that were logged in this minute."""
+        """How many bytes of each sort were logged in this minute."""
         self._left_out: Counter[FloodSort] = Counter()
-        """How many events of each sort were dropped and not reported yet."""
+        """How many events of each sort were dropped and are not reported yet."""
 
     def log(
         self, kind: str, text: str, fields: Mapping[str, Value | None] | None = None, *, level: str = "", step: str = ""

@@ -1,5 +1,5 @@
-"""The supervisor's loop: first deaths, then causes that other processes noticed, then starting and watching. It alone
-raises the epoch.
+"""The supervisor's loop. It handles deaths first, then causes that other processes noticed, then starting and watching.
+Only the supervisor raises the epoch.
 
 Each wake-up runs in this order: (1) the burst, when the port owner has died; (2) the epoch and the bells, so that every
 process that can write a stop does; (3) everything that people want to know about it.
@@ -36,28 +36,29 @@ from failstop.supervisor.stop_tracker import StopTracker
 from failstop.supervisor.stops import Stop, explained
 
 TICK_NS = 20 * MS
-"""A third of the lease for which one of its beats allows motion."""
+"""The time between two beats: a third of the lease, which is how long one beat allows motion."""
 AT_REST_NS = 2 * TICK_NS
-"""The tick while the gate reports that nothing could move for anyone, so that nobody judges the lease."""
+"""The time between two beats while the gate reports that nothing can move, so that no process judges the lease."""
 BEATS_ALONE = 2
-"""Ticks on which it only beats, if nothing has happened. Anything that happens rings a bell."""
+"""If nothing has happened, the supervisor only beats in this many ticks before it looks at everything again. Anything
+that happens rings a bell."""
 STOP_ANSWER_NS = 5_000_000
 """How long the port owner may take to answer a raised epoch before the supervisor writes the burst itself."""
 HURRY_NS = 1_000_000
 EXCUSE_NS = 60_000_000
-"""After being silent itself for this long, the supervisor judges nobody by their silence. Two ticks less than the
+"""If the supervisor itself was silent for this long, it judges no other process by its silence. Two ticks less than the
 shortest deadline."""
 CLIENT_SILENT_NS = 150_000_000
-"""A client that beats ten times a second and was silent for this long was held up."""
+"""A client that beats ten times per second was held up if it was silent for this long."""
 HEAR_NS = 300_000_000
 """How long the end of the service waits for the board's answer to its stop. The ping may be 50 ms away
 (schedule.py)."""
 END_S = 2.0
-"""How long the end of the service waits for each process that it has killed, before the last burst goes out."""
+"""How long the end of the service waits for each process that it has killed, before the last burst is written."""
 
 
 class Supervisor:
-    """The supervisor's state. Call turn() once per wake-up."""
+    """The supervisor. Call turn() once per wake-up."""
 
     def __init__(self, run: Run, port: OwnPort, notify: Notify) -> None:
         self._run, self._port = run, port
@@ -82,17 +83,18 @@ class Supervisor:
         self.status.publish(self.status.missing(stopping=False))
         self._unanswered: Stop | None = None
         self._due = self.loop.timer()
-        """When the port owner's time to answer is over, or the first process counts as hanging unless it beats."""
+        """When the port owner's time to answer is over, or when the first process will count as hanging unless it
+        beats."""
         self._turned_ns = self._watched_ns = monotonic_ns()
         self._repeats = Repeats(self.loop.timer(), port.board.repeats_ns[SUPERVISOR_ROW], self._turned_ns)
         self._repeats.restart(self._turned_ns)
         self.ending = False
         self.broken = False
-        """True if the supervisor can't go on. It ends by itself after its stop has been answered."""
+        """True if the supervisor can't go on. It ends once its stop has been answered."""
         self.loop.listen(run.bells[layout.SUPERVISOR], self.processes.early.bell)
 
     def end(self, _number: int, _frame: object) -> None:
-        """Signal handler of SIGTERM and SIGINT: end at the next turn, which comes at once."""
+        """The signal handler of SIGTERM and SIGINT: the service ends at the next turn, which comes at once."""
         self.ending = True
         self._run.bells[layout.SUPERVISOR].ring()
 
@@ -138,8 +140,8 @@ class Supervisor:
         return TICK_NS if self._busy_word.get() or self._moving_word.get() else AT_REST_NS
 
     def _stop_for_news(self, ready: dict[int, int], now_ns: int) -> None:
-        """Answer deaths and causes that others noticed: the burst if no other process can write it, then the epoch,
-        then the rest."""
+        """Answer deaths and causes that other processes noticed: write the burst if no other process can, raise the
+        epoch, then do the rest."""
         gap_ns = now_ns - self._turned_ns
         # A signal has let this process continue since then: SIGCONT is blocked (entry.py).
         continued = gap_ns >= EXCUSE_NS and signal.sigtimedwait((signal.SIGCONT,), 0)
@@ -192,9 +194,9 @@ class Supervisor:
             self._wrote(monotonic_ns())
 
     def _held_up(self, now_ns: int, suspended_ns: int) -> list[Stop]:
-        """A stop because the supervisor itself was held up while motion was enabled, and so could not watch anyone. It
-        kills nobody for a silence it did not observe. `suspended_ns`: how long a signal suspended it since its last
-        turn, or 0."""
+        """The stop that is needed because the supervisor itself was held up while motion was enabled, so that nobody
+        watched the others. It kills no process for a silence that it did not observe. `suspended_ns`: for how long a
+        signal suspended it since its last turn, or 0."""
         self._watched_ns, self._turned_ns = self._turned_ns, now_ns
         gap_ns = now_ns - self._watched_ns
         if gap_ns >= EXCUSE_NS:
@@ -219,19 +221,20 @@ class Supervisor:
         self.ending |= self.broken and self._unanswered is None
 
     def _listening(self) -> bool:
-        """True while pings are written and their answers decoded. Without both, an unanswered ping does not prove a
-        deaf board."""
+        """True while pings are written and their answers are decoded. If one of the two is missing, an unanswered ping
+        does not prove that the board is deaf."""
         asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
         return self._port.fd >= 0 and asks.state == hears.state == RUNNING
 
     def _is_held_up(self, now_ns: int) -> bool:
-        """True if the port owner, telemetry or this process can only read late what the board answers."""
+        """True if the port owner, telemetry or this process is held up, so that the board's answers are read late."""
         asks, hears = self.processes[layout.PORT_OWNER], self.processes[layout.TELEMETRY]
         heard_ns = min(asks.heard_ns(), hears.heard_ns(), self._watched_ns)
         return now_ns - heard_ns >= CLIENT_SILENT_NS
 
     def _collect(self, dead: list[Child], now_ns: int, burst_ns: int, suspended_ns: int) -> list[Stop]:
-        """Every stop that this wake-up brings. `burst_ns`: when the port owner's death was answered with the burst."""
+        """All stops that follow from this wake-up. `burst_ns`: when the burst for the port owner's death was
+        written."""
         stops = []
         for process, ring in self._stops.items():
             while entry := ring.next():
@@ -293,7 +296,7 @@ class Supervisor:
         return bool(gate.get("enabled")) and gate["epoch"] == self.epochs.number
 
     def _fence_hangs(self, now_ns: int) -> None:
-        """Act on a process that has not beaten within its deadline, at that moment and not at the next tick."""
+        """Act on a process that has missed its deadline, at that moment and not at the next tick."""
         for child in self.children:
             if now_ns >= child.overdue_ns():
                 is_starved = starved.look(child.pid, child.beat, child.allowed_ns(), self._run.bells[child.row.name])
@@ -302,15 +305,16 @@ class Supervisor:
                     self._answer_silence(child, now_ns, silent_ns, is_starved=is_starved)
 
     def _answer_silence(self, child: Child, now_ns: int, silent_ns: int, *, is_starved: bool) -> None:
-        """Stop whatever the reason, but don't kill whatever the reason: a starved process runs again, and a process
-        that restarted on a machine that starves it would be silent again. While motion is disabled there is nothing to
-        stop. A process that hangs is stopped for and killed, and its death does the rest.
+        """Stop the robot for a silent process, whatever the reason for the silence. But kill it only if it hangs: a
+        starved process runs again, and its successor on the same machine would be starved too. While motion is disabled
+        there is nothing to stop. The death of a process that was killed does the rest.
 
             motion    starved: port owner    starved: another             hangs
             enabled   stopped, killed        stopped, latched             stopped, killed, latched
             disabled  logged                 logged                       stopped, killed, latched
 
-        A process starved for longer than starved.LONGEST_NS is killed too, but the death counts for no crash loop.
+        A process that was starved for longer than starved.LONGEST_NS is killed too, but that death does not count
+        towards a crash loop.
         """
         name = child.row.name
         kind = causes.STARVED if is_starved else causes.HANGS
@@ -331,7 +335,7 @@ class Supervisor:
         child.on(KILLED)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish what motion waits for, and serve the service manager."""
+        """Publish what motion waits for, and notify the service manager."""
         link = self.tracker.link
         missing = self.status.missing(stopping=self._unanswered is not None)
         missing = missing or (WAITS_FOR[link.state] if link.forbids else "") or self.tracker.wheel_servos.waited_for()
@@ -345,8 +349,9 @@ class Supervisor:
         self.status.notify_manager(now_ns, missing, self.epochs.owed_ns if self._port.fd >= 0 else 0)
 
     def finish(self) -> bool:
-        """End in order: stop through the port owner, hear what the board says to it, end every process, stop again on
-        the own descriptor. False when a stop was not sent, or a board that had answered before did not."""
+        """End the service: stop through the port owner, wait for the board's answer, end every process, and stop again
+        on the supervisor's own descriptor. Returns False if a stop was not sent, or if the board had answered before
+        but did not answer this."""
         stop = Stop(monotonic_ns(), layout.SUPERVISOR, causes.STOPPING())
         self._raise_epoch([stop])
         while self._unanswered:
@@ -373,8 +378,8 @@ class Supervisor:
         return sent and (heard_ns > 0 or link in (LINK_UNPROVEN, LINK_UNASKED))
 
     def _hear(self, stop_ns: int) -> int:
-        """Wait until the board acknowledges the stop that was written at `stop_ns` (0: none was). Returns how much
-        later that was in ns; 0 if it took longer than HEAR_NS or the answer is an echo. The processes that ask and
+        """Wait until the board acknowledges the stop that was written at `stop_ns` (0: none was). Returns how long that
+        took, ns; 0 if it took longer than HEAR_NS, or if the board acknowledges by an echo. The processes that ask and
         listen must still be alive."""
         echo_ns = 2 * self._port.board.echo_ns
         until_ns = monotonic_ns() + (echo_ns if self.tracker.link.state == LINK_UNASKED else HEAR_NS)

@@ -1,8 +1,9 @@
 """The port in the supervisor. The supervisor has its own descriptor, for the first stop of a run and for stops that the
 port owner can't write; a thread that opens a lost port again; and the handover to port owner, stopper and telemetry.
 
-All four hold one port or none. Only the supervisor opens and numbers a port; the other three inherit the descriptor or
-receive it. All of them close it at once when the port is gone.
+The supervisor, the port owner, the stopper and telemetry all hold the same port, or none. Only the supervisor opens a
+port and gives it a number; the other three inherit its descriptor or receive it. All four close it at once when the
+port is gone.
 """
 
 from __future__ import annotations
@@ -29,21 +30,21 @@ if TYPE_CHECKING:  # `failstop run` imports OwnPort before its first stop, and n
     from failstop.supervisor.run import Run
 
 LOOK_NS = 5_000_000
-"""How often a lost port is looked for."""
+"""How often to look for a lost port."""
 WATCH_S = 1.0
-"""How often the devices next to the board are listed: after a loss, none of them is the board."""
+"""How often to list the devices next to the board, s. After a loss, none of them can be the board."""
 DOUBT_S = 0.05
-"""How often to look for the board while the open device may not be it."""
+"""How often to look for the board while the open device may not be the board, s."""
 SHARE_NS = 100_000_000
 """How often to send the port to a process until it has it."""
 BUSY_S = 1.0
-"""How long to wait for a port that the processes of a dead run are just closing."""
+"""How long to wait for a port that the processes of a dead run are still closing, s."""
 UDEV_S = 2.0
-"""How long udev may take, at boot, to give its users a device that exists already."""
+"""How long udev may take at boot to make an existing device accessible to its users, s."""
 
 
 class OwnPort(StopPort):
-    """A duplicate of the port's descriptor; -1 while the port is gone."""
+    """The supervisor's own descriptor of the port; -1 while the port is gone."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         """`servos`: the ids of the robot's arm, which is stopped with the wheels; unknown at the first burst of a
@@ -80,7 +81,7 @@ class OwnPort(StopPort):
 
 
 def _is_new(path: str) -> bool:
-    """True while udev has not given a new device to its users yet."""
+    """True while udev has not yet made a new device accessible to its users."""
     try:
         node = os.stat(path)
     except OSError:
@@ -118,7 +119,7 @@ class Opener:
         _thread.start_new_thread(self._live, (os.sched_getscheduler(0), os.sched_getparam(0)))
 
     def look(self) -> None:
-        """Tell the thread to open the lost port as soon as it is back."""
+        """Make the thread open the lost port as soon as it is back."""
         self._asked.release()
 
     def pop(self) -> tuple[int, int] | None:
@@ -127,7 +128,7 @@ class Opener:
         return found
 
     def attempt(self) -> bool:
-        """Look for the port once. A descriptor number was reserved for it, because none may be free by then."""
+        """Look for the port once. A descriptor number was reserved for it, because by then none may be free."""
         if self._spare >= 0:
             os.close(self._spare)
         self.misplaced = self.believed = False
@@ -168,7 +169,7 @@ class Opener:
 
 
 class PortHandover:
-    """The supervisor's part of the handover; `controls`: its ends of the control sockets."""
+    """The supervisor's side of the handover. `controls`: its ends of the control sockets."""
 
     def __init__(self, run: Run, port: OwnPort, processes: ProcessTable) -> None:
         self._port = port
@@ -192,7 +193,7 @@ class PortHandover:
 
     @property
     def misplaced(self) -> bool:
-        """True if the open device is not the board, and the board is present."""
+        """True if the open device is not the board, although the board is present."""
         return self._port.fd >= 0 and self.opener.misplaced and not self.opener.believed
 
     def believe(self) -> None:
@@ -201,8 +202,8 @@ class PortHandover:
             self.opener.believed = True
 
     def lost(self, ready: dict[int, int], now_ns: int) -> bool:
-        """True when the port has just been lost, or is not the board's. The device is closed at once and the board
-        looked for."""
+        """True if the port has just been lost, or the open device is not the board. The device is closed at once, and
+        the thread looks for the board."""
         if self._port.fd < 0:
             return False
         gone = ready.get(self._port.fd, 0) & GONE or self._port_owner_s() == records.PORT_LOST
@@ -242,7 +243,8 @@ class PortHandover:
         return written_ns
 
     def make_up(self, now_ns: int) -> None:
-        """Send the descriptor again to a process that had no free descriptor number for it, so that it got lost."""
+        """Send the descriptor again to a process that could not receive it, because it had no free descriptor
+        number."""
         if self._port.fd >= 0 and now_ns - self._shared_ns >= SHARE_NS:
             self._share(
                 [name for name in self.controls if self._processes[name].running() and not self.has(name)], now_ns
@@ -257,7 +259,7 @@ class PortHandover:
                 self.controls[name].send(self._port.fd, self._port.number, self.opener.finder.at)
 
     def _port_owner_s(self) -> int:
-        """The state that the port owner reports for the port that is open here."""
+        """What the port owner reports about the port that is open here."""
         return records.port_state(self._record.read(), self._port.number)
 
     def has(self, name: str) -> bool:

@@ -22,16 +22,17 @@ from failstop.supervisor.run import Run
 TRY_AGAIN_NS = 500_000_000
 STARVED_EVERY_NS = 10_000_000_000
 STARVED_SHOWN_NS = 600_000_000_000
-"""How long a silence that the machine explains is shown. Each further one restarts this time."""
+"""For how long a silence that the machine explains is shown. Each further silence restarts this time."""
 GATE_AGAIN_NS = 60_000_000_000
-"""A gate that died too often is tried again after this time, because a reset is requested through it."""
+"""After this time a gate that died too often is started again, because people need it to request a reset."""
 
 
 class ProcessTable:
     """Every process of the table, with its current state. The early news of a death rings `early.bell`."""
 
     def __init__(self, run: Run, port: OwnPort, advice: str) -> None:
-        """Hold the supervisor's own block of futexes from now on. `advice`: what helps against starving, for people."""
+        """From now on the supervisor holds its own block of futexes. `advice`: what helps against starvation, for
+        people."""
         self._run, self._port = run, port
         self._events, self._loop, self._bells = run.events, run.loop, run.bells
         self._life_words = {row.name: run.own.word(f"{row.name}_life") for row in PROCESSES}
@@ -47,7 +48,7 @@ class ProcessTable:
         self._advice = advice
         self._starved_logged_ns = self._starved_ns = self._starved_times = 0
         self._starved = (0, "")
-        """The longest of the shown silences, in ms, and the name of its process."""
+        """The longest silence that is shown, ms, and the name of its process."""
         self._notes = {name: run.views[name].ring_reader("notes") for name in (layout.GATE, layout.TELEMETRY)}
         self._by_name = {child.row.name: child for child in self.children}
 
@@ -127,7 +128,7 @@ class ProcessTable:
                 self.start(child)
 
     def start(self, child: Child) -> None:
-        """Start a process, which inherits the port, and name it to the processes that watch it."""
+        """Start a process, which inherits the port, and publish its pid to the processes that watch it."""
         name, block, pid, life = child.row.name, self._free_block(), 0, None
         try:
             pid = self._spawn(child.row, block)
@@ -174,7 +175,8 @@ class ProcessTable:
                 self.log_starved(child.row.name, silent_ns, now_ns)
 
     def log_starved(self, name: str, silent_ns: int, now_ns: int) -> None:
-        """Report that the machine did not run a process for this long: at once, then at most every ten seconds."""
+        """Log that the machine did not run a process for this long: the first time at once, then at most every ten
+        seconds."""
         silent_ms = round(silent_ns / 1e6)
         self._starved = max(self._shown_starved(now_ns), (silent_ms, name), key=lambda starved: starved[0])
         self._starved_times += 1
@@ -189,13 +191,13 @@ class ProcessTable:
         return self._starved if now_ns - self._starved_ns < STARVED_SHOWN_NS else (0, "")
 
     def starved_record(self) -> dict[str, object]:
-        """For clients: the longest of the shown silences, and how many there were in this run."""
+        """The record for clients: the longest silence that is shown, and how many such silences this run has had."""
         longest_ms, process = self._shown_starved(monotonic_ns())
         shown = {"longest_ms": longest_ms, "process": process} if process else None
         return {"starved": shown, "starved_times": self._starved_times}
 
     def _free_block(self) -> int:
-        """The next block that no living process holds."""
+        """A block of futexes that no living process holds."""
         held = {child.block for child in self.children if child.pid} | {layout.SUPERVISOR_BLOCK}
         self._block = next(b for i in range(1, BLOCKS) if (b := (self._block + i) % BLOCKS) not in held)
         return self._block

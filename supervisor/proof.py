@@ -36,18 +36,18 @@ PONG_NS = 20_000_000
 ACKNOWLEDGE_NS = 1_500_000_000
 """A stop that the board has not acknowledged by then is logged as unacknowledged."""
 JUDGED_AFTER_NS = 800_000_000
-"""The IMU's verdict is about the time after the cause if it was made this long after it, because that is longer than a
-window of the judgement plus its hold (procs/telemetry/still.py)."""
+"""The IMU's verdict counts for a stop only if it was made this long after the cause, which is longer than a window of
+the judgement plus its hold (procs/telemetry/still.py)."""
 JUDGED_WITHIN_NS = 500_000_000
-"""A judgement older than this does not count: the IMU, or telemetry, is silent."""
+"""A verdict that is older than this does not count, because the IMU or telemetry is silent."""
 LEAST_NS = 1_000_000
 """The shortest time to rest that is shown, because 0 means that the wheels were already at rest."""
 HEEDS_NS = 200_000_000
 """If the board still reports zero this long after it should have reported that it obeys motion, it does not receive
 anything."""
 LATE_LOOK_NS = 200_000_000
-"""If the first look at the IMU's verdict comes this long after the cause (the supervisor was held up), the shaking may
-have been missed."""
+"""If the supervisor was held up and first looks at the IMU's verdict this long after the cause, it may have missed that
+the wheels were moving."""
 
 
 class Proof:
@@ -60,27 +60,29 @@ class Proof:
         self.stop = stop
         self._by = by
         self.unix_s = unix_s - (now_ns - stop.t_ns) / 1e9
-        """The wall clock when its cause was noticed, for people."""
+        """The wall clock when the cause was noticed, for people (Unix time, s)."""
         self.acknowledged_ns: int | None = None
-        """The time from the cause to the board's answer."""
+        """The time from the cause to the board's answer, ns."""
         self.observed_ns: int | None = None
-        """From the cause until the wheels were still; 0: the IMU saw no shaking before it either."""
+        """The time from the cause until the wheels were still, ns. 0: the IMU had not felt them moving before the stop
+        either."""
         self.wheels = WHEELS_UNKNOWN
         self.held = False
-        """The kernel still held its bytes when it was logged, because the board takes none."""
+        """True if the kernel still held the bytes of the stop when the stop was logged, because the board takes
+        none."""
         self.believed = True
         """False until the device to which its bytes were written has answered as the board does."""
         self.logged = False
-        """True when everything that can be known about it was logged."""
+        """True once everything that can be known about the stop was logged."""
         self._was_still = True
         self._looked_ns = 0
         self._after_ns = after_ns
         self._again_ns = stop.t_ns + after_ns
         self._since_ns = now_ns
-        """The time from which the board's answer and its obedience count."""
+        """From this time on the board's answers and its obedience count."""
 
     def written_at_last(self, written_ns: int, by: str) -> None:
-        """Record when a stop was written that had to wait for the port to come back."""
+        """Record when the stop was written, if it had to wait for the port to come back."""
         self.stop.written_ns, self.stop.by = written_ns, by
         self.logged = False
         self._since_ns = written_ns
@@ -94,9 +96,9 @@ class Proof:
         return True
 
     def judged(self, still_ns: int, judged_ns: int, now_ns: int) -> bool:
-        """Record the IMU's verdict: since when the wheels are still (0: they shake), judged at `judged_ns` (0: never
-        yet). Returns True when the wheels should be still and are not, and again after each further such time: write
-        the stop again."""
+        """Record the IMU's verdict: since when the wheels are still (0: they move), judged at `judged_ns` (0: never
+        yet). Returns True when the wheels still move although the time for that is over, and again each time as much
+        time has passed: the stop must then be written again."""
         self._looked_ns = self._looked_ns or now_ns
         if not self._by[1] or self.observed_ns is not None or now_ns - judged_ns > JUDGED_WITHIN_NS:
             return False
@@ -128,7 +130,7 @@ class Proof:
         return not before
 
     def outcome(self, link: str) -> str:
-        """The outcome, for the journal; `link`: what the board's answers prove."""
+        """The outcome for the journal. `link`: the state of the link."""
         if self.acknowledged_ns:
             heard = f"acknowledged by {ACKNOWLEDGED_BY[self._by[0]]} after {self.acknowledged_ns / 1e6:.1f} ms"
         else:
@@ -199,26 +201,26 @@ class Link:
         self._heeds_ns = echo_ns + HEEDS_NS if echo_ns else 0
         self._first = LINK_UNPROVEN if asked else LINK_UNASKED
         self._answers = self._first
-        """The state judged by the board's answers and its echo alone."""
+        """The state of the link according to the board's answers and its echo alone."""
         self._silent = self._by_echo = False
         self._heard = False
-        """True if the board has answered in this run or, if it is asked nothing, has reported."""
+        """True if the board has answered in this run. For a board that can't be asked: if it has reported."""
         self._opened_ns = self._listened_ns = 0
         self._held_up_ns = self._unheard_ns = 0
         """When the machine last held up a process that asks, listens or judges; 0: never."""
         self._true_ns = 0
-        """When the newest ping was sent that was truly answered, or the port was opened."""
+        """When the newest ping was sent that the whole board has answered, or when the port was opened."""
         self._said_ns = self._patience_ns = 0
         """When the board last sent anything (0: nothing since the port was opened), and how long it may pause."""
         self._answered_ns = 0
-        """When the newest answered ping was sent."""
+        """When the newest ping was sent that has an answer."""
         self._asked_ns = 0
-        """When the oldest ping after that one was sent; 0: none yet."""
+        """When the oldest ping after it was sent; 0: none yet."""
         self._missed = False
 
     @property
     def state(self) -> str:
-        """The state, in a word."""
+        """The state of the link, as one of the words above."""
         return LINK_SILENT if self._silent else self._answers
 
     @property
@@ -243,20 +245,21 @@ class Link:
         self._missed = self._silent = self._by_echo = False
 
     def listen(self, newest_ping_ns: int, now_ns: int = 0) -> None:
-        """Nobody could hear an answer until now, so a silence begins now at the earliest, or with the next ping."""
+        """Nobody could hear an answer until now, so a silence counts from now on at the earliest, or from the next
+        ping."""
         self._asked_ns = 0
         self._answered_ns = max(self._answered_ns, newest_ping_ns)
         self._listened_ns = max(self._listened_ns, now_ns)
 
     def answered_in_part(self, newest_ping_ns: int, now_ns: int) -> None:
-        """One of the board's parts does not answer, so no question is answered as a whole. As long as other parts
-        answer, the board is not deaf."""
+        """Record that one of the board's parts does not answer, so no question is answered as a whole. The board does
+        not count as deaf while its other parts answer."""
         if now_ns - self._said_ns < self._deaf_ns:
             self.listen(newest_ping_ns)
 
     def held_up(self, now_ns: int) -> None:
-        """The machine does not run a process that asks, listens or judges, so nobody knows whether the board was really
-        silent."""
+        """Record that the machine does not run a process that asks, listens or judges, so nobody knows whether the
+        board was really silent."""
         self._held_up_ns = now_ns
 
     def _excused(self, since_ns: int, now_ns: int) -> bool:
@@ -270,8 +273,8 @@ class Link:
         return True
 
     def pop_unheard(self) -> int:
-        """For how long nothing was heard from the board while the machine held up the service (ns), returned once; 0 if
-        there is no such silence."""
+        """For how long nothing was heard from the board while the machine held up the service, ns; returned once. 0 if
+        there was no such silence."""
         found, self._unheard_ns = self._unheard_ns, 0
         return found
 
@@ -289,8 +292,7 @@ class Link:
                 self._answers = LINK_UNASKED
 
     def check_silence(self, patience_ns: int, now_ns: int) -> None:
-        """Check whether the board has gone silent. `patience_ns`: how long it may pause; 0: it speaks only when
-        asked."""
+        """Check whether the board has gone silent. `patience_ns`: how long it may pause; 0: it sends only answers."""
         self._patience_ns = patience_ns
         since_ns = max(self._said_ns, self._listened_ns)
         if self._said_ns and patience_ns and now_ns - since_ns >= patience_ns and not self._excused(since_ns, now_ns):
@@ -345,7 +347,7 @@ class Link:
         return True
 
     def _may_be_silent(self, now_ns: int) -> bool:
-        """True while a board that reports all the time has said nothing lately. Soon it is known whether it is silent,
-        and a silent board can't be called deaf."""
+        """True while a board that normally reports all the time has sent nothing lately. It may turn out to be silent,
+        so it does not count as deaf yet."""
         quiet_ns = now_ns - max(self._said_ns, self._listened_ns)
         return 0 < self._patience_ns <= self._deaf_ns and self._said_ns > 0 and quiet_ns >= self._patience_ns // 2

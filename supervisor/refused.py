@@ -16,10 +16,10 @@ OPTION = "CONFIG_RT_GROUP_SCHED="
 SYS_NICE = 23
 """The bit of CAP_SYS_NICE."""
 FIRST_USERS = ["0", "0", "4294967295"]
-"""The map of the first user namespace, in which alone capabilities count for real-time priority."""
+"""The user map of the first user namespace. Only there do capabilities allow real-time priority."""
 RUNTIME = "cpu.rt_runtime_us"
 RUNTIME_US = 950000
-"""The real-time share that the root group has."""
+"""The file with the real-time share of the root group."""
 
 ALLOWED = "its limits allow real-time priority, but"
 NO_TIME = f"{ALLOWED} its control group has no time for it (RT_GROUP_SCHED)"
@@ -51,7 +51,7 @@ def advice_if_allowed(pid: int | str = "self", *, unit: str = "", container: boo
 
 
 def _allowed(pid: int | str, priority: int) -> bool:
-    """Whether the limits or the capabilities of a process allow it this priority."""
+    """True if the limits or the capabilities of a process allow it this priority."""
     for line in _lines(f"{PROC}/{pid}/limits"):
         if line.startswith("Max realtime priority"):
             soft = line.split()[3]
@@ -77,7 +77,7 @@ def _runtime(group: str) -> str:
 
 
 def _of_v2(group: str) -> bool:
-    """Whether a group of cgroup v2 has a share of the cpu of its own, on a kernel that schedules so."""
+    """True if a group of cgroup v2 has its own share of the processor, on a kernel that schedules so."""
     controllers = f"{GROUP_FOLDER}{group}/cgroup.controllers"
     return "cpu" in _word(controllers).split() and _configured()
 

@@ -29,16 +29,16 @@ from failstop.shm.segment import Segment
 from failstop.supervisor.events import Events
 
 GROUP = "failstop"
-"""The group whose members may drive; everyone may stop."""
+"""The group whose members may drive. Everyone may stop."""
 SHARED_MEMORY = "shared memory "
 A_SLOT = f"{SHARED_MEMORY}client."
-"""How the names of shared memory begin that the service can run without: a client's slots."""
+"""How the names of client slots begin. They are shared memory that the service can do without."""
 LOOK_EVERY_NS = 1_000_000_000
 
 
 def client_gid() -> int:
-    """The group whose members may drive; -1 (the service's own group) if no such group exists or this user may not use
-    it."""
+    """The id of the group whose members may drive; -1 means the service's own group, because no such group exists or
+    this user may not use it."""
     try:
         gid = grp.getgrnam(GROUP).gr_gid
     except KeyError:
@@ -47,7 +47,8 @@ def client_gid() -> int:
 
 
 class Run:
-    """One run's shared memory, pipes, claims, bells and control sockets; its settings, loop and events."""
+    """What one run of the service has: shared memory, pipes, claims, bells, control sockets, settings, loop and
+    events."""
 
     def __init__(
         self, settings: Settings, name: str, runtime_dir: str, journal: Outbox | None = None, again: str = ""
@@ -65,11 +66,10 @@ class Run:
         self._refuse_living()
         self._dead = segments.dead_runs(name)
         self.left = segments.open_all(self._dead[-1]) if self._dead else {}
-        """The black box of a run that did not end cleanly. Its names are removed when this run has its own."""
+        """The black box of an earlier run that did not end cleanly. Its names are removed once this run has its own."""
         self._segments: list[Segment] = []
         self.readable: dict[str, int] = {}
-        """Descriptors of the processes' segments for the black box, which can be copied even when their names are
-        gone."""
+        """Descriptors of the processes' segments for the black box. They can be read even after the names are gone."""
         try:
             self._make(client_gid())
             self.own = segments.attach(self.memory, layout.SUPERVISOR, self.incarnation, write=True)
@@ -106,7 +106,7 @@ class Run:
         self.stop_pipe = bell.open_pipe(instance.stop_path(self.runtime_dir))
         self.client_bell = bell.open_pipe(instance.bell_path(self.runtime_dir))
         self.named = {f"{SHARED_MEMORY}{made.spec.name}": made.fileno() for made in self._segments}
-        """A descriptor of everything that other processes find by its name."""
+        """A descriptor of each object that other processes find by its name."""
         self.named |= {"the stop pipe": self.stop_pipe, "the bell of the clients": self.client_bell}
         self.bells = {process: EventBell.create() for process in layout.PROCESS_NAMES}
         self.controls = {process: handover.pair() for process in (layout.PORT_OWNER, layout.STOPPER, layout.TELEMETRY)}
@@ -123,8 +123,8 @@ class Run:
         self.own.latest_writer("settings").write(pack(self.settings.flat()))
 
     def publish(self, stop: str = "") -> None:
-        """Publish the run's name, because everything that clients read exists now. Keep how the run was started, and
-        the board's `stop`, as in board/kept.py. Raises OSError."""
+        """Publish the run's name. Everything that clients read exists now. It also keeps how the run was started, and
+        the board's `stop` (board/kept.py). Raises OSError."""
         device = os.path.abspath(self.settings.text("device.path"))
         kind = self.settings.text("board.kind")
         instance.remember(self.runtime_dir, instance.Last(device, self._again, self.settings.servos(), kind, stop))
@@ -143,8 +143,8 @@ class Run:
         return found
 
     def lost(self, now_ns: int) -> Cause | None:
-        """Once a second, check the names that others need, and log the missing ones. Returns the cause to end for, if
-        any."""
+        """Check once a second whether the names that others need still exist, and log missing ones. Returns the cause
+        for which the service must end, if any."""
         if now_ns - self._looked_ns < LOOK_EVERY_NS:
             return None
         self._looked_ns = now_ns
@@ -162,7 +162,8 @@ class Run:
         return None
 
     def remove(self) -> None:
-        """Remove every name, the run's own first; descriptors and mappings end with their processes."""
+        """Remove all names, the run's own name first. Descriptors and mappings end with the processes that have
+        them."""
         instance.clear(self.runtime_dir)
         segments.unlink_all(self.memory)
         for made in self._segments:

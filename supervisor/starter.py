@@ -17,12 +17,14 @@ from failstop.supervisor.bootstrap import PATH_VARIABLE
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 BOOTSTRAP = ("supervisor", "bootstrap.py")
 C_LIBRARY = {"LANG": "C.UTF-8", "MALLOC_ARENA_MAX": "1"}
-"""Settings of the C library: one heap for all threads. A second heap would cost 200 kB at a thread's first job, minutes
-after the start."""
+"""Settings of the C library: all threads use one heap. A second heap would cost 200 kB when a thread does its first
+job, minutes after the start."""
 PASSED_ON = (root.VARIABLE, "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME", "HOME")
-"""Environment variables that say where the runtime directory and telemetry's files are."""
+"""Environment variables that every process gets, because they say where the runtime directory and telemetry's files
+are."""
 TO_THE_SUPERVISOR = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
-"""Variables of the service manager. Only the supervisor talks to it, so it removes them from its environment."""
+"""Environment variables from the service manager. Only the supervisor notifies it, so it removes them from its
+environment."""
 
 
 def script_command(script: tuple[str, ...], *arguments: str, words: Mapping[str, object]) -> list[str]:
@@ -39,7 +41,7 @@ def environment(settings: Settings) -> dict[str, str]:
 
 
 def spawn(arguments: list[str], environ: Mapping[str, str], passed: Sequence[int] = ()) -> int:
-    """Start a process that inherits the descriptors in `passed`; returns its pid. Raises OSError."""
+    """Start a process that inherits the descriptors in `passed`. Returns its pid. Raises OSError."""
     for fd in passed:
         os.set_inheritable(fd, True)
     try:
@@ -52,14 +54,15 @@ def spawn(arguments: list[str], environ: Mapping[str, str], passed: Sequence[int
 
 
 def reap(pid: int, options: int = os.WNOHANG) -> int | None:
-    """The exit code of a child that has ended, negative for a signal; None: it can't be reaped yet."""
+    """The exit code of a child that has ended, negative if a signal killed it; None if it can't be reaped yet."""
     found, status = os.waitpid(pid, options)
     return os.waitstatus_to_exitcode(status) if found else None
 
 
 def become_supervisor(name: str, runtime_dir: str, settings: Settings, lock: int, port: int, again: str) -> None:
-    """Replace this process by the supervisor, under the same pid; it inherits the lock and the open port. The imports
-    of the command line would double its size. `again`: the command line that starts this run again. Raises OSError."""
+    """Replace this process by the supervisor, under the same pid. It inherits the lock and the open port. It is a new
+    program, because the imports of the command line would double its size. `again`: the command line that starts this
+    run again. Raises OSError."""
     for fd in (lock, port):
         os.set_inheritable(fd, True)
     words = {"name": name, "dir": runtime_dir, "lock": lock, "port": port, "again": again}

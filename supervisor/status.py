@@ -1,4 +1,4 @@
-"""Status: what motion waits for, and whether the supervisor does its job.
+"""Status: publishes what motion waits for, and reports to the service manager whether the supervisor does its job.
 
 The gate reads a word, clients read the process table, and the service manager gets datagrams (the sd_notify protocol):
 ready, a status line, the watchdog, the end. The supervisor never waits for the manager; a datagram that could not be
@@ -45,14 +45,15 @@ if TYPE_CHECKING:  # commands have the rights' part of here, and need no more
     from failstop.supervisor.run import Run
 
 UNDYING_NS = 10_000_000_000
-"""A process is gone milliseconds after SIGKILL, or seconds if it closes a port that does not drain. After this time
-something in the kernel holds it."""
+"""A process is gone milliseconds after SIGKILL, or seconds if it closes a port that does not drain. If it exists for
+longer than this, something in the kernel holds it."""
 OWED_NS = 2_000_000_000
-"""The supervisor writes its own burst 5 ms after the cause, and then every 200 ms. After this time no stop got out."""
+"""The supervisor writes its own burst 5 ms after the cause, and then every 200 ms. If a stop is still owed after this
+time, none could be written."""
 WAITED_NS = 2_000_000_000
 """What motion waits for is logged after this long; a restart takes a fraction of it."""
 NOTIFY_EVERY_NS = 100_000_000
-"""How often the status line is made. The gate's part of it changes at every tick while something drives."""
+"""How often a new status line is made. The gate's part of it changes at every tick while something drives."""
 
 LEASE = "gate.lease_s"
 LEASE_S = float(BY_KEY[LEASE].default)
@@ -60,7 +61,7 @@ LEASE_WITHOUT_S = 0.2
 """The lease without real-time rights, if the settings give none. It is below the time that the stopper allows the port
 owner and the supervisor allows the gate (0.25 s), so the order in which they stop stays the same."""
 OF_A_TIMEOUT = 0.9
-"""The lease takes at most this share of the shortest command timeout, which is longer than any lease."""
+"""The lease is at most this share of the shortest command timeout, because a timeout must be longer than the lease."""
 
 UNIT = "`sudo systemctl edit {unit}`, with LimitRTPRIO=40 and LimitMEMLOCK=infinity under [Service]"
 CONTAINER = "start the container with `--cap-add SYS_NICE --cap-add IPC_LOCK --ulimit rtprio=40 --ulimit memlock=-1`"
@@ -76,12 +77,13 @@ NO_EARLY_NEWS = (
 CONTAINER_FILES = ("/.dockerenv", "/run/.dockerenv", "/run/.containerenv", "/run/systemd/container")
 CONTROL_GROUP = "/proc/self/cgroup"
 CONTAINER_VARIABLE = "container"
-"""Set for the first process of a container by podman, lxc and systemd-nspawn, and inherited unless somebody clears
-it."""
+"""podman, lxc and systemd-nspawn set this variable for the first process of a container; other processes inherit it
+unless somebody clears it."""
 
 
 class Status:
-    """Call publish(), log_waiting() and notify_manager() once per turn. `ever`: the service has been ready."""
+    """Publishes the status. Call publish(), log_waiting() and notify_manager() once per turn. `ever`: the service has
+    been ready."""
 
     def __init__(
         self, run: Run, notify: Notify, processes: ProcessTable, epochs: Epochs, handover: PortHandover
@@ -101,7 +103,7 @@ class Status:
         self._logged_missing = ""
         self.ever = False
         self.fault = ""
-        """Why the supervisor does not do its job. If this is set, the watchdog is allowed to fire."""
+        """Why the supervisor does not do its job; empty if it does. If it is set, the watchdog may fire."""
 
     def missing(self, *, stopping: bool) -> str:
         """What motion still waits for; empty if nothing. `stopping`: a stop is not answered yet."""
@@ -139,7 +141,7 @@ class Status:
         return True
 
     def log_waiting(self, missing: str, now_ns: int) -> None:
-        """Once per turn: log what motion waits for when the wait gets long, and log when it is over."""
+        """Log what motion waits for once the wait gets long, and log when it is over. Call it once per turn."""
         if missing != self._missing:
             self._missing, self._missing_ns = missing, now_ns
         if self._logged_missing == missing:
@@ -170,8 +172,8 @@ class Status:
 
 
 def fault(now_ns: int, killed_ns: dict[str, int], owed_since_ns: int) -> str:
-    """Why the supervisor does not do its job, in words; empty while it does. `killed_ns`: when each process that was
-    killed and is not gone was killed; `owed_since_ns`: since when a stop is neither answered nor written although a
+    """Why the supervisor does not do its job, in words; empty if it does. `killed_ns`: for each process that was killed
+    and still exists, when it was killed; `owed_since_ns`: since when a stop is neither answered nor written although a
     descriptor is open, 0 if there is none. Pure."""
     for name, since_ns in killed_ns.items():
         if now_ns - since_ns >= UNDYING_NS:
@@ -209,8 +211,8 @@ def status_line(missing: str, down: str, latched: str, gate: dict[str, Any]) -> 
 
 
 def advice(*, realtime: bool, managed: bool) -> str:
-    """What to do when this process is late, with the command in backquotes. `realtime`: it has real-time rights;
-    `managed`: a service manager started it."""
+    """What to do if the machine runs this process late, with the command in backquotes. `realtime`: it has real-time
+    rights; `managed`: a service manager started it."""
     if realtime:
         return GRANTED
     # Imported for a refusal only.
@@ -224,7 +226,7 @@ def advice(*, realtime: bool, managed: bool) -> str:
 
 
 def leased(settings: Settings, chosen: Container[str]) -> Settings:
-    """The settings with a lease that this process's rights can keep, unless the lease is among the `chosen` keys."""
+    """These settings with a lease that fits this process's rights. A lease that is among the `chosen` keys stays."""
     if LEASE in chosen:
         return settings
     with rights.realtime(max(row.priority for row in PROCESSES)) as granted:
@@ -247,14 +249,15 @@ def cost(lease_s: float) -> str:
 
 
 def lacking(granted: int, advice: str, lease_s: float) -> list[tuple[str, str]]:
-    """The rights that were not `granted` (heartbeat bits), each with a text for people. `lease_s`: the lease in use."""
+    """The rights that this process did not get, each with a text for people. `granted`: the heartbeat bits of the
+    rights that it has; `lease_s`: the lease in use."""
     realtime = f"{NO_REALTIME}, and {cost(lease_s)}; {advice}"
     told = ((REALTIME, "SCHED_FIFO", realtime), (EARLY_NEWS, "robust futexes", NO_EARLY_NEWS))
     return [(what, text) for bit, what, text in told if not granted & bit]
 
 
 def own_unit() -> str:
-    """The systemd unit of this process, by its control group; a description if the group names none."""
+    """The systemd unit of this process, from its control group; if the group names none, words that describe it."""
     try:
         with open(CONTROL_GROUP, encoding="utf-8", errors="replace") as file:
             groups = [line.rstrip().rpartition("/")[2] for line in file]
@@ -264,5 +267,5 @@ def own_unit() -> str:
 
 
 def in_container() -> bool:
-    """True when this process runs in a container, if that kind of container leaves a sign."""
+    """True if this process runs in a container that can be recognized."""
     return CONTAINER_VARIABLE in os.environ or any(map(os.path.exists, CONTAINER_FILES))

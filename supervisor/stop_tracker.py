@@ -45,7 +45,7 @@ UNCONNECTED = {
     LINK_SILENT: "the board has stopped reporting. It lost power, or it hangs, or the wire from it is broken; failstop "
     "can't tell which: use the POWER SWITCH, then check its cable",
 }
-"""For people: what happened to the link."""
+"""What happened to the link, for people."""
 
 
 class StopTracker:
@@ -71,7 +71,7 @@ class StopTracker:
         self._after_ns = run.settings.ns("still.after_s")
         self._command = run.settings.text("still.command")
         self._command_pids: list[int] = []
-        """Commands that are still running, the newest last."""
+        """The pids of the user's commands that still run, the newest last."""
         self._command_ran = False
         self.wheel_servos = WheelServos(run.settings, telemetry.latest_reader("health"))
         self._seen_answer = self._seen_proof = 0
@@ -81,18 +81,18 @@ class StopTracker:
         self.link = Link(run.settings.ns("link.deaf_s"), asked=bool(board.pings), echo_ns=board.echo_ns)
         self._published = ""
         self._stopped_for = ""
-        """The state of the link for which motion was stopped, kept until motion has ended."""
+        """The state of the link for which motion was stopped. It is kept until motion has ended."""
         self._last: Proof | None = None
         self._said: set[Cause] = set()
-        """The causes that were logged since the latch."""
+        """The causes that were logged since the stop was latched."""
 
     def latched(self, stop: Stop) -> None:
         """Note a newly latched stop. It is the first one since a reset, so every later cause is reported again."""
         self._said = {stop.cause}
 
     def _news_of(self, cause: Cause) -> bool:
-        """True if this cause was not logged since the latch; several processes may notice the same one. It remembers
-        the last 64 causes, so an older one may be logged twice."""
+        """True if this cause was not logged since the stop was latched, because several processes may notice the same
+        cause. It remembers the last 64 causes, so an older one may be logged twice."""
         if cause in self._said:
             return False
         if len(self._said) >= SENTENCES_KEPT:
@@ -101,7 +101,7 @@ class StopTracker:
         return True
 
     def also(self, stop: Stop) -> None:
-        """Log a cause that came together with another, or before that one's stop was answered."""
+        """Log a cause that came together with another one, or before the stop for the other one was answered."""
         if self._news_of(stop.cause):
             fields = {**stop.fields(), "noticed_by": stop.noticed_by}
             self._run.events.log("stop_also", f"also: {stop.cause.alarm()}", fields)
@@ -213,8 +213,8 @@ class StopTracker:
         return [Stop(now_ns, layout.SUPERVISOR, kind())]
 
     def opened(self, written_ns: int, now_ns: int, *, sure: bool) -> None:
-        """Note a port that was opened again, perhaps with another board; the supervisor's burst on it was at
-        `written_ns`. `sure`: it is known to be the board."""
+        """A port was opened again, perhaps with another board. `written_ns`: when the supervisor wrote its burst to it;
+        `sure`: it is certainly the board."""
         last, before = self._last, self.link.state
         self.link.opened(now_ns, sure=sure)
         if last is None or written_ns <= last.stop.t_ns:
@@ -242,7 +242,7 @@ class StopTracker:
             self._publish(self._last)
 
     def _unstill(self, last: Proof, now_ns: int) -> bool:
-        """True if the wheels still move after a stop. A reset clears this: a person has taken over."""
+        """True if the wheels still move after a stop. A reset clears this, because a person has taken over."""
         stop = last.stop
         if self._latch.reset_epoch >= stop.epoch:
             self._command_ran = False
@@ -266,8 +266,8 @@ class StopTracker:
         return unstill
 
     def _run_command(self) -> None:
-        """Run the user's command, once until the wheels were seen still or a reset. A command that is left from an
-        earlier stop hangs, and must not keep this stop from running its own."""
+        """Run the user's command (still.command) once, until the wheels were seen still or a person has reset. A
+        command that still runs from an earlier stop hangs, but does not keep this stop from running its own."""
         for pid in self._command_pids:
             try:
                 os.kill(-pid, signal.SIGKILL)
@@ -305,7 +305,8 @@ class StopTracker:
 
     def ended(self, heard_ns: int, link: str, *, written: bool, sent: bool) -> None:
         """Log the end of the service. `heard_ns`: how long after the first stop the board acknowledged it, or 0;
-        `link`: as in proof.py; `written`: the kernel took the second stop; `sent`: it has passed it on."""
+        `link`: as in proof.py; `written`: the kernel took the second stop; `sent`: the kernel has passed it on to the
+        board."""
         told = "the stop was written twice" if sent else "the second stop could NOT be written"
         if written and not sent:
             told = f"the second stop was handed over, {NOT_SENT}"

@@ -22,8 +22,8 @@ WRITERS = (
     (WAITS, BY_PORT_OWNER, BY_SUPERVISOR),  # neither; or the port owner could not write
     (WAITS, BY_SUPERVISOR, BY_SUPERVISOR),  # neither; or the port owner could not write
 )
-"""The process that writes a stop, or has written it. Rows: what is known about its burst. Columns: whether the port
-owner may still answer the epoch, has answered it, or is late or dead."""
+"""Which process writes a stop, or has written it. Rows: what is known about its burst. Columns: whether the port owner
+may still answer the epoch, has answered it, or is late or dead."""
 SOONER_NS = 20_000_000
 """The port owner may have noticed the cause this much earlier. A burst from before that time does not count for this
 cause."""
@@ -47,10 +47,10 @@ class Stop(Data):
     answer_by_ns: int = 0
     """Until when the port owner may answer it."""
     by: str = ""
-    """The process that wrote it; empty until it is answered."""
+    """The process that wrote the stop; empty until it is answered."""
     epoch: int = 0
     behind: Stop | None = None
-    """The stop that was latched when this one was answered; None if it was this one."""
+    """The stop that was already latched when this one was answered; None if this one is latched."""
 
     def fields(self) -> dict[str, str | int]:
         """The fields for an event: the cause, and the time, which tells this stop from others with the same cause."""
@@ -68,7 +68,8 @@ class Stop(Data):
         return None if by == WAITS else (by, port_owner_ns if by == BY_PORT_OWNER else 0)
 
     def answered_by(self, by: str, written_ns: int, latched: Stop, epoch: int) -> None:
-        """Record which process wrote it and when (0: it could not be written), while `latched` was latched."""
+        """Record which process wrote the stop and when (0: it could not be written). `latched`: the stop that was
+        latched then."""
         self.by = by
         self.written_ns = written_ns
         self.behind = None if latched is self else latched  # a stop that refers to itself would never be freed

@@ -51,7 +51,7 @@ ORDER = (
 
 
 def word(robot: Robot, now_s: float, unix_s: float) -> str:
-    """A word about the robot's wheels, or only LOST for a robot that is lost. `now_s`: time.monotonic()."""
+    """A word about the robot's wheels, or LOST or OFFLINE if it is not connected. `now_s`: time.monotonic()."""
     if robot.connection == message.OFFLINE:
         return ENDED
     return LOST if robot.lost(now_s, unix_s) else robot.word or "?"
