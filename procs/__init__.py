@@ -1,1 +1,1 @@
-"""The service's processes, one folder each, and the modules that starting and running any of them needs."""
+"""The service's processes, one folder each, and the modules that all of them need to start and run."""

@@ -1,6 +1,6 @@
-"""Context: what the supervisor hands a process at its start, and what every process does with it first.
+"""Context: what a process gets from the supervisor at its start, and the first things that every process does with it.
 
-It travels in the command line, where `ps` shows it, and for the settings in one environment variable:
+It is passed in the command line, where `ps` shows it; only the settings are passed in an environment variable:
 
     bootstrap.py gate name=failstop run=8f3a... dir=/run/failstop/failstop parent=812 block=3 number=1 bell=5 ...
 """
@@ -24,7 +24,7 @@ from failstop.shm.segment import Segment
 
 
 class Context:
-    """A started process's own segment, heartbeat, settings, and the descriptors it inherited."""
+    """What a started process has: its own segment, heartbeat and settings, and the descriptors that it inherited."""
 
     def __init__(self, process: str, words: dict[str, str], priority: int, *, outlives_parent: bool) -> None:
         self.instance = words.pop("name")
@@ -72,5 +72,6 @@ class Context:
         return segments.attach(self.memory, name, self.incarnation)
 
     def client_slots(self) -> list[Segment]:
-        """Every client's segment, as the service reads it. A segment that is gone counts as unused."""
+        """Every client's segment, in the form in which the service reads it. A segment that is gone counts as
+        unused."""
         return [segments.read_client_slot(self.memory, at, self.incarnation) for at in range(layout.CLIENT_SLOTS)]

@@ -28,9 +28,9 @@ class Control:
         self._socket = _socket.socket(_socket.AF_UNIX, _socket.SOCK_SEQPACKET, 0, fd)
 
     def send(self, fd: int, number: int, path: str) -> None:
-        """Send a duplicate of the port's descriptor, with its number in this run and its path. A peer that has died
-        needs none, because its successor inherits it. If the peer has no free descriptor number, the duplicate is
-        lost."""
+        """Send a duplicate of the port's descriptor, with its number in this run and its path. If the other process has
+        died, nothing is lost, because its successor inherits the port. If the other process has no free descriptor
+        number, the duplicate is lost."""
         packed = [(_socket.SOL_SOCKET, _socket.SCM_RIGHTS, _FD.pack(fd))]
         try:
             self._socket.sendmsg([_NUMBER.pack(number) + cut(path, PATH_BYTES)], packed, _socket.MSG_DONTWAIT)
@@ -54,8 +54,8 @@ class Control:
         return None
 
     def newer(self, ready: dict[int, int], least: int) -> tuple[int, int, str] | None:
-        """Like receive(), if this wake-up brings something. A port with a number below `least` is known already: it was
-        sent twice."""
+        """Like receive(), but only if this wake-up brings something. A port with a number below `least` was received
+        before, so it is ignored."""
         while self.fd in ready and (sent := self.receive()):
             if sent[1] >= least:
                 return sent
@@ -67,14 +67,15 @@ class Control:
 
 
 class HeldPort:
-    """The port of a process that does not own it. The process adopts what the supervisor sends, and closes it at once
-    when the port is gone, because a descriptor kept open over a USB drop renumbers the device. A word of shared memory
-    says which port it is."""
+    """The port of a process that does not own it. The process adopts every descriptor that the supervisor sends. It
+    closes the port at once when the device is gone, because the device would otherwise get another name when it is
+    back. A word of shared memory says which port it is."""
 
     def __init__(
         self, context: Context, loop: Loop, control: Control, adopt: Callable[[int], None], wanted: int
     ) -> None:
-        """`adopt`: replaces the old descriptor by another (-1: none); `wanted`: what the loop watches the port for."""
+        """`adopt` is called with a new descriptor that replaces the old one (-1: none); `wanted`: what the loop watches
+        the port for."""
         self._loop, self._control, self._adopt, self._wanted = loop, control, adopt, wanted
         self._record = context.segment(layout.PORT_OWNER).latest_reader("port")
         self._word = context.own.word("port_number")

@@ -19,37 +19,38 @@ from failstop.shm.bell import EventBell
 READ = select.EPOLLIN
 WRITE = select.EPOLLOUT
 EDGE = select.EPOLLET
-"""Used with READ: report new bytes once, whether or not all of them are read."""
+"""Together with READ: report new bytes only once, even if they are not read."""
 HANGUP = 0
 """Watch only for the hang-up or an error, which the kernel always reports."""
 
 GONE = select.EPOLLHUP | select.EPOLLERR
 MS = 1_000_000
 LONG_NS = 10 * MS
-"""A longer wait need not be exact to the millisecond."""
+"""A wait that is longer than this need not be exact to the millisecond."""
 NEVER = 2**63 - 1
 
 
 class Timer:
-    """A point in time (CLOCK_MONOTONIC ns), or NEVER, and the points that follow it."""
+    """A timer: the next point in time (CLOCK_MONOTONIC ns), or NEVER, and the points that follow it."""
 
     def __init__(self) -> None:
         self.set(NEVER)
 
     def set(self, ns: int, *then: int) -> None:
-        """Set the next point in time and those that follow; each counts once the one before was popped."""
+        """Set the next point in time, and the ones that follow it. Each of these takes effect when pop() has returned
+        True for the one before."""
         self.ns, self._then = ns, then
 
     def due(self, now_ns: int) -> bool:
-        """True from that point in time on."""
+        """True from the next point in time on."""
         return now_ns >= self.ns
 
     def wait(self, until_ns: int) -> None:
-        """Put the next point in time off until `until_ns` at least."""
+        """Put the next point in time off, so that it is not before `until_ns`."""
         self.ns = max(self.ns, until_ns)
 
     def pop(self, now_ns: int) -> bool:
-        """True when the timer is due; then the following point in time takes its place."""
+        """True if the timer is due. Then the following point in time becomes the next one."""
         if now_ns < self.ns:
             return False
         self.set(*self._then, NEVER)
@@ -57,7 +58,7 @@ class Timer:
 
 
 class Loop:
-    """One process's set of descriptors, and its timers."""
+    """The descriptors and timers that one process waits for."""
 
     def __init__(self) -> None:
         self._timers: list[Timer] = []
@@ -97,7 +98,7 @@ class Loop:
         return min([timer.ns for timer in self._timers], default=NEVER)
 
     def wait(self, longest_ns: int) -> dict[int, int]:
-        """Block until a descriptor is ready, a timer has come, or this time is over; return {fd: what has come}."""
+        """Wait until a descriptor is ready, a timer is due, or `longest_ns` is over. Returns {fd: its events}."""
         left_ns = self.due_ns() - monotonic_ns()
         if LONG_NS <= longest_ns < left_ns - MS:
             found = dict(self._poll(longest_ns * 1e-9))

@@ -14,27 +14,30 @@ from failstop.shm.heartbeat import HeartbeatReader
 from failstop.shm.lifeline import Lifeline
 
 LEAVE_AFTER_NS = 150_000_000
-"""How long the processes that write stops outlive the supervisor at least: the burst and its repeats on most boards."""
+"""How long a process that writes stops goes on at least after the supervisor's death. On most boards that is enough for
+the burst and its repeats."""
 AFTER_LAST_NS = 30_000_000
-"""How long they stay after the last repeat, so that it reaches the wire."""
+"""How long such a process goes on after the last repeat, so that the repeat reaches the wire."""
 LATEST_NS = 500_000_000
-"""How long they stay at most for a port that still holds the stop, because the kernel drops the bytes at the last
-close."""
+"""The longest time that such a process waits for a port that still holds the stop. When the last process closes the
+port, the kernel drops the bytes."""
 
 
 def leave_after_ns(board: Board) -> int:
-    """How long a writer of stops outlives the supervisor: until its board has had the last repeat."""
+    """How long a process that writes stops goes on after the supervisor's death: until the board has received the last
+    repeat."""
     return max(LEAVE_AFTER_NS, AFTER_LAST_NS + max((0, *(at_ns for row in board.repeats_ns for at_ns in row))))
 
 
 DRAINED_NS = 5_000_000
 """How often to look at a port that still holds the stop."""
 _LINE = 1
-"""Which line in each process's block of futexes to use; the supervisor waits on line 0."""
+"""The line of each process's block of futexes that this process waits on. The supervisor waits on line 0."""
 
 
 class Parent:
-    """The supervisor and the ports that it sends. When it dies, the watcher stops the robot and exits 150 ms later."""
+    """Watches the supervisor, and receives the ports that it sends. When the supervisor dies, this process stops the
+    robot and exits soon afterwards."""
 
     def __init__(self, context: Context, loop: Loop, line: int, port: StopPort, *, early: bool) -> None:
         """`line`: which of the supervisor's futexes to wait on; `port`: where this process writes its stops; `early`:
@@ -43,7 +46,7 @@ class Parent:
         self.life = Lifeline(context.parent)
         self.control = Control(context.fd("control"))
         self.orphaned_ns = 0
-        """When its death was noticed; 0 while it lives."""
+        """When the supervisor's death was noticed; 0 while it is alive."""
         self._loop = loop
         self._leave = loop.timer()
         context.early.watch_block(self.life, layout.SUPERVISOR_BLOCK, line, port.early_stop if early else None)
@@ -56,15 +59,16 @@ class Parent:
         return not self.orphaned_ns and self.life.died(ready)
 
     def drop(self, now_ns: int) -> None:
-        """Stop watching it: the stop for its death is written. Once the repeats are out, leave() returns True."""
+        """Stop watching the supervisor, because the stop for its death is written. Once the repeats are out, leave()
+        returns True."""
         self.orphaned_ns = now_ns
         self._leave.set(now_ns + leave_after_ns(self._port.board))
         self._loop.forget(self.life.fd)
         self._loop.forget(self.control.fd)
 
     def leave(self, now_ns: int) -> bool:
-        """True when it is time to exit, because the repeats are on the wire. It waits for a port that holds them back,
-        but not long."""
+        """True when it is time to exit, because the repeats are on the wire. If the port holds them back, it waits a
+        little longer, up to LATEST_NS."""
         if not self._leave.due(now_ns):
             return False
         if now_ns - self.orphaned_ns < LATEST_NS and not self._port.lost and (self._port.unsent or self._port.holds()):
@@ -74,10 +78,10 @@ class Parent:
 
 
 class Peer:
-    """One watched process. `life` is None while there is no process, or its death was already answered."""
+    """Watches one process. `life` is None while there is no process, and after its death was answered."""
 
     def __init__(self, name: str, context: Context, loop: Loop, port: StopPort) -> None:
-        """`port`: where the thread that gets the early news of the death writes the stop."""
+        """`port`: the port to which the thread that first learns of the death writes the stop."""
         self.death = causes.DIED(name)
         """The cause of the stop when this process dies."""
         self.heart = HeartbeatReader(context.segment(name))
@@ -94,8 +98,8 @@ class Peer:
         return records.unpack_life(self._word.get())[0]
 
     def follow(self) -> int:
-        """Watch the process that the supervisor names: by its pid at once, by its futex once it runs and so holds it.
-        Returns the pid of the process before it if that death had not been noticed, else 0."""
+        """Watch the process whose pid the supervisor publishes: by its pid at once, and by its futex as soon as the
+        process runs and holds it. Returns the pid of the process before it, if that one had died unnoticed, else 0."""
         named = self._word.get()
         pid, block = records.unpack_life(named)
         died = 0
@@ -113,13 +117,13 @@ class Peer:
         return died
 
     def _stop_early(self, pid: int) -> None:
-        """Write the stop in the thread that waits. If the supervisor names another process by now, this death was
-        already answered, and a thread that was held up must not cut into the motion that came after."""
+        """Write the stop in the thread that waits for the death. If the supervisor has published another process since,
+        this death was answered already, and a thread that was held up must not stop the motion that came afterwards."""
         if self.named() == pid:
             self._stop()
 
     def runs(self) -> bool:
-        """True from the moment when it has reported that it runs until its death has been answered."""
+        """True while the process is known to run: from its own report until its death was answered."""
         return self.life is not None and self.life.watched
 
     def died(self, ready: dict[int, int]) -> int:

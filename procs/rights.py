@@ -1,5 +1,5 @@
-"""Rights: what a process asks of the kernel for itself: real-time scheduling, locked memory, death with its parent, an
-immediate end when it crashes or loops, and open files."""
+"""Rights: what a process requests from the kernel for itself: real-time scheduling, locked memory, to be killed when
+its parent dies, to end at once when it crashes or loops, and enough open files."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ _SIGKILL = 9
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 LOOP_US = 100_000
-"""If this process runs for this long without a pause, at real-time priority, the kernel kills it. An endless loop would
-take the core from every process of lower priority, and on the last core also from those that must stop the wheels
-because of the loop."""
+"""The kernel kills this process if it runs for this long at real-time priority without a pause. Otherwise an endless
+loop would take the core from every process of lower priority. On a computer with one free core those are also the
+processes that must stop the wheels because of the loop."""
 SUPERVISOR_LOOP_US = 500_000
-"""The same for the supervisor. It has the lowest priority on the stop path, so its loop keeps nobody from stopping, and
-its end is the end of the service. The kernel counts whole ticks, including those that a virtual machine's host
-withholds. It must be less than the time after which the kernel pauses all real-time processes of a core
-(sched_rt_runtime_us)."""
+"""The same limit for the supervisor. It is longer, because the supervisor has the lowest priority on the stop path, so
+its loop delays no stop, but its end is the end of the service. The kernel counts whole ticks, including those that the
+host of a virtual machine withholds. The limit must be shorter than the time after which the kernel pauses all real-time
+processes of a core (sched_rt_runtime_us)."""
 
 DESCRIPTORS = 68
-"""Descriptors that the supervisor has open at most: 52 with every process, segment and bell, 5 for a dead run, 2 for
-each of 4 savers, and a few to look at a file."""
+"""The most descriptors that the supervisor has open: 52 with every process, segment and bell, 5 for a dead run, 2 for
+each of 4 savers, and a few to read files."""
 STACK_BYTES = 256 * 1024
-"""Stack size of each process: four times what all of them were seen to need."""
+"""The stack size of each process: four times the most that any of them was seen to need."""
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
 def name_process(name: str) -> None:
-    """The name that ps and top show: at most 15 bytes."""
+    """Set the name that ps and top show; at most 15 bytes."""
     _libc.prctl(_PR_SET_NAME, name.encode()[:15], 0, 0, 0)
 
 
 def die_with_parent(parent_pid: int) -> None:
-    """Have the kernel SIGKILL this process when its parent dies. Raises SystemExit if the parent died before the
-    call."""
+    """Make the kernel kill this process (SIGKILL) when its parent dies. Raises SystemExit if the parent has died
+    already."""
     _libc.prctl(_PR_SET_PDEATHSIG, _SIGKILL, 0, 0, 0)
     if os.getppid() != parent_pid:
         raise SystemExit(f"parent {parent_pid} is gone")
@@ -51,8 +51,9 @@ def die_with_parent(parent_pid: int) -> None:
 
 @contextlib.contextmanager
 def realtime(priority: int) -> Iterator[bool]:
-    """Ask the kernel for SCHED_FIFO at `priority` and yield whether it was granted; the process has it within the
-    block. Limits and capabilities can't tell, because a container or a control group may refuse anyway."""
+    """Ask the kernel for SCHED_FIFO at `priority`, and yield whether it was granted; within the block the process has
+    it. Asking is the only way to know, because a container or a control group may refuse what limits and capabilities
+    allow."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -101,8 +102,8 @@ def settle(loop_us: int = LOOP_US) -> None:
 
 
 def _limit(which: int, soft: int | None) -> None:
-    """Set a soft limit, as close as the hard limit allows; None: to the hard limit. Processes started here may set
-    their own."""
+    """Set a soft limit, or as much of it as the hard limit allows; None: set it to the hard limit. Processes that are
+    started here may set their own."""
     _, hard = resource.getrlimit(which)
     if soft is None or 0 <= hard < soft:
         soft = hard
@@ -124,7 +125,7 @@ def raise_limits() -> None:
 
 
 def no_descriptors(most: int) -> str:
-    """What to do when RLIMIT_NOFILE, `most`, is too low."""
+    """What to do if the limit of open files (RLIMIT_NOFILE, `most`) is too low."""
     return _too_low(f"RLIMIT_NOFILE is {most}", f"{DESCRIPTORS} open files", "`ulimit -n 1024`, or LimitNOFILE=")
 
 

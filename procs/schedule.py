@@ -20,15 +20,15 @@ PING_GAP_NS = 50_000_000
 """Two pings are at least this far apart."""
 
 QUICK = 10
-"""How many pings are sent at once after the start. Telemetry, which hears the answers, takes some tenths of a second to
-start, and until it has heard an answer nobody knows whether the board hears."""
+"""How many pings are sent in quick succession after the start. Telemetry, which hears the answers, takes some tenths of
+a second to start, and until it has heard one nobody knows whether the board hears."""
 AGAIN_AFTER_STOP = 4
-"""How many more pings follow the one right after a stop. If answers were lost shortly before, because telemetry died,
-the first answer after the stop may belong to one of those questions; a few more tell them apart."""
+"""How many more pings follow the first one after a stop. If answers were lost before the stop, because telemetry died,
+the first answer after it may belong to an older ping; a few more pings tell the answers apart."""
 
 
 class Repeats:
-    """The repeats of the last stop; `due`: the timer for the next one."""
+    """When to repeat the last stop. `due`: the timer for the next repeat."""
 
     def __init__(self, due: Timer, after_ns: tuple[int, ...], now_ns: int, zero_ns: int = ZERO_EVERY_NS) -> None:
         """`after_ns`: how long after a stop each repeat is written; `zero_ns`: how long after a stop the first zero
@@ -45,7 +45,8 @@ class Repeats:
         self._due.set(*(now_ns + after for after in self._after_ns))
 
     def end(self) -> None:
-        """Write nothing before the next stop, because it would cut into motion, of this process or of another."""
+        """Write nothing before the next stop, because it would interrupt the motion of this process or of another
+        one."""
         self._due.set(NEVER)
 
     def wait(self, until_ns: int) -> None:
@@ -53,7 +54,7 @@ class Repeats:
         self._due.wait(until_ns)
 
     def pop(self, now_ns: int) -> int:
-        """REPEAT, REFRESH or 0: what must be written now. Each call removes it from the schedule."""
+        """What must be written now: REPEAT, REFRESH, or 0 for nothing. Each call removes it from the schedule."""
         if not self._due.pop(now_ns):
             return 0
         if self._bursts:
@@ -67,8 +68,8 @@ class Pings:
     """When to write pings; `index` is the number of the next one."""
 
     def __init__(self, count: int, period_ns: int, due: Timer, now_ns: int, quick: int = QUICK) -> None:
-        """`count`: how many different pings the board has (0: none, and nobody may wait for `due`); `quick`: how many
-        are sent at once at first."""
+        """`count`: how many different pings the board has (0: none, and then nobody may wait for `due`); `quick`: how
+        many pings are sent in quick succession at first."""
         self._count = count
         self._period_ns = period_ns
         self._sent_ns = now_ns - PING_GAP_NS
@@ -80,7 +81,7 @@ class Pings:
         self.index = 0
 
     def stopped(self, now_ns: int) -> None:
-        """A stop was written, so ask soon whether the board heard it, and then a few times more."""
+        """A stop was written: send a ping soon to find out whether the board heard it, and then a few more."""
         self._quick = max(self._quick, AGAIN_AFTER_STOP)
         self._due.set(max(now_ns, self._sent_ns + PING_GAP_NS))
 
@@ -116,5 +117,5 @@ class Pings:
         self._due.set(max(self._due.ns, until_ns))
 
     def failed(self, now_ns: int) -> None:
-        """The port takes nothing now, so try again after the gap."""
+        """The port accepts no bytes now, so try again after the gap."""
         self._due.set(now_ns + PING_GAP_NS)

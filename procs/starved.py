@@ -1,4 +1,5 @@
-"""Starved: was a silent process not run by the machine, or does it hang? Asked only when a deadline has passed.
+"""Starved: tells whether the machine did not run a silent process, or whether the process hangs. Only used when a
+deadline has passed.
 
 | the kernel says of it            | processor time since its beat | so it                                     |
 |----------------------------------|-------------------------------|-------------------------------------------|
@@ -9,8 +10,8 @@
 | T, t, Z, X: stopped, dead        | any                           | hangs                                     |
 | nothing that can be read         | any                           | hangs: what is not known excuses nobody   |
 
-A deadline is given for a turn that nobody delays, so half of it in processor time is more than a healthy turn takes.
-Who sleeps is rung for and looked at again: a timer is late while a virtual machine's core is away, a bell is not.
+A healthy turn needs less processor time than half of its deadline. If the process sleeps, its bell is rung and it is
+looked at once more: while a virtual machine has lost its core, a timer may come late, but a bell does not.
 """
 
 from __future__ import annotations
@@ -24,17 +25,18 @@ from failstop.shm.thread_state import state_of
 LONGEST_NS = 5_000_000_000
 """A process that is silent for longer than this past its deadline is replaced, whatever the machine does."""
 _CPU_CLOCK = 2
-"""clock_gettime(2): a process's clock is ~pid << 3 with the kind in the lowest bits, here the exact time run."""
+"""The clock of a process for clock_gettime(2): its pid, inverted and shifted left by 3, with the kind of clock in the
+lowest bits. This kind is the exact processor time."""
 
 
 def starved(state: str, ran_ns: int, deadline_ns: int) -> bool:
-    """The table above; `ran_ns`: its processor time since its last beat. Pure."""
+    """True if the process is starved, according to the table above. `ran_ns`: its processor time since its last beat.
+    Pure."""
     return state in ("R", "D") and ran_ns < deadline_ns // 2
 
 
 def look(pid: int, heart: HeartbeatReader, deadline_ns: int, bell: EventBell) -> bool:
-    """True if the silent process is starved. `bell`: the bell that wakes that process. Takes two readings, about 20
-    us."""
+    """True if a silent process is starved. `bell`: the bell that wakes it. Takes two readings, about 20 us."""
     try:
         # A starting process has not beaten yet, so the value there is its predecessor's.
         before_ns = heart.cpu_ns.get() if heart.pid.get() == pid else 0

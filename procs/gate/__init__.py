@@ -1,1 +1,1 @@
-"""The gate: decides, at every tick and at once on news, whether and how the wheels may turn."""
+"""The gate: decides whether and how the wheels may turn, at every tick, and at once when something happens."""

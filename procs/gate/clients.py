@@ -1,4 +1,4 @@
-"""Clients as the gate sees them: whose slot is claimed, what is new in it, and which clients have gone.
+"""Clients, as the gate sees them: which slots are claimed, what is new in them, and which clients have gone.
 
 The gate reads everything with pread and believes it only when its CRC, its claim and its session agree. A client's name
 and pid are its own claims, for people to read; nothing depends on their truth.
@@ -21,22 +21,22 @@ if TYPE_CHECKING:
     from typing import Any
 
 News = tuple["Slot", str, tuple[object, ...]]
-"""A session's slot; then the name of one of its records with the record's time (ns) and values, or OVER."""
+"""A slot with a session; then the name of one of its records, with the record's time (ns) and values, or OVER."""
 OVER = "gone"
-"""The name of the news that a session has left its slot or has died, with True if it said goodbye."""
+"""The name of the news that a session has ended. Its value is True if the session said goodbye."""
 ONCE = ("command", "request", "arm_goal", "aux")
-"""Records that are acted on only when they are new."""
+"""Records that are acted on only once, when they are new."""
 
 
 def newest_number(reader: LatestReader) -> int:
-    """The number of the newest entry. Entries from before a restart are not new, because the gate before may have acted
-    on them."""
+    """The number of the newest entry. Entries from before a restart of the gate are not new, because the gate before
+    may have acted on them."""
     entry = reader.read()
     return entry[0] if entry else 0
 
 
 class Slot:
-    """One client slot and the session that holds it; session 0: nobody holds it."""
+    """One client slot, and the session that holds it; session 0 means that nobody holds it."""
 
     def __init__(self, index: int, segment: Segment) -> None:
         self.index = index
@@ -53,7 +53,7 @@ class Slot:
         self._seen = {name: 0 if name == "request" else newest_number(self._readers[name]) for name in ONCE}
         self._session_seen = self.greet()
         self.ended = 0
-        """The session that held the slot before; its records no longer count."""
+        """The session that held the slot before. Its records no longer count."""
         self.life: Lifeline | None = None
         self.session = 0
 
@@ -61,7 +61,7 @@ class Slot:
         return f"{self.name} (pid {self.pid})"
 
     def greet(self) -> int | None:
-        """The session that says hello now; None if there is none, or the hello is damaged."""
+        """The session whose hello is in the slot now; None if there is no hello, or it is damaged."""
         entry = self._hello.read()
         if entry is not self._greeting:
             self._greeting, self._greeted = entry, None
@@ -82,7 +82,7 @@ class Slot:
             return False
 
     def join(self, session: int) -> None:
-        """Let a session hold the slot; a new session's records are counted from the start."""
+        """Let a session hold the slot. The records of a new session are read from the start."""
         if session != self._session_seen:
             self._seen = dict.fromkeys(ONCE, 0)
         self.session = self._session_seen = session
@@ -113,7 +113,8 @@ class Slot:
         return Command(self.session, self.who(), t_ns, (vx, vy, wz), manual=manual, source=source)
 
     def said(self) -> tuple[int, str, str] | None:
-        """The session's last report for people: when, what it sees, what is wrong; None if there is none."""
+        """The session's last report for people: when it came, what the program sees, what is wrong; None if there is
+        none."""
         if found := self.latest("said"):
             t_ns, sees, wrong = found
             return t_ns, bounded(sees, records.SAID_BYTES), bounded(wrong, records.SAID_BYTES)
@@ -121,18 +122,18 @@ class Slot:
 
 
 def bounded(text: str, room: int) -> str:
-    """A client's text, shortened for a record that holds those of all clients. Unprintable characters are replaced,
-    because each would take three bytes."""
+    """A client's text, cut so that the record has room for the texts of all clients. Unprintable characters are
+    replaced, because each would take three bytes."""
     return records.cut(records.printable(text), room).decode()
 
 
 class ClientTable:
-    """All slots; `active` are the ones that a session holds. Act on each news of a look before you ask for the next."""
+    """All client slots; `active` are those that a session holds. Act on each news before you ask for the next one."""
 
     def __init__(
         self, segments: list[Segment], claims_fd: int, loop: Loop, early: EarlyNews, heard: tuple[str, ...]
     ) -> None:
-        """`heard`: the records to look at, in this order."""
+        """`heard`: the records to read, in this order."""
         self._claims_fd = claims_fd
         self._loop = loop
         self._early = early
@@ -142,19 +143,20 @@ class ClientTable:
         self.active: list[Slot] = []
 
     def hinted(self, hints: bytes) -> list[Slot]:
-        """Slots to look at when the client bell rang: each byte hints at one slot; any other byte means all of them."""
+        """The slots to look at when the client bell rings: each byte names a slot, and a byte that is no slot's number
+        means all slots."""
         if set(hints) <= set(range(layout.CLIENT_SLOTS)):
             return [self.slots[index] for index in set(hints)]
         return self.slots
 
     def look(self, slots: list[Slot]) -> Iterator[News]:
-        """Look at these slots: the active ones once per tick, in case a ring was lost or a claim has ended; now and
-        then all of them, for new clients whose ring was lost."""
+        """Look at these slots, and yield the news. Active slots are looked at once per tick, because a ring may be lost
+        and a claim may end; sometimes all slots are, for new clients whose ring was lost."""
         for slot in tuple(slots):
             yield from self._look(slot)
 
     def commands(self) -> Iterator[News]:
-        """The commands that known clients have given, and that were not heard yet."""
+        """The commands of known clients that were not handled yet."""
         for slot in tuple(self.active):
             if values := slot.new("command"):
                 yield slot, "command", values
@@ -167,7 +169,8 @@ class ClientTable:
                 yield from self._leave(slot)
 
     def _watch(self, slot: Slot) -> None:
-        """If neither the pid nor the futex can be watched, the claim alone decides, once per tick."""
+        """Watch the client's process. If neither its pid nor its futex can be watched, only its claim shows whether it
+        is alive, once per tick."""
         # In a container the client's pid means nothing here, or another process.
         known = self._pid_namespace and slot.pid_namespace == self._pid_namespace
         try:

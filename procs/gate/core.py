@@ -30,21 +30,22 @@ IS_LATCHED = "a stop is latched"
 WHEELS_ENABLED = "wheels enabled"
 MAY_MOVE = "motion enabled"
 LEAST_LIMIT = 5
-"""Percent. A lower limit would be a stop that nobody notices."""
+"""The lowest speed limit, percent. A lower one would be a stop that nobody notices."""
 _DISABLE, _LATCH, _STAY = DEATHS
 _WAIT, *_ = ANSWERS_TO_SILENCE
 MOST_IGNORED = 64
-"""How many commands from unknown sources are logged in the life of a gate."""
+"""How many commands from unknown sources one gate logs."""
 
 
 class GateCore:
-    """What the gate knows: enabled, the latch, the sources and their commands, the velocity."""
+    """The gate's decisions and what they need: whether motion is enabled, the latch, the sources and their commands,
+    the velocity."""
 
     def __init__(
         self, settings: Settings, kinematics: Chassis, now_ns: int, *, arm_beside_wheels: bool = False
     ) -> None:
         self.arm_waits = not arm_beside_wheels
-        """True: the arm moves only while motion is disabled."""
+        """True if the arm may move only while motion is disabled."""
         acceleration = settings["limits.acceleration_mps2"]
         limits = (settings["limits.vx_mps"], settings["limits.vy_mps"], settings["limits.wz_radps"])
         self._most = tuple(limit * axis for limit, axis in zip(limits, kinematics.axes, strict=True))
@@ -66,7 +67,7 @@ class GateCore:
         self._stopped_in = 0
         """The epoch in which the gate stopped by itself; a newer epoch answers it."""
         self.epoch = 0
-        """The epoch in which motion was enabled; every frame carries it."""
+        """The epoch in which motion was enabled; every motion frame carries it."""
         self.velocity = REST
         self.speeds = kinematics.rest
         self.capped = ""
@@ -87,7 +88,7 @@ class GateCore:
         self._ramps_on = False
 
     def rests(self, until_ns: int) -> bool:
-        """True while the velocity stays as it is, and no frame is due before that time."""
+        """True if the velocity stays as it is and no frame is due before `until_ns`."""
         return not self.enabled or not (self._ramps_on or until_ns > self._sent_ns + self._refresh_ns)
 
     def blocked(self, now_ns: int) -> str:
@@ -104,12 +105,12 @@ class GateCore:
         return ""
 
     def arm_closed(self) -> str:
-        """Why the arm takes no goal now; empty if it does."""
+        """Why the arm accepts no goal now; empty if it accepts one."""
         return IS_LATCHED if self.latch is not None else WHEELS_ENABLED if self.enabled and self.arm_waits else ""
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When the command that moves the wheels stops counting. The wheels stop then, not at a later tick. None:
-        nothing moves them."""
+        """When the command that moves the wheels becomes too old; None: nothing moves them. The wheels stop at that
+        moment, not at a later tick."""
         driving = self.sources.driving(now_ns)
         if driving is None or self.blocked(now_ns):
             return None
@@ -121,9 +122,9 @@ class GateCore:
         return min(ends_ns)
 
     def accept(self, command: Command, now_ns: int) -> Cause | None:
-        """Accept a new command; None if it is good. Otherwise returns the cause to stop for: non-finite values, or a
-        second publisher of a source whose command still counts. A stamp from the future counts as now. A source that
-        the settings don't name, or that is the pad's, is noted and ignored."""
+        """Accept a new command. Returns None if it is good, else the cause to stop for: values that are not finite, or
+        two publishers of one source. A time stamp from the future counts as now. A command for a source that is not in
+        the settings, or for the gamepad's source, is noted and ignored."""
         if not all(map(isfinite, command.velocity)):
             return causes.NOT_FINITE(command.who)
         if not self.sources.allows(command):
@@ -149,8 +150,8 @@ class GateCore:
             self.notes.append(Note("ignored", text, {"who": command.who, "source": command.source}))
 
     def client_gone(self, session: int, now_ns: int, *, parted: bool) -> Cause | None:
-        """A client has gone, `parted` if it said goodbye: drop its commands, and note it if it drove. A driver's death
-        disables motion, or returns the cause to stop for, depending on the settings."""
+        """A client has gone; `parted`: it said goodbye. Drop its commands, and add a note if it drove. If a driver has
+        died, motion is disabled, or the cause to stop for is returned, as the setting gate.driver_death says."""
         driving, driver = self.sources.driving(now_ns), self._drivers.pop(session, None)
         moved = session in self._movers
         self._movers.discard(session)
@@ -186,7 +187,8 @@ class GateCore:
         return None
 
     def stop(self, cause: Cause, epoch: int) -> bool:
-        """Stop at once, until the supervisor has latched it. True when this is news, because nothing is latched yet."""
+        """Stop at once, and forbid motion until the supervisor has latched the stop. True if nothing was latched
+        before, so that the cause must be reported."""
         self.stand_still()
         if self.latch is not None:
             return False
@@ -233,7 +235,8 @@ class GateCore:
         return self._may_move(self.sources.hold(now_ns), now_ns)
 
     def _may_move(self, held: list[str], now_ns: int) -> Reply:
-        """Motion is enabled: name the programs that command it already, because they may move the robot next."""
+        """The answer after motion was enabled. It names the programs that command motion already, because they may move
+        the robot next."""
         waits = f"{' and '.join(held)} must send zero or pause before it can drive" if held else ""
         paused = [
             f"{who} commanded motion {ago_ns / 1e9:.1f} s ago, so the robot moves when it commands again"
@@ -246,16 +249,17 @@ class GateCore:
         return Reply(True, "motion disabled")
 
     def limit_to(self, percent: int) -> Reply:
-        """Allow this share of the settings' speeds, from the next step on, by the ramps."""
+        """Limit the speeds to this share of the settings, from the next step on; the ramps apply."""
         if not LEAST_LIMIT <= percent <= 100:
             return refused(f"a speed limit of {percent} %: must be {LEAST_LIMIT} to 100")
         self.limit = percent
-        """Percent of the settings' speeds."""
+        """The speed limit, percent of the settings' speeds."""
         self._limits = tuple(most * percent / 100 for most in self._most)
         return Reply(True, f"speed limited to {percent} % of the settings'" if percent < 100 else "speed limit lifted")
 
     def check_interlocks(self, now_ns: int) -> str:
-        """Once per tick: an interlock that is lost while enabled disables motion; returns which one, in words."""
+        """Call it once per tick: if an interlock is lost while motion is enabled, motion is disabled. Returns the text
+        of that interlock, or an empty text."""
         unmet = self.interlocks.unmet(now_ns) if self.enabled else ""
         if unmet:
             self.stand_still()
@@ -263,7 +267,8 @@ class GateCore:
         return unmet
 
     def step(self, now_ns: int) -> WheelSpeeds | None:
-        """Move the velocity on; returns the wheel speeds (rps) to send now, or None when nothing is to be sent."""
+        """Advance the velocity to now. Returns the wheel speeds (turns per second) that must be sent now, or None if
+        none must be sent."""
         elapsed_s = min(now_ns - self._stepped_ns, self._longest_step_ns) * 1e-9
         self._stepped_ns = now_ns
         if not self.enabled:

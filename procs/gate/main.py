@@ -1,4 +1,5 @@
-"""The gate's loop: news from clients and the supervisor, a tick every period, frames into the ring."""
+"""The gate's loop. It handles news from clients and from the supervisor, makes a tick every period, and puts frames
+into the ring."""
 
 from __future__ import annotations
 
@@ -40,19 +41,20 @@ that comes a little early would leave it to the next one: 120 ms every other tim
 NO_ARM = "this robot has no arm: its settings name no joints"
 ARM_VERBS = range(records.ARM_MOVE, records.ARM_READ + 1)
 HEARD = ("sensed", "interlocks", "attended", "arm_goal", "request", "command", "aux")
-"""The records of a client, in the order in which they are looked at: records that may forbid a command come before
-it."""
+"""The records of a client, in the order in which they are read: records that may forbid a command come first."""
 MOST_RINGS = 20
-"""Wake-ups by clients between two ticks: one a millisecond, more than eight clients at 100 Hz need."""
+"""How many wake-ups by clients are handled between two ticks: one per millisecond, which is more than eight clients at
+100 Hz need."""
 AUX_EVERY_NS = 10 * MS
 """Two client frames that are not motion are at least this far apart, so that a flood of them does not fill the wire. A
 frame that comes sooner is dropped."""
 LOOK_AT_ALL_EVERY = 10
-"""Periods between two looks at slots that nobody is known to hold, and at what clients report about themselves."""
+"""After this many periods the gate looks again at slots that seem to be free, and at what clients report about
+themselves."""
 
 
 class Gate:
-    """The gate's state. Call turn() once per wake-up."""
+    """The gate. Call turn() once per wake-up."""
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
@@ -98,7 +100,7 @@ class Gate:
             records.LIMIT: self._limit,
             **dict.fromkeys(ARM_VERBS, self._ask_arm),
         }
-        """Actions on requests, by verb; one that returns None is answered later."""
+        """The function that carries out each kind of request. If it returns None, the request is answered later."""
         claims_fd = place.opened(instance.claims_path(context.runtime_dir), os.O_RDONLY)
         heard = HEARD if self.arm else tuple(record for record in HEARD if record != "arm_goal")
         self.clients = ClientTable(context.client_slots(), claims_fd, self.loop, context.early, heard)
@@ -173,8 +175,8 @@ class Gate:
         self.heartbeat.beat(now_ns)
 
     def _rests(self, now_ns: int) -> bool:
-        """True while every other tick is enough: a client that comes or wants something else rings, and a death is
-        reported."""
+        """True while a tick every other period is enough. A client that comes or wants something else rings, and a
+        death is reported."""
         needs = self._each_tick or self._rings >= MOST_RINGS or not self.core.rests(now_ns + self.period_ns)
         return not needs and all(slot.life and slot.life.pid for slot in self.clients.active)
 
@@ -223,8 +225,8 @@ class Gate:
             self._frames.put(records.OTHER, frame, now_ns)
 
     def _client_rang(self, now_ns: int) -> None:
-        """Hear clients at once, but a flood of rings only at the ticks, because it would take a core from lower
-        priorities."""
+        """Read the clients' records at once. But a flood of rings is handled only at the ticks, because it would take a
+        core from processes of lower priority."""
         rung = self.clients.hinted(bell.receive(self._client_bell))
         self._hear_clients(self.clients.look(rung), now_ns)
         self._rings += 1
@@ -253,8 +255,8 @@ class Gate:
         self._box.tick(now_ns, self.core, self.epoch)
 
     def _check_supervisor(self, now_ns: int) -> None:
-        """Disable motion if the supervisor is silent: the port owner admits nothing then, so nobody should be told that
-        motion is enabled."""
+        """Disable motion if the supervisor is silent. The port owner then admits no motion, so nobody may be told that
+        it is enabled."""
         silent_ns = self._supervisor_heart.age_ns(now_ns) if self.core.enabled else 0
         if silent_ns > self._lease_ns:
             self._stop(causes.HANGS(layout.SUPERVISOR, silent_ns // MS), now_ns)
@@ -315,8 +317,8 @@ class Gate:
                 self._frames.put(records.OTHER, frame, now_ns)
 
     def _stop(self, cause: Cause | None, now_ns: int) -> None:
-        """Latch a stop, if there is a cause: the burst at once, then the news to the supervisor, which raises the
-        epoch."""
+        """If there is a cause, latch a stop: first write the burst, then report the cause to the supervisor, which
+        raises the epoch."""
         if cause and self.core.stop(cause, self.epoch):
             self._stop_all(IS_LATCHED, now_ns, cause)
             self._stops.put(records.STOPPED.pack(self.epoch, now_ns, 0, cause.pack()))
@@ -353,13 +355,13 @@ class Gate:
         return way or self._allow_motion(now_ns)
 
     def _allow_motion(self, now_ns: int) -> Reply:
-        """Enable motion. Who commands already is held then, also by a command that has not been heard yet, because a
-        client's requests are heard before its commands."""
+        """Enable motion. Programs that are commanding at this moment are held, also those whose command was not read
+        yet, because a client's requests are read before its commands."""
         self._hear_clients(self.clients.commands(), now_ns)
         return self.core.enable(self.epoch, self._missing(), now_ns)
 
     def _disable(self, _request: Request, now_ns: int) -> Reply:
-        """Forbid motion: moving wheels are stopped, and nothing is latched."""
+        """Disable motion. Moving wheels are stopped, and nothing is latched."""
         reply = self.core.disable()
         self._stop_all(reply.text, now_ns)
         return reply
@@ -386,7 +388,7 @@ class Gate:
         return refused(IS_LATCHED, done)
 
     def _command(self, command: Command, now_ns: int) -> None:
-        """A new command moves the wheels at once, not at the next tick."""
+        """Handle a new command. It moves the wheels at once, not only at the next tick."""
         self._box.command(command)
         if fault := self.core.accept(command, now_ns):
             self._stop(fault, now_ns)
@@ -394,7 +396,7 @@ class Gate:
             self._step(now_ns)
 
     def _attend(self, now_ns: int, slot: Slot, t_ns: int, names: list[str]) -> None:
-        """An operator was present at this time, by this session; time 0: that operator has left."""
+        """Record that an operator was present at `t_ns`, as this session reports. 0: the operator has left."""
         if names and t_ns:
             self.core.attendance.hear(slot.session, bounded(names[0], records.WHO_BYTES), t_ns, now_ns)
         elif names:
@@ -405,7 +407,7 @@ class Gate:
             self._stop(self.arm.goal(slot, t_ns, mode, values, self.core.arm_closed(), now_ns), now_ns)
 
     def _client_gone(self, now_ns: int, slot: Slot, parted: bool) -> None:
-        """A client has left, or its claim has ended. If it drove, the wheels stop at once."""
+        """Handle a client that has left, or whose claim has ended. If it drove, the wheels stop at once."""
         self.core.attendance.leave(slot.session)
         enabled = self.core.enabled
         if died := self.core.client_gone(slot.session, now_ns, parted=parted):

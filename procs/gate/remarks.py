@@ -1,4 +1,4 @@
-"""Remarks: what people are told about requests and about drivers that stopped driving, and what clients report about
+"""Remarks: notes for people about requests and about drivers that stopped driving, and the clients' reports about
 themselves. Pure."""
 
 from __future__ import annotations
@@ -9,7 +9,8 @@ from failstop.policy.causes import Reply
 from failstop.procs.gate.sources import Command
 
 SaidRow = tuple[int, int, str, int, str, str]
-"""Session, slot, name, time (CLOCK_MONOTONIC ns), what the client sees, what is wrong (may be empty)."""
+"""A client's report: its session, slot, name, time (CLOCK_MONOTONIC ns), what it sees, and what is wrong (may be
+empty)."""
 
 VERBS = {
     records.ENABLE: "enable",
@@ -25,15 +26,16 @@ VERBS = {
 }
 MOST_AT_ONCE = 20
 EVERY_NS = 200_000_000
-"""A client that repeats a request without end is noted five times a second, not a thousand times."""
+"""A client that repeats a request endlessly causes five notes per second, not a thousand."""
 HALTS_AT_ONCE = 5
 HALTS_EVERY_NS = 10_000_000_000
-"""Two notes about a driver that falls silent are at least this far apart, because a program that commands less often
-than its timeout starts and stops the wheels again and again."""
+"""The shortest time between two notes about drivers that fall silent. A program that commands less often than its
+timeout starts and stops the wheels again and again."""
 
 
 def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) -> Note | None:
-    """A note about a request's effect or refusal; None if it changed nothing. `enabled`: before the request."""
+    """A note about the effect or the refusal of a request; None if it changed nothing. `enabled`: whether motion was
+    enabled before the request."""
     by = f"{who} (pid {pid})" if pid else who
     fields: dict[str, str | int | float] = {"who": who, "pid": pid} if pid else {"who": who}
     named = VERBS.get(verb, str(verb))
@@ -53,17 +55,17 @@ def of_request(verb: int, who: str, pid: int, reply: Reply, *, enabled: bool) ->
 
 
 class Budget:
-    """How many remarks people get: some at once, then one at a time."""
+    """Limits the number of notes: some at once, then one at a time."""
 
     def __init__(self, now_ns: int, most: int = MOST_AT_ONCE, every_ns: int = EVERY_NS) -> None:
         self._most = self._left = most
         self._every_ns = every_ns
         self._ns = now_ns
         self.unsaid = 0
-        """How many remarks were left out since the last one."""
+        """How many notes were left out since the last one."""
 
     def spend(self, now_ns: int) -> bool:
-        """True when one more remark may go out now."""
+        """True if one more note may be made now."""
         earned = (now_ns - self._ns) // self._every_ns
         self._ns += earned * self._every_ns
         self._left = min(self._most, self._left + earned)
@@ -75,15 +77,16 @@ class Budget:
 
 
 def disabled_by_death(driver: Command, *, moved: bool) -> Note:
-    """A driver has died, so motion was disabled. Always noted, because only an enable allows motion again. `moved`: its
-    commands have turned the wheels."""
+    """The note that motion was disabled because a driver has died. It is always made, because motion needs another
+    enable. `moved`: the driver's commands have turned the wheels."""
     did = "died after it had driven" if moved else "died; it had commanded but not moved the robot"
     text = f"motion disabled: {driver.who} {did}"
     return Note("driver_gone", text, {"who": driver.who, "source": driver.source})
 
 
 def disabled_by_silence(driver: Command, now_ns: int) -> Note:
-    """A driver has fallen silent, so motion was disabled. Always noted, because only an enable allows motion again."""
+    """The note that motion was disabled because a driver has fallen silent. It is always made, because motion needs
+    another enable."""
     silent_ms = (now_ns - driver.t_ns) / 1e6
     text = f"motion disabled: {driver.who} stopped sending commands {silent_ms:.0f} ms ago while it drove"
     fields = {"who": driver.who, "source": driver.source, "reason": text.partition(": ")[2]}
@@ -91,15 +94,15 @@ def disabled_by_silence(driver: Command, now_ns: int) -> Note:
 
 
 class DriverLosses:
-    """Notes about sources that stopped driving: the gate commands zero, and nothing is latched. Drives by hand have
-    their own budget, so that a person can't hide a failing program."""
+    """Notes about drivers that stopped driving, after which the gate commands zero and nothing is latched. Driving by
+    hand has a budget of its own, so that a person's pauses can't hide a failing program."""
 
     def __init__(self, now_ns: int) -> None:
         self._failed = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
         self._ended = Budget(now_ns, HALTS_AT_ONCE, HALTS_EVERY_NS)
 
     def silent(self, driver: Command, now_ns: int) -> list[Note]:
-        """The driver has sent nothing for its timeout."""
+        """The notes about a driver that has sent nothing for its timeout."""
         silent_ms = (now_ns - driver.t_ns) / 1e6
         last = f"last command {silent_ms:.0f} ms ago, so the wheels are told to stop"
         if driver.by_hand:
@@ -108,7 +111,7 @@ class DriverLosses:
         return self._note("driver_silent", driver, text, now_ns, silent_ms=round(silent_ms, 1))
 
     def gone(self, driver: Command, now_ns: int, *, parted: bool) -> list[Note]:
-        """The driver has died or ended without a goodbye; `parted`: it gave its slot back, which ends its command."""
+        """The notes about a driver that has died; `parted`: it ended with a goodbye, which ends its command."""
         if parted:
             return self._note("driver_ended", driver, "ended its command, so the wheels are told to stop", now_ns)
         return self._note("driver_gone", driver, "ended or died while it drove, so the wheels are told to stop", now_ns)
@@ -121,14 +124,15 @@ class DriverLosses:
 
 
 class SelfReports:
-    """The last report of each session: what it sees and what is wrong. For people; nothing depends on its truth."""
+    """What each session last reported about itself: what it sees, and what is wrong. It is for people, and nothing
+    depends on whether it is true."""
 
     def __init__(self, now_ns: int) -> None:
         self._rows: dict[int, SaidRow] = {}
         self._budget = Budget(now_ns)
 
     def update(self, rows: list[SaidRow], now_ns: int) -> list[Note] | None:
-        """Replace the reports of all sessions. Returns notes for people; None if not even a time has changed."""
+        """Replace the reports of all sessions. Returns notes for people, or None if not even a time has changed."""
         before, self._rows = self._rows, {row[0]: row for row in rows}
         if before == self._rows:
             return None

@@ -1,5 +1,5 @@
-"""Resets go to the supervisor one at a time. A request that could start motion loses to any stop, disable or hold asked
-for later."""
+"""Requests of clients. Resets go to the supervisor one at a time. A request that could start motion is refused if
+somebody has asked for a stop, a disable or a hold after it was made."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ UNSEEN = "another stop has come since: look at it first, then ask again"
 ENDS = (records.DISABLE, records.ARM_HOLD)
 ARM_MOVES = (records.ARM_MOVE, records.ARM_DRIVE, records.ARM_TUCK)
 GIVES_WAY = {records.ENABLE: ENDS, **dict.fromkeys(ARM_MOVES, (*ENDS, *ARM_MOVES, records.ENABLE))}
-"""Requests after which something may move, and the later requests that each of them loses to. All lose to a stop."""
+"""For each request after which something may move: the later requests because of which it is refused. A later stop
+refuses all of them."""
 
 
 class Request(Data):
-    """A request: its verb, when it was made (CLOCK_MONOTONIC ns), its number, its slot and session. Without a slot it
-    is the pad's."""
+    """A request: its verb, when it was made (CLOCK_MONOTONIC ns), its number, its slot and its session. Without a slot
+    it is the gamepad's."""
 
     verb: int
     asked_ns: int
@@ -45,7 +46,8 @@ class Request(Data):
 
 
 class Requests:
-    """The requests of clients: which ones lose to others, the resets that wait, and the answers."""
+    """Decides which requests are refused because of later ones, passes on the resets that wait, and writes the
+    answers."""
 
     def __init__(self, context: Context, notes: list[Note], now_ns: int) -> None:
         """`notes`: the list for notes to people."""
@@ -54,7 +56,7 @@ class Requests:
         self._supervisor_bell = context.bell("supervisor_bell")
         self._epoch_word = supervisor.word("epoch")
         self._asked_ns: dict[int, int] = {}
-        """For each verb: when the last request that was carried out had been made."""
+        """For each verb: when the newest request that was carried out had been made."""
         self._replies = [own.latest_writer(f"reply.{i}") for i in range(layout.CLIENT_SLOTS)]
         self._replied = [_answered(own.latest_reader(f"reply.{i}")) for i in range(layout.CLIENT_SLOTS)]
         """The session and the number of the last request that was answered in each slot, also by an earlier gate."""
@@ -70,13 +72,14 @@ class Requests:
         self._barrier = Barrier()
 
     def is_answered(self, slot: Slot, number: int) -> bool:
-        """True for a request that was answered already: a gate that starts finds each client's newest one."""
+        """True if the request was answered before. A gate that starts finds the newest request of each client, which
+        the gate before may have answered."""
         return (slot.session, number) == self._replied[slot.index]
 
     def refusal(self, request: Request, stopped_ns: int, last: Cause) -> Reply | None:
-        """Refuse a request that would move something if a stop, or a request that ends motion, was made since; one
-        whose client no longer waits; and a reset whose person had not seen the newest stop. `stopped_ns` and `last`
-        describe the last stop."""
+        """Why the request is refused before anything else is checked, or None. It is refused if it could move something
+        and somebody has stopped motion since it was made, if its client no longer waits for an answer, or if it is a
+        reset by a person who has not seen the newest stop. `stopped_ns` and `last` describe the last stop."""
         if request.asked_ns < stopped_ns and request.verb in GIVES_WAY:
             return asked_before(last)
         if request.asked_ns < self._oldest_ns:
@@ -90,7 +93,7 @@ class Requests:
         return None
 
     def settle(self, request: Request, reply: Reply, now_ns: int, *, enabled: bool = False) -> None:
-        """Answer a request, and note it for people. `enabled`: motion before the request."""
+        """Answer a request, and note it for people. `enabled`: whether motion was enabled before the request."""
         verb = request.verb
         if reply.done:
             self._asked_ns[verb] = max(self._asked_ns.get(verb, 0), min(request.asked_ns, now_ns))
@@ -100,7 +103,7 @@ class Requests:
 
     def answer(self, request: Request, reply: Reply) -> None:
         """Answer a client at the next write(). A request that the session has given up for a later one gets no answer,
-        because it would take the place of the later one's answer."""
+        because there is room only for one answer, that of the later one."""
         if (slot := request.slot) is None:
             return
         last_session, last_number = self._replied[slot.index]
@@ -109,8 +112,8 @@ class Requests:
             self._answers.append((slot.index, reply.pack(request.session, request.number)))
 
     def write(self) -> None:
-        """Write the answers, after the state that resulted from them: a client that reads an answer reads no older
-        state, because a writer has a barrier before each entry (cell.py)."""
+        """Write the answers after the state that resulted from them. A writer has a barrier before each entry
+        (cell.py), so a client that reads an answer never reads an older state."""
         for index, answer in self._answers:
             self._replies[index].write(answer)
         self._answers.clear()
@@ -126,7 +129,7 @@ class Requests:
                 self._notes.append(Note("note", f"and {unsaid} more requests, too many to log each one"))
 
     def ask_reset(self, request: Request) -> None:
-        """Pass a reset on when it is its turn. One waits for each slot: the newest."""
+        """Queue a reset; the supervisor gets it when it is its turn. Only the newest reset of each slot waits."""
         self._resets[1:] = [each for each in self._resets[1:] if each.slot is not request.slot]
         self._resets.append(request)
         if len(self._resets) == 1:
@@ -139,13 +142,13 @@ class Requests:
         self._supervisor_bell.ring()
 
     def reset_decided(self) -> bool:
-        """True if a reset was decided since the last call. Read the latch before its answer: the barrier of the answer
-        makes the latch new enough too."""
+        """True if a reset was decided since the last call. If you read the latch afterwards, it is at least as new as
+        that decision, because of the barrier before the decision's entry."""
         seen, self._resets_seen = self._resets_seen, self._decided_word.get()
         return self._resets_seen != seen
 
     def answer_reset(self, now_ns: int) -> None:
-        """Tell the client the supervisor's decision; it may have asked an earlier gate."""
+        """Give the client the supervisor's decision. The client may have asked an earlier gate."""
         entry = self._decided.read()
         if not self._resets or self._resets_seen != self._asked_word.get() or entry is None:
             return
@@ -156,7 +159,7 @@ class Requests:
 
 
 def _answered(replies: LatestReader) -> tuple[int, int]:
-    """The session and number of the request that the newest whole answer belongs to; zeros if there is none."""
+    """The session and the number of the request to which the newest whole answer belongs; zeros if there is none."""
     entry = replies.read()
     session, number, reply = unpack_reply(entry[2]) if entry else (0, 0, refused(""))
     return (0, 0) if reply.done == records.UNDER_WAY else (session, number)

@@ -1,5 +1,5 @@
-"""Rest: the ticks that the gate skips while nothing ramps, and the word `busy`, by which other processes rest while no
-client is present."""
+"""Rest: which ticks the gate skips while the velocity does not change, and the word `busy`, which lets other processes
+rest while no client is present."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from failstop.procs.context import Context
 from failstop.procs.loop import NEVER, Loop, Timer
 
 PERIODS_AT_REST = 2
-"""While nothing needs every tick, ticks are this many periods apart."""
+"""The number of periods between two ticks while the gate rests."""
 
 
 class Rest:
-    """The gate's ticks, and its beats between them."""
+    """Plans the gate's ticks, and its beats between them."""
 
     def __init__(self, context: Context, loop: Loop, tick: Timer, period_ns: int) -> None:
         self._loop, self._tick, self._period_ns = loop, tick, period_ns
@@ -26,7 +26,7 @@ class Rest:
         return self._beat.pop(now_ns) and not ready and now_ns < self._loop.due_ns()
 
     def ticked(self, now_ns: int) -> None:
-        """Begin a tick. A missed tick is skipped, not made up for."""
+        """Begin a tick. A tick that was missed is skipped."""
         self._ticked_ns = max(self._tick.ns, now_ns - self._period_ns // 2)
 
     def plan_tick(self, now_ns: int, *, busy: bool, rests: bool) -> None:

@@ -12,13 +12,13 @@ NONE_YET = Command(records.NOBODY, "", -(2**62), (0.0, 0.0, 0.0), source="")
 
 
 class Frames:
-    """The ring of frames; each put wakes the port owner."""
+    """The ring of frames for the port owner; each put wakes the port owner."""
 
     def __init__(self, context: Context) -> None:
         self._ring = context.own.ring_writer("frames")
         self._port_owner_bell = context.bell("port_owner_bell")
         self.epoch = 0
-        """The newest epoch, which every frame carries except motion frames."""
+        """The newest epoch. Every frame carries it, except motion frames."""
 
     def put(self, kind: int, body: bytes, now_ns: int, epoch: int | None = None) -> None:
         """Put a frame with the newest epoch, or with the epoch in which motion was enabled."""
@@ -30,7 +30,7 @@ class Frames:
 
 
 class GateBox:
-    """The gate's part of the black box: one record per tick, with the newest command and what became of it."""
+    """The gate's part of the black box: a record for each tick, with the newest command and its result."""
 
     def __init__(self, ring: RingWriter) -> None:
         self._ring = ring

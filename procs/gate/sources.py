@@ -55,14 +55,14 @@ class Sources:
         self._timeout_ns = {name: timeout_ns for name, (_, timeout_ns) in rows.items()}
         self._commands: dict[str, Command] = {}
         self._held: dict[str, str] = {}
-        """For each source: the client that must let go before its commands count."""
+        """For each source that is held, the name of its program."""
         self._driver = ""
         self._asked_ns = -1
         self._found: Command | None = None
         """The command that drove at `_asked_ns`. It is kept because each turn asks for it many times."""
 
     def allows(self, command: Command) -> bool:
-        """True for a client as a source of the settings, and for the pad as itself."""
+        """True if a client commands as a source of the settings, or the gamepad as its own source."""
         return command.source in self._rank and (command.source == PAD_SOURCE) == (command.session == PAD_SESSION)
 
     def fresh(self, source: str, now_ns: int) -> Command | None:
@@ -71,11 +71,11 @@ class Sources:
         return command if command and now_ns - command.t_ns <= self._timeout_ns[source] else None
 
     def stale_ns(self, command: Command) -> int:
-        """When a command stops counting."""
+        """When this command becomes too old."""
         return command.t_ns + self._timeout_ns[command.source] + 1
 
     def rival(self, command: Command, now_ns: int) -> Command | None:
-        """A command of another publisher of the same source that still counts."""
+        """Another program's command for the same source, if it still counts."""
         last = self.fresh(command.source, now_ns)
         return last if last and last.session != command.session else None
 
@@ -90,24 +90,24 @@ class Sources:
         self._asked_ns = -1
 
     def hold(self, now_ns: int) -> list[str]:
-        """Hold each source that commands a velocity while motion is being enabled; it must let go first. Returns their
-        names."""
+        """Hold each source that commands a velocity while motion is being enabled: its commands count again after a
+        zero or a pause. Returns the names of the programs."""
         fresh = {source: command for source in self._rank if (command := self.fresh(source, now_ns))}
         self._held = {source: command.who for source, command in fresh.items() if command.moves}
         self._asked_ns = -1
         return list(self._held.values())
 
     def held(self, now_ns: int) -> list[str]:
-        """The programs that must let go first, and still command."""
+        """The programs that are held and still send commands."""
         return [who for source, who in self._held.items() if self.fresh(source, now_ns)]
 
     def holds(self, now_ns: int) -> bool:
-        """True while a source still commands that must let go first."""
+        """True while a program that is held still sends commands."""
         return bool(self.held(now_ns))
 
     def paused(self, now_ns: int) -> list[tuple[str, int]]:
-        """The programs whose last command is a recent motion that no longer counts, each with its age in ns. This
-        includes a program that commands less often than its timeout: it is not held, because it has paused each
+        """The programs whose last command was motion, a short time ago, but no longer counts, each with the age of that
+        command in ns. Some of them command less often than their timeout; they are not held, because they pause each
         time."""
         last = ((command, now_ns - command.t_ns) for command in self._commands.values() if not command.by_hand)
         return [
@@ -122,7 +122,8 @@ class Sources:
         self._asked_ns = -1
 
     def clear(self) -> None:
-        """Motion was disabled, so nobody drives. Sources that keep commanding are remembered for the next enable."""
+        """Motion was disabled, so no source drives. The sources' commands are kept, so that the next enable can hold
+        those that go on commanding."""
         self._held.clear()
         self._driver = ""
         self._asked_ns = -1
@@ -140,15 +141,16 @@ class Sources:
         return self._commands.get(self._driver)
 
     def choose_driver(self, now_ns: int) -> tuple[Command | None, bool]:
-        """The command that drives from now on, and True if the wheels fall back to a lower source with it."""
+        """The command that drives from now on, and True if the wheels fall back from a higher source to this lower
+        one."""
         command = self.driving(now_ns)
         before, self._driver = self._driver, command.source if command else self._driver
         fell_back = command is not None and bool(before) and self._rank[self._driver] < self._rank[before]
         return command, fell_back
 
     def table(self, now_ns: int) -> list[dict[str, str | int]]:
-        """Each source with a command that counts or is held, and the last driver if it fell silent while the wheels
-        turned; highest first, for people."""
+        """A row for each source with a command that counts or is held, and for the last driver if it fell silent while
+        the wheels turned; the highest source first, for people."""
         driving = self.driving(now_ns)
         rows: list[dict[str, str | int]] = []
         for name, rank in self._rank.items():

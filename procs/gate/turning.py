@@ -1,4 +1,4 @@
-"""Turning: wheels that turn while motion is enabled and zero is commanded, as the board's reports show it."""
+"""Turning: notices wheels that turn although motion is enabled and zero is commanded, by the board's reports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _BY_REPORTS = records.WHEELS_BY.index("wheels")
 
 
 class TurningWatch:
-    """Call check() once per tick."""
+    """Watches for such wheels. Call check() once per tick."""
 
     def __init__(self, seen: LatestReader, after_ns: int) -> None:
         """`seen`: telemetry's record of the wheels; `after_ns`: how long they may turn after zero was commanded."""

@@ -1,42 +1,46 @@
-"""Admission: may this motion frame go to the wire, or this frame to the arm's servos? Pure; the caller brings the time
-and the words of shared memory.
+"""Admission: decides whether a motion frame, or a frame for the arm's servos, may be written to the board. Pure; the
+caller passes the time and the words of shared memory.
 
-The first row that does not hold decides. A cause is a stop of the port owner's own: it then refuses all motion until it
-sees a newer epoch than the one it stopped in.
+The checks are made in this order, and the first one that fails decides:
 
-    the gate is watched: it lives                                   else DROP
-    the frame's epoch is the current one                            DROP: the epoch is over, wherever it was queued
-    the current epoch is newer than its own stop                    DROP
-    the frame is younger than the lease                             DROP
-    nobody has asked for a stop meanwhile                           STOP_ASKED: that is the stop
-    the gate is fresh (its lease)                                   the cause
-    the supervisor is fresh (its lease)                             the cause
-    it is a whole motor frame within the speed                      the cause
-    all hold                                                        ADMIT
+    check                                                    if it fails
+    the gate is watched, so it is alive                      DROP
+    the frame has the current epoch                          DROP: it is from before a stop
+    the current epoch is newer than the port owner's own     DROP: the supervisor has not answered that stop
+      last stop
+    the frame is younger than the lease                      DROP
+    nobody has asked for a stop in the meantime              STOP_ASKED: stop for that request
+    the gate has beaten within its lease                     stop with a cause
+    the supervisor has beaten within its lease               stop with a cause
+    it is a whole motor frame, no faster than allowed        stop with a cause
+    (no check has failed)                                    ADMIT: write it
 
-A frame of zero speeds gets STAND_STILL instead of DROP while the wheels may turn: it is never too late to stop.
+After a stop of its own the port owner refuses all motion until it sees an epoch that is newer than the one in which it
+stopped. A frame that commands zero speed gets STAND_STILL instead of DROP while the wheels may turn, because it is
+never too late to stop.
 
-A frame for the servos is written only when these rows hold too:
+A frame for the servos must pass these checks as well:
 
-    check                                                    else
-    the robot has an arm, and the frame is a whole one for   stop
-      its servos within bounds (ServoBus.check)
-    no motion frame was written since the last stop, or      drop: an arm moves only while the wheels are stopped
-      the board's arm may move while the wheels do
-    if it is a question: no frame is before it, and no       drop: a silent servo holds the receiver for 5 ms
-      servo moves, if that may hold a stop up
-    the frame and those before it hold the receiver for      wait: a stop may have to wait as long; later frames
-      less than HELD_NS                                      wait too, until they are too old
+    check                                                    if it fails
+    the robot has an arm, and the frame is a whole one for   stop with a cause
+      its servos within their bounds (ServoBus.check)
+    no motion frame was written since the last stop, or      drop it: this arm moves only while the wheels are stopped
+      this board's arm may move while the wheels do
+    if the frame asks a servo something: no frame is before  drop it: a servo that does not answer blocks the receiver
+      it, and no servo moves, if that could delay a stop       for 5 ms
+    the frame and those before it block the receiver for     wait: otherwise a stop would have to wait that long. Later
+      less than HELD_NS                                        frames wait too, and are dropped when they are too old
 
-Invariants are checked as well, by other facts than those of the tables; a broken one is a stop (DEFECT):
+A move that waits is one or two milliseconds late. If it were dropped, its joints would stop until the next move, one
+period later.
 
-    the epoch only grows
-    one process writes the port owner's memory               just before a motion frame is written
-    no stop is latched, of this epoch or one before          the same
-    the frame was made after the port owner's own last stop  the same
+Before a motion frame is written, these invariants are checked too, by other facts than those of the tables. If one of
+them is broken, the robot is stopped for it (DEFECT):
 
-A move that waits is a millisecond or two late. If it were dropped, its joints would stop until the next one, a period
-later.
+    the epoch only grows (checked whenever it changes)
+    only one process writes the port owner's memory
+    no stop is latched in the current epoch, or in an earlier one
+    the frame was made after the port owner's own last stop
 """
 
 from __future__ import annotations
@@ -52,21 +56,22 @@ from failstop.procs.loop import MS, NEVER
 
 ADMIT, DROP, STAND_STILL, STOP_ASKED = range(4)
 DatedFrame = tuple[bytes, int, int]
-"""A motion frame of the gate, the epoch in which motion was enabled, and when the frame was made."""
+"""A motion frame of the gate, the epoch in which motion was enabled, and when the gate made the frame (CLOCK_MONOTONIC,
+ns)."""
 MOST_WAITING = 16
 
 
 class Admission:
-    """The port owner's memory of its own stops, and its limits."""
+    """Decides whether a frame may be written. It remembers the port owner's own stops."""
 
     def __init__(self, board: Board, lease_ns: int, max_rps: float) -> None:
         self._board = board
         self._lease_ns = lease_ns
         self._max_rps = max_rps
         self.stopped_in = 0
-        """The newest epoch in which it stopped by itself."""
+        """The newest epoch in which the port owner has stopped by itself."""
         self._stopped_ns = 0
-        """When it last stopped by itself."""
+        """When the port owner last stopped by itself."""
         self.wheels_move = False
         """True once a motion frame was written since the last stop."""
 
@@ -81,8 +86,9 @@ class Admission:
         *,
         requested: bool,
     ) -> int | Cause:
-        """One of ADMIT, DROP, STAND_STILL and STOP_ASKED, or the cause of a stop. `gate_ns`, `supervisor_ns`: their
-        last beats (None: no gate is watched); `rules`: check the frame's content; `requested`: a stop request waits."""
+        """Returns ADMIT, DROP, STAND_STILL or STOP_ASKED, or the cause of a stop. `gate_ns`, `supervisor_ns`: when
+        these two last beat (None: no gate is watched); `rules`: the object that checks the frame's content;
+        `requested`: a stop request waits."""
         if gate_ns is None or not self.current(motion, epoch, now_ns):
             return STAND_STILL if self.wheels_move and motion[0] == self._board.stop else DROP
         if requested:
@@ -103,11 +109,11 @@ class Admission:
         return frame_epoch == epoch and epoch > self.stopped_in and now_ns - frame_ns < self._lease_ns
 
     def lapses_ns(self, gate_ns: int, supervisor_ns: int) -> int:
-        """When the first of the two leases, last renewed at these times, runs out."""
+        """When the first of the two leases ends, if they were last renewed at these times."""
         return min(gate_ns, supervisor_ns) + self._lease_ns
 
     def lapsed(self, gate_ns: int, supervisor_ns: int, now_ns: int) -> Cause | None:
-        """The cause of a stop if a lease has run out; None: both are fresh."""
+        """The cause of a stop if a lease has ended; None if both hold."""
         for name, beat_ns in ((layout.GATE, gate_ns), (layout.SUPERVISOR, supervisor_ns)):
             if now_ns - beat_ns >= self._lease_ns:
                 return causes.HANGS(name, (now_ns - beat_ns) // MS)
@@ -120,8 +126,8 @@ class Admission:
         self._stopped_ns = now_ns
 
     def follow(self, epoch: int, before: int) -> Cause | None:
-        """Follow a change of the epoch, which is a stop. An epoch that went back returns a cause, and then only an
-        epoch above all that were seen lets motion out."""
+        """Follow a change of the epoch, which is a stop. If the epoch went back, return a cause; from then on only an
+        epoch above all that were seen admits motion."""
         if epoch > before:
             return None
         self.stopped_in = max(self.stopped_in, before)
@@ -141,7 +147,8 @@ class BusSchedule:
     """When the servos' bus is free, as far as this process has written to it, and which frames wait for it."""
 
     def __init__(self, bus: ServoBus | None, servos: tuple[int, ...]) -> None:
-        """`bus`: the board's arm; `servos`: the ids that the robot has, none on a robot without an arm."""
+        """`bus`: the servos of the board's arm; `servos`: the ids of the robot's servos, none on a robot without an
+        arm."""
         self._bus = bus
         self.servos = servos
         self._free_ns = 0
@@ -157,7 +164,7 @@ class BusSchedule:
         return None if fault == "" else causes.BAD_FRAME(f"for the arm, {_said(fault)}")
 
     def due_ns(self, frame: bytes, now_ns: int, *, wheels_move: bool) -> int:
-        """When a frame without a fault may be written, now or soon; NEVER: drop it."""
+        """When a frame that has passed check() may be written, now or soon; NEVER means that it must be dropped."""
         bus = self._bus
         if bus is None or (wheels_move and not bus.beside_wheels):
             return NEVER

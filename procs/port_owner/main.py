@@ -1,6 +1,7 @@
-"""The port owner's loop: first stop causes, then motion, then what the board sent.
+"""The port owner's loop. It handles causes of stops first, then motion, then the bytes that the board has sent.
 
-Nothing between noticing a cause and the burst can block, log or build bytes: BURST is a constant and the port is open.
+Between noticing a cause and writing the burst, nothing blocks, logs or builds bytes, because BURST is a constant and
+the port is open.
 """
 
 from __future__ import annotations
@@ -28,17 +29,17 @@ from failstop.shm.lifeline import give_way
 from failstop.shm.words import Barrier
 
 TICK_NS = 33 * MS
-"""A third of the time that it may be silent (policy/processes.py). Anything that it must notice sooner rings, or is a
-timer."""
+"""The time between two ticks: a third of the time that the port owner may be silent (policy/processes.py). Whatever it
+must notice sooner rings a bell or sets a timer."""
 OTHER_BACKLOG = 128
-"""Bytes on their way to the board behind which a frame that is not motion may still queue: a stop may have to wait 1.3
-ms for them."""
+"""A frame that is not motion is written only while at most this many bytes are on their way to the board. A stop may
+have to wait 1.3 ms for them."""
 MOST_OTHERS = 8
-"""Frames that are not motion which may wait for a silent line; of more, the oldest are dropped."""
+"""How many frames that are not motion may wait until the line is silent. If there are more, the oldest are dropped."""
 
 
 class PortOwner:
-    """The port owner's state. Call turn() once per wake-up."""
+    """The port owner. Call turn() once per wake-up."""
 
     def __init__(self, context: Context) -> None:
         settings, board = context.settings, context.board
@@ -49,11 +50,12 @@ class PortOwner:
         self.bus = BusSchedule(board.arm, settings.servos())
         self.repeats = Repeats(self.loop.timer(), board.repeats_ns[PORT_OWNER_ROW], monotonic_ns())
         self._held: DatedFrame | None = None
-        """The newest motion frame while it waits until the line is silent; `_line` is the timer for that."""
+        """The newest motion frame while it waits until the line is silent. `_line` is the timer for that."""
         self._line = self.loop.timer()
         self.suspend = SuspendWatch()
         self._lapse = self.loop.timer()
-        """While something moves: when a lease runs out, or when the gate has been silent for too long."""
+        """A timer that is set while something moves: for the end of a lease, or for the moment when the gate has been
+        silent for too long."""
         self._arm_due = self.loop.timer()
         """When the arm's next waiting frame may be written."""
         self._others: deque[bytes] = deque(maxlen=MOST_OTHERS)
@@ -62,7 +64,7 @@ class PortOwner:
         self._barrier = Barrier()
         self._moved_ns = 0
         self._arm_moved = False
-        """True once a servo was sent somewhere since the last stop."""
+        """True if a servo was moved since the last stop."""
         self._silence_ns = 2 * settings.ns("gate.refresh_s")
         self._stuck = False
         self.wire = PortWriter(context.fd("port"), board, self.bus.servos)
@@ -123,13 +125,15 @@ class PortOwner:
         return not self._parent.leave(now_ns)
 
     def stop(self, cause_ns: int, cause: Cause) -> None:
-        """Stop by itself: write the burst, refuse motion until a newer epoch, publish the cause."""
+        """Stop for a cause that the port owner has noticed: write the burst, refuse motion until there is a newer
+        epoch, and publish the cause."""
         self.wire.burst()
         self._own_stop(cause_ns, monotonic_ns(), cause)
 
     def _own_stop(self, cause_ns: int, written_ns: int, cause: Cause) -> None:
-        """Account for a burst for a cause of its own. It belongs to the epoch in force, seen or not: the supervisor
-        answers the published cause with a newer one."""
+        """Account for a burst that was written for a cause of the port owner's own. It belongs to the current epoch,
+        even if this process has not seen that epoch yet, because the supervisor answers the published cause with a
+        newer one."""
         epoch = self._epoch_word.get()
         self.admission.stopped(epoch, written_ns)
         written_ns = self._stopped(written_ns)
@@ -137,12 +141,13 @@ class PortOwner:
         self._supervisor_bell.ring()
 
     def _burst(self) -> None:
-        """Write a stop without a cause: the supervisor knows it already, or the gate asked for it."""
+        """Write a stop without publishing a cause, because the supervisor knows the cause already, or the gate has
+        asked for the stop."""
         self.wire.burst()
         self._stopped(monotonic_ns())
 
     def _stopped(self, written_ns: int) -> int:
-        """Account for a burst. Returns when it was written; 0 when the kernel did not take all of it."""
+        """Account for a burst. Returns when it was written; 0 if the kernel did not take all of it."""
         self.admission.wheels_move = self._arm_moved = False
         self.bus.waiting.clear()
         self._pop_held()
@@ -167,7 +172,8 @@ class PortOwner:
         self._own_stop(now_ns, written_ns, self._requests.accept(now_ns))
 
     def _hear_causes(self) -> None:
-        """Stop for buttons, keys and wheels that telemetry has decoded; an empty cause asks for the stop once more."""
+        """Stop for buttons, keys and wheels that telemetry has decoded. An empty cause means: write the stop once
+        more."""
         while entry := self._causes.next():
             if not entry[2]:
                 self._stop_again()
@@ -177,7 +183,7 @@ class PortOwner:
 
     def _stop_again(self) -> None:
         """Write the stop of the wheels again, without a cause; an arm may go on. If the line must be silent first, the
-        next refresh does it."""
+        next refresh does this instead."""
         if self.wire.free_ns <= monotonic_ns():
             self.wire.frame(self.board.burst, backlog=OTHER_BACKLOG)
 
@@ -198,8 +204,8 @@ class PortOwner:
             peer.drop()
 
     def _follow_epoch(self, now_ns: int) -> None:
-        """Answer a raised epoch, which another process's stop has caused, by a burst, unless the port owner has just
-        stopped by itself for the same cause."""
+        """Write a burst for a raised epoch, which is another process's stop, unless the port owner has just stopped by
+        itself for the same cause."""
         epoch = self._epoch_word.get()
         if epoch != self.epoch:
             if went_back := self.admission.follow(epoch, self.epoch):
@@ -215,13 +221,14 @@ class PortOwner:
                 self.stop(now_ns, peer.death)
 
     def _check_suspend(self, now_ns: int) -> bool:
-        """Stop after the machine has slept: frames are older than they look, and the robot may have been moved."""
+        """Stop after the machine has slept, because frames are older than they look, and somebody may have moved the
+        robot."""
         if slept_ns := self.suspend.slept_ns():
             self.stop(now_ns, causes.SUSPENDED(slept_ns / 1e9))
         return slept_ns > 0
 
     def _check_leases(self, now_ns: int) -> None:
-        """Stop at the moment when a lease runs out, not at a tick after it. Without motion there is nothing to stop."""
+        """Stop at the moment when a lease ends, not only at the next tick. Without motion there is nothing to stop."""
         if not self.admission.wheels_move:
             return
         if lapse := self.admission.lapsed(self._gate.heart.ns.get(), self._supervisor_beat.get(), now_ns):
@@ -239,15 +246,15 @@ class PortOwner:
         self._lapse.set(min(lapses_ns, self._moved_ns + self._silence_ns + 1))
 
     def _check_drain(self, now_ns: int) -> None:
-        """Stop, once, for a port that does not drain. Checked before anything new is written, which had no time to
-        drain."""
+        """Stop, once, if the port does not drain. This is checked before anything new is written, because new bytes
+        have not had time to drain."""
         stuck = self.wire.stuck(now_ns)
         if stuck and not self._stuck:
             self.stop(now_ns, causes.STUCK())
         self._stuck = stuck
 
     def _forward_frames(self) -> None:
-        """Read the gate's ring: of the motion frames only the newest counts, and a stop drops all motion queued before
+        """Read the gate's ring. Only the newest motion frame counts, and a stop drops all motion that was queued before
         it."""
         motion = self._pop_held()
         while entry := self._frames.next():
@@ -272,13 +279,14 @@ class PortOwner:
 
     def _gate_stop(self) -> None:
         """Write the burst that the gate asks for: at once while something moves, otherwise only some time after the
-        last one, because clients that disable again and again must not keep the wire full."""
+        last burst. Clients that disable motion again and again must not fill the line."""
         now_ns = monotonic_ns()
         if self.admission.wheels_move or self._arm_moved or now_ns - self._written_word.get() >= requests.REST_NS:
             self._burst()
 
     def _forward_others(self) -> None:
-        """Write frames that are not motion, once the line is silent: questions, and what the board admits."""
+        """Write frames that are not motion once the line is silent: questions, and other frames that the board's rules
+        admit."""
         while self._others and self.wire.free_ns <= monotonic_ns():
             frame = self._others.popleft()
             if frame in self.board.pings:
@@ -288,8 +296,8 @@ class PortOwner:
         self._others_due.set(self.wire.free_ns if self._others else NEVER)
 
     def _forward_arm(self) -> None:
-        """Write the arm's frames in order, each admitted as motion is. The first one that must wait holds up the
-        rest."""
+        """Write the arm's frames in order. Each of them must be admitted, as motion is, and the first one that must
+        wait holds up the rest."""
         due_ns = NEVER
         while self.bus.waiting:
             move, now_ns = self.bus.waiting[0], monotonic_ns()
@@ -329,15 +337,15 @@ class PortOwner:
             self._moving_word.set(0)
 
     def _decide(self, motion: DatedFrame, now_ns: int, rules: Admission | BusSchedule) -> int | Cause:
-        """Decide by the table of admission.py, at the time of the write: a frame that was young at the wake-up may be
-        too old."""
+        """Decide by the tables of admission.py at the time of the write, because a frame that was young enough at the
+        wake-up may be too old by then."""
         requested = self._requests.waits()
         gate_ns = self._gate.heart.ns.get() if self._gate.life else None
         beat_ns = self._supervisor_beat.get()
         return self.admission.decide(motion, self.epoch, now_ns, gate_ns, beat_ns, rules, requested=requested)
 
     def _refuse(self, verdict: int | Cause, now_ns: int) -> None:
-        """Act on a frame that is not written."""
+        """Act on the decision not to write a frame."""
         if verdict == admission.STAND_STILL:
             self._burst()
         elif verdict == admission.STOP_ASKED:
@@ -346,7 +354,7 @@ class PortOwner:
             self.stop(now_ns, verdict)
 
     def _forward_motion(self, motion: DatedFrame) -> None:
-        """Write motion now, or hold it while the line must be silent first; whether it may go out is decided when it is
+        """Write motion now, or hold it until the line is silent. Whether it may go out is decided only when it is
         written."""
         now_ns = monotonic_ns()
         if self.wire.free_ns > now_ns:
@@ -361,16 +369,16 @@ class PortOwner:
             self._refuse(verdict, now_ns)
 
     def _pop_held(self) -> DatedFrame | None:
-        """Return the motion that waits for a silent line, and stop waiting for the line."""
+        """Return the motion frame that waits until the line is silent, and stop waiting."""
         motion, self._held = self._held, None
         if motion:
             self._line.set(NEVER)
         return motion
 
     def _write_motion(self, motion: DatedFrame) -> None:
-        """Set the word `moving`, then look at epoch and time once more, then write. So a process that reads that
-        nothing moves, whether or not it has raised the epoch, knows that no outdated frame is about to be written, and
-        a port owner that is starved here, for however long, need not be killed."""
+        """Set the word `moving`, then check epoch and time once more, then write. A process that has raised the epoch
+        and then reads that nothing moves can therefore be sure that no outdated frame is about to be written. So a port
+        owner that is starved at this point, for however long, need not be killed."""
         self._moving_word.set(1)
         self._barrier()
         now_ns = monotonic_ns()
@@ -402,14 +410,15 @@ class PortOwner:
             self.repeats.restart(now_ns)
 
     def _impossible(self, frame_ns: int) -> Cause | None:
-        """The cause of a stop if an admitted motion frame made then breaks an invariant; None: it goes out."""
+        """The cause of a stop if an admitted motion frame breaks an invariant; None: it may go out. `frame_ns`: when
+        the frame was made."""
         latch, alone = self._latch.read(), self._pid_word.get() == self._pid
         latched_in = records.LATCH.unpack(latch[2])[0] if latch else 0
         return self.admission.impossible(frame_ns, self.epoch, latched_in, alone=alone)
 
     def _follow_port(self, ready: dict[int, int], now_ns: int) -> None:
-        """Read and flush the port, and adopt one on which the supervisor has stopped. Each loss is a stop with its own
-        cause."""
+        """Read and flush the port, and adopt a new one, on which the supervisor has written a stop. Each loss of the
+        port is a stop with a cause of its own."""
         if self.wire.fd >= 0:
             self.port.serve(ready)
             if self.wire.lost:

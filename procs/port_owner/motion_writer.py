@@ -1,4 +1,5 @@
-"""MotionWriter: writes motion, and writes again what a restart of the board undoes: the setting of its own watchdog."""
+"""MotionWriter: writes motion. It also sets the board's own watchdog again, because a restart of the board undoes that
+setting."""
 
 from __future__ import annotations
 
@@ -14,9 +15,10 @@ class MotionWriter:
         self._board, self._wire, self._port = context.board, wire, port
         self._since_word = context.own.word("told_ns")
         self.turning = False
-        """True if motion was written, and no stop since."""
+        """True if motion was written and no stop since."""
         self._backlog = max((len(ping) for ping in self._board.pings), default=0)
-        """How many bytes may wait in the port without holding up motion: a ping (70 us on the wire) may."""
+        """How many bytes may be waiting in the port when motion is written: as many as a ping has, which takes 70 us on
+        the wire."""
         self._restarts_word = context.segment("telemetry").word("restarts")
         self._restarts = self._restarts_word.get()
         self._since(0)
@@ -26,18 +28,18 @@ class MotionWriter:
         self._since_word.set(ns)
 
     def stopped(self) -> None:
-        """Note that a stop was written."""
+        """Record that a stop was written."""
         if self.turning:
             self._since(0)
 
     def arm(self) -> bool:
-        """Set the board's own watchdog, before the first motion after a stop, because the board may have restarted
-        meanwhile. False while the port does not take it."""
+        """Set the board's own watchdog, before the first motion after a stop, because the board may have restarted in
+        the meantime. False if the port does not take the frame."""
         return not self._board.arming or self._wire.frame(self._board.arming)
 
     def write(self, frame: bytes, now_ns: int, *, first: bool) -> bool:
-        """Write a motion frame; `first`: it is the first after a stop, and so follows arm(). False when the port does
-        not take it."""
+        """Write a motion frame. `first`: it is the first one after a stop, so arm() came before it. False if the port
+        does not take it."""
         turns = frame != self._board.stop
         if not turns:
             self.stopped()

@@ -1,8 +1,8 @@
-"""The open port, apart from the writing of stops: its loss, the next one, what a newly opened board is sent, and
-reading the board while telemetry, which otherwise reads it, does not run.
+"""The open port, except for writing stops: what happens when it is lost or another one is opened, the frames that a
+newly opened board gets first, and reading the board while telemetry does not run.
 
-A board that opening its port resets is deaf at first. Its port counts as open, for motion too, once the board hears and
-has received its settings.
+Some boards are reset when their port is opened, and hear nothing at first. Such a port counts as open, also for motion,
+only once the board hears and has received its settings.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from failstop.procs.port_owner.port_writer import PortWriter
 from failstop.procs.schedule import Pings
 
 AGAIN_NS = 20_000_000
-"""How long to wait before sending again what the kernel did not take whole."""
+"""How long to wait before sending the settings again if the kernel did not take all of them."""
 
 
 class OpenPort:
-    """The port's number, and what other processes learn about it."""
+    """The port that is open, and what other processes learn about it."""
 
     def __init__(self, context: Context, loop: Loop, wire: PortWriter, now_ns: int) -> None:
         own, board = context.own, context.board
@@ -37,20 +37,21 @@ class OpenPort:
         self._hears = loop.timer()
         state = records.port_state(own.latest_reader("port").read(), self.number)
         self.hears_ns = now_ns if state == records.PORT_OPEN else now_ns + self._deaf_ns
-        """When the board can hear. If the previous port owner has used the port, it was not opened again, so the board
-        hears already."""
+        """When the board can hear. If the port owner before this one has used the port, it was not opened again, so the
+        board hears already."""
         self._settings_left = () if state == records.PORT_OPEN else self._opening
-        """Frames that the board must get before the port counts as open."""
+        """Frames that the board must still get before the port counts as open."""
         period_ns = min(context.settings.ns("link.ping_s"), board.ping_ns or NEVER)
         due = loop.timer() if board.pings else Timer()
         self.pings = Pings(len(board.pings), period_ns, due, self.hears_ns)
         self._asked_word = own.word("asked_ns")
         self.wrote = own.ring_writer("wrote")
-        """Keeps everything that the board will answer or echo, each entry before its bytes. An entry whose bytes never
-        went out counts as lost; but without an entry, an answer would prove a later write than its own."""
+        """Records everything that the board will answer or echo. Each entry is made before its bytes are written. An
+        entry whose bytes never went out counts as lost; if an entry were missing, an answer would seem to prove a later
+        write."""
         self._ping_backlog = 2 * len(board.burst)
-        """Bytes on their way to the board behind which a ping may queue: it follows a stop at once, to be handled right
-        after it."""
+        """A ping is written only while at most this many bytes are on their way to the board. It may follow a stop
+        directly, so that the board handles it right after the stop."""
 
     def begin(self, now_ns: int) -> None:
         """Go on after the first burst: the port counts as open once the board hears and has received its settings."""
@@ -58,8 +59,8 @@ class OpenPort:
         self.configure(now_ns)
 
     def _hear(self, now_ns: int) -> None:
-        """The board hears now. The kernel may refuse the settings, and a stop may cut them off; then the port is not
-        open yet, because otherwise the board's own watchdog would never be set."""
+        """The board hears from now on, so send it its settings. If the kernel refuses them or a stop cuts them off, the
+        port is not open yet; otherwise the board's own watchdog might never be set."""
         if self._wire.lost or self._configured():
             self._hears.set(NEVER)
             self.publish(now_ns)
@@ -76,12 +77,12 @@ class OpenPort:
         return True
 
     def configure(self, now_ns: int) -> None:
-        """Once per turn: send its settings to a board that hears now."""
+        """Call it once per turn: it sends the settings to a board that hears now."""
         if self._hears.due(now_ns):
             self._hear(now_ns)
 
     def configure_again(self, now_ns: int) -> None:
-        """Send the board again what it was sent when its port was opened."""
+        """Send the board the same frames again that it got when its port was opened."""
         if self._wire.fd >= 0 and self._hears.ns == NEVER:
             self._settings_left = self._opening
             self._hears.set(now_ns)
@@ -93,7 +94,7 @@ class OpenPort:
         self._supervisor_bell.ring()
 
     def adopt(self, sent: tuple[int, int, str], now_ns: int) -> None:
-        """Adopt another port, on which the supervisor has stopped, so its first bytes are a burst."""
+        """Adopt another port, on which the supervisor has written a stop, so that its first bytes are a burst."""
         fd, self.number, self._path = sent
         self._wire.adopt(fd)
         self._settings_left = self._opening
@@ -117,8 +118,8 @@ class OpenPort:
             pings.failed(now_ns)
 
     def ask_for_a_client(self, index: int) -> None:
-        """Write a ping that a client wants answered now, besides those that are due. It does not count as the newest
-        one: a board that is asked so often would never be found deaf."""
+        """Write a ping that a client wants answered now, in addition to those that are due. It does not count as the
+        newest ping, because a board that is asked so often would never count as deaf."""
         asked_ns = monotonic_ns()
         if asked_ns >= self.hears_ns:
             self._question(index, asked_ns)
@@ -132,12 +133,13 @@ class OpenPort:
         return self._wire.frame(self._board.pings[index], backlog=self._ping_backlog)
 
     def commands(self, frame: bytes, now_ns: int) -> None:
-        """A motion frame is about to be written, or a stop was: keep it if the board echoes it."""
+        """Record a motion frame that is about to be written, or a stop that was written, if the board echoes it."""
         if (speeds := self._board.commanded(frame)) is not None:
             self.wrote.put(records.WROTE.pack(COMMANDED, tuple(speeds)), now_ns)
 
     def serve(self, ready: dict[int, int]) -> None:
-        """Keep what the board sent, finish what the kernel did not take, and notice that the port is gone."""
+        """Read what the board has sent, write the rest of what the kernel did not take, and notice if the port is
+        gone."""
         wire = self._wire
         found = ready.get(wire.fd, 0)
         if found & WRITE:
@@ -147,12 +149,13 @@ class OpenPort:
         wire.lost |= bool(found & GONE) or data is None
 
     def watch(self, *, heard: bool) -> None:
-        """Watch for the end, for room while the kernel has not taken everything, and for what the board sends unless
-        telemetry has `heard` it.
+        """Watch the port: for its end; for room, while the kernel has not taken everything; and for the board's bytes,
+        unless telemetry reads them (`heard`).
 
-        Each read takes all there is. Without EDGE the kernel looks for more at the next wait, and lets this process
-        sleep until its own worker, which has ordinary priority, has ended (n_tty_poll). After every frame of the board,
-        on a busy machine, that would leave the port owner deaf to stops for as long as other processes run.
+        EDGE is needed, although each read takes all bytes. Without it, the kernel would look for more bytes at the next
+        wait, and let this process sleep until its own worker, which has ordinary priority, is done (n_tty_poll). On a
+        busy machine the port owner would then be deaf to stops after every frame of the board, for as long as other
+        processes run.
         """
         fd, bytes_too = self._wire.fd, HANGUP if heard else READ | EDGE
         wanted = (fd, bytes_too & ~EDGE | WRITE if self._wire.unsent else bytes_too)

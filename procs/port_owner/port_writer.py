@@ -1,4 +1,4 @@
-"""Port writer: writes to the port without ever blocking and without building up a backlog."""
+"""Port writer: writes to the port without blocking, and without letting a backlog build up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from failstop.messages import box
 from failstop.shm.cell import RingWriter
 
 DRAIN_NS = 100_000_000
-"""A port that holds bytes back for this long does not drain, which is a stop cause."""
+"""If a port holds bytes back for this long, it does not drain, and the robot is stopped."""
 
 
 class PortWriter(StopPort):
@@ -20,12 +20,12 @@ class PortWriter(StopPort):
         super().__init__(fd, board, servos)
         self._box: RingWriter | None = None
         self._early: list[int] = []
-        """For each early stop that the loop has not seen yet: how much of it the kernel took, or ALREADY."""
+        """For each early stop that the loop has not handled yet: how many of its bytes the kernel took, or ALREADY."""
         self._handed = 0
-        """Bytes handed to the kernel since it last held none."""
+        """How many bytes were handed to the kernel since it last held none."""
         self._held_since_ns = 0
         self._refused = False
-        """True if the kernel has accepted nothing of the last write."""
+        """True if the kernel took nothing of the last write."""
 
     def _write(self, data: bytes) -> int:
         taken = super()._write(data)
@@ -39,8 +39,9 @@ class PortWriter(StopPort):
         return taken
 
     def heed(self) -> None:
-        """Call when the loop is about to look for deaths. Between an early stop and this call nothing but a burst goes
-        out, because the thread that writes a stop early has marked its lifeline before."""
+        """Call this when the loop is about to look for deaths. Between an early stop and this call only bursts are
+        written; the thread that writes an early stop has marked its lifeline before, so the loop will find the
+        death."""
         with self._writing:
             early, self._early = self._early, []
         for taken in early:
@@ -67,8 +68,8 @@ class PortWriter(StopPort):
         return held
 
     def keep(self, ring: RingWriter) -> None:
-        """Record in the black box the burst that was just written, and everything from now on. Attaching its ring takes
-        milliseconds, so the first burst does not wait for it."""
+        """From now on, record everything that is written in the black box, beginning with the burst that was just
+        written. Attaching the ring takes milliseconds, so the first burst does not wait for it."""
         self._box = ring
         self._note(box.WIRE_BURST, self._stop, len(self._stop) - len(self.unsent))
 
@@ -77,8 +78,8 @@ class PortWriter(StopPort):
             self._box.put(box.pack_wire(kind, data, taken))
 
     def frame(self, data: bytes, backlog: int = 0) -> bool:
-        """Write one frame. Returns False, with nothing written or kept, if the kernel takes none of it, or still holds
-        bytes after it was handed more than `backlog` of them here: a frame that is kept for later would be late."""
+        """Write one frame. Returns False, with nothing written, if the kernel takes none of it, or if more than
+        `backlog` of the bytes that were written here are still in the kernel: a frame behind them would be late."""
         with self._writing:
             if self.lost or self.unsent or self._early or (self.holds() and max(self._handed, 1) > backlog):
                 taken = 0
@@ -90,7 +91,7 @@ class PortWriter(StopPort):
         return taken > 0 and not self.lost
 
     def stuck(self, now_ns: int) -> bool:
-        """True when bytes have been held back for DRAIN_NS. Call once per tick."""
+        """True if bytes have been held back for DRAIN_NS. Call it once per tick."""
         if self._refused and not self.lost and select.select((), (self.fd,), (), 0)[1]:
             self._refused = False  # another thread was writing
         if self.lost or not (self.unsent or self._refused or self.holds()):

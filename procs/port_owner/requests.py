@@ -1,7 +1,8 @@
-"""The stop pipe, which everyone may write to. Any bytes are a stop; the text, if there is one, only says why.
+"""The stop pipe, to which every user may write. Any bytes in it are a request to stop; if they are a text, it is the
+reason.
 
-After a request the pipe rests, because a flood of requests must not become a flood of bursts and epochs. Bytes that
-arrive meanwhile stay in the pipe, and no motion is admitted before they were read.
+After a request the pipe rests, so that a flood of requests does not become a flood of bursts and epochs. Bytes that
+arrive during the rest stay in the pipe, and no motion is admitted until they were read.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ class RequestPipe:
     def __init__(self, fd: int, loop: Loop) -> None:
         self._fd, self._loop = fd, loop
         self._rests = loop.timer()
-        """When the pause after a request ends."""
+        """When the rest after a request ends."""
         loop.watch(fd, READ)
 
     def asked(self, ready: dict[int, int], now_ns: int) -> bool:
@@ -32,11 +33,11 @@ class RequestPipe:
         return False
 
     def waits(self) -> bool:
-        """True when a request waits while the pipe rests."""
+        """True if a request waits while the pipe rests."""
         return self._rests.ns != NEVER and self._loop.readable(self._fd)
 
     def accept(self, now_ns: int) -> Cause:
-        """Read the request, once its stop is written; the pipe rests from now on."""
+        """Read the request, after its stop was written. From now on the pipe rests."""
         line = bell.receive(self._fd).split(b"\n", 1)[0]
         if self._rests.ns == NEVER:
             self._loop.forget(self._fd)
@@ -44,7 +45,7 @@ class RequestPipe:
         return causes.requested(line)
 
     def wake(self) -> None:
-        """End the rest: the next request counts at once."""
+        """End the rest, so that the next request counts at once."""
         if self._rests.ns != NEVER:
             self._rests.set(NEVER)
             self._loop.watch(self._fd, READ)

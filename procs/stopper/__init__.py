@@ -1,1 +1,1 @@
-"""The stopper: the second stop channel, resident next to the service, and the one-shot stop tool."""
+"""The stopper: a second process that can stop the robot when the port owner or the supervisor can't."""

@@ -1,9 +1,9 @@
-"""The stopper's loop: it waits for the port owner's or the supervisor's death, or the port owner's silence. Then it
-writes the burst on its own descriptor of the port, and zeros again and again until there is another port owner.
+"""The stopper's loop. It waits until the port owner or the supervisor dies, or the port owner falls silent. Then it
+writes the burst on its own descriptor of the port, and repeats zeros until there is another port owner.
 
-A port owner that is silent when it should have answered is fenced: SIGKILL, then the burst, then the burst again when
-the process is gone, because a frame that it was about to write could still follow the first. The supervisor does that
-sooner, while it works.
+If the port owner does not answer in time, the stopper fences it: it sends SIGKILL, writes the burst, and writes the
+burst again when the process is gone, because the process might still have written one frame after the first burst. A
+supervisor that works does this sooner.
 
 While the port owner is alive, all stops go through it, because only it can order them against motion frames. So at the
 supervisor's death the stopper lets the port owner go first, but not for long.

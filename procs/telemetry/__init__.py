@@ -1,1 +1,2 @@
-"""Telemetry: decodes what the board sends and publishes it. No stop needs it, but it requests some stops."""
+"""Telemetry: decodes the board's bytes and publishes what they say. No stop depends on it, but it requests some
+stops."""

@@ -1,5 +1,5 @@
-"""The battery: a low voltage stops the robot, a step of the voltage is the charger, and a log gets a line now and then.
-Pure."""
+"""The battery: stops the robot when the voltage is low, detects the charger by steps of the voltage, and makes the
+lines of a log. Pure."""
 
 from __future__ import annotations
 
@@ -13,22 +13,26 @@ UNDECIDED, PLUGGED_IN, UNPLUGGED = range(3)
 """Indices of records.PLUGGED."""
 
 LOW_READINGS = 5
-"""Low readings in a row, about one a second, because the motors pull the voltage down when they start."""
+"""How many low readings in a row stop the robot. One comes about each second. A single one proves nothing, because the
+motors pull the voltage down when they start."""
 
 JUMP_WINDOW_NS = 8_000_000_000
 RECENT_NS = 2_000_000_000
-"""The firmware averages, so a step takes about 3 s to show fully. The base line leaves out the newest readings."""
+"""How old a reading must be to count for the voltage before a step. The firmware averages, so a step takes about 3 s to
+show fully."""
 SETTLE_NS = 3_000_000_000
-"""Motor load moves the voltage by up to 170 mV, and so does the end of the load."""
+"""How long motion must have been disabled before steps count, because the load of the motors, and its end, move the
+voltage by up to 170 mV."""
 MOST_READINGS = 64
-"""About one reading a second comes. The limit keeps each of a flood of readings cheap."""
+"""How many readings are kept. About one comes each second; the limit keeps the work small if a flood of readings
+comes."""
 
 HEADER = "unix_s,battery_mv,enabled\n"
 """First line of every file of the log; `enabled` is 1 while motion is enabled."""
 
 
 class LowBattery:
-    """Counts the readings in a row below the setting; -1 in the setting turns it off."""
+    """Counts readings in a row that are below the setting. -1 in the setting turns it off."""
 
     def __init__(self, settings: Settings) -> None:
         self._least_mv = settings["battery.stop_mv"]
@@ -37,8 +41,8 @@ class LowBattery:
         self._low = 0
 
     def add(self, millivolts: int) -> Cause | None:
-        """Add a reading; returns the cause of a stop, or None. The cause comes once, until the voltage was above the
-        limit again."""
+        """Add a reading. Returns the cause of a stop, or None. The cause comes only once, until the voltage has been
+        above the limit again."""
         self._low = self._low + 1 if millivolts < self._least_mv else 0
         return causes.BATTERY(millivolts / 1000) if self._low == LOW_READINGS else None
 
@@ -76,7 +80,7 @@ class Charger:
 
 
 class BatteryLog:
-    """One line a period, at the first reading when it is due."""
+    """The battery log: one line per period, made at the first reading after it is due."""
 
     def __init__(self, settings: Settings) -> None:
         self._period_ns = settings.ns("battery.log_s")

@@ -41,23 +41,24 @@ from failstop.shm.segment import Segment
 from failstop.shm.words import Barrier
 
 LONGEST_IDLE_NS = 50_000_000
-"""At rest the board wakes no process; its bytes are read this often."""
+"""While the robot is at rest the board's bytes wake no process; they are read this often."""
 ODOMETRY_NS = 20_000_000
-"""How often odometry is published, because the gate decides no more often. Everything else that can wait goes with
-it."""
+"""How often odometry is published: as often as the gate decides. Everything else that can wait is published at the same
+time."""
 SCALE_NS = 500_000_000
 """How often the comparison of measured and commanded speeds is published."""
 BIAS_NS = 80_000_000
-"""The state must be published at 10 Hz or more. At 100 ms it would be every 105 to 110 ms, because it is published only
-when something else wakes the process. The state of the wheels is published as often, and with each reading."""
+"""How often the gyro's bias is published. 100 ms would become 105 to 110 ms, because it is published only when
+something else wakes the process, and the state must come at 10 Hz or more. The state of the wheels is published as
+often, and also with each reading."""
 CHARGER_FILE = "charger"
 CHARGER = "charger state"
 BATTERY_LOG = "battery log"
 
 
 class GateState:
-    """The gate's published state as telemetry uses it: whether the wheels are told to turn, may turn, or are stopped.
-    Before the first state: motion is disabled, the wheels are stopped, nothing is latched."""
+    """The gate's published state, as far as telemetry uses it: whether the wheels are told to turn, may turn, or are
+    stopped. Before the first state: motion is disabled, the wheels are stopped, nothing is latched."""
 
     def __init__(self, reader: LatestReader) -> None:
         self._reader = reader
@@ -66,11 +67,11 @@ class GateState:
         self.enabled = False
         self.latched = False
         self.epoch = 0
-        """Raised by every stop, so a latch that came and went between two looks leaves a newer epoch."""
+        """The epoch. Every stop raises it, so telemetry notices a latch even if it came and went between two looks."""
         self.tucks = False
-        """The arm has announced that it will move to its tuck pose."""
+        """True if the arm has announced that it will move to its tuck pose."""
         self.velocity = STANDSTILL
-        """m/s forward, m/s left, rad/s counter-clockwise."""
+        """The commanded velocity: m/s forward, m/s left, rad/s counter-clockwise."""
         self.since_ns = 0
         """When this state began, as far as is known."""
         self.zero_ns = 0
@@ -116,7 +117,7 @@ class GateState:
 
 
 class Telemetry:
-    """Telemetry's state. Call turn() once per wake-up."""
+    """Telemetry. Call turn() once per wake-up."""
 
     def __init__(self, context: Context) -> None:
         settings = context.settings
@@ -126,7 +127,7 @@ class Telemetry:
         self._hearing = self._board.hearing()
         self._settings = settings
         self._servos_told: dict[str, str] = {}
-        """What people were told about each part that reports an error."""
+        """For each part that reports an error, what people were told about it."""
         self._wheel_missing = ""
         self._stop_key = int(settings["key.stop"])
         self._pad = Pad(settings)
@@ -157,12 +158,12 @@ class Telemetry:
         self._barrier = Barrier()
         self._epoch_followed = self._odometry_ns = self._bias_ns = self._wheels_ns = self._reading_ns = 0
         self._heard: list[tuple[int, interface.Value, int]] = []
-        """Reports of the board that no process has acted on yet: the kind, the value, and when it came."""
+        """Reports of the board that were not handled yet: the kind, the value, and when each came."""
         self._bias_flags = (False, False)
         self._silence = Silence(self._board, context.own.word("patience_ns").get())
         self._scale, self._scale_ns = ScaleJudge(settings, self._board), 0
         self._scale_noted: set[str] = set()
-        """The severities for which people were told that the speeds differ."""
+        """For which severities people were told that the speeds differ."""
         self._turn_radps = 0.0
         self._odd = OddReports(low_battery_stops=self._low_battery.stops)
         self._attach(context)
@@ -213,7 +214,7 @@ class Telemetry:
         self._port = HeardPort(context, self.loop, monotonic_ns())
 
     def _inherit(self, own: Segment) -> None:
-        """Continue with the bias and the pose of the process before this one."""
+        """Continue with the bias and the pose of the telemetry process before this one."""
         if entry := own.latest_reader("bias").read():
             x, y, z, _, calibrated = records.BIAS.unpack(entry[2])
             if calibrated:
@@ -224,8 +225,8 @@ class Telemetry:
             self._odometry.inherit(x_m, y_m, th_rad, source, (xx, xy, xt, yy, yt, tt), self._measured)
 
     def _inherit_wheels(self, own: Segment, read_ns: int) -> None:
-        """Continue from how far the wheels had turned by then. Their turns until the first report of this run stay
-        unknown."""
+        """Continue from how far the wheels had turned when the process before this one ended. How far they turned until
+        the first report after that stays unknown."""
         if entry := own.latest_reader("wheels").read():
             _, _, _, count, _, _, *values = records.WHEELS_SEEN.unpack(entry[2])
             speeds, turns = values[:count], values[records.MOST_WHEELS :][:count]
@@ -233,12 +234,13 @@ class Telemetry:
                 self._measured.inherit(turns, speeds, read_ns)
 
     def _known_charger_state(self) -> int:
-        """The charger's state as the run before this one last saw it."""
+        """The charger's state, as the process before this one last saw it."""
         name = self._files.read(CHARGER, CHARGER_FILE).strip()
         return records.PLUGGED.index(name) if name in records.PLUGGED else battery.UNDECIDED
 
     def turn(self, ready: dict[int, int]) -> None:
-        """Handle one wake-up. If it brings only IMU samples, which are the most frequent, only publish them."""
+        """Handle one wake-up. If it brings only samples of the IMU, which are the most frequent, they are published and
+        nothing else is done."""
         now_ns = monotonic_ns()
         whole = len(ready) != 1 or self._port.fd not in ready
         kinds: list[int] = []
@@ -261,7 +263,7 @@ class Telemetry:
             self._act(ready, now_ns)
 
     def _act(self, ready: dict[int, int], now_ns: int) -> None:
-        """The rest of a turn."""
+        """Do the rest of a turn."""
         if self._gate.read(now_ns):
             self._follow_gate(now_ns)
         if self._runaway:
@@ -295,8 +297,8 @@ class Telemetry:
         self._pad.follow(gate.latched, now_ns)
 
     def _follow_port(self, ready: dict[int, int]) -> None:
-        """Report a loss of the port to the port owner, which does not read it. Half a frame from before the loss is
-        dropped."""
+        """Report a loss of the port to the port owner, which does not read the port itself. Half a frame from before
+        the loss is dropped."""
         if self._port.lost:
             self._port_owner_bell.ring()
         if self._port.held.follow(ready, lost=self._port.lost):
@@ -305,7 +307,7 @@ class Telemetry:
             self._silence.forget()
 
     def _publish_said(self) -> None:
-        """Publish when the board last said anything. Done after everything that results from what it said."""
+        """Publish when the board last sent anything, after everything that follows from it was done."""
         silence = self._silence
         if silence.said_ns and silence.said_ns != self._said_word.get():
             self._barrier()
@@ -314,7 +316,7 @@ class Telemetry:
             self._patience_word.set(silence.patience_ns)
 
     def _publish(self, now_ns: int) -> None:
-        """Publish the records that no frame of the board triggers."""
+        """Publish the records that are not published with a frame of the board."""
         if now_ns - self._odometry_ns >= ODOMETRY_NS:
             # Count from when it was due: with IMU samples 9 ms apart, it would otherwise be published with every third,
             # at 37 Hz.
@@ -351,7 +353,7 @@ class Telemetry:
             self._note("gyro", text, level=level, step=step)
 
     def _report_pad_mode(self) -> None:
-        """Report whether the sticks move the wheels, which is what people want to know about a pad."""
+        """Report whether the gamepad's sticks move the wheels, because that is what people want to know about it."""
         mode = records.PAD_MODES[self._pad.mode]
         if mode != self._pad_mode:
             self._pad_mode = mode
@@ -362,8 +364,8 @@ class Telemetry:
         self._gate_bell.ring()
 
     def _raise(self, cause: Cause | None) -> None:
-        """Have the port owner stop, before anyone decides anything. Not by the pipe that everyone may write to, because
-        who pressed is what telemetry has seen, not what somebody claims."""
+        """If there is a cause, make the port owner stop before anything else is done. It does not use the stop pipe, to
+        which everyone may write: telemetry has seen itself who pressed, while a text in the pipe is only a claim."""
         if cause:
             self._rings["causes"].put(cause.pack())
             self._port_owner_bell.ring()
@@ -398,7 +400,7 @@ class Telemetry:
             self.supervisor_bell.ring()
 
     def _on_wheels(self, sample: interface.Value, t_ns: int) -> None:
-        """The board's own reports about its wheels are better than the shaking that an IMU sees."""
+        """Handle the board's report about its wheels. It is better than what an IMU feels."""
         was_still = self._read_back.still_ns > 0
         speeds, positions = sample
         self._measured.add(speeds, positions, t_ns)
@@ -438,7 +440,7 @@ class Telemetry:
         )
 
     def _act_unasked(self, now_ns: int) -> None:
-        """Act on wheels that turn although they were told zero."""
+        """Act on wheels that turn although zero is commanded."""
         gate = self._gate
         act = self._unasked.update(
             self._fact, now_ns, enabled=gate.enabled, latched=gate.latched, epoch=self._epoch_word.get()
@@ -451,7 +453,7 @@ class Telemetry:
             self._pass_on(act.note)
 
     def _compare_speeds(self, now_ns: int) -> None:
-        """Compare measured with commanded speeds; people are told once if they differ."""
+        """Compare the measured speeds with the commanded ones, and tell people once if they differ."""
         measured, judge = self._measured, self._scale
         turn_radps = self._turn_radps if self._gyro.calibrated else None
         changed = judge.update(self._gate.velocity, measured.speeds_rps, measured.t_ns, turn_radps, now_ns)

@@ -1,4 +1,4 @@
-"""Odd reports: the notes about values that are impossible. Pure."""
+"""Odd reports: the notes about impossible values in the board's reports. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ BLIND = ", and no low battery stops the robot meanwhile"
 
 
 class OddReports:
-    """Remembers what was noted, because an impossible value may come with every report."""
+    """Remembers which kinds of values were noted, because an impossible value may come with every report."""
 
     def __init__(self, *, low_battery_stops: bool) -> None:
         self._low_battery_stops = low_battery_stops

@@ -1,7 +1,9 @@
-"""Wheel odometry: the pose, from the wheels' reports, or else from the gate's commands. Pure.
+"""Wheel odometry: computes the pose from the wheels' reports, or from the gate's commands if there are no reports.
+Pure.
 
-Reports of the wheels say how far the base has rolled, whatever was commanded. For a board that reports nothing there
-are only the commands: dead reckoning, a pose that nobody should trust. The first report that counts ends it for good.
+The wheels' reports say how far the base has rolled, whatever was commanded. If the board reports nothing, only the
+commands can be added up (dead reckoning), and nobody should trust that pose. From the first report that counts, only
+reports are used.
 """
 
 from __future__ import annotations
@@ -24,17 +26,18 @@ if TYPE_CHECKING:
     Covariance = tuple[float, float, float, float, float, float]
 
 LONGEST_STEP_NS = 100_000_000
-"""A longer time between two looks does not count, because nobody knows what the wheels did in it."""
+"""If the time between two looks is longer than this, it does not count, because nobody knows what the wheels did in
+it."""
 MEAN_NS = 200_000_000
-"""If the board counts, speeds are means over this time, because one count in 50 ms may be 0.2 m/s."""
+"""If the board counts, speeds are averaged over this time, because one count in 50 ms may be 0.2 m/s."""
 SLIP = {"differential": 0.02, ACKERMANN: 0.02, "omni3": 0.05, "mecanum": 0.05}
-"""Standard deviation of how far each wheel really rolls, in m after 1 m; it grows with the root of the distance.
-Rollers slip: on a carpet, a mecanum base goes only 0.765 of the sideways distance that its wheels make."""
+"""How exactly a wheel rolls: the standard deviation of its way, m after 1 m; it grows with the root of the distance.
+Rollers slip: on a carpet, a mecanum base goes sideways only 0.765 of the distance that its wheels make."""
 DEAD_RECKONING: Covariance = (POSE_VARIANCE, 0.0, 0.0, POSE_VARIANCE, 0.0, POSE_VARIANCE)
 
 
 class Odometry:
-    """The pose since the start (x, y in m, th in rad from -pi to pi) and the twist in the robot's own frame."""
+    """The pose since the start (x, y in m, th in rad from -pi to pi), and the velocity in the robot's own frame."""
 
     def __init__(self, settings: Settings) -> None:
         # The share of the rolled or commanded distance that the base really moves. Used only here, never in what the
@@ -48,38 +51,40 @@ class Odometry:
         self.source = BY_COMMANDS
         """BY_ROLLING or BY_COMMANDS."""
         self._covariance = DEAD_RECKONING
-        """The variances of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th; without the rounding error."""
+        """The covariance of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th. The rounding error is not
+        included."""
         self._rounded = 0.0
-        """The variance of a wheel's turns due to counting in whole steps. It does not grow."""
+        """The variance of a wheel's turns because they are counted in whole steps. It does not grow."""
         self._ways: tuple[tuple[float, ...], ...] = ()
-        """For x, y (m) and th (rad) of the base: the factor of each wheel's turns, by wire id."""
+        """The factors by which the turns of each wheel, by wire id, move the base along x, y (m) and th (rad)."""
         base = kinematics.from_settings(settings)
         with contextlib.suppress(ValueError):  # the base's motion can't be computed from such wheels, so commands count
             self._ways = tuple(
                 tuple(scale * each for each in row) for scale, row in zip(self._scales, base.rolled(), strict=True)
             )
         self._errors = self._ways
-        """The same factors for the errors that wheels make."""
+        """The same factors for the errors of the wheels' turns."""
         self._bend = 0.0
-        """How far a base that is steered by one driven wheel turns on its way, in rad per m, by the commanded angle."""
+        """For a base that is steered and has one driven wheel: how far it turns on its way, rad per m, at the commanded
+        angle."""
         self._bends = isinstance(base, kinematics.Steered) and base.turns_unseen
         if self._bends:
             aside = tuple(each / settings["wheels.wheelbase_m"] for each in self._ways[0])
             self._errors = (*self._ways[:2], aside)
         rim_m = pi * settings["wheels.diameter_m"]
         self._slip_turns2 = SLIP[settings.text("wheels.layout")] ** 2 / rim_m
-        """The variance of a wheel's turns per turn."""
+        """The variance of a wheel's turns, per turn."""
         self._told_m = self._told_rad = 0.0
-        """How far it was commanded to go; there and back both count."""
+        """How far the robot was commanded to go, m; ways forth and back both count."""
         self._turns: tuple[float, ...] = ()
         self._missed = 0.0
         self._recent: deque[tuple[int, float, float, float]] = deque()
-        """For each report in the window: when, and how far the base had gone in its own frame."""
+        """For each report within MEAN_NS: when it came, and how far the base had gone in its own frame by then."""
         self._gone = (0.0, 0.0, 0.0)
 
     @property
     def t_ns(self) -> int:
-        """The time of the pose."""
+        """The time of the pose, CLOCK_MONOTONIC ns."""
         return self._last_ns or 0
 
     @property
@@ -107,7 +112,7 @@ class Odometry:
             self._turns, self._missed, self._last_ns = measured.turns, measured.missed, measured.t_ns
 
     def follow(self, velocity: tuple[float, float, float], t_ns: int) -> None:
-        """The gate commands another velocity (m/s, m/s, rad/s) from `t_ns` on."""
+        """From `t_ns` on the gate commands this velocity (m/s, m/s, rad/s)."""
         if self._bends and velocity[0]:  # a stop leaves the steering as it is
             self._bend = velocity[2] / velocity[0]
         if self.source == BY_ROLLING:
@@ -133,7 +138,8 @@ class Odometry:
         self._move(self.vx_mps * dt_s, self.vy_mps * dt_s, self.wz_radps * dt_s)
 
     def _move(self, ahead_m: float, aside_m: float, turned_rad: float) -> tuple[float, float]:
-        """Move this far along the heading in the middle of the move; returns that heading's cosine and sine."""
+        """Move the pose by this way, along the heading in the middle of the move. Returns the cosine and the sine of
+        that heading."""
         middle_rad = self.th_rad + turned_rad / 2
         ahead, aside = cos(middle_rad), sin(middle_rad)
         self.x_m += ahead_m * ahead - aside_m * aside
@@ -142,7 +148,7 @@ class Odometry:
         return ahead, aside
 
     def roll(self, measured: Measured) -> None:
-        """Move as far as the wheels have turned since the report before. Call it for each new report."""
+        """Move the pose by what the wheels have turned since the last report. Call it for each new report."""
         turns, missed, t_ns = measured.turns, measured.missed, measured.t_ns
         if not turns or len(turns) != len(self._ways[0] if self._ways else ()):
             return  # a different number of wheels than this robot has
@@ -162,7 +168,8 @@ class Odometry:
         self._last_ns = max(t_ns, self._last_ns or 0)
 
     def _go(self, steps: Sequence[float], lost: float) -> None:
-        """`steps`: turns of each wheel; `lost`: turns that each may have made unseen."""
+        """Move the pose by `steps`, the turns of each wheel. `lost`: turns that each wheel may have made without being
+        seen."""
         dx, dy, dth = (sum(way * step for way, step in zip(row, steps, strict=True)) for row in self._ways)
         dth += dx * self._bend
         self._gone = (self._gone[0] + dx, self._gone[1] + dy, self._gone[2] + dth)
@@ -176,7 +183,7 @@ class Odometry:
         self._grow(ahead, aside, dx, dy, variances)
 
     def _grow(self, ahead: float, aside: float, dx: float, dy: float, variances: Sequence[float]) -> None:
-        """Grow the covariance by a move in the robot's frame with these variances of the wheels' turns."""
+        """Grow the covariance after a move. The way is in the robot's frame; `variances`: of the wheels' turns."""
         xs, ys, ths = self._errors
         # A heading that is wrong by 1 rad turns the whole distance to the side.
         out_x, out_y = -(dx * aside + dy * ahead), dx * ahead - dy * aside

@@ -1,5 +1,5 @@
-"""The gamepad: buttons that stop, the modes, the sticks, the hold that asks for a reset, and the buzzer's sounds.
-Pure.
+"""The gamepad: its buttons stop the robot, its sticks drive in the drive mode, and MODE changes the mode and, held for
+long, requests a reset. Also the buzzer's sounds. Pure.
 
 locked --MODE--> drive --MODE--> locked ...     with a lockout between two changes
 any --any latch, any other button--> locked     and locked it stays while latched
@@ -17,24 +17,25 @@ from failstop.policy.settings import Settings
 LOCKED, DRIVING, JOINT = range(3)
 """Indices of records.PAD_MODES. JOINT needs an arm: the left stick chooses a joint, the right stick turns it."""
 CHOOSES = 0.7
-"""How far the stick must be pushed to choose, from 0 to 1. Once it is back within half of that, it may choose again."""
+"""How far the stick must be pushed to choose a joint, from 0 to 1. It may choose again once it is back within half of
+that."""
 
 FULL_AXIS = 127
 SILENCE_NS = 500_000_000
-"""About 20 frames a second come. After this long without one, no button counts as held."""
+"""About 20 frames come per second. If none has come for this long, no button counts as held."""
 HOLD_ENDS = 3
-"""Frames without MODE that end a hold, because single frames can miss it."""
+"""After this many frames without MODE a hold has ended. Fewer may be missed frames."""
 RAW_FRAMES = 6
 """How many raw frames are kept for the log, to show what the pad sent just before a stop."""
 STANDSTILL = (0.0, 0.0, 0.0)
 
 PRESSES = frozenset((0x01, 0x02, 0x04, 0x20, 0x40, 0x80))
-"""Events of the board's keys that mean that a finger is or was on the key; releases (0x08, 0x10) do not count."""
+"""Events of the board's keys that mean that a finger is or was on the key. Releases (0x08, 0x10) don't count."""
 
 Sound = tuple[int, int, int, int]
-"""A sound: Hz, ms on, ms off, number of beeps."""
+"""A sound: frequency in Hz, length of a beep in ms, pause in ms, number of beeps."""
 OFF_MS = 100
-"""Pause between two beeps and after the last. An off time of 0 left a buzzer sounding forever."""
+"""The pause between two beeps, and after the last, ms. With a pause of 0 a buzzer sounded forever."""
 LATCH_SOUND: Sound = (1000, 400, OFF_MS, 2)
 """Two long low beeps."""
 MODE_SOUNDS = ((1500, 100, OFF_MS, 1), (2500, 100, OFF_MS, 2), (2500, 100, OFF_MS, 3))
@@ -44,20 +45,21 @@ TUCK_SOUND = (2000, 50, OFF_MS, 4)
 
 
 class PadNews(Data):
-    """The effect of one frame."""
+    """What follows from one frame of the gamepad."""
 
     cause: Cause | None
     command: Velocity | None
-    """The velocity to command: m/s, m/s, rad/s."""
+    """The velocity to command (m/s, m/s, rad/s), or None."""
     reset: bool
     arm: tuple[int, float] | None
-    """A joint to turn, and the share of its speed."""
+    """The joint to turn, and at what share of its speed, or None."""
     frozen: bool
-    """This frame has locked the pad: a stick is pushed, and all frames of the last pad.frozen_s are the same."""
+    """True if this frame has locked the gamepad, because a stick is pushed and all frames of the last pad.frozen_s were
+    the same."""
 
 
 class Pad:
-    """The gamepad's state from frame to frame. If a pad falls silent in drive mode, the command timeout stops the
+    """The gamepad's state from frame to frame. If it falls silent in drive mode, the command's timeout stops the
     wheels."""
 
     def __init__(self, settings: Settings) -> None:
@@ -67,7 +69,7 @@ class Pad:
         self._reset_hold_ns = settings.ns("pad.reset_hold_s")
         self._frozen_ns = settings.ns("pad.frozen_s")
         self.frozen = f"no byte has changed for {settings['pad.frozen_s']:g} s"
-        """Why a frozen pad is locked, in words."""
+        """The text that says why a frozen gamepad is locked."""
         self._sample: tuple[int, ...] = ()
         self._sample_ns = 0
         """The newest frame that differs from the one before it, and when it came."""
@@ -76,7 +78,7 @@ class Pad:
         self._joints = len(settings.servos())
         self._raw: list[tuple[int, bytes]] = []
         self._buttons = 0
-        """The buttons of the last frame, so that a held button is one request."""
+        """The buttons of the last frame, so that a button that is held causes only one request."""
         self._last_ns: int | None = None
         self._changed_ns: int | None = None
         self._latched_ns: int | None = None
@@ -85,7 +87,7 @@ class Pad:
         self._hold_spent = False
         self._chose = False
         self.joint = 0
-        """The chosen joint, by its place in the settings."""
+        """The joint that is chosen, by its place in the settings."""
         self.mode = LOCKED
 
     def follow(self, latched: bool, now_ns: int) -> None:
@@ -96,7 +98,8 @@ class Pad:
             self.stopped(now_ns)
 
     def stopped(self, now_ns: int) -> None:
-        """Follow a stop, perhaps latched and reset unseen: everything the pad holds is from before it."""
+        """There was a stop, perhaps one that was latched and reset between two looks. Whatever is held now is from
+        before it, so it does not count."""
         self.mode = LOCKED
         self._latched_ns = now_ns
 
@@ -125,13 +128,13 @@ class Pad:
         return PadNews(cause, command, self._reset_is_due(buttons, t_ns), arm, locks)
 
     def _same_ns(self, sample: tuple[int, ...], t_ns: int) -> int:
-        """How long every frame has been the same."""
+        """For how long all frames have been the same, ns."""
         if sample != self._sample:
             self._sample, self._sample_ns = sample, t_ns
         return t_ns - self._sample_ns
 
     def _stops(self, buttons: int) -> Cause | None:
-        """The cause if a button stops. It does so on its first frame, because real taps last only one frame."""
+        """The cause if a button stops the robot. One frame is enough, because a short tap lasts only one."""
         pressed = buttons & ~self._buttons & ~self._mode_button
         self._buttons = buttons
         return causes.BUTTON(pressed) if pressed else None
@@ -155,7 +158,7 @@ class Pad:
         self._last_ns = t_ns
 
     def _update_hold(self, buttons: int, t_ns: int) -> None:
-        """Follow MODE: a hold begins, continues or ends. The mode changes when a hold begins."""
+        """Follow MODE: a hold begins, goes on or ends. The mode changes when a hold begins."""
         if buttons & self._mode_button:
             self._hold_frames_missing = 0
             if self._hold_ns is None:
@@ -176,9 +179,9 @@ class Pad:
             self.mode = (self.mode + 1) % (JOINT + 1 if self._joints else JOINT)
 
     def _reset_is_due(self, buttons: int, t_ns: int) -> bool:
-        """True when MODE has been held long enough, and a stop was latched all that time: a hold from before the latch
-        resets nothing, because the person could not know about the stop. Once per hold, and with no other button
-        pressed."""
+        """True if MODE was held long enough, and a stop was latched during all that time: a hold that began before the
+        latch resets nothing, because the person could not know about the stop. It is true once per hold, and only if no
+        other button is pressed."""
         if buttons != self._mode_button or self._hold_ns is None or self._latched_ns is None or self._hold_spent:
             return False
         self._hold_spent = t_ns - max(self._hold_ns, self._latched_ns) >= self._reset_hold_ns
@@ -189,22 +192,23 @@ class Pad:
         return self._axis(ly) * forward, self._axis(-lx) * left, self._axis(-rx) * turn
 
     def _axis(self, raw: int) -> float:
-        """From -1 to 1 (the axis reaches -128), and 0 within the dead zone."""
+        """The position of an axis from -1 to 1 (raw values go down to -128); 0 within the dead zone."""
         value = max(-1.0, min(1.0, raw / FULL_AXIS))
         return value if abs(value) >= self._dead_zone else 0.0
 
 
 class Tones:
-    """Remembers what it last saw, so that a tone sounds only on a change. If it is off, it never sounds."""
+    """The buzzer's tones. It remembers what it last saw, so that a tone sounds only on a change. If the setting is off,
+    none sounds."""
 
     def __init__(self, *, on: bool) -> None:
         self._on = on
         self._seen = (True, LOCKED, False)
-        """Latched, mode and tucks at the last call. A stop that is latched at the start was announced when it
-        happened."""
+        """The arguments of the last call. A stop that is already latched at the start makes no sound, because it was
+        announced when it happened."""
 
     def sound_for(self, latched: bool, mode: int, *, tucks: bool = False) -> Sound | None:
-        """The sound to make now, or None. A latch also locks the pad, and then only the latch's tone sounds."""
+        """The sound to make now, or None. A latch also locks the gamepad, but then only the latch's tone sounds."""
         (was_latched, was_mode, tucked), self._seen = self._seen, (latched, mode, tucks)
         if not self._on:
             return None

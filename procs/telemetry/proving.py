@@ -1,5 +1,5 @@
-"""Proving: for the supervisor, how far the board has handled what was written, by its answers and reports; for people,
-whether it reports zero speed although it is told to move."""
+"""Proving: publishes what the board's answers and reports prove: for the supervisor, up to when the board has handled
+everything that was written; for people, whether it reports zero speed although motion is commanded."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
     from failstop.procs.context import Context
 
 FORGOTTEN_NS = 500_000_000
-"""An older report of the obeyed command says nothing about now."""
+"""A report of the obeyed command that is older than this says nothing about now."""
 PAUSE_NS = 100_000_000
-"""After a pause in the reports that is longer than this, and than two reports take, they count from the start again: an
-adapter that stalls delivers old reports afterwards."""
+"""After a pause in the reports that is longer than this, and longer than two reports take, reports count from the
+beginning again, because an adapter that stalls delivers old reports afterwards."""
 
 
 class Proving:
-    """Writes the records `answered` and `proved`, and the word `unheeded_ns`. It continues with the answers that an
-    earlier run of this process already knew."""
+    """Writes the records `answered` and `proved`, and the word `unheeded_ns`. It goes on from the answers that an
+    earlier process knew."""
 
     def __init__(self, context: Context) -> None:
         own = context.own
@@ -40,11 +40,11 @@ class Proving:
 
     @property
     def faded_ns(self) -> int:
-        """When the last command was received that the board's own watchdog has ended since; 0 if there is none."""
+        """When the last command arrived that the board's own watchdog has ended since then; 0 if there is none."""
         return self._handled.faded_ns
 
     def answered(self, indices: Value, came_ns: int) -> None:
-        """An answer came, which belongs to one of these pings."""
+        """An answer came. It belongs to one of these pings."""
         before_ns = self._handled.asked_ns
         self._record(HEARD_PONG, indices, came_ns)
         if self._handled.asked_ns != before_ns:
@@ -52,7 +52,7 @@ class Proving:
             self._bell.ring()
 
     def obeyed(self, speeds: Value, came_ns: int, *, moves: bool) -> None:
-        """The board has reported the command that it obeys; `moves`: motion is commanded."""
+        """The board has reported the command that it obeys. `moves`: motion is commanded."""
         self._record(HEARD_OBEYED, speeds, came_ns)
         paused, self._obeyed_ns = came_ns - self._obeyed_ns > self._pause_ns, came_ns
         told_ns = self._told_word.get()
@@ -64,7 +64,7 @@ class Proving:
         self._publish_unheeded((since_ns or came_ns) if moves and written and zeros else 0)
 
     def forget(self, now_ns: int) -> None:
-        """Call once in a while: forget a report that is old."""
+        """Forget a report that has become old. Call it now and then."""
         if self._unheeded_ns and now_ns - self._obeyed_ns >= FORGOTTEN_NS:
             self._publish_unheeded(0)
 

@@ -1,7 +1,7 @@
-"""Read-back: whether the wheels are stopped, by the board's own reports. Pure.
+"""Read-back: judges by the board's own reports whether the wheels are stopped. Pure.
 
-The wheels are stopped when two reports in a row say so: their speeds are zero, or their odometers have not changed. It
-serves boards without an IMU, and is better than an IMU.
+The wheels are stopped when two reports in a row say so, because the speeds are zero or the odometers have not changed.
+This works without an IMU, and is better than an IMU.
 """
 
 from __future__ import annotations
@@ -10,21 +10,22 @@ from collections.abc import Sequence
 from math import isfinite
 
 AT_REST = 1e-6
-"""A lower speed counts as zero, in any unit."""
+"""A speed below this counts as zero, in any unit."""
 READS_APART_NS = 40_000_000
-"""Two odometer readings closer together than this say little about a slow wheel."""
+"""If two readings of an odometer are closer together than this, they say little about a slow wheel."""
 
 
 class ReadBack:
-    """`still_ns`: since when the wheels are still (0: they turn); `judged_ns`: the last report (0: none yet)."""
+    """The verdict by the board's reports. `still_ns`: since when the wheels are still (0: they turn); `judged_ns`: the
+    last report (0: none yet)."""
 
     def __init__(self) -> None:
         self.still_ns = self.judged_ns = 0
         self._before: tuple[int, tuple[float, ...]] | None = None
 
     def add(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
-        """Add a report; True when it was judged, or the verdict before it no longer counts. A NaN is unknown, because
-        as a number it would pass for neither turning nor at rest."""
+        """Add a report. True if it was judged, or if the verdict before it no longer counts. A NaN counts as unknown,
+        because as a number it would be neither motion nor rest."""
         if not all(map(isfinite, (*speeds, *positions))):
             known, self._before = self.judged_ns > 0, None
             self.still_ns = self.judged_ns = 0

@@ -1,4 +1,4 @@
-"""Restart: whether the board has restarted, by what it says. Pure.
+"""Restart: finds out from the board's bytes whether it has restarted. Pure.
 
 A board that restarts has forgotten its speed and its settings, and the next frame of motion would drive it again. Most
 restarts are short: a dip of the supply starts the program at once. So four signs are looked at:
@@ -16,17 +16,17 @@ from collections.abc import Sequence
 
 MS = 1_000_000
 KEPT_NS = 40 * MS
-"""How long to wait for the reports that an adapter has held back."""
+"""How long to wait for reports that an adapter has held back."""
 LEARN_NS = 400 * MS
-"""How long to learn how often the board reports."""
+"""How long it takes to learn how often the board reports."""
 MISSING = 0.6
-"""The share of the reports in a pause that must be missing for good."""
+"""The share of a pause's reports that must be missing for good."""
 FASTER = 1.5
-"""A wheel may turn this much faster than it was seen to turn."""
+"""By this factor a wheel may turn faster than it was ever seen to turn."""
 FADES = 0.98
-"""The fastest turning seen counts a little less with each report."""
+"""By this factor the fastest turning that was seen counts less with each report."""
 LEAST_FALL = 10.0
-"""In the counters' own unit; a smaller fall is an ordinary move backward."""
+"""A fall of a counter by less than this, in its own unit, is an ordinary move backward."""
 CLOSE = 2.0
 
 COUNTERS = "its counters fell to zero"
@@ -34,8 +34,8 @@ OBEYS_ZERO = "it obeys zero and was told to drive"
 
 
 class RestartWatch:
-    """Looks for the signs of a restart. Each method returns the sign that it found, in words, or an empty text. After a
-    sign it forgets everything, so that one restart is found once."""
+    """Looks for signs of a restart. Each method returns the sign that it found, in words, or an empty text. After a
+    sign it forgets everything, so that one restart is found only once."""
 
     def __init__(self, silent_ns: int) -> None:
         """`silent_ns`: a pause in the reports that only a restart explains; 0: the board reports nothing."""
@@ -43,24 +43,24 @@ class RestartWatch:
         self.forget()
 
     def forget(self) -> None:
-        """Begin again, as with another port."""
+        """Begin again, as after another port was opened."""
         self._last_ns = self._other_ns = 0
-        """When the last of its regular reports and the last other sample came."""
+        """When the last regular report came, and when the last other sample came."""
         self._learned = (0, 0)
-        """Since when reports are counted, and how many came."""
+        """Since when reports are counted, and how many have come."""
         self._period_ns = 0.0
         """The time between two reports; 0: not known yet."""
         self._pause: tuple[int, int] | None = None
-        """A pause that is over: when it began and ended."""
+        """The last pause that is over: when it began and when it ended."""
         self._came = 0
         self._continues = False
-        """The counters continued from their last values."""
+        """True if the counters went on from their last values after the pause."""
         self._at: tuple[int, Sequence[float]] | None = None
         self._rate = 0.0
         self._drove = 0
 
     def heard(self, reports: int, others: int, now_ns: int) -> str:
-        """Count how many regular reports and how many other samples were read now."""
+        """Record how many regular reports and how many other samples were read now."""
         if not self._silent_ns:
             return ""
         if self._pause:
@@ -93,7 +93,7 @@ class RestartWatch:
             self._learned = (now_ns, 0)
 
     def _judged(self, begun_ns: int, ended_ns: int, now_ns: int) -> str:
-        """Judge whether the reports of a pause stayed away."""
+        """Judge whether the reports of a pause are missing for good."""
         missing = (now_ns - begun_ns) / self._period_ns - self._came
         paused = (ended_ns - begun_ns) / self._period_ns
         self._pause, self._learned = None, (now_ns, 0)
@@ -102,7 +102,7 @@ class RestartWatch:
         return self._found(f"no report came for {(ended_ns - begun_ns) // MS} ms")
 
     def counted(self, positions: Sequence[float], t_ns: int) -> str:
-        """Look at a report of its counters."""
+        """Look at a report of the board's counters."""
         if not positions:
             return ""
         before, self._at = self._at, (t_ns, positions)
@@ -118,14 +118,14 @@ class RestartWatch:
         return ""
 
     def obeyed(self, *, zeros: bool, told_ns: int) -> str:
-        """Look at a report of the command that it obeys. `told_ns`: since when motion is commanded; 0 if the last write
-        was zero or a stop."""
+        """Look at a report of the command that the board obeys. `told_ns`: since when motion is commanded; 0 if the
+        last write was zero or a stop."""
         drove, self._drove = self._drove, 0 if zeros else told_ns
         return self._found(OBEYS_ZERO) if zeros and told_ns and drove == told_ns else ""
 
     def started(self, text: str) -> str:
-        """Look at a sign that the board itself gives, such as a text that it prints when it starts. It counts only
-        after the first report, because opening a port restarts some boards."""
+        """Look at a sign of a start from the board itself, such as a text that it prints then. It counts only after the
+        first report, because opening the port restarts some boards."""
         return self._found(text) if self._last_ns or self._at else ""
 
     def _found(self, sign: str) -> str:

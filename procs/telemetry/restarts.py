@@ -34,11 +34,11 @@ class Restarts:
         self._act(self._watch.heard(reports, len(kinds) - reports, now_ns))
 
     def counted(self, positions: tuple[float, ...], t_ns: int) -> None:
-        """Look at a report of its counters."""
+        """Look at a report of the board's counters."""
         self._act(self._watch.counted(positions, t_ns))
 
     def obeyed(self, *, zeros: bool) -> None:
-        """Look at a report of the command that it obeys."""
+        """Look at a report of the command that the board obeys."""
         self._act(self._watch.obeyed(zeros=zeros, told_ns=self._told_word.get()))
 
     def started(self, said: interface.Value, _t_ns: int) -> None:

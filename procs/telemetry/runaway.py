@@ -28,8 +28,8 @@ LAG_NS = 300_000_000
 """For this long after a command the wheels may still do what they were commanded before. It covers the way to the
 board, its controller, and a late report."""
 BEYOND_NS = 200_000_000
-"""A wheel must be beyond its commanded speeds for at least this long, and in at least this many reports, before it
-counts."""
+"""A wheel counts only after it has been faster than commanded, or turning the other way, for at least this long and in
+LEAST_REPORTS reports."""
 LEAST_REPORTS = 3
 UNFOLLOWED_NS = 150_000_000
 """If nobody has looked at the commands for longer than this, they are not known, so nobody knows what the wheels should
@@ -44,7 +44,7 @@ STANDS_NS = 3_000_000_000
 """A wheel that does not turn for this long, although motion is commanded, is stalled or unplugged."""
 STANDS_SHARE = 0.1
 STANDS_MPS = 0.02
-"""A lower commanded speed may be too low to move the wheel."""
+"""If the commanded speed is lower than this, it may be too low to move the wheel."""
 SELDOM_NS = 1_000_000_000
 """A board that reports less often than this, or does not say how often, is not judged here."""
 
@@ -61,7 +61,7 @@ class Margins(Data):
 HOLDS_SPEED = Margins(0.3, 0.05)
 """For a board that measures the wheel speeds and controls them."""
 SETS_VOLTAGE = Margins(0.75, 0.1)
-"""For a board that sets a voltage: its wheels turn faster downhill and with a full battery, and roll back on a
+"""For a board that sets a voltage. Its wheels turn faster downhill and with a full battery, and roll back on a
 slope."""
 
 
@@ -72,7 +72,7 @@ class Limits(Data):
     """The longest time between two reports."""
     share: float
     rps: float
-    """A lower speed counts as zero, in turns per second; it includes the step of a command."""
+    """A speed below this counts as zero, turns per second; it includes the rounding of a command."""
     counts: float
     """Counts per turn; 0: the board reports speeds."""
     braking_rps2: float
@@ -113,7 +113,7 @@ class Finding(Data):
 
 
 class _Wheel:
-    """One wheel: since when it is beyond its commanded speeds, and since when it stands still."""
+    """One wheel: since when it turns faster than commanded or the other way, and since when it stands still."""
 
     __slots__ = (
         "before_rps",
@@ -142,8 +142,8 @@ class _Wheel:
         self.beyond_ns, self.before_rps = 0, 0.0
 
     def begin(self, side: int, since_ns: int, rolls_ns: int, every_ns: int) -> None:
-        """Begin: from this moment the wheel is beyond its commanded speeds, which it may be for this long; a report
-        comes each `every_ns`."""
+        """From `since_ns` on the wheel is beyond its commanded speeds. `rolls_ns`: how long it may be; `every_ns`: the
+        time between two reports."""
         self.side, self.beyond_ns, self.rolls_ns, self.reports = side, since_ns, rolls_ns, 0
         self.second_ns = since_ns + max(rolls_ns // 2, every_ns + every_ns // 4)
         self.halves = [0.0, 0.0, 0.0, 0.0]
@@ -156,8 +156,8 @@ class _Wheel:
         self.halves[half + 1] += weight
 
     def slows(self, count: float, late_ns: int) -> bool:
-        """True if the wheel slows down by more than one count of the encoder (in turns times ns) and a late report can
-        explain; also while too little is known about either half."""
+        """True if the wheel slows down by more than one count of the encoder (`count`, in turns times ns) and a late
+        report can explain. Also true while too little is known about one of the halves."""
         way, weight, later_way, later_weight = self.halves
         if not weight or not later_weight:
             return True
@@ -183,8 +183,8 @@ class RunawayJudge:
         """True if motion is commanded, or was commanded and the wheels have not been seen at rest since."""
 
     def follow(self, told_rps: Told, since_ns: int, now_ns: int, *, enabled: bool) -> None:
-        """Follow the commanded speeds, in turns per second by wire id, which count from this time on. While motion is
-        not `enabled`, nothing is judged."""
+        """Follow the speeds that are commanded from `since_ns` on, in turns per second by wire id. While motion is not
+        `enabled`, nothing is judged."""
         if not enabled or now_ns - self._followed_ns > UNFOLLOWED_NS:
             self._forget(now_ns)
         self._followed_ns = now_ns
@@ -215,8 +215,8 @@ class RunawayJudge:
         return max((abs(told[index]) for _, told in self._told if index < len(told)), default=0.0)
 
     def add(self, speeds_rps: Told, turns: Told, t_ns: int) -> Finding | None:
-        """Add a report: speeds in turns per second, or how far each wheel has turned, by wire id. Returns the first
-        wheel that does not turn as commanded, once."""
+        """Add a report, by wire id: speeds in turns per second, or how far each wheel has turned. Returns the first
+        wheel that does not turn as commanded; each is returned only once."""
         limits = self._limits
         begun_ns, blur_rps = t_ns - limits.every_ns, limits.rps
         if limits.counts:
@@ -275,8 +275,8 @@ class RunawayJudge:
         return self._stands(index, wheel, seen, bounds, span)
 
     def _gap_ns(self) -> int:
-        """If two reports of speeds are further apart than this, the wheel may have done anything in between. A position
-        shows what it did."""
+        """If two reports are further apart than this, the wheel may have done anything in between. Reports of positions
+        may be further apart, because a position shows what it did."""
         return BEYOND_NS + 2 * self._limits.every_ns if self._limits.counts else BEYOND_NS
 
     def _stands(

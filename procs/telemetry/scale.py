@@ -1,8 +1,8 @@
-"""Scale: how fast the wheels turn, and the robot turns, beside what they are told. Pure.
+"""Scale: compares how fast the wheels and the robot turn with what was commanded. Pure.
 
-It compares only where the measurement is independent of the command: reports in a unit of their own, and the gyro. A
-wheel lags behind its command, so what is compared begins a moment after the command has changed; and the less of it
-there is, the further off it must be before anybody is told.
+It uses only measurements that don't depend on the scale of the commands: reports in another unit, and the gyro. A wheel
+lags behind its command, so the comparison begins a moment after the command has changed. The less was compared, the
+larger a difference must be before anybody is told.
 """
 
 from __future__ import annotations
@@ -19,29 +19,28 @@ if TYPE_CHECKING:
     from failstop.policy.settings import Settings
 
 FALLEN_S = 0.6
-"""For this long after a command has become slower nothing is compared, because a wheel may still turn as fast as
+"""For this long after the command has become slower nothing is compared, because a wheel may still turn as fast as
 before."""
 BEGINS_S = 0.2
-"""The same after a command has begun."""
+"""For this long after a command has begun nothing is compared."""
 REACHED_S = 0.3
-"""A command that has stayed the same for this long has been reached, so only after it a wheel may be called too
-slow."""
+"""A command that has stayed the same for this long counts as reached. Only then can a wheel be called too slow."""
 RISEN_LEAST_S, REACHED_LEAST_S = 0.1, 0.15
-"""For how many seconds speeds must be compared: while the command rises, and after it has been reached."""
+"""For how many seconds speeds must have been compared: while the command rises, and after it was reached."""
 RISEN_LAG_S, REACHED_LAG_S = 0.3, 0.03
-"""Added to the allowed factor, divided by the compared seconds: the shorter the comparison, the larger a difference
-must be."""
+"""These, divided by the compared seconds, are added to the allowed factor. So the shorter the comparison, the larger a
+difference must be."""
 FORGET_S = 10.0
-"""When this much time has been compared, half of it is forgotten, so that the result follows the robot."""
+"""When this many seconds have been compared, half of them are forgotten, so that the result follows the robot."""
 LEAST_RPS, LEAST_RADPS = 0.1, 0.1
-"""A slower command is not compared, because it is rounded, and a motor may not begin to turn."""
+"""Commands below this are not compared, because they are rounded, and a motor may not begin to turn."""
 UNTURNED = 0.05
 """If wheels turn at less than this share of their commanded speed, they count as standing still: unplugged, or held."""
 SAME = 1e-6
 
 
 class Sum:
-    """The sums of commanded and of measured motion over a time."""
+    """The sums of commanded and measured motion over some time."""
 
     __slots__ = ("_measured", "_told", "seconds")
 
@@ -62,7 +61,7 @@ class Sum:
 
 
 class Ratio:
-    """Measured divided by commanded, for one wheel or for the robot's turn."""
+    """Measured motion divided by commanded motion, for one wheel or for the robot's turn."""
 
     __slots__ = ("_before", "_least", "_same_s", "_wait_s", "reached", "risen")
 
@@ -72,11 +71,11 @@ class Ratio:
         self._before = self._same_s = 0.0
         self._wait_s = BEGINS_S
         self.risen, self.reached = Sum(), Sum()
-        """While the command rose or stayed the same; and once it had been reached."""
+        """The sums while the command rose or stayed the same, and the sums after it was reached."""
 
     @property
     def known(self) -> Sum:
-        """The better one of the two sums."""
+        """The sum that tells more."""
         return self.reached if self.reached.seconds >= REACHED_LEAST_S else self.risen
 
     def add(self, told: float, measured: float, elapsed_s: float) -> None:
@@ -106,7 +105,7 @@ class Ratio:
 
 
 class ScaleJudge:
-    """Call update() once for each look at the wheels."""
+    """Judges whether the speeds fit. Call update() at each look at the wheels."""
 
     def __init__(self, settings: Settings, board: Board) -> None:
         self._chassis = kinematics.from_settings(settings)
@@ -118,18 +117,18 @@ class ScaleJudge:
         self.wrong: tuple[str, ...] = ()
         """What differs, in words, with the setting to check."""
         self.remarks: tuple[str, ...] = ()
-        """The same for smaller differences, which a healthy robot may explain."""
+        """Smaller differences, in words, which a healthy robot may explain."""
 
     @property
     def wheels(self) -> float:
-        """The wheels' measured speed divided by the commanded one; NaN if not known."""
+        """The wheels' measured speed divided by the commanded speed; NaN if not known."""
         turning = [wheel.known for wheel in self._wheels if wheel.known.ratio > UNTURNED]
         compared = sum(wheel.seconds for wheel in turning)
         return sum(wheel.ratio * wheel.seconds for wheel in turning) / compared if compared else nan
 
     @property
     def turn(self) -> float:
-        """The same for the robot's turn; NaN if not known."""
+        """The robot's measured turn rate divided by the commanded one; NaN if not known."""
         return self._turn.known.ratio
 
     def update(
@@ -159,7 +158,7 @@ class ScaleJudge:
         return (bool(self.wrong), bool(self.remarks)) != before
 
     def _of_wheels(self) -> tuple[str, str]:
-        """What is wrong, or otherwise a remark."""
+        """The texts about the wheels: what is wrong, or a remark."""
         holds = self._reports.holds_speed
         turning = [wheel for wheel in self._wheels if wheel.known.ratio > UNTURNED]
         if not turning or not _all_differ(turning, scale.FITS):

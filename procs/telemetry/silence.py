@@ -1,7 +1,7 @@
-"""Silence: when the board last said anything, and how long it may pause before it counts as silent. Pure.
+"""Silence: remembers when the board last sent anything, and how long it may pause before it counts as silent. Pure.
 
-Only reports that come without a question count as a sign of life that must not end. If a board speaks only when asked,
-its silence shows as unanswered questions, which the supervisor judges (supervisor/proof.py).
+Only a board that reports without being asked can be judged by its pauses. The silence of a board that sends only
+answers shows as unanswered questions, which the supervisor judges (supervisor/proof.py).
 """
 
 from __future__ import annotations
@@ -15,18 +15,20 @@ if TYPE_CHECKING:
     from failstop.board.interface import Board
 
 REGULAR = frozenset((HEARD_IMU, HEARD_BATTERY, HEARD_WHEELS, HEARD_OBEYED))
-"""Kinds of reports that come again and again. A key or a gamepad says something only when somebody touches it."""
+"""Kinds of reports that come regularly. A key or a gamepad reports only when somebody touches it."""
 LEAST_PAUSE_NS = 700_000_000
-"""No shorter pause counts as silence: an adapter stalls for up to 0.3 s, and a restart takes about as long."""
+"""No pause that is shorter than this counts as silence, because an adapter may stall for up to 0.3 s, and a restart
+takes about as long."""
 DESCRIBED_PAUSES = 4
-"""A pause is silence if it is this many times the longest pause of a healthy board, by the board's description."""
+"""A pause is silence if it is this many times as long as the longest pause of a healthy board, which the board's
+description gives."""
 SEEN_FOR_NS = 1_000_000_000
 SEEN_PAUSES = 20
-"""If the description says nothing, pauses are measured over this long and this many. A board that was seen too little
-is never silent."""
+"""If the description gives none, pauses are measured: for this long, and this many of them. Until then the board never
+counts as silent."""
 MEAN_PAUSES, LONGEST_PAUSES = 12, 2
-"""Then a pause is silence if it is this many times the mean pause, and this many times the longest. A machine that was
-held up measures a long one, so each new measurement may shorten the time."""
+"""Then a pause is silence if it is this many times the mean pause, and this many times the longest one. While the
+machine is held up, pauses look longer than they are, so each later measurement may shorten the time."""
 NOISE_NS = 2_000_000_000
 """Unreadable bytes count as a sign of life for this long, because a few garbled reports in a row are no silence."""
 
@@ -35,11 +37,11 @@ class Silence:
     """One board at one port. Times are CLOCK_MONOTONIC in ns."""
 
     def __init__(self, board: Board, patience_ns: int = 0) -> None:
-        """`patience_ns`: as learned by the process before this one."""
+        """`patience_ns`: how long the board may pause, as the process before this one has learned it."""
         self.said_ns = 0
-        """When the board last said anything; 0: never."""
+        """When the board last sent anything; 0: never."""
         self.patience_ns = patience_ns
-        """How long it may pause; 0: not known, or it speaks only when asked."""
+        """How long the board may pause; 0: not known, or it sends only answers."""
         self._understood_ns = self._regular_ns = 0
         self._asked = bool(board.pings) and board.ping_ns > 0
         every_ns = board.reports.every_ns
@@ -49,7 +51,7 @@ class Silence:
             self.patience_ns = 0 if self._asked or not every_ns else max(LEAST_PAUSE_NS, DESCRIBED_PAUSES * every_ns)
 
     def heard(self, kinds: Collection[int], came_ns: int) -> None:
-        """Bytes have come, with reports of these kinds; none if the bytes were unreadable."""
+        """Bytes have come, with reports of these kinds, or with none if the bytes were unreadable."""
         if kinds:
             self._understood_ns = came_ns
         if not self._understood_ns or came_ns - self._understood_ns >= NOISE_NS:
@@ -73,6 +75,6 @@ class Silence:
             self._begun_ns = came_ns
 
     def forget(self) -> None:
-        """The port is gone; what comes next may be from another device."""
+        """The port is gone, so the next bytes may be from another device."""
         self.said_ns = self._understood_ns = self._regular_ns = 0
         self._longest_ns = self._pauses = 0

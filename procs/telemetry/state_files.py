@@ -1,7 +1,7 @@
-"""Files under the state directory, written whole or not at all, by a thread, because a slow disk must not hold up the
-loop.
+"""Files in the state directory. They are written whole or not at all, by a thread, because a slow disk must not hold up
+the loop.
 
-A file that can't be written costs one line in the journal, and nothing else.
+If a file can't be written, that costs one line in the journal and nothing else.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from failstop.files import durable
 Job = tuple[str, Callable[[], None]]
 
 THREAD_STACK_BYTES = 256 * 1024
-"""Stack size of the thread. All memory is locked as it is touched, but counts against the limit even before."""
+"""The stack size of the thread. Memory is locked only when it is touched, but all of it counts against the limit before
+that."""
 MOST_READ = 4096
-"""Bytes of a file that is read: each holds a line."""
+"""The most bytes of a file that are read. Each of these files holds one line."""
 MOST_JOBS = 100
-"""Jobs that may wait for the disk; at a line every 10 s that is a quarter of an hour."""
+"""How many jobs may wait for the disk. With a line every 10 s, that is a quarter of an hour."""
 
 
 def append_line(path: str, header: str, line: str) -> None:
@@ -49,7 +50,7 @@ def write_whole(path: str, text: str) -> None:
 
 
 class StateFiles:
-    """Jobs for the thread, and its results. Everything but _work runs in the loop's thread."""
+    """Jobs for the thread, and their results. Everything except for _work runs in the loop's thread."""
 
     def __init__(self, folder: str) -> None:
         self.folder = folder
@@ -60,7 +61,8 @@ class StateFiles:
         self._running = False
 
     def read(self, what: str, name: str) -> str:
-        """A file's text; empty if there is none. Only at the start, because it does not go through the thread."""
+        """The text of a file; empty if it does not exist. Call it only at the start, because it does not use the
+        thread."""
         try:
             fd = durable.open_own(os.path.join(self.folder, name))
             try:
@@ -74,14 +76,14 @@ class StateFiles:
             return ""
 
     def append(self, what: str, name: str, header: str, line: str) -> None:
-        """Append a line to a file soon; `what` names it in the journal."""
+        """Append a line to a file soon. `what`: the file's name in the journal."""
         self._put(what, lambda: append_line(os.path.join(self.folder, name), header, line))
 
     def replace(self, what: str, name: str, text: str) -> None:
         self._put(what, lambda: write_whole(os.path.join(self.folder, name), text))
 
     def notes(self) -> list[tuple[str, str]]:
-        """Lines for the journal since the last call, each with the step to take; empty: none."""
+        """Lines for the journal since the last call, each with the step to take."""
         return [self._notes.get() for _ in range(self._notes.qsize())]
 
     def _put(self, what: str, write: Callable[[], None]) -> None:

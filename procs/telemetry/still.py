@@ -1,4 +1,4 @@
-"""Whether the wheels are still, by the gyro. Pure.
+"""Still: judges by the gyro whether the wheels are still. Pure.
 
 Turning wheels shake the robot, which shows in the standard deviation of gyro x and gyro y over a window. The limit
 between still and turning is close to both, so a window is quiet by chance now and then. The verdict is therefore
@@ -12,15 +12,17 @@ from failstop.policy.proofs import LEAST_SAMPLES, WINDOW_NS
 
 HOLD_NS = 250_000_000
 GAP_NS = 100_000_000
-"""Longest gap between two samples of one window; the first sample after a longer silence starts a new one."""
+"""The longest gap between two samples of one window. The first sample after a longer gap starts a new window."""
 UNITS_PER_RADPS = 10_000_000
-"""The sums are of integers, so they stay exact: no sum drifts, and a wild sample leaves nothing behind."""
+"""The sums are of integers, so they are exact: they don't drift, and one wild sample has no lasting effect."""
 
 
 class StillJudge:
-    """Decides since when the wheels are still. The gyro's bias does not matter, because it is no deviation.
+    """Decides since when the wheels are still. The gyro's bias does not matter, because a deviation does not contain
+    it.
 
-    Shaking below the limit counts as still: on the robot, a straight drive below about 0.08 m/s.
+    Shaking below the limit counts as still. On the robot that is the case when it drives straight at less than about
+    0.08 m/s.
     """
 
     def __init__(self, std_radps: float) -> None:
@@ -32,14 +34,14 @@ class StillJudge:
         self._begun_ns = 0
         self._last_ns = 0
         self._quiet_ns = (0, 0)
-        """The first and last sample of the first window in the present run of quiet windows; zeros if the present one
-        is not quiet."""
+        """The first and the last sample of the first window since all windows have been quiet; zeros if the present
+        window is not quiet."""
         self.still_ns = 0
-        """Since when the wheels are still: all samples from then on are in quiet windows. 0: they turn, or nobody
-        knows. It may be before the stop, because a window is quiet as soon as its rest outweighs the end of a
-        movement."""
+        """Since when the wheels are still, because all samples from then on are in quiet windows; 0: they turn, or
+        nobody knows. It may be before the stop, because a window is quiet as soon as most of it is rest."""
         self.judged_ns = 0
-        """The last sample with a verdict; 0: no verdict, as while the first quiet windows must hold."""
+        """The time of the last sample with a verdict; 0: there is none yet, for example while the first quiet windows
+        must hold."""
 
     def add(self, gx_radps: float, gy_radps: float, t_ns: int) -> None:
         """Add one finite sample, with or without its bias. About 2 us."""

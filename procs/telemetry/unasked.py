@@ -1,4 +1,4 @@
-"""Unasked: how telemetry reacts to wheels that turn although they were told zero. Pure.
+"""Unasked: telemetry's reaction to wheels that turn although they were told zero. Pure.
 
     enabled            nothing: the gate reads the same fact, and disables motion with a burst
     disabled for that  write the stop again; if the wheels turn for as long once more, latch a stop (UNSTILL)
@@ -18,16 +18,17 @@ from failstop.policy.causes import Cause
 from failstop.procs.telemetry.wheels import ARE_STILL, SEEN_BY_REPORTS, THEY_TURN, WheelFact
 
 NOTE_AGAIN_NS = {True: 10_000_000_000, False: 60_000_000_000}
-"""How long people are not told again about wheels that still turn; False: if only an IMU notices them."""
+"""How long people are not told again about wheels that still turn. The key is True if the board's reports show it, and
+False if only an IMU notices it."""
 
 
 class Reaction(Data):
-    """What to do now."""
+    """What telemetry must do now."""
 
     cause: Cause | None
-    """The cause to stop and latch for."""
+    """The cause of a stop that must be latched, or None."""
     again: bool
-    """True to write the stop again, without a cause."""
+    """True if the stop must be written again, without a cause."""
     note: Note | None
 
 
@@ -35,22 +36,22 @@ NO_REACTION = Reaction(None, False, None)
 
 
 class Unasked:
-    """Call update() for each change of the wheels or the gate."""
+    """Decides the reaction. Call update() at each change of the wheels or the gate."""
 
     def __init__(self, after_ns: int) -> None:
         """`after_ns`: how long wheels may turn after they were told zero."""
         self._after_ns = after_ns
         self._was_enabled = self._was_unexpected = False
         self._disabled_ns = 0
-        """When motion was disabled because the wheels turned, if it is known; else 0."""
+        """When motion was disabled because the wheels turned; 0 if that is not so, or not known."""
         self._epoch = 0
         self._rested = False
-        """The wheels were seen still since the epoch of the latched stop."""
+        """True if the wheels were seen still in the epoch of the latched stop."""
         self._again_ns = self._noted_ns = 0
         self._noted_turning = False
 
     def update(self, fact: WheelFact, now_ns: int, *, enabled: bool, latched: bool, epoch: int) -> Reaction:
-        """Follow the wheels; `epoch`: the gate's, which every stop raises."""
+        """Follow the wheels. `epoch`: the gate's epoch, which every stop raises."""
         reported = fact.by == SEEN_BY_REPORTS
         if epoch != self._epoch:
             self._epoch, self._rested = epoch, False

@@ -1,4 +1,4 @@
-"""Wheels: what is known about them now, from the board's reports or else from the IMU. Pure.
+"""Wheels: what is known about the wheels now, from the board's reports, or from the IMU if there are none. Pure.
 
 Every screen shows this one fact: the wheels turn, they are still, or nobody knows. The board's own reports count first,
 because an IMU only feels that the robot moves, or is being moved.
@@ -23,29 +23,30 @@ SEEN_BY_NOTHING, SEEN_BY_IMU, SEEN_BY_REPORTS = range(len(WHEELS_BY))
 _NOT_REPORTED = (nan,) * MOST_WHEELS
 
 LEAST_COUNTS = 2.5
-"""A smaller change is the jitter of an encoder at rest."""
+"""A change of fewer counts is the jitter of an encoder at rest."""
 FASTEST_RPS = 50.0
-"""Turns per second that no wheel reaches: 12 m/s with a wheel of 8 cm. Reports above it are not believed."""
+"""No wheel turns this fast, in turns per second (12 m/s with a wheel of 8 cm), so faster reports are not believed."""
 LEAST_TURN = 0.02
-"""A smaller change is no jump of a counter: 5 mm with a wheel of 8 cm."""
+"""A change of less than this, in turns, does not count as a jump of a counter (5 mm with a wheel of 8 cm)."""
 LONGEST_SILENCE_NS = 500_000_000
-"""Nobody knows how a wheel turned during a longer silence of its board, unless the board counts."""
+"""After a longer silence of the board nobody knows how a wheel turned in it, unless the board counts turns."""
 SAME_READ_NS = 5_000_000
-"""Reports closer together than this came in one read, so their times say nothing about speed."""
+"""Reports that are closer together than this came in one read, so their times say nothing about speed."""
 _AT_ONCE_NS = 250_000_000
-"""A counter that starts at zero has counted for at most this long before it is read."""
+"""A counter that has started at zero has counted for at most this long before it is first read."""
 
 
 def of_every_wheel(values: Sequence[float]) -> tuple[float, ...]:
-    """As many values as a record has wheels; NaN for wheels that are not reported."""
+    """These values, filled up with NaN to the number of wheels that a record has."""
     return (*values, *_NOT_REPORTED)[:MOST_WHEELS]
 
 
 class Measured:
     """Speeds and turns of the wheels by wire id, as the board reports them.
 
-    What a wheel can't have done counts as not reported. A counter that jumps is believed when the next report goes on
-    from there, and the jump itself is no turn: the board has restarted, or somebody has reset its counters.
+    An impossible report counts as not reported. If a counter jumps and the next report goes on from the new value, the
+    new value is believed, but the jump does not count as turns: the board has restarted, or somebody has reset its
+    counters.
     """
 
     def __init__(self, reports: WheelReports, most_rps: float = 0.0) -> None:
@@ -54,25 +55,25 @@ class Measured:
         self._reports = reports
         self._fastest_rps = max(FASTEST_RPS, 4 * most_rps)
         self.counts = reports.position_per_turn > 0
-        """True if the board counts turns itself. Otherwise turns are added up from its speeds, and unreported ones are
-        lost."""
+        """True if the board counts turns itself. Otherwise turns are added up from its speeds, so that turns between
+        reports can be lost."""
         self.step = reports.position_step / reports.position_per_turn if self.counts else 0.0
         """Turns between two counts; 0: too small to matter."""
         self._jump = max(LEAST_TURN, 1.5 * self.step)
         self.t_ns = 0
-        """When the newest report that counts came; 0: never."""
+        """When the newest report came that counts; 0: none yet."""
         self.speeds_rps: tuple[float, ...] = ()
         """Turns per second; empty: not known."""
         self.turns: tuple[float, ...] = ()
         """Turns since the first report; empty: not reported."""
         self.missed = 0.0
-        """Turns that a wheel may have made unseen since the first report, all gaps together."""
+        """How many turns a wheel may have made unseen since the first report, in all gaps together."""
         self._positions: tuple[float, ...] = ()
         self._strange: tuple[int, tuple[float, ...]] = (0, ())
         """A report that may begin a new count: its time and its positions."""
         self._moved: tuple[float, ...] = ()
         self._moved_ns = 0
-        """Since when the turns that the speeds are computed from are counted."""
+        """Since when the turns are counted from which the speeds are computed."""
 
     def inherit(self, turns: Sequence[float], speeds_rps: Sequence[float], t_ns: int) -> None:
         """Continue from the newest report of an earlier run of this process."""
@@ -160,7 +161,7 @@ class Measured:
         return all(abs(step) <= most for step in steps)
 
     def _restarted(self, positions: tuple[float, ...], steps: tuple[float, ...], elapsed_ns: int) -> bool:
-        """True if all counters are close to zero, and the wheels were not on their way there."""
+        """True if all counters are close to zero although the wheels were not turning towards zero."""
         if len(self.speeds_rps) != len(positions):
             return False
         short_s, elapsed_s = min(elapsed_ns, _AT_ONCE_NS) * 1e-9, elapsed_ns * 1e-9
@@ -176,16 +177,16 @@ class Measured:
 
 
 class Way:
-    """How far the wheels have gone since they were last at rest, if the board reports positions. A count that flips at
-    the edge of an encoder does not count."""
+    """How far the wheels have gone since they were last at rest, if the board reports positions. A count that flips
+    because the encoder stands on an edge is not a way."""
 
     def __init__(self, reports: WheelReports) -> None:
         self._counts = 0.0 if reports.speed_per_rps else reports.position_per_turn
         self._from: tuple[float, ...] = ()
 
     def went(self, turns: tuple[float, ...], *, rest: bool) -> bool:
-        """True if they have gone further than an encoder that flips explains. `turns`: the turns of each wheel; `rest`:
-        the wheels are at rest now. Also True if no positions are known."""
+        """True if they have gone further than such a flip explains, or if no positions are known. `turns`: the turns of
+        each wheel; `rest`: the wheels are at rest now."""
         if not self._counts:
             return True
         if rest or len(self._from) != len(turns):
@@ -195,7 +196,7 @@ class Way:
 
 
 class WheelFact:
-    """What is known about the wheels, and since when. Call update() for each reading and each change of the gate."""
+    """What is known about the wheels, and since when. Call update() at each reading and at each change of the gate."""
 
     def __init__(self, after_ns: int) -> None:
         """`after_ns`: how long wheels may turn after they were told zero."""
@@ -203,11 +204,11 @@ class WheelFact:
         self.does = UNKNOWN_WHEELS
         self.by = SEEN_BY_NOTHING
         self.since_ns = 0
-        """Since when the wheels do what they do now, if it is known."""
+        """Since when the wheels do what they do now; 0 if not known."""
         self.read_ns = 0
-        """The newest reading; 0 if there was none."""
+        """When the newest reading was made; 0: never."""
         self.unexpected = False
-        """The wheels turn although they were told zero for longer than allowed."""
+        """True if the wheels turn although they were told zero for longer than allowed."""
 
     def update(
         self, read_back: ReadBack, still: StillJudge, told_zero_ns: int, now_ns: int, *, went: bool = True

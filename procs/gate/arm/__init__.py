@@ -1,1 +1,1 @@
-"""The arm's part of the gate: pure decisions with explicit time. core.py ties them together."""
+"""The arm's part of the gate. All its decisions are pure, with the time as an argument; core.py connects them."""

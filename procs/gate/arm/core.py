@@ -20,20 +20,21 @@ from failstop.procs.gate.arm.stream import Space, Stream
 
 ENDED = "the goals before it were ended: pause first"
 SERVICE = 0
-"""The session of the service's own trajectories: to the drive pose and to the tuck pose."""
+"""The session number of the service's own trajectories, to the drive pose and to the tuck pose."""
 TORQUE_APART_NS = 4_000_000
 """Time between two frames that switch a torque on or off."""
 STEPS_APART_NS = 1_000_000
-"""The shortest time between two steps: a step that leaves more work must not keep the gate awake."""
+"""The shortest time between two steps, so that a step with more work to do does not keep the gate awake."""
 NEAR = 0.5
-"""How close to its end, in pulses, a trajectory counts as finished: as close as a frame can express."""
+"""A trajectory counts as finished when the joint is this close to its end, in pulses. A frame can't express less."""
 LOST_NS = 2_000_000_000
-"""A trajectory that is not finished this long after its time has failed."""
+"""A trajectory has failed if it is not finished this long after it should be."""
 FIND_NS = 4_000_000_000
 
 
 class ArmCore:
-    """The arm as the gate knows it: its joints, the goal that it follows, and the next question to the servos."""
+    """The arm's decisions and what they need: its joints, the goal that it follows, and the next question to the
+    servos."""
 
     def __init__(self, settings: Settings, bus: ServoBus, now_ns: int) -> None:
         self._bus = bus
@@ -49,17 +50,18 @@ class ArmCore:
         self._trajectory: Trajectory | None = None
         self._goal: Goal | None = None
         self._ended: dict[int, int] = {}
-        """For each session whose stream was ended by a stop or an enable, and that still sends: its last goal."""
+        """For each session whose stream was ended by a stop or an enable and that still sends goals: its last goal."""
         self._torque_ns = 0
         """When the servos' bus is free of the last torque command."""
         self.due_ns = now_ns
-        """When to step again without any news. Each step sets it, to a later time than its own."""
+        """When to call step() again if nothing happens before. Each step sets it to a later time."""
         self._left: dict[Joint, float] = {}
-        """The last goals of servos that move on to them (ServoBus.holds_by_goal), and are not known to be there yet."""
+        """The last goals of servos that go on to their goal by themselves (ServoBus.holds_by_goal), as long as they may
+        not be there yet."""
         self.letting_go: list[Joint] = []
         """Joints whose torque must still be switched off."""
         self.active_ns = 0
-        """When the arm was last moved, or asked to move; 0: never, or its torque was switched off since."""
+        """When the arm was last moved or asked to move; 0: never, or its torque was switched off since then."""
         self.released = False
         self.refused = ""
         """Why the last goal of a stream was not accepted."""
@@ -71,7 +73,7 @@ class ArmCore:
 
     @property
     def followed(self) -> Trajectory | Goal | None:
-        """The goal that the arm follows, out of all that were requested."""
+        """The goal that the arm follows now, of all goals that were requested."""
         return self.trajectory or self._goal
 
     def publisher(self, session: int, now_ns: int) -> str:
@@ -82,7 +84,7 @@ class ArmCore:
         return goal.who if goal and goal.session != session and self._fresh(goal, now_ns) else ""
 
     def moved_by(self, session: int) -> bool:
-        """True when the arm follows a goal of this session, or would."""
+        """True if the arm follows a goal of this session now, or would follow it if it could."""
         return any(asked and asked.session == session for asked in (self.trajectory, self._goal))
 
     def _fresh(self, goal: Goal, now_ns: int) -> bool:
@@ -107,8 +109,8 @@ class ArmCore:
         self.active_ns, self.released = now_ns, False
 
     def _shut(self, goal: Goal, closed: str) -> str:
-        """Why no goal of this stream counts now. A stream that goes on through a stop and a reset must not move the arm
-        because of the reset: a person who holds a key must let go of it first."""
+        """Why no goal of this stream counts now. If a stream goes on while a stop is latched and reset, the reset must
+        not move the arm: a person who holds a key must let go of it first."""
         ended_ns = self._ended.pop(goal.session, None)
         if not closed and (ended_ns is None or goal.t_ns - ended_ns > self._timeout_ns):
             return ""
@@ -119,8 +121,8 @@ class ArmCore:
         self._ended.pop(session, None)
 
     def execute(self, trajectory: Trajectory, now_ns: int, why: str = "preempted") -> bool:
-        """Begin a trajectory. The client that moved the arm before loses it, and gets `why`. Returns the same as
-        drop()."""
+        """Begin a trajectory. The client that moved the arm before loses the arm and gets the reason `why`. Returns
+        what drop() returns."""
         was = self.drop(why)
         self._trajectory = trajectory
         trajectory.since_ns = now_ns
@@ -131,8 +133,8 @@ class ArmCore:
         return was
 
     def pose(self, purpose: str, session: int, who: str) -> Trajectory | None:
-        """The way to a pose of the settings, drive or tuck, to be started by execute(); None if no joint is part of
-        it."""
+        """The trajectory to a pose of the settings, drive or tuck; pass it to execute(). None if no joint is part of
+        that pose."""
         ends = self._ends(purpose)
         return Trajectory(purpose, session, who, list(ends), [(0.0, ends)], self._pose_speed) if ends else None
 
@@ -140,8 +142,8 @@ class ArmCore:
         return {joint: float(end) for joint in self.joints if (end := getattr(joint, purpose)) >= 0}
 
     def drop(self, why: str, cause: Cause | None = None) -> bool:
-        """Forget every goal. True: a stop must be written, because the arm may still move. `cause`: the cause of a
-        latched stop."""
+        """Forget every goal. Returns True if a stop must be written, because the arm may still be moving. `cause`: the
+        cause of a latched stop."""
         was = self.streaming()
         if trajectory := self.trajectory:
             trajectory.finish(why, dropped=True)
@@ -151,8 +153,8 @@ class ArmCore:
         return was
 
     def stop(self, why: str, cause: Cause | None = None, but: int | None = None) -> None:
-        """Like drop(), for a stop that is written in any case. It also ends moves that were let go of, and the streams
-        of all sessions but one, which count again after a pause."""
+        """Like drop(), for a stop that is written in any case. It also ends moves whose goals were forgotten, and the
+        streams of all sessions except for `but`; an ended stream counts again after a pause."""
         if self._goal and self._goal.session != but:
             self._ended[self._goal.session] = self._goal.t_ns
         self.letting_go.clear()
@@ -164,12 +166,12 @@ class ArmCore:
         self._stream.end()
 
     def forget(self) -> None:
-        """Nobody reads the servos from now on, so the positions must be read again before the joints move."""
+        """From now on nobody reads the servos, so their positions must be read again before the joints move."""
         for joint in self.joints:
             joint.forget()
 
     def release(self, now_ns: int) -> None:
-        """Switch every torque off, one after another."""
+        """Switch off the torque of all servos, one after the other."""
         self.drop("released")
         self.forget()
         for joint in self.joints:
@@ -183,8 +185,9 @@ class ArmCore:
         return self._stream.on
 
     def step(self, now_ns: int) -> tuple[bytes, bool]:
-        """Continue: returns the frame to send now, if one is due, and True if the arm must be held first because a goal
-        was not renewed. One frame per step limits how long a stop may have to wait."""
+        """Go on. Returns (frame, hold): the frame to send now, if one is due, and True if the arm must be held first
+        because a goal was not renewed. There is at most one frame per step, which limits how long a stop may have to
+        wait."""
         found = self._go_on(now_ns)
         self.due_ns = max(self._next_ns(), now_ns + STEPS_APART_NS)
         return found
@@ -214,8 +217,8 @@ class ArmCore:
         return self._bus.read(question[0].servo, question[1]) if question else b"", hold
 
     def _hold_back(self, now_ns: int) -> bytes:
-        """Send joints that lag behind the last goals of an ended stream to where they are: all at once, in as many
-        frames as needed, because nothing is read while a joint moves."""
+        """Stop joints that lag behind the last goals of an ended stream, by sending them to where they are. All of them
+        are stopped at once, in as many frames as needed, because nothing can be read while a joint moves."""
         if any(not (joint.known or joint.silent) for joint in self._left):
             return b""
         behind = {joint: goal for joint, goal in self._left.items() if abs(joint.position - goal) > AGREE}
@@ -239,7 +242,7 @@ class ArmCore:
         return list(self.followed.ends) if self.followed else []
 
     def _next_ns(self) -> int:
-        """When there is something to do next, given what the arm waits for now; a time in the past: at once."""
+        """When there is something to do next; a time in the past means at once."""
         if self.letting_go:
             return self._torque_ns
         if self._stream.on:
@@ -248,14 +251,14 @@ class ArmCore:
         return self._free_ns() if joints and not self._unknown(joints) else self._reader.due_ns()
 
     def _end_stale(self, now_ns: int) -> bool:
-        """Forget a goal that was not renewed; True if it was moving the arm."""
+        """Forget a goal that was not renewed. True if it was moving the arm."""
         if self._goal is None or self._fresh(self._goal, now_ns):
             return False
         self._goal = None
         return not self.trajectory and self.drop("not renewed")
 
     def _advance_trajectory(self, now_ns: int) -> list[Joint]:
-        """Bring the trajectory to its next phase when one is over; returns the joints whose position it waits for."""
+        """Begin the trajectory's next phase when one is over. Returns the joints whose positions it waits for."""
         trajectory = self.trajectory
         if trajectory is None:
             return []
@@ -293,14 +296,15 @@ class ArmCore:
             trajectory.finish("it did not get there in time")
 
     def _check_end(self, trajectory: Trajectory, now_ns: int) -> list[Joint]:
-        """Check the end by reading each joint twice since it stopped."""
+        """Check the end of a trajectory by reading each joint twice after it has stopped."""
         if unread := [joint for joint in trajectory.joints if joint.measured_ns < trajectory.since_ns]:
             return _read_first(trajectory, unread, now_ns)
         trajectory.finish(self.off(trajectory.ends))
         return []
 
     def off(self, ends: dict[Joint, float]) -> str:
-        """The joint that was not read where it should be, and by how much; empty if all are in place."""
+        """Which joint is not where it should be, and by how much, according to its reading; empty if all are in
+        place."""
         for joint, end in ends.items():
             if joint.measured is None or abs(joint.measured - end) > self.tolerance:
                 by = "was not read" if joint.measured is None else f"is {abs(joint.measured - end):.0f} pulses off"
@@ -308,7 +312,7 @@ class ArmCore:
         return ""
 
     def _load(self, joints: list[Joint], now_ns: int) -> bytes:
-        """Switch on one torque that is not known to be on; call again for the next."""
+        """Switch on the torque of one joint if it may be off. Call it again for the next joint."""
         if now_ns < self._free_ns():
             return b""
         joint = next(joint for joint in joints if not joint.loaded)
@@ -333,7 +337,8 @@ class ArmCore:
         self._stream.begin(joints, now_ns)
 
     def _move(self, followed: Trajectory | Goal, now_ns: int, hold: bool) -> tuple[bytes, bool]:
-        """The moves that are due, as in step(). A trajectory that would hit something ends; a goal waits."""
+        """The moves that are due, returned as in step(). If the arm would hit something, a trajectory ends, and a goal
+        waits."""
         frame, hit = self._stream.move(followed, now_ns)
         if hit and isinstance(followed, Trajectory):
             followed.finish(hit)
@@ -344,7 +349,7 @@ class ArmCore:
         return frame, hold
 
     def _look(self, now_ns: int) -> bytes:
-        """Ask where moving joints are, if the board has a frame for that."""
+        """The frame that asks moving joints where they are, if the board has such a frame."""
         joints = self._reader.look(now_ns)
         return self._bus.look([joint.servo for joint in joints]) if joints else b""
 
@@ -358,7 +363,7 @@ class ArmCore:
             joint.known = True
 
     def pose_name(self) -> str:
-        """The pose that the arm was read to be in, drive or tuck; empty if it is another one, or not known."""
+        """The pose in which the joints were last read, drive or tuck; empty if it is another one, or not known."""
         for purpose in (goals.DRIVE, goals.TUCK):
             judged = self.judged(purpose)
             if judged and all(joint.known for joint in judged) and not self.off(judged):
@@ -366,7 +371,7 @@ class ArmCore:
         return ""
 
     def judged(self, purpose: str) -> dict[Joint, float]:
-        """Where the checked joints must be in a pose of the settings."""
+        """Where the joints that count for a pose of the settings must be."""
         return {joint: end for joint, end in self._ends(purpose).items() if joint.judged}
 
     def why_not(self) -> str:
@@ -375,7 +380,7 @@ class ArmCore:
 
 
 def _read_first(trajectory: Trajectory, joints: list[Joint], now_ns: int) -> list[Joint]:
-    """The joints that must be read before the trajectory goes on, within FIND_NS."""
+    """The joints that must be read, within FIND_NS, before the trajectory goes on."""
     if now_ns - trajectory.since_ns > FIND_NS:
         trajectory.finish(f"{_named(joints)}: where it is can't be read")
     return joints

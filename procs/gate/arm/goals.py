@@ -1,4 +1,4 @@
-"""Goals: what clients ask the arm to do. Pure.
+"""Goals: what clients want the arm to do. Pure.
 
 A trajectory has an end, which is read back. Follow and jog are goals that a client renews; while there is no
 trajectory, the newest one counts for the settings' arm.goal_timeout_s.
@@ -29,7 +29,7 @@ SETTLING = "settling"
 CHECKING = "reading back where it is"
 
 Waypoint = tuple[float, dict[Joint, float]]
-"""When (s from the start), and the pulses of each joint of the goal."""
+"""A time (s from the start), and where each joint of the goal must be then, in pulses."""
 
 
 class Goal(Data):
@@ -43,12 +43,12 @@ class Goal(Data):
     share: float = 1.0
 
     def targets(self, _then_ns: int) -> dict[Joint, float]:
-        """The targets or rates that count until then."""
+        """The targets or rates of the joints."""
         return self.ends
 
 
 class Trajectory:
-    """A trajectory (a pose is one too): where each joint must be at which time, until its end is read back."""
+    """Where each joint must be at which time, until its end is read back. A pose is a trajectory too."""
 
     mode = TRAJECTORY
 
@@ -67,10 +67,10 @@ class Trajectory:
         self.since_ns = 0
         self.begun_ns = 0
         self.done = self.dropped = False
-        """`done`: it is over; `dropped`: it is over because another client has taken the arm."""
+        """`done`: the trajectory is over; `dropped`: it is over because another client has taken the arm."""
         self.outcome = ""
         self.stopped_for: Cause | None = None
-        """The latched cause that has ended it; None if something else has."""
+        """The latched cause that has ended the trajectory; None if something else has."""
 
     @property
     def ends(self) -> dict[Joint, float]:
@@ -79,11 +79,11 @@ class Trajectory:
 
     @property
     def length_s(self) -> float:
-        """How long it takes, once it has begun."""
+        """How long the trajectory takes once it has begun, s."""
         return self._rows[-1][0]
 
     def begin(self, now_ns: int) -> str:
-        """Begin where the joints are, once all are known. Returns why it can't."""
+        """Begin at the joints' present positions, once all are known. Returns why it can't begin, or ""."""
         start = {joint: joint.position for joint in self.joints}
         t_s, first = self._rows[0]
         if not t_s:
@@ -106,7 +106,7 @@ class Trajectory:
         return max(0.0, self.length_s - (now_ns - self.begun_ns) * 1e-9) if self.begun_ns else 0.0
 
     def finish(self, outcome: str = "", *, dropped: bool = False) -> None:
-        """End it: with success, or with the reason why not."""
+        """End the trajectory: with success, or with the reason `outcome`."""
         self.done, self.outcome, self.dropped = True, outcome, dropped
 
     def progress(self, now_ns: int) -> str:
@@ -115,7 +115,7 @@ class Trajectory:
 
 
 def too_fast(rates: dict[Joint, float]) -> str:
-    """A joint that may not turn at that rate, with its limit; empty if all may."""
+    """The text about a joint that may not turn at its rate, with its limit; empty if all joints may."""
     for joint, rate in rates.items():
         most = joint.speed_radps
         if not isfinite(rate) or abs(rate) > most * 1.000001:
@@ -124,7 +124,8 @@ def too_fast(rates: dict[Joint, float]) -> str:
 
 
 def too_fast_between(rows: list[Waypoint]) -> str:
-    """A joint that would need more than its speed between two rows of a trajectory, and when."""
+    """The text about a joint that would have to turn too fast between two rows of a trajectory; empty if there is
+    none."""
     for (t0, begin), (t1, end) in pairwise(rows):
         if t1 <= t0:
             return f"the times do not go up: {t0:g} s, then {t1:g} s"

@@ -11,28 +11,28 @@ from failstop.board.servos import LONGEST_MOVE_NS, POSITION, SILENT_NS, SUPPLY, 
 from failstop.policy.joints import MOST_MISSES, Joint
 
 FRAME_JITTER_NS = 3_000_000
-"""How much longer the port owner may take for one frame than for the next, on a busy machine. A frame that arrives too
-close to the one before is dropped there, and would count as an unanswered question."""
+"""How much longer the port owner may take for one frame than for another, on a busy machine. If a frame arrives too
+soon after the one before, the port owner drops it, and it would count as an unanswered question."""
 QUIET_NS = LONGEST_MOVE_NS + 4 * FRAME_JITTER_NS
-"""Time after the last move: the port owner passes no question before every servo has stopped."""
+"""The time after the last move in which the port owner passes no question, because a servo may still be moving."""
 APART_NS = SILENT_NS + FRAME_JITTER_NS
-"""Time between two questions: the port owner passes none while an earlier one may still hold the receiver."""
+"""The time between two questions. The port owner passes none while an earlier one may still block the receiver."""
 WAIT_NS = 40_000_000
-"""An answer takes a few milliseconds through board, port owner and telemetry; after this time none comes."""
+"""How long to wait for an answer. It takes a few milliseconds through board, port owner and telemetry."""
 IDLE_NS = 150_000_000
 """Time between two questions that nobody waits for."""
 AGREE = 5
 """How many pulses two readings of a resting servo may differ."""
 LOOKS_APART_NS = 16_000_000
-"""Time between two looks at moving joints, if the board has such questions: each of six joints is read 30 times a
-second."""
+"""Time between two questions about moving joints, on a board that has such questions. So each of six joints is read 30
+times per second."""
 LOOKED = 3
-"""Joints per look."""
+"""How many joints such a question asks about."""
 _OTHERS = (TEMPERATURE, TORQUE, SUPPLY)
 
 
 class ServoReader:
-    """The open question, and the next one."""
+    """The question that is open, and the choice of the next one."""
 
     def __init__(self, joints: list[Joint], now_ns: int) -> None:
         self._joints = joints
@@ -44,10 +44,10 @@ class ServoReader:
         self._turn = 0
         self._idle = self._looked = 0
         self.look_ns = now_ns
-        """When moving joints may be looked at again."""
+        """When the next question about moving joints may be asked."""
 
     def look(self, now_ns: int) -> list[Joint]:
-        """The joints of the next look; empty if none is due."""
+        """The joints to ask about now while they move; empty if no such question is due."""
         if now_ns < self.look_ns:
             return []
         self.look_ns, at = now_ns + LOOKS_APART_NS, self._looked
@@ -61,11 +61,11 @@ class ServoReader:
                 joint.measured, joint.measured_ns, joint.misses = value, t_ns, 0
 
     def moved(self, now_ns: int) -> None:
-        """Record that a servo was sent somewhere: no question until it has stopped."""
+        """Record that a servo was moved, so no question is asked until it has stopped."""
         self._quiet_ns = now_ns + QUIET_NS
 
     def free_ns(self) -> int:
-        """When the receiver is certainly free of the last question; before that the port owner passes nothing."""
+        """When the receiver is certainly done with the last question. Before that the port owner passes nothing."""
         return self._asked_ns + APART_NS if self._asked_ns else 0
 
     def due_ns(self) -> int:
@@ -89,18 +89,18 @@ class ServoReader:
         return self._asked
 
     def _idly(self) -> tuple[Joint, int]:
-        """Positions twice in a row, and now and then another value."""
+        """The question to ask when nobody waits: positions, twice in a row, and sometimes another value."""
         step, self._idle = self._idle, self._idle + 1
         joint = self._joints[step // 3 % len(self._joints)]
         return joint, POSITION if step % 3 < 2 else _OTHERS[step // 3 // len(self._joints) % len(_OTHERS)]
 
     def hurry(self, now_ns: int) -> None:
-        """A trajectory waits from now on, so end the idle pause."""
+        """End the idle pause, because a trajectory waits from now on."""
         if not self._asked:
             self._next_ns = min(self._next_ns, max(now_ns, self._asked_ns + APART_NS))
 
     def answer(self, servo: int, what: int, value: int | None, t_ns: int) -> Joint | None:
-        """Record an answer from the board; returns the joint whose position it makes known, if any."""
+        """Record an answer from the board. Returns the joint whose position is known because of it, if any."""
         if self._asked is None or (self._asked[0].servo, self._asked[1]) != (servo, what):
             return None
         joint = self._asked[0]

@@ -1,4 +1,4 @@
-"""The arm's part of the gate's loop: clients' goals and requests in, frames and replies out.
+"""The arm's part of the gate's loop: it reads the clients' goals and requests, and sends frames and replies.
 
 A request that takes time gets more than one reply: its progress (records.UNDER_WAY), and in the end DONE or REFUSED.
 """
@@ -24,9 +24,9 @@ from failstop.procs.gate.rings import Frames
 
 NOT_IN_POSE = "arm is not in the drive pose"
 REPORT_NS = 200_000_000
-"""How often a waiting client hears about the progress."""
+"""How often a client that waits gets a report of the progress."""
 BOX_NS = 100_000_000
-"""How often the black box gets the arm's goal while the arm is active."""
+"""How often the arm's goal is recorded in the black box while the arm is active."""
 GOAL_MODES = {records.ARM_FOLLOW: goals.FOLLOW, records.ARM_JOG: goals.JOG}
 LONGEST_S = 600.0
 PAD_PUBLISHER = -1
@@ -34,7 +34,7 @@ PAD_PUBLISHER = -1
 
 
 class Waiter(Data):
-    """A client that waits for the end of a trajectory, and whether it then wants motion enabled."""
+    """A client that waits for the end of a trajectory. `enables`: it wants motion enabled afterwards."""
 
     request: Request
     trajectory: Trajectory
@@ -70,14 +70,14 @@ class Arm:
         self._tuck_after_ns, self._notice_s = settings.ns("arm.auto_tuck_s"), settings["arm.tuck_notice_s"]
         self._tuck_announced = False
         self._tucking: Trajectory | None = None
-        """The way to the tuck pose, until people have been told how it ended."""
+        """The trajectory to the tuck pose, until people were told how it ended."""
         self._hot_c, self._low_mv = int(settings["arm.hot_c"]), int(settings["arm.low_mv"])
         self._joint_notes: dict[str, str] = {}
         """The last note about each joint."""
 
     def hear(self, closed: str, now_ns: int) -> Cause | None:
-        """Hear the servos' answers and the gamepad; returns the cause to stop for. `closed`, here and below: why the
-        arm accepts no goal now; empty if it does."""
+        """Handle the servos' answers and the gamepad. Returns the cause to stop for, or None. `closed`, here and below:
+        why the arm accepts no goal now; empty if it accepts one."""
         while entry := self._answers.next():
             self.core.answer(*records.SERVO.unpack(entry[2]), entry[1])
         return self._hear_pad(closed, now_ns)
@@ -96,8 +96,8 @@ class Arm:
         self._keep(now_ns)
 
     def _keep(self, now_ns: int) -> None:
-        """Record the arm's goal in the black box: at each change of mode and mover, and ten times a second in
-        between."""
+        """Record the arm's goal in the black box, whenever its mode or the program that moves it changes, and otherwise
+        ten times per second."""
         followed = self.core.followed
         what = (followed.mode, followed.who) if followed else ("", "")
         if what != self._boxed or (followed and now_ns - self._boxed_ns >= BOX_NS):
@@ -106,7 +106,7 @@ class Arm:
             self._box.put(box.pack_arm(*what, [(joint.servo, end) for joint, end in ends]), now_ns)
 
     def client_gone(self, session: int, now_ns: int) -> None:
-        """A client has left or died: hold what it moved, and give up what it waited for."""
+        """Handle a client that has left or died: hold the joints that it moved, and forget what it waited for."""
         self.core.pause(session)
         if self.core.moved_by(session):
             self.core.drop("its client has gone")
@@ -129,7 +129,8 @@ class Arm:
         return self._accept(Goal(GOAL_MODES[mode], slot.session, slot.who(), t_ns, ends), closed, now_ns)
 
     def _accept(self, goal: Goal, closed: str, now_ns: int) -> Cause | None:
-        """A second publisher of goals latches a stop; while the arm accepts no goals, there is no first one."""
+        """Accept a goal. If two programs publish goals at once, a stop is latched; while the arm accepts no goals, none
+        of them counts as the first."""
         if rival := self._rival(goal.session, goal.who, now_ns):
             return rival
         self.core.accept(goal, closed, now_ns)
@@ -140,7 +141,8 @@ class Arm:
         return causes.TWO_MOVE_THE_ARM(other, causes.rival_of(other, who)) if other else None
 
     def _hear_pad(self, closed: str, now_ns: int) -> Cause | None:
-        """Treat the gamepad in its joint mode like any other publisher. A joint that it lets go of is held."""
+        """Treat the gamepad in its joint mode like any other publisher of goals. When its stick is let go, the joint is
+        held."""
         entry = self._pad.read()
         if entry is None or entry[0] == self._pad_seq:
             return None
@@ -182,7 +184,7 @@ class Arm:
         return self._execute(Waiter(request, trajectory), "preempted", now_ns)
 
     def _trajectory(self, request: Request) -> Trajectory | str:
-        """The requested trajectory, or why there is none."""
+        """The requested trajectory, or a text that says why there is none."""
         if request.verb in (records.ARM_DRIVE, records.ARM_TUCK):
             purpose = goals.DRIVE if request.verb == records.ARM_DRIVE else goals.TUCK
             return self.core.pose(purpose, request.session, request.who) or f"the settings have no {purpose} pose"
@@ -211,8 +213,8 @@ class Arm:
         return Reply(records.UNDER_WAY, waiter.trajectory.progress(now_ns))
 
     def answer_waiter(self, now_ns: int) -> Request | None:
-        """Tell the waiting client about the progress and the end. Returns its request to enable motion once the arm was
-        read to be in its drive pose."""
+        """Report the progress and the end to the client that waits. Once the arm was read to be in its drive pose,
+        return that client's request to enable motion."""
         waiter = self._waiter
         if waiter is None:
             return None
@@ -235,8 +237,9 @@ class Arm:
         return None
 
     def enable(self, request: Request, now_ns: int) -> Reply | None:
-        """Go to the drive pose; answer_waiter() returns this request once that was read back. None: the settings have
-        no drive pose, so the arm stays where it is, or goes on while the wheels move, and motion may be enabled now."""
+        """Send the arm to the drive pose. Returns the reply to the client; answer_waiter() returns this request once
+        the pose was read back. Returns None if the settings have no drive pose: the arm then stays where it is, or goes
+        on while the wheels move, and motion may be enabled now."""
         if self.core.letting_go:
             return refused("the arm is being released: ask again in a moment")
         waiter = self._waiter
@@ -263,7 +266,7 @@ class Arm:
         return f'{fault}; without the arm: arm.absent = "ignore"' if fault and absent else fault
 
     def _update_tuck(self, closed: str, now_ns: int) -> None:
-        """Tuck an arm that is left alone. It is not left alone while it moves, or may not move."""
+        """Tuck an arm that is left alone. An arm that moves, or that may not move, does not count as left alone."""
         core = self.core
         if self._tucking and self._tucking.done:
             if self._tucking.outcome and not self._tucking.dropped:
@@ -287,7 +290,7 @@ class Arm:
             self._tucking = trajectory
 
     def _tuck_left_s(self, now_ns: int) -> float | None:
-        """Time until it tucks itself; None if it does not, because it was not used or its torque is off."""
+        """Time until the arm tucks itself, s; None if it does not, because it was not used or its torque is off."""
         active_ns = self.core.active_ns
         return max(0.0, (active_ns + self._tuck_after_ns - now_ns) * 1e-9) if self._tucks and active_ns else None
 
@@ -295,7 +298,7 @@ class Arm:
         self._notes.append(Note("arm", text, level=level))
 
     def _report_joints(self) -> None:
-        """Report a servo's fault once, and report when it is over."""
+        """Report a servo's fault once, and once more when it is over."""
         for joint in self.core.joints:
             text = ""
             if joint.silent:

@@ -16,25 +16,26 @@ from failstop.procs.gate.arm import goals
 from failstop.procs.gate.arm.goals import Goal, Trajectory
 
 MOVES_APART_NS = MOST_MOVES * MOVE_NS
-"""Time between two frames of moves that are both late, because the port owner drops frames that a stop would wait for
-too long."""
+"""The time between two late frames of moves. If they were closer together, a stop might have to wait too long for them,
+so the port owner would drop the second one."""
 
 
 class Space:
-    """Checks whether the joints may go on to their next positions, or the arm would hit something.
+    """Checks whether the arm would hit something if the joints went on to their next positions.
 
-    It checks the end of each move before the move is sent: a servo that gets no further move stops where the last one
-    ended, which was checked before. Parts that touch already, by the model, may move apart.
+    It checks the end of each move before the move is sent. A servo that gets no further move stops at the end of the
+    last one, which was checked too. Parts that already touch, according to the model, may move apart.
     """
 
     def __init__(self, settings: Settings, joints: list[Joint]) -> None:
         self._joints = joints
         self._model = Model(settings) if settings.on("arm.collision") else None
-        """None if nothing is checked."""
+        """The model of the arm; None if nothing is checked."""
         self._gap_m = inf
 
     def wanted(self, joints: list[Joint]) -> list[Joint]:
-        """Joints whose position must be known before these move; silent ones count where they were last."""
+        """Joints whose positions must be known before `joints` move. A joint that does not answer counts as where it
+        was last."""
         return [joint for joint in self._joints if not joint.silent or joint in joints] if self._model else joints
 
     def begin(self) -> None:
@@ -70,7 +71,7 @@ class Stream:
         self._apart_ns = 0
         """When the servos' bus is free of the last move."""
         self._blocked: dict[Joint, str] = {}
-        """For the frames that don't go on toward the goal, by their first joint: why."""
+        """For each frame whose joints don't go on toward the goal, by its first joint: the reason."""
 
     @property
     def on(self) -> bool:
