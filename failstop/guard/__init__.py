@@ -1,1 +1,2 @@
-"""The guard port: a serial port that plays the motor board, so that a driver program drives through the service."""
+"""The guard port: a serial port that behaves like the motor board, so that a driver program drives through the
+service."""

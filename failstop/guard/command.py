@@ -38,7 +38,8 @@ PORT = "port"
 """The link's name in the runtime directory."""
 LOOK_S = 0.5
 NICE = -10
-"""It goes before ordinary programs, and behind the service's real-time processes: a driver can keep it busy."""
+"""The guard's nice value. It runs before ordinary programs, but after the service's real-time processes, because a
+driver can keep it busy."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -56,7 +57,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Until it is ended. Raises FailstopError, SettingError."""
+    """Serve the guard port until SIGTERM or Ctrl-C. Raises FailstopError, SettingError."""
     instance.check_name(arguments.name)
     ends = _Ends()
     if arguments.dry_run:
@@ -71,7 +72,7 @@ def main(arguments: Namespace) -> int:
 
 
 class _Ends:
-    """SIGTERM and Ctrl-C."""
+    """Notes that SIGTERM or Ctrl-C has come."""
 
     def __init__(self) -> None:
         self.now = False
@@ -92,7 +93,7 @@ def _dry_run(arguments: Namespace, folder: str, ends: _Ends) -> int:
 
 
 def _wait(service: Service, ends: _Ends) -> Settings | None:
-    """The settings of the service, once it runs; None: the guard was ended first."""
+    """Wait until the service runs, and return its settings; None if the guard was ended before."""
     said = ""
     while not ends.now:
         if service.look(time.monotonic_ns()):
@@ -105,8 +106,8 @@ def _wait(service: Service, ends: _Ends) -> Settings | None:
 
 
 def _usual(settings: Settings, name: str) -> str:
-    """The place that the settings name; else one in systemd's folder for this unit, in the service's, or in this
-    user's, whichever this user may write first."""
+    """The path of the port: the one in the settings, else one in a folder that this user may write to: systemd's folder
+    for this unit, the service's folder, or the user's own."""
     if path := settings.text("guard.path"):
         return path
     if folder := os.environ.get("RUNTIME_DIRECTORY"):
@@ -151,10 +152,11 @@ def _serve(board: Board, settings: Settings, path: str, ends: _Ends) -> int:
 
 
 def _go_first() -> None:
-    """Go before ordinary programs. Raises OSError.
+    """Run before ordinary programs. Raises OSError.
 
-    Linux shares the processor among sessions first (autogroup), so a nice value counts only within its own session. As
-    a service the guard has a session to itself, whose nice value counts among all; a terminal's is other programs' too.
+    Linux first shares the processor among sessions (autogroup), so a nice value counts only within its session. As a
+    service the guard has a session to itself, and the nice value of that session counts among all. In a terminal it
+    shares its session with other programs.
     """
     os.setpriority(os.PRIO_PROCESS, 0, NICE)
     if os.getsid(0) == os.getpid():
@@ -163,8 +165,8 @@ def _go_first() -> None:
 
 
 def _print_line(line: str) -> None:
-    """Print a line, unless nobody takes it: a terminal that is paused, or a pipe that nobody reads, must not hold up
-    the guard, because it would hold up the driver."""
+    """Print a line, but drop it if it can't be written at once, for example to a paused terminal or a pipe that nobody
+    reads. Waiting would hold up the guard, and with it the driver."""
     with contextlib.suppress(OSError):
         if select.select((), (sys.stdout,), (), 0)[1]:
             print(line, flush=True)

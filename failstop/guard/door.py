@@ -1,9 +1,9 @@
-"""Door: who has the pseudo-terminal open, as far as anybody can see, and how many may.
+"""Door: which programs have the pseudo-terminal open, as far as that can be seen, and how many may.
 
-A program that is killed is seen first in /proc, by the SIGKILL that waits for it or by its flags, which are looked at a
-few hundred times a second. Then the kernel takes its memory down, closes its files, which inotify reports, and at last
-its pidfd says that it is gone. A program whose pidfd has said so, and of which no close was reported, has left the port
-open with a child of its. So has one that has closed all its descriptors while no close was reported.
+When a program is killed, its end shows first in /proc, as a pending SIGKILL or in its flags; the guard looks there a
+few hundred times per second. Then the kernel frees the program's memory and closes its files, which inotify reports,
+and at last its pidfd reports that it is gone. If the pidfd has reported that, but no close was reported, a child of the
+program still has the port open. The same is true if a program has closed all its descriptors but no close was reported.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ if TYPE_CHECKING:
 
 
 class Door:
-    """The programs that have it open, and what wakes the guard."""
+    """Watches the programs that have the pseudo-terminal open, and wakes the guard."""
 
     def __init__(self, pty: Pty) -> None:
         """Raises OSError."""
         self._pty, self._poll = pty, select.epoll()
         self.seen: dict[int, Opener] = {}
-        """The programs that have opened it, as far as /proc shows them, by pid."""
+        """The programs that have opened the pseudo-terminal, as far as /proc shows them, by pid."""
         self.count = 0
-        """How often it is open, as far as is known."""
+        """How often the pseudo-terminal is open, as far as is known."""
         self._opened = 0
-        """How often it is open by inotify alone, which also reports the programs that /proc does not show."""
+        """How often it is open according to inotify, which also reports programs that /proc does not show."""
         self.most = 1
-        """How often it may be."""
+        """How often it may be open at once."""
         self._lives: dict[int, int] = {}
-        """For each of these programs, and each that is dying, the descriptor that reports its end."""
+        """The pidfd of each of these programs, and of each that is dying."""
         self._dying: dict[int, tuple[Opener, int]] = {}
-        """Those whose end was noticed, with the closes that inotify has not reported of them yet."""
+        """The programs whose end was noticed, each with the number of closes that inotify has not reported yet."""
         self._closed: set[int] = set()
-        """Programs that had no descriptor of it when abandoned() looked last."""
+        """The programs that had no descriptor of the pseudo-terminal when abandoned() last looked."""
         self._begin()
 
     def _begin(self) -> None:
@@ -51,15 +51,16 @@ class Door:
 
     @property
     def crowded(self) -> bool:
-        """More programs have it open than may."""
+        """True if more programs have it open than may."""
         return self.count > self.most
 
     def wait(self, seconds: float) -> dict[int, int]:
-        """Sleep until a driver has written, or comes or goes; at most so long. Returns what look() needs."""
+        """Sleep until a driver has written, opened or closed the port, or for `seconds` at most. Returns what look()
+        needs."""
         return dict(self._poll.poll(seconds))
 
     def look(self, ready: dict[int, int]) -> News:
-        """What has happened since the last look. Cheap, because a stop waits for it."""
+        """What has happened since the last look. It is quick, because a stop waits for it."""
         news = News()
         for pid, opener in self.seen.items():
             if pid not in self._dying and (self._lives.get(pid) in ready or dying(pid)):
@@ -82,7 +83,7 @@ class Door:
         return news
 
     def _expected(self) -> bool:
-        """Whether this close is one of a program whose end was noticed before."""
+        """True if this close belongs to a program whose end was noticed before."""
         for pid, (opener, left) in self._dying.items():
             if left:
                 self._dying[pid] = opener, left - 1
@@ -90,16 +91,16 @@ class Door:
         return False
 
     def abandoned(self) -> list[Opener]:
-        """The programs that have closed it and left it open with a child. Each is looked for twice, because the close
-        that the kernel reports may be on its way. Raises OSError."""
+        """The programs that have closed the pseudo-terminal while a child of theirs still has it open. Each must be
+        found twice in a row, because the kernel's report of a close may still be on its way. Raises OSError."""
         wanted, before = identity(self._pty.name), self._closed
         with contextlib.suppress(PermissionError):
             self._closed = {pid for pid in self.seen if pid not in self._dying and not holds(pid, wanted)}
         return [self.seen[pid] for pid in self._closed & before]
 
     def recount(self, meanwhile: Callable[[], None]) -> None:
-        """See who has it open, and keep further programs out where it is open as often as may be. `meanwhile`: as of
-        openers()."""
+        """Find out which programs have it open, and keep further programs out if there are as many as may be.
+        `meanwhile`: as in openers()."""
         found, hidden = openers(self._pty.name, self.seen, self._opened, meanwhile)
         seen = {pid: opener for pid, opener in found.items() if pid not in self._dying and not dying(pid)}
         shown = sum(opener.times for opener in seen.values())
@@ -122,7 +123,7 @@ class Door:
         self.seen = seen
 
     def hang_up(self) -> None:
-        """Everybody is out, and another terminal is there. Raises FailstopError, OSError."""
+        """Throw all programs out; a new pseudo-terminal takes the place of this one. Raises FailstopError, OSError."""
         self._poll.unregister(self._pty.master)
         self._close_watch()
         self._pty.hang_up()

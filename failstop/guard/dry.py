@@ -21,13 +21,13 @@ AT_DEATH = {
     "latch": "and a stop is latched",
     "stay": "but motion stays enabled",
 }
-"""What follows when a driver dies while it drives, by the setting gate.driver_death."""
+"""What happens when a driver dies while it drives, for each value of the setting gate.driver_death."""
 MOST_SHOWN = 200
-"""Different motions that are printed of one driver."""
+"""How many different motions of one driver are printed."""
 
 
 class Nothing:
-    """In the place of the service: no board answers, and no wheel turns."""
+    """Takes the place of the service. No board answers, and no wheel turns."""
 
     def __init__(self, settings: Settings, tell: Callable[[str], None]) -> None:
         """Raises ValueError."""
@@ -44,22 +44,22 @@ class Nothing:
         self._complained = False
 
     def look(self, now_ns: int) -> bool:
-        """Nothing is looked for."""
+        """True: there is always something to write to."""
         return True
 
     def join(self, who: str, pid: int | None) -> None:
-        """A driver begins."""
+        """A driver begins, so forget what was printed about the last one."""
         self._shown.clear()
         self._passed.clear()
 
     def leave(self, *, in_order: bool) -> None:
-        """A driver ends."""
+        """A driver ends. If it did not end cleanly, print what failstop would do."""
         if not in_order and self.settings:
             then = AT_DEATH[self.settings.text("gate.driver_death")]
             self._tell(f"  with failstop: the wheels stop, {then} (gate.driver_death)")
 
     def command(self, command: Command) -> str:
-        """Print a motion, the first time."""
+        """Print a motion, but each one only the first time."""
         self._complained = False
         asked = self.scale.velocity(command.speeds, command.steering_rad)
         if command.speeds not in self._shown and len(self._shown) < MOST_SHOWN:
@@ -69,21 +69,21 @@ class Nothing:
         return self.scale.beyond(asked)
 
     def forward(self, frame: bytes) -> None:
-        """Print a frame that would be passed on, the first time."""
+        """Print a frame that would be passed on, but each one only the first time."""
         if frame not in self._passed and len(self._passed) < MOST_SHOWN:
             self._passed.add(frame)
             self._tell(f"  passed on to the board: {frame.decode('ascii', 'backslashreplace').strip()}")
 
     def say(self, sees: str, wrong: str) -> None:
-        """Print what is wrong, once until the next motion, except what the guard itself has printed: a refusal, or how
-        a driver ended."""
+        """Print what is wrong, once until the next motion. What the guard itself has printed is left out: a refusal, or
+        how a driver ended."""
         if wrong and not wrong.startswith(REFUSED) and not sees.startswith(WAITS) and not self._complained:
             self._complained = True
             self._tell(f"  {wrong}")
 
     def block(self) -> None:
-        """Nothing keeps wheels from turning that are not there."""
+        """None, because there are no wheels that could be blocked."""
 
     def heard(self) -> list[tuple[int, bytes]]:
-        """No board says anything."""
+        """Empty, because there is no board."""
         return []

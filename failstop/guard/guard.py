@@ -1,4 +1,5 @@
-"""Guard: one turn of the process after another - who has the port open, what they wrote, what they get."""
+"""Guard: the process's loop. In each turn it looks which programs have the port open, reads what they wrote, and writes
+what they get."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from failstop.policy.settings import Settings
 
     class Board(Protocol):
-        """What a driver drives through: the service (service.py), or nothing at all (dry.py)."""
+        """What a driver drives through: the service (service.py), or nothing (dry.py)."""
 
         settings: Settings | None
         scale: Scale
@@ -45,42 +46,43 @@ if TYPE_CHECKING:
 
 
 LISTEN_NS = 5_000_000
-"""How often the board's words are looked for while a driver has the port open."""
+"""How often the board's bytes are read while a driver has the port open."""
 IDLE_NS = 100_000_000
-"""How long the guard sleeps at most while nobody has the port open. A driver's first words may be as old."""
+"""The longest sleep of the guard while no program has the port open. The first bytes of a driver may be that old when
+they are read."""
 LOOK_NS = 500_000_000
-"""How often it is looked whether the service and the link are there."""
+"""How often the guard checks whether the service and the link still exist."""
 SAY_NS = 2_000_000_000
-"""How often people are told again what there is to say of the driver, so that the words are not old."""
+"""How often the report about the driver is repeated, so that it does not look old."""
 PAST_NS = 4_000_000_000
-"""How much of what the board said is kept for the next driver."""
+"""For how long the board's last bytes are kept for the next driver."""
 A_DRIVER = "a driver"
 
 
 class Guard:
-    """The port, and the conversation with the program that has it open."""
+    """The guard port, and the conversation with the program that has it open."""
 
     def __init__(self, board: Board, pty: Pty, door: Door, tell: Callable[[str], None]) -> None:
         """`tell`: prints a line for people. Raises OSError."""
         self._board, self._pty, self._door, self._tell = board, pty, door, tell
         self._talk: Talk | None = None
         self._past: deque[tuple[int, bytes]] = deque()
-        """What the board said last."""
+        """The board's last bytes."""
         self._who = A_DRIVER
-        """The driver, for people."""
+        """The driver's name, for people."""
         self._crowded = self._flooded = False
         self._wrote = False
-        """Something that this driver wrote was read."""
+        """True if bytes of this driver were read."""
         self._early = b""
-        """What was written before anybody could see by whom."""
+        """Bytes that were written before it could be seen which program wrote them."""
         self._empty_ns = monotonic_ns()
-        """When nothing of the driver's waited to be read."""
+        """When no bytes of the driver were last waiting to be read."""
         self._opened_ns = 0
-        """When the driver was seen first."""
+        """When the driver was first seen."""
         self._hasty = ""
         """What the last driver did wrong, if it closed the port at once; for people."""
         self._told: set[str] = set()
-        """Lines that are printed once for each driver."""
+        """Lines that are printed only once for each driver."""
         self._said = ("", "")
         self._said_ns = self._looked_ns = 0
         self._runs, self._note = board.runs, board.note
@@ -131,7 +133,7 @@ class Guard:
             self._tell(line)
 
     def _look(self, now_ns: int) -> None:
-        """Are the service and the link there?"""
+        """Check whether the service and the link still exist."""
         self._board.look(now_ns)
         if self._board.runs != self._runs:
             self._runs = self._board.runs
@@ -147,7 +149,7 @@ class Guard:
             self._recount(left)
 
     def _begin_again(self) -> None:
-        """At another terminal, because somebody has hung up this one."""
+        """Begin again with another pseudo-terminal, because somebody has hung up this one."""
         self._board.leave(in_order=not (self._talk and self._talk.holds))
         lost = f", so {self._who} has lost it: start it again" if self._talk else ""
         self._talk, self._early, self._wrote = None, b"", False
@@ -185,7 +187,7 @@ class Guard:
             self._tell(self._crowd())
 
     def _crowd(self) -> str:
-        """Who has it open too often, and what helps."""
+        """The text about too many programs that have the port open, with the remedy."""
         count, seen = self._door.count, list(self._door.seen.values())
         allows = f"guard.openers allows {self._door.most}"
         if len(seen) == 1 and seen[0].times == count:
@@ -197,7 +199,7 @@ class Guard:
         return f"{names} have the port open, and {allows}: nothing that they write moves the robot until one closes it"
 
     def _answer_early(self) -> None:
-        """Answer what was written before anybody could see by whom. It moves nothing."""
+        """Answer the bytes that were written before it could be seen which program wrote them. They move nothing."""
         early, self._early = self._early, b""
         if self._talk and early:
             answers = self._talk.asked(early, monotonic_ns())
@@ -207,7 +209,7 @@ class Guard:
                 self._pty.write(answer)
 
     def _conversation(self) -> Talk | None:
-        """A new one; None: nobody has it open, or no service was found yet."""
+        """A new conversation; None if no program has the port open, or no service was found yet."""
         talk = self._new_talk()
         return talk if self._door.count else None
 
@@ -230,8 +232,8 @@ class Guard:
         return Talk(language, self._board.scale.wheels, settings.ns("guard.timeout_s"), source_ns)
 
     def _begin(self, talk: Talk | None = None) -> None:
-        """Begin a conversation with the program that has it open, or go on with the one that has begun; where none has
-        it open, wait for one."""
+        """Begin a conversation with the program that has the port open, or go on with `talk`. If no program has it
+        open, wait for one."""
         opener = next(iter(self._door.seen.values()), None)
         self._talk = (talk if self._door.count else None) or self._conversation()
         self._told.clear()
@@ -245,7 +247,8 @@ class Guard:
         self._said_ns = 0
 
     def _end(self) -> None:
-        """A program has closed the port or died. Nothing says which of them wrote, so the driver has ended."""
+        """A program has closed the port or died. Nothing shows which of several programs wrote, so the driver counts as
+        ended."""
         unread, now_ns = self._pty.clean(), monotonic_ns()
         talk, self._talk = self._talk, None
         # A program may open the port twice at its start, as Feetech's SDK does, and ask before the first was seen.
@@ -269,7 +272,8 @@ class Guard:
             self._tell_hasty(talk)
 
     def _tell_hasty(self, talk: Talk) -> None:
-        """It wrote a motion and closed the port at once: as a script does that opens it for each command."""
+        """Note that the driver wrote a motion and closed the port at once, as a script does that opens the port for
+        each command."""
         self._hasty = (
             f"{self._who} closed the port right after it wrote a motion, and a motion ends when the port is closed: "
             f"keep it open, and write the motion again within {talk.timeout_ns / 1e9:g} s"
@@ -291,12 +295,13 @@ class Guard:
                 self._pty.write(data)
 
     def _read_meanwhile(self) -> None:
-        """While something else lasts; a driver that writes without end may wait."""
+        """Read the driver's bytes while something else takes long. A driver that writes without end may have to
+        wait."""
         if not self._flooded:
             self._flooded = not self._read(monotonic_ns())
 
     def _read(self, now_ns: int) -> bool:
-        """Read and answer what the driver has written; returns whether that was all."""
+        """Read and answer what the driver has written. Returns True if nothing more waits."""
         if not self._door.count:
             return True  # what waits is of a program that has just opened it, which the next turn sees
         since_ns = self._empty_ns
@@ -313,7 +318,7 @@ class Guard:
         return empty
 
     def _report(self) -> None:
-        """Say what the driver does not get."""
+        """Print what the driver does not get."""
         if self._talk:
             for refusal in self._talk.refusals:
                 self._tell(f"{self._who}: refused {refusal.what}: {refusal.why}")
@@ -335,7 +340,7 @@ class Guard:
                 self._begin()
 
     def _forward(self, now_ns: int) -> None:
-        """Hand over what the driver wrote for the board that is not motion."""
+        """Pass on what the driver wrote for the board that is not motion."""
         if self._talk and not self._door.crowded and (frame := self._talk.frame(now_ns)):
             self._board.forward(frame)
 
@@ -348,7 +353,7 @@ class Guard:
             self._board.say(*said)
 
     def _words(self, now_ns: int) -> tuple[str, str]:
-        """What it sees, and what is wrong."""
+        """The report for people: what the guard sees, and what is wrong."""
         if self._talk is None:
             return WAITS + self._pty.path, self._hasty
         wrong = ""
@@ -363,6 +368,6 @@ class Guard:
         return DRIVES + self._pty.path, wrong
 
     def close(self) -> None:
-        """End. A driver that drives loses its port, so the service treats it as one that has died."""
+        """End. A driver that drives loses its port, so the service treats it like a driver that has died."""
         self._board.leave(in_order=not (self._talk and self._talk.holds))
         self._door.close()

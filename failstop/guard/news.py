@@ -1,4 +1,4 @@
-"""News: what a door says of the programs that have the port open."""
+"""News: what a Door reports about the programs that have the port open."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from failstop.data import Data
 
 
 class Opener(Data):
-    """A program that has opened it and still has it open."""
+    """A program that has opened the port and still has it open."""
 
     pid: int
     name: str
     times: int
-    """How often it has opened it; descriptors that it has copied are no more openings."""
+    """How often it has opened the port. Copied descriptors don't count."""
 
     def __str__(self) -> str:
         return f"{self.name} (pid {self.pid})"
 
 
 class HungUp(Exception):
-    """Somebody has hung the terminal up, so another one has to take its place."""
+    """Somebody has hung up the pseudo-terminal, so another one must take its place."""
 
 
 class News:
@@ -26,8 +26,8 @@ class News:
 
     def __init__(self) -> None:
         self.any = False
-        """Something has: it is worth looking who has it open now."""
+        """True if something has happened, so that it is worth finding out which programs have the port open."""
         self.ended = False
-        """A program that had it open has closed it, or is dying or dead."""
+        """A program that had the port open has closed it, or is dying or dead."""
         self.orphans: list[Opener] = []
-        """Programs that are gone, or have closed it, and have left it open with a child."""
+        """Programs that have died or closed the port while a child of theirs still has it open."""

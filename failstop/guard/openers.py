@@ -1,14 +1,15 @@
-"""Openers: the programs that have the pseudo-terminal open, by inotify and, where it shows them, by /proc.
+"""Openers: finds the programs that have the pseudo-terminal open, by inotify, and by /proc as far as it shows them.
 
-The kernel merges events that are alike and follow each other, so that two programs which close it in one moment would
-count as one. Its directory is therefore watched too: each open and close is then two events of two watches, and no two
-that follow each other are alike.
+The kernel merges equal events that follow each other, so two programs that close the terminal at the same moment would
+count as one. Therefore the terminal's directory is watched too: each open and each close then makes two events of two
+different watches, and two equal events never follow each other.
 
-What inotify reports are openings: each open() is one, and its close comes when the last descriptor of it is closed. A
-child that inherits a descriptor, and dup(), make no further opening, so several descriptors and processes share one.
-The process that opened it owns it, as far as can be seen: of those that share it, the one that was seen with it first,
-else the oldest, because a parent is older than its children. Owners are the drivers. A child that shares the opening
-may come and go; it keeps the port open when the owner dies, so each owner is watched by a pidfd too.
+inotify reports openings: each open() makes one, and its close is reported when its last descriptor is closed. A child
+that inherits a descriptor, and dup(), make no new opening, so several descriptors and processes may share one. The
+owner of an opening is the process that made it, as far as that can be seen: of the processes that share it, the one
+that was first seen with it, else the oldest, because a parent is older than its children. Owners are the drivers.
+Children that share an opening may come and go. A child keeps the port open when the owner dies, so each owner is also
+watched by a pidfd.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ if TYPE_CHECKING:
 
 IN_CLOSE_WRITE, IN_CLOSE_NOWRITE, IN_OPEN = 0x8, 0x10, 0x20
 _EXITING = 0x4
-"""PF_EXITING, of the flags in /proc/PID/stat."""
+"""PF_EXITING, one of the flags in /proc/PID/stat."""
 _KILLED = 1 << 9 - 1
-"""SIGKILL, of the signals in /proc/PID/stat that wait for the main thread."""
+"""SIGKILL, among the signals in /proc/PID/stat that are pending for the main thread."""
 _MACHINE = 0xEFFFFFFC
-"""The machine's own pid namespace, in which every process has a number (PROC_PID_INIT_INO of Linux)."""
+"""The machine's first pid namespace, in which every process has a number (PROC_PID_INIT_INO of Linux)."""
 _EVENT = struct.Struct("iIII")
 _KCMP = {"x86_64": 312, "aarch64": 272}.get(os.uname().machine, -1)
 _KCMP_FILE = 0
@@ -41,7 +42,7 @@ INTERPRETERS = ("python", "perl", "ruby", "node", "bash", "sh", "dash")
 
 
 class Watch:
-    """Opens and closes of one path."""
+    """Watches the opens and closes of one path."""
 
     def __init__(self, path: str) -> None:
         """Raises OSError."""
@@ -56,7 +57,7 @@ class Watch:
             raise OSError(error, os.strerror(error), path)
 
     def events(self) -> list[bool]:
-        """Since the last call, in order: True, somebody opened it; False, somebody closed it."""
+        """The events since the last call, in order: True for an open, False for a close."""
         found: list[bool] = []
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self.fd, 65536):
@@ -73,20 +74,20 @@ class Watch:
 
 
 class Held(Data):
-    """A descriptor that a process has open on the terminal."""
+    """A descriptor with which a process has the terminal open."""
 
     pid: int
     fd: int
     began: int
-    """When the process began, in the kernel's ticks."""
+    """When the process started, in the kernel's ticks."""
 
 
 def openers(
     path: str, before: Container[int], opened: int, meanwhile: Callable[[], None]
 ) -> tuple[dict[int, Opener], bool]:
-    """The programs that have opened this terminal and still have it open, but for this process; and whether there may
-    be others that /proc does not show. `before`, `opened`: as of owners(). Where many programs run it takes longer than
-    a driver waits, so `meanwhile` is called after each of them."""
+    """The programs other than this one that have opened the terminal and still have it open; and True if there may be
+    others that /proc does not show. `before`, `opened`: as in owners(). If many programs run, this takes longer than a
+    driver waits, so `meanwhile` is called after each of them."""
     wanted = identity(path)
     held: list[Held] = []
     pids = [int(name) for name in os.listdir("/proc") if name.isdigit()]
@@ -107,7 +108,8 @@ def openers(
 
 
 def holds(pid: int, wanted: tuple[int, int, int]) -> list[int]:
-    """The descriptors that a process has open on the terminal with this identity(). Raises PermissionError."""
+    """The descriptors with which a process has the terminal open. `wanted`: the terminal's identity(). Raises
+    PermissionError."""
     found = []
     try:
         names = os.listdir(f"/proc/{pid}/fd")
@@ -125,9 +127,9 @@ def holds(pid: int, wanted: tuple[int, int, int]) -> list[int]:
 def owners(
     held: Sequence[Held], before: Container[int], opened: int, same: Callable[[Held, Held], bool | None]
 ) -> dict[int, int]:
-    """The owners of these descriptors' openings, by pid, with how many each owns. `before`: those that were owners when
-    it was looked last. `same`: whether two descriptors share an opening; None: nobody can say, and then no more than
-    `opened` openings are believed."""
+    """The owners of the openings to which these descriptors belong, by pid, with the number of openings of each.
+    `before`: the owners at the last look. `same`: whether two descriptors share an opening; None: that can't be known,
+    and then at most `opened` openings are believed."""
     first: list[Held] = []
     for each in sorted(held, key=lambda each: (each.pid not in before, each.began, each.pid)):
         answers = [same(each, other) for other in first]
@@ -137,18 +139,18 @@ def owners(
 
 
 def same_opening(one: Held, other: Held) -> bool | None:
-    """Whether two descriptors come from the same open(); None: the kernel does not say."""
+    """True if two descriptors come from the same open(); None if the kernel does not tell."""
     found: int = _libc.syscall(_KCMP, one.pid, other.pid, _KCMP_FILE, ctypes.c_ulong(one.fd), ctypes.c_ulong(other.fd))
     return None if found < 0 else found == 0
 
 
 def _began(pid: int) -> int:
-    """Raises OSError."""
+    """When a process started, in the kernel's ticks. Raises OSError."""
     return int(_fields(_read(f"/proc/{pid}/stat"))[19])
 
 
 def _all_listed(pids: list[int]) -> bool:
-    """Whether /proc lists every process. In a container, or with the mount option hidepid, it leaves others out."""
+    """True if /proc lists every process. In a container, or with the mount option hidepid, it does not."""
     try:
         return os.stat("/proc/self/ns/pid").st_ino == _MACHINE and 1 in pids
     except OSError:
@@ -156,8 +158,8 @@ def _all_listed(pids: list[int]) -> bool:
 
 
 def _may_be(pid: int, name: str, inode: int) -> bool:
-    """Whether a process's descriptor of that name may be open on a terminal with this inode number. What it is open on
-    is not touched, because the server of a file may be away. Raises OSError."""
+    """True if this descriptor of a process may be open on a terminal with this inode number. The file itself is not
+    touched, because it may be on a server that does not answer. Raises OSError."""
     path = os.readlink(f"/proc/{pid}/fd/{name}")
     if path.startswith("/dev/") or not path.startswith("/"):
         return path.startswith("/dev/")
@@ -167,16 +169,16 @@ def _may_be(pid: int, name: str, inode: int) -> bool:
 
 
 def identity(path: str) -> tuple[int, int, int]:
-    """What tells a terminal from every other file. Raises OSError."""
+    """Numbers that identify a terminal among all files. Raises OSError."""
     found = os.stat(path)
     return found.st_dev, found.st_ino, found.st_rdev
 
 
 def dying(pid: int) -> bool:
-    """Whether a process is on its way out. A kill that waits for it is seen first, because a busy machine may let tens
-    of milliseconds pass before the process runs again and begins to end. Then the kernel takes its memory down, which
-    lasts long for a large one, and closes its files afterwards. Of a process with several threads the main one may end
-    long before the memory is gone, or while the others go on: then the others tell."""
+    """True if a process is on its way out. A pending kill counts, because on a busy machine the process may take tens
+    of milliseconds to run again and to begin to end. After that the kernel frees its memory, which takes long for a
+    large process, and then closes its files. If the main thread of several has ended long before the memory is freed,
+    or while the others go on, the other threads decide."""
     try:
         stat = _read(f"/proc/{pid}/stat")
         return all(map(is_ending, _others(pid))) if _fields(stat)[0] == b"Z" else is_ending(stat)
@@ -185,7 +187,7 @@ def dying(pid: int) -> bool:
 
 
 def _others(pid: int) -> Iterator[bytes]:
-    """What /proc says of each thread but the main one. Raises OSError."""
+    """The stat in /proc of each thread except for the main one. Raises OSError."""
     for thread in os.listdir(f"/proc/{pid}/task"):
         if int(thread) != pid:
             with contextlib.suppress(OSError):
@@ -193,14 +195,14 @@ def _others(pid: int) -> Iterator[bytes]:
 
 
 def is_ending(stat: bytes) -> bool:
-    """Whether a thread is on its way out, of what its stat in /proc says. A signal that ends a process without a core
-    dump becomes a SIGKILL of each of its threads when it is sent, and no SIGKILL is ever taken back."""
+    """True if a thread is on its way out, according to its stat in /proc. A signal that ends a process without a core
+    dump becomes a SIGKILL of each thread as soon as it is sent, and a SIGKILL is never withdrawn."""
     numbers = _fields(stat)
     return bool(int(numbers[6]) & _EXITING or int(numbers[28]) & _KILLED)
 
 
 def _fields(stat: bytes) -> list[bytes]:
-    """From the state on."""
+    """The fields of a stat in /proc, beginning with the state."""
     return stat.rpartition(b") ")[2].split()
 
 
@@ -210,7 +212,7 @@ def _read(path: str) -> bytes:
 
 
 def program(pid: int) -> str:
-    """The name of a process for people: of a script its file's."""
+    """The name of a process for people. For a script it is the name of its file."""
     try:
         with open(f"/proc/{pid}/cmdline", "rb") as file:
             words = os.fsdecode(file.read(4096)).split("\0")

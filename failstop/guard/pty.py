@@ -1,4 +1,4 @@
-"""Pty: the pseudo-terminal that a driver opens in the place of the board's port, and the link by which it finds it.
+"""Pty: the pseudo-terminal that a driver opens instead of the board's port, and the link to it.
 
 Facts of Linux that this depends on:
 - A fresh slave echoes and edits lines, so what the guard writes would come back as the driver's commands. The link is
@@ -29,22 +29,23 @@ if TYPE_CHECKING:
 
 READ_BYTES = 4096
 MOST_READ = 65536
-"""Bytes of a driver that are read at once, so that one that writes without end keeps nothing waiting for long."""
+"""How many bytes of a driver are read at once, so that a driver that writes without end does not keep other work
+waiting."""
 MODE = 0o660
 GROUP = "failstop"
 
 
 class Pty:
-    """The pair, and its link at `path`."""
+    """The pseudo-terminal, and the link to it at `path`."""
 
     def __init__(self, path: str) -> None:
         """Raises FailstopError."""
         self.path = path
         self.master = self.slave = -1
         self.name = ""
-        """The slave's own path."""
+        """The path of the slave."""
         self._left = b""
-        """The rest of an answer that the driver has begun to get."""
+        """The rest of an answer of which the driver has got the beginning."""
         self._lock = self._locked()
         try:
             self._open()
@@ -54,8 +55,8 @@ class Pty:
             raise
 
     def _locked(self) -> int:
-        """A lock next to the link, because two guards at one path would take it from each other. Its file stays: one
-        that was taken away could be locked by two guards. Raises FailstopError."""
+        """Take the lock next to the link, because two guards at one path would take it from each other. The lock's file
+        is never removed, because then two guards could each lock a file of that name. Raises FailstopError."""
         path = f"{self.path}.lock"
         try:
             found = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -79,7 +80,8 @@ class Pty:
         self._link()
 
     def _let_in(self) -> None:
-        """The owner and the group of the service's clients may open it. Without that group the owner alone."""
+        """Allow the owner, and the group of the service's clients, to open the pseudo-terminal. If there is no such
+        group, only the owner may."""
         import grp  # once
 
         with contextlib.suppress(KeyError, PermissionError):
@@ -89,8 +91,8 @@ class Pty:
         os.fchmod(self.slave, 0o600)
 
     def _link(self) -> None:
-        """Put the link in its place. A link that leads nowhere, or to a terminal, was a guard's. Raises
-        FailstopError."""
+        """Make the link. An existing link that leads nowhere, or to a terminal, is left from another guard and is
+        replaced. Raises FailstopError."""
         draft = f"{self.path}.new"
         try:
             with contextlib.suppress(FileNotFoundError):
@@ -105,18 +107,19 @@ class Pty:
             raise FailstopError(f"{self.path}: {error.strerror}; choose another place with --path") from None
 
     def linked(self) -> bool:
-        """Whether the link still leads here. A service that ends may take its runtime directory with it."""
+        """True if the link still leads here. When a service ends, it may remove its runtime directory with the link in
+        it."""
         try:
             return os.readlink(self.path) == self.name
         except OSError:
             return False
 
     def link_again(self) -> None:
-        """Put the link back. Raises FailstopError."""
+        """Make the link again. Raises FailstopError."""
         self._link()
 
     def read(self) -> tuple[bytes, bool]:
-        """What the driver has written, MOST_READ at most; and whether nothing more waits."""
+        """Returns what the driver has written, at most MOST_READ bytes, and True if nothing more waits."""
         found = bytearray()
         while len(found) < MOST_READ:
             try:
@@ -129,7 +132,7 @@ class Pty:
         return bytes(found), False
 
     def write(self, data: bytes) -> bool:
-        """Give the driver one answer or frame, whole; False: it does not read, so this one is lost."""
+        """Give the driver an answer or a frame, whole. False if it does not read, and then this one is lost."""
         if self._left:
             self._left = self._left[self._put(self._left) :]
         if self._left:
@@ -146,18 +149,18 @@ class Pty:
             return 0
 
     def exclusive(self, *, on: bool) -> None:
-        """Keep every further program out, as far as the kernel does: root is let in all the same. Raises HungUp."""
+        """Keep further programs out, as far as the kernel allows: root can still open the terminal. Raises HungUp."""
         with _alive():
             fcntl.ioctl(self.slave, termios.TIOCEXCL if on else termios.TIOCNXCL)
 
     def check(self) -> None:
-        """Raises HungUp."""
+        """Raise HungUp if somebody has hung up the terminal."""
         with _alive():
             termios.tcgetattr(self.slave)
 
     def clean(self) -> bytes:
-        """Make it as new for the next driver, once the last has gone; returns what that one wrote and nobody read.
-        Raises HungUp."""
+        """Make the terminal as new for the next driver, after the last one has gone. Returns what the last driver wrote
+        and nobody has read. Raises HungUp."""
         found = b""
         while part := self.read()[0]:
             found = (found + part)[-MOST_READ:]
@@ -173,8 +176,8 @@ class Pty:
         return found
 
     def hang_up(self) -> None:
-        """Every program that has it open reads an end and can't write any more; a new pair takes its place. Raises
-        FailstopError."""
+        """Hang up. Every program that has the terminal open reads the end of file and can't write any more; a new pair
+        takes its place. Raises FailstopError."""
         self._close()
         self._open()
 
@@ -186,7 +189,7 @@ class Pty:
         self._left = b""
 
     def close(self) -> None:
-        """Take the link away, then hang up."""
+        """Remove the link, then hang up."""
         if self.linked():
             with contextlib.suppress(OSError):
                 os.unlink(self.path)
@@ -196,7 +199,7 @@ class Pty:
 
 @contextlib.contextmanager
 def _alive() -> Iterator[None]:
-    """Raises HungUp for what the kernel says of a terminal that was hung up."""
+    """Raise HungUp if the kernel's error means that somebody has hung up the terminal."""
     try:
         yield
     except (OSError, termios.error) as error:

@@ -1,16 +1,16 @@
-"""Said: the words by which the guard tells the service's screens about itself, and by which doctor finds it."""
+"""Said: the words with which the guard reports about itself on the service's screens, and by which doctor finds it."""
 
 from __future__ import annotations
 
 GUARD = "failstop guard"
-"""Its name while no driver has the port open."""
+"""The guard's name while no driver has the port open."""
 DRIVES = "uses the guard port "
 WAITS = "no driver has opened the guard port "
 REFUSED = "failstop refused "
 
 
 def path_in(sees: str) -> str:
-    """The port's path in a client's words; empty: it is no guard's."""
+    """The path of the guard port in a client's report; empty if that client is not a guard."""
     for words in (DRIVES, WAITS):
         if sees.startswith(words):
             return sees.removeprefix(words)

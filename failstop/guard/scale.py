@@ -1,4 +1,4 @@
-"""Scale: the driver's wheel speeds as a velocity of the base, which is what the service takes. Pure."""
+"""Scale: converts the driver's wheel speeds to a velocity of the base, which is what the service accepts. Pure."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from failstop.policy.settings import Settings
 
 _NUDGE = 1e-3
-"""A speed is raised by this part of a step. The service rounds a speed towards zero to a multiple of the board's step.
-A driver's speed already is such a multiple, and must not lose a step because the velocity that it was computed from is
-a tiny bit too small."""
+"""A speed is raised by this share of a step. The service rounds speeds towards zero to a multiple of the board's step.
+The driver's speed already is such a multiple, and must not lose a step because the velocity that was computed from it
+is a tiny bit too small."""
 _ROUNDING = 1.001
 AXES = (
     ("limits.vx_mps", "forward or backward", "m/s"),
@@ -27,12 +27,12 @@ AXES = (
 
 
 class Scale:
-    """By the settings' wheels, as the service itself turns a velocity into speeds."""
+    """Converts speeds with the settings' wheels, in the same way as the service converts a velocity into speeds."""
 
     def __init__(self, settings: Settings, per_rps: float, step_rps: float, *, assumed: bool = False) -> None:
-        """`per_rps`: a wheel's turn a second in the unit of the board's motion; `step_rps`: the smallest difference
-        between two speeds of the board, in turns a second; `assumed`: nobody has confirmed `per_rps`, so the limits in
-        these settings are lower."""
+        """`per_rps`: how many of the board's speed units make one wheel turn per second; `step_rps`: the smallest
+        difference between two speeds of the board, in turns per second; `assumed`: nobody has confirmed `per_rps`, so
+        the limits are lower."""
         self._chassis = from_settings(settings)
         self.wheels = len(self._chassis.rest) - self._chassis.steers
         self._limits = [settings[key] for key, *_ in AXES]
@@ -40,8 +40,8 @@ class Scale:
         self._per_rps, self._nudge_rps = per_rps, step_rps * _NUDGE
 
     def velocity(self, speeds: Sequence[float], steering_rad: float | None = None) -> Velocity:
-        """The velocity of the base whose wheels turn so, by wire id in the unit of the board's motion; `steering_rad`:
-        the angle of the steered wheels, None if the wheels' speeds give the turn."""
+        """The velocity of a base whose wheels turn at these speeds, by wire id in the board's unit. `steering_rad`: the
+        angle of the steered wheels; None if the wheels' speeds determine the turn."""
         rps = [speed / self._per_rps + copysign(self._nudge_rps, speed) if speed else 0.0 for speed in speeds]
         vx, vy, wz = self._chassis.velocity(rps)
         if steering_rad is not None and isinstance(self._chassis, Steered):
@@ -49,7 +49,8 @@ class Scale:
         return vx, vy, wz
 
     def beyond(self, velocity: Velocity) -> str:
-        """What a velocity asks for beyond the settings' limits, and what it gets, in words; empty: nothing."""
+        """A text about what a velocity asks for beyond the settings' limits, and what it gets; empty if it is within
+        them."""
         for asked, most, (key, way, unit) in zip(velocity, self._limits, AXES, strict=True):
             if abs(asked) > most * _ROUNDING:
                 capped = self._assumed and most == scale.CAPS[key]

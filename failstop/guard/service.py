@@ -1,6 +1,8 @@
-"""Service: the guard's side of the service - a client slot under the driver's name, and what the board said.
+"""Service: the guard as a client of the service. It has a client slot under the driver's name, and reads what the board
+has sent.
 
-A service that has gone is looked for again, and a driver notices nothing of that: its motion moves nothing meanwhile.
+If the service ends, the guard looks for the next one. The driver does not notice that, but its motion moves nothing in
+the meantime.
 """
 
 from __future__ import annotations
@@ -22,20 +24,20 @@ if TYPE_CHECKING:
     from failstop.guard.talk import Command
 
 AGAIN_NS = 500_000_000
-"""How often a service that is not there is looked for."""
+"""How often to look for a service while none is running."""
 SOURCE = "guard"
-"""Commands are given as this source where the settings declare it, else as the one that is always there."""
+"""The driver's commands are given as this source if the settings declare it, else as cmd_vel."""
 
 
 class Service:
-    """The run that is there now."""
+    """The run of the service that exists now."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.note = ""
-        """Why there is no service, or no slot, now."""
+        """Why there is no service or no slot now; empty if there is one."""
         self.settings: Settings | None = None
-        """The settings of the present run, or of the last one. None: no run was found yet."""
+        """The settings of the present run, or else of the last one; None if no run was found yet."""
         self.runs = 0
         """How many runs were found."""
         self._reader: StateReader | None = None
@@ -44,7 +46,7 @@ class Service:
         self._tried_ns = -AGAIN_NS
 
     def look(self, now_ns: int) -> bool:
-        """Whether a service is there; one that has gone is looked for every AGAIN_NS."""
+        """True if a service is running. If none is, it is looked for every AGAIN_NS."""
         if self._reader and self._reader.over():
             self._drop()
         if self._reader is None and now_ns - self._tried_ns >= AGAIN_NS:
@@ -81,15 +83,15 @@ class Service:
             self.note = str(error)
 
     def join(self, who: str, pid: int | None) -> None:
-        """Speak for this program from now on; `pid` None: for the guard itself."""
+        """Speak for this program from now on. `pid` None: for the guard itself."""
         self.leave(in_order=True)
         self._who = who, pid
         if self._reader:
             self._connect()
 
     def leave(self, *, in_order: bool) -> None:
-        """Speak for it no more. Not `in_order`: it died or ended while it drove, and the service answers as the setting
-        gate.driver_death says."""
+        """Stop speaking for the program. If it was not `in_order`, it died or ended while it drove, and the service
+        acts as the setting gate.driver_death says."""
         self._who = None
         self._leave(in_order=in_order)
 
@@ -99,7 +101,7 @@ class Service:
             client.close(in_order=in_order)
 
     def command(self, command: Command) -> str:
-        """Hand it over; returns what it asks for beyond the limits, in words."""
+        """Give a command to the service. Returns a text about what it asks for beyond the limits, or ""."""
         if self._client is None:
             return ""
         velocity = self.scale.velocity(command.speeds, command.steering_rad)
@@ -111,19 +113,19 @@ class Service:
         return self.scale.beyond(velocity)
 
     def forward(self, frame: bytes) -> None:
-        """Hand over a frame for the board that is not motion. The service decides whether it goes out."""
+        """Give the service a frame for the board that is not motion. The service decides whether it is sent."""
         if self._client:
             with contextlib.suppress(FailstopError):
                 self._client.write("aux", frame, wake=True)
 
     def say(self, sees: str, wrong: str) -> None:
-        """Tell people about the driver."""
+        """Report about the driver to people."""
         if self._client:
             with contextlib.suppress(FailstopError):
                 self._client.write("said", sees, wrong)
 
     def block(self) -> Block | None:
-        """What keeps the wheels from turning; None: nothing."""
+        """Why the wheels may not turn; None if they may."""
         if self._reader is None:
             return Block.DISABLED
         decided, cause, *_ = self._reader.decided()
@@ -131,7 +133,7 @@ class Service:
         return getattr(answer, "block", None)
 
     def heard(self) -> list[tuple[int, bytes]]:
-        """What the board has said since the last call: when, and which bytes."""
+        """What the board has sent since the last call: when, and which bytes."""
         found = []
         for ring in self._received if self._reader else ():
             while entry := ring.next():

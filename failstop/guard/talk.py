@@ -1,11 +1,11 @@
 """Talk: one driver's conversation, from its first byte to its end. Pure: every time is an argument.
 
-The board's language says what the driver's bytes ask for (failstop/board/driver.py). This says what becomes of that:
-which motion counts and until when, which answers still help, and whether a driver that has gone had let go of the
-wheels.
+The board's language decodes what the driver's bytes ask for (failstop/board/driver.py). This file decides what is done
+with it: which motion counts and until when, which answers are still useful, and whether a driver had let go of the
+wheels before it ended.
 
-A motion is as old as the last moment at which nothing of the driver's waited to be read. So after a stall of the guard,
-or behind a driver that writes faster than anyone reads, an old motion is not taken for a new one.
+A motion counts from the last moment at which no bytes of the driver were waiting. So an old motion is not taken for a
+new one after the guard was held up, or if a driver writes faster than the guard reads.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ if TYPE_CHECKING:
     from failstop.board.driver import DriverLanguage
 
 RENEW_NS = 100_000_000
-"""A motion that counts for longer than the service lets a command count is commanded again this often, or more."""
+"""If a motion counts for longer than the service lets a command count, the command is repeated at least this often."""
 FRAME_EVERY_NS = 20_000_000
-"""Frames that are not motion are handed over no closer together: the board's line is for motion first."""
+"""The shortest time between two frames that are not motion, because the board's line is needed for motion."""
 MOST_FRAMES = 8
-"""How many such frames may wait. A further one is dropped."""
+"""How many frames that are not motion may wait. Further ones are dropped."""
 MOST_REFUSALS = 32
-"""Different refusals that are reported of one driver."""
+"""How many different refusals of one driver are reported."""
 LATE_FOR_NS = 3_000_000_000
-"""A driver that ends so long after a late answer may have ended because of it."""
+"""A driver that ends within this time after a late answer may have ended because of it."""
 NOT_WHEELS = "a motion that is not valid"
 
 
 class Command(Data):
-    """A command for the service: speeds by wire id in the board's unit, and the moment that it counts from."""
+    """A command for the service: the speeds by wire id in the board's unit, and the moment from which it counts."""
 
     speeds: tuple[float, ...]
     t_ns: int
@@ -43,12 +43,12 @@ class Command(Data):
 
     @property
     def moves(self) -> bool:
-        """It asks for a speed other than zero."""
+        """True if it asks for a speed other than zero."""
         return any(self.speeds)
 
 
 class Talk:
-    """What one driver has said, and what is to be commanded for it."""
+    """What one driver has written, and what must be commanded for it."""
 
     def __init__(self, language: DriverLanguage, wheels: int, timeout_ns: int, source_ns: int) -> None:
         """`wheels`: how many speeds a motion has; `timeout_ns`: for how long the driver's last motion counts (the
@@ -60,38 +60,41 @@ class Talk:
         self._speeds: tuple[float, ...] | None = None
         self._steering_rad: float | None = None
         self._lets_go = True
-        """Its newest motion of its own was zero, or it has written none. The stop after a refusal is not its own."""
+        """True if the driver's own newest motion was zero, or it has written none. The stop after a refusal does not
+        count as its own."""
         self.refused = ""
-        """Why its newest motion was replaced by a stop, for people; empty: it was not."""
+        """Why the driver's newest motion was replaced by a stop, for people; empty if it was not."""
         self._written_ns = 0
-        """When the newest motion was written, at the earliest."""
+        """The earliest time at which the newest motion may have been written."""
         self._late_ns = self._late_at_ns = 0
-        """How late the newest late answer was at the most, and when it was given."""
+        """How late the newest late answer was at most, and when it was given."""
         self._sent_ns: int | None = None
-        """The moment that the command counts from that was handed over last; None: this motion was not yet."""
+        """The moment from which the last command counted that was given to the service; None: this motion was not given
+        yet."""
         self._frames: dict[str, bytes] = {}
         """Frames for the board that are not motion, by kind, in order."""
         self._framed_ns = -FRAME_EVERY_NS
         self._known: set[str] = set()
         self.refusals: list[DriverRefusal] = []
-        """New refusals, for people; the shell, which reports them, empties the list."""
+        """New refusals, for people. The shell reports them and empties the list."""
 
     @property
     def motion(self) -> tuple[float, ...] | None:
-        """The newest motion; None: it has written none."""
+        """The newest motion; None if the driver has written none."""
         return self._speeds
 
     @property
     def drives(self) -> bool:
-        """Its newest motion, however old, asks for a speed other than zero."""
+        """True if the newest motion, however old, asks for a speed other than zero."""
         return self._speeds is not None and any(self._speeds)
 
     def silent_ns(self, now_ns: int) -> int:
-        """For how long its last motion has not counted any more, though it asks for a speed; 0: it counts."""
+        """For how long the driver's last motion has been too old, although it asks for a speed; 0 if it still
+        counts."""
         return max(0, now_ns - self._written_ns - self.timeout_ns) if self.drives else 0
 
     def wrote(self, chunk: bytes, now_ns: int, since_ns: int) -> list[bytes]:
-        """The driver wrote these bytes, after `since_ns` and by `now_ns`. Returns the answers to them."""
+        """Handle bytes that the driver wrote after `since_ns` and by `now_ns`. Returns the answers to them."""
         rows = self._language.wrote(chunk, now_ns)
         answers = [row.data for row in rows if isinstance(row, DriverAnswer)]
         motions = [row for row in rows if isinstance(row, DriverMotion)]
@@ -114,22 +117,22 @@ class Talk:
         return answers[-1:] if late else answers
 
     def late(self, now_ns: int) -> tuple[int, int] | None:
-        """How late an answer was that the driver had given up, at the most, and how long it waits; None: none was in
-        the last seconds."""
+        """How late an answer was at most that the driver no longer waited for, and for how long it waits; None if there
+        was none in the last seconds."""
         if not self._late_at_ns or now_ns - self._late_at_ns > LATE_FOR_NS:
             return None
         return self._late_ns, self._language.patience_ns
 
     def asked(self, chunk: bytes, now_ns: int) -> list[bytes] | None:
-        """These bytes may be this driver's, or those of the one before. Returns the answers to them; None: they would
-        move a wheel, so nothing of them counts and another conversation must begin."""
+        """Handle bytes that may be from this driver or from the one before. Returns the answers to them. None: they
+        would move a wheel, so none of them counts, and another conversation must begin."""
         rows = self._language.wrote(chunk, now_ns)
         if any(isinstance(row, DriverMotion) and any(row.speeds) for row in rows):
             return None
         return [row.data for row in rows if isinstance(row, DriverAnswer)]
 
     def frame(self, now_ns: int) -> bytes:
-        """A frame for the board that is not motion, which is due now; empty: none is."""
+        """A frame for the board that is not motion and is due now; empty if there is none."""
         if not self._frames or now_ns - self._framed_ns < FRAME_EVERY_NS:
             return b""
         self._framed_ns = now_ns
@@ -143,21 +146,21 @@ class Talk:
         self._speeds, self._written_ns, self._sent_ns = found, since_ns, None
 
     def refuse(self, what: str, why: str) -> None:
-        """The driver does not get something, which is reported once."""
+        """Refuse something that the driver has asked for, and report it once."""
         if what not in self._known and len(self._known) < MOST_REFUSALS:
             self._known.add(what)
             self.refusals.append(DriverRefusal(what, why))
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """The board said these bytes. Returns what the driver gets of them, each to be written whole."""
+        """Handle bytes from the board. Returns what the driver gets of them; each must be written whole."""
         return self._language.heard(chunk, now_ns)
 
     def command(self, now_ns: int) -> Command | None:
-        """The command to hand to the service now; None: what was handed over still says it.
+        """The command to give to the service now; None if the last one is still right.
 
-        The service lets a command count for its own timeout, so a motion that may count for longer is commanded again
-        and again. The last of these counts from a moment that makes it end with the driver's timeout. So the wheels
-        stop in time even if the guard hangs meanwhile.
+        A command counts for the service's own timeout, so a motion that may count for longer is commanded again and
+        again. The last of these commands is dated so that it ends together with the driver's timeout. So the wheels
+        stop in time even if the guard hangs.
         """
         if self._speeds is None:
             return None
@@ -173,11 +176,11 @@ class Talk:
 
     @property
     def _last_ns(self) -> int:
-        """The moment that the last command of this motion counts from."""
+        """The moment from which the last command of this motion counts."""
         return self._written_ns + self.timeout_ns - self._source_ns
 
     def due_ns(self) -> int | None:
-        """When command() or frame() has something to say if the driver writes nothing more; None: never."""
+        """When command() or frame() will have something to send if the driver writes nothing more; None: never."""
         motion_ns = self._motion_due_ns()
         if not self._frames:
             return motion_ns
@@ -192,14 +195,16 @@ class Talk:
         return min(self._sent_ns + self._renew_ns, self._last_ns) if self._sent_ns < self._last_ns else None
 
     def ended(self, unread: bytes, now_ns: int) -> bool:
-        """The driver has gone, and these bytes of it were not read yet. True when it ended or died while driving: a
-        motion among them is not carried out any more, but a zero says that it had let go."""
+        """The driver has gone; `unread`: its bytes that were not read yet. Returns True if it ended or died while
+        driving. A motion in the unread bytes is not carried out, but a zero in them shows that the driver had let
+        go."""
         motions = [row for row in self._language.wrote(unread, now_ns) if isinstance(row, DriverMotion)]
         return not self._let_go_by(motions)
 
     @property
     def holds(self) -> bool:
-        """Its newest motion of its own asks for a speed, even if failstop has stopped the wheels since."""
+        """True if the driver's own newest motion asks for a speed, even if failstop has stopped the wheels since
+        then."""
         return not self._lets_go
 
     def _let_go_by(self, motions: Sequence[DriverMotion]) -> bool:
