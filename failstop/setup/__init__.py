@@ -1,1 +1,2 @@
-"""Setup: from a cable to a proved robot, as a conversation in a terminal."""
+"""Setup: a conversation in a terminal that begins with the board's cable and ends with a robot whose stops were
+tested."""

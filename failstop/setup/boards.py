@@ -23,14 +23,14 @@ ASK_S = 0.1
 
 
 def kind_check(answer: str) -> str:
-    """A kind of board. Raises NotAnAnswer."""
+    """Check an answer that must be a kind of board. Raises NotAnAnswer."""
     if answer in BOARDS or is_own(answer):
         return answer
     raise NotAnAnswer(f"type {', '.join(BOARDS)}, or the path of your own board's folder")
 
 
 def can_id_check(answer: str) -> str:
-    """The CAN id of a second motor's controller. Raises NotAnAnswer."""
+    """Check an answer that must be the CAN id of a second motor's controller, or none. Raises NotAnAnswer."""
     text = answer.strip().lower()
     if text == NONE or (text.isdigit() and int(text) <= HIGHEST_CAN_ID):
         return text
@@ -38,7 +38,7 @@ def can_id_check(answer: str) -> str:
 
 
 def step(talk: Talk, path: str) -> tuple[str, dict[str, object]]:
-    """The second step: the board's kind, and its settings that are not the usual ones. Raises Left."""
+    """The second step. Returns the board's kind, and those of its settings that are not the usual ones. Raises Left."""
     talk.step(2, "The board")
     wanted = talk.given.get("board") or talk.draft.answers.get("board", "")
     if wanted:
@@ -86,7 +86,8 @@ def _has_can(kind: str) -> bool:
 
 
 def _second(talk: Talk, fd: int, kind: str) -> dict[str, object]:
-    """The setting for the second motor, of which nothing was heard under the usual id. Raises Left, OSError."""
+    """Ask about the second motor, which does not answer under the usual CAN id. Returns its setting. Raises Left,
+    OSError."""
     talk.say(f"The controller at the port answers, but no second one answers at CAN id {USUAL_CAN_ID}.")
     question = f"What is the CAN id of the second one? (VESC Tool shows it; {NONE}: there is only one motor)"
     answer = talk.ask("can_id", question, "", can_id_check)
@@ -100,7 +101,7 @@ def _second(talk: Talk, fd: int, kind: str) -> dict[str, object]:
 
 
 def _live(talk: Talk, fd: int, board: Board) -> None:
-    """Show its reports, for a moment."""
+    """Show the board's reports for a moment."""
     set_speed(fd, board.port)
     tap = Tap(fd, board)
     counts = {HEARD_IMU: 0, HEARD_WHEELS: 0, HEARD_BATTERY: 0}

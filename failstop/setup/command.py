@@ -71,7 +71,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Hold the conversation. Raises Left, whose text says what is wrong and what helps."""
+    """Hold the conversation. Raises Left, whose text says what is wrong and what to do."""
     draft = Draft(check_name(arguments.name), os.environ)
     if arguments.afresh:
         draft.forget()

@@ -1,4 +1,4 @@
-"""Draft: the answers of a setup that was left, kept in a file until it is done."""
+"""Draft: the answers given so far, kept in a file until the setup is complete."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ MOST_BYTES = 65536
 
 
 class Draft:
-    """Answers by question. Every answer is on the disk before the next question is put."""
+    """The answers, by question. Every answer is on the disk before the next question is asked."""
 
     def __init__(self, name: str, environ: Mapping[str, str]) -> None:
-        """`name`: the instance's."""
+        """`name`: the name of the service."""
         self.path = os.path.join(state_directory(name, environ), FILE)
         self.answers = self._read()
         self.unwritten = ""
-        """Why an answer could not be kept; empty: they are."""
+        """Why an answer could not be kept; empty if all are kept."""
 
     def _read(self) -> dict[str, str]:
         try:
@@ -40,7 +40,7 @@ class Draft:
         self._write()
 
     def forget(self, *keys: str) -> None:
-        """Take answers out, of all questions by default."""
+        """Remove the answers to these questions; without arguments, all answers."""
         for key in keys or tuple(self.answers):
             self.answers.pop(key, None)
         self._write()

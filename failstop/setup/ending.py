@@ -1,5 +1,5 @@
-"""Ending: a program that turns wheels through its own service stops them before it ends, whatever ends it. The
-laboratory's programs do the same."""
+"""Ending: makes sure that a program that turns wheels through its own service stops them before it ends, whatever ends
+it. The laboratory's programs use it too."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """A lost terminal or a kill ends the program like Ctrl-C does: the wheels are stopped first."""
+    """Within this context a lost terminal or a SIGTERM ends the program in the same way as Ctrl-C does, so that the
+    wheels are stopped first."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -32,7 +33,8 @@ def interruptible() -> Iterator[None]:
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Ignore these signals, because a program that is interrupted while it ends might leave the wheels turning."""
+    """Within this context these signals are ignored, because a program that is interrupted while it ends might leave
+    the wheels turning."""
     held = {number: signal.getsignal(number) for number in SIGNALS}
     for number in held:
         signal.signal(number, signal.SIG_IGN)
@@ -45,7 +47,8 @@ def uninterrupted() -> Iterator[None]:
 
 @contextlib.contextmanager
 def noted() -> Iterator[list[int]]:
-    """These signals interrupt nothing: the list that is yielded gets the number of each that arrives."""
+    """Within this context these signals interrupt nothing. The number of each signal that arrives is added to the list
+    that is yielded."""
     found: list[int] = []
 
     def note(number: int, _frame: FrameType | None) -> None:
@@ -74,5 +77,6 @@ def arrivals() -> Iterator[int]:
 
 
 def end_with_parent() -> None:
-    """In the child, before exec: SIGTERM when the parent dies. The supervisor then stops the wheels and ends."""
+    """Call it in the child, before exec: the child gets SIGTERM when the parent dies. The supervisor then stops the
+    wheels and ends."""
     _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)

@@ -36,13 +36,14 @@ from failstop.setup.rig import toml
 from failstop.setup.talk import NO, YES, Left, NotAnAnswer, Talk
 
 CONSENT = "spin\n"
-"""The word that `failstop prove` asks for."""
+"""The answer that `failstop prove` asks for before it turns the wheels."""
 FROZEN = "frozen"
 GIVES_UP = 3
-"""The first Ctrl-C ends the stand test, and the second ends its waiting for a board that is unplugged."""
+"""At this signal a command that hangs is killed. The first Ctrl-C ends the stand test, and the second ends its waiting
+for a board that is unplugged."""
 REPLACE = "replace"
 NOT_YET = "service"
-"""The check of what is started next."""
+"""The check of the service, which is left out because the service is started only afterwards."""
 RESULT = "result.json"
 
 
@@ -61,8 +62,8 @@ def watchdog(talk: Talk, kind: str) -> None:
 
 
 def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt: Halt) -> dict[str, Any]:
-    """The sixth step: the short stand test on these settings; its evidence, or nothing if it was not made. `halt` stops
-    the wheels if the test is ended by a person or a signal."""
+    """The sixth step: the short stand test with these settings. Returns its evidence, or nothing if the test was not
+    made. If a person or a signal ends the test, `halt` stops the wheels."""
     talk.step(6, "The proof")
     if not here("prove"):
         talk.warn(
@@ -99,9 +100,9 @@ def proof(talk: Talk, values: Mapping[str, object], device: str, name: str, halt
 
 
 def _run(words: list[str], said: str | None) -> tuple[int, bool]:
-    """Run a command to its end; return its exit code, and whether a signal should end this program too. Ctrl-C at the
-    terminal reaches the command by itself, and other signals are passed on: it stops the wheels before it ends, so
-    that is waited for. The last of GIVES_UP signals kills a command that hangs."""
+    """Run a command to its end. Returns its exit code, and True if a signal must end this program too. Ctrl-C at the
+    terminal reaches the command by itself, and other signals are passed on. The command stops the wheels before it
+    ends, so this waits for it; but the last of GIVES_UP signals kills a command that hangs."""
     process = subprocess.Popen(words, stdin=None if said is None else subprocess.PIPE, text=True)
 
     signals = 0
@@ -131,7 +132,7 @@ def _runs(folder: str) -> set[str]:
 
 
 def text(values: Mapping[str, object], robot: str, evidence: Mapping[str, Any]) -> str:
-    """The settings file."""
+    """The text of the settings file."""
     day = time.strftime("%Y-%m-%d")
     proved = f"stand test: {evidence['verdict']}" if evidence else "not proved yet: run failstop prove"
     head = f"# {robot}. Written by `failstop setup` on {day}.\n# {proved[0].upper()}{proved[1:]}.\n"
@@ -179,7 +180,8 @@ def write(talk: Talk, made: str, name: str) -> str:
 
 
 def _replace(answer: str) -> str:
-    """The whole word, because a yes is typed too easily. Raises NotAnAnswer."""
+    """Check the answer to whether a file may be replaced. It must be the whole word, because a yes is typed too easily.
+    Raises NotAnAnswer."""
     if answer.strip() not in (REPLACE, NO):
         raise NotAnAnswer(f"type the whole word {REPLACE}, or {NO}")
     return answer.strip()
@@ -205,7 +207,7 @@ def _differ(talk: Talk, path: str, made: str) -> None:
 
 
 def doctor(talk: Talk, path: str, device: str, name: str) -> None:
-    """Show the faults of this machine that weaken the promises."""
+    """Show what the doctor finds wrong with this computer."""
     style.show([[], [("This computer, checked by `failstop doctor --quick`", style.STRONG)]])
     looked = table.examine(Look(name, path, device, True))
     found = [row for row in looked if row[1].level in (FAIL, WARN) and row[0] != NOT_YET]
@@ -215,8 +217,8 @@ def doctor(talk: Talk, path: str, device: str, name: str) -> None:
 def closing(
     talk: Talk, path: str, name: str, evidence: Mapping[str, Any], settings: Mapping[str, object] | None = None
 ) -> None:
-    """Sum up: the proofs, those that are missing, the commands to type next, and with `settings` the guard port where
-    the board has one."""
+    """Sum up: what is proved and what is not, and the commands to type next. With `settings`, offer the guard port too,
+    if the board has one."""
     style.show([[], [("What is proved", style.STRONG)]])
     rows = evidence.get("rows", [])
     if not rows:
@@ -259,8 +261,8 @@ def _guard(talk: Talk, settings: Settings, path: str, name: str) -> None:
 
 
 def _prove(path: str, name: str) -> str:
-    """The command that proves the robot by the settings at `path`: without them it would take those that are installed,
-    or none."""
+    """The command that proves the robot with the settings at `path`. Without the option for them, it would use the
+    installed settings, or none."""
     config_ = "" if path == config.installed(name) else f" --config {shlex.quote(path)}"
     return f"failstop prove --quick{config_}{option(name)}"
 

@@ -1,7 +1,8 @@
 """Halt: stop the wheels from a program of failstop's own, and find out whether they are stopped.
 
-It writes the board's stop to the port itself, with no service in between, then asks the board and looks at what it
-reports of its wheels. While the port is unplugged it says so, waits, and writes the stop as soon as the port is back.
+It writes the board's stop to the port itself, without a service. Then it asks the board whether it has got the stop,
+and reads what the board reports about its wheels. While the port is unplugged, it says so, waits, and writes the stop
+as soon as the port is back.
 """
 
 from __future__ import annotations
@@ -20,27 +21,29 @@ from failstop.procs.telemetry.readback import ReadBack
 from failstop.setup.ending import noted
 
 FREE_S = 5.0
-"""How long a port that exists may refuse the stop: another process may be about to let go of it."""
+"""For how long to keep trying if an existing port refuses the stop, s, because another process may be about to close
+it."""
 WAITS_S = 300.0
-"""How long it waits for a port that is unplugged."""
+"""For how long to wait for a port that is unplugged, s."""
 SETTLES_S = 0.3
-"""How long a port may be gone before it says so: one that is being opened anew is gone for a moment."""
+"""A port must be gone for this long, s, before that is reported, because a port that is just being opened again is gone
+for a moment."""
 RETRY_S = 0.02
 WRITES = 5
-"""Stops to a board that can't confirm one: a single stop may be lost on the line."""
+"""How often a stop is written to a board that can't confirm one, because a single stop may be lost on the line."""
 APART_S = 0.1
 STALE_S = 0.03
-"""How long answers to questions of earlier programs may still arrive."""
+"""For how long answers to the questions of earlier programs may still arrive, s."""
 ANSWERS_S = 0.25
 """How long one answer may take before the stop and the question are repeated."""
 CONFIRMS_S = 1.5
-"""How long the board has for its answer, in all."""
+"""How long the board may take to answer, with all repeats, s."""
 RESTS_S = 5.0
-"""How long turning wheels may take to come to rest."""
+"""How long turning wheels may take to come to rest, s."""
 REST_S = 0.2
-"""How long the board has to report them at rest."""
+"""For how long the board must report that the wheels are at rest, s."""
 REPORTS_S = 1.0
-"""A board whose first report takes longer than this reports nothing."""
+"""If a board has sent no report within this time, s, it counts as one that reports nothing."""
 ASK_S = 0.05
 TURN_S = 0.005
 WAITING = f"{{}} is unplugged: {MAY_TURN}. Plug it in again, and the stop is written at once; Ctrl-C ends the waiting."
@@ -55,8 +58,8 @@ class Halt:
         self.last: Halted | None = None
 
     def now(self, waits_s: float = WAITS_S) -> Halted:
-        """Stop the wheels, and find out whether they are stopped; it raises nothing. It waits up to `waits_s` seconds
-        for a port that is unplugged. Ctrl-C, SIGTERM and SIGHUP end that waiting, and nothing else."""
+        """Stop the wheels, and find out whether they are stopped. It raises nothing. It waits up to `waits_s` for a
+        port that is unplugged. Ctrl-C, SIGTERM and SIGHUP end only that waiting."""
         with noted() as signals:
             self.last = self._stop(waits_s, signals)
         return self.last
@@ -84,8 +87,8 @@ class Halt:
             time.sleep(RETRY_S)
 
     def _asked(self) -> Halted:
-        """Ask the board whether it has the stop, and wait until it reports its wheels at rest. Raises PortError,
-        OSError when the port goes away meanwhile."""
+        """Ask the board whether it has got the stop, and wait until it reports its wheels at rest. Raises PortError, or
+        OSError if the port goes away in the meantime."""
         board = self._board
         confirms = bool(board.pings)  # a board that only reports what it obeys reports zero without hearing a stop too
         fd = open_port(self._path, exclusive=False, line=board.port)
@@ -101,7 +104,7 @@ class Halt:
         return Halted(self._path, written=True, confirms=confirms, confirmed=confirmed, still=still)
 
     def _confirmed(self, tap: Tap) -> bool:
-        """Whether the board has answered a question that followed a stop. Stops and questions are repeated."""
+        """True if the board has answered a question that followed a stop. Stops and questions are repeated."""
         deaf_s = self._board.port.deaf_ns / 1e9 * has_lines(tap.fd)
         hears_s, deaf = time.monotonic() + deaf_s, deaf_s > 0
         while tap.answered_ms(ANSWERS_S) is None:
@@ -122,8 +125,8 @@ class Halt:
 
 
 def _still(tap: Tap, board: Board) -> bool | None:
-    """Whether the board reports its wheels at rest, as soon as that has lasted; None: it reports nothing of them.
-    Raises OSError."""
+    """True once the board has reported for long enough that its wheels are at rest, False if it has not; None if it
+    reports nothing about its wheels. Raises OSError."""
     read_back = ReadBack()
     begun_s = now_s = time.monotonic()
     ask_s = 0.0

@@ -1,7 +1,8 @@
-"""Leftovers: what a service with a name of its own, made for one use, leaves when it is killed.
+"""Leftovers: removes what a service leaves when it is killed, if it had a name that was made for one use.
 
-A service that is started again finds what its last run left. Nobody starts `setup-4711` again, so the next program that
-makes such a service removes what those before it left: shared memory, the runtime folder, and a folder for its files.
+When a service is started again, it finds and removes what its last run has left. But nobody starts `setup-4711` again.
+So the next program that makes such a service removes what earlier ones have left: shared memory, the runtime folder,
+and a folder for its files.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from failstop.messages import segments
 
 
 def folder(name: str) -> str:
-    """Make a folder for the files of the service `name`, which is found again by that name. Raises OSError."""
+    """Make a folder for the files of the service `name`. It can be found again by that name. Raises OSError."""
     return tempfile.mkdtemp(prefix=f"{_folders_of(name)}")
 
 
 def remove(name: str) -> None:
-    """Remove the memory and the runtime folder of a service that has ended."""
+    """Remove the shared memory and the runtime folder of a service that has ended."""
     for run in segments.dead_runs(name):
         segments.unlink_all(run)
     for path in instance.places(name):
@@ -30,8 +31,8 @@ def remove(name: str) -> None:
 
 
 def remove_ended(prefix: str) -> None:
-    """Remove what is left of every service `prefix` + PID of this user whose process PID has ended, and which has ended
-    too."""
+    """For every name of the form `prefix` + PID of this user: if the process PID and the service have ended, remove
+    what they have left."""
     names = {name.removeprefix("failstop.").partition(".")[0] for name in _listed(segments.SHM, "failstop.")}
     for base in instance.bases():
         names.update(_listed(base, prefix))

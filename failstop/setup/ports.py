@@ -1,4 +1,4 @@
-"""Ports: find the port that the board is at, and what keeps this user from using it, with the remedy."""
+"""Ports: finds the board's port, and what keeps this user from using it, with the remedy."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ UNPLUG = "unplug"
 OTHER_PATH = "or the path of another port"
 NODES = ("/dev/ttyACM*", "/dev/ttyUSB*", "/dev/ttyAMA*", "/dev/ttyTHS*", "/dev/ttyS[0-9]", "/dev/serial0")
 BY = "/dev/serial"
-"""udev's names for serial ports: by-id, what a device says of itself, and by-path, the socket that it is in."""
+"""The folders with udev's names for serial ports: by-id names are made from what a device reports about itself, by-path
+names from the socket in which it is plugged."""
 COMES_S = 10.0
-"""How long a board that is plugged in may take to be there."""
+"""How long it may take until a board that was plugged in appears, s."""
 LOOK_S = 0.1
 ENDS_S = 5.0
 RASPBERRY = "Raspberry Pi"
 
 
 def listed(system: System) -> dict[str, str]:
-    """The path of each port that could be a board's, with a description."""
+    """The path of each port at which the board may be, with a description."""
     own = {usb for kind in BOARDS for usb in board_of(kind, 1.0, 0.0).usb}
     found = {}
     for path, what in system.ports(own):
@@ -49,8 +50,9 @@ def nodes() -> set[str]:
 
 
 def stable(path: str, folder: str = BY, sysfs: str = "/sys") -> str:
-    """A name for the port that a replug does not change, where there is one. The link of the udev rule is for a chip,
-    and a name by-id for what a device says of itself, so neither is taken if another device would have it too."""
+    """A name for the port that stays the same after a replug, if there is one. The link of the udev rule depends on the
+    chip, and a by-id name on what the device reports about itself, so such a name is not used if another device would
+    have it too."""
     try:
         others, twins = look_alikes(of_number(os.stat(path).st_rdev, sysfs), sysfs)
     except OSError:
@@ -62,7 +64,7 @@ def stable(path: str, folder: str = BY, sysfs: str = "/sys") -> str:
 
 
 def went(talk: Talk, look: Callable[[], Collection[str]] = nodes, comes_s: float = COMES_S) -> str:
-    """The port that goes and comes back when its board is unplugged and plugged in. Raises Left."""
+    """The port that disappears when the board is unplugged, and comes back when it is plugged in again. Raises Left."""
     before = set(look())
     talk.ask("unplugged", "Pull the board's USB cable now, then press Enter.", "done", keep=False)
     gone = before - set(look())
@@ -81,7 +83,8 @@ def went(talk: Talk, look: Callable[[], Collection[str]] = nodes, comes_s: float
 
 
 def is_serial(path: str) -> bool:
-    """Whether a device is a terminal of the kernel's, as far as it tells: it tells nothing of a pseudo-terminal."""
+    """True if a device is a terminal of a kernel driver, as far as the kernel tells. It tells nothing about a
+    pseudo-terminal."""
     number = os.stat(path).st_rdev
     subsystem = f"/sys/dev/char/{os.major(number)}:{os.minor(number)}/subsystem"
     return not os.path.exists(subsystem) or os.path.basename(os.path.realpath(subsystem)) == "tty"
@@ -134,7 +137,7 @@ def choose(talk: Talk, system: System) -> str:
 
 
 def pins(system: System) -> list[Finding]:
-    """Reasons why a small computer's serial pins can't be used as a port."""
+    """Reasons why the serial pins of a small computer can't be used as a port."""
     raspberry = RASPBERRY in (system.read("/proc/device-tree/model") or "")
     if raspberry and not os.path.exists(system.path("/dev/serial0")):
         advice = "then restart; on a Pi 5, set dtparam=uart0 in config.txt instead"
@@ -156,7 +159,7 @@ def _say(talk: Talk, row: Finding) -> None:
 
 
 def _let_end(path: str, system: System) -> None:
-    """Wait for the service of a setup that was killed: it is stopping the wheels."""
+    """Wait for the service of a setup that was killed, because that service is still stopping the wheels."""
     until_s = time.monotonic() + ENDS_S
     real = os.path.realpath(path)
     while any(holder.instance.startswith(RIG) for holder in system.holders(real)[0]) and time.monotonic() < until_s:

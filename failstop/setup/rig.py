@@ -1,7 +1,7 @@
-"""Rig: a service of its own, for the length of a step, on the settings that are being made.
+"""Rig: a service that runs only during one step, with the settings that are being made.
 
-Every wheel that setup turns is turned through it, so that everything that stops a robot stops this one too. One wheel
-alone is turned by settings in which the base's own kinematics turn no other: nothing is added to the gate.
+Setup turns wheels only through such a service, so everything that stops a robot stops this one too. To turn a single
+wheel, it uses settings with which the kinematics of the base turn only that wheel, so the gate needs no special code.
 """
 
 from __future__ import annotations
@@ -30,27 +30,29 @@ from failstop.setup.halt import Halt
 from failstop.setup.talk import Left
 
 RIG = "setup-"
-"""The beginning of its service's name."""
+"""How the name of the service begins."""
 READY_S = 15.0
 GONE_S = 1.0
-"""A port that is gone for as long is unplugged; one that is being opened anew is gone for a moment."""
+"""A port that is gone for this long, s, counts as unplugged. One that is being opened again is gone only for a
+moment."""
 END_S = 5.0
 STANDS_S = 5.0
 REPEAT_S = 0.05
 LEVER_M = 0.125
-"""A power of two: forward and turn cancel on one side to the last bit, at every moment of their ramps."""
+"""A power of two, so that forward and turn cancel exactly on one side, at every moment of their ramps."""
 RAMP_MPS2 = 0.5
 MOST_WORDS = 300
 BLOCKED_S = 1.0
-"""On a busy machine the gate tells of an enable a moment after it was granted."""
+"""On a busy machine the gate may publish this much later that motion is enabled, s."""
 OVERRIDES: dict[str, object] = {"battery.log": "off", "incidents.save": "off"}
 
 Velocity = tuple[float, float, float]
 
 
 def alone(kind: str, speeds: int, id_: int, rim_mps: float, diameter_m: float) -> tuple[dict[str, object], Velocity]:
-    """Settings, and a command under which the wheel of this id alone turns, forward as its motor is wired. `speeds`: in
-    a frame of the board; four need a board with ids for three wheels at least."""
+    """Returns the settings and the velocity with which only the wheel of this id turns, in the direction that its
+    motor's wiring makes forward. `speeds`: how many speeds a frame of the board has; with four, the board must have ids
+    for at least three wheels."""
     base: dict[str, object] = {
         "board.kind": kind,
         "wheels.diameter_m": diameter_m,
@@ -74,13 +76,13 @@ def alone(kind: str, speeds: int, id_: int, rim_mps: float, diameter_m: float) -
 
 
 def rim_mps(rps: float, diameter_m: float) -> float:
-    """How fast a wheel of this diameter rolls at so many turns a second."""
+    """The speed at the rim of a wheel of this diameter at this many turns per second, m/s."""
     return rps * pi * diameter_m
 
 
 def toml(values: Mapping[str, object]) -> str:
-    """A settings file of these values. Each line has its whole key, so that one more can be added anywhere. Texts here
-    are printable."""
+    """A settings file with these values. Each line has the whole key, so that a line can be added anywhere. All texts
+    must be printable."""
     groups: dict[str, list[str]] = {}
     for key, value in values.items():
         groups.setdefault(key.rpartition(".")[0], []).append(f"{key} = {json.dumps(value)}\n")
@@ -88,7 +90,8 @@ def toml(values: Mapping[str, object]) -> str:
 
 
 class Rig:
-    """A context manager. At its end it stops the wheels, whatever happens, and raises Left unless they are stopped."""
+    """A service for one step; a context manager. At its end it stops the wheels, whatever happens, and raises Left
+    unless they are stopped."""
 
     def __init__(self, device: str, values: Mapping[str, object], halt: Halt) -> None:
         """`halt` stops the wheels once the service has ended. Raises SettingError."""
@@ -103,11 +106,11 @@ class Rig:
         self._robot: Robot | None = None
         self._drove = False
         self.turned: dict[int, float] = {}
-        """For each wheel's id the largest speed that the board has reported, in the unit of its motion. If the board
-        reports positions instead: 1 or -1, the direction in which the position went. Empty: nothing was reported."""
+        """For each wheel's id, the largest speed that the board has reported, in the unit of its motion. If the board
+        reports positions instead: 1 or -1, the direction of the change. Empty if nothing was reported."""
         self.moved: dict[int, float] = {}
-        """For each wheel's id how far its position went in either direction, in the board's counts. Empty: the board
-        reports no positions."""
+        """For each wheel's id, how far its position has changed in either direction, in the board's counts. Empty if
+        the board reports no positions."""
 
     def __enter__(self) -> Rig:
         try:
@@ -164,7 +167,7 @@ class Rig:
                 raise Left(f"the service was not ready within {READY_S:g} s: {self._why() or self._said()}")
 
     def drive(self, velocity: Velocity, seconds: float) -> None:
-        """Drive, then stand. Raises Left where nothing moves."""
+        """Drive for a while, then stop. Raises Left if nothing moves."""
         assert self._robot
         view = attach(self.name, layout.TELEMETRY).ring_reader("received")
         self._hearing.reset()
@@ -196,8 +199,8 @@ class Rig:
             self._hear(entry[2], places)
 
     def _stand(self) -> None:
-        """Stop, and wait until the board says that it has: nobody is asked anything while a wheel may turn. Raises
-        Left."""
+        """Stop, and wait until the board reports that it has stopped, because no question is asked while a wheel may
+        turn. Raises Left."""
         assert self._robot
         epoch = self._robot.state.epoch
 
@@ -231,7 +234,7 @@ class Rig:
             self.turned[id_] = float((way > 0) - (way < 0))
 
     def _why(self) -> str:
-        """The reason why the wheels stand, in a few words; empty: none, or nobody can tell."""
+        """Why the wheels are stopped, in a few words; empty if that is not known."""
         with contextlib.suppress(FailstopError):
             if self._robot:
                 state = self._robot.state
@@ -245,7 +248,7 @@ class Rig:
         return ""
 
     def close(self) -> None:
-        """Stop the wheels by the service, end the service, and stop the wheels at the port itself."""
+        """Stop the wheels through the service, end the service, and then stop the wheels at the port itself."""
         with uninterrupted():
             self._end()
 

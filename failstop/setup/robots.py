@@ -1,8 +1,8 @@
-"""Robots that setup knows, each a file of data: robots/NAME.toml. A robot is added by a file.
+"""The robots that setup knows. Each is a file, robots/NAME.toml; to add a robot, add a file.
 
-What begins with `about.` is for people (name, port, remark); everything else are settings. Figures of the family of
-`board.robot` stay where the service takes them from, and a file names that robot alone. A robot that people build in
-different sizes has `about.measure`, which says what to measure, and no sizes.
+Keys that begin with `about.` are for people (name, port, remark); all others are settings. For robots of the family of
+`board.robot`, the file only names the robot, because the service has the figures. The file of a robot that people build
+in different sizes has no sizes, but `about.measure`, which says what to measure.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ from failstop.policy.setting import SettingError
 FOLDER = Path(__file__).with_name("robots")
 ABOUT = "about."
 OTHER = "other"
-"""The name of a robot that no file describes."""
+"""The answer for a robot that no file describes."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Known:
-    """A robot."""
+    """A robot that setup knows."""
 
     key: str
-    """The file's name, without its end."""
+    """The name of its file, without .toml."""
     name: str
     port: str
     remark: str
     measure: str
-    """What to measure, because no two such robots have the same sizes; empty: the sizes are known."""
+    """What people must measure, because no two such robots have the same sizes; empty if the sizes are known."""
     settings: dict[str, object]
-    """Values by whole key, which Settings take."""
+    """The values of its settings, by whole key."""
 
     @property
     def kind(self) -> str:
-        """The board's kind."""
+        """The kind of its board."""
         return str(self.settings["board.kind"])
 
 
 def read(path: Path) -> Known:
-    """One robot. Raises SettingError, which names the file."""
+    """Read the file of one robot. Raises SettingError, which names the file."""
     values = config.read(str(path))
     about = {key.removeprefix(ABOUT): str(values.pop(key)) for key in list(values) if key.startswith(ABOUT)}
     if not about.get("name") or "board.kind" not in values or "wheels.layout" not in values:
@@ -51,6 +51,6 @@ def read(path: Path) -> Known:
 
 
 def of_kind(kind: str) -> dict[str, Known]:
-    """The robots with this board, by their keys. Raises SettingError."""
+    """The robots with this kind of board, by their keys. Raises SettingError."""
     found = [read(path) for path in sorted(FOLDER.glob("*.toml"))]
     return {robot.key: robot for robot in sorted(found, key=lambda robot: robot.name) if robot.kind == kind}

@@ -1,4 +1,5 @@
-"""Sizes and limits: the robot's sizes, how fast it may drive, and how far it goes before it stands."""
+"""Sizes and limits: asks for the robot's sizes and speed limits, and shows how far the robot then goes before it
+stops."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ LIMITS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
 
 
 def answer_key(key: str) -> str:
-    """The question of a setting: `wheels.track_m` is track_m."""
+    """The key of the question about a setting, for example track_m for `wheels.track_m`."""
     return key.partition(".")[2]
 
 
@@ -45,7 +46,7 @@ def step(talk: Talk, values: Mapping[str, object], *, known: bool) -> dict[str, 
 
 
 def _asked(key: str) -> str:
-    """What a setting is, in one line: the first sentence of its text, and its unit."""
+    """The question about a setting in one line: the first sentence of its text, and its unit."""
     declared = declaration(key)
     return f"{declared.doc.partition('. ')[0]}, {declared.unit}"
 
@@ -63,5 +64,5 @@ OPTIONS = {
     answer_key(key): _asked(key)
     for key in (*dict.fromkeys(key for keys in OF_LAYOUT.values() for key in keys), *LIMITS)
 }
-"""The questions of this step, with what each asks."""
+"""The questions of this step, with the help text of each."""
 assert all(option(key).startswith("--") for key in OPTIONS)

@@ -1,4 +1,5 @@
-"""Talk: questions in a terminal, each answered by an option, by the draft of a setup that was left, or by a person."""
+"""Talk: asks questions in a terminal. The answer comes from an option, from the draft of an earlier setup, or from a
+person."""
 
 from __future__ import annotations
 
@@ -20,22 +21,22 @@ YES, NO = "yes", "no"
 
 
 class Left(FailstopError):
-    """The setup ends before its end: what is wrong, and what helps."""
+    """The setup ends early. The message says what is wrong and what to do."""
 
 
 class NotAnAnswer(ValueError):
-    """An answer that can't be: why, and what can."""
+    """The answer is not allowed. The message says why, and what is allowed."""
 
 
 Check = Callable[[str], str]
-"""The answer in its usual form. Raises NotAnAnswer."""
+"""Returns the answer in its usual form. Raises NotAnAnswer."""
 
 
 class Talk:
     """One conversation."""
 
     def __init__(self, given: Mapping[str, str], draft: Draft, *, silent: bool) -> None:
-        """`given`: answers by options; `silent`: nobody is there to ask."""
+        """`given`: the answers given as options; `silent`: there is no terminal, so nobody can be asked."""
         self.given = dict(given)
         self.draft = draft
         self.silent = silent
@@ -43,16 +44,16 @@ class Talk:
         """How many answers a person has typed."""
 
     def step(self, number: int, title: str) -> None:
-        """The head of a step."""
+        """Print the head of a step."""
         style.show([[], [(f"{number}. {title}", style.STRONG)]])
 
     def say(self, text: str, role: str = style.PLAIN, indent: int = 3, hang: int = 0) -> None:
-        """A sentence, wrapped. `hang`: by how much its further lines begin behind the first."""
+        """Print a sentence, wrapped. `hang`: how much further than the first line the other lines are indented."""
         line = [(" " * indent, style.PLAIN), (text, role)]
         style.show(style.wrap(line, min(WIDEST, style.width()), indent + hang))
 
     def warn(self, text: str, remedy: str = "", fix: str = "") -> None:
-        """A fault, and what helps. `fix`: a command that does, which stays whole to be copied."""
+        """Print a problem and the remedy. `fix`: a command that helps; it is not wrapped, so that it can be copied."""
         self.say(text, style.WARN)
         if fix:
             style.show([[(f"     -> {fix}", style.STRONG)]])
@@ -60,8 +61,9 @@ class Talk:
             self.say(f"{'   ' if fix else '-> '}{remedy}", style.PLAIN if fix else style.STRONG, 5, 3)
 
     def ask(self, key: str, question: str, default: str = "", check: Check = str.strip, *, keep: bool = True) -> str:
-        """The answer to a question. `default`: of an empty line; `keep`: it is taken up again from the draft. Raises
-        Left where an option is wrong, or nobody can be asked."""
+        """Ask a question, and return the answer. `default`: the answer if the line is empty; `keep`: the answer is kept
+        in the draft and taken from it next time. Raises Left if an option has a wrong answer, or nobody can be
+        asked."""
         if (value := self.given.pop(key, None)) is not None:
             try:
                 found = check(value)
@@ -85,7 +87,7 @@ class Talk:
         self.say(f"{key.replace('_', ' ')}: {found} ({by})", style.DIM)
 
     def known(self, key: str) -> bool:
-        """Whether a question is answered without asking."""
+        """True if the question is answered already, by an option or by the draft."""
         return key in self.given or key in self.draft.answers
 
     def _typed(self, key: str, question: str, default: str, check: Check) -> str:
@@ -112,7 +114,7 @@ class Talk:
                 self.warn(str(error))
 
     def agreed(self, key: str, question: str, default: str = "") -> bool:
-        """Yes or no."""
+        """Ask a question whose answer is yes or no. True: yes."""
         return self.ask(key, question, default, yes_or_no, keep=False) == YES
 
 
@@ -129,12 +131,12 @@ def read_line(prompt: str) -> str:
 
 
 def option(key: str) -> str:
-    """The command line's option that answers a question."""
+    """The command-line option that answers this question."""
     return f"--{key.replace('_', '-')}"
 
 
 def yes_or_no(answer: str) -> str:
-    """Raises NotAnAnswer."""
+    """Check an answer that must be yes or no. Raises NotAnAnswer."""
     word = answer.lower()
     if word and YES.startswith(word):
         return YES
@@ -144,7 +146,7 @@ def yes_or_no(answer: str) -> str:
 
 
 def one_of(choices: Mapping[str, str]) -> Check:
-    """A check: the number of a choice, counted from 1, or its name, which is the mapping's key."""
+    """A check for a choice: by its number, counted from 1, or by its name, which is the mapping's key."""
     names = list(choices)
 
     def check(answer: str) -> str:
@@ -158,7 +160,7 @@ def one_of(choices: Mapping[str, str]) -> Check:
 
 
 def word_of(words: Sequence[str]) -> Check:
-    """A check: one of these words, or the beginning of one alone."""
+    """A check for one of these words, or for the beginning of one if no other begins the same way."""
 
     def check(answer: str) -> str:
         if (found := begun(answer, words)) is None:
@@ -169,14 +171,14 @@ def word_of(words: Sequence[str]) -> Check:
 
 
 def begun(answer: str, words: Sequence[str]) -> str | None:
-    """The word that is meant: it, or its beginning where no other word begins so."""
+    """The word that an answer means: the same word, or the only word that begins with the answer; else None."""
     text = answer.lower().strip()
     found = [word for word in words if word == text] or [word for word in words if text and word.startswith(text)]
     return found[0] if len(found) == 1 else None
 
 
 def number(least: float, most: float, unit: str) -> Check:
-    """A check: a number within these, in this unit."""
+    """A check for a number within these limits, in this unit."""
 
     def check(answer: str) -> str:
         try:

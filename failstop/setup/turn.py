@@ -1,8 +1,8 @@
-"""Turn: how much of the board's unit is one turn of a wheel, which only a person can tell.
+"""Turn: finds out how many of the board's units make one turn of a wheel, which only a person can tell.
 
-Where commands and reports share the scale, every report fits every command, however wrong the scale is. So a person
-turns a wheel by hand, and the board's counts before and after say the rest; or, where no wheel can be turned by hand,
-counts the turns of a wheel that failstop drives slowly.
+If commands and reports use the same scale, they always agree, however wrong the scale is. So a person turns a wheel by
+hand, and the board's counts before and after show the scale. If no wheel can be turned by hand, the person counts the
+turns of a wheel that failstop drives slowly.
 """
 
 from __future__ import annotations
@@ -26,20 +26,21 @@ from failstop.supervisor.port_handover import OwnPort
 KEY = "per_rps"
 UNKNOWN = "unknown"
 SLOWEST_MPS = min(CAPS["limits.vx_mps"], CAPS["limits.vy_mps"])
-"""At the rim: within the cap of a robot whose scale nobody has confirmed."""
+"""The speed at the wheel's rim. It is within the cap that applies until somebody has confirmed the scale."""
 SECONDS = 10.0
 ASK_S = 0.1
 REPORTS_S = 3.0
 LEAST_COUNTS = 4.0
-"""Fewer are play, or noise."""
+"""A change of fewer counts is play or noise."""
 OTHERS = 0.2
-"""Another wheel that moved by more than this share of the first was turned too."""
+"""If another wheel has moved by more than this share of the first, it was turned too."""
 MOST_TURNS = 100.0
 
 
 def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, speeds: int) -> dict[str, object]:
-    """The setting board.per_rps by a person's word, and that it is confirmed if a wheel was turned for it; nothing
-    where the board knows it, or the person does not. `speeds`: in a frame of the board. Raises Left."""
+    """Ask a person for the scale. Returns the setting board.per_rps, and the setting that confirms it if a wheel was
+    turned; nothing if the board knows its scale, or the person does not. `speeds`: how many speeds a frame of the board
+    has. Raises Left."""
     settings = Settings(dict(values))
     board = board_of(*settings.board())
     if not board.scale_assumed:
@@ -69,7 +70,7 @@ def asked(talk: Talk, device: str, values: Mapping[str, object], halt: Halt, spe
 
 
 def _check(answer: str) -> str:
-    """A number that the setting takes, or UNKNOWN. Raises NotAnAnswer."""
+    """Check an answer that must be a value of the setting, or UNKNOWN. Raises NotAnAnswer."""
     if answer == UNKNOWN:
         return answer
     declared = BY_KEY[PER_RPS]
@@ -85,7 +86,8 @@ def _turns(answer: str) -> str:
 
 
 def by_hand(talk: Talk, device: str, board: Board) -> str | None:
-    """The setting, by a wheel that a person turns; UNKNOWN; None: no wheel can be turned by hand. Raises Left."""
+    """The value of the setting, from a wheel that a person turns, or UNKNOWN; None if no wheel can be turned by hand.
+    Raises Left."""
     try:
         with contextlib.closing(OwnPort.open_and_stop(device, board)) as own:
             set_speed(own.fd, board.port)
@@ -110,7 +112,7 @@ def by_hand(talk: Talk, device: str, board: Board) -> str | None:
 
 
 def _positions(tap: Tap, board: Board) -> tuple[float, ...]:
-    """The newest that the board reports. Raises Left."""
+    """The newest positions that the board reports. Raises Left."""
     with contextlib.suppress(BlockingIOError):
         tap.read()  # what has waited is old
     until_s = time.monotonic() + REPORTS_S + board.port.deaf_ns / 1e9
@@ -134,7 +136,7 @@ def _moved(before: tuple[float, ...], after: tuple[float, ...], wraps: float) ->
 
 
 def _wrong(counts: list[float]) -> str:
-    """Why these are no turn of one wheel; empty: they are."""
+    """Why these changes are not the turn of one wheel; empty if they are."""
     *others, most = sorted(counts)
     if most < LEAST_COUNTS:
         return "The board counted nothing: is that wheel's encoder plugged in?"
@@ -144,7 +146,8 @@ def _wrong(counts: list[float]) -> str:
 
 
 def driven(talk: Talk, device: str, settings: Settings, halt: Halt, speeds: int, board: Board) -> str:
-    """The setting, by the turns that a person counts of a wheel that turns slowly; or UNKNOWN. Raises Left."""
+    """The value of the setting, from a wheel that turns slowly and whose turns a person counts; or UNKNOWN. Raises
+    Left."""
     kind, diameter_m = settings.text("board.kind"), settings["wheels.diameter_m"]
     rps = SLOWEST_MPS / rim_mps(1.0, diameter_m)
     values, velocity = alone(kind, speeds, 0, SLOWEST_MPS, diameter_m)
@@ -169,7 +172,8 @@ def _counted(answer: str) -> str:
 
 
 def _found(talk: Talk, board: Board, told: float, turns: float, counts: float) -> str:
-    """The setting of a wheel that has made `turns` where the scale of now says `told`."""
+    """The value of the setting if a wheel has made `turns` turns, where `told` turns would be right with the present
+    scale."""
     per_rps = board.per_rps * told / turns
     counted = f"{counts / turns:.0f} counts a turn: " if counts else ""
     talk.say(f"{counted}{PER_RPS} is {per_rps:.4g} (such boards usually have {board.per_rps:.4g}).")

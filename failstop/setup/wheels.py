@@ -1,4 +1,5 @@
-"""Wheels: find out which id turns which wheel, and which way, by turning each alone and then all together."""
+"""Wheels: finds out which motor id turns which wheel, and in which direction, by turning each wheel alone and then all
+together."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ from failstop.setup.talk import YES, Left, NotAnAnswer, Talk, begun, yes_or_no
 
 SECONDS = 1.0
 RPS = 0.5
-"""Turns of a wheel a second: slow, and fast enough to be seen."""
+"""The speed of a wheel, turns per second: slow, but fast enough to be seen."""
 FASTEST_RPS = 2.0
 AGAIN_WORD, FASTER, NONE = "again", "faster", "none"
 WAYS = {"+": 1, "forward": 1, "f": 1, "-": -1, "backward": -1, "back": -1, "b": -1}
@@ -31,7 +32,7 @@ SUPPLY = "are the motors' supply and that motor's plug in?"
 
 
 def short(name: str) -> str:
-    """`front left` as fl, `left` as left."""
+    """The short name of a wheel: `front left` becomes fl, `left` stays left."""
     return "".join(word[0] for word in name.split()) if " " in name else name
 
 
@@ -41,8 +42,8 @@ def names(count: int) -> list[str]:
 
 
 def parsed(answer: str, words: list[str], spare: bool) -> str:
-    """A wheel and its way, as `fl+`; or one of again, faster, none. `spare`: an id may be without a wheel. Raises
-    NotAnAnswer."""
+    """The answer about a wheel: the wheel and its direction, for example `fl+`, or again, faster, none. `spare`: an id
+    may have no wheel. Raises NotAnAnswer."""
     text = answer.lower().strip()
     if text in (AGAIN_WORD, FASTER) or (text == NONE and spare):
         return text
@@ -55,14 +56,14 @@ def parsed(answer: str, words: list[str], spare: bool) -> str:
 
 
 def stand(talk: Talk) -> None:
-    """Ask the person whether the wheels may turn; asked each time. Raises Left if not."""
+    """Ask the person whether the wheels may turn. It is asked each time. Raises Left if they may not."""
     talk.say(STAND, style.STRONG)
     if talk.ask("stand", "Is all of this true? Type yes:", "", yes_or_no, keep=False) != YES:
         raise Left("nothing was moved: put the robot on a stand")
 
 
 class Trial:
-    """The third step."""
+    """The third step: turns the wheels and asks about them."""
 
     def __init__(self, talk: Talk, device: str, values: Mapping[str, object], halt: Halt) -> None:
         """`values`: the settings so far; `halt` stops the wheels of this board. Raises SettingError."""
@@ -80,7 +81,7 @@ class Trial:
         self._set_speeds()
 
     def _set_speeds(self) -> None:
-        """Set the speeds of the trial from the settings so far; a scale that nobody has confirmed caps them."""
+        """Set the speeds of the trial from the settings so far. If nobody has confirmed the scale, they are capped."""
         board = self._board = board_of(*Settings(dict(self._values)).board())
         # Half of what the board takes: a wheel has to turn for two ways at once.
         self._fastest = min(FASTEST_RPS, board.most_rps / 2)
@@ -89,7 +90,7 @@ class Trial:
         self._rps = min(RPS, self._fastest)
 
     def step(self) -> dict[str, object]:
-        """Ids and signs, found by turning the wheels. Raises Left."""
+        """The ids and signs of the wheels' motors, found by turning the wheels. Raises Left."""
         talk = self._talk
         talk.step(3, "The wheels")
         stand(talk)
@@ -172,7 +173,7 @@ class Trial:
         self._talk.say(f"or      {AGAIN_WORD}: turn it again; {FASTER}: turn it twice as fast", indent=5)
 
     def _asked(self, id_: int, spare: bool) -> str:
-        """The person's answer for one id; its wheel turns before each question."""
+        """Ask about one id until the answer is good. Its wheel turns before each question."""
         talk, key = self._talk, f"wheel_{id_}"
         while True:
             if key not in talk.given and key not in talk.draft.answers:

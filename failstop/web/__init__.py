@@ -1,1 +1,2 @@
-"""The operator's page: a sixth process, a client of the service and outside of its stop path (docs/operator.md)."""
+"""The operator's page. It runs in a process of its own, as a client of the service, and is not on the stop path
+(docs/operator.md)."""

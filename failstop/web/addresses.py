@@ -1,4 +1,4 @@
-"""Addresses: the addresses under which a phone finds the page, with the code, as text and as a QR code."""
+"""Addresses: the addresses at which a phone finds the page, as text and as a QR code with the pairing code."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 HERE = ("127.", "::1", "fe80")
 EVERYWHERE = ("0.0.0.0", "::", "")
 QUIET = 1
-"""Modules of margin: a terminal has its own."""
+"""The margin of a QR code, in modules. It is small, because a terminal has a margin of its own."""
 
 
 def own_addresses() -> list[str]:
-    """This machine's addresses on its networks, without loopback and link-local IPv6. Those that a robot's network
-    usually has come first."""
+    """This computer's addresses on its networks, without loopback and link-local IPv6. The addresses that a robot's
+    network usually has come first."""
     import psutil
 
     rows = [row for each in psutil.net_if_addrs().values() for row in each]
@@ -26,12 +26,12 @@ def own_addresses() -> list[str]:
 
 
 def urls(found: dict[str, Any]) -> list[str]:
-    """Addresses for a phone, the best first. Through a proxy there is one."""
+    """Addresses for a phone, the best first; only one if there is a proxy."""
     return [f"{found['origin']}/"] if found["origin"] else listening(found)
 
 
 def listening(found: dict[str, Any]) -> list[str]:
-    """Where the page itself answers: a phone, or a proxy."""
+    """The address at which the page itself listens for phones, or for a proxy."""
     hosts = [found["address"]]
     if found["address"] in EVERYWHERE:
         own = socket.gethostname().partition(".")[0]
@@ -40,12 +40,12 @@ def listening(found: dict[str, Any]) -> list[str]:
 
 
 def link(url: str, code: str) -> str:
-    """The text of the QR code. The part behind # stays in the phone: it is sent to nobody."""
+    """The text of the QR code. The part after # is never sent over the network."""
     return f"{url}#{code}"
 
 
 def terminal_text(found: dict[str, Any]) -> str:
-    """For the terminal."""
+    """The text for the terminal."""
     places = urls(found)
     parts = []
     if picture := qr(link(places[0], found["code"])):
@@ -63,7 +63,7 @@ def terminal_text(found: dict[str, Any]) -> str:
 
 
 def qr(text: str) -> str:
-    """As blocks of a terminal; empty where segno is not installed."""
+    """The QR code as block characters for a terminal; empty if segno is not installed."""
     try:
         import segno
     except ImportError:

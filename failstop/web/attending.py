@@ -1,5 +1,5 @@
-"""Attending: the operators whose devices are proven to be there, for the gate, which alone counts the time. The gate
-hears of one at a time, the one that was proven last."""
+"""Attending: reports to the gate the operators whose devices have proven that they are present. Only the gate counts
+the time. It hears about one operator at a time, the one whose device has proven it last."""
 
 from __future__ import annotations
 
@@ -17,31 +17,32 @@ if TYPE_CHECKING:
 
 
 class Attending:
-    """The operators who attend by the page."""
+    """The operators who attend through the page."""
 
     def __init__(self, name: str, ended: Callable[[Viewer], None]) -> None:
-        """`ended`: is told of a viewer that attends no more."""
+        """`ended`: called with each viewer that no longer attends."""
         self._name = name
         self._ended = ended
         self._robot: Robot | None = None
         self._leases: dict[Viewer, tuple[str, Lease]] = {}
 
     def of(self, viewer: Viewer) -> Lease | None:
-        """The lease of a viewer that attends."""
+        """The lease of a viewer; None if it does not attend."""
         found = self._leases.get(viewer)
         return found[1] if found else None
 
     def begin(self, viewer: Viewer, who: str, key: bytes) -> None:
-        """A device attends, from its first answer on."""
+        """A device begins to attend; it counts from its first answer on."""
         self._leases[viewer] = who, Lease(key)
 
     def proven(self, viewer: Viewer) -> str:
-        """The answer of this viewer has proven something new; returns what is wrong with telling the gate."""
+        """An answer of this viewer has proven something new, so report it to the gate. Returns what went wrong, or
+        ""."""
         return self._renew() if self._leases[viewer] is self._last() else ""
 
     def end(self, viewer: Viewer) -> None:
-        """A device attends no more: the gate is told at once who is left, and when that one was proven, which may be
-        too long ago."""
+        """A device no longer attends. The gate is told at once which operator is left, and when that one's device has
+        last proven it, which may be too long ago."""
         last = self._last()
         found = self._leases.pop(viewer, None)
         self._ended(viewer)
@@ -49,7 +50,7 @@ class Attending:
             self._renew()
 
     def _last(self) -> tuple[str, Lease] | None:
-        """The one that was proven last, if any was."""
+        """The operator whose device has proven it last, with its lease; None if there is none."""
         found = max(self._leases.values(), key=lambda each: each[1].proven_ns, default=None)
         return found if found and found[1].proven_ns else None
 
@@ -76,6 +77,6 @@ class Attending:
             robot.close()
 
     def close(self) -> None:
-        """The page ends, and with it all attending by it."""
+        """The page ends, so nobody attends through it any more."""
         for viewer in tuple(self._leases):
             self.end(viewer)

@@ -1,4 +1,4 @@
-"""`failstop web`: the operator's page, for a phone or a desk, and the devices that may do more than see and stop."""
+"""`failstop web`: serves the operator's page, and pairs the devices that may do more than watch and stop."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _serve(arguments: Namespace) -> int:
-    """Until it is ended."""
+    """Serve the page until it is ended."""
     import asyncio
 
     from failstop.web import server
@@ -65,8 +65,8 @@ def _serve(arguments: Namespace) -> int:
 
 
 def _settings(arguments: Namespace) -> tuple[Settings, Source]:
-    """The settings, and where they are from: the file that a person named, else the service that runs, whatever file it
-    was started with, else the installed file."""
+    """The settings and their source: the file that a person has named; else the running service, whatever file it was
+    started with; else the installed file."""
     given = {"web.address": arguments.listen, "web.port": arguments.port}
     changed = {key: value for key, value in given.items() if value is not None}
     if not arguments.config:

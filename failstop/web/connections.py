@@ -1,4 +1,5 @@
-"""Connections: how many connections there may be. A flood must neither use up descriptors nor keep a STOP out."""
+"""Connections: limits the number of connections, so that a flood neither uses up the descriptors nor keeps a STOP
+out."""
 
 from __future__ import annotations
 
@@ -16,26 +17,26 @@ if TYPE_CHECKING:
 
 
 class Closes(Protocol):
-    """A connection of any kind."""
+    """A connection that can be closed."""
 
     def close(self) -> None:
-        """End it."""
+        """Close it."""
 
 
 T = TypeVar("T", bound=Closes)
 
 MOST = 256
-"""Connections that are no websocket, or not yet."""
+"""How many connections there may be that are not a websocket, or not yet."""
 IDLE_S = 10.0
-"""How long a connection may take to send the head of its next request."""
+"""How long a connection may take to send the head of its next request, s."""
 BODY_S = 5.0
 MOST_HEAD = 16 * 1024
 MOST_BODY = 4 * 1024
 
 
 class Places(Generic[T]):
-    """Connections of one kind, so many at most. When all places are taken, the address that has most of them gives its
-    oldest to the newcomer, which may be a STOP."""
+    """A limited number of places for connections of one kind. When all are taken, the address that has the most of them
+    loses its oldest connection to the new one, which may be a STOP."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -45,7 +46,7 @@ class Places(Generic[T]):
         return len(self._held)
 
     def add(self, one: T, address: str) -> None:
-        """A newcomer."""
+        """Give a place to a new connection."""
         while len(self._held) >= self._most:
             fullest, _ = Counter(self._held.values()).most_common(1)[0]
             oldest = next(each for each, whose in self._held.items() if whose == fullest)
@@ -54,7 +55,7 @@ class Places(Generic[T]):
         self._held[one] = address
 
     def leave(self, one: T) -> None:
-        """Give a place back."""
+        """Free the place of a connection."""
         self._held.pop(one, None)
 
     def all(self) -> tuple[T, ...]:
@@ -63,11 +64,11 @@ class Places(Generic[T]):
 
 
 class BoundedServer(HTTPServer):
-    """Every new connection has one of MOST places until it becomes a websocket, of which there are limits of their
-    own."""
+    """A server in which every new connection has one of MOST places, until it becomes a websocket. Websockets have
+    limits of their own."""
 
     def initialize(self, *arguments: Any, names: frozenset[str] = frozenset(), **options: Any) -> None:
-        """As of tornado's HTTPServer; the limits are set here. `names`: what the robot answers to."""
+        """Set up tornado's HTTPServer with these limits. `names`: the names that the robot answers to."""
         self._names = names
         self._places: Places[IOStream] = Places(MOST)
         options |= {
@@ -80,7 +81,7 @@ class BoundedServer(HTTPServer):
         super().initialize(*arguments, **options)
 
     def handle_stream(self, stream: IOStream, address: Any) -> None:
-        """A new connection."""
+        """Handle a new connection."""
         if len(self._places) >= MOST:
             for each in self._places.all():
                 if each.closed():
@@ -91,5 +92,5 @@ class BoundedServer(HTTPServer):
         super().handle_stream(stream, address)
 
     def let_in(self, stream: IOStream) -> None:
-        """A connection that has become a websocket: floods of others can't close it."""
+        """A connection has become a websocket, so floods of other connections can't close it."""
         self._places.leave(stream)

@@ -1,4 +1,5 @@
-"""Control: what `failstop web pair`, `devices` and `revoke` ask of the page that runs, by a socket in its folder."""
+"""Control: carries the requests of `failstop web pair`, `devices` and `revoke` to the running page, through a socket in
+its folder."""
 
 from __future__ import annotations
 
@@ -33,12 +34,12 @@ class _Asked(RequestHandler):
         self.page = page
 
     def write_error(self, status_code: int, **given: Any) -> None:
-        """The command tells its user what was wrong here."""
+        """Answer with the reason, because the command prints it for its user."""
         error = given.get("exc_info", (None, self._reason))[1]
         self.finish({"error": str(error) if isinstance(error, FailstopError) else f"a bug in the page: {error!r}"})
 
     def log_exception(self, typ: Any, value: BaseException | None, tb: Any) -> None:
-        """An error that is told is no defect."""
+        """Don't log an error that the command prints; it is not a defect."""
         if not isinstance(value, FailstopError):
             super().log_exception(typ, value, tb)
 
@@ -67,7 +68,7 @@ class _Devices(_Asked):
 
 
 def listen(page: Page, path: str) -> HTTPServer:
-    """Serve at that path: who may open the folder may pair. Raises FailstopError."""
+    """Serve at that path. Anyone who may open the folder may pair. Raises FailstopError."""
     rows = [("/pair", _Pair, {"page": page}), ("/devices", _Devices, {"page": page})]
     try:
         found = bind_unix_socket(path, mode=0o600)
@@ -90,7 +91,7 @@ class _Connection(http.client.HTTPConnection):
 
 
 def ask(name: str, environ: Mapping[str, str], method: str, path: str, body: object = None) -> dict[str, Any]:
-    """Ask the page that runs for this service. Raises Refused, FailstopError."""
+    """Send a request to the running page of this service, and return its answer. Raises Refused, FailstopError."""
     denied = ""
     for folder in storage.folders(name, environ):
         connection = _Connection(os.path.join(folder, storage.CONTROL))
@@ -110,7 +111,7 @@ def ask(name: str, environ: Mapping[str, str], method: str, path: str, body: obj
 
 
 def _understood(status: int, said: bytes) -> dict[str, Any]:
-    """The page's answer. Raises Refused, FailstopError."""
+    """The page's answer, decoded. Raises Refused, FailstopError."""
     try:
         found: dict[str, Any] = json.loads(said)
     except ValueError:
@@ -125,6 +126,6 @@ def _understood(status: int, said: bytes) -> dict[str, Any]:
 
 
 def remove(path: str) -> None:
-    """The socket of a page that has ended."""
+    """Remove the socket of a page that has ended."""
     with contextlib.suppress(OSError):
         os.unlink(path)

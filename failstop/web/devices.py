@@ -1,6 +1,7 @@
-"""Devices: whose token lets them reset and enable, and the code that makes a device one of these. Pure.
+"""Devices: the paired devices, whose tokens let them reset and enable, and the code with which a device is paired.
+Pure.
 
-Of a token its hash alone is kept: who reads the file can't use it.
+Only the hash of a token is kept, so that nobody who reads the file can use it.
 """
 
 from __future__ import annotations
@@ -15,15 +16,15 @@ TOKEN_BYTES = 32
 LONGEST_NAME = 32
 MOST = 32
 ALPHABET = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
-"""Crockford's: no letter that looks like a digit."""
+"""The characters of a code (Crockford's alphabet), without letters that look like digits."""
 CODE_CHARACTERS = 8
 CODE_S = 120.0
 TRIES = 5
-"""Wrong codes after which the offer is over: 5 of 2 to the 40."""
+"""After this many wrong codes the offer ends. There are 2 to the 40 codes."""
 
 
 class NotPaired(Exception):
-    """The device is not paired by this; says why."""
+    """The device was not paired; the message says why."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,34 +34,35 @@ class Device:
     id: str
     name: str
     digest: str
-    """SHA-256 of its token: the token is random, so that nothing slower is needed."""
+    """The SHA-256 of its token. A slow hash is not needed, because tokens are random."""
     made: float
-    """Unix time, for people."""
+    """When it was paired (Unix time, s), for people."""
 
 
 def digest_of(token: str) -> str:
-    """The digest of a token, which alone is kept."""
+    """The hash of a token, which is all that is kept of it."""
     return hashlib.sha256(token.encode("utf-8", "replace")).hexdigest()
 
 
 def clean(name: str) -> str:
-    """A device's name, as people may see it."""
+    """A device's name in a form that is safe to show to people."""
     shown = "".join(c if c.isprintable() else "?" for c in " ".join(name.split()))
     return shown[:LONGEST_NAME] or "a device"
 
 
 class Devices:
-    """Every paired device."""
+    """All paired devices."""
 
     def __init__(self, known: tuple[Device, ...] = ()) -> None:
         self._by_digest = {device.digest: device for device in known}
 
     def all(self) -> list[Device]:
-        """In the order of their pairing."""
+        """The devices in the order in which they were paired."""
         return list(self._by_digest.values())
 
     def free_name(self, name: str) -> str:
-        """That name as people may see it, with a number where a device has it already: a stop names one of them."""
+        """That name, safe to show, and with a number if another device has it already, because a stop names the
+        device."""
         wanted, taken = clean(name), {device.name for device in self.all()}
         for number in range(2, MOST + 2):
             if wanted not in taken:
@@ -69,7 +71,7 @@ class Devices:
         return wanted
 
     def add(self, device: Device) -> None:
-        """Raises NotPaired when there are too many."""
+        """Add a device. Raises NotPaired if there are too many."""
         if len(self._by_digest) >= MOST:
             raise NotPaired(f"{MOST} devices are paired already, so revoke one first (failstop web devices)")
         self._by_digest[device.digest] = device
@@ -79,19 +81,19 @@ class Devices:
         return self._by_digest.get(digest_of(token)) if token else None
 
     def revoke(self, identity: str) -> Device | None:
-        """The device of that id may nothing any more."""
+        """Remove the device with this id, so that it can only watch and stop. Returns it, or None."""
         found = next((device for device in self.all() if device.id == identity), None)
         if found:
             del self._by_digest[found.digest]
         return found
 
     def dump(self) -> bytes:
-        """As a file's content."""
+        """The content of the file."""
         return (json.dumps([dataclasses.asdict(device) for device in self.all()], indent=2) + "\n").encode()
 
     @classmethod
     def load(cls, data: bytes) -> Devices:
-        """The inverse. Raises ValueError for what is none."""
+        """The devices in the content of the file. Raises ValueError if it is damaged."""
         try:
             rows: list[dict[str, Any]] = json.loads(data)
             found = tuple(
@@ -103,19 +105,19 @@ class Devices:
 
 
 def code_of(data: bytes) -> str:
-    """A code from random bytes, five of them."""
+    """A code from five random bytes."""
     number = int.from_bytes(data[:5], "big")
     characters = [ALPHABET[number >> 5 * at & 31] for at in range(CODE_CHARACTERS)]
     return f"{''.join(characters[:4])}-{''.join(characters[4:])}"
 
 
 def typed(code: str) -> str:
-    """The code that a person meant, with letters that look like digits replaced."""
+    """The code that a person meant: letters that look like digits are replaced."""
     return code.upper().translate(str.maketrans("OIL", "011", " -_")).strip()
 
 
 class Pairing:
-    """One offer to pair: its code pairs one device, once, for CODE_S."""
+    """An offer to pair. Its code pairs one device, once, within CODE_S."""
 
     def __init__(self) -> None:
         self._code = ""
@@ -123,11 +125,11 @@ class Pairing:
         self._left = 0
 
     def offer(self, code: str, now_s: float) -> None:
-        """A new code; an earlier one is over. `now_s`: a monotonic clock."""
+        """Make an offer with this code; an earlier offer ends. `now_s`: time.monotonic()."""
         self._code, self._until_s, self._left = typed(code), now_s + CODE_S, TRIES
 
     def redeem(self, code: str, now_s: float) -> None:
-        """Use it up. Raises NotPaired for a wrong code, and when there is none to be had."""
+        """Use the code up. Raises NotPaired if it is wrong, or if there is no offer."""
         if not self._code or now_s > self._until_s:
             self._code = ""
             raise NotPaired("no code is valid now: run failstop web pair on the robot, which shows one for two minutes")

@@ -1,5 +1,6 @@
-"""Driving: the thumb stick of a device that is paired and attends. A command comes with an answer to a nonce, and is as
-old as that nonce by the robot's clock: the gate lets it count for the source's timeout, 0.3 s, and limits it."""
+"""Driving: the thumb stick of a paired device whose operator attends. A command comes together with the answer to a
+nonce, and counts from the time at which the robot made that nonce. The gate lets it count for the source's timeout, 0.3
+s, and applies the limits."""
 
 from __future__ import annotations
 
@@ -19,16 +20,16 @@ if TYPE_CHECKING:
     from failstop.web.viewer import Viewer
 
 SOURCE = "page"
-"""Commands are given as this source where the settings declare it, else as the one that is always there."""
+"""Commands are given as this source if the settings declare it, else as cmd_vel."""
 OTHER_S = 0.5
-"""The pause between one person's driving with the stick and another's."""
+"""The pause between driving by one person with the stick and driving by another, s."""
 OFF = "driving from the page is switched off (settings web.drive and attend.required)"
 LIMIT_FIRST = "choose the speed limit first"
 DISABLED = "motion is disabled: enable it, then hold the stick again"
 
 
 def share(said: str) -> tuple[float, float] | None:
-    """Forward and to the left, each -1 to 1, of a command's text; None for what is none."""
+    """Forward and to the left, each from -1 to 1, from a command's text; None if it is not one."""
     try:
         forward, turn = (float(word) for word in said.split())
     except ValueError:
@@ -43,7 +44,7 @@ class Driving:
         wanted, attended = settings.on("web.drive"), settings.on("attend.required")
         self.on = wanted and attended
         self.lacks = UNATTENDED_DRIVE if wanted and not attended else ""
-        """Why nobody can drive from the page although web.drive is on; empty: somebody can, or it is off."""
+        """Why nobody can drive from the page although web.drive is on; empty if people can, or if it is off."""
         self._name = name
         self._full = settings["limits.vx_mps"], settings["limits.wz_radps"]
         self._source = SOURCE if SOURCE in settings.sources() else FIRST_SOURCE
@@ -51,23 +52,23 @@ class Driving:
         self._driver: tuple[Viewer, str] | None = None
         self._last_s = 0.0
         self._chosen: set[str] = set()
-        """Devices that have chosen a speed limit since they last began to attend."""
+        """Devices whose operators have chosen a speed limit since they began to attend."""
         self._spent: set[Viewer] = set()
-        """Viewers whose stick counts only after it was let go: motion was disabled while they held it, even if it has
-        been enabled again since."""
+        """Viewers whose stick counts only after it was let go, because motion was disabled while they held it. This
+        stays so even if motion is enabled again."""
         self._taken: dict[Viewer, tuple[int, int]] = {}
-        """Each stick that is held: (epoch when it was first pushed, when motion had been enabled by then, ns)."""
+        """For each stick that is held: (the epoch when it was pushed, when motion had been enabled then, ns)."""
 
     def has_chosen(self, device: Device | None) -> bool:
-        """Whether the stick of this device waits for no choice of the speed limit."""
+        """True if the operator of this device has chosen a speed limit."""
         return not self.on or device is None or device.id in self._chosen
 
     def chose(self, device: str) -> None:
-        """A device has chosen the speed limit."""
+        """The operator of a device has chosen a speed limit."""
         self._chosen.add(device)
 
     def command(self, viewer: Viewer, said: str, proven_ns: int, state: State | None) -> str:
-        """A proven command of a viewer that attends; returns what stands in its way."""
+        """Handle a proven command of a viewer that attends. Returns what keeps it from driving, or ""."""
         device, wanted = viewer.device(), share(said)
         if not self.on or device is None or wanted is None or state is None:
             return OFF
@@ -89,7 +90,7 @@ class Driving:
         return self._drive(viewer.who(), vx_mps, wz_radps, proven_ns)
 
     def _newest(self, state: State) -> State:
-        """The state of this moment once somebody drives; before that the given one, which may be 0.1 s old."""
+        """The state now, if somebody drives; otherwise the given state, which may be 0.1 s old."""
         with contextlib.suppress(FailstopError):
             return self._robot.state if self._robot else state
         return state
@@ -105,7 +106,8 @@ class Driving:
         return ""
 
     def release(self, viewer: Viewer) -> None:
-        """The stick is let go: to zero along the ramp. That takes no proof, as it moves nothing."""
+        """The stick was let go, so the velocity goes to zero along the ramp. No proof is needed, because this moves
+        nothing."""
         self._spent.discard(viewer)
         self._taken.pop(viewer, None)
         if self._driver and self._driver[0] is viewer:
@@ -113,7 +115,7 @@ class Driving:
             self._drive(viewer.who(), 0.0, 0.0, None)
 
     def end(self, viewer: Viewer) -> None:
-        """A viewer attends no more: zero at once; when it comes back it has to choose the limit again."""
+        """A viewer no longer attends: command zero at once. When it comes back, it must choose the limit again."""
         if device := viewer.device():
             self._chosen.discard(device.id)
         self._spent.discard(viewer)

@@ -1,7 +1,8 @@
-"""Guard: which requests are let in, as a table whose first row that fails decides. Pure.
+"""Guard: decides which requests are let in, by a table. The first row that fails decides. Pure.
 
-A page of another site can make a browser send requests here: under a name of its own that it lets point to the robot
-(rebinding), or to the robot's name from elsewhere (cross-site). The robot's network is no reason to trust anybody.
+A page of another site can make a browser send requests here: it can let a name of its own point to the robot
+(rebinding), or send requests to the robot's name from elsewhere (cross-site). Nobody is trusted only because the
+request comes from the robot's network.
 """
 
 from __future__ import annotations
@@ -17,11 +18,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 HEADER = "X-Failstop"
-"""Scripts of the page set it; a form or a link of another site can't."""
+"""A header that the page's own scripts set. A form or a link of another site can't set it."""
 READS = frozenset(("GET", "HEAD"))
 METHODS = READS | {"POST"}
 SAME = frozenset(("", "same-origin", "none"))
-"""A browser's word on where a request comes from, if it gives one: here, or a person's own doing."""
+"""The values of Sec-Fetch-Site that are allowed: the request comes from this page, or from something that the person
+did."""
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -36,29 +38,29 @@ HEADERS = {
     "X-Frame-Options": "DENY",
     "Cache-Control": "no-store",
 }
-"""Headers that every answer has."""
+"""The headers of every answer."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PageRequest:
-    """The parts of a request that decide. Texts that were not sent are empty."""
+    """The parts of a request that decide. A part that was not sent is empty."""
 
     method: str
     scheme: str
-    """http or https, as it was received."""
+    """http or https, as the request arrived."""
     host: str
-    """The header, with the port."""
+    """The header Host, with the port."""
     origin: str = ""
     header: str = ""
-    """HEADER's value."""
+    """The value of HEADER."""
     site: str = ""
-    """Sec-Fetch-Site."""
+    """The value of Sec-Fetch-Site."""
     upgrade: bool = False
-    """It asks for a websocket."""
+    """True if the request asks for a websocket."""
 
 
 def origin_of(setting: str) -> str:
-    """The origin that browsers see where a proxy is in between; empty: there is none. Raises FailstopError."""
+    """The origin that browsers see if there is a proxy in between; empty if there is none. Raises FailstopError."""
     found = setting.lower().rstrip("/")
     scheme, _, host = found.partition("://")
     if found and not (scheme in ("http", "https") and host_of(host) and host.isascii() and " " not in host):
@@ -67,15 +69,15 @@ def origin_of(setting: str) -> str:
 
 
 def names(hostname: str, more: str, origin: str = "") -> frozenset[str]:
-    """Every name that the robot answers to, beside addresses: its own, with .local, localhost, those of a setting,
-    with blanks between them, and that of the origin that browsers see."""
+    """Every name that the robot answers to, in addition to its addresses: its host name, the same with .local,
+    localhost, the names in a setting (separated by blanks), and the name in the origin that browsers see."""
     own = hostname.lower().partition(".")[0]
     proxied = host_of(origin.partition("://")[2])
     return frozenset(("localhost", hostname.lower(), own, f"{own}.local", *more.lower().split(), proxied)) - {""}
 
 
 def host_of(header: str) -> str:
-    """The host of a Host header, without port and brackets; empty for what is none."""
+    """The host in a Host header, without port and brackets; empty if it is not one."""
     try:
         found = urlsplit(f"//{header}")
         _ = found.port
@@ -87,7 +89,8 @@ def host_of(header: str) -> str:
 
 
 def is_address(host: str) -> bool:
-    """An address is nobody's name: a page that was opened under it came from there."""
+    """True if the host is an address and not a name. Another site can't let an address point to the robot, so a page
+    that was opened at an address came from the robot."""
     try:
         ipaddress.ip_address(host)
     except ValueError:
@@ -96,7 +99,7 @@ def is_address(host: str) -> bool:
 
 
 def only_here(address: str) -> bool:
-    """This machine alone can reach that address."""
+    """True if only this computer can reach that address."""
     return address == "localhost" or (is_address(address) and ipaddress.ip_address(address).is_loopback)
 
 
@@ -134,8 +137,8 @@ ROWS: tuple[tuple[str, int, Callable[[PageRequest, frozenset[str], str], bool], 
 
 
 def refusal(request: PageRequest, known: frozenset[str], proxied: str = "") -> tuple[int, str] | None:
-    """Status and reason for a request that is not let in; None for one that is. `proxied`: the origin that browsers see
-    where a proxy is in between."""
+    """The status and the reason for a request that is not let in; None if it is let in. `proxied`: the origin that
+    browsers see if there is a proxy in between."""
     for _, status, holds, why in ROWS:
         if not holds(request, known, proxied):
             return status, why

@@ -1,4 +1,4 @@
-"""Handlers: each request passes the guard, then does one thing. The websockets are in sockets.py."""
+"""Handlers: a request must pass the guard, and then does one thing. The websockets are in sockets.py."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ LINES_OF_A_DEFECT = 6
 
 
 class Guarded(RequestHandler):
-    """The part that all answers share."""
+    """What all handlers share."""
 
     SUPPORTED_METHODS = ("GET", "HEAD", "POST")
 
     def initialize(self, page: Page) -> None:
-        """`page`: what serves it."""
+        """`page`: the page that this handler belongs to."""
         self.page = page
 
     def set_default_headers(self) -> None:
@@ -38,7 +38,7 @@ class Guarded(RequestHandler):
             self.set_header(name, value)
 
     def prepare(self) -> None:
-        """Refuse what the guard does not let in."""
+        """Refuse a request that the guard does not let in."""
         if found := guard.refusal(self._request(), self.page.names, self.page.origin):
             self.refuse(*found)
 
@@ -60,35 +60,37 @@ class Guarded(RequestHandler):
         self.finish({"error": why})
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """A defect, or a request that is none: nothing of it is told."""
+        """Answer a defect, or a malformed request, without any details."""
         self.finish({"error": self._reason})
 
     def log_exception(self, typ: Any, value: BaseException | None, tb: Any) -> None:
-        """Tell of a defect in a few lines, and of many seldom: strangers must not fill the journal."""
+        """Log a defect in a few lines, and only rarely if there are many, because strangers must not fill the
+        journal."""
         if not isinstance(value, HTTPError) and self.page.defect_limit.spend(str(typ), time.monotonic()):
             told = "".join(traceback.format_exception(typ, value, tb)).splitlines()[-LINES_OF_A_DEFECT:]
             logging.getLogger("tornado.application").error("a defect of the page: %s", "; ".join(told))
 
     def body(self) -> dict[str, Any]:
-        """The request's object, or nothing."""
+        """The request's JSON object; an empty one if it has none."""
         return messages.read(self.request.body)
 
     @property
     def scheme(self) -> str:
-        """How the browser has asked: http or https."""
+        """http or https, as the browser has used it."""
         return self.page.scheme or self.request.protocol
 
     @property
     def cookie(self) -> str:
-        """The name of the cookie; over HTTPS one that no other name of the robot, and no plain answer, can set."""
+        """The name of the cookie. Over HTTPS it is a name that no other host name of the robot, and no plain HTTP
+        answer, can set."""
         return "__Host-failstop" if self.scheme == "https" else "failstop"
 
     def token(self) -> str:
-        """The device's token, by its own word."""
+        """The device's token, as the browser sends it."""
         return self.get_cookie(self.cookie) or ""
 
     def device(self) -> Device | None:
-        """The paired device that asks; None: somebody who sees and stops."""
+        """The paired device that sends the request; None for anyone who may only watch and stop."""
         return self.page.devices.of(self.token())
 
     def who(self) -> str:
@@ -97,17 +99,17 @@ class Guarded(RequestHandler):
         return f"page at {self.request.remote_ip}" if device is None else f"{device.name} (page)"
 
     def paired(self) -> Device | None:
-        """The paired device that asks; None, and the refusal is sent."""
+        """The paired device that sends the request. If it is not paired, send a refusal and return None."""
         if (device := self.device()) is None:
             self.refuse(401, "this device is not paired")
         return device
 
 
 class Asset(Guarded):
-    """A file of the page."""
+    """Serves a file of the page."""
 
     def get(self, path: str) -> None:
-        """From memory."""
+        """Answer with the file, from memory."""
         found = self.page.assets.get(f"/{path}")
         if found is None:
             self.refuse(404, "there is nothing here")
@@ -126,37 +128,38 @@ class Asset(Guarded):
 
 
 class State(Guarded):
-    """The state, for a page whose websocket does not come through."""
+    """Serves the state, for a page whose websocket does not work."""
 
     def get(self) -> None:
-        """Everything at once."""
+        """Answer with everything at once."""
         self.page.look()
         self.finish({"t": time.time(), "live": self.page.watcher.values, "view": self.page.watcher.shown})
 
 
 class StopHandler(Guarded):
-    """STOP, for everyone who can open the page."""
+    """Carries out a STOP, for everyone who can open the page."""
 
     async def post(self) -> None:
-        """Answers when it is written, or was not within 0.3 s; then the page asks again."""
+        """Answer when the stop is written, or after 0.3 s if it is not; then the page asks again."""
         status, found = await self.page.stopped(self.page.asked.ask(self.who(), self.body().get("id")))
         self.set_status(status)
         self.finish(found)
 
 
 class Check(Guarded):
-    """A request like STOP that changes nothing: the page asks when it opens whether its requests are let in."""
+    """Answers a request that is like STOP but changes nothing. When the page opens, it finds out in this way whether
+    its requests are let in."""
 
     def post(self) -> None:
-        """They are."""
+        """Answer that they are."""
         self.finish({"ok": True})
 
 
 class Me(Guarded):
-    """The rights of this device."""
+    """Reports the rights of this device."""
 
     def get(self) -> None:
-        """Its name, if it is paired."""
+        """Answer with its name, if it is paired."""
         device = self.device()
         drives = device is not None and self.page.driving.on
         self.finish(
@@ -170,10 +173,11 @@ class Me(Guarded):
 
 
 class Pair(Guarded):
-    """A code makes this a paired device."""
+    """Pairs this device, if it knows the code."""
 
     def post(self) -> None:
-        """The token is the cookie's alone; the page gets the key that proves that the operator is there."""
+        """Put the token into the cookie, where the page can't read it. The page gets only the key that proves that the
+        operator is present."""
         if not self.page.pairing_on:
             self.refuse(403, "pairing is off on this robot")
             return
@@ -197,10 +201,10 @@ class Pair(Guarded):
 
 
 class Forget(Guarded):
-    """This device is paired no more."""
+    """Ends the pairing of this device."""
 
     def post(self) -> None:
-        """By its own wish."""
+        """Remove the device, because it has asked for it."""
         if device := self.paired():
             try:
                 self.page.revoke(device.id)
@@ -212,10 +216,11 @@ class Forget(Guarded):
 
 
 class Verb(Guarded):
-    """Disable, and limit the speed to less, for paired devices. What is held is asked for by the websocket alone."""
+    """Disables motion or lowers the speed limit, for paired devices. Requests for which a button must be held come only
+    through the websocket."""
 
     async def post(self, verb: str) -> None:
-        """The gate decides."""
+        """Answer with the gate's decision."""
         if (device := self.paired()) is None:
             return
         if not self.page.verb_limit.spend(verb, time.monotonic()):
@@ -235,19 +240,19 @@ class Verb(Guarded):
 
 
 class Cards(Guarded):
-    """The incidents that are kept."""
+    """Serves the list of saved incidents."""
 
     async def get(self) -> None:
-        """The newest first."""
+        """Answer with the incidents, the newest first."""
         self.finish({"incidents": await self.page.incidents.cards()})
 
 
 class Story(Guarded):
-    """The story of an incident, and its picture. Neither is waited for: the page asks again for one that is not
-    made."""
+    """Serves an incident's story and picture. A request does not wait for them: if they are not made yet, the page asks
+    again."""
 
     async def get(self, identity: str, what: str) -> None:
-        """The picture as PNG, the story as lines."""
+        """Answer with the picture as PNG, or with the story as lines."""
         if not self.page.story_limit.spend(str(self.request.remote_ip), time.monotonic()):
             self.refuse(429, "too many requests: wait a second")
         elif not await self.page.incidents.known(identity):

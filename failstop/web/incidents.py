@@ -1,5 +1,5 @@
-"""Incidents: the black box's files as cards. Stories and pictures are made by the command of that name, in a process of
-its own: matplotlib is several times as large as all of the page."""
+"""Incidents: lists the saved incidents as cards. Their stories and pictures are made by `failstop incident` in a
+separate process, because matplotlib is several times as large as the whole page."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ ID = re.compile(r"[0-9A-Za-z_.-]{1,80}")
 
 @dataclasses.dataclass
 class Made:
-    """The story and picture of an incident. None: not made yet."""
+    """The story and the picture of an incident. None: not made yet."""
 
     story: list[dict[str, Any]] | None = None
     picture: bytes | None = None
-    """As PNG; empty: nothing draws it."""
+    """The picture as PNG; empty if it can't be drawn here."""
 
 
 class Incidents:
@@ -47,7 +47,7 @@ class Incidents:
         self._looked_s = float("-inf")
 
     async def cards(self) -> list[dict[str, Any]]:
-        """The newest first."""
+        """The incidents, the newest first."""
         if time.monotonic() - self._looked_s > FRESH_S:
             self._looked_s = time.monotonic()
             found = await asyncio.get_running_loop().run_in_executor(None, self._heads)
@@ -58,16 +58,17 @@ class Incidents:
         return files.heads(self._name, files.folders(self._name, os.environ))[0]
 
     async def known(self, identity: str) -> bool:
-        """There is such an incident among the cards."""
+        """True if one of the cards is the incident with this id."""
         return bool(ID.fullmatch(identity)) and identity in {card["id"] for card in await self.cards()}
 
     def story(self, identity: str) -> tuple[list[dict[str, Any]] | None, bool | None]:
-        """The story, line by line, in ms from the cause, and whether there is a picture. None: not yet."""
+        """The lines of the story, with times in ms from the cause, and True if there is a picture. None: not made
+        yet."""
         made = self._of(identity)
         return made.story, None if made.picture is None else bool(made.picture)
 
     def picture(self, identity: str) -> bytes | None:
-        """As PNG; empty where nothing draws it; None: not yet."""
+        """The picture as PNG; empty if it can't be drawn here; None: not made yet."""
         return self._of(identity).picture
 
     def _of(self, identity: str) -> Made:
@@ -98,7 +99,7 @@ class Incidents:
             logging.getLogger(__name__).error("a story was not made: %r", error)
 
     async def _command(self, *words: str) -> bytes:
-        """The output of a command on incidents; nothing when it failed."""
+        """The output of `failstop incident` with these arguments; empty if it failed."""
         command = helpers.python("failstop", "incident", *words, "--name", self._name)
         made = await asyncio.create_subprocess_exec(
             *("nice", "-n", "10", *command),
@@ -117,7 +118,7 @@ class Incidents:
         return said if made.returncode == 0 else b""
 
     def close(self) -> None:
-        """Give up what is being made; the pictures go."""
+        """Give up what is being made, and remove the pictures."""
         if self._making:
             self._making.cancel()
         self._pictures.cleanup()
@@ -129,7 +130,7 @@ def _card(head: dict[str, Any]) -> dict[str, Any]:
 
 
 def _near(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The lines of the seconds around the cause, those nearest to it if they are too many, in order."""
+    """The lines of the seconds around the cause, in order. If there are too many, the ones closest to the cause."""
     near = [at for at in range(len(lines)) if abs(lines[at]["ms"]) <= NEAR_MS]
     kept = sorted(near, key=lambda at: abs(lines[at]["ms"]))[:LINES]
     return [{name: lines[at][name] for name in ("ms", "what", "text")} for at in sorted(kept)]

@@ -1,4 +1,4 @@
-"""Limits: how often somebody may ask for something. Pure: the time is an argument."""
+"""Limits: restricts how often somebody may ask for something. Pure: the time is an argument."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ MOST_KEYS = 1024
 
 
 class Limit:
-    """A bucket for each key: `burst` at once, then `per_s`."""
+    """A token bucket for each key: `burst` requests at once, then `per_s` per second."""
 
     def __init__(self, per_s: float, burst: int) -> None:
         self._per_s = per_s
@@ -14,7 +14,8 @@ class Limit:
         self._left: dict[str, tuple[float, float]] = {}
 
     def spend(self, key: str, now_s: float) -> bool:
-        """True when this one may. `now_s`: a monotonic clock; one that went back gives nothing."""
+        """True if one more request of this key is allowed. `now_s`: time.monotonic(); if it went back, no tokens are
+        added."""
         left, since_s = self._left.pop(key, (float(self._burst), now_s))
         left = min(float(self._burst), left + max(0.0, now_s - since_s) * self._per_s)
         if len(self._left) >= MOST_KEYS:  # a sender that made up so many names has no bucket worth keeping
@@ -23,7 +24,7 @@ class Limit:
         return left >= 1
 
     def give_back(self, key: str) -> None:
-        """Give back the last token that this one took."""
+        """Give back the token that the last request of this key took."""
         if key in self._left:
             left, since_s = self._left[key]
             self._left[key] = (min(float(self._burst), left + 1), since_s)

@@ -1,4 +1,4 @@
-"""Messages: what a browser has sent, taken for an object or for nothing. Pure."""
+"""Messages: decodes what a browser has sent as a JSON object, or as an empty one. Pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def read(data: str | bytes) -> dict[str, Any]:
-    """The object that was sent; an empty one for anything else, however deeply it is nested."""
+    """The object that was sent; an empty one for anything else, even if it is nested too deeply."""
     try:
         found = json.loads(data or b"{}")
     except (ValueError, RecursionError):
@@ -16,5 +16,5 @@ def read(data: str | bytes) -> dict[str, Any]:
 
 
 def whole(value: object, most: int) -> int | None:
-    """A number of 1 to `most`; None for anything else."""
+    """The value as a whole number from 1 to `most`; None if it is not one."""
     return value if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= most else None

@@ -33,16 +33,16 @@ if TYPE_CHECKING:
 
 ID_BYTES = 4
 REVOKED = 1008
-"""The end of a websocket for a reason of policy (RFC 6455)."""
+"""The code with which a websocket is closed for a reason of policy (RFC 6455)."""
 MOST_STOPS = 64
-"""Connections for STOP alone. A page that has none stops by a request."""
+"""How many websockets there may be for STOP. A page that gets none sends its STOP as a request."""
 
 
 class Page:
     """The state that the handlers share."""
 
     def __init__(self, name: str, settings: Settings, source: Source) -> None:
-        """`source`: where the settings are from. Raises FailstopError."""
+        """`source`: where the settings come from. Raises FailstopError."""
         self.name, self.source = name, source
         self.address = settings.text("web.address")
         self.port = int(settings["web.port"])
@@ -85,11 +85,11 @@ class Page:
         return {**where, "origin": self.origin}
 
     def look(self) -> None:
-        """Read the state now, for one request."""
+        """Read the state now, for a single request."""
         self.watcher.look(time.monotonic(), time.time())
 
     async def stopped(self, request: stopping.Request) -> tuple[int, dict[str, Any]]:
-        """Wait until a stop is written, for WRITTEN_S at most: an HTTP status, and what the page is told."""
+        """Wait until a stop is written, for at most WRITTEN_S. Returns an HTTP status and the answer for the page."""
         if request.error:
             return 503 if isinstance(request.error, NoService) else 500, {"error": str(request.error)}
         written = await stopping.written(self.name, request.asked_ns)
@@ -98,17 +98,17 @@ class Page:
         return 200, {"asked": request.unix_s, "written": written, "view": self.watcher.shown}
 
     def newest_stop(self) -> int:
-        """The epoch that is in force now; 0: no service runs."""
+        """The present epoch, which stands for the newest stop; 0 if no service is running."""
         self.look()
         return self.watcher.state.epoch if self.watcher.state else 0
 
     def limit(self) -> int:
-        """The speed limit that is in force now, in percent of the settings' speeds."""
+        """The present speed limit, in percent of the settings' speeds."""
         self.look()
         return round(100 * self.watcher.state.speed_limit) if self.watcher.state else 0
 
     def pair(self, code: str, name: str) -> str:
-        """A new device's token. Raises NotPaired, FailstopError."""
+        """Pair a new device, and return its token. Raises NotPaired, FailstopError."""
         self.pairing.redeem(code, time.monotonic())
         token = secrets.token_urlsafe(devices.TOKEN_BYTES)
         made = devices.Device(
@@ -123,8 +123,8 @@ class Page:
         return token
 
     def revoke(self, identity: str) -> str:
-        """The name of the device that may nothing any more; empty when there is none of that id. Raises FailstopError
-        when it may until the page ends only."""
+        """Revoke the device with this id, and return its name; empty if there is none. Raises FailstopError if it could
+        not be saved, so that it counts only until the page ends."""
         its = [viewer for viewer in self.viewers if (device := viewer.device()) and device.id == identity]
         found = self.devices.revoke(identity)
         if found is None:
@@ -139,7 +139,7 @@ class Page:
         return found.name
 
     def join(self, viewer: Viewer) -> None:
-        """Somebody looks: from now on the state is read."""
+        """Somebody opens the page, so the state is read from now on."""
         self.viewers.append(viewer)
         if not self._timer.is_running():
             self._timer.start()
@@ -147,7 +147,7 @@ class Page:
         viewer.show(time.monotonic(), time.time())
 
     def leave(self, viewer: Viewer) -> None:
-        """End a viewer, and its operator's attendance. The last one ends the reading."""
+        """End a viewer, and its operator's attendance. With the last viewer the reading of the state ends."""
         self.attending.end(viewer)
         if viewer in self.viewers:
             self.viewers.remove(viewer)
@@ -161,7 +161,7 @@ class Page:
             viewer.show(now_s, unix_s)
 
     def close(self) -> None:
-        """Give everything back."""
+        """Release everything."""
         self._timer.stop()
         self.stop_pipe.close()
         self.attending.close()

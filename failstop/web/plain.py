@@ -1,4 +1,4 @@
-"""Plain: an answer for a browser that speaks HTTP to the port of HTTPS, as one does when `https://` was not typed."""
+"""Plain: answers a browser that speaks HTTP to the HTTPS port, as happens if somebody has not typed `https://`."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ MOST = 16 * 1024
 
 
 def answer(request: bytes, known: frozenset[str]) -> bytes:
-    """The answer, for a request whose first bytes may be missing: the way to the same name by HTTPS where the
-    robot answers to that name, and a sentence in any case."""
+    """The answer to a request whose first bytes may be missing: a sentence, and a redirect to HTTPS at the same name,
+    if the robot answers to that name."""
     found = HOST.search(request)
     host = found[1].decode("ascii") if found else ""
     name = guard.host_of(host)
@@ -36,7 +36,8 @@ def answer(request: bytes, known: frozenset[str]) -> bytes:
 
 
 def attend(stream: IOStream, known: frozenset[str]) -> None:
-    """Have a TLS connection answered before it is closed, if it is closed because it spoke HTTP."""
+    """Make sure that a TLS connection gets an answer before it is closed, if it is closed because the browser has
+    spoken HTTP."""
     close_fd = stream.close_fd
 
     def answered() -> None:
@@ -49,8 +50,8 @@ def attend(stream: IOStream, known: frozenset[str]) -> None:
 
 
 def _send_answer(connection: socket.socket, known: frozenset[str]) -> None:
-    """Beside TLS, which has taken the first bytes only. What is not read before the end makes the kernel reset the
-    connection, and the answer is lost."""
+    """Send the answer around TLS, which has taken only the first bytes. Everything must be read before the end, because
+    otherwise the kernel resets the connection and the answer is lost."""
     request = socket.socket.recv(connection, MOST)
     socket.socket.send(connection, answer(request, known))
     socket.socket.shutdown(connection, socket.SHUT_WR)

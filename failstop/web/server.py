@@ -25,7 +25,7 @@ PING_S = 5.0
 
 
 def application(page: Page) -> Application:
-    """Every address that is answered."""
+    """The application, with all addresses that the page answers."""
     rows = [
         ("/api/state", handlers.State),
         ("/api/stop", handlers.StopHandler),
@@ -50,7 +50,7 @@ def application(page: Page) -> Application:
 
 
 async def serve(name: str, settings: Settings, source: Source) -> None:
-    """Serve until SIGTERM or SIGINT. Raises FailstopError, and OSError where the address can't be had."""
+    """Serve until SIGTERM or SIGINT. Raises FailstopError, or OSError if it can't listen at the address."""
     logging.getLogger("tornado.general").setLevel(logging.ERROR)  # garbage from outside must not fill the journal
     # tornado's timers go by the wall clock: set back by an hour, it would be an hour until the next look at the state.
     IOLoop.current().time = time.monotonic  # type: ignore[method-assign]

@@ -1,5 +1,5 @@
-"""Sockets: the two websockets of a page. One shows the state and takes what a paired device asks for; the other is for
-STOP alone."""
+"""Sockets: the two websockets of a page. One shows the state and carries the requests of a paired device; the other is
+only for STOP."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ if TYPE_CHECKING:
 MOST_VIEWERS = 64
 MOST_ASKED = 8
 STUCK_S = 10.0
-"""A viewer that takes nothing for this long is let go."""
+"""A viewer that receives nothing for this long, s, is closed."""
 MOST_EPOCH = 1 << 62
 HELD_VERBS = ("reset", "enable", "limit")
 
 
 class Socket(Guarded, WebSocketHandler):
-    """The part that both websockets share."""
+    """What both websockets share."""
 
     def check_origin(self, origin: str) -> bool:
-        """The guard has seen to it."""
+        """True, because the guard has checked the origin already."""
         return True
 
     def open(self, *_: str, **__: str) -> None:
-        """It is a websocket now."""
+        """The connection has become a websocket."""
         if self.ws_connection and self.ws_connection.stream:
             self.page.let_in(self.ws_connection.stream)
 
     def later(self, message: dict[str, Any]) -> asyncio.Future[None] | None:
-        """Hand a message over; None: it was gone."""
+        """Start to send a message; None if the connection is gone."""
         try:
             return asyncio.ensure_future(_quiet(self.write_message(message)))
         except WebSocketClosedError:
@@ -48,26 +48,27 @@ class Socket(Guarded, WebSocketHandler):
 
 
 class StopSocket(Socket):
-    """STOP, for everyone who can open the page, by a connection on which nothing else waits."""
+    """STOP, for everyone who can open the page, on a connection on which nothing else waits."""
 
     def open(self, *_: str, **__: str) -> None:
-        """It waits for a STOP."""
+        """The connection is ready for a STOP."""
         super().open()
         self.page.stops.add(self, str(self.request.remote_ip))
         self.page.stop_pipe.prepare()
         self._who = self.who()
 
     def on_close(self) -> None:
-        """It is gone."""
+        """The connection is closed."""
         self.page.stops.leave(self)
 
     def initialize(self, page: Page) -> None:
-        """`page`: what serves it."""
+        """`page`: the page that this websocket belongs to."""
         super().initialize(page)
         self._asked: set[asyncio.Task[None]] = set()
 
     def on_message(self, message: str | bytes) -> None:
-        """A STOP by its id, asked for before anything else is done. Many at a time are not answered each."""
+        """Request the stop with this id, before anything else is done. If many come at once, not each one is
+        answered."""
         if identity := messages.read(message).get("stop"):
             request = self.page.asked.ask(self._who, identity)
             if len(self._asked) < MOST_ASKED:
@@ -81,10 +82,10 @@ class StopSocket(Socket):
 
 
 class Live(Socket):
-    """The state, ten times a second, to one viewer."""
+    """Sends the state to one viewer, ten times per second."""
 
     def initialize(self, page: Page) -> None:
-        """`page`: what serves it."""
+        """`page`: the page that this websocket belongs to."""
         super().initialize(page)
         self._number = -1
         self._sending: asyncio.Future[None] | None = None
@@ -93,7 +94,8 @@ class Live(Socket):
         self._asked: set[asyncio.Task[None]] = set()
 
     def prepare(self) -> None:
-        """The guard, and room for one more: a paired device takes somebody else's place."""
+        """Check the guard's rules, and that there is room for one more viewer. A paired device may take the place of
+        another viewer."""
         super().prepare()
         if not self._finished and len(self.page.viewers) >= MOST_VIEWERS:
             strangers = [viewer for viewer in self.page.viewers if viewer.device() is None]
@@ -104,17 +106,18 @@ class Live(Socket):
                 self.page.leave(strangers[0])
 
     def open(self, *_: str, **__: str) -> None:
-        """A viewer comes."""
+        """A viewer has connected."""
         super().open()
         self.page.join(self)
 
     def on_close(self) -> None:
-        """A viewer goes."""
+        """A viewer has left."""
         self._hold = None
         self.page.leave(self)
 
     def on_message(self, message: str | bytes) -> None:
-        """A viewer attends, answers, attends no more, or holds a button; anything else means nothing."""
+        """Handle a message: the viewer begins to attend, answers a nonce, stops attending, or holds a button. Anything
+        else is ignored."""
         found = messages.read(message)
         if found.get("attend") is True:
             self._attend()
@@ -130,7 +133,8 @@ class Live(Socket):
             self._answer(held, str(found.get("nonce")), str(found.get("answer")), str(found.get("drive") or ""))
 
     def _answer(self, held: lease.Lease, nonce: str, answer: str, drive: str) -> None:
-        """It is there, and it may drive; an answer without a command says that the stick is not held."""
+        """Handle an answer: it proves that the device is present, and may bring a command. An answer without a command
+        means that the stick is not held."""
         if not held.accept(nonce, answer, drive):
             return
         if self.device() is None:  # revoked since
@@ -182,7 +186,7 @@ class Live(Socket):
             self.send({"hold": held.identity, "enough": True})
 
     async def _ask(self, held: hold.Hold) -> None:
-        """Ask for the thing that was held for, unless the person could not know of the newest stop."""
+        """Make the request for which the button was held, unless the person can't have known about the newest stop."""
         if self.device() is None:  # revoked since
             done, said = False, "this device is not paired"
         elif self.page.newest_stop() != held.epoch:
@@ -197,7 +201,7 @@ class Live(Socket):
         self.send({"hold": identity, "done": done, "said": said})
 
     def show(self, now_s: float, unix_s: float) -> None:
-        """Send what is new. Nothing waits: a viewer that has not taken the last message misses this one."""
+        """Send what is new. This never waits: a viewer that has not received the last message misses this one."""
         if self._sending is not None and not self._sending.done():
             connection = self.ws_connection
             if now_s - self._sent_s > STUCK_S and connection and connection.stream:
@@ -215,7 +219,7 @@ class Live(Socket):
         self._sent_s = now_s
 
     def send(self, message: dict[str, Any]) -> asyncio.Future[None] | None:
-        """Hand a message over; a viewer that has just gone gets none."""
+        """Start to send a message; a viewer that has just left gets none."""
         sending = self.later(message if "t" in message else {"t": time.time(), **message})
         if sending is None:
             self.page.leave(self)

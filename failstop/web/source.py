@@ -1,4 +1,4 @@
-"""Source: where the page's settings are from, for people who look for the one to change. Pure."""
+"""Source: where the page's settings come from, so that people know which file to change. Pure."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """Where the page has its settings from."""
+    """The source of the page's settings."""
 
     path: str = ""
-    """The file; empty: none was found, so every setting has its default."""
+    """The path of the file; empty if none was found, so that every setting has its default."""
     running: bool = False
-    """From the service that runs, whatever file it was started with."""
+    """True if the settings come from the running service, whatever file it was started with."""
 
     def described(self) -> str:
-        """In words."""
+        """The source in words."""
         if self.running:
             return "the settings of the running service"
         return self.path or "the defaults, because no settings file was found"
 
     def remedy(self, change: str) -> str:
-        """How to change a setting: `change` is its new line."""
+        """How to change a setting. `change`: the new line for the file."""
         if self.running:
             return f"set {change} in the service's settings file, then restart the service and the page"
         if self.path:

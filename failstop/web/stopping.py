@@ -1,4 +1,4 @@
-"""Stopping: a stop that the page asks for, through the stop pipe that every local user may write."""
+"""Stopping: requests stops for the page, through the stop pipe, to which every local user may write."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from failstop.messages import layout, records
 from failstop.shm import bell
 
 WRITTEN_S = 0.3
-"""How long a request is watched; the page repeats one that was not written by then."""
+"""For how long a request is followed, s. If the stop is not written by then, the page repeats the request."""
 LOOK_S = 0.001
 MOST_IDS = 64
 MOST_OF_AN_ID = 32
@@ -23,7 +23,7 @@ REASON = "STOP on the page"
 
 
 class Request(Data):
-    """A stop that was asked for, or why it could not be."""
+    """A stop that was requested, or the reason why it could not be."""
 
     unix_s: float
     asked_ns: int = 0
@@ -31,7 +31,8 @@ class Request(Data):
 
 
 class Pipe:
-    """The stop pipe of the running service, held open between two stops: to open it takes longer than the stop."""
+    """The stop pipe of the running service. It stays open between two stops, because opening it takes longer than the
+    stop."""
 
     def __init__(self, name: str) -> None:
         """`name`: the service."""
@@ -41,7 +42,7 @@ class Pipe:
         self._same: os.stat_result | None = None
 
     def prepare(self) -> None:
-        """Open the pipe of the service that runs now, unless that one is held already."""
+        """Open the pipe of the service that is running now, unless it is open already."""
         if self._is_held():
             return
         self.close()
@@ -56,7 +57,7 @@ class Pipe:
             return False
 
     def send(self, who: str) -> None:
-        """Ask for a stop. Raises NoService, FailstopError."""
+        """Request a stop. Raises NoService, FailstopError."""
         if self._is_held():
             with contextlib.suppress(OSError):
                 bell.send(self._fd, records.asking(REASON, who, os.getpid()))
@@ -64,22 +65,22 @@ class Pipe:
         send_stop(self._name, REASON, who)
 
     def close(self) -> None:
-        """Give the pipe back."""
+        """Close the pipe."""
         if self._same is not None:
             os.close(self._fd)
             self._same = None
 
 
 class Asked:
-    """The requests of late, by the id that the page gives each: one may come by two ways, and is one stop."""
+    """The latest requests, by the id that the page gives to each. A request may arrive on two ways, and is one stop."""
 
     def __init__(self, pipe: Pipe) -> None:
-        """`pipe`: the way to the service."""
+        """`pipe`: the stop pipe of the service."""
         self._pipe = pipe
         self._ids: dict[str, int] = {}
 
     def ask(self, who: str, identity: object) -> Request:
-        """Ask for a stop at once, unless that was done for this id."""
+        """Request a stop at once, unless that was done before for this id."""
         unix_s = time.time()
         try:
             return Request(unix_s, self._ask(who, str(identity)[:MOST_OF_AN_ID] if identity else ""))
@@ -87,7 +88,8 @@ class Asked:
             return Request(unix_s, error=error)
 
     def _ask(self, who: str, known: str) -> int:
-        """When it was asked for (CLOCK_MONOTONIC ns). Raises NoService, FailstopError, and then it was not."""
+        """Request a stop, and return when that was (CLOCK_MONOTONIC, ns). Raises NoService or FailstopError if it was
+        not requested."""
         if known in self._ids:
             return self._ids[known]
         asked_ns = time.monotonic_ns()
@@ -100,8 +102,8 @@ class Asked:
 
 
 async def written(name: str, asked_ns: int) -> bool:
-    """Wait for a stop that was asked for then; True once one is written to the board, by the word of the port owner, or
-    of the supervisor, which writes where no port owner can. While there is no board there is none."""
+    """Wait for a stop that was requested at `asked_ns`. True once the port owner has reported that one is written to
+    the board, or the supervisor, which writes it if no port owner can. False without a board."""
     with contextlib.ExitStack() as opened:
         try:
             found = run(name)

@@ -1,4 +1,4 @@
-"""Storage: what the page has on disk - the paired devices, its certificate - and where the commands find it."""
+"""Storage: the page's files, which are the paired devices and its certificate, and where the commands find them."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ KEY = "key.pem"
 CERTIFICATE = "certificate.pem"
 CONTROL = "control"
 DAYS = 825
-"""As long as a browser accepts a certificate for."""
+"""How long a certificate is valid, days: as long as browsers accept."""
 RENEW_S = 30 * 86400.0
 OPENSSL_S = 30.0
 
 
 def folder(name: str, environ: Mapping[str, str]) -> str:
-    """Where the page of a service keeps things: systemd's $STATE_DIRECTORY, else under $XDG_STATE_HOME or
-    ~/.local/state."""
+    """The folder in which the page of a service keeps its files: systemd's $STATE_DIRECTORY, else a folder below
+    $XDG_STATE_HOME or ~/.local/state."""
     if given := environ.get("STATE_DIRECTORY", "").split(":")[0]:
         return given
     home = environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
@@ -40,12 +40,12 @@ def folder(name: str, environ: Mapping[str, str]) -> str:
 
 
 def folders(name: str, environ: Mapping[str, str]) -> list[str]:
-    """Where a page of that service may be: one that was started from here, or the system's."""
+    """The folders in which the page of that service may be: one that this user has started, or the system's."""
     return [folder(name, environ), os.path.join(root.at(SYSTEM_BASE), name)]
 
 
 class Storage:
-    """The folder of a page that runs; it alone writes there."""
+    """The folder of a running page. Only this page writes there."""
 
     def __init__(self, place: str) -> None:
         """Raises FailstopError."""
@@ -61,8 +61,8 @@ class Storage:
         return os.path.join(self.place, name)
 
     def devices(self) -> Devices:
-        """Those that were paired. Raises FailstopError for a file that can't be read: nobody is to be shut out, or let
-        in, without a word."""
+        """The paired devices. Raises FailstopError if the file can't be read, because nobody must be locked out, or let
+        in, without a message."""
         try:
             with open(durable.open_own(self.path(DEVICES)), "rb") as file:
                 return Devices.load(file.read())
@@ -74,12 +74,12 @@ class Storage:
             raise FailstopError(f"{self.path(DEVICES)}: {error}: remove it, and pair your devices again") from None
 
     def keep(self, devices: Devices) -> None:
-        """Whole or not at all. Raises FailstopError."""
+        """Save the devices, whole or not at all. Raises FailstopError."""
         self._write(DEVICES, devices.dump())
 
     def keep_fewer(self, devices: Devices) -> None:
-        """After one was revoked. On a full disk the old file is overwritten, which takes no room; a crash in the middle
-        of that leaves a damaged file, which lets nobody in. Raises FailstopError."""
+        """Save the devices after one was revoked. If the disk is full, the old file is overwritten, which needs no
+        room. A crash in the middle of that leaves a damaged file, which lets nobody in. Raises FailstopError."""
         try:
             self.keep(devices)
         except FailstopError as error:
@@ -107,8 +107,8 @@ class Storage:
             os.umask(before)
 
     def tls(self, names: list[str]) -> ssl.SSLContext:
-        """For HTTPS with a certificate of its own, made at the first start and anew before it ends. Raises
-        FailstopError."""
+        """The context for HTTPS with the page's own certificate, which is made at the first start, and again before it
+        expires. Raises FailstopError."""
         if not self._valid():
             self._make(names, own_addresses())
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -120,7 +120,7 @@ class Storage:
         return context
 
     def fingerprint(self) -> str:
-        """SHA-256 of the certificate, as browsers show it; empty where there is none."""
+        """The SHA-256 of the certificate, as browsers show it; empty if there is no certificate."""
         try:
             with open(self.path(CERTIFICATE), encoding="ascii") as file:
                 found = sha256(ssl.PEM_cert_to_DER_cert(file.read())).hexdigest().upper()
@@ -129,7 +129,7 @@ class Storage:
         return ":".join(found[at : at + 2] for at in range(0, len(found), 2))
 
     def _valid(self) -> bool:
-        """There is one, and for a while yet."""
+        """True if there is a certificate that stays valid for a while."""
         if not (os.path.exists(self.path(KEY)) and os.path.exists(self.path(CERTIFICATE))):
             return False
         words = ("x509", "-in", self.path(CERTIFICATE), "-noout", "-checkend", str(int(RENEW_S)))
@@ -157,7 +157,7 @@ class Storage:
 
 
 def _openssl(*words: str) -> subprocess.CompletedProcess[str]:
-    """Raises FailstopError where it is missing."""
+    """Run openssl. Raises FailstopError if it is not installed."""
     try:
         return subprocess.run(("openssl", *words), capture_output=True, text=True, timeout=OPENSSL_S, check=False)
     except FileNotFoundError:

@@ -1,7 +1,7 @@
-"""View: what the page shows of a state, as plain values. Pure: the times are arguments.
+"""View: turns a state into the plain values that the page shows. Pure: the times are arguments.
 
-The word is for arm's length; the reason is one sentence; the next step is what a person does, by the buttons of the
-page and not by commands.
+The word can be read at arm's length. The reason is one sentence. The next step is something that a person does with the
+buttons of the page, not with commands.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from failstop.api.state import State, Stop
 
 BAD = "bad"
-"""The role that colours the word: the wheels may turn, nobody knows whether they do, or no service runs."""
+"""The role of the word's colour if the wheels may turn, nobody knows whether they do, or no service is running."""
 ROLES = {
     **dict.fromkeys((verdict.MOVING, verdict.WRITTEN, verdict.STOPPING), "moves"),
     **dict.fromkeys((verdict.STOPPED, verdict.TOLD_TO_STOP), "stopped"),
@@ -31,7 +31,7 @@ MOST_EVENTS = 40
 
 
 def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
-    """Everything that changes seldom. `events`: of this run, oldest first."""
+    """All values that change seldom. `events`: the events of this run, the oldest first."""
     return {
         "name": state.name,
         "word": verdict.large_word(state),
@@ -70,15 +70,15 @@ def view(state: State, events: Sequence[Event], now_s: float) -> dict[str, Any]:
 
 
 def live(state: State, vibration_radps: float | None) -> list[Any]:
-    """Values that change all the time: forward, left, turn, vibration (mrad/s, None: the IMU is silent), age of the
-    gate's word (ms), in words how a steered base is steered while it drives, and what is seen of the wheels."""
+    """Values that change all the time: forward, left, turn, vibration (mrad/s; None: the IMU is silent), the age of the
+    gate's record (ms), in words how a steered base is steered while it drives, and what is seen of the wheels."""
     shake = None if vibration_radps is None else round(vibration_radps * 1e3, 2)
     steered = "" if state.steering_rad is None else words.steering(state.steering_rad)
     return [*(round(value, 3) for value in state.body_vel), shake, round(state.age_s * 1e3), steered, wheels.now(state)]
 
 
 def absent(note: str) -> dict[str, Any]:
-    """A `view` for where no service runs."""
+    """The values if no service is running."""
     return {
         "name": "",
         "word": verdict.NO_SERVICE,
@@ -111,8 +111,8 @@ def absent(note: str) -> dict[str, Any]:
 
 
 def stop_of(stop: Stop | None) -> dict[str, Any] | None:
-    """The last stop with its three times in words. An empty text: that is not proved, and `lacks` says what is known
-    instead, if anything is."""
+    """The last stop, with its three times in words. An empty text means that this is not proved; `lacks` then says what
+    is known instead, if anything is."""
     if stop is None:
         return None
     return {
@@ -130,21 +130,21 @@ def stop_of(stop: Stop | None) -> dict[str, Any] | None:
 
 
 def _unseen(stop: Stop) -> str:
-    """Why the wheels' rest was not observed; empty: not known (yet)."""
+    """Why it was not observed that the wheels came to rest; empty if that is not known, or not yet."""
     if not stop.observed_by:
         return "no IMU"
     return "" if stop.observed_s is None else proofs.NEVER_SEEN[stop.observed_by]
 
 
 def _written(stop: Stop) -> str:
-    """The time until the bytes were sent; empty if they were not, or wait in the kernel."""
+    """The time until the bytes were sent; empty if they were not sent, or are still in the kernel."""
     if stop.written_s is None or not stop.sent:
         return ""
     return f"{words.took(stop.written_s)}{'' if stop.believed else ', to a device that has not answered'}"
 
 
 def _role(state: State) -> str:
-    """The role that colours the word."""
+    """The role of the word's colour."""
     return BAD if verdict.unproven(state) else ROLES.get(verdict.large_word(state), BAD)
 
 
@@ -156,7 +156,7 @@ def _why(state: State) -> str:
 
 
 def _held(state: State) -> str:
-    """The reason why the wheels stand, or how they move."""
+    """Why the wheels are stopped, or how they move."""
     if state.cause:
         return words.sentence(meaning(state.cause, verdict.reached(state))[0])
     if state.block:
@@ -165,7 +165,7 @@ def _held(state: State) -> str:
 
 
 def _obstacles(state: State) -> dict[str, str]:
-    """Why a reset, an enable or a disable would be refused, as a clause; empty: it would not."""
+    """Why a reset, an enable or a disable would be refused, each as a clause; empty if it would not."""
     return {
         "reset": _first(state, Purpose.RESET) if state.estop else "nothing is latched",
         "enable": "motion is enabled already" if state.enabled else _first(state, Purpose.ENABLE),
@@ -174,7 +174,7 @@ def _obstacles(state: State) -> dict[str, str]:
 
 
 def _first(state: State, goal: Purpose) -> str:
-    """The first step without which a request is refused."""
+    """The first step that is needed before a request can succeed."""
     first = next(iter(steps.before(state, goal)), None)
     if first is None:
         return ""

@@ -1,4 +1,4 @@
-"""Viewer: somebody who looks at the page, whatever connects them."""
+"""Viewer: somebody who looks at the page, by any kind of connection."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ if TYPE_CHECKING:
 
 
 class Closing(Protocol):
-    """A connection that the page may end."""
+    """A connection that the page may close."""
 
     def close(self, code: int | None = None, reason: str | None = None) -> None:
-        """End it; `code`: of a websocket's end."""
+        """Close it. `code`: the code with which a websocket is closed."""
 
 
 class Viewer(Closing, Protocol):
     """A connection that shows the state."""
 
     def device(self) -> Device | None:
-        """The paired device; None: somebody who sees and stops."""
+        """The paired device; None for anyone who may only watch and stop."""
 
     def who(self) -> str:
-        """The name, for people."""
+        """The viewer's name, for people."""
 
     def show(self, now_s: float, unix_s: float) -> None:
-        """Send what is new at that time (CLOCK_MONOTONIC, Unix)."""
+        """Send what is new at that time (CLOCK_MONOTONIC and Unix time, s)."""

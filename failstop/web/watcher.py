@@ -1,4 +1,4 @@
-"""Watcher: reads the service's state for all viewers at once, while there are any."""
+"""Watcher: reads the service's state once for all viewers, while there are any."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
 
 PERIOD_S = 0.1
 SLOW_S = 0.5
-"""The time between two looks at things that people read, not watch, unless something that matters has changed."""
+"""The time between two updates of things that people read, s, unless something important has changed."""
 AGAIN_S = 0.5
-"""How often a service that is not there is looked for."""
+"""How often to look for a service while none is running, s."""
 
 
 class Watcher:
-    """The newest state, and what the page shows of it."""
+    """The newest state, and the values that the page shows."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.state: State | None = None
         self.shown: dict[str, Any] = view.absent("")
-        """The things that the page shows."""
+        """The values that change seldom."""
         self.values: list[Any] | None = None
-        """Values that change all the time; None while no service runs."""
+        """The values that change all the time; None while no service is running."""
         self.number = 0
         """Counts the changes of `shown`."""
         self._follower: Follower | None = None
@@ -40,7 +40,7 @@ class Watcher:
         self._text = ""
 
     def look(self, now_s: float, unix_s: float) -> None:
-        """Read the state. `now_s`: a monotonic clock; call it every PERIOD_S, or when somebody asks."""
+        """Read the state. Call it every PERIOD_S, or when somebody asks. `now_s`: time.monotonic()."""
         self.state = self._read(now_s)
         if self.state is None:
             self.values = None

@@ -1,4 +1,4 @@
-"""Workers: what a paired device may ask of the service. Each request takes a client slot for as long as it lasts."""
+"""Workers: carry out the requests of paired devices. Each request takes a client slot for as long as it lasts."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from failstop.api.errors import FailstopError, Refused
 from failstop.api.robot import Robot
 
 TOUCHED = ("disable", "limit")
-"""Requests that a touch may make; the rest, and a higher limit, is held for."""
+"""Requests for which a touch is enough. For the others, and for a higher limit, a button must be held."""
 MOST_AT_WORK = 4
 
 
 class Workers:
-    """A thread for each, so that one that takes its time, as an enable with an arm does, holds up nothing else: no
-    STOP, no disable, and no reset, which would then be asked for after a stop that its operator did not know of."""
+    """Each request has a thread. So one that takes long, such as an enable with an arm, delays no STOP and no disable.
+    It also delays no reset, which could then clear a stop that its operator did not know of."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -23,7 +23,7 @@ class Workers:
         self._waiting = 0
 
     async def ask(self, verb: str, who: str, percent: int | None = None, epoch: int | None = None) -> tuple[bool, str]:
-        """(done, what was said). `percent`: of the speed limit; `epoch`: the newest stop that the asker knew of."""
+        """Returns (done, answer). `percent`: the speed limit; `epoch`: the newest stop that the person knew of."""
         if self._waiting >= MOST_AT_WORK:
             return False, "the page is busy: try again in a moment"
         self._waiting += 1
@@ -46,5 +46,5 @@ class Workers:
             return False, str(error)
 
     def close(self) -> None:
-        """Wait for nobody."""
+        """End without waiting for running requests."""
         self._threads.shutdown(wait=False, cancel_futures=True)
