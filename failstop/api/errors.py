@@ -1,4 +1,4 @@
-"""Errors that a user of failstop may meet, each with the exit code that the commands give it."""
+"""The errors that calls of failstop raise, each with the exit code of a command that fails with it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class FailstopError(Exception):
 
 
 class Refused(FailstopError):
-    """The service answered, and said no. The message is the reason and, if there is one, the next step."""
+    """The service refused the request. The message is the reason and, if there is one, the next step."""
 
     exit_code = 2
     """Exit code of a command that fails with this error."""
@@ -29,9 +29,9 @@ class Refused(FailstopError):
         self.refused_for = refused_for
         self.template = template
         self.cause = cause
-        """The cause of the stop that it was refused for; None if it was refused for something else."""
+        """The cause of the stop because of which the request was refused; None if there was another reason."""
         self.step = step
-        """The remedy, with commands in backquotes; empty if the reason says it all."""
+        """The next step, with commands in backquotes; empty if the reason says everything."""
 
     @property
     def reason(self) -> str:
@@ -50,11 +50,12 @@ class NoService(FailstopError):
 
 
 class Undeclared(FailstopError, ValueError):
-    """A source or an interlock that the service's settings do not name, or that clients may not use."""
+    """The settings of the service do not declare this source or interlock, or clients may not use it."""
 
 
 class TimedOut(FailstopError, TimeoutError):
-    """Robot.wait_for waited in vain; the message says what the state is, and what to do."""
+    """The state that Robot.wait_for() waited for was not reached in time. The message says what the state is, and what
+    to do."""
 
 
 class NoAnswer(FailstopError):

@@ -1,4 +1,4 @@
-"""Events: the service's news for people, read by programs; those of the run that is there now, in order.
+"""Events: programs read here what the service reports to people, in order, from the run that exists now.
 
 for event in EventLog("failstop").read():
     print(event.t, event.kind, event.text)
@@ -28,9 +28,9 @@ class Event:
     seq: int
     """Counted from 1 in each run of the service. A gap means that events were overwritten before they were read."""
     t: float
-    """Unix time."""
+    """When it happened (Unix time, s)."""
     ns: int
-    """CLOCK_MONOTONIC, ns."""
+    """When it happened (CLOCK_MONOTONIC, ns)."""
     kind: str
     """What it is about: stop, enabled, died, ... (docs/logs.md)."""
     level: str
@@ -40,7 +40,7 @@ class Event:
     fields: dict[str, str | int | float]
     """The values of this kind of event, in addition to the text."""
     next: str = ""
-    """The next step that the text ends with; empty if it names none."""
+    """The next step, with which the text ends; empty if the text names none."""
 
     @property
     def what(self) -> str:
@@ -52,7 +52,7 @@ class EventLog:
     """Reads the events of a running service; needs no permission and no client slot. Not thread-safe."""
 
     def __init__(self, name: str = DEFAULT_NAME, *, past: bool = True) -> None:
-        """`past`: start with the events that are still there. Raises NoService, FailstopError."""
+        """`past`: start with the earlier events that the service still has. Raises NoService, FailstopError."""
         self.name = name
         self._run = SeenRun(name)
         self._ring = self._run.supervisor.ring_reader("events", from_oldest=past)
@@ -71,8 +71,8 @@ class EventLog:
         return found
 
     def follow(self) -> Iterator[Event]:
-        """Every event, starting with those that are there, each as it happens. Raises NoService when the service has
-        ended."""
+        """Every event as it happens, starting with those that the service still has. Raises NoService when the service
+        has ended."""
         while True:
             found = self.read()
             yield from found

@@ -1,4 +1,5 @@
-"""Follow: the state of a service that may end and come back as another run, and how much the robot shakes."""
+"""Follow: reads the state of a service even if it ends and another run begins, and computes how much the robot
+shakes."""
 
 from __future__ import annotations
 
@@ -18,23 +19,23 @@ WINDOW = 10
 
 
 class Follower:
-    """Reads the state and the events of the service, whichever run of it is there."""
+    """Reads the state and the events of the run that exists now."""
 
     def __init__(self, name: str) -> None:
-        """Raises NoService, FailstopError: at first a service must be running."""
+        """Raises NoService if no service is running at the beginning, and FailstopError."""
         from failstop.api.robot import Robot  # takes 8 ms, which `failstop status` can do without
 
         self.name = name
         self.note = ""
-        """Why there is no state now."""
+        """Why there is no state now; empty if there is one."""
         self.events: list[Event] = []
-        """The last events of this run, oldest first."""
+        """The last events of this run, the oldest first."""
         self._robot = Robot(name)
         self._log = EventLog(name)
         self._check_s = 0.0
 
     def read(self, now_s: float) -> State | None:
-        """The state; None while there is none, and then `note` says why. `now_s`: a monotonic clock."""
+        """The state; None if there is none, and then `note` says why. `now_s`: time.monotonic()."""
         try:
             if now_s >= self._check_s:
                 self._check_s = now_s + CHECK_S
@@ -55,7 +56,7 @@ class Follower:
 
 
 class Vibration:
-    """How much the gyro's x and y vary: turning wheels shake it."""
+    """Computes how much the gyro's x and y vary, because turning wheels shake it."""
 
     def __init__(self) -> None:
         self._samples: deque[Sequence[float]] = deque(maxlen=WINDOW)

@@ -1,4 +1,4 @@
-"""A futex that reports this program's death, held by a thread that only waits."""
+"""A futex that reports this program's death. A thread that only waits holds it."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _FIRST = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 
 
 class HeldByThread:
-    """A futex held by a thread that does nothing else, so any thread may release it. The thread also ends when this
-    object is freed, at whatever moment a signal handler raises an exception, so none is left behind."""
+    """A futex that is held by a thread of its own, so any thread may release it. The thread also ends when this object
+    is freed, even if a signal handler raises an exception at any moment, so none is left behind."""
 
     def __init__(self, word: Futex) -> None:
         """Returns once it is held. Raises RuntimeError if no thread can be started, OSError if there is no descriptor
@@ -43,7 +43,7 @@ class HeldByThread:
             raise
 
     def let_go(self) -> None:
-        """End the thread. The caller must clear the word before."""
+        """End the thread. The caller must clear the word of the futex before."""
         self._ends.put(None)
 
 

@@ -1,4 +1,5 @@
-"""Host: how a service is started on this machine: as the last time, else by systemd if it has the unit."""
+"""Host: how a service is started on this computer: in the same way as the last time, else by systemd if the unit is
+installed."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ def unit(name: str) -> str:
 
 
 def start(name: str) -> str:
-    """The command that starts the service, in backquotes: the last run's own command line, if there was a run."""
+    """The command that starts the service, in backquotes. If there was a run before, it is the command line of that
+    run."""
     if not instance.last(name).command and (found := unit(name)):
         return f"`sudo systemctl start {found}`"
     return f"`{instance.start_command(name)}`"
@@ -38,5 +40,6 @@ def stop(device: str | None = None) -> str:
 
 
 def journal(name: str) -> str:
-    """The command that shows the service's events, in backquotes; empty if no journal has them."""
+    """The command that shows the service's events in the journal, in backquotes; empty if there is no journal with
+    them."""
     return f"`journalctl -u {found} -e`" if (found := unit(name)) else ""

@@ -1,5 +1,5 @@
-"""Robot and AsyncRobot: drive and stop a robot from Python. What takes time waits in the one, and is awaited in the
-other; what takes none is the same for both.
+"""Robot and AsyncRobot: drive and stop a robot from Python. Calls that take time wait in Robot and are awaited in
+AsyncRobot; all other calls are the same in both.
 
 match robot.drive(0.2, 0.0, 0.0):
     case Preempted(by=who): print(who, "drives")
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from failstop.api.why import Why
 
 MOST_OF_A_NAME = 64
-"""Bytes of an operator's name; the rest is cut."""
+"""The longest name of an operator, bytes; a longer one is cut."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,24 +56,24 @@ class Preempted:
 
 @dataclasses.dataclass(frozen=True)
 class Blocked:
-    """Nothing moves."""
+    """The wheels are stopped."""
 
     block: Block
-    """Why the wheels are stopped. NO_COMMAND: the gate did not get the command in time."""
+    """Why the wheels are stopped. NO_COMMAND means that the gate did not get the command in time."""
     why: str
-    """That reason in words, with the stop's cause."""
+    """The same reason in words; for a latched stop, the text of its cause."""
 
     def __bool__(self) -> bool:
         return False
 
 
 Answer = Driving | Preempted | Blocked
-"""Only Driving is true in a condition."""
+"""The results of drive(). In a condition only Driving is true."""
 
 
 def judge(decided: dict[str, Any], source: str, cause: Cause | None) -> tuple[Answer, bool]:
-    """The answer that follows from the gate's decision; and whether it is settled, because a command that the gate has
-    not seen yet may change it if the last one was too old or the sensor silent. Pure."""
+    """The answer that follows from the gate's decision, and True if it is settled. It is not settled if the gate may
+    not have seen the newest command yet, and that command could change the answer. Pure."""
     block = Block.LATCHED if cause else Block.of(decided["blocked"])
     if block in (Block.LATCHED, Block.DISABLED):
         return Blocked(block, str(cause or block.value)), True
@@ -113,21 +113,22 @@ class Calls(Session):
             return self._current().of_wheels(speeds_radps, steering_rad)
 
     def _judged(self, source: str) -> tuple[Answer, bool]:
-        """Whether a command would drive now, judged by the gate's last decision, and whether that is final (judge)."""
+        """The answer for this source, by the gate's last decision, and True if it is settled; see judge()."""
         with self._lock:
             decided, cause, *_ = self._current().decided()
         return judge(decided, source, cause)
 
     def sensed(self) -> None:
-        """The obstacle sensor delivered just now. Software commands move the wheels only while this is called at least
-        every 0.5 s (setting scan.timeout_s); otherwise they are blocked with `no scan`. Raises NoService."""
+        """Report that the obstacle sensor has delivered just now. Commands of programs move the wheels only while this
+        is called at least every 0.5 s (setting scan.timeout_s); otherwise they are blocked with `no scan`. Raises
+        NoService."""
         with self._lock:
             self._client().write("sensed", [])
 
     def assert_interlocks(self, *interlocks: str) -> None:
-        """Assert that these interlocks hold now (names from the settings' [interlocks]); repeat it within their
-        timeout. Enabling needs every declared interlock, and losing one disables motion. An interlock that an earlier
-        call named and this one does not is no longer asserted, and ends with its timeout.
+        """Assert that these interlocks hold now (names from the settings' [interlocks]), and repeat that within their
+        timeouts. Motion can be enabled only while all declared interlocks hold, and is disabled when one is lost. Name
+        all interlocks of this program in each call: one that a call leaves out lapses after its timeout.
 
         Raises Undeclared for an interlock that the settings do not name, and then asserts none; NoService when no
         service is running.
@@ -140,16 +141,17 @@ class Calls(Session):
     hold = Renamed("assert_interlocks")
 
     def attend(self, who: str, proven_ns: int | None = None) -> None:
-        """An operator of this name is present now, or was at `proven_ns` (CLOCK_MONOTONIC, ns): for example, when you
-        asked a question that was answered later. Repeat it about every 0.1 s. If the setting attend.required is "on",
-        motion needs an operator, and an operator who was not heard for attend.lease_s (1 s) is gone. That latches a
-        stop, unless another operator is present; so do leave() and the end of this program. A Robot speaks for one
-        operator at a time: if you pass another name, the one before has left. Raises NoService."""
+        """Report that an operator of this name is present now, or was present at `proven_ns` (CLOCK_MONOTONIC, ns): for
+        example, when you asked a question that was answered later. Repeat it about every 0.1 s. If the setting
+        attend.required is "on", motion needs an operator. An operator of whom nothing was heard for attend.lease_s (1
+        s) counts as gone. That latches a stop, unless another operator is present; so do leave() and the end of this
+        program. A Robot speaks for one operator at a time: if you pass another name, the operator before has left.
+        Raises NoService."""
         name = records.cut(" ".join(who.split()), MOST_OF_A_NAME).decode() or "somebody"
         self._attended(name, time.monotonic_ns() if proven_ns is None else proven_ns)
 
     def leave(self) -> None:
-        """The operator leaves, at once. Raises NoService."""
+        """Report that the operator leaves now. Raises NoService."""
         self._attended("nobody", 0)
 
     def _attended(self, who: str, t_ns: int) -> None:
@@ -165,8 +167,8 @@ class Calls(Session):
 
     def estop(self, reason: object = "") -> None:
         """Latch a protective stop (a stop by software, category 2; not an emergency stop in the sense of ISO 13850).
-        Motion stays off until reset() and enable(). Anyone may call it, with a service of any version, even on a closed
-        Robot. Raises NoService when there is nothing to stop.
+        Motion stays off until reset() and enable(). It needs no permission, and works with a service of any version and
+        even on a closed Robot. Raises NoService if no service is running.
 
         The latch's reason is `stop request: REASON (says it is CLIENT, pid N)`, because anyone may ask under any name.
         A reason longer than 180 bytes is cut. It may be any object, such as an exception: the stop never waits for its
@@ -204,8 +206,8 @@ class Calls(Session):
 
 
 class AsyncRobot(Calls):
-    """A Robot for asyncio, from `Robot.connect()`; an asynchronous context manager. It belongs to one event loop.
-    Everything not listed here is as in Robot."""
+    """A Robot for asyncio, from `Robot.connect()`; an asynchronous context manager. It belongs to one event loop. Only
+    enable, disable, reset, limit_speed and wait_for are awaited; calls that are not listed here are as in Robot."""
 
     async def __aenter__(self) -> AsyncRobot:
         self._check_open()
@@ -221,8 +223,8 @@ class AsyncRobot(Calls):
             self._end(in_order=in_order)
 
     def drive(self, vx: float, vy: float, wz: float, *, manual: bool = False, source: str = FIRST_SOURCE) -> Answer:
-        """Like Robot.drive, but it never waits: the answer is the gate's last decision, which is about the command
-        before until the gate has taken this one."""
+        """Like Robot.drive, but it never waits. The answer is the gate's last decision, so it may be about the command
+        before."""
         self._command(vx, vy, wz, manual=manual, source=source)
         return self._judged(source)[0]
 
@@ -260,8 +262,8 @@ class AsyncRobot(Calls):
         return await _through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> AsyncIterator[Event]:
-        """Like Robot.events: `async for event in robot.events()`. It has everything from this call on, whenever it is
-        read, because a task that iterates over it may start late."""
+        """Like Robot.events: `async for event in robot.events()`. It yields every event since this call, even if a task
+        begins to iterate later. Raises NoService when the run ends."""
         return _follow(EventLog(self.name, past=past))
 
 
@@ -271,13 +273,13 @@ class Robot(Calls):
     Reading the state and estop() need no permission. The other calls take one of the service's client slots at their
     first use, which needs the group `failstop` (or the service's user).
 
-    Every call notices a restart of the service and then uses the new run, in which motion is not enabled. While no
-    service is running, every call raises NoService. After close(), every call except estop() raises FailstopError, from
-    any thread. A Robot that is freed gives its slot back, and one that a fork inherits takes a slot of its own.
+    Every call notices a restart of the service, and then uses the new run, in which motion is not enabled. While no
+    service is running, every call raises NoService. After close(), every call except estop() raises FailstopError, in
+    every thread. A Robot that is freed gives its slot back. A Robot in a forked child takes a slot of its own.
 
-    Several threads may use one Robot. It is one client, so the newest drive() of any thread counts. A Robot with a slot
-    keeps a thread that only sleeps: when it ends, the gate knows at once that this program has died, however long the
-    kernel takes to free its memory.
+    Several threads may use one Robot. It is one client, so the newest drive() counts, whichever thread called it. A
+    Robot with a slot has a thread that only sleeps. When the program dies, the end of that thread tells the gate at
+    once, however long the kernel takes to free the program's memory.
     """
 
     connect = AsyncRobot
@@ -305,9 +307,10 @@ class Robot(Calls):
         unless the settings say otherwise, 2 s at most), so repeat it. Values beyond the limits are clamped. After a
         restart of the service nothing moves until you enable motion again.
 
-        Returns Driving, Preempted (by which program) or Blocked (by what); only Driving is true in a condition. It
-        takes no time while the wheels turn. Otherwise it waits until the gate has taken the command, which takes 0.3 ms
-        on an idle machine, but no longer than `wait_s`. With 0 the answer may be about the command before.
+        Returns Driving, Preempted (by which program) or Blocked (why); in a condition only Driving is true. While the
+        wheels turn it does not wait, and the answer may be about the command before. Otherwise it waits until the gate
+        has taken this command, which takes 0.3 ms on an idle machine, but no longer than `wait_s`; after that, or with
+        0, the answer may be about the command before.
 
         A command that was delayed, for example by a network, counts from `proven_ns` (CLOCK_MONOTONIC, ns), the newest
         moment at which you know that it was wanted. A command by a person (`manual`) is exempt from the scan gate.
@@ -337,10 +340,10 @@ class Robot(Calls):
         A steered base has two rear wheels, which set how fast it goes and turns; with `steering_rad` (positive to the
         left) their mean sets how fast it goes, and the angle how it turns.
 
-        It is drive() with the velocity of a base whose wheels turn like this, by the settings' sizes: all limits,
-        ramps, sources and results are the same. So a limit slows all wheels alike, and four mecanum wheels get the
-        closest speeds that they can roll without slip. Raises what drive() raises, and ValueError for another number of
-        wheels, or for an angle on a base without steering.
+        It calls drive() with the velocity of a base whose wheels turn like this, computed with the sizes in the
+        settings. So all limits, ramps, sources and results are those of drive(): a limit slows all wheels in the same
+        proportion, and four mecanum wheels get the closest speeds that they can roll without slip. Raises what drive()
+        raises, and ValueError for another number of wheels, or for an angle on a base without steering.
         """
         velocity = self._of_wheels(speeds_radps, steering_rad)
         return self.drive(*velocity, manual=manual, source=source, wait_s=wait_s, proven_ns=proven_ns)
@@ -358,14 +361,14 @@ class Robot(Calls):
         return sleep_through(self._asking(records.DISABLE))
 
     def reset(self, *, seen: int | None = None) -> str:
-        """Clear the latched stop; motion stays disabled until enable(). With nothing latched it changes nothing. Raises
-        Refused if a stop came after the call, or after the State whose `epoch` you pass as `seen`: the State that the
-        deciding person has looked at."""
+        """Clear the latched stop; motion stays disabled until enable(). If nothing is latched, it changes nothing.
+        Raises Refused if another stop came after this call was made. With `seen`, the `epoch` of a State that the
+        deciding person has looked at, it raises Refused if another stop came after that State."""
         return sleep_through(self._resetting(seen))
 
     def limit_speed(self, share: float) -> str:
-        """Limit every driver to this share of the settings' speeds, 0.05 to 1, until another limit is set or the
-        service ends. It counts at once, by the ramps. Raises Refused, ValueError."""
+        """Limit every driver to this share of the settings' speeds (0.05 to 1, not m/s), until another limit is set or
+        the service ends. It takes effect at once, along the ramps. Raises Refused, ValueError."""
         return sleep_through(self._limiting(share))
 
     def wait_for(self, what: Word | Callable[[State], bool], timeout_s: float | None = None) -> State:
@@ -375,9 +378,8 @@ class Robot(Calls):
         return sleep_through(self._reaching(what, timeout_s))
 
     def events(self, *, past: bool = False) -> Iterator[Event]:
-        """The service's events as they happen: stops, deaths, requests (docs/logs.md). Waits for the next one
-        without end. `past`: begin with the events of this run so far, the last 256. Raises NoService when the run
-        ends."""
+        """The service's events as they happen: stops, deaths, requests (docs/logs.md). It waits for each next one.
+        `past`: begin with the earlier events of this run, the last 256. Raises NoService when the run ends."""
         return EventLog(self.name, past=past).follow()
 
 

@@ -1,4 +1,4 @@
-"""The command `failstop`: finds the subcommand and imports nothing but that one."""
+"""The command `failstop`: finds the subcommand, and imports only that one."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ GROUPS = {
 """Groups of `failstop --help`: each command with its module and its purpose."""
 COMMANDS = {name: row for rows in GROUPS.values() for name, row in rows.items()}
 LABORATORY = "failstop_lab"
-"""The package of the commands that a robot's installation may lack."""
+"""The package of the laboratory's commands, which a robot's installation may lack."""
 HIDDEN = frozenset(("estop", "chaos"))
-"""Commands that it leaves out: a second name, and tools for those who change failstop."""
+"""Commands that `failstop --help` leaves out: a second name, and a tool for people who change failstop."""
 
 LOST = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EIO)
-"""Errors of standard output: nobody reads it, its disk is full, its terminal has gone."""
+"""Errors of standard output that are no defect: nobody reads it, the disk is full, or the terminal has gone."""
 EXAMPLES = "examples:"
 """The first line below a command's options."""
 DESCRIPTION = """Stops your robot when its software crashes or hangs.
@@ -74,12 +74,12 @@ Python package is missing, 128 plus the number of the signal that ended it
 
 
 SYSTEM = "/usr"
-"""Where the distribution installs."""
+"""The folder in which the distribution installs."""
 MAN_PAGES = ("share/man/man1/failstop.1", "share/man/man1/failstop.1.gz")
 
 
 def _has_man_page() -> bool:
-    """Whether this installation came with a manual page: the Debian package does, pip does not."""
+    """True if this installation came with a manual page. The Debian package has one, and pip installs none."""
     return any(os.path.exists(os.path.join(place, page)) for place in (SYSTEM, sys.prefix) for page in MAN_PAGES)
 
 
@@ -128,7 +128,7 @@ def _main(words: list[str]) -> int:
 
 
 def _meant(word: str) -> str:
-    """The command that a word resembles, as a question; empty: it resembles none."""
+    """The command that a word resembles, as a question; empty if it resembles none."""
     from difflib import get_close_matches
 
     found = get_close_matches(word.lower(), COMMANDS, 1)
@@ -150,8 +150,8 @@ def here(name: str) -> bool:
 
 
 def load(name: str) -> tuple[ArgumentParser, ModuleType]:
-    """The parser of one command, and its module. The module's EXAMPLES, a text or one for each command of the module,
-    is shown at the end of its help. Raises FailstopError when the command is not installed."""
+    """The parser of a command, and its module. The end of the command's help shows the module's EXAMPLES, which is a
+    text, or a text for each command of the module. Raises FailstopError if the command is not installed."""
     import argparse
     import textwrap
 
@@ -163,7 +163,7 @@ def load(name: str) -> tuple[ArgumentParser, ModuleType]:
     module = __import__(home if home.startswith(LABORATORY) else f"failstop.{home}", fromlist=["main"])
 
     class Help(argparse.RawDescriptionHelpFormatter):
-        """Lines that break at spaces alone, so that what people type stays whole."""
+        """Breaks lines only at spaces, so that what people type is not broken."""
 
         def _split_lines(self, text: str, width: int) -> list[str]:
             return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
@@ -196,7 +196,8 @@ def _run(name: str, words: list[str]) -> int:
 
 
 def _report_error(error: Exception) -> int:
-    """The exit code of an error with a message for people, which is said; anything else is a defect, raised again."""
+    """Print an error that has a message for people, and return its exit code. Any other error is a defect and is raised
+    again."""
     from failstop.api.errors import FailstopError, Refused
     from failstop.board.own import OwnBoardError
     from failstop.board.port import PortError
@@ -219,7 +220,8 @@ def _report_error(error: Exception) -> int:
 
 
 def _lack(error: BaseException | None) -> str:
-    """Advice on an error of too many open files, also where it was raised anew on its way; empty for others."""
+    """Advice about an error of too many open files, even if another error was raised because of it; empty for other
+    errors."""
     import resource
 
     from failstop.procs.rights import no_descriptors

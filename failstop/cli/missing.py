@@ -1,13 +1,13 @@
-"""Missing: a package that this Python can't import, in one line. It imports nothing else of failstop, because that may
-fail too."""
+"""Missing: prints in one line which package this Python can't import. It imports nothing else of failstop, because that
+might fail too."""
 
 from __future__ import annotations
 
 import sys
 
 INCOMPLETE = 78
-"""The exit code (EX_CONFIG of sysexits.h): to start it again can't help, so neither the unit of the bridge to ROS 2 nor
-its launch file does."""
+"""The exit code if a package is missing (EX_CONFIG of sysexits.h). A restart can't help, so neither the systemd unit of
+the ROS 2 bridge nor its launch file restarts it then."""
 DISTRIBUTIONS = {
     "msgpack": ("msgpack", "python3-msgpack"),
     "numpy": ("numpy", "python3-numpy"),
@@ -16,11 +16,11 @@ DISTRIBUTIONS = {
     "serial": ("pyserial", "python3-serial"),
     "tomli": ("tomli", "python3-tomli"),
 }
-"""Modules that failstop needs, each with its name in PyPI and the Debian package for the system's Python."""
+"""The modules that failstop needs, each with its name on PyPI and the Debian package for the system's Python."""
 
 
 def text(error: ImportError) -> str:
-    """What is missing, where, and the remedy; empty for a module of failstop's own, which is a defect."""
+    """What is missing, for which Python, and the remedy; empty for a module of failstop itself, which is a defect."""
     module = (error.name or "").partition(".")[0]
     if module == "failstop":
         return ""
@@ -34,7 +34,7 @@ def text(error: ImportError) -> str:
 
 
 def say(error: ImportError) -> int:
-    """Print what is missing; returns the exit code. Raises the error again if it is a defect of failstop's."""
+    """Print what is missing, and return the exit code. Raises the error again if it is a defect of failstop."""
     if not (line := text(error)):
         raise error
     sys.stderr.write(f"failstop: {line}\n")

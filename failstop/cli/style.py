@@ -1,4 +1,4 @@
-"""Style: colours by role, and lines of coloured pieces that are broken or cut to the terminal's width."""
+"""Style: colours by role, and lines of coloured pieces, which are wrapped or cut to the terminal's width."""
 
 from __future__ import annotations
 
@@ -23,24 +23,25 @@ STRONG = "strong"
 PLAIN = ""
 
 _COLOURS = {OK: "38;5;28", WARN: "38;5;166", FAIL: "1;38;5;160", DIM: "38;5;244", STRONG: "1"}
-"""Colours out of the 256, because terminals show these alike whatever their theme. Each is legible on black and on
-white (a contrast of 3.8 or more; a theme's own yellow has 1.1 on white). A console with fewer colours shows the
-nearest."""
+"""Colours from the palette of 256, because terminals show these the same way whatever their theme is. Each is legible
+on black and on white (a contrast of 3.8 or more; a theme's own yellow has 1.1 on white). A console with fewer colours
+shows the closest one."""
 NO_TERMINAL_COLUMNS = 80
 LEAST_COLUMNS = 20
 _WHOLE = re.compile(r'`failstop run [^`]*/[^`]*`|^\{"[^ ]*\}')
-"""A word that is copied, and so never broken: a command with a path, and a board's frame of JSON."""
+"""Matches a word that people copy, so that it is never broken: a command with a path, or a board's JSON frame."""
 _WORD = re.compile("(?:`[^`]*`|pid [0-9]+|[^ ])+ *| +")
-"""A word: what is written without a space between; a command, and a process id with what it is of, as if it were so."""
+"""Matches a word: text without a space in it. A command, and a process id with the word before it, count as one
+word."""
 
 
 def lives(environ: Mapping[str, str], *, terminal: bool) -> bool:
-    """Whether this is a terminal that obeys escape sequences, as far as TERM says."""
+    """True if this is a terminal that obeys escape sequences, as far as TERM says."""
     return terminal and environ.get("TERM", "dumb") not in ("", "dumb")
 
 
 def codes(environ: Mapping[str, str], *, terminal: bool) -> dict[str, str]:
-    """Each role on this terminal, as the parameters of an SGR sequence; empty: no colours at all."""
+    """For each role, the parameters of its SGR sequence on this terminal; empty if it shows no colours."""
     return _COLOURS if lives(environ, terminal=terminal) and not environ.get("NO_COLOR") else {}
 
 
@@ -56,7 +57,7 @@ def paint(text: str, role: str) -> str:
 
 
 def width() -> int:
-    """Columns of the terminal; 80 where there is none."""
+    """The columns of the terminal; 80 without a terminal."""
     try:
         return max(LEAST_COLUMNS, os.get_terminal_size(1).columns or NO_TERMINAL_COLUMNS)
     except OSError:
@@ -64,14 +65,14 @@ def width() -> int:
 
 
 def cells(text: str) -> int:
-    """Columns that a printable text takes on a terminal."""
+    """How many columns a printable text takes on a terminal."""
     if text.isascii():
         return len(text)
     return sum(0 if combining(c) else 2 if east_asian_width(c) in "WF" else 1 for c in text)
 
 
 def cut(text: str, columns: int) -> str:
-    """As much of it as fits into so many columns; what was cut ends in an ellipsis."""
+    """The part of a text that fits into this many columns. If it was cut, it ends with an ellipsis."""
     if cells(text) <= columns:
         return text
     while cells(text) >= max(1, columns):
@@ -80,7 +81,7 @@ def cut(text: str, columns: int) -> str:
 
 
 def plain(line: Line) -> str:
-    """The text alone."""
+    """The text of a line, without colours."""
     return "".join(text for text, _ in line)
 
 
@@ -96,22 +97,22 @@ def painted(line: Line, columns: int | None = None) -> str:
 
 
 def show(lines: Iterable[Line]) -> None:
-    """Print them. What standard output can't take is shown as question marks."""
+    """Print these lines. Characters that standard output can't represent are printed as question marks."""
     text = "".join(f"{painted(line)}\n" for line in lines)
     encoding = sys.stdout.encoding or "ascii"
     sys.stdout.write(text.encode(encoding, "replace").decode(encoding))
 
 
 def record(found: object) -> list[Line]:
-    """JSON for programs. What JSON has no word for is there as Python shows it."""
+    """A value as JSON, for programs. Values that JSON does not have are written as Python shows them."""
     import json
 
     return [[(json.dumps(found, indent=2, default=repr, skipkeys=True), PLAIN)]]
 
 
 def wrap(line: Line, columns: int, indent: int) -> list[Line]:
-    """Break a line at spaces so that each part fits, those after the first indented. A word that is longer than a line
-    is broken where it must be."""
+    """Break a line at spaces so that each part fits; all parts after the first are indented. Only a word that is longer
+    than a line is broken."""
     text, roles = plain(line), [role for text, role in line for _ in text]
     starts, at, used = [0], 0, 0
     for piece in _pieces(text, columns - indent):
@@ -129,8 +130,8 @@ def wrap(line: Line, columns: int, indent: int) -> list[Line]:
 
 
 def _pieces(text: str, room: int) -> Iterator[str]:
-    """Pieces that are not broken, with the spaces after them: words, commands that fit in the room or as much of them
-    as does, and of a longer word the letters. What is copied stays whole."""
+    """The pieces that are not broken, each with the spaces after it: words, and commands as far as they fit. A longer
+    word is split into letters, unless people copy it."""
     parts = re.compile(f".{{1,{max(1, room)}}}(?: +|$)|[^ ]+ *| +")
     for word in _WORD.findall(text):
         if _WHOLE.search(word):
@@ -141,7 +142,7 @@ def _pieces(text: str, room: int) -> Iterator[str]:
 
 
 def table(rows: list[Line]) -> list[Line]:
-    """The rows with their columns aligned, two spaces apart; a text that begins with a space is set to the right."""
+    """The rows with aligned columns, two spaces apart. A text that begins with a space is aligned to the right."""
     widths = [max(cells(text.strip()) for text, _ in column) for column in zip(*rows, strict=True)]
     found = []
     for row in rows:
@@ -155,7 +156,8 @@ def table(rows: list[Line]) -> list[Line]:
 
 
 def fit(lines: list[Line], rows: int) -> list[Line]:
-    """As many lines as the screen has: empty ones go first, then the last ones, and that is said."""
+    """The lines that fit on the screen. Empty lines are dropped first, then the last ones, and a line says that some
+    are missing."""
     empty = [number for number, line in enumerate(lines) if not line][: max(0, len(lines) - rows)]
     kept = [line for number, line in enumerate(lines) if number not in empty]
     if len(kept) > rows:

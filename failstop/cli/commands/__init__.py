@@ -7,12 +7,12 @@ from math import inf
 
 
 def add_name(parser: ArgumentParser) -> None:
-    """The option that chooses the instance."""
+    """Add the option --name, which chooses the service."""
     parser.add_argument("--name", default="failstop", help="the service's name (default: failstop)")
 
 
 def seconds(text: str) -> float:
-    """How long something is to last, as an option says it."""
+    """The value of an option that is a time in seconds. Raises ArgumentTypeError."""
     try:
         found = float(text)
     except ValueError:

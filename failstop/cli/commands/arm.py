@@ -1,4 +1,4 @@
-"""`failstop arm`: where it is, and what it can be told."""
+"""`failstop arm`: shows where the arm is, moves it, holds it or releases it."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Ask; a refusal is raised as Refused."""
+    """Carry out the request. Raises Refused if it is refused."""
     verb = arguments.verb
     with Robot(arguments.name, client="failstop arm") as robot:
         arm, values, progress = robot.arm, _values(arguments.joints), Progress()
@@ -116,7 +116,7 @@ def _values(words: list[str]) -> dict[str, float]:
 
 
 def _lines(arm: ArmState) -> list[style.Line]:
-    """All of the arm, its joints in a table."""
+    """The arm's state as lines, with a table of its joints."""
     head = [("arm", summary.arm_headline(arm)), *([("closed", arm.closed)] if arm.closed else [])]
     head += [("wrong", text) for text in arm.wrong]
     head += [("refused", arm.refused)] if arm.refused else []

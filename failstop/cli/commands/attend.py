@@ -1,4 +1,5 @@
-"""`failstop attend`: an operator at a terminal, for a robot that moves only while one is there."""
+"""`failstop attend`: an operator at a terminal confirms to be present, for a robot that moves only while an operator
+is."""
 
 from __future__ import annotations
 
@@ -30,18 +31,18 @@ PERIOD_S = 0.1
 BETWEEN = {"tmux: server": "tmux", "tmux": "tmux", "screen": "screen", "SCREEN": "screen", "mosh-server": "mosh"}
 """Processes that answer in a terminal's place, whether or not anybody is at it."""
 PLACES = 60
-"""Different columns in turn: with a question every 0.1 s they repeat after 6 s."""
+"""How many different columns are used in turn. With a question every 0.1 s they repeat after 6 s."""
 ANSWER = re.compile(rb"\x1b\[(\d{1,4});(\d{1,4})R")
 PART = re.compile(rb"\x1b(\[[\d;]{0,30})?\Z")
-"""The first piece of an answer that comes in two."""
+"""Matches the first piece of an answer that arrives in two pieces."""
 
 
 class Questions:
-    """The proof that a terminal is still at the other end of a line, such as ssh. Pure: times are arguments.
+    """Proves that a terminal is still at the other end of a line, such as ssh. Pure: times are arguments.
 
-    The cursor is put at a column that changes each time, and the terminal is asked where it is. A terminal answers by
-    itself and in order, so that an answer belongs to the oldest question of that column, however late it comes: what a
-    network held back proves the past alone.
+    Each question puts the cursor into another column and asks the terminal where it is. The terminal answers by itself
+    and in order, so an answer belongs to the oldest question with that column, however late it comes. So an answer that
+    a network has held back proves only that the terminal was there when it was asked.
     """
 
     def __init__(self) -> None:
@@ -49,17 +50,17 @@ class Questions:
         self._number = 0
         self._rest = b""
         self.proven_ns = 0
-        """When the newest question that has an answer was put; 0: none has."""
+        """When the newest question that has an answer was asked; 0: none has an answer."""
 
     def ask(self, now_ns: int, row: int) -> str:
-        """The next question, to be written."""
+        """The next question, as bytes to write to the terminal."""
         column = 2 + self._number % PLACES
         self._number += 1
         self._open.append((column, now_ns))
         return f"\x1b[{row};{column}H\x1b[6n"
 
     def typed(self, data: bytes) -> bytes:
-        """Take the terminal's answers out of its bytes; the rest, which a person typed, comes back."""
+        """Remove the terminal's answers from its bytes, and return the rest, which a person has typed."""
         data = self._rest + data
         for found in ANSWER.finditer(data):
             self._answered(int(found[2]))
@@ -82,7 +83,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Attend until q, a signal, or the line's end. Raises FailstopError."""
+    """Attend until q, a signal, or the end of the line. Raises FailstopError."""
     if other := _between():
         raise FailstopError(
             f"{other} would keep answering for your terminal after you have left, so run this outside of {other}"
@@ -107,7 +108,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _between() -> str:
-    """The program that answers in the terminal's place, if there is one above this process."""
+    """The program above this process that would answer in the terminal's place; empty if there is none."""
     process: psutil.Process | None = psutil.Process()
     with suppress(psutil.Error):
         while process := process.parent() if process else None:

@@ -1,4 +1,4 @@
-"""`failstop config`: every setting with its value, unit and origin; checks a file; writes the example."""
+"""`failstop config`: shows every setting with its value, unit and origin, checks a file, or prints the example."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def _toml(name: str, values: dict[str, float | str], mark: str) -> str:
 
 
 def literal(setting: Setting, value: float | str) -> str:
-    """As TOML. Texts here are declared ones: printable, without quotes or backslashes."""
+    """A setting's value as TOML. Its text must be a declared one: printable, without quotes or backslashes."""
     if isinstance(value, str):
         return f'"{value}"'
     return f"0x{value:04X}" if setting.key == "pad.mode_button" else repr(value)

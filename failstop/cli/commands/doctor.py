@@ -1,4 +1,4 @@
-"""`failstop doctor`: what on this machine keeps failstop from its promises, with the command that helps."""
+"""`failstop doctor`: shows what on this computer weakens failstop's promises, with the command that helps."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ SHOWN = {
     SKIP: (style.DIM, "not known"),
     OK: (style.OK, "fine"),
 }
-"""The colour of a level, and what those of it are counted as."""
+"""For each level: its colour, and the word with which its findings are counted."""
 WITHHELD = ("still.command", "web.hosts", "web.origin")
-"""Settings whose values may tell a password, or where the robot is."""
+"""Settings whose values may contain a password, or reveal where the robot is."""
 UNBROKEN = 1 << 16
-"""As many columns as leave a finding on one line, and each remedy."""
+"""So many columns that no finding and no remedy is wrapped."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -65,7 +65,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Print the findings; exit code 1 when one is a failure."""
+    """Print the findings. The exit code is 1 if one of them is a failure."""
     look = Look(check_name(arguments.name), arguments.config, arguments.device, arguments.quick)
     found = table.examine(look)
     worst = found[0][1].level
@@ -112,7 +112,7 @@ def _without(words: list[str], told: Any) -> Any:
 
 
 def screen(found: list[tuple[str, Finding]], columns: int = UNBROKEN) -> list[style.Line]:
-    """For people, wrapped to so many columns; but for the commands, which stay whole to be pasted."""
+    """The findings for people, wrapped to this many columns. Commands are not wrapped, so that they can be copied."""
     width = max(len(name) for name, _ in found)
     indent = LEVEL_COLUMNS + width + GAP
     lines: list[style.Line] = []

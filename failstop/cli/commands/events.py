@@ -1,4 +1,4 @@
-"""`failstop events`: what the service has told since its start, and what it tells now."""
+"""`failstop events`: lists the events since the service's start, and follows new ones."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ failstop events --json | jq -r .text   # for programs
 """
 
 AGAIN_S = 0.5
-"""How often it looks for a service that is not there."""
+"""How often to look for a service while none is running, s."""
 UNITS_S = {"s": 1, "m": 60, "min": 60, "h": 3600, "d": 86400}
 
 
@@ -42,7 +42,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Print events; with --follow until Ctrl-C."""
+    """Print events; with --follow, until Ctrl-C."""
     name = arguments.name
     since_s = since(arguments.since, time.time()) if arguments.since else 0.0
     chosen = kinds(arguments.kind) if arguments.kind else None
@@ -82,7 +82,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _again(name: str) -> EventLog:
-    """The log of the next run, whenever it comes."""
+    """Wait for the next run, and return its log."""
     while True:
         with suppress(FailstopError):
             return EventLog(name)
@@ -90,21 +90,21 @@ def _again(name: str) -> EventLog:
 
 
 def clock(earlier: Event, later: Event) -> list[style.Line]:
-    """A line where the wall clock jumped between two events, as the times of day before it and after it, and --since,
-    then mean nothing together."""
+    """The line that is shown where the wall clock jumped between two events, because times of day before and after it,
+    and --since, can't be compared then."""
     jumped_s = words.clock_jump(later.t - earlier.t, (later.ns - earlier.ns) / 1e9)
     return [[(f"-- {words.jumped(jumped_s)} --", style.WARN)]] if jumped_s else []
 
 
 def rows(event: Event, now_s: float, columns: int | None) -> list[style.Line]:
-    """An event for people, broken to a terminal's width; None: one line, however long."""
+    """The lines of an event for people, wrapped to the terminal's width; `columns` None: one line, however long."""
     line = summary.event(event, now_s)
     indent = sum(style.cells(text) for text, _ in line[:2])
     return [line] if columns is None else style.wrap(line, columns, indent if indent < columns // 2 else 2)
 
 
 def kinds(text: str) -> frozenset[str]:
-    """`stop,died` as a set. Raises FailstopError for a kind that there is none of."""
+    """The kinds in a text such as `stop,died`. Raises FailstopError for an unknown kind."""
     found, known = frozenset(text.replace(" ", "").split(",")) - {""}, [kind.name for kind in EVENT_KINDS]
     if unknown := sorted(found.difference(known)):
         raise FailstopError(f"no events have the kind {', '.join(unknown)}; the kinds are {', '.join(known)}")
@@ -112,7 +112,7 @@ def kinds(text: str) -> frozenset[str]:
 
 
 def since(text: str, now_s: float) -> float:
-    """The Unix time of an age: `30s`, `10m`, `1.5h`. Raises FailstopError."""
+    """The Unix time that lies this long in the past: `30s`, `10m`, `1.5h`. Raises FailstopError."""
     number = text.rstrip("dhimns")
     unit_s = UNITS_S.get(text[len(number) :])
     if unit_s and number.replace(".", "", 1).isdigit() and number.isascii():

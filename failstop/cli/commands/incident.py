@@ -1,4 +1,4 @@
-"""`failstop incident`: what the black box kept of each stop - list, show, plot, export."""
+"""`failstop incident`: lists, shows, plots or exports the incidents that the black box has saved."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ WHICH = (
 )
 SUFFIXES = {"plot": ".png", "export": ".mcap"}
 SAVED_S = 3.0
-"""A stop's file is there 2.4 s after it."""
+"""How long to wait for the file of a stop, s. It is saved 2.4 s after the stop."""
 TOGETHER_NS = 500_000_000
-"""The last stop may repeat the latched one, whose file it is in, with another cause and so much later."""
+"""The last stop may repeat the latched one with another cause, up to this much later. Then it is in the latched stop's
+file."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -80,7 +81,7 @@ def main(arguments: Namespace) -> int:
 
 
 def _lines_on(incident: Incident, arguments: Namespace) -> list[Line]:
-    """Lines on an incident, or on the file that was made of it. Raises IncidentError."""
+    """The lines about an incident, or about the file that was made from it. Raises IncidentError."""
     if arguments.action == "show":
         if arguments.json:
             return record(story.as_dict(incident))
@@ -97,7 +98,7 @@ def _lines_on(incident: Incident, arguments: Namespace) -> list[Line]:
 
 
 def _clock(incident: Incident, name: str) -> str:
-    """What is known against the wall clock of an incident, by those that are kept with it."""
+    """What speaks against the wall-clock times of an incident, judged by the other saved incidents."""
     found, _ = files.heads(name, files.folders(name, os.environ))
     return next((files.jumped(head) for head in found if head["id"] == incident.id), "")
 
@@ -116,7 +117,8 @@ def _list(arguments: Namespace) -> int:
 
 
 def _meant(arguments: Namespace) -> str:
-    """The incident's path; a stop of a moment ago is the last one, so its file is waited for. Raises IncidentError."""
+    """The path of the incident that is meant. If the last stop was a moment ago, it is the last incident, so wait for
+    its file. Raises IncidentError."""
     if arguments.id == files.LAST:
         while (stop := unsaved(arguments.name)) and time.monotonic_ns() < stop.noticed_ns + SAVED_S * 1e9:
             time.sleep(0.1)
@@ -133,7 +135,7 @@ def _meant(arguments: Namespace) -> str:
 
 
 def unsaved(name: str) -> Stop | None:
-    """The service's last stop, when it is in no file."""
+    """The service's last stop, if it is in no file; else None."""
     try:
         state, run = StateReader(name).read(), client.run(name)[0].rpartition(".")[2]
     except FailstopError:
@@ -149,7 +151,7 @@ def unsaved(name: str) -> Stop | None:
 
 
 def failed(name: str, stop: Stop) -> str:
-    """Why the service could not save the incident of its last stop; empty: it has said nothing of it."""
+    """Why the service could not save the incident of its last stop; empty if it has not reported anything."""
     try:
         told = [event for event in EventLog(name).read() if event.kind == "incident" and event.ns > stop.noticed_ns]
     except FailstopError:

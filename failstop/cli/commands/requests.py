@@ -1,4 +1,4 @@
-"""`failstop enable`, `disable`, `reset`, `limit` and `drive`: one request to the service, and its answer."""
+"""`failstop enable`, `disable`, `reset`, `limit` and `drive`: send one request to the service, and print its answer."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ RESTARTED_S = 0.5
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of one of them, whose name ends the parser's."""
+    """Options of one of these commands. The last word of the parser's name says which."""
     add, command = parser.add_argument, parser.prog.rpartition(" ")[2]
     if command == "limit":
         add(
@@ -69,7 +69,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Ask; a refusal is raised as Refused."""
+    """Send the request. Raises Refused if it is refused."""
     command, progress = arguments.command, Progress()
     with Robot(arguments.name, client=f"failstop {command}", disable_on_exit=command == "drive") as robot:
         verbs: dict[str, Callable[[], str]] = {
@@ -95,8 +95,8 @@ def main(arguments: Namespace) -> int:
 
 
 def _limit(robot: Robot, percent: float | None) -> str:
-    """Set the limit, or tell it (None). The gate knows which limits are too low. Raises Refused for what is no limit at
-    all."""
+    """Set the limit, or return it (`percent` None). The gate knows which limits are too low. Raises Refused for a value
+    that is not a percentage."""
     if percent is None:
         now = robot.state.speed_limit
         return f"speed limited to {100 * now:.0f} % of the settings'" if now < 1 else "no speed limit is set (100 %)"
@@ -106,8 +106,8 @@ def _limit(robot: Robot, percent: float | None) -> str:
 
 
 def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str:
-    """A velocity for a while, then zero. A person types it, so it is a manual command. Raises Refused as soon as
-    something blocks the wheels or another source drives them, and if no command ever counted."""
+    """Drive at a velocity for a while, then command zero. It is a manual command, because a person has typed it. Raises
+    Refused as soon as something blocks the wheels or another source drives, and also if no command ever counted."""
     until_s = time.monotonic() + for_s
     if refused := _blocked(robot):
         raise refused
@@ -134,7 +134,7 @@ def _drive(robot: Robot, asked: tuple[float, float, float], for_s: float) -> str
 
 
 def _blocked(robot: Robot) -> Refused | None:
-    """Why driving is pointless, with the command that helps; None: it is not."""
+    """Why driving would move nothing, with the command that helps; None if it would."""
     state = robot.state
     if state.cause:
         return Refused(IS_LATCHED, state.cause, steps.line(state))

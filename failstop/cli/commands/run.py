@@ -1,4 +1,4 @@
-"""`failstop run`: the service in the foreground. The stop is on the wire before anything is refused."""
+"""`failstop run`: runs the service in the foreground. It writes the stop before it refuses anything."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Stop first, then become the supervisor. Raises what main.py turns into one line."""
+    """Write the stop, then become the supervisor. Raises errors that main.py prints in one line."""
     device, board, read = _device(arguments)
     port, lost = None, None
     try:
@@ -64,8 +64,9 @@ def main(arguments: Namespace) -> int:
 
 
 def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None]:
-    """Where the stop goes, and to which board: what a file says, whatever else is wrong in it, else the default. And
-    what the file sets, as it comes; None: it can't be read, the stop does not wait for why. Raises FailstopError."""
+    """The port and the board to which the stop goes: what the file names, even if something else in it is wrong, else
+    the defaults. Also returns the file's settings, unchecked; None if it can't be read, because the stop does not wait
+    for the reason. Raises FailstopError."""
     found, read = {key: BY_KEY[key].default for key in (DEVICE, KIND, BAUD, CAN_ID)}, None
     with contextlib.suppress(Exception):
         read = config.read(arguments.config)
@@ -81,7 +82,7 @@ def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None]
 
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
-    """Become the supervisor; returns only without a port, when nothing else is wrong. Raises one of REFUSALS."""
+    """Become the supervisor. It returns only if there is no port but nothing else is wrong. Raises one of REFUSALS."""
     from failstop.supervisor import fit, status  # their imports would hold up the first stop
 
     rights.raise_limits()
@@ -98,7 +99,7 @@ def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort |
 
 
 def _again(arguments: Namespace) -> str:
-    """The command line that starts this run again, from whatever folder, quoted for a shell."""
+    """The command line that starts this run again from any folder, quoted for a shell."""
     from failstop.supervisor.status import own_unit
 
     if (unit := instances.unit_of(arguments.name)) == own_unit():

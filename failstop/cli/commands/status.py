@@ -40,19 +40,19 @@ MOST_COLUMNS = 100
 LABEL = 7
 PERIOD_S = 0.1
 REMEMBERED = 400
-"""Values a sparkline can show; a wider terminal leaves a gap."""
+"""How many values a sparkline can show. On a wider terminal there is a gap."""
 SLOW_S = 0.5
-"""Ages and the process table are drawn again this often: digits that change faster can't be read."""
+"""How often ages and the process table are drawn, s, because digits that change faster can't be read."""
 STILL_RADPS = float(BY_KEY["still.std_radps"].default)
 TOP_MPS = float(BY_KEY["limits.vx_mps"].default)
 TOP_RADPS = float(BY_KEY["limits.wz_radps"].default)
 NAMES = 32
-"""Columns before a sparkline."""
+"""The columns before a sparkline."""
 BARS = "▁▂▃▄▅▆▇█"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of the two."""
+    """Options of one of the two commands. The parser's name says which."""
     how = parser.add_mutually_exclusive_group()
     if parser.prog.endswith("status"):
         live = "show the state live, with velocity and vibration; q or Ctrl-C ends it"
@@ -62,7 +62,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Print what is asked for, or watch. Raises NoService with what is left of a service that died."""
+    """Print what was asked for, or show it live. If the service has died, raise NoService with what is still known
+    about it."""
     if arguments.command == "why":
         return _why(arguments.name, as_json=arguments.json)
     return _watch(arguments.name) if arguments.watch else _status(arguments.name, as_json=arguments.json)
@@ -95,7 +96,7 @@ def _why(name: str, *, as_json: bool) -> int:
 
 
 def _watch(name: str) -> int:
-    """Until q; the exit code is 0 then, else 128 and the signal's number."""
+    """Show the state live until q. The exit code is then 0, else 128 plus the signal's number."""
     from failstop.cli.screen.terminal import Terminal
 
     follower, live = Follower(name), Live(name)
@@ -120,7 +121,7 @@ def spark(values: Iterable[float | None], top: float, columns: int) -> str:
 
 
 class Live:
-    """The screen's memory from one state to the next."""
+    """The live screen, with what it remembers from one state to the next."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -133,8 +134,9 @@ class Live:
     def lines(
         self, state: State, mono_s: float, unix_s: float, columns: int, rows: int, events: Sequence[Event] = ()
     ) -> list[Line]:
-        """The screen for a state. `mono_s`: a monotonic clock; call it at a steady rate, as a sparkline's step is one
-        call. `rows`: of the terminal, which the last events fill. `events`: of this run, oldest first."""
+        """The screen for a state. Call it at a steady rate, because each call is one step of the sparklines. `mono_s`:
+        time.monotonic(); `rows`: the rows of the terminal, of which the last events fill the rest; `events`: those of
+        this run, the oldest first."""
         self._device = state.device.path
         wheels = summary.wrapped([summary.headline(state)], columns)
         fact = state.turning.does, state.turning.unexpected
@@ -170,7 +172,7 @@ class Live:
         return [*summary.row(name, f"{text:<{NAMES - summary.LABEL}}"), (spark(values, top, columns - NAMES), role)]
 
     def gone(self, note: str, columns: int) -> list[Line]:
-        """The screen while there is no service."""
+        """The screen while no service is running."""
         told = host.journal(self._name) or words.named("`failstop why`", self._name)
         rows: list[Line] = [
             self._title("", columns),
@@ -186,7 +188,8 @@ class Live:
 
 
 def _news(events: Sequence[Event], unix_s: float, room: int) -> list[Line]:
-    """The last events, as many as there are rows for them, each in one: without what to do next, which is above."""
+    """The last events, as many as there are rows, one in each row. Their next steps are left out, because the screen
+    shows the next step further up."""
     count = max(0, min(room - 2, len(events)))
     shown = [dataclasses.replace(it, text=it.what) for it in events[len(events) - count :]]
     return [[], [("last events", DIM)], *(summary.event(it, unix_s) for it in shown)] if shown else []

@@ -1,5 +1,5 @@
-"""`failstop stop`, and `failstop estop`, its other name: the service that runs is asked; where there is none, or it
-does not obey, the stop is written to the port itself. Needs nothing running."""
+"""`failstop stop`, and its other name `failstop estop`. It asks the running service to stop. If no service is running,
+or it does not obey, it writes the stop to the port itself, so it works without anything else."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ BAUD, CAN_ID = "board.baud", "board.can_id"
 DEFAULTS = {key: BY_KEY[key].default for key in (DEVICE, WAIT, KIND, BAUD, CAN_ID)}
 
 END_SERVICE_S = 12.0
-"""With --end-service everything is through by then: below the unit's TimeoutStopSec, at which systemd would kill this
-program and leave what it has not killed yet alive."""
+"""With --end-service, all work is done within this time, s. It is shorter than the unit's TimeoutStopSec, after which
+systemd would kill this program, and leave alive what it has not killed yet."""
 STALLED_S = 1.0
-"""How much of END_SERVICE_S a port gets that exists but accepts no bytes. Another unit goes on trying after the
-service's end."""
+"""The part of END_SERVICE_S that is spent on a port that exists but accepts no bytes, s. Another unit goes on trying
+after the service has ended."""
 REST_S = 1.0
-"""How long killed processes may take to end: a write to a port that hangs can hold one up."""
+"""How long killed processes may take to end, s, because a write to a port that hangs can hold one up."""
 
 EXAMPLES = """\
 failstop stop
@@ -55,7 +55,7 @@ failstop stop --config /etc/failstop/failstop.toml
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options of the two."""
+    """Options of the two commands."""
     device, wait_s = DEFAULTS[DEVICE], DEFAULTS[WAIT]
     parser.add_argument("reason", nargs="*", help="why you stop the robot; `failstop status` and the journal show it")
     add_name(parser)
@@ -91,9 +91,9 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Stop. Exit code 1, although a stop was written, if it may be the wrong port, if the board could answer and does
-    not (also by the word of a service), and for --end-service where that is not allowed. Raises FailstopError when no
-    stop could be written in time, SettingError."""
+    """Stop. The exit code is 1 even though a stop was written, if it may have gone to the wrong port, or if the board
+    could answer but does not (a service may report that too). It is also 1 if --end-service is not allowed here. Raises
+    FailstopError if no stop could be written in time, and SettingError."""
     reason, who = " ".join(arguments.reason), f"failstop {arguments.command}"
     if arguments.services:
         return _every_service(reason, who)
@@ -113,23 +113,23 @@ def main(arguments: Namespace) -> int:
 
 
 class Order(Data):
-    """One stop, however it gets to the board."""
+    """One stop that must get to the board, in whatever way."""
 
     name: str
-    """The service's."""
+    """The name of the service."""
     reason: str
     who: str
     target: Target
 
 
 Outcome = int | str
-"""The exit code, once a stop is out; or why none is, for people (empty: nothing to tell)."""
+"""The exit code if a stop was written; else the reason why none was, for people (empty if there is nothing to say)."""
 NEXT = "; writing the stop to the port instead"
 
 
 def _ask_services(order: Order) -> Outcome:
-    """Ask the services that have the port that the user names, whatever they are called; if the user names none, the
-    service of this name."""
+    """Ask the services that use the port that the user has named, whatever their names are. If the user has named no
+    port, ask the service of this name."""
     try:
         target = order.target
         device = target.wanted()
@@ -140,7 +140,8 @@ def _ask_services(order: Order) -> Outcome:
 
 
 def _ask(order: Order, names: list[str], device: str) -> Outcome:
-    """Ask these services until one has stopped. `device`: the port that a service must have; empty: any."""
+    """Ask these services, one after the other, until one has stopped. `device`: the port that a service must use;
+    empty: any."""
     # Where no service runs, the stop does not wait for all that this imports.
     from failstop.api import ask
     from failstop.api.client import send_stop
@@ -169,9 +170,9 @@ def _ask(order: Order, names: list[str], device: str) -> Outcome:
 
 
 def _write_to_port(order: Order) -> Outcome:
-    """Write to the port itself, again and again until it takes the stop or the time is over. While another process has
-    the port, a service that was just starting may listen by now; while there is no such port, the board may have
-    another."""
+    """Write the stop to the port itself, again and again until the port takes it or the time is over. While another
+    process has the port, look again for a service that was just starting. While the port does not exist, look for the
+    board at another port."""
     target = order.target
     by_service: list[int] = []
 
@@ -194,11 +195,12 @@ def _write_to_port(order: Order) -> Outcome:
 
 
 ATTEMPTS: tuple[Callable[[Order], Outcome], ...] = (_ask_services, _write_to_port)
-"""The ways to stop, in the order in which they are tried until one has an exit code."""
+"""The ways to stop. They are tried in this order until one returns an exit code."""
 
 
 def _ask_late_service(order: Order) -> list[int]:
-    """The exit code of a service of this name that listens only now, if it has stopped; it is asked once."""
+    """Ask a service of this name that has begun to listen only now, once. Returns its exit code in a list if it has
+    stopped, else an empty list."""
     if order.name in order.target.asked or not instances.listens(order.name):
         return []
     outcome = _ask_services(order)
@@ -212,7 +214,7 @@ def _ask_late_service(order: Order) -> list[int]:
 
 
 def _end(target: Target, start_s: float) -> int:
-    """At the service's end: kill what is left of it, and write to its port."""
+    """End the service: kill what is left of it, and write the stop to its port."""
     misused = not _end_service()
     try:
         after_s = target.stop(END_SERVICE_S - (time.monotonic() - start_s))
@@ -224,7 +226,7 @@ def _end(target: Target, start_s: float) -> int:
 
 
 def _every_service(reason: str, who: str) -> int:
-    """Ask each that listens; 1 when one is not known to have stopped."""
+    """Ask every service that listens. Returns 1 if one of them is not known to have stopped."""
     from failstop.api import ask
 
     # All of them before anybody is told, for that may be held up.
@@ -238,9 +240,9 @@ def _every_service(reason: str, who: str) -> int:
 
 
 class Target:
-    """Where to write and for how long to try: what an option says, else the last run's own port, else the file, which
-    is read when it is needed, else the default. Of the file nothing else is looked at: a mistake elsewhere must not
-    keep the wheels turning."""
+    """Decides to which port the stop is written, and for how long to try: what an option says, else the port of the
+    last run, else the settings file, else the default. The file is read only when it is needed, and only for these
+    settings, because a mistake elsewhere in it must not keep the wheels turning."""
 
     def __init__(self, arguments: Namespace) -> None:
         """Raises SettingError."""
@@ -251,27 +253,28 @@ class Target:
         self._name = arguments.name
         self._config = arguments.config
         self._problems: list[str] = []
-        """Faults of the file that are not told yet."""
+        """Mistakes in the file that were not printed yet."""
         self._file_owner = 0
         self._unknown = False
-        """The file may have named a port: it can't be read, or its port is none."""
+        """True if the file may have named a port that is not known now, because the file can't be read or the name is
+        not a port's."""
         self._known = ("", 0)
-        """The port of a service that runs, by its own word, and the service's user."""
+        """The port of a running service, as it reports it, and the service's user."""
         self.asked: list[str] = []
-        """Services that were asked, and are not known to have stopped."""
+        """Services that were asked, but are not known to have stopped."""
         self.unproved = False
-        """A service has stopped, and something speaks against it that the wheels have."""
+        """True if a service has stopped, but something suggests that the wheels have not."""
         self._instead = ("", 0)
-        """The port that was written to in the place of the last run's, which is not there, and who names that."""
+        """The port that was written to because the last run's port does not exist, and the user whose file names it."""
         self._stopped = False
-        """A stop is written: from then on the description of your own board may be run, to ask the board."""
+        """True once a stop was written. Only then may the description of your own board be run, to ask the board."""
 
     def wanted(self) -> str:
-        """The port that the user has named, by an option or by a file; empty: none."""
+        """The port that the user has named, with an option or in a file; empty if there is none."""
         return str(self._given.get(DEVICE) or (self._file.get(DEVICE) if self._config else None) or "")
 
     def learn(self, device: str, owner: int | None) -> None:
-        """A service that runs has this port, by its own word; `owner`: its user."""
+        """A running service reports that it uses this port. `owner`: the service's user."""
         if device and owner is not None and not self._known[0]:
             self._known = device, owner
 
@@ -280,7 +283,7 @@ class Target:
         return self._chosen()[0]
 
     def _chosen(self) -> tuple[str, int]:
-        """The port to write to, and the user whose file names it: 0 for root's files, and for an option."""
+        """The port to write to, and the user whose file names it; 0 for root's files and for an option."""
         if self._instead[0]:
             return self._instead
         if named := self._given.get(DEVICE):
@@ -292,8 +295,8 @@ class Target:
         return (self._last.device, self._last.owner) if self._last.device else self._guess()
 
     def board(self) -> Board:
-        """The board at the port: of the last run's kind, where it is that run's, else of the file's. Of your own board
-        nothing is run before the stop is out, if the last run has kept its stop."""
+        """The board at the port. Its kind is the last run's if that run used this port, else the file's. If the last
+        run has kept the stop of your own board, no code of that board is run before the stop is written."""
         last = self._last.board if self._last.device == self.device() else ""
         kind = str(self._file.get(KIND, DEFAULTS[KIND]))
         with contextlib.suppress(SettingError):
@@ -312,7 +315,7 @@ class Target:
         return known if known and not self._stopped and known.burst != made.burst else made
 
     def described(self) -> str:
-        """The port for people, with the reason for its choice."""
+        """The port for people, with the reason why it was chosen."""
         of = ", the port of the last run" if self._is_last() else ""
         return f"{self.device()}{of}"
 
@@ -320,7 +323,7 @@ class Target:
         return bool(self._last.device) and not (self.wanted() or self._known[0] or self._instead[0])
 
     def _guess(self) -> tuple[str, int]:
-        """The port where nothing else says which, and the user whose file names it."""
+        """The port if nothing else says which, and the user whose file names it."""
         return (str(self._file[DEVICE]), self._file_owner) if DEVICE in self._file else (str(DEFAULTS[DEVICE]), 0)
 
     @cached_property
@@ -329,7 +332,7 @@ class Target:
         return instance.last(self._name)
 
     def _servos(self) -> tuple[int, ...]:
-        """The ids of the arm's servos, from the file or from the last run that had this port. Empty: there is no
+        """The ids of the arm's servos, from the file, or from the last run that used this port; empty if there is no
         arm."""
         joints = [key for key in self._file if key.startswith("joints.") and key.endswith(".servo")]
         found = [value for key in joints if type(value := self._file[key]) is int]
@@ -338,7 +341,8 @@ class Target:
 
     @cached_property
     def _file(self) -> dict[str, Any]:
-        """The file's values of these, where they are allowed; nothing where there is none, or it can't be read."""
+        """The values of these settings in the file, as far as they are allowed; empty if there is no file, or it can't
+        be read."""
         path = self._config or config.installed(self._name)
         table: dict[str, Any] = {}
         try:
@@ -358,8 +362,9 @@ class Target:
         return table
 
     def stop(self, most_s: float = inf, otherwise: Callable[[PortError], bool] = lambda _: False) -> float:
-        """Write the stop, trying for `most_s` seconds at most; returns after how many. `otherwise`: called after each
-        try that has failed; True: a stop is out by another way. Raises PortError."""
+        """Write the stop. Keeps trying for at most `most_s`, and returns after how many seconds it was written.
+        `otherwise` is called after each try that has failed, and returns True if a stop was written in another way.
+        Raises PortError."""
         elsewhere = False
 
         def wait_s(error: PortError) -> float:
@@ -392,8 +397,8 @@ class Target:
         return after_s
 
     def wrote_instead(self) -> bool:
-        """True when a stop went to the port where a board is looked for without a last run: that run's is not there,
-        and a replug may have given the board another."""
+        """True if a stop was written to the port at which a board is looked for without a last run. That is tried if
+        the last run's port does not exist, because the board may have got another one when it was plugged in again."""
         other = self._guess()
         if not self._is_last() or other[0] == self._last.device:
             return False
@@ -405,11 +410,11 @@ class Target:
         return True
 
     def is_not_theirs(self, error: PortError) -> bool:
-        """True when the user whose file names the port could not have opened it."""
+        """True if the user whose file names the port could not have opened it."""
         return bool(self._chosen()[1]) and not os.geteuid() and error.kind in ("permission", "not-a-tty")
 
     def unheard(self, *, patient: bool) -> bool:
-        """True if the board could answer and does not, which is printed; so is its answer. `patient`: as in
+        """True if the board could answer but does not. Prints that, or the board's answer. `patient`: as in
         stop_tool.answered()."""
         (device, owner), board = self._chosen(), self.board()
         if isinstance(board, kept.Kept):
@@ -436,12 +441,13 @@ class Target:
         return heard is False
 
     def complain(self) -> None:
-        """Say what is wrong with the file, as far as it was asked: after the stop, for this may be held up."""
+        """Print what is wrong with the file, as far as it was read. Call it after the stop, because printing may be
+        held up."""
         while self._problems:
             standard.say(f"{self._problems.pop(0)}; stopping without it")
 
     def doubtful(self) -> bool:
-        """True, and said, when the port that was written to is a mere guess."""
+        """True if the port that was written to is only a guess; prints that."""
         if self._instead[0]:
             gone = f"{self._last.device}, the port of the last run, does not exist"
             standard.say(
@@ -460,7 +466,8 @@ class Target:
         return True
 
     def explained(self, error: PortError) -> str:
-        """Why no stop was written, and what to do: with the name of the process that holds the port, if it is found."""
+        """Why no stop was written, and what to do. It names the process that holds the port, if that process is
+        found."""
         device, owner = self._chosen()
         if error.kind == "absent" and self._is_last() and self._guess()[0] != self._last.device:
             return f"{error} (the last run used it; {self._guess()[0]} does not exist either); {MAY_TURN}"
@@ -482,7 +489,8 @@ class Target:
 
 
 def _end_service() -> bool:
-    """SIGKILL the rest of the control group. False, with nothing killed, where that is not the service's."""
+    """Kill (SIGKILL) the other processes of the control group. Returns False, and kills nothing, if it is not the
+    control group of the service."""
     try:
         if "SERVICE_RESULT" not in os.environ or not stop_tool.of_a_service():
             standard.say(

@@ -1,4 +1,4 @@
-"""`failstop teleop`: drive with the keyboard, as long as keys are held."""
+"""`failstop teleop`: drives with the keyboard, for as long as a key is held."""
 
 from __future__ import annotations
 
@@ -33,16 +33,17 @@ ssh -t robot failstop teleop            # from another computer
 """
 
 LIMITS = ("limits.vx_mps", "limits.vy_mps", "limits.wz_radps")
-"""The settings that are 100 %."""
+"""The settings whose values are 100 %."""
 TURN_S = 0.05
 LATE_S = 0.25
-"""After a turn that took this long - the program or the machine was held up - what was typed meanwhile is old."""
+"""If a turn took this long, s, because the program or the machine was held up, the keys that were typed meanwhile are
+old."""
 CLIENT = "failstop teleop"
 FIRST_PERCENT = 50
 STEPS_PERCENT = {"+": 10, "=": 10, "-": -10, "_": -10}
 LEAVE = ("q", CTRL_D)
 TURNS = {"[": -1, "]": 1}
-"""These turn the chosen joint of the arm, which a digit chooses, while they are held."""
+"""Keys that turn the chosen joint of the arm while they are held. A digit chooses the joint."""
 KEYS = """\
 w s  \u2191 \u2193    forward, backward     space  STOP, latched
 a d  \u2190 \u2192    turn left, right      e      enable motion
@@ -67,8 +68,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def main(arguments: Namespace) -> int:
-    """Drive; the wheels stop at the end, and motion that this enabled is disabled. The exit code is 0 after q, else
-    128 and the signal's number."""
+    """Drive. At the end the wheels stop, and motion that this program has enabled is disabled. The exit code is 0 after
+    q, else 128 plus the signal's number."""
     SeenRun(arguments.name).check("source", arguments.source)
     terminal = Terminal()
     with Robot(arguments.name, client=CLIENT, disable_on_exit=False) as robot:
@@ -103,18 +104,19 @@ def _drive(terminal: Terminal, pilot: Pilot) -> None:
 
 
 class Pilot:
-    """Keys in, requests and commands out. A request that fails is a note on the screen. Raises NoService."""
+    """Turns keys into requests and commands. A request that fails becomes a note on the screen. Raises NoService."""
 
     def __init__(self, robot: Robot, source: str, full: Velocity) -> None:
-        """`full`: the velocity at 100 %, m/s forward, m/s left (0: the base can't slide), rad/s counter-clockwise."""
+        """`full`: the velocity at 100 %: m/s forward, m/s left (0 if the base can't move sideways), rad/s
+        counter-clockwise."""
         self.robot = robot
         self.source = source
         self.percent = FIRST_PERCENT
         self.hold = Hold()
         self.note: Span = ("", PLAIN)
-        """The result of the last key, and its role; told until the state changes."""
+        """The result of the last key, and its role. It is shown until the state changes."""
         self.enabled = False
-        """Motion is enabled by this program, or may be soon."""
+        """True if this program has enabled motion, or may have."""
         self.leaving = False
         self.joint = 0
         """The chosen joint of the arm, by its place in the settings."""
@@ -123,17 +125,17 @@ class Pilot:
         self._commanded_s = 0.0
         self.enabling: threading.Thread | None = None
         self._seen: object = None
-        """The part of the state that the lines for people depend on, as it was last time."""
+        """The part of the last state on which the lines for people depend."""
         self._told: Span = self.note
-        """The note as it was last time."""
+        """The last note."""
         self._asked = False
-        """An arm was on its way to the drive pose then, to enable motion."""
+        """True if the arm was moving to its drive pose at the last look, so that motion can be enabled."""
         self._rival = ""
         """Another program that commands as this source."""
         self._who = f"{CLIENT} (pid {os.getpid()})"
 
     def keys(self, keys: list[str], state: State, now_s: float, *, late: bool) -> None:
-        """Act on keys, and on what is due without any. `late`: they may be old; then only what stops counts."""
+        """Act on keys, and on what is due without any. `late`: the keys may be old, so only those that stop count."""
         self._drop_old_note(state)
         others = (row.who for row in state.sources if row.source == self.source and row.who != self._who)
         self._rival = next(others, "")
@@ -161,8 +163,9 @@ class Pilot:
         self._send(self.hold.pressed(moving, now_s), now_s)
 
     def _drop_old_note(self, state: State) -> None:
-        """A note is of the state that it was made in: it goes with it, but for one that has come since the last look,
-        which tells of the new one. Motion that somebody else enables after it was disabled is theirs."""
+        """Drop a note when the state that it is about has changed, but keep a note that was made since the last look,
+        because it is about the new state. If somebody else has enabled motion after it was disabled, this program will
+        not disable it."""
         seen = (state.enabled, state.estop, state.waiting_for, state.device.state)
         if seen != self._seen and self.note is self._told:
             self.note = ("", PLAIN)
@@ -170,12 +173,12 @@ class Pilot:
         self._seen, self._told, self._asked = seen, self.note, self._asking()
 
     def _asking(self) -> bool:
-        """With an arm, motion is enabled beside the keys."""
+        """True while motion is being enabled in another thread, as it is with an arm."""
         return bool(self.enabling and self.enabling.is_alive())
 
     def leave(self) -> str:
-        """End: the wheels stop, and motion that this program enabled is disabled. Returns what came of it, in words.
-        A service that can't be told stops by the command timeout."""
+        """End: the wheels stop, and motion that this program has enabled is disabled. Returns the result in words. If
+        the service can't be reached, the wheels stop because the last command becomes too old."""
         try:
             if self.enabled or self._asking():
                 return self.robot.disable()
@@ -196,7 +199,7 @@ class Pilot:
             self.note = (f"refused: {error.reason}" if isinstance(error, Refused) else str(error), FAIL)
 
     def _press(self, key: str, state: State, now_s: float) -> None:
-        """A key that is none of motion; one that means nothing lets go of those that are."""
+        """Act on a key that does not move the robot. A key without a meaning lets go of the keys that do."""
         if key in STEPS_PERCENT:
             self.percent = max(10, min(100, self.percent + STEPS_PERCENT[key]))
         else:
@@ -215,7 +218,8 @@ class Pilot:
                     self._asked = True
 
     def _enable(self) -> None:
-        """From when it is asked for, since it may be granted though nobody hears the answer."""
+        """Enable motion. From the request on it counts as enabled by this program, because it may be granted even if
+        the answer gets lost."""
 
         def show(text: str) -> None:
             self.note = (text, PLAIN)
@@ -228,12 +232,13 @@ class Pilot:
             raise
 
     def _enable_beside(self) -> None:
-        """Beside the keys, since with an arm it takes seconds: the space key must stop meanwhile."""
+        """Enable motion in another thread, because that takes seconds with an arm, and the space key must stop
+        meanwhile."""
         with contextlib.suppress(NoService), self._noted():  # at the next turn the state tells that it has gone
             self._enable()
 
     def _turn(self, key: str, seen: ArmState) -> bool:
-        """True when the key is one of the arm's: acted on."""
+        """True if the key was one of the arm's keys, and was acted on."""
         joints = list(seen.joints)
         digits = [str(number) for number in range(1, len(joints) + 1)]
         if key in digits:
@@ -251,14 +256,15 @@ class Pilot:
         return True
 
     def _against(self, state: State) -> Span | None:
-        """Why a press can't move the wheels, or would stop everything: a second publisher of a source latches."""
+        """Why a key can't move the wheels, or would stop everything: a second publisher of one source latches a
+        stop."""
         if holds := self.holds(state):
             return holds
         rival = f"{self._rival} drives as {self.source}: end it, or use --source with another one"
         return (rival, WARN) if self._rival else None
 
     def holds(self, state: State) -> Span | None:
-        """The reason why the wheels stand, and the keys that help; None: the keys drive."""
+        """Why the wheels are stopped, and the keys that help; None if the keys drive."""
         if any(process.state == "dead" for process in state.processes.values()):
             return "the service has died: if a wheel turns, use the POWER SWITCH; q leaves", FAIL
         first = f"wait for {GATE}, then " if GATE in verdict.down(state) else ""
@@ -271,7 +277,8 @@ class Pilot:
         return None if state.enabled else (f"motion is disabled: {first}e enables it", WARN)
 
     def _send(self, wanted: Velocity | None, now_s: float) -> None:
-        """Not even a zero goes out beside another publisher of the source: that would latch a stop."""
+        """Send a command. While another program publishes for this source, not even a zero is sent, because that would
+        latch a stop."""
         if wanted is None or self._rival:
             return
         x, y, turn = (part * full * self.percent / 100 for part, full in zip(wanted, self._full, strict=True))
@@ -279,7 +286,7 @@ class Pilot:
         self.robot.drive(x, y, turn, manual=True, source=self.source)
 
     def lines(self, state: State, now_s: float, columns: int) -> list[Line]:
-        """The screen."""
+        """The lines of the screen."""
         speed_mps, _, turn_radps = (full * self.percent / 100 for full in self._full)
         command = self._command if now_s - self._commanded_s <= COMMAND_S else None
         keys = KEYS.format(slide=SLIDE if self._full[1] else "").splitlines()
@@ -305,7 +312,7 @@ class Pilot:
         return summary.wrapped(rows, columns)
 
     def _arm(self, arm: ArmState) -> list[Line]:
-        """A line on the arm and the chosen joint: where it is, or was sent."""
+        """A line about the arm and the chosen joint: where it is, or where it was sent."""
         joints = list(arm.joints.items())
         name, joint = joints[min(self.joint, len(joints) - 1)]
         where = "not read yet" if joint.at_rad is None else f"{joint.at_rad:+.2f} rad"

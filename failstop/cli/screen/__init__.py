@@ -1,1 +1,1 @@
-"""Screens: a state in, lines of text out. Only terminal.py touches a terminal, only follow.py a service."""
+"""Screens: turn a state into lines of text. Only terminal.py uses a terminal."""

@@ -1,4 +1,4 @@
-"""Incident: a saved stop for people, as lines of a terminal of 80 columns or what there is. Pure."""
+"""Incident: a saved stop for people, as lines for a terminal. Pure."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from failstop.policy.settings import Settings
 
 Lines = list[list[tuple[str, str]]]
 Fact = tuple[str, str, str]
-"""Its name, what it says, and its role."""
+"""A fact: its name, its text, and its role."""
 
 MORE = "--all shows the rest; `plot` instead of `show` draws it"
 NARROWEST = 60
 LABEL = 10
 LEAD = 2 + 10 + 2 + LABEL + 2
-"""Columns in front of a line's text: indent, time, gap, label, gap."""
+"""The columns in front of a line's text: indent, time, gap, label, gap."""
 READINGS = {"board_s": "board", "wheels_s": "wheels", "imu_s": "IMU", "battery_s": "battery", "servos_s": "servos"}
-"""Words for the names of Incident.ages()."""
+"""The words for the names of Incident.ages()."""
 PROOFS = {True: PLAIN, None: WARN, False: FAIL}
 ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL}
 
 
 def table(heads: list[dict[str, Any]], columns: int) -> Lines:
-    """The list of incidents, the newest last: id, when, why, how the stop was proven, and where the clock jumped."""
+    """The list of incidents, the newest last: id, time, cause, how the stop was proven, and where the wall clock
+    jumped."""
     lines: Lines = []
     for head in heads:
         role = FAIL if any(proven is False for _, proven in memory.proofs(head)) else DIM
@@ -43,8 +44,8 @@ def table(heads: list[dict[str, Any]], columns: int) -> Lines:
 
 
 def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False, clock: str = "") -> Lines:
-    """The facts, and the lines of the story that matter, without scrolling; `whole`: all of it, and what was around.
-    `clock`: what is known against the wall clock of this incident."""
+    """The facts, and those lines of the story that matter, so that nobody must scroll. `whole`: all lines, and the
+    circumstances. `clock`: what speaks against the wall-clock times of this incident."""
     columns = max(columns, NARROWEST)
     return [
         *_facts(f"Incident {incident.id}", _head(incident, now_s, clock), columns),
@@ -55,7 +56,7 @@ def text(incident: Incident, columns: int, now_s: float, *, whole: bool = False,
 
 
 def _wrapped(lead: str, text: str, role: str, columns: int) -> Lines:
-    """A text behind what leads it, as wide as that from its second row on."""
+    """A text behind its lead. From the second row on it is indented as far as the lead is wide."""
     return style.wrap([(lead, PLAIN), (printable(text), role)], columns, len(lead))
 
 
@@ -65,7 +66,7 @@ def _facts(title: str, rows: list[Fact], columns: int) -> Lines:
 
 
 def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
-    """The event, its time, who noticed it, and the three proofs of the stop, which are kept apart."""
+    """What happened, when, which process noticed it, and the three proofs of the stop, each on its own."""
     head = incident.head
     ago = f", {words.span(now_s - head['t'])} ago" if now_s >= head["t"] else ""
     by = (head["stop"] or {}).get("noticed_by") or {ns: who for ns, who, _ in incident.stops}.get(incident.cause_ns)
@@ -101,7 +102,7 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
 
 
 def _before(incident: Incident) -> str:
-    """What was commanded when it happened, and since when nothing was."""
+    """What was commanded when it happened; or since when nothing was commanded."""
     ticks = [tick for tick in incident.ticks if tick.ns <= incident.cause_ns]
     if not ticks:
         return memory.NOT_KNOWN
@@ -117,7 +118,7 @@ def _before(incident: Incident) -> str:
 
 
 def _wheels(incident: Incident) -> list[Fact]:
-    """What the board reported of the wheels at the cause and at the end of the file."""
+    """What the board reported about its wheels at the cause, and at the end of the file."""
     spans = incident.rolled()
     if not spans:
         return []
@@ -137,7 +138,8 @@ def _wheels(incident: Incident) -> list[Fact]:
 
 
 def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
-    """A row for each line; where there is no room, what an event says is cut, or told in several rows (`whole`)."""
+    """A row for each line. If there is not enough room, the text of an event is cut, or with `whole` takes several
+    rows."""
     found: Lines = [[("Story", STRONG), (", in ms from the cause; of repeated lines, the last", PLAIN)]]
     for line in story.whole(incident) if whole else story.brief(incident):
         cause = line.what == CAUSE

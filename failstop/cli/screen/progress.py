@@ -1,4 +1,5 @@
-"""Progress: how far a request is, in a line of a terminal that is gone at the end. A pipe is told the result alone."""
+"""Progress: shows how far a request is, in a line on the terminal that is removed at the end. In a pipe only the result
+is printed."""
 
 from __future__ import annotations
 
@@ -9,12 +10,12 @@ from failstop.cli import style
 
 
 class Progress:
-    """A context manager; call it with each word of how far it is."""
+    """A context manager. Call it with each text about the progress."""
 
     def __init__(self) -> None:
         self._live = style.lives(os.environ, terminal=sys.stdout.isatty())
         self._shown = 0
-        """Columns of the line that is there now."""
+        """How many columns the line on the terminal has now."""
 
     def __enter__(self) -> Progress:
         return self

@@ -1,4 +1,4 @@
-"""Summary: the state in one screen, for `failstop status` and live; an event in a line."""
+"""Summary: the state on one screen, for `failstop status` with and without -w, and an event in one line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from failstop.supervisor.kinds import EVENT_KINDS
 from failstop.supervisor.status import cost
 
 LABEL = 10
-"""Columns of the names on the left."""
+"""The columns of the names on the left."""
 LINKS = {"alive": OK, "unproven": WARN, "deaf": FAIL, "silent": FAIL, "unheard": FAIL}
 WORDS = {
     **dict.fromkeys((verdict.MAY_TURN, verdict.TURNING, verdict.MOVED), FAIL),
@@ -34,7 +34,8 @@ KIND_COLUMNS = max(len(kind.name) for kind in EVENT_KINDS)
 
 
 def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()) -> list[Line]:
-    """The screen. `now_s`: Unix time, for ages; `columns`: the width; `events`: of this run, oldest first."""
+    """The lines of the screen. `now_s`: Unix time, for ages; `columns`: the width; `events`: those of this run, the
+    oldest first."""
     also = explain(state, events, now_s).also
     rows = wheels(state)
     if death := verdict.death(state, events):
@@ -61,17 +62,17 @@ def lines(state: State, now_s: float, columns: int, events: Sequence[Event] = ()
 
 
 def row(label: str, text: str, role: str = PLAIN) -> Line:
-    """A name on the left and what it says."""
+    """A row: a name on the left, and its text."""
     return [(f"{label:<{LABEL}}", DIM), (text, role)]
 
 
 def wrapped(rows: list[Line], columns: int, label: int = LABEL) -> list[Line]:
-    """Rows with their names on the left, `label` columns of them, as lines that fit."""
+    """Rows with names in the first `label` columns, as lines that fit."""
     return [part for row in rows for part in style.wrap(row, columns, label)]
 
 
 def headline(state: State) -> Line:
-    """A line on the wheels and why they do it."""
+    """A line about what the wheels do, and why."""
     word = verdict.word(state)
     role = FAIL if state.cause else WORDS.get(word, WARN)
     if verdict.unproven(state) and role == OK:
@@ -80,7 +81,7 @@ def headline(state: State) -> Line:
 
 
 def wheels(state: State) -> list[Line]:
-    """That line, what is seen of them, and the next command."""
+    """The headline, what is seen of the wheels, and the next command."""
     rows = [headline(state), observed(state)]
     if step := steps.line(state):
         rows.append(row("next", "") + commands(step))
@@ -88,14 +89,14 @@ def wheels(state: State) -> list[Line]:
 
 
 def observed(state: State) -> Line:
-    """What is seen of the wheels now, and the age of the reading."""
+    """What is seen of the wheels now, and the age of that reading."""
     role = FAIL if verdict.doubt(state) else WARN if verdict.unseen(state) else PLAIN
     text = "; ".join(filter(None, (seen.now(state), verdict.unreached(state))))
     return row("seen", text, role)
 
 
 def commands(text: str) -> Line:
-    """A text whose commands in backquotes stand out."""
+    """A text in which the commands in backquotes are highlighted."""
     return [(part, STRONG if number % 2 else PLAIN) for number, part in enumerate(re.split("(`[^`]*`)", text))]
 
 
@@ -136,7 +137,7 @@ def device(state: State) -> Line:
 
 
 def battery(state: State) -> Line:
-    """Its voltage, and whether it is charged."""
+    """The battery's voltage, and whether it is being charged."""
     if not state.battery_v:
         return row("battery", "not reported by the board")
     found = row("battery", f"{state.battery_v:.2f} V", WARN if state.battery_v < verdict.BATTERY_LOW_V else PLAIN)
@@ -171,7 +172,7 @@ def processes(state: State) -> list[Line]:
 
 
 def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
-    """The process table in words."""
+    """Remarks about the process table, in words."""
     found: list[Line] = []
     ends = verdict.ends(state, events)
     for name, process in state.processes.items():
@@ -186,14 +187,14 @@ def _remarks(state: State, events: Sequence[Event]) -> list[Line]:
 
 
 def event(told: Event, now_s: float) -> Line:
-    """One event for people: when, its kind, what was said."""
+    """An event for people in one line: its time, its kind, its text."""
     role = LEVEL_STYLES.get(told.level, PLAIN)
     when = f"{words.clock(told.t, now_s)}.{int(told.t % 1 * 1000):03d}  "
     return [(when, DIM), (f"{told.kind:<{KIND_COLUMNS}}  ", role), (told.text, role)]
 
 
 def arm_headline(arm: ArmState) -> str:
-    """A line on the arm."""
+    """A line about the arm."""
     if arm.mode:
         return f"{arm.mode} for {arm.by}{f', {arm.phase}' if arm.phase else ''}"
     if arm.released:
@@ -204,7 +205,7 @@ def arm_headline(arm: ArmState) -> str:
 
 
 def _holding(arm: ArmState) -> str:
-    """Whether it stands by its torque, which every joint tells of itself."""
+    """Whether the arm is held by its torque, as each of its joints reports it."""
     torques = {joint.torque for joint in arm.joints.values()}
     loose = [name for name, joint in arm.joints.items() if joint.torque is False]
     if True in torques:

@@ -1,4 +1,5 @@
-"""Terminal: the alternate screen, the keyboard and the signals of a live command; given back as it was found."""
+"""Terminal: the alternate screen, the keyboard and the signals of a live command. At the end the terminal is as it was
+before."""
 
 from __future__ import annotations
 
@@ -22,30 +23,32 @@ IN = 0
 OUT = 1
 CLEAR = "\x1b[H\x1b[2J"
 ENTER = f"\x1b[?1049h\x1b[?25l\x1b[?2004h{CLEAR}"
-"""The alternate screen, no cursor, and what is pasted comes marked as such."""
+"""The sequences that switch to the alternate screen, hide the cursor, and let pasted text arrive with marks around
+it."""
 LEAVE = "\x1b[?2004l\x1b[0m\x1b[?25h\x1b[?1049l"
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
-"""Ctrl-Z too: nobody drives or attends a robot with a command that is put aside."""
+"""Signals that end the command. Ctrl-Z is one of them, because nobody drives or attends a robot with a command that is
+suspended."""
 MOST_BYTES = 4096
 
 
 class Terminal:
-    """A context manager. Signals only set fields here; whoever waits acts on them when its wait is over."""
+    """A context manager. Signals only set fields of it; the code that waits acts on them when its wait is over."""
 
     def __init__(self) -> None:
-        """Raises FailstopError when standard output is no terminal, or one that obeys no escape sequences."""
+        """Raises FailstopError if standard output is not a terminal, or is one that obeys no escape sequences."""
         if not os.isatty(OUT):
             raise FailstopError("this command shows a live screen, so run it in a terminal")
         if not style.lives(os.environ, terminal=True):
             term = os.environ.get("TERM", "")
             raise FailstopError(f"this command needs a terminal that can draw a screen, but TERM is {term!r}")
         self._shown: list[str] | None = None
-        """The screen's lines; None: it may show anything."""
+        """The lines that the screen shows; None if it may show anything."""
         self._keyboard = os.isatty(IN)
         self._saved: list[Any] | None = None
         self._handlers: dict[int, Any] = {}
         self.ended = 0
-        """The signal that asks to end; 0: none does."""
+        """The signal that has asked to end; 0 if none has."""
         self.columns = self.rows = 0
 
     def __enter__(self) -> Terminal:
@@ -80,7 +83,7 @@ class Terminal:
             self.rows = max(2, size.lines or 24)
 
     def write(self, text: str) -> None:
-        """Write to the terminal; one that has gone ends this as a hang-up does."""
+        """Write to the terminal. If the terminal has gone, the command ends as after a hang-up."""
         data = text.encode(sys.stdout.encoding or "ascii", "replace")
         try:
             while data:
@@ -89,12 +92,12 @@ class Terminal:
             self.ended = self.ended or signal.SIGHUP
 
     def writable(self) -> bool:
-        """Whether the terminal takes something now."""
+        """True if the terminal accepts bytes now."""
         return bool(select.select((), (OUT,), (), 0)[1])
 
     def draw(self, lines: list[Line]) -> None:
-        """Show these lines, as far as the screen has room; only those that differ are written. A terminal that takes
-        nothing now is passed over."""
+        """Show these lines, as far as they fit. Only lines that have changed are written, and nothing is written while
+        the terminal accepts no bytes."""
         if not self.writable():
             self._shown = None
             return
@@ -104,7 +107,7 @@ class Terminal:
             self.write(text)
 
     def wait(self, timeout_s: float) -> bytes:
-        """Keys that were typed; empty when none were until the time is over."""
+        """The bytes that were typed; empty if none were within `timeout_s`."""
         if not select.select([IN] if self._keyboard else [], (), (), max(0.0, timeout_s))[0]:
             return b""
         try:
@@ -116,7 +119,8 @@ class Terminal:
         return typed
 
     def turns(self, period_s: float) -> Iterator[tuple[bytes, float | None]]:
-        """Until a signal asks to end: what was typed, and the time (monotonic, s) where it is time to draw again."""
+        """Until a signal asks to end, yield what was typed, and, when it is time to draw again, the time
+        (time.monotonic()), else None."""
         next_s = time.monotonic()
         while not self.ended:
             typed = self.wait(next_s - time.monotonic())
@@ -128,7 +132,8 @@ class Terminal:
 
 
 def difference(before: list[str] | None, rows: list[str]) -> str:
-    """The bytes to write so that a screen that shows `before` (None: anything) shows these rows, which must fit."""
+    """The bytes that change a screen that shows `before` (None: anything) so that it shows these rows. The rows must
+    fit."""
     shown = before or []
     parts = [CLEAR] if before is None else []
     for number, row in enumerate(rows):
