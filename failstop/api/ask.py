@@ -1,6 +1,6 @@
-"""Ask: a stop through a running service, and what can be observed of it. The stop itself needs only the stop pipe. The
-service's port and state are read as far as possible, because the service may be of another version, half started or
-half dead.
+"""Ask: requests a stop from a running service, and observes what comes of it. The request needs only the stop pipe. The
+service's port and state are read as far as possible, because the service may have another version, or be half started
+or half dead.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     from failstop.policy.causes import Cause
 
 LATCH_S = 1.0
-"""How long to wait until a request is seen latched; the service needs a few milliseconds."""
+"""For how long to wait until the request was latched, s. The service needs a few milliseconds."""
 HEAR_S = 0.3
-"""How long to wait for the board's answer before a latched stop is shown without it."""
+"""For how long to wait for the board's answer, s, before a latched stop is reported without it."""
 LOOK_S = 0.002
 
 
 def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
-    """Write a request into the stop pipe of a service, then wait until it is latched, LATCH_S at most. Returns (how it
-    went, what is wrong, whether the wheels may still turn); the first is empty if no stop is known to be out. Raises
-    nothing of its own."""
+    """Write a request into the stop pipe of a service, then wait until it is latched, for at most LATCH_S. Returns
+    (result, problem, doubt): the result as a text, which is empty if no stop is known to be written; what is wrong, as
+    a text; and True if the wheels may still turn. Raises nothing itself."""
     try:
         send_stop(name, reason, who)
         _, pipe = instance.open_stop(name)
@@ -44,9 +44,9 @@ def stop(name: str, reason: str, who: str) -> tuple[str, str, bool]:
 
 
 def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
-    """Wait until the stop is out. The port owner reads the pipe after it has written the stop, so an empty pipe means a
-    stop is out. A flood of requests by others never leaves it empty; then a newer epoch than the first one seen means
-    the same. Raises OSError."""
+    """Wait until the stop is written. The port owner reads the pipe after it has written the stop, so an empty pipe
+    means that a stop is written. If a flood of other requests never leaves it empty, an epoch that is newer than the
+    first one means the same. Raises OSError."""
     from failstop.api import steps, verdict
     from failstop.api.state import StateReader
 
@@ -77,13 +77,14 @@ def _watch(name: str, pipe: int) -> tuple[str, str, bool]:
 
 
 def _why(cause: Cause | None) -> str:
-    """The cause in words. Of this program's own request it leaves out who asked, because the reader knows."""
+    """The cause in words. If it is this program's own request, the words leave out who asked, because the reader
+    knows."""
     own = cause and cause.named().get("pid") == os.getpid()
     return unsigned(cause) if cause and own else str(cause)
 
 
 def port_of(name: str) -> str:
-    """The port that a service reports; empty if that can't be read."""
+    """The port that a service reports; empty if it can't be read."""
     with contextlib.suppress(Exception), contextlib.closing(attach(name, layout.PORT_OWNER)) as found:
         if entry := found.latest_reader("port").read():
             return records.PORT.unpack(entry[2])[3]
@@ -91,14 +92,14 @@ def port_of(name: str) -> str:
 
 
 def owner_of(name: str) -> int | None:
-    """The user of a service; None when that can't be known."""
+    """The user of a service; None if that can't be known."""
     with contextlib.suppress(instance.NoService, instance.InstanceError):
         return instance.current_run(instance.find(name))[1]
     return None
 
 
 def same(port: str, device: str) -> bool:
-    """True if two paths are the same port; compared by name only if the port is missing."""
+    """True if two paths lead to the same port. If the port is missing, the paths are compared as texts."""
     with contextlib.suppress(OSError):
         return os.stat(port).st_rdev == os.stat(device).st_rdev != 0
     return os.path.realpath(port) == os.path.realpath(device)

@@ -1,4 +1,4 @@
-"""A program's side of a service: the running service, a client slot in it, and the stop pipe."""
+"""What a program needs of a service: the running service itself, a client slot, and the stop pipe."""
 
 from __future__ import annotations
 
@@ -28,34 +28,34 @@ from failstop.shm.words import Barrier
 T = TypeVar("T")
 
 REPEAT_NS = 45_000_000
-"""A command that repeats the one before it this soon wakes nobody: the gate looks for it at its tick, before it lets
-the earlier one time out. A wake-up costs 0.2 to 0.4 ms of processor time."""
+"""A command that repeats the one before it within this time wakes nobody. The gate reads it at its next tick, before
+the earlier one becomes too old. A wake-up costs 0.2 to 0.4 ms of processor time."""
 GIVEN_UP = "replaced by a later request of this program"
 LONGEST_SHOWN = 40
 OWN_WORDS_S = 0.1
-"""How late the text of an object given as the reason of a stop may come and still be sent."""
+"""If an object is given as the reason of a stop, its own text is sent only if it is ready within this time, s."""
 
 
 def runtime_dir(name: str) -> str:
-    """Directory of the running service. Raises NoService, FailstopError."""
+    """The runtime directory of the running service. Raises NoService, FailstopError."""
     return _there(instance.find, name)
 
 
 def run(name: str) -> tuple[str, int]:
-    """The name that the running service's segments share, and the uid of their owner. Raises NoService,
+    """The name that the segments of the running service share, and the uid of their owner. Raises NoService,
     FailstopError."""
     incarnation, owner = _there(instance.current_run, runtime_dir(name))
     return segments.memory(name, incarnation), owner
 
 
 def attach(name: str, which: str, found: tuple[str, int] | None = None) -> segment.Segment:
-    """A segment for reading, of the run `found`, or of the one that is running. Raises NoService, FailstopError."""
+    """Attach a segment for reading, of the run `found`, or of the running one. Raises NoService, FailstopError."""
     memory, owner = found or run(name)
     return _there(segments.attach, memory, which, owner=owner)
 
 
 def _there(take: Callable[..., T], *what: Any, **how: Any) -> T:
-    """Call a function that needs the service, and translate its errors. Raises NoService, FailstopError."""
+    """Call a function that needs the service, and convert its errors. Raises NoService, FailstopError."""
     try:
         return take(*what, **how)
     except (instance.NoService, instance.InstanceError, segments.AttachError) as error:
@@ -64,12 +64,12 @@ def _there(take: Callable[..., T], *what: Any, **how: Any) -> T:
 
 
 def unread(fd: int) -> int:
-    """How many bytes in a pipe have not been read yet. Raises OSError."""
+    """How many bytes in a pipe were not read yet. Raises OSError."""
     return int.from_bytes(fcntl.ioctl(fd, termios.FIONREAD, bytes(4)), "little")
 
 
 def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
-    """Ask for a latched stop. Every local user may.
+    """Request a stop, which is then latched. Every local user may do this.
 
     The service shows `stop request: REASON (says it is WHO, pid N)`, because a pipe does not tell its reader who wrote.
     A reason longer than records.ASKED_BYTES is cut. If the reason is an object, its own text follows in a second
@@ -91,8 +91,8 @@ def send_stop(name: str, why: object, who: object = "", row: str = "") -> None:
 
 
 def _say_more(fd: int, why: object, who: str) -> None:
-    """Have the object's own text sent, and wait for that, at most OWN_WORDS_S. A thread of its own asks the object,
-    because its code may never return. `fd`: the stop pipe, closed at its end."""
+    """Have the object's own text sent, and wait for that, for at most OWN_WORDS_S. A separate thread gets the text,
+    because the object's code may never return. `fd`: the stop pipe, which is closed at the end."""
     # Only a reason that has code of its own needs it.
     from threading import Thread
 
@@ -106,8 +106,9 @@ def _say_more(fd: int, why: object, who: str) -> None:
 
 
 def _own_words(fd: int, why: object, who: str, until_s: float) -> None:
-    """Send the object's own text once the first request was read, because the service reports only the first of several
-    that it reads at once. Text that comes too late is dropped: it would stop the robot again after a reset."""
+    """Send the object's own text after the first request was read, because the service reports only the first of
+    several requests that it reads together. A text that comes too late is dropped, because it would stop the robot
+    again after a reset."""
     with contextlib.suppress(BaseException), contextlib.closing(os.fdopen(fd, "wb", buffering=0)):
         words = reason.own(why)
         while unread(fd) and time.monotonic() < until_s:
@@ -117,16 +118,16 @@ def _own_words(fd: int, why: object, who: str, until_s: float) -> None:
 
 
 def gone(name: str) -> NoService:
-    """The error of every call to a service that was running before."""
+    """The error for every call if the service has been running before and has ended."""
     return NoService(f"the service {name!r} has ended: start it with {host.start(name)}")
 
 
 class SeenRun:
-    """The run that is there when this object is made: whether it still runs, and what its settings declare. Not
+    """The run that exists when this object is made: whether it still runs, and what its settings declare. Not
     thread-safe.
 
-    A run publishes its name only when everything read here exists (supervisor/entry.py), and each check asks the kernel
-    whether its supervisor is alive. So nothing read here can change later in the same run.
+    A run publishes its name only after everything that is read here exists (supervisor/entry.py), and each check asks
+    the kernel whether the run's supervisor is alive. So what is read here does not change during the run.
     """
 
     def __init__(self, name: str) -> None:
@@ -134,7 +135,7 @@ class SeenRun:
         self._life = -1
         self.name = name
         self.found = run(name)
-        """The name that its segments share, and their owner."""
+        """The name that the run's segments share, and their owner."""
         self.supervisor = attach(name, layout.SUPERVISOR, self.found)
         self._life = _there(segments.open_life, *self.found)
         self._beat = HeartbeatReader(self.supervisor)
@@ -147,20 +148,20 @@ class SeenRun:
                 os.close(self._life)
 
     def shares_pids(self) -> bool:
-        """True if a pid of the service means the same process in this program."""
+        """True if a pid of the service means the same process in this program's pid namespace."""
         return bool(pid_namespace() == self._rules["pid_namespace"] != 0)
 
     def run_record(self, record: str) -> tuple[int, dict[str, Any]]:
-        """A record that the supervisor wrote before it published the run's name: when, and its content. Raises
-        FailstopError if it is damaged."""
+        """Returns when the supervisor wrote a record, which was before it published the run's name, and the record's
+        content. Raises FailstopError if it is damaged."""
         entry = self.supervisor.latest_reader(record).read()
         if entry is None:
             raise FailstopError(f"shared memory of {self.name!r} is damaged: restart the service")
         return entry[1], msgpack.unpackb(entry[2])
 
     def over(self) -> bool:
-        """True when this run has ended, because its supervisor has died. One system call, so it is cheap enough for
-        every call."""
+        """True if this run has ended, because its supervisor has died. It takes one system call, so it is cheap enough
+        for every call."""
         try:
             return not segments.lives(self._life)
         except OSError:  # a program that closes descriptors which are not its own: the next look opens another
@@ -168,11 +169,11 @@ class SeenRun:
             return True
 
     def silent(self, now_ns: int) -> bool:
-        """True when the supervisor's lease has run out: then nothing admits motion."""
+        """True if the supervisor's lease has ended, so that no motion is admitted."""
         return bool(self._beat.age_ns(now_ns) > self._rules["lease_ns"])
 
     def check(self, kind: str, *names: str) -> None:
-        """Raises Undeclared for a "source" or an "interlock" that the settings do not name."""
+        """Raise Undeclared if the settings do not declare one of these names. `kind`: "source" or "interlock"."""
         declared: list[str] = self._rules[f"{kind}s"]
         for name in names:
             if name not in declared:
@@ -185,15 +186,15 @@ class Client:
     """A claimed client slot. The claim ends with close(), when the object is freed, or with the process."""
 
     def __init__(self, name: str, who: str, *, pid: int | None = None) -> None:
-        """`pid`: of the program that this process speaks for, which people are shown; None: for itself. Raises
-        NoService, FailstopError (no permission, another version, all slots taken)."""
+        """`pid`: the pid that people are shown, of the program that this process speaks for; None: of this process
+        itself. Raises NoService, and FailstopError (no permission, another version, all slots taken)."""
         self.name = name
         self.who = who
         directory = runtime_dir(name)
         self._session = int.from_bytes(os.urandom(8), "little") | 1
         self._number = 0
         self._commanded = (b"", 0)
-        """The last command, and when it was handed over."""
+        """The last command, and when it was written."""
         found = run(name)
         gate = attach(name, layout.GATE, found)
         with contextlib.ExitStack() as taken:
@@ -218,7 +219,7 @@ class Client:
             with contextlib.suppress(RuntimeError, OSError):
                 life = HeldByThread(self._segment.futex("held", write=True))
             self._farewell: list[bytes] = []
-            """The goodbye, once it is said. Without one, the gate takes the end of the slot for a death."""
+            """The goodbye, once it was written. Without it, the gate takes the end of the slot for a death."""
             own = os.getpid(), _files(self._segment.fileno(), self._bell)
             taken.callback(_give_back, self.slot, self._segment, self._bell, life, self._farewell, *own)
             self._drop = weakref.finalize(self, taken.pop_all().close)
@@ -232,7 +233,7 @@ class Client:
 
     @property
     def drove(self) -> bool:
-        """True once it has given a command, so that its death is the death of a driver."""
+        """True once this client has given a command, so that its death is a driver's death."""
         return bool(self._commanded[0])
 
     def _claim_slot(self, claims: int, found: tuple[str, int], incarnation: int) -> tuple[int, segment.Segment]:
@@ -263,8 +264,8 @@ class Client:
             raise gone(self.name) from None
 
     def write(self, record: str, *values: Any, t_ns: int | None = None, wake: bool = False) -> bytes:
-        """Write one of records.OF_SESSION; returns what was written. `t_ns`: the time that it is about
-        (CLOCK_MONOTONIC), if not now. The gate sees it at its next tick, or with `wake` now. Raises NoService,
+        """Write one of records.OF_SESSION; returns what was written. `t_ns`: the time that the values are about
+        (CLOCK_MONOTONIC), if not now. The gate reads them at its next tick, or with `wake` at once. Raises NoService,
         ValueError."""
         payload = records.OF_SESSION[record].pack(self._session, *values)
         self._records[record].write(payload, t_ns)
@@ -275,24 +276,25 @@ class Client:
     def command(
         self, vx_mps: float, vy_mps: float, wz_radps: float, *, manual: bool, source: str, t_ns: int | None = None
     ) -> None:
-        """Hand a velocity command to the gate, with the time `t_ns` if it is not from now; returns at once. A
-        repetition of the last command waits for the gate's tick, which loses nothing. Raises NoService, and ValueError
-        for a source that is too long."""
+        """Give the gate a velocity command; returns at once. `t_ns`: when it was made, if not now. If it repeats the
+        last command, the gate reads it only at its next tick, which loses nothing. Raises NoService, and ValueError for
+        a source that is too long."""
         command = self.write("command", vx_mps, vy_mps, wz_radps, manual, source, t_ns=t_ns)
         before, self._commanded = self._commanded, (command, monotonic_ns())
         if before[0] != command or self._commanded[1] - before[1] > REPEAT_NS:
             self._ring()
 
     def ask(self, verb: int, asked_ns: int | None = None) -> int:
-        """Make a request, with the time `asked_ns` (CLOCK_MONOTONIC) if it is not from now; returns its number. Raises
+        """Make a request; returns its number. `asked_ns`: when it was made (CLOCK_MONOTONIC), if not now. Raises
         NoService."""
         self._number += 1
         self.write("request", self._number, verb, t_ns=asked_ns, wake=True)
         return self._number
 
     def answer(self, asked: int) -> Reply | None:
-        """The answer to a request; None until it comes. The state then shows what the request has changed. If a later
-        request by another thread was answered meanwhile, that answer has replaced this one."""
+        """The answer to the request with this number; None until it comes. When it has come, the state shows what the
+        request has changed. If a later request by another thread was answered in the meantime, that answer has replaced
+        this one."""
         if (entry := self._reply.read()) is not None:
             session, number, reply = unpack_reply(entry[2])
             if session == self._session and number >= asked:
@@ -301,7 +303,7 @@ class Client:
         return None
 
     def close(self, *, in_order: bool = True) -> None:
-        """Give the slot back; a command of this client stops counting at once. `in_order`: with a goodbye, so that the
+        """Give the slot back, so that a command of this client no longer counts. `in_order`: say goodbye, so that the
         gate does not take it for a death."""
         if in_order:
             lies = self._segment.latest_reader("left").read()
@@ -310,7 +312,7 @@ class Client:
 
 
 def _files(*fds: int) -> list[tuple[int, int]]:
-    """Which files have these numbers; none if one of them is closed."""
+    """Which files have these descriptor numbers; empty if one of them is closed."""
     try:
         return [(found.st_dev, found.st_ino) for found in map(os.fstat, fds)]
     except OSError:
@@ -326,8 +328,8 @@ def _give_back(
     owner: int,
     files: list[tuple[int, int]],
 ) -> None:
-    """Give a slot back; a command in it stops counting at once. Writes nothing in a fork of its `owner`, nor in a
-    program that has closed descriptors which are not its own: their numbers may be other `files` now."""
+    """Give a slot back, so that a command in it no longer counts. It writes nothing in a fork of its `owner`, nor if
+    the program has closed these descriptors, because their numbers may belong to other `files` now."""
     if os.getpid() == owner:
         if _files(held.fileno(), ring) == files:
             # Another process may claim the slot before the gate has seen it free.

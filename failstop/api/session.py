@@ -1,6 +1,7 @@
-"""Session: a program's connection to the service of one name: its run, the client slot, the requests.
+"""Session: a program's connection to one service: the run, the client slot, and the requests.
 
-Calls that take time are generators of steps. Between steps the caller sleeps: a thread here, a task in AsyncRobot.
+Calls that take time are generators of steps. Between two steps the caller sleeps: in Robot the thread, in AsyncRobot
+the task.
 """
 
 from __future__ import annotations
@@ -29,26 +30,26 @@ from failstop.policy.causes import Reply
 
 T = TypeVar("T")
 Steps = Generator[float, None, T]
-"""Each step is a time to sleep, in s."""
+"""A call in steps. Each step yields how long to sleep, s."""
 Progress = Callable[[str], None] | None
 Word = Literal["ready", "enabled", "disabled", "latched", "clear", "moving", "standing", "still"]
-"""States that `Robot.wait_for` takes: ready (`enable()` would succeed, or `reset()` if a stop is latched), enabled,
-disabled, latched (a stop is latched), clear (none is), moving and standing (what the gate commands), still (since the
-last stop the wheels were seen still, by the board's reports or the IMU)."""
+"""States that `Robot.wait_for` accepts: ready (`enable()` would succeed, or `reset()` if a stop is latched), enabled,
+disabled, latched (a stop is latched), clear (no stop is latched), moving and standing (what the gate commands), still
+(since the last stop, the board's reports or the IMU have shown that the wheels are still)."""
 
 ANSWER_S = records.ANSWER_WITHIN_NS / 1e9
-"""How long to wait for the answer to a request; the gate answers within a tick."""
+"""How long to wait for the answer to a request, s. The gate answers within a tick."""
 POLL_S = 0.0003
 
 
 def pause_s(begun_s: float) -> float:
-    """Seconds until the next look, for a wait that began at that time (time.monotonic()): an answer comes at once, or
-    takes long."""
+    """How long to sleep until the next look, s, in a wait that began at `begun_s` (time.monotonic()). The pauses get
+    longer, because an answer comes at once or takes long."""
     return min(max(POLL_S, (time.monotonic() - begun_s) / 8), LOOK_S)
 
 
 def _ready(state: State) -> bool:
-    """Every process is running, and an enable would succeed, or a reset if a stop is latched."""
+    """True if every process is running, and enable() would succeed, or reset() if a stop is latched."""
     if any(process.state != "running" for process in state.processes.values()) or state.waiting_for:
         return False
     if state.cause:
@@ -70,17 +71,18 @@ assert _CHECKS.keys() == set(get_args(Word))
 
 
 DISABLE_FIRST = "`failstop disable`, or robot.disable(), because the arm moves only while motion is disabled"
-"""The way out of a refusal for wheels that may turn."""
+"""The step to take after a refusal because the wheels may turn."""
 
 
 def own_name() -> str:
-    """This program's name: its file's. A script that Python reads from its standard input, or from `-c`, has none."""
+    """The name of this program, which is its file's name. A script that Python reads from standard input, or from `-c`,
+    is called python."""
     name = os.path.basename("".join(sys.argv[:1]))
     return name if name not in ("", "-", "-c") else "python"
 
 
 class Session:
-    """The part below the calls that Robot and AsyncRobot share. Thread-safe."""
+    """What Robot and AsyncRobot share below their calls. Thread-safe."""
 
     def __init__(
         self,
@@ -107,7 +109,8 @@ class Session:
         self._enabled = False
         """True if this Robot has enabled motion, as far as it knows."""
         self._pending: tuple[int, object] | None = None
-        """The request that the gate has not answered yet: its thread, and an object of its own if a task awaits it."""
+        """The request that the gate has not answered yet: its thread, and an object of its own if a task waits for
+        it."""
         self._run: StateReader | None = None
         self._connected: Client | None = None
         _made.add(self)
@@ -130,8 +133,8 @@ class Session:
             self._end(in_order=in_order)
 
     def _disables_at_end(self, *, in_order: bool) -> bool:
-        """Whether this Robot disables at its end the motion that it enabled. The gate answers the death of a driver,
-        and reports whose it was. Raises FailstopError."""
+        """True if this Robot disables, when it ends, the motion that it has enabled. If the driver dies, the gate does
+        that itself and reports which driver it was. Raises FailstopError."""
         connected = self._connected
         if not (self._enabled and self._disable_on_exit and connected):
             return False
@@ -154,7 +157,7 @@ class Session:
             raise FailstopError(f"this Robot of {self.name!r} is closed: make a new one")
 
     def _current(self) -> StateReader:
-        """The run that is there now. If it is over and its last processes are ending, its state can still be read.
+        """The run that exists now. If it is over and its last processes are still ending, its state can still be read.
         Raises NoService, FailstopError."""
         self._check_open()
         run = self._run  # a signal handler may close this meanwhile
@@ -178,7 +181,8 @@ class Session:
         return self._slot(self._current())
 
     def _forked(self) -> None:
-        """In the child of a fork: the slot belongs to the parent, and nobody knows which thread held the lock."""
+        """Called in the child of a fork, where the slot belongs to the parent, and nobody knows which thread held the
+        lock."""
         self._lock = threading.RLock()
         self._pending = None
         self._enabled = False
@@ -206,14 +210,14 @@ class Session:
         asked_ns: int = 0,
         awaited: bool = False,
     ) -> Steps[str]:
-        """One request to the gate, until it is answered.
+        """Send one request to the gate, and wait until it is answered.
 
-        The gate keeps one request per client, and its answer, so the requests of several threads or tasks go one after
-        the other. A request that takes time, such as an arm's move, lets others pass, which is how it can be given up.
-        `progress` is called with each text about it; `about`: a record that belongs to the request, and its values;
-        `asked_ns`: when it was made, if not now: a stop that comes while the request waits for its turn is one that its
-        caller did not know about; `awaited`: a task of an event loop waits; otherwise the thread itself does, with all
-        its tasks. Raises Refused, NoAnswer, NoService, FailstopError.
+        The gate keeps only one request of each client, and its answer, so the requests of several threads or tasks are
+        sent one after the other. A request that takes long, such as a move of the arm, lets others pass; that is how it
+        can be given up. `progress` is called with each text about the progress; `about`: a record that belongs to the
+        request, and its values; `asked_ns`: when the request was made, if not now, because its caller does not know of
+        a stop that comes while the request waits for its turn; `awaited`: True if a task of an event loop waits, False
+        if the thread does, with all its tasks. Raises Refused, NoAnswer, NoService, FailstopError.
         """
         turn, said, begun_s = (threading.get_ident(), object() if awaited else None), "", time.monotonic()
         asked_ns = asked_ns or time.monotonic_ns()
@@ -247,7 +251,7 @@ class Session:
             self._pass(turn)
 
     def _unanswered(self) -> NoAnswer:
-        """The error of a request that was not answered in time: if the gate is down, it says so, and until when."""
+        """The error for a request that was not answered in time. If the gate is down, it says so, and until when."""
         why = ""
         with contextlib.suppress(FailstopError):
             why = verdict.no_answer(self.state)
@@ -255,7 +259,7 @@ class Session:
         return NoAnswer(f"{what}: {why or 'see `failstop status`'}")
 
     def _refused(self, verb: int, answer: Reply) -> Refused:
-        """The error of a request that was refused, with what to do first: after a stop, what an enable needs."""
+        """The error for a request that was refused, with the next step. After a stop that is what an enable needs."""
         step = words.named(DISABLE_FIRST, self.name) if answer.refused_for == records.FOR_THE_WHEELS else ""
         if verb in (records.ENABLE, records.RESET) or answer.cause:
             goal = Purpose.RESET if verb == records.RESET else Purpose.ENABLE
@@ -266,8 +270,9 @@ class Session:
     def _send(
         self, verb: int, turn: tuple[int, object], about: tuple[Any, ...], asked_ns: int
     ) -> tuple[Client, SeenRun, int] | None:
-        """Send a request: returns its client, its run and its number; None while another thread's or task's request is
-        on its way. A signal handler goes before the code it has interrupted, and a thread before its tasks."""
+        """Send a request. Returns its client, its run and its number; None while the request of another thread or task
+        has no answer yet. A signal handler need not wait for the code that it has interrupted, nor a thread for its
+        tasks."""
         with self._lock:
             if self._pending:
                 thread, task = self._pending
@@ -282,7 +287,7 @@ class Session:
             return client, run, client.ask(verb, asked_ns)
 
     def _pass(self, turn: tuple[int, object]) -> None:
-        """Let the next request go."""
+        """Let the next request be sent."""
         with self._lock:
             if self._pending == turn:
                 self._pending = None

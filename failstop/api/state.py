@@ -1,4 +1,4 @@
-"""StateReader: the service's state as one snapshot, for programs and for `failstop status`."""
+"""StateReader: reads the service's state as one snapshot, for programs and for `failstop status`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 HANGING_S = 0.5
 UNITS = {"ms": 1e3, "us": 1e6}
-"""Units of times in records, by the end of their names: how many make a second."""
+"""The units of times in records, by the end of their names: how many of them make a second."""
 
 ZEROS = (0.0,) * box.MOST_SPEEDS
 STANDING: dict[str, Any] = {
@@ -43,9 +43,9 @@ STANDING: dict[str, Any] = {
     "wheels_rps": ZEROS,
     "sources": [],
 }
-"""Values in the gate's record while nothing may move."""
+"""The values in the gate's record while nothing may move."""
 NOTHING_YET = {**STANDING, "limit": 100, "estop": None, "blocked": box.DISABLED, "clients": [], "scan_ns": 0}
-"""The gate's record before the first gate of a run has published one: a run begins with motion disabled."""
+"""What is read until the first gate of a run has published its record. A run begins with motion disabled."""
 RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "stop": (layout.SUPERVISOR, msgpack.unpackb),
     "link": (layout.SUPERVISOR, lambda payload: payload.decode("ascii", "replace")),
@@ -62,7 +62,7 @@ RECORDS: dict[str, tuple[str, Callable[[bytes], Any]]] = {
     "odometry": (layout.TELEMETRY, records.ODOMETRY.unpack),
     "pad": (layout.TELEMETRY, records.PAD.unpack),
 }
-"""The records of a snapshot: the writer of each, and the function that decodes it."""
+"""The records of a snapshot: which process writes each, and the function that decodes it."""
 
 PLUGGED: tuple[Any, ...] = records.PLUGGED
 WHEELS_DO: tuple[Any, ...] = records.WHEELS_DO
@@ -84,11 +84,11 @@ def _pad(t_ns: int, buttons: int, hat: int, *rest: int) -> Pad:
 
 
 SAMPLES: dict[int, Callable[..., Sample]] = {box.IMU_KIND: _imu, box.PAD_KIND: _pad}
-"""The types of samples, by the board's report; other reports appear only in State."""
+"""The types of samples, by the kind of the board's report. Other reports appear only in State."""
 
 
 class StateReader(SeenRun):
-    """One run of a service, from which snapshots are read. It only reads, and needs no client slot."""
+    """Reads snapshots of one run of a service. It only reads, and needs no client slot."""
 
     def __init__(self, name: str) -> None:
         """Raises NoService, FailstopError."""
@@ -103,12 +103,12 @@ class StateReader(SeenRun):
         self._sampled: Odometry | None = None
 
     def _value(self, record: str) -> Any:
-        """The newest value of one of RECORDS; None before the first."""
+        """The newest value of one of RECORDS; None before the first value."""
         entry = self._latest[record].read()
         return RECORDS[record][1](entry[2]) if entry else None
 
     def _timed(self, record: str, make: Callable[..., T]) -> T | None:
-        """The newest of a record with its time, made into its type."""
+        """The newest value of a record with its time, converted to its type."""
         entry = self._latest[record].read()
         return make(entry[1], *RECORDS[record][1](entry[2])) if entry else None
 
@@ -148,7 +148,8 @@ class StateReader(SeenRun):
 
     @cached_property
     def _mounted(self) -> list[tuple[int, float]]:
-        """For each wheel: where its speed is in the gate's record, and the factor that makes it forward rad/s."""
+        """For each wheel: the place of its speed in the gate's record, and the factor that converts it to forward
+        rad/s."""
         return [(id_, sign * 2 * pi) for id_, sign in mounted_wheels(self.settings())]
 
     @cached_property
@@ -169,13 +170,14 @@ class StateReader(SeenRun):
         return snapshot.Velocity(*of_wheels(self._chassis, mounted, speeds_radps, steering_rad))
 
     def _steering_rad(self, speeds: tuple[float, ...]) -> float | None:
-        """On a steered base the angle is the last of the gate's commanded values; at rest, a 0 says nothing."""
+        """The commanded angle of the steered wheels, which is the last of the gate's values. None at rest, because a 0
+        means nothing then, and on a base without steering."""
         steered = self.settings()["wheels.layout"] == ACKERMANN
         return speeds[-1] if steered and any(speeds[at] for at, _ in self._mounted) else None
 
     @property
     def _nothing_yet(self) -> dict[str, Any]:
-        """The gate's record before this run's first gate has published one."""
+        """The record that stands for the gate's own until this run's first gate has published one."""
         attended: dict[str, Any] = {"attended": ()} if self._declared.on("attend.required") else {}
         return {**NOTHING_YET, **attended}
 
@@ -230,7 +232,7 @@ class StateReader(SeenRun):
         )
 
     def _ages(self, now_ns: int) -> tuple[snapshot.Ages, int]:
-        """Ages of the readings, and when the battery was read."""
+        """The ages of the readings, and when the battery was read."""
         read_ns = {}
         for record in ("battery", "imu", "odometry", "health"):
             entry = self._latest[record].read()
@@ -253,13 +255,13 @@ class StateReader(SeenRun):
         return _made(ArmState, found, joints=joints, silent=tuple(found["silent"]), wrong=tuple(found["wrong"]))
 
     def decided(self) -> tuple[dict[str, Any], Cause | None, int, int, bool]:
-        """The gate's state, the latch, the epoch, the time of the gate's publishing, and whether the supervisor is
-        dead: the part of read() that a driving program needs each time. Before the first gate of a run has published
-        anything, motion is disabled since the start of the run. Raises FailstopError.
+        """The part of read() that a driving program needs each time: the gate's state, the latch, the epoch, when the
+        gate published its state, and True if the supervisor is dead. Until the first gate of a run has published
+        anything, motion counts as disabled since the start of the run. Raises FailstopError.
 
-        A stop that the gate has not followed yet, because it hangs or has just died, is still in force: the port owner
-        admits nothing from an older epoch, and the gate's successor starts latched. This also applies to a gate that
-        still publishes what it published before the supervisor died or fell silent.
+        A stop is also in force if the gate has not followed it yet, because it hangs or has just died: the port owner
+        admits nothing from an older epoch, and the next gate starts with the latch. The same is true if the gate still
+        publishes what it knew before the supervisor died or fell silent.
         """
         dead = self.over()
         epoch = self._epoch.get()  # read before the gate's record, so that a newer epoch is no sign of a stop
@@ -296,12 +298,14 @@ class StateReader(SeenRun):
 
     @cached_property
     def _watchdog(self) -> tuple[float, str, bool]:
-        """The board's watchdog, except for your own board, whose code no client runs; and whether there is an IMU."""
+        """After what time the board's own watchdog acts, what it does, and whether there is an IMU. For your own board
+        the watchdog is not known, because no client runs its code."""
         settings = self.settings()
         return *watchdog_of(str(settings["board.kind"])), settings["board.imu"] == "on"
 
     def _processes(self, table: dict[str, Any], now_ns: int, *, dead: bool) -> dict[str, Process]:
-        """`dead`: the supervisor, which keeps the table, has died, and two of the other processes with it."""
+        """The processes of the table. `dead`: the supervisor, which keeps the table, has died, and two of the other
+        processes die with it."""
         pid = self._beats[layout.SUPERVISOR].pid.get()
         found = {}
         for name, row in {layout.SUPERVISOR: {"pid": pid, "restarts": 0, "last_exit": None}, **table}.items():
@@ -328,13 +332,13 @@ class StateReader(SeenRun):
         return found
 
     def _is_suspended(self, pid: int) -> bool:
-        """True if a signal has suspended it, as Ctrl-Z in its terminal does."""
+        """True if a signal has suspended the process, as Ctrl-Z in its terminal does."""
         with contextlib.suppress(OSError):
             return self.shares_pids() and state_of(pid) in ("T", "t")
         return False
 
     def _turning(self, now_ns: int) -> snapshot.Turning:
-        """Telemetry's knowledge about the wheels. A reading that is too old says nothing about now."""
+        """What telemetry knows about the wheels. A reading that is too old says nothing about now."""
         if (found := self._value("wheels")) is None:
             return snapshot.Turning()
         does, by, unexpected, count, since_ns, read_ns, *values = found
@@ -360,7 +364,7 @@ class StateReader(SeenRun):
         return snapshot.Scale(capped, of_wheels, of_turn, tuple(wrong), tuple(remarks))
 
     def _by_mount(self, values: list[float]) -> snapshot.Wheels | None:
-        """Turns by wire id as radians by wheel; None if a wheel is not reported."""
+        """Converts turns by wire id to radians by wheel; None if a wheel is not reported."""
         if not values or any(value != value for value in values):  # NaN
             return None
         return snapshot.Wheels(values[at] * scale + 0.0 for at, scale in self._mounted if at < len(values))
@@ -373,7 +377,7 @@ class StateReader(SeenRun):
 
 
 def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
-    """A value with the fields of a record, plus the known ones; times are converted to s."""
+    """An object with the fields of a record and the known ones. Times are converted to s."""
     for name, value in record.items():
         stem, _, unit = name.rpartition("_")
         if unit in UNITS:
@@ -384,7 +388,7 @@ def _made(kind: Callable[..., T], record: dict[str, Any], **known: Any) -> T:
 
 
 def _left_s(at_ns: int, now_ns: int) -> float | None:
-    """Seconds until then; None: never (a 0 in the record)."""
+    """How many seconds are left until then; None if the record has a 0, which means never."""
     return max(0, at_ns - now_ns) / 1e9 if at_ns else None
 
 

@@ -1,4 +1,4 @@
-"""Steps: what a person must do, in order, until the wheels move. One table for terminals and for the page. Pure."""
+"""Steps: what a person must do, in order, until the wheels move. Terminals and the page use the same table. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from failstop.policy import causes, servos
 
 
 class Purpose(Enum):
-    """What a step is for."""
+    """The purpose of a step."""
 
     HEED = "see to the cause of the stop"
     POWER = "make sure that the wheels stand"
@@ -25,7 +25,7 @@ class Purpose(Enum):
 
 
 REFUSED_WITHOUT = {Purpose.RESET: (Purpose.MEND,), Purpose.ENABLE: (Purpose.MEND, Purpose.ALLOW, Purpose.RESET)}
-"""For each request: the steps without which the service refuses it."""
+"""For each request, the steps without which the service refuses it."""
 POWER = "turn the robot's POWER SWITCH off"
 DRIVE = "`failstop drive 0.1 0 0`, or commands by your program"
 LET_GO = "let go of the stick, then push it again"
@@ -37,9 +37,10 @@ class Step(NamedTuple):
 
     purpose: Purpose
     typed: str
-    """The text for a terminal, commands in backquotes."""
+    """The text for a terminal, with commands in backquotes."""
     clause: str | None = None
-    """The text for the page, by its buttons; empty if the page has nothing to say; None: the same as for a terminal."""
+    """The text for the page, with its buttons; empty if the page shows nothing; None: the same text as in a
+    terminal."""
 
     @property
     def pressed(self) -> str:
@@ -53,9 +54,9 @@ NO_SERVICE = Step(
 """The step when no service is running, so that no state describes the robot."""
 YOUR_PROGRAM = "start your driving program"
 HERE = {"reset": "hold RESET", "attend": "press ATTEND", "enable": "hold ENABLE", "drive": YOUR_PROGRAM}
-"""How a paired device does it, with the page's buttons."""
+"""How a person does it on the page of a paired device, with its buttons."""
 BY_STICK = {**HERE, "drive": "hold the stick to drive"}
-"""How a paired device does it that has the stick."""
+"""How a person does it on a paired device that has the stick."""
 ELSEWHERE = {
     "reset": "reset it with a paired device or failstop reset",
     "attend": "with a paired device or failstop attend",
@@ -66,8 +67,8 @@ ELSEWHERE = {
 
 
 def _for_the_gate(state: State) -> tuple[str, str]:
-    """The wait while the gate is down, for both. The supervisor starts it again by itself, because resets go through
-    it."""
+    """The texts, for a terminal and for the page, that say to wait while the gate is down. The supervisor starts the
+    gate again by itself, because resets go through it."""
     gate = state.processes.get(GATE)
     left_s = (gate.starts_in_s if gate else None) or 0.0
     wait = f"wait {left_s:.0f} s for the {GATE}" if left_s >= 1 else f"wait for the {GATE}"
@@ -75,8 +76,9 @@ def _for_the_gate(state: State) -> tuple[str, str]:
 
 
 def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple[object, Step]]]:
-    """When each step is needed. The rows of one group exclude each other: the first that holds counts. `known`: the
-    reader already knows about the interlock; `how`: HERE, BY_STICK or ELSEWHERE."""
+    """The steps, each with the condition under which it is needed. The rows of one group exclude each other: the first
+    one whose condition holds counts. `known`: the reader already knows about the interlock; `how`: HERE, BY_STICK or
+    ELSEWHERE."""
     named = {process.state: process.pid for process in state.processes.values()}
     dead, suspended, down = "dead" in named, named.get("suspended"), verdict.down(state)
     doubt, waits, path = verdict.doubt(state), state.waiting_for, state.device.path
@@ -134,7 +136,7 @@ def _table(state: State, known: bool, how: Mapping[str, str]) -> list[list[tuple
 
 
 def todo(state: State, how: Mapping[str, str] = HERE, *, known: bool = False) -> list[Step]:
-    """Every step, in order; none while the wheels move. `known`: the reader already knows about the interlock."""
+    """All steps, in order; none while the wheels move. `known`: the reader already knows about the interlock."""
     if state.block is None and state.moving:
         return []
     found = [next((step for needed, step in group if needed), None) for group in _table(state, known, how)]
@@ -145,7 +147,7 @@ def todo(state: State, how: Mapping[str, str] = HERE, *, known: bool = False) ->
 
 
 def typed(state: State, *, known: bool = False) -> list[str]:
-    """The steps for a terminal, in short: without the remedy for a stop's cause."""
+    """The steps for a terminal, in short form, without the remedy for the cause of a stop."""
     return [step.typed for step in todo(state, known=known) if step.purpose is not Purpose.HEED]
 
 
@@ -169,6 +171,7 @@ def before(state: State, goal: Purpose) -> list[Step]:
 
 
 def after_refusal(state: State, goal: Purpose, *, known: bool = False) -> str:
-    """The remedy when a reset or an enable was refused, in one line; empty if the state names nothing that stands in
-    the way, so that the text never asks for the same again. `known`: the reason is the interlock's own."""
+    """The next step after a refused reset or enable, in one line; empty if nothing in the state stands in the way, so
+    that the text never asks for the same request again. `known`: the interlock was the reason, so the reader already
+    knows about it."""
     return ", then ".join(typed(state, known=known)) if before(state, goal) else ""

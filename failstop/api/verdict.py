@@ -1,5 +1,5 @@
-"""Verdict: in one word what the wheels do and what holds them; and what a run's events add to its state. Pure; events
-are given oldest first."""
+"""Verdict: says in one word what the wheels do, why they are stopped, and what the events of a run add to its state.
+Pure; events are given oldest first."""
 
 from __future__ import annotations
 
@@ -31,25 +31,26 @@ NO_SERVICE = "NO SERVICE"
 """The word when no service is running."""
 NEVER_ANSWERED = proofs.LINKS_IN_WORDS[proofs.LINK_UNPROVEN]
 LINKS = proofs.LINKS_IN_WORDS
-"""The proof by each state of the link, in words."""
+"""What each state of the link proves, in words."""
 UNHEEDED_S = 0.5
-"""A board that reports zero speed for this long during motion does not obey: its reports come every 100 ms at least,
-and an adapter may hold a command back."""
+"""If a board reports zero speed for this long, s, while motion is commanded, it does not obey. Its reports come at
+least every 100 ms, and an adapter may hold a command back."""
 STALE_S = 0.5
-"""An older decision of the gate says nothing about the wheels: it publishes every 80 ms."""
+"""A decision of the gate that is older than this, s, says nothing about the wheels, because the gate publishes every 80
+ms."""
 LATE_BEAT_S = 0.3
-"""An older beat is worth a look; the slowest process beats every 100 ms."""
+"""A beat that is older than this, s, is highlighted. The slowest process beats every 100 ms."""
 BATTERY_LOW_V = 10.5
-"""Three lithium cells at 3.5 V: almost empty."""
+"""Three lithium cells at 3.5 V each, which are almost empty."""
 CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop", "driver_gone"))
 """Kinds of events that change whether motion is, or may be, enabled."""
 LEFT_OFF = frozenset(("driver_silent", "driver_gone"))
-"""Kinds of events about a driver that left the wheels turning."""
+"""Kinds of events about a driver that stopped driving while the wheels turned."""
 SINCE = CHANGES | LEFT_OFF | {"driver_ended", "stop_again"}
 
 
 def unreached(state: State) -> str:
-    """Why bytes for the board may not reach it; empty if there is no reason to think so."""
+    """Why bytes may not reach the board; empty if there is no reason to think so."""
     if state.device.state != "open":
         return f"the port {state.device.path} is {state.device.state}, so no stop reaches the board"
     if state.device.link == "deaf":
@@ -66,16 +67,16 @@ def unreached(state: State) -> str:
 
 
 def link(state: State) -> str:
-    """What the board's answers prove, as a clause. While its port is not open, they prove nothing, and the state of the
-    link is about a port that is to come."""
+    """What the board's answers prove, as a clause. While the port is not open they prove nothing, and the state of the
+    link is about the next port."""
     if state.device.state != "open":
         return f"the port {state.device.path} is {state.device.state}"
     return LINKS[state.device.link]
 
 
 def reached(state: State) -> str:
-    """How the latched stop is known to have reached the wheels, as a clause; empty: it is not known, or there is reason
-    to think that it has not."""
+    """How it is known that the latched stop has reached the wheels, as a clause; empty if it is not known, or there is
+    reason to doubt it."""
     stop = state.last_stop
     if state.cause is None or doubt(state):
         return ""
@@ -97,8 +98,8 @@ def doubt(state: State) -> str:
 
 
 def unseen(state: State) -> str:
-    """What the word alone does not say about the wheels: that they still turn, or that nothing shows what they do.
-    Empty if the word says it all, and if the wheels are in doubt."""
+    """What the word does not say about the wheels: that they still turn, or that nothing shows what they do. Empty if
+    the word says everything, and if doubt() does."""
     found = row(state)
     return "" if found.alarm else found.text
 
@@ -128,15 +129,15 @@ def word(state: State) -> str:
 
 
 def proven_word(state: State) -> str:
-    """The word; if nothing proves it, it says so."""
+    """The word about the wheels. If nothing proves it, it says so."""
     why = unproven(state)
     found = COMMANDED if unheeded(state) else word(state)
     return f"{found}, unproven: {why}" if why else found
 
 
 def large_word(state: State) -> str:
-    """The word for a screen read at arm's length. There it counts more whether the robot may begin to move than what
-    holds it, and about a stop it says no more than is proved."""
+    """The word for a screen that is read at arm's length. It says first whether the robot may begin to move, and about
+    a stop it says no more than is proved."""
     found = row(state)
     if found.alarm:
         return found.large
@@ -145,8 +146,8 @@ def large_word(state: State) -> str:
 
 
 def _stopped(state: State, seen: str) -> str:
-    """What is proved about the last stop. Bytes that only the kernel has prove nothing about the board, nor does an IMU
-    that felt nothing prove anything about the wheels."""
+    """What is proved about the last stop. Bytes that are still in the kernel prove nothing about the board, and an IMU
+    that felt nothing proves nothing about the wheels."""
     stop = state.last_stop
     if stop is None:
         return WHEELS_MAY_TURN if state.cause else seen
@@ -173,13 +174,13 @@ def headline(state: State) -> str:
 
 
 def down(state: State) -> list[str]:
-    """Processes that died too often and are down."""
+    """The processes that have died too often and stay down."""
     return [name for name, process in state.processes.items() if process.state == "down"]
 
 
 def absence(process: Process, ended: str = "") -> str:
-    """Why a process does not work, and until when, as the end of a sentence about it; `ended`: how the one before it
-    ended, as a clause."""
+    """Why a process does not work, and until when, as the end of a sentence. `ended`: how the process before it ended,
+    as a clause."""
     how = "died too often and is down" if process.state == "down" else f"is {process.state}"
     if process.state == "down" and process.starts_in_s is None:
         how += " until a reset"
@@ -188,8 +189,8 @@ def absence(process: Process, ended: str = "") -> str:
 
 
 def no_answer(state: State) -> str:
-    """Why the gate answers no request, with the remedy; empty while it is running, because then the state has no
-    reason."""
+    """Why the gate answers no request, with the remedy. Empty while the gate is running, because the state then shows
+    no reason."""
     gate = state.processes[GATE]
     if gate.state == "running":
         return ""
@@ -204,20 +205,20 @@ def newest(events: Sequence[Event], kinds: Collection[str]) -> Event | None:
 
 
 def left_off(events: Sequence[Event]) -> Event | None:
-    """The driver that left the wheels turning, if no later event is about motion."""
+    """The event about the driver that stopped driving while the wheels turned, unless a later event is about motion."""
     last = newest(events, SINCE)
     return last if last and last.kind in LEFT_OFF else None
 
 
 def death(state: State, events: Sequence[Event]) -> Event | None:
-    """The driver's death that motion is disabled for, if nothing has changed that since."""
+    """The event about the driver's death for which motion is disabled, unless something has changed that since."""
     last = newest(events, CHANGES)
     return last if last and last.kind == "driver_gone" and state.block is Block.DISABLED else None
 
 
 def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
-    """How the process before each one ended, as a clause. An exit status can't say that it hung and that the supervisor
-    killed it for that."""
+    """For each process, how the process before it ended, as a clause. If the supervisor killed it for a hang, its exit
+    status alone does not say that."""
     fenced = {event.fields["pid"] for event in events if event.kind == "fenced"}
     died = {event.fields["process"]: event.fields["pid"] for event in events if event.kind == "died"}
     found = {}
@@ -230,7 +231,7 @@ def ends(state: State, events: Sequence[Event]) -> dict[str, str]:
 
 
 def before(events: Sequence[Event]) -> str:
-    """The end of the run before this one, if that did not end cleanly, and the command that shows its story; else
+    """How the run before this one ended, if it did not end cleanly, with the command that shows its story; else
     empty."""
     told = next((it.fields for it in events if it.kind == "incident" and it.fields.get("run") == "before"), None)
     return f"{told['reason']} (`failstop incident show {told['id']}`)" if told else ""

@@ -1,4 +1,4 @@
-"""Why: what holds the wheels, what proves it, and what to do, in three lines. Pure."""
+"""Why: says in three lines why the wheels are stopped, what proves it, and what to do. Pure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from failstop.policy.proofs import (
 )
 
 YET_S = 2.0
-"""By then everything that can be known about a stop is known."""
+"""After this time, s, nothing more is learned about a stop."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Why:
     also: tuple[str, ...]
     """Other faults."""
     since: float | None
-    """Unix time since when it holds, s; None: not known."""
+    """Since when this is so (Unix time, s); None if not known."""
 
     def __str__(self) -> str:
         return "\n".join(f"{label:<7}{text}" for label, text in self.rows())
@@ -69,13 +69,13 @@ HOLDS = {
 }
 """Each block in words: for a terminal, and as a sentence for the page."""
 SINCE = {Block.LATCHED: "a stop has been latched", Block.DISABLED: "motion has been disabled"}
-"""The same, before the time when it began."""
+"""The reason for each block in words that continue with the time when it began."""
 WAITS = (Block.NO_SCAN, Block.NO_COMMAND)
-"""Blocks in which the wheels wait for a client, so that what a client sees may be the answer."""
+"""Blocks in which the wheels wait for a client, so that the client's report may say why."""
 
 
 def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
-    """The whole answer. `events`: those of this run, oldest first; without them less is known."""
+    """The whole answer. `events`: those of this run, the oldest first. Without them less is known."""
     start, began = since(state, events, now_s)
     what = _holds(state) if state.block else _free(state)
     if state.block and start is not None:
@@ -100,7 +100,7 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
 
 
 def _holds(state: State) -> str:
-    """What holds the wheels."""
+    """Why the wheels are stopped."""
     if state.block is Block.HELD and (source := state.source_that("held")):
         return f"{source.who} commanded before motion was enabled, so it must send zero or pause before it can drive"
     if state.block is Block.NO_COMMAND and (source := state.source_that("silent")):
@@ -109,8 +109,8 @@ def _holds(state: State) -> str:
 
 
 def meaning(cause: Cause, reached: str = "") -> tuple[str, str]:
-    """What happened, and what to check before a reset: two plain texts that continue a sentence. `reached`: how the
-    stop is known to have reached the wheels (`verdict.reached`)."""
+    """What has happened, and what to check before a reset, as two plain texts that continue a sentence. `reached`: how
+    it is known that the stop has reached the wheels (`verdict.reached`)."""
     given = cause.named()
     given["role"] = ROLES.get(str(given.get("process")), "")
     given["names"] = _buttons(int(given.get("buttons", 0)))
@@ -121,7 +121,7 @@ def meaning(cause: Cause, reached: str = "") -> tuple[str, str]:
 
 
 def _buttons(pressed: int) -> str:
-    """Names of the pressed buttons; bits without a name are given by number."""
+    """The names of the buttons that were pressed; a bit without a name is shown as a number."""
     names = [name for name, bit in BUTTONS.items() if pressed & bit]
     names += [f"0x{1 << bit:04X}" for bit in range(16) if pressed & 1 << bit and 1 << bit not in BUTTONS.values()]
     return " and ".join(names)
@@ -138,7 +138,7 @@ def _free(state: State) -> str:
 
 
 def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | None, str]:
-    """Since when this block holds, as far as is known, and what began it."""
+    """Since when this block has been in force, as far as is known, and what began it."""
     stop = state.last_stop
     if state.cause:
         begun = stop.t if stop and stop.cause == state.cause else None
@@ -157,8 +157,8 @@ def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | 
 
 
 def _proof(state: State, now_s: float) -> str:
-    """The proof of the stop that holds the wheels, or of the last one. While motion is commanded: that the board
-    answers."""
+    """The proof of the stop for which the wheels are stopped, or of the last stop. While motion is commanded: the proof
+    that the board answers."""
     stop = state.last_stop
     if stop and (state.block is Block.DISABLED or stop.cause == state.cause):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
@@ -171,9 +171,9 @@ def _proof(state: State, now_s: float) -> str:
 
 
 def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | None]]:
-    """The three proofs of a stop in words, each with whether it holds (None: there was nothing to observe, because the
-    wheels did not shake before the stop either, or because this board acknowledges nothing). For a stop that was not
-    written, only that. `link`: the state of the link."""
+    """The three proofs of a stop in words, each with True or False. None: there was nothing to observe, because the
+    wheels were not moving before the stop either, or because this board acknowledges nothing. For a stop that was not
+    written, only that is returned. `link`: the state of the link."""
     if stop.written_s is None:
         return [("it could NOT be written", False)]
     yet = " yet" if 0 <= now_s - stop.t < YET_S else ""
@@ -198,8 +198,8 @@ def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | N
 
 
 def troubles(state: State, events: Sequence[Event]) -> list[str]:
-    """Other faults that keep the wheels from moving, or may; also by a client's own report, and what the client sees if
-    the wheels wait for one of its kind."""
+    """Other faults that keep the wheels from moving, or may do so. They include what clients report as wrong, and, if
+    the wheels wait for a client, what that client sees."""
     found = []
     ends = verdict.ends(state, events)
     for name, process in state.processes.items():

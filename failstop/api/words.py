@@ -1,4 +1,4 @@
-"""Words: times, ages, velocities and other programs' texts in a form for people."""
+"""Words: puts times, ages, velocities and other programs' texts into a form for people."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ DAY_S = 86400.0
 OLD_WORDS_S = 5.0
 JUMP_S = 5.0
 DRIFT = 1e-3
-"""Two clocks of one machine drift apart by no more than this share of the time, as long as nobody sets one."""
+"""Two clocks of one machine drift apart by at most this share of the time, as long as nobody sets one of them."""
 NOWHERE_MPS = 0.0005
-"""A lower speed is shown as standing, because it would be rounded to 0."""
+"""A speed below this is shown as standing, because it would be rounded to 0."""
 
 
 def span(seconds: float) -> str:
-    """A length of time: 0.4 s, 12 s, 3 min, 2 h 5 min, 3 days."""
+    """A length of time as a text: 0.4 s, 12 s, 3 min, 2 h 5 min, 3 days."""
     if not isfinite(seconds):
         return f"{seconds:g} s"
     if seconds < 9.95:
@@ -44,15 +44,15 @@ def printable(text: str) -> str:
 
 
 def clock_jump(wall_s: float, monotonic_s: float) -> float:
-    """How far the wall clock jumped while these times passed on it and on the monotonic clock; negative: backward; 0:
-    no more than the two clocks drift apart."""
+    """How far the wall clock jumped while these times passed on it and on the monotonic clock, s; negative: backward;
+    0: not more than the clocks drift apart."""
     jumped_s = wall_s - monotonic_s
     return jumped_s if abs(jumped_s) > max(JUMP_S, DRIFT * monotonic_s) else 0.0
 
 
 def jumped(seconds: float) -> str:
-    """A jump of the wall clock in words. A jump forward may be a machine's sleep, which the monotonic clock does not
-    count."""
+    """A jump of the wall clock in words. A jump forward may mean that the machine slept, because the monotonic clock
+    does not count that."""
     if seconds < 0:
         return f"the clock was set back by {span(-seconds)}"
     return f"the clock went forward by {span(seconds)} (it was set, or the machine slept)"
@@ -72,7 +72,8 @@ def ago(unix_s: float, now_s: float) -> str:
 
 
 AGED_S = 3.0
-"""A reading of this age or more is shown with its age, because some boards report their battery once a second."""
+"""A reading of this age, s, or more is shown with its age, because some boards report their battery only once per
+second."""
 
 
 def aged(age_s: float | None, *, current: bool = True) -> str:
@@ -82,7 +83,7 @@ def aged(age_s: float | None, *, current: bool = True) -> str:
 
 
 def velocity(vx_mps: float, vy_mps: float, wz_radps: float) -> str:
-    """A body velocity, without the axes that are zero."""
+    """A velocity of the robot as a text, without the axes that are zero."""
     axes = (
         (vx_mps, "m/s", "forward", "backward"),
         (vy_mps, "m/s", "left", "right"),
@@ -102,7 +103,7 @@ def steering(rad: float) -> str:
 
 
 def took(seconds: float) -> str:
-    """A short time, with the digits that matter."""
+    """A short time as a text, with the digits that matter."""
     if seconds < 1e-4:
         return f"{seconds * 1e6:.0f} us"
     if seconds >= 1:
@@ -125,19 +126,19 @@ def plain(text: str) -> str:
 
 
 def sentence(text: str) -> str:
-    """A text for the page: plain, with a capital at its start and a full stop at its end."""
+    """A text for the page: without backquotes, with a capital letter at its beginning and a full stop at its end."""
     text = plain(text).strip()
     return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '!', '?')) else '.'}"
 
 
 def of(name: str) -> str:
-    """The service's name for the title of a screen; empty for the default one."""
+    """The service's name for the title of a screen; empty for the default name."""
     return "" if name == DEFAULT_NAME else f" of {name!r}"
 
 
 def said(state: State) -> list[tuple[str, str, str]]:
-    """(client, what it sees, what it says is wrong) for each client that reports something; old reports come with their
-    age."""
+    """(client, what it sees, what it reports as wrong) for each client that reports something. Old reports come with
+    their age."""
     found = []
     for client in state.clients:
         if client.said_s is not None:

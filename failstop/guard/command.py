@@ -51,7 +51,11 @@ def add_arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="try your driver without a robot: print what it writes, and what failstop would do with it",
     )
-    add("--board", metavar="KIND", help="with --dry-run: the board that the port imitates (default: the setting board.kind)")
+    add(
+        "--board",
+        metavar="KIND",
+        help="with --dry-run: the board that the port imitates (default: the setting board.kind)",
+    )
     add("--config", metavar="FILE", help="with --dry-run: TOML file with settings (default: the installed file)")
     add_name(parser)
 

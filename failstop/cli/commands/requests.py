@@ -46,7 +46,7 @@ ALLOWED_PERCENT = "5 to 100"
 REPEAT_S = 0.05
 IS_LATCHED = f"a stop is latched ({CAUSE})"
 RESTARTED_S = 0.5
-"""A process that died is there again by then, and nobody needs to be told to wait for it."""
+"""How long to wait after a process has died, s. By then it was restarted, so people need not be told to wait for it."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:

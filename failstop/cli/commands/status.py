@@ -36,7 +36,7 @@ failstop why --json | jq -r '.do[]'  # only the steps to take
 }
 
 MOST_COLUMNS = 100
-"""The longest line that `failstop why` prints, because longer ones are hard to read."""
+"""The longest line that `failstop why` prints, columns, because longer lines are hard to read."""
 LABEL = 7
 PERIOD_S = 0.1
 REMEMBERED = 400

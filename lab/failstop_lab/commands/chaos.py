@@ -42,8 +42,12 @@ def add_arguments(parser: ArgumentParser) -> None:
     add = parser.add_argument
     length = parser.add_mutually_exclusive_group()
     length.add_argument("--seconds", type=float, metavar="S", help=f"for how many seconds (default: {CAMPAIGN_S:g})")
-    length.add_argument("--count", type=int, metavar="N", help="inject this many faults, instead of running for --seconds")
-    length.add_argument("--each", type=int, metavar="N", help="inject every fault this many times, in order, instead of at random")
+    length.add_argument(
+        "--count", type=int, metavar="N", help="inject this many faults, instead of running for --seconds"
+    )
+    length.add_argument(
+        "--each", type=int, metavar="N", help="inject every fault this many times, in order, instead of at random"
+    )
     add("--seed", type=int, metavar="K", help="seed of the random choices; every campaign prints its seed")
     add(
         "--first",
@@ -64,8 +68,16 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="FILE",
         help="with --markdown: don't run anything, but print the result in this file, which --json wrote",
     )
-    add("--device", metavar="PATH", help="test a real board on a stand, at this port; its answers and its IMU judge; needs both consents")
-    add("--on-the-stand", action="store_true", help="your consent: the robot is on a stand, with its wheels off the ground")
+    add(
+        "--device",
+        metavar="PATH",
+        help="test a real board on a stand, at this port; its answers and its IMU judge; needs both consents",
+    )
+    add(
+        "--on-the-stand",
+        action="store_true",
+        help="your consent: the robot is on a stand, with its wheels off the ground",
+    )
     add("--wheels-are-free", action="store_true", help="your consent: nobody and nothing is near the wheels")
 
 

@@ -59,7 +59,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Options of `failstop demo`."""
     parser.add_argument("--ros2", action="store_true", help="also let ROS 2 nodes drive, and kill their bridge")
     add_board(parser)
-    parser.add_argument("--rounds", type=int, default=1, metavar="N", help="how often to kill each process (default: 1)")
+    parser.add_argument(
+        "--rounds", type=int, default=1, metavar="N", help="how often to kill each process (default: 1)"
+    )
 
 
 class Row:

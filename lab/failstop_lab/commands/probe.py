@@ -58,14 +58,20 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_board(by_port, None, "the kind of board: {}")
     add = by_port.add_argument
     add("--port", required=True, metavar="PATH", help="the board's port")
-    add("--baud", type=int, default=0, metavar="RATE", help="the firmware's baud rate (default: the board's usual rate)")
+    add(
+        "--baud", type=int, default=0, metavar="RATE", help="the firmware's baud rate (default: the board's usual rate)"
+    )
     add(
         "--frame",
         metavar="TEXT",
         help=r"the bytes that your driver sends, as text with \n or as hexadecimal digits after 0x (default: the "
         "board's own frame for slow wheels)",
     )
-    add("--guard", action="store_true", help="then measure again through failstop's guard port, and show that in a second column")
+    add(
+        "--guard",
+        action="store_true",
+        help="then measure again through failstop's guard port, and show that in a second column",
+    )
     add = by_ros.add_argument
     add(
         "--cmd-vel",
@@ -93,7 +99,11 @@ def add_arguments(parser: ArgumentParser) -> None:
         add("--robot", default="", metavar="TEXT", help="the robot's name, for the result card")
         add("--firmware", default="", metavar="TEXT", help="the firmware and its version, for the result card")
         add("--driver", default="", metavar="TEXT", help="the driver and its version, for the result card")
-        add("--out", metavar="BASE", help="write the result card to BASE.txt, BASE.json and BASE.svg (default: card-DATE)")
+        add(
+            "--out",
+            metavar="BASE",
+            help="write the result card to BASE.txt, BASE.json and BASE.svg (default: card-DATE)",
+        )
         add("--json", action="store_true", help="print the result card as JSON")
         add("--yes", action="store_true", help="don't ask for consent, because the wheels are off the ground")
 

@@ -40,7 +40,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     add = parser.add_argument
     add("--scenario", metavar="NAME,...", help="run only these scenarios; * matches anything; --list prints the names")
     add_board(parser)
-    add("--whole", action="store_true", help="inject at every call to the system, not only at one for each line of code")
+    add(
+        "--whole", action="store_true", help="inject at every call to the system, not only at one for each line of code"
+    )
     add("--own", action="store_true", help="inject only faults of the process that makes the call")
     add(
         "--jobs",
@@ -57,7 +59,9 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="with --scenario and --fault: run once, with the fault at the call of this number",
     )
     add("--fault", metavar="NAME", help="with --call: the name of the fault")
-    add("--seeds", type=float, metavar="SECONDS", help="make random runs instead, for so many seconds on each processor")
+    add(
+        "--seeds", type=float, metavar="SECONDS", help="make random runs instead, for so many seconds on each processor"
+    )
     add(
         "--seed",
         type=int,

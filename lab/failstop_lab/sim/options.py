@@ -74,7 +74,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="IMU frames per second; 0: none (default: %(default)g)",
     )
-    add("--battery-mv", type=_millivolts, default=BATTERY_MV, metavar="N", help="battery voltage, mV (default: %(default)s)")
+    add(
+        "--battery-mv",
+        type=_millivolts,
+        default=BATTERY_MV,
+        metavar="N",
+        help="battery voltage, mV (default: %(default)s)",
+    )
     add("--seed", type=int, default=0, metavar="N", help="seed of the noise and the faults (default: %(default)s)")
     add(
         "--first-invalid-func",
@@ -98,8 +104,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         const=VHCI,
         default="",
         metavar="PLACE",
-        help="simulate a USB device instead of a pty, so that the kernel's own driver makes the port. Without PLACE the "
-        "device is plugged into this machine (vhci_hcd; needs root). PLACE is where the usb-redir of a virtual machine "
+        help="simulate a USB device instead of a pty, so that the kernel's own driver makes the port. Without PLACE "
+        "the device is plugged into this machine (vhci_hcd; needs root). PLACE is where usb-redir of a virtual machine "
         "listens: HOST:PORT, or the path of a socket",
     )
     add(
