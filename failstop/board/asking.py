@@ -1,9 +1,9 @@
 """Asking: finds out which board is on an open port, by questions that move no wheel.
 
-A board is known by its answer to one of its questions; a board without questions, by its reports. Each question follows
-that board's own stop, which ends any frame that was cut before it. To none of failstop's other boards is the stop or
-the question motion, at any of their speeds (tests/board/test_asking.py). Nobody knows how an unknown device takes them,
-so if your own board may be on the port, failstop only listens for the others.
+A board is known by its answer to one of its questions, or, if it has no questions, by its reports. Before each question
+the stop of that board is written, because it ends any frame that was cut. No other board of failstop takes such a stop
+or question for motion, at any baud rate (tests/board/test_asking.py). Nobody knows how an unknown device takes them. So
+if your own board may be on the port, failstop writes nothing for the other boards and only listens.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 ANSWER_S = 0.25
-"""Longer than any of these boards takes to answer, and than the time between two of its reports."""
+"""How long to wait for an answer or a report, s: longer than any of these boards takes to answer, and longer than the
+time between two of its reports."""
 QUESTIONS = 2
 """How often each board is asked, because a question may be lost on the line."""
 MORE_QUESTIONS = 2
@@ -74,23 +75,23 @@ class Heard(Data):
     """True if the device at the port is a board of this kind."""
     answered_ms: float | None
     reports: frozenset[int]
-    """The kinds of its reports, as the interface numbers them."""
+    """The kinds of its reports, by the numbers in interface.py."""
     size: int
-    """Bytes received, in any language."""
+    """How many bytes were received, of whatever kind."""
     after_ns: int
-    """When it was asked, counted from the opening of the port."""
+    """When the board was asked, counted from the opening of the port, ns."""
     firmware: str = ""
-    """Its firmware, if that differs from the usual one."""
+    """Its firmware, if that is not the usual one."""
     other_baud: int = 0
-    """The baud rate at which it was asked, if it differs from the board's by the settings."""
+    """The baud rate at which it was asked, if that is not the one in the settings; else 0."""
     missing: tuple[int, ...] = ()
-    """The servos that do not answer while others of this board do."""
+    """The servos that do not answer although others of this board do."""
 
 
 def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]]:
-    """For each turn: how long after the opening of the port (ns), and which board to ask. The first board is the wanted
-    one. Boards without questions come next, because for them failstop only listens. `resets`: opening may have reset
-    the board, which is then deaf for a while."""
+    """Which board to ask when: (how long after the opening of the port, ns, and the board), for each turn. The board
+    that the user wants comes first, then boards without questions, because for them failstop only listens. `resets`:
+    opening the port may have reset the board, which then hears nothing for a while."""
     wanted, *others = boards
     others.sort(key=lambda kind: len(boards[kind].pings) > 0)
     for group in ([wanted], others):
@@ -100,9 +101,9 @@ def turns(boards: Mapping[str, Board], resets: bool) -> Iterator[tuple[int, str]
 
 
 def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: bool) -> list[Heard]:
-    """Ask one board after another until one is known, which is the last in the list. The stop of the first was written
-    already. Then ask at the other baud rates that a board may have. `strangers`: don't write to the other boards.
-    Raises OSError when the device is gone."""
+    """Ask as one board after the other until one is found, which is then the last in the list. The stop of the first
+    board was written before. At the end, ask at the other baud rates that a board may have. `strangers`: write nothing
+    for the boards other than the first. Raises OSError if the device is gone."""
     found: list[Heard] = []
     usual = [(due_ns, kind, boards[kind].port.baud) for due_ns, kind in turns(boards, port.has_lines(fd))]
     # Of a board that a Wire describes; others have one rate.
@@ -127,10 +128,10 @@ def seek(fd: int, boards: Mapping[str, Board], opened_ns: int, *, strangers: boo
 
 def ask(tap: Tap, board: Board, *, stop: bool) -> float | None:
     """Ask a board twice, and again if bytes come that answer nothing. Returns after how many ms it answered, or None.
-    `stop`: write the stop first. Raises OSError when the device is gone.
+    `stop`: write its stop first. Raises OSError if the device is gone.
 
-    Before another question the stop goes out once more: its bytes complete what the receiver may have taken another
-    board's bytes for, a packet of some length."""
+    Before each further question the stop is written again. Its bytes complete a packet, if the receiver has taken the
+    bytes of another board for the beginning of one."""
     stops = StopPort(tap.fd, board)
     for turn in range(QUESTIONS + MORE_QUESTIONS):
         if turn >= QUESTIONS and (tap.missing or not tap.size):
@@ -150,8 +151,8 @@ def heard_ms(tap: Tap, board: Board) -> float | None:
 
 
 def told_of(heard: list[Heard], kind: str, board: Board) -> tuple[bool | None, str, str]:
-    """The result of looking for a board of this `kind`: whether it is present (None: can't be known), that in words,
-    and what helps."""
+    """The result of looking for a board of this `kind`: True if it is present, False if not, None if that can't be
+    known; the same in words; and the remedy."""
     last, deaf_ns = heard[-1], board.port.deaf_ns
     if last.missing:
         facts = facts_of(last.kind)

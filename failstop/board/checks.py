@@ -1,4 +1,4 @@
-"""Checks: the values that an encoder puts into a frame.
+"""Checks: check the values that an encoder puts into a frame.
 
 Each check raises FrameError for a value that must not reach the board.
 """
@@ -15,15 +15,16 @@ class FrameError(ValueError):
 
 
 def integer(field: str, value: int, low: int, high: int) -> int:
-    """The value, if it is an integer from low to high, else FrameError. A bool does not count as an integer."""
+    """Return the value if it is an integer from low to high, else raise FrameError. A bool does not count as an
+    integer."""
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
         raise FrameError(f"{field} is {value!r}, must be an integer from {low} to {high}")
     return value
 
 
 def number(field: str, value: float, low: float, high: float, unit: str) -> float:
-    """The value as a float, if it is from low to high, else FrameError. NaN and bool are not numbers. Minus zero
-    becomes zero."""
+    """Return the value as a float if it is from low to high, else raise FrameError. NaN and bool are not numbers. Minus
+    zero becomes zero."""
     real = isinstance(value, (int, float)) and not isinstance(value, bool)
     # The chained comparison is false for NaN.
     if not real or not low <= value <= high:
@@ -32,7 +33,7 @@ def number(field: str, value: float, low: float, high: float, unit: str) -> floa
 
 
 def counted(field: str, values: Sequence[object], low: int, high: int) -> int:
-    """The number of values, if it is from low to high, else FrameError."""
+    """Return the number of values if it is from low to high, else raise FrameError."""
     try:
         count = len(values)
     except TypeError:
@@ -43,13 +44,13 @@ def counted(field: str, values: Sequence[object], low: int, high: int) -> int:
 
 
 def group(field: str, value: Sequence[object], size: int) -> None:
-    """FrameError unless the value is a tuple or list of `size` parts."""
+    """Raise FrameError unless the value is a tuple or list of `size` parts."""
     if not isinstance(value, (tuple, list)) or len(value) != size:
         raise FrameError(f"{field} is {value!r}, must be a tuple of {size} values")
 
 
 def distinct(field: str, ids: Sequence[int]) -> None:
-    """FrameError if an id appears twice: the later one would silently win."""
+    """Raise FrameError if an id appears twice, because the later one would silently win."""
     for at, value in enumerate(ids):
         if value in ids[:at]:
             raise FrameError(f"{field} {value} appears twice, must appear at most once")

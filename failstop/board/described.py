@@ -37,16 +37,17 @@ if TYPE_CHECKING:
     from failstop.board.wire import Wire
 
 MOST_SAMPLES = 10_000
-"""Samples from one feed(): a reader that never ends would hold telemetry up."""
+"""The most samples from one feed(), because a reader that never ends would hold up telemetry."""
 MOST_VALUE = 0x7FFFFFFF
 MOST_LOAD = 1.27
-"""A servo's load is kept in percent, in a byte; Feetech's loads go up to 1.023."""
+"""The largest load of a servo that is kept, as a share. It is kept in percent, in a byte; Feetech's loads go up to
+1.023."""
 _ROUNDING = 1.0 + 2.0**-40
 _GRAVITY = 9.80665
 
 
 class Samples(Hearing):
-    """The samples of the description's reader."""
+    """Decodes bytes with the description's reader."""
 
     __slots__ = ("_reader", "_wire")
 
@@ -55,7 +56,7 @@ class Samples(Hearing):
         self._reader = wire.reader()
 
     def feed(self, chunk: bytes) -> list[Said]:
-        """Everything reported in the samples that these bytes complete, and which pings they answer."""
+        """Everything that these bytes report, and which pings they answer."""
         found: list[Said] = []
         try:
             for sample in islice(self._reader.feed(chunk), MOST_SAMPLES):
@@ -82,7 +83,7 @@ def _said(sample: Sample) -> list[Said]:
 
 
 def _plausible(sample: Sample) -> list[Said]:
-    """The contents of a sample. Raises one of IMPOSSIBLE."""
+    """The reports in a sample. Raises one of IMPOSSIBLE."""
     if isinstance(sample, Wheels):
         return [(HEARD_WHEELS, (_wheels(sample.speeds, 0), _wheels(sample.positions, 0)))]
     if isinstance(sample, Obeyed):
@@ -127,7 +128,7 @@ def _health(row: Sequence[float]) -> tuple[int, float, int, int]:
 
 
 class Described(Board):
-    """A board with as many speeds as the wire's motion has, in its unit."""
+    """A board with the number and the unit of speeds that the description's motion has."""
 
     __slots__ = (
         "_motion", "_wire", "acknowledged_by", "after_ns", "arm", "arming", "burst", "commanders", "echo_ns",
@@ -139,8 +140,8 @@ class Described(Board):
     usb_alone = False
 
     def __init__(self, wire: Wire, per_rps: float, diameter_m: float, baud: int = 0) -> None:
-        """`per_rps`: one turn per second, in the board's unit; `diameter_m`: the diameter of a wheel; `baud`: the
-        baud rate, 0: the usual one."""
+        """`per_rps`: how many of the board's speed units make one wheel turn per second; `diameter_m`: the diameter of
+        a wheel; `baud`: the baud rate, 0: the usual one."""
         (write,) = wire.stop.writes
         self._wire, self._motion, self.per_rps = wire, wire.motion, per_rps
         self.scale_assumed = False
@@ -170,13 +171,13 @@ class Described(Board):
         return Samples(self._wire)
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """The frame for all of its wheels."""
+        """The frame that sets all wheels."""
         limit = self._limit(max_rps)
         every = [number("speed of a wheel", speed, -max_rps, max_rps, "rps") for speed in rps]
         return self._motion.frame(tuple([max(-limit, min(speed * self.per_rps, limit)) for speed in every]), limit)
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """The wire's check, with the limit in the board's unit."""
+        """The check of the description, with the limit converted to the board's unit."""
         return self._motion.check(frame, self._limit(max_rps))
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
@@ -191,18 +192,18 @@ class Described(Board):
         return (0.0,) * self.wheels if frame == self.burst else self._motion.speeds(frame)
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """The frame with the wire's own mark."""
+        """The frame, changed as the description's motion marks it."""
         return self._motion.marked(frame, turn) if self._motion.marked else frame
 
     def _limit(self, max_rps: float) -> float:
         return min(max_rps * self.per_rps * _ROUNDING, self._motion.limit)
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
-        """Empty: it has none."""
+        """Empty, because such a board has no buzzer."""
         return b""
 
     def check_aux(self, frame: bytes) -> str:
-        """The wire's check. Motion never passes, and without a check nothing does."""
+        """The check of the description. Motion never passes, and nothing passes without a check."""
         if not self._wire.aux or self._motion.speeds(frame) is not None:
             return "this board takes nothing but motion"
         try:

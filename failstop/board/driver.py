@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     Settings = Mapping[str, float | str]
 
     class DriverLanguage(Protocol):
-        """One driver's conversation with the board. The guard makes a new one for each program that opens the port."""
+        """One driver's conversation with the board. The guard makes a new object for each program that opens the
+        port."""
 
         openers: int
         """How many programs the usual driver of this board consists of. It is two if one of its programs writes to the

@@ -1,4 +1,5 @@
-"""Facts: what the settings need to know about a kind of board before a Board is made. Each folder has a facts.py."""
+"""Facts: what the settings must know about a kind of board before a Board is made. The folder of each board has a
+facts.py."""
 
 from __future__ import annotations
 
@@ -17,13 +18,13 @@ class ArmFacts(Data):
     """The servos of an arm on that board."""
 
     highest: int
-    """The highest of a servo's pulses, which are counted from 0."""
+    """The highest position of a servo, in pulses; the lowest is 0."""
     turn: int
-    """Pulses in a whole turn."""
+    """How many pulses make a whole turn."""
     wheels: tuple[int, ...] = ()
-    """Ids of servos on the same bus that turn the wheels, so that no joint may use them."""
+    """Ids of servos on the same bus that turn the wheels. No joint may use them."""
     joint: Mapping[str, float] = {}
-    """Defaults of a joint's settings that differ from the usual ones."""
+    """Defaults of a joint's settings that are not the usual ones."""
 
 
 class SteeringServo(Data):
@@ -41,12 +42,12 @@ class SteeringServo(Data):
 
 
 class Facts(Data):
-    """One kind of board."""
+    """The facts about one kind of board."""
 
     speeds: int
     """How many speeds a frame sets, unless `layouts` has another number."""
     imu: bool
-    """The board has an IMU."""
+    """True if the board has an IMU."""
     arm: ArmFacts | None = None
     """None if the board has no servos for an arm."""
     steers: Mapping[str, tuple[int, int, int]] = {}
@@ -55,13 +56,13 @@ class Facts(Data):
     layouts: Mapping[str, int] = {}
     """How many speeds a frame sets on a base with one of these layouts (wheels.layout), where that differs."""
     most: int = 0
-    """How many speeds a frame can set. A wheel whose id is higher than the layout needs makes frames as long. 0: frames
-    are as long as the layout needs."""
+    """How many speeds a frame can set. If a wheel's id is higher than the layout needs, the frames become longer, up to
+    this. 0: frames are as long as the layout needs."""
     steered_defaults: Mapping[str, float] = {}
-    """As `defaults`, for a steered base."""
+    """Like `defaults`, for a steered base."""
     can: bool = False
     """True if its second motor is connected by CAN; the setting board.can_id then has that motor's id."""
     motors: Mapping[int, str] = {}
     """Names of the motors whose controllers answer for themselves, by the ids in reports about them (wire.Health)."""
     defaults: Mapping[str, float] = {}
-    """Defaults of settings, by key, that differ from the usual ones."""
+    """Defaults of settings, by key, that are not the usual ones."""

@@ -27,7 +27,8 @@ SERIAL_NODES = ("ttyACM", "ttyUSB")
 
 
 class Device:
-    """A serial port on USB, as sysfs describes it. Two are equal if they are the same device in the same socket."""
+    """A serial port on USB, as sysfs describes it. Two objects are equal if they are the same device in the same
+    socket."""
 
     __slots__ = ("part", "place", "product", "serial", "vendor")
 
@@ -35,11 +36,13 @@ class Device:
         self.vendor = vendor
         self.product = product
         self.serial = serial
-        """Empty if the device has none. Many adapters have none, and some makers give all of theirs the same one."""
+        """Its serial number; empty if it has none. Many adapters have none, and some makers give the same one to all of
+        theirs."""
         self.part = part
-        """The port among several on one device: the USB interface, and the port's number in it."""
+        """Which port of the device it is, if the device has several: the USB interface, and the number of the port in
+        it."""
         self.place = place
-        """The socket: the bus and the number of the port on each hub, such as 1-1.2."""
+        """The socket: the bus, and the number of the port on each hub, for example 1-1.2."""
 
     @property
     def what(self) -> tuple[str, ...]:
@@ -94,8 +97,8 @@ def usb_ports(like: Device | None, sysfs: str = "/sys") -> dict[str, Device]:
 
 
 def look_alikes(own: Device | None, sysfs: str = "/sys") -> tuple[dict[str, Device], bool]:
-    """The other serial ports with a device's vendor and product, by path; and whether one of them also has the same
-    serial number, or also has none."""
+    """The other serial ports with the same vendor and product, by path; and True if one of them can't be told from this
+    one, because both have the same serial number or both have none."""
     others = {path: device for path, device in usb_ports(own, sysfs).items() if own and device != own}
     return others, any(own and device.what == own.what for device in others.values())
 
@@ -156,7 +159,7 @@ which is the board, so none is taken. A device that is not sure is believed once
 
 
 def pick(search: Search) -> tuple[Device | None, bool]:
-    """The device to take for the board (None: take none), and whether it is the board for sure. Pure."""
+    """The device to take for the board (None: none), and True if it is certainly the board. Pure."""
     for choice, sure in CHOICES:
         if found := choice(search):
             return (found[0], sure) if len(found) == 1 else (None, False)
@@ -217,7 +220,7 @@ class Finder:
         return self._open(path, device, sure=sure) if path else -1
 
     def misplaced(self) -> bool:
-        """True if the board is present for sure, and is not the open device."""
+        """True if the board is certainly present and is not the open device."""
         if self.settled or self._board is None:
             return False
         device, sure = pick(Search(self._board, self._neighbours, self._devices().values(), self._at_path()))
@@ -245,6 +248,7 @@ class Finder:
             return None
 
     def _devices(self) -> dict[str, Device]:
-        """The devices that are like the board, by path; the device at the settings' path comes under that path."""
+        """The devices that have the board's vendor and product, by path. The device at the settings' path is listed
+        under that path."""
         at_path = self._at_path()
         return ({self._path: at_path} if at_path else {}) | usb_ports(self._board, self._sysfs)

@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from failstop.board.interface import Value
 
 COMMANDED = 255
-"""Stands in place of a ping's index: a command was written."""
+"""Used in place of a ping's index: a command was written."""
 GIVEN_UP_NS = 10_000_000_000
-"""A question that was not answered for this long never will be. Every proof of a stop rests on this: on a line that
-holds bytes back for longer, there and back together, a late answer could look like an early one."""
+"""A question that has no answer after this time never gets one. All proofs of a stop depend on this: if a line held
+bytes back for longer, there and back together, a late answer could look like an early one."""
 COMMANDS_KEPT = 512
 ONE_STOP_NS = 20_000_000
-"""Stops of several writers within this time are one stop, because all answer the same cause."""
+"""Stops that several writers write within this time count as one, because all of them answer the same cause."""
 MARGIN_NS = 100_000_000
-"""A board's own watchdog may be early by this much."""
+"""By how much a board's own watchdog may act early."""
 
 
 class Answers:
@@ -40,12 +40,12 @@ class Answers:
         self._open: deque[tuple[int, int]] = deque()
 
     def asked(self, index: int, asked_ns: int) -> None:
-        """Record that the question with this index is about to be written."""
+        """The question with this index is about to be written."""
         self._open.append((index, asked_ns))
 
     def answered(self, indices: Sequence[int], came_ns: int) -> int:
-        """When the earliest question was asked that this can be the answer to; 0 if none can. `indices`: the questions
-        that have this answer. All earlier ones are closed: they were lost."""
+        """When the earliest question was asked to which this can be the answer; 0 if there is none. `indices`: the
+        questions that have this answer. All questions before that one are closed, because their answers were lost."""
         while self._open and came_ns - self._open[0][1] > GIVEN_UP_NS:
             self._open.popleft()
         for at, (index, asked_ns) in enumerate(self._open):
@@ -73,18 +73,19 @@ class Echo:
         self._written: tuple[float, ...] | None = None
         self._obeyed: tuple[float, ...] | None = None
         self._moved_ns = 0
-        """When the motion that it last reported as obeyed was written; 0 if it does not report motion."""
+        """When the motion was written that the board last reported as obeyed; 0 if it does not report motion."""
         self.faded_ns = 0
-        """When the last motion it heard was written, if its own watchdog has set the command to zero since; else 0."""
+        """When the last motion was written that the board has heard, if its own watchdog has set the command to zero
+        since then; else 0."""
 
     def wrote(self, speeds: Sequence[float], written_ns: int) -> None:
-        """Record that a command was written; of equal ones in a row the first counts."""
+        """A command was written. Of equal commands in a row only the first counts."""
         if (written := tuple(speeds)) != self._written:
             self._written = written
             self._open.append((written, written_ns))
 
     def obeyed(self, speeds: Sequence[float], came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """When the stop that this report proves was written; 0 if it proves none. `others_ns`: when other processes
+        """When the stop was written that this report proves; 0 if it proves none. `others_ns`: when other processes
         last wrote a stop."""
         if (obeyed := tuple(speeds)) == self._obeyed:
             return 0
@@ -110,7 +111,7 @@ class Echo:
         return latest_ns
 
     def _earliest(self, speeds: tuple[float, ...], came_ns: int) -> tuple[int, int]:
-        """The place of the earliest such command, and when it was written; zeros if there is none."""
+        """The place of the earliest command with these speeds, and when it was written; zeros if there is none."""
         for at, (written, written_ns) in enumerate(self._open):
             if written_ns > came_ns:
                 break
@@ -124,10 +125,11 @@ class Echo:
 
 
 class Handled:
-    """Follows how much a board has handled, by everything it reports. Call wrote() for each write, then heard()."""
+    """Follows how far the board has handled what was written, by everything that it reports. Call wrote() before each
+    write, and heard() for each report."""
 
     def __init__(self, board: Board, since_ns: int = 0) -> None:
-        """`since_ns`: everything written until then is known to be handled."""
+        """`since_ns`: everything that was written until then counts as handled."""
         self._board, self._since_ns = board, since_ns
         self._answers, self._echo = Answers(), Echo(board.fades_ns)
         self._by_echo = board.echo_ns > 0
@@ -137,11 +139,11 @@ class Handled:
 
     @property
     def faded_ns(self) -> int:
-        """See Echo."""
+        """When the last motion was written that the board's own watchdog has ended, as in Echo; else 0."""
         return self._echo.faded_ns
 
     def wrote(self, index: int, speeds: Sequence[float], written_ns: int) -> None:
-        """Record that the ping with this index, or (index COMMANDED) these speeds, are about to be written."""
+        """A ping with this index, or (index COMMANDED) a command with these speeds, is about to be written."""
         if written_ns <= self._since_ns:
             return
         if index == COMMANDED:
@@ -150,8 +152,8 @@ class Handled:
             self._answers.asked(index, written_ns)
 
     def heard(self, kind: int, said: Value, came_ns: int, others_ns: Sequence[int] = ()) -> int:
-        """Takes what the board reported at `came_ns` and returns the time of a write (ns): the board has handled
-        everything up to there, and obeys a stop among it. 0: nothing new is proved. `others_ns`: see Echo."""
+        """Handle a report that came at `came_ns`. Returns the time of a write (ns) up to which the board has now
+        handled everything, and obeys a stop that was among it; 0: nothing new is proved. `others_ns`: see Echo."""
         if kind == HEARD_PONG:
             if not (asked_ns := self._answers.answered(said, came_ns)):
                 return 0

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     Value = tuple[Any, ...]
     Said = tuple[int, Value]
-    """The kind of a report, and its value."""
+    """A report: its kind, and its value."""
 
 PORT_OWNER_ROW, STOPPER_ROW, SUPERVISOR_ROW = range(3)
 """The writers of stops, as the rows of `repeats_ns`. A program that writes without a service has the last row."""
@@ -42,22 +42,24 @@ BUTTONS = {
 }
 """The buttons of a gamepad, one bit each."""
 BY_ANSWER, BY_ECHO = "answer", "echo"
-"""Proofs that a stop was parsed: the answer to a ping after it, or the report of the command that is obeyed."""
+"""What proves that the board has got a stop: the answer to a later ping, or the board's report of the command that it
+obeys."""
 BY_IMU, BY_WHEELS = "IMU", "wheels"
-"""Proofs that the wheels are at rest: by the IMU, or by the board's reports of their speeds or positions."""
+"""What proves that the wheels are at rest: the IMU, or the board's reports of their speeds or positions."""
 
 
 class WheelReports(Data):
     """How to read one board's reports about the wheels (HEARD_WHEELS), in this robot's units."""
 
     every_ns: int
-    """The longest time between two reports of a healthy board in a running service, ns; 0: it reports nothing."""
+    """The longest time between two reports of a healthy board in a running service, ns; 0: the board reports
+    nothing."""
     speed_per_rps: float
-    """One turn per second in the unit of the reported speeds; 0: it reports none."""
+    """How many units of the reported speeds make one turn per second; 0: the board reports no speeds."""
     position_per_turn: float
-    """How much a position grows in one turn of its wheel; 0: positions only show rest."""
+    """By how much a position grows in one turn of the wheel; 0: positions only show whether the wheel is at rest."""
     wraps: float
-    """Positions are counted modulo this; 0: they never wrap."""
+    """Positions are counted modulo this; 0: they are not."""
     holds_speed: bool
     """True if the board holds the commanded speed; False if it sets a voltage."""
     own_scale: bool
@@ -67,12 +69,12 @@ class WheelReports(Data):
 
 
 UNKNOWN_EVERY_NS = 1_000_000_000
-"""Used for a board whose description does not say how often it reports."""
+"""The value of every_ns for a board whose description does not say how often it reports."""
 NO_WHEEL_REPORTS = WheelReports(0, 0.0, 0.0, 0.0, holds_speed=False, own_scale=False)
 
 
 class Hearing:
-    """Takes bytes from the board, and returns reports: pairs of a kind and its value.
+    """Decodes the board's bytes into reports, which are pairs of a kind and a value.
 
     HEARD_IMU: acceleration x y z in g, turn rate x y z in degrees per second. HEARD_BATTERY: mV, 0 for no battery.
     HEARD_PAD: the gamepad's buttons as in BUTTONS, hat, lx, ly, rx, ry, and the raw frame. HEARD_KEY: id and event.
@@ -105,8 +107,8 @@ class ServoBus:
     beside_wheels: bool
     """True if the arm may move while the wheels may turn, because no stop waits for a servo."""
     holds_by_goal: bool
-    """True if a servo moves on to its last goal, which a stop does not change; in a stream of moves that is a few
-    degrees ahead. If the servo lags behind, it is sent to where it was read."""
+    """True if a servo goes on to its last goal by itself, and a stop does not change that goal; in a stream of moves
+    the goal is a few degrees ahead. If the servo lags behind, it is sent to where it was read."""
 
     def stops(self, servos: Sequence[int]) -> bytes:
         """The frames that stop these servos, written after the burst in the same write; empty if a stop leaves them
@@ -114,11 +116,13 @@ class ServoBus:
         raise NotImplementedError
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """The frame that moves a few servos, (id, pulses) each, in that time. Raises FrameError."""
+        """The frame that sends a few servos to these positions, given as (id, pulses), within `duration_ms`. An encoder
+        that must avoid some frames may choose another duration, up to `longest_ms` (0: servos.LONGEST_MOVE_MS). Raises
+        FrameError."""
         raise NotImplementedError
 
     def read(self, servo: int, what: int) -> bytes:
-        """The frame that asks a servo for one of servos.READS. Raises FrameError."""
+        """The frame that asks a servo one of the questions servos.READS. Raises FrameError."""
         raise NotImplementedError
 
     def look(self, servos: Sequence[int]) -> bytes:
@@ -127,8 +131,8 @@ class ServoBus:
         raise NotImplementedError
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
-        """The frame that switches the torque of a servo whose position is `at`. A servo that keeps its goal first gets
-        `at` as its goal. Raises FrameError."""
+        """The frame that switches a servo's torque on or off. `at`: its position, because a servo that keeps its goal
+        first gets its present position as the goal. Raises FrameError."""
         raise NotImplementedError
 
     def command(self, frame: bytes) -> int:
@@ -142,12 +146,12 @@ class ServoBus:
         raise NotImplementedError
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
-        """Where a frame sends servos: (id, pulses, duration of the move in ns; 0: as fast as the servo can) each. Empty
-        for other bytes. Never raises."""
+        """Where a frame sends servos: (id, pulses, duration of the move in ns; 0: as fast as the servo can) for each.
+        Empty for other bytes. Never raises."""
         raise NotImplementedError
 
     def held_ns(self, frame: bytes) -> int:
-        """The longest time that a frame which has passed check() holds the receiver."""
+        """For how long, at most, a frame that has passed check() blocks the receiver, ns."""
         raise NotImplementedError
 
 
@@ -167,81 +171,88 @@ class SteeringFrames:
 
 
 class Board:
-    """The board's language as failstop uses it: constants and pure functions."""
+    """The board's language as failstop uses it: constants and pure functions. A description of your own board becomes
+    such an object."""
 
     __slots__ = ()
 
     name: str
-    """For people: the name of the board, such as "an Arduino with ..."."""
+    """The name of the board for people, for example "an Arduino with ..."."""
     port: Port
-    """How its serial port is set up, and how long the board is deaf after that. Nobody can enable motion before it
-    hears and has got its opening frames."""
+    """How its serial port is set up, and how long the board hears nothing after that. Motion can't be enabled until the
+    board hears and has got its opening frames."""
     idle_ns: int
-    """How long the line must be silent after a write before anything but a stop may be written; 0: not at all. A stop
-    never waits for it."""
+    """How long the line must be silent after a write before anything but a stop may be written, ns; 0: not at all. A
+    stop never waits for this."""
     after_ns: int
-    """How long the line must be silent after a stop, even before the next stop of the same writer; 0: stops may touch.
-    If it is not 0, a stop counts as lost until it was repeated."""
+    """How long the line must be silent after a stop, ns, even before the next stop of the same writer; 0: stops may
+    follow each other directly. If it is not 0, a stop counts as lost until it was repeated."""
     repeats_ns: tuple[tuple[int, ...], ...]
     """A row for each writer (PORT_OWNER_ROW ...): how long after a stop it is written again. Writers that can't see
     each other's bytes have different times, so that no two touch twice in a row. On a board that loses two stops that
     touch, the repeats go on for 0.4 s, longer than an adapter stalls. Writers outlive the supervisor until then. The
     port owner repeats the gate's first zero frame after motion at the same times."""
     stop: bytes
-    """The frame that sets every wheel to zero: exactly the bytes of motor_speeds for zeros."""
+    """The frame that sets every wheel to zero. It has exactly the bytes that motor_speeds() makes for zeros."""
     burst: bytes
-    """One write that stops the wheels whatever state the board's receiver is in, when it is repeated at the latest."""
+    """The bytes of one write that stop the wheels, whatever state the board's receiver is in, at the latest when they
+    are repeated."""
     first_stop: bytes
-    """The start of the burst, up to its first stop frame: it is written before anything else is done. If it is the
+    """The beginning of the burst, up to its first stop frame. It is written before anything else is done. If it is the
     whole burst, the burst is not written again right after it."""
     refresh: bytes
-    """The stop that is written five times a second while stopped, for a board that restarts or wakes up."""
+    """The stop that is written five times per second while the robot is stopped, because a board may restart or wake
+    up."""
     pings: tuple[bytes, ...]
-    """Frames, layout.PINGS at most, that move nothing and are answered, in order with all others. All differ, so that
-    an answer says which ping it answers, and proves that the receiver was in step. May be empty: the link is then
-    `unasked`, and nobody waits for an answer."""
+    """At most layout.PINGS frames that move nothing and that the board answers, in order with all others. All of them
+    differ, so an answer shows which ping it belongs to, and proves that the receiver was in step. It may be empty: the
+    link is then `unasked`, and nobody waits for an answer."""
     ping_ns: int
-    """The longest time between two pings that the board's proofs need; 0: any."""
+    """The longest time between two pings that the proofs about this board need, ns; 0: any."""
     echo_ns: int
-    """When the board reports that it obeys zeros, the command was written at least this long before; 0: it does not
-    report it. A board that does acknowledges a stop by such a report, and not by an answer alone."""
+    """When the board reports that it obeys zeros, the command was written at least this long before, ns; 0: the board
+    does not report the command that it obeys. A board that reports it acknowledges a stop by such a report, not by an
+    answer alone."""
     silent_ns: int
-    """Its reports about its wheels, or its IMU, never pause for this long unless it restarts; 0: it reports nothing."""
+    """The board's reports about its wheels or its IMU never pause for this long, ns, unless it restarts; 0: it reports
+    nothing."""
     arming: bytes
-    """The frame that sets its own watchdog, which a restart undoes. It is written before the first motion after each
-    enable. Empty if there is none."""
+    """The frame that sets the board's own watchdog. A restart of the board undoes it, so it is written before the first
+    motion after each enable. Empty if there is no such watchdog."""
     fades_ns: int
-    """How long after the last frame its own watchdog makes it report zeros, which then prove no stop; 0: it has none,
-    or reports no command."""
+    """How long after the last frame the board's own watchdog makes it report zeros, ns; such zeros prove no stop. 0: it
+    has no watchdog, or reports no command."""
     acknowledged_by: str
-    """BY_ANSWER or BY_ECHO; empty if it acknowledges nothing."""
+    """BY_ANSWER or BY_ECHO; empty if the board acknowledges nothing."""
     observed_by: str
     """BY_IMU or BY_WHEELS."""
     per_rps: float
-    """One turn per second of a wheel in the unit of its motion."""
+    """How many of the board's speed units make one wheel turn per second."""
     scale_assumed: bool = False
-    """Nobody knows that `per_rps` is right: it depends on this robot's motors and encoders and the board's reports
-    share it, or a person wrote it, and the setting board.per_rps_confirmed is not the same number."""
+    """True if nobody knows that `per_rps` is right: it depends on this robot's motors and encoders and the board's
+    reports use the same number, or a person has only written it into the settings, and board.per_rps_confirmed is
+    another number."""
     reports: WheelReports
-    """What it reports about its wheels, and how to read it."""
+    """What the board reports about its wheels, and how to read it."""
     wheels: int
     """How many speeds a frame sets, at most box.MOST_SPEEDS. Their wire ids are counted from 0."""
     most_rps: float
-    """The highest wheel speed that it can be sent. The service does not start with limits beyond it."""
+    """The highest wheel speed that can be sent to the board, turns per second. The service does not start if the limits
+    allow more."""
     step_rps: float
-    """Speeds are sent in multiples of this, truncated towards zero; 0: any speed."""
+    """Speeds are sent in multiples of this, rounded towards zero, turns per second; 0: any speed can be sent."""
     usb: tuple[str, ...]
     """Vendor:product, in hexadecimal, of the board's own USB ports. The chip of an adapter says nothing about the board
     behind it."""
     usb_alone: bool
-    """True if it can only be on its own USB port: not behind an adapter, not on serial pins."""
+    """True if the board can only be on its own USB port, so not behind an adapter and not on serial pins."""
     commanders: tuple[Commander, ...]
-    """What else, besides failstop, can command its wheels."""
+    """What else can command the wheels of this board."""
     arm: ServoBus | None
     """The servos of an arm, if the board has them."""
 
     def hearing(self) -> Hearing:
-        """A new reader for its bytes."""
+        """A new decoder for the board's bytes."""
         raise NotImplementedError
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
@@ -265,13 +276,13 @@ class Board:
         return None
 
     def marked(self, frame: bytes, turn: int) -> bytes:
-        """A motion frame that is sent again, for the `turn`th time, made slightly slower depending on the turn, because
-        reports of a steady command could not show whether frames still arrive. The frame itself if no report proves
+        """A motion frame that is sent again for the `turn`th time, made slightly slower depending on the turn, because
+        reports of a steady command could not show whether frames still arrive. The same frame if no report proves
         anything."""
         return frame
 
     def buzzer(self, freq_hz: int, on_ms: int, off_ms: int, repeat: int) -> bytes:
-        """The frame that sounds its buzzer; empty if it has none. Raises FrameError."""
+        """The frame that sounds the board's buzzer; empty if it has none. Raises FrameError."""
         raise NotImplementedError
 
     def check_aux(self, frame: bytes) -> str:

@@ -1,5 +1,5 @@
-"""Kept: the stop of an own board as plain numbers and bytes. The service keeps it in its runtime directory, so that
-`failstop stop` can write it without running the description, which is somebody's program, and may be broken by now."""
+"""Kept: the stop of your own board as plain numbers and bytes. The service keeps it in its runtime directory, so that
+`failstop stop` can write it without running the description, which is a program and may be broken by then."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ LONGEST_BURST = 4096
 """The longest stop burst that is accepted, bytes."""
 MOST_REPEATS = 8
 MOST_NS = 2_000_000_000
-"""The longest of each time that is accepted, ns."""
+"""The longest time that is accepted in a kept stop, ns."""
 
 
 def pack_stop(board: Board) -> str:
@@ -39,7 +39,7 @@ def unpack_stop(kept: str) -> Kept | None:
 
 
 class Kept(Board):
-    """A board of which only the stop is known, so it is asked nothing."""
+    """A board of which only the stop is known, so nothing can be asked."""
 
     __slots__ = ("after_ns", "burst", "first_stop", "idle_ns", "port", "repeats_ns", "stop")
 

@@ -1,5 +1,4 @@
-"""Kinds: the boards that failstop knows, each by the folder that describes it: a folder of failstop/board, or your
-own."""
+"""Kinds: the boards that failstop knows. Each is described by a folder, which is in failstop/board or is your own."""
 
 from __future__ import annotations
 
@@ -17,18 +16,18 @@ if TYPE_CHECKING:
 KINDS = ("arduino", "damiao", "feetech", "hoverboard", "ugv", "vesc")
 """The boards in failstop/board that a Wire describes."""
 ALL_KINDS = ("rrc", *KINDS)
-"""All boards of this room, the usual one first."""
+"""All boards in failstop/board, the usual one first."""
 SAME_PER_RPS = 0.01
-"""Two numbers for one scale that differ by less than this share count as equal, because they are written rounded."""
+"""Two scales that differ by less than this share count as equal, because they are written with few digits."""
 
 
 def is_own(kind: str) -> bool:
-    """True for a path, which names your own folder with a Wire."""
+    """True for a path, which names the folder of your own board."""
     return kind.startswith("/")
 
 
 def is_described(kind: str) -> bool:
-    """True if a Wire describes it."""
+    """True if a Wire describes this kind of board."""
     return kind in KINDS or is_own(kind)
 
 
@@ -57,8 +56,8 @@ def wire_of(kind: str, *, tried: bool = False, speeds: int = 0, can_id: int = US
 
 
 def watchdog_of(kind: str) -> tuple[float, str]:
-    """The board's own watchdog: after how many s it acts (0: it has none), and what it does, in wire.py's words. Your
-    own board is not looked at."""
+    """The board's own watchdog: after how many seconds it acts (0: it has none), and what it does, as one of wire.py's
+    words. For your own board this is not looked up."""
     if kind not in KINDS:
         return 0.0, ""
     watchdog = wire_of(kind).watchdog

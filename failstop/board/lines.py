@@ -1,4 +1,4 @@
-"""Lines: shared code for boards that take commands as lines of text, and answer in lines."""
+"""Lines: shared code for boards whose commands and answers are lines of text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class MotionLine:
-    """The line that sets the speeds of left and right; its methods are the ones that wire.Motion needs."""
+    """The line that sets the speeds of the left and the right wheels. It has the methods that wire.Motion needs."""
 
     def __init__(self, form: re.Pattern[bytes], write: Callable[[float, float], bytes], most: float, unit: str) -> None:
         """`form`: a pattern with a group for each speed; `write`: makes the line, truncated towards zero; `most`: the

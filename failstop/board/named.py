@@ -1,9 +1,9 @@
-"""Named: opening a serial port whose path another user has named, with that user's rights and no more.
+"""Named: opens a serial port whose path another user has named, with no more than that user's rights.
 
-A file that belongs to somebody else may name any path: root's own devices, a device whose opening alone does something,
-a file system that never answers. So root looks the path up as that user, takes nothing but a terminal that this user
-may read and write, and then opens that very node. As root again, because a service that holds the port exclusively must
-not keep root's stop out.
+A file that belongs to somebody else may name any path: root's own devices, a device that does something when it is
+opened, a file system that never answers. So root looks the path up as that user, accepts only a terminal that this user
+may read and write, and then opens exactly that device. It opens it as root, because a service that holds the port
+exclusively must not keep root's stop out.
 """
 
 from __future__ import annotations
@@ -55,14 +55,14 @@ def _is_terminal(device: int) -> bool:
 
 
 def _may(found: os.stat_result, uid: int, groups: set[int]) -> bool:
-    """Whether a user may read and write a node, by its mode."""
+    """True if a user may read and write a device, according to its mode."""
     shift = 6 if found.st_uid == uid else 3 if found.st_gid in groups else 0
     return found.st_mode >> shift & 0o6 == 0o6
 
 
 def _groups(uid: int) -> tuple[int, list[int]]:
-    """The user's own group, and the others. It reads only the files, because a directory service that does not answer
-    must not hold up a stop."""
+    """The user's own group, and the others. They are read only from files, because a directory service that does not
+    answer must not hold up a stop."""
     name, gid = "", 65534
     for fields in _rows(PASSWD_FILE, 4):
         if fields[2] == str(uid):

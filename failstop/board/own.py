@@ -1,10 +1,10 @@
 """Own: your own board, described by a folder with a module wire.py that has a Wire named WIRE.
 
-One of its lines says for which vocabulary it was written; failstop reads that line before it runs the module. The
-modules import each other with a dot (`from . import codec`), and failstop's modules as any program does. They run as
-root in every process of the service, so anyone who may write them may drive. That is why the folder, everything in it
-and every folder and link on the way to it must belong to root or to the service's user, and nobody else may write
-there. Only source is imported, and it is read through the same descriptor that was checked.
+One line of the module says for which vocabulary it was written; failstop reads that line before it runs the module. The
+modules of the folder import each other with a dot (`from . import codec`), and failstop's modules as any program does.
+They may run as root, in every process of the service, so anyone who may write them may drive. Therefore the folder,
+everything in it, and every folder and link on the way to it must belong to root or to the service's user, and nobody
+else may write there. Only source is imported, and it is read through the same descriptor that was checked.
 
 A description is a program, so it may hang or exit. Before it runs in this process, a child process loads it and calls
 its functions (sound.py). If the child dies, or has not finished within LIMIT_S, the description is refused.
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 OWN_PACKAGE = "failstop_own_board"
 """The package name of its modules in Python."""
 SAYS = b"VOCABULARY = "
-"""The beginning of the line in its wire.py that says for which vocabulary it was written."""
+"""How the line in wire.py begins that says for which vocabulary it was written."""
 LIMIT_S = 5.0
-"""How long its modules may take to load and to answer; failstop's own take 20 ms."""
+"""How long the modules may take to load and to answer, s. failstop's own take 20 ms."""
 _MOST_LINKS = 40
 _MOST_FILES = 2000
 _MOST_BYTES = 1 << 20
@@ -44,7 +44,7 @@ _MOST_BYTES = 1 << 20
 _COMPILED = (".so", ".pyc", ".pyd")
 _SIGKILL = 9
 _SOUND = b"\0"
-"""A child's first byte, once it is done; its complaint follows, if it has one."""
+"""The child's first byte when it is done. The fault that it has found follows, if there is one."""
 
 
 class OwnBoardError(ValueError):
@@ -137,7 +137,7 @@ def _try(folder: str, name: str, value: str) -> None:
 
 
 def _judge(folder: str, name: str, value: str, writer: int) -> None:
-    """The child's part. Its output is dropped, and none of its parent's exit handlers run."""
+    """What the child process does. Its output is dropped, and none of its parent's exit handlers run."""
     try:
         os.setsid()
         _signal.signal(_signal.SIGALRM, _signal.SIG_DFL)

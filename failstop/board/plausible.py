@@ -1,4 +1,4 @@
-"""Plausible: which values in a board's report are possible on a robot. Pure.
+"""Plausible: decides which values in a board's report are possible on a robot. Pure.
 
 A board may report anything: its battery is not connected, its memory is garbled, or the reader of your own board has a
 bug. An impossible value is never passed on, clamped or taken for zero: it counts as not reported and becomes HEARD_ODD,
@@ -23,13 +23,13 @@ of a volt, so it reports no battery, not an empty one."""
 MOST_G, MOST_DPS = 1000.0, 100_000.0
 """Limits for an IMU: about 30 times what such sensors measure."""
 MOST_COUNT = 1e15
-"""Limit for a wheel's speed or position, in any unit: a float can still tell neighbouring values apart."""
+"""The limit for a wheel's speed or position, in any unit. Below it a float can still tell neighbouring values apart."""
 MOST_REPORTED_WHEELS = 16
 MOST_HEALTH_ROWS = 16
 LONGEST_ODD_TEXT = 60
-"""Characters of an odd value that are shown."""
+"""How many characters of an impossible value are shown."""
 MOST_ODD_VALUES = 8
-"""How many of several values are shown."""
+"""If several values are impossible, how many of them are shown."""
 IMPOSSIBLE = (TypeError, ValueError, OverflowError, AttributeError, LookupError)
 """The errors raised for a value that is not a number, too large, or missing."""
 
@@ -90,7 +90,7 @@ def imu_said(sample: Iterable[object]) -> list[Said]:
 
 
 def odd(what: str, value: object) -> list[Said]:
-    """HEARD_ODD: the name of the value, and the value for people."""
+    """HEARD_ODD, with the name of the impossible value, and the value as text for people."""
     return [(HEARD_ODD, (what, odd_text(value)))]
 
 

@@ -31,11 +31,11 @@ _ZERO = _INT.pack(0)
 
 READ_BYTES = 4096
 CLOSE_S = 0.02
-"""How long a close may wait for bytes to drain."""
+"""How long a close may wait for bytes to leave the kernel, s."""
 
 _OPEN_FLAGS = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
 _OTHER_SPEED = termios.B500000
-"""A speed that no board has."""
+"""A baud rate that no board uses."""
 _CFLAG = termios.CS8 | termios.CREAD | termios.CLOCAL
 _CFLAG_MASK = _CFLAG | termios.CSIZE | termios.CSTOPB | termios.PARENB | termios.HUPCL | termios.CRTSCTS
 
@@ -125,7 +125,7 @@ def unsent_bytes(descriptor: int) -> int:
 
 
 def is_read(descriptor: int) -> bool:
-    """True while a service has the port, and so reads what the board sends."""
+    """True while a service has the port, so that it reads the board's bytes."""
     if not _lock(descriptor):
         return True
     fcntl.flock(descriptor, fcntl.LOCK_UN)
@@ -219,7 +219,7 @@ def _prepare(path: str, descriptor: int, exclusive: bool, line: Port) -> None:
 
 
 def _lock(descriptor: int) -> bool:
-    """False while a service has the port, because its frames must not be sent at another speed."""
+    """False while a service has the port, because then the speed must not be changed under its frames."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

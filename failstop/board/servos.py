@@ -24,11 +24,11 @@ LONGEST_MOVE_MS = 60
 LONGEST_MOVE_NS = LONGEST_MOVE_MS * 1_000_000
 
 HELD_NS = 2_000_000
-"""The longest that a stop may have to wait for the servos' bus."""
+"""The longest time that a stop may have to wait for the servos' bus."""
 MOVE_NS = 870_000
-"""The longest that one servo's move takes on any board's bus: ten bytes at 115200 baud."""
+"""The longest time that the move of one servo takes on any board's bus: ten bytes at 115200 baud."""
 SILENT_NS = 5_000_000
-"""The longest until any board gives up on a servo that does not answer; an answer takes 1.2 ms."""
+"""After this time every board has given up on a servo that does not answer. An answer takes 1.2 ms."""
 MOST_MOVES = HELD_NS // MOVE_NS
 
 

@@ -1,7 +1,7 @@
-"""Sound: finds faults in the description of a board by calling its functions before it drives anything.
+"""Sound: finds faults in the description of a board, by calling its functions before it may drive anything.
 
 A description is a program. Its check may let every frame pass, its stop may have no bytes, its scale may be NaN, and
-each of these faults would show only while wheels turn. Pure, as far as the description is; own.py runs it in a process
+such faults would show only while wheels turn. These tests are pure if the description is; own.py runs them in a process
 that may hang or die.
 """
 
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from failstop.board.wire import Motion
 
 _SIMPLE_TYPES = ("int", "bool", "str", "float", "bytes")
-"""Type names in annotations. An int is accepted as a float."""
+"""The names of simple types in annotations. Where a float is expected, an int is accepted."""
 BAUD_RATES = frozenset(int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()) - {0}
 _S = 1_000_000_000
 _WRITERS = 3
-"""Port owner, stopper and supervisor: each has a row of repeats."""
+"""The number of writers, each of which has a row of repeats: port owner, stopper and supervisor."""
 MOST_QUESTIONS = 4
 """The number of words in shared memory, because each ping has its own (layout.PINGS)."""
 _MOST_BYTES = 1024
-"""Size limit of one frame; the board's stop is one."""
+"""The longest frame that is allowed. The board's stop is a frame."""
 _MOST_FRAMES = 16
 _MOST_REPEATS = 32
 _DIAMETERS_M = (0.03, 0.08, 0.3)
@@ -41,7 +41,7 @@ _NOISE = tuple(bytes((at * step * 73 + step) & 255 for at in range(61)) for step
 
 
 class _Wrong(Exception):
-    """The first fault that was found, in words."""
+    """The first fault that was found; its message says in words what is wrong."""
 
 
 def wrong(wire: Wire) -> str:
@@ -65,7 +65,7 @@ def _shown(value: object) -> str:
 
 
 def _asked(name: str, function: Callable[..., Any], *values: object) -> Any:
-    """Call one of its functions, which must not raise."""
+    """Call a function of the description, which must not raise."""
     try:
         return function(*values)
     except (Exception, SystemExit) as error:
@@ -252,7 +252,7 @@ def _motion(wire: Wire) -> None:
 
 
 def _refusals(wire: Wire) -> None:
-    """Check that it refuses bytes that must not become a frame, or pass for one."""
+    """Check that the description refuses bytes that must not become a frame, or pass for one."""
     motion, nan, inf = wire.motion, float("nan"), float("inf")
     rest = motion.rest
     for asked in ((nan,) * motion.wheels, (inf,) * motion.wheels, (motion.limit * 2,) * motion.wheels,
@@ -276,7 +276,7 @@ def _refusals(wire: Wire) -> None:
 
 
 def _frames(wire: Wire) -> None:
-    """Check that nothing but motion moves."""
+    """Check that only motion frames move anything."""
     asks = [(f"WIRE.questions[{at}].ask", question.ask) for at, question in enumerate(wire.questions)]
     for name, frame in asks + [(f"WIRE.port.opening[{at}]", frame) for at, frame in enumerate(wire.port.opening)]:
         told = _speeds(wire.motion, frame)

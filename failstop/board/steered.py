@@ -1,4 +1,5 @@
-"""Steering: a board whose base has a steering servo. The angle comes after the speeds, and its frame after theirs."""
+"""Steering: a board whose base has a steering servo. The angle follows the speeds, and its frame follows the frame of
+the speeds."""
 
 from __future__ import annotations
 
@@ -14,15 +15,15 @@ if TYPE_CHECKING:
 
 class SteeringMixin(Board):
     """Makes a class of boards steer; inherit from it first. A motion frame of such a board is the frame for the wheels,
-    whose length is always the same, followed by the frame for the steering."""
+    which always has the same length, followed by the frame for the steering."""
 
     __slots__ = ()
 
     _steering: SteeringFrames
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """The frame for the wheels, then the one for the steering. Wheels at rest are not steered, so that the frame is
-        the stop."""
+        """The frame for the wheels, then the frame for the steering. Wheels at rest are not steered, so that their
+        frame is the stop."""
         *speeds, angle_rad = rps
         motor = super().motor_speeds(speeds, max_rps)
         return motor if motor == self.stop else motor + self._steering.frame(angle_rad)
@@ -35,12 +36,12 @@ class SteeringMixin(Board):
         return "" if motor == self.stop and not steers else self._steering.check(steers)
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
-        """The speeds of all wheels, from the frame before the steering's."""
+        """The speeds of all wheels, from the frame before the steering frame."""
         return super().speeds(frame[: len(self.stop)])
 
 
 class ServoSteering(SteeringFrames):
-    """A servo whose position is commanded in pulses. `servo` says how many are straight ahead, and how many make a
+    """A servo whose position is commanded in pulses. `servo` has the pulses for straight ahead, and the pulses per
     radian."""
 
     __slots__ = ("_limit", "servo")
@@ -51,7 +52,7 @@ class ServoSteering(SteeringFrames):
         """The largest angle, plus rounding errors."""
 
     def _pulses(self, angle_rad: float) -> int:
-        """The pulses for this angle to the left. Raises FrameError for a larger angle than allowed."""
+        """The pulses for this angle (positive to the left). Raises FrameError if the angle is larger than allowed."""
         angle = checks.number("steering angle", angle_rad, -self._limit, self._limit, "rad")
         return self.servo.centre + round(angle * self.servo.per_rad)
 

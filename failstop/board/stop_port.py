@@ -1,5 +1,5 @@
-"""StopPort: a descriptor of the port to which a stop can be written. Every process that can stop uses one, so all of
-them follow the same policy.
+"""StopPort: writes stops to a descriptor of the port. Every process that can stop the robot uses it, so all of them
+follow the same policy.
 
     the kernel                then
     takes all of it           it is written
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 TRIES = 3
 DRAIN_S = 0.1
-"""The burst takes 4 ms on the wire; a port that holds bytes for this long does not drain."""
+"""The burst takes 4 ms on the wire. If a port still holds bytes after this time, s, it does not drain."""
 LOOK_S = 0.0005
 ALREADY = -1
 EARLY_NS = 2_000_000
@@ -30,7 +30,8 @@ EARLY_NS = 2_000_000
 
 
 class StopPort:
-    """-1: no port. `lost` becomes true when a write finds that the device is gone; `errno` is the reason."""
+    """A descriptor of the port for stops; -1: no port. `lost` becomes true when a write finds that the device is gone;
+    `errno` is the reason."""
 
     def __init__(self, fd: int, board: Board, servos: tuple[int, ...] = ()) -> None:
         """`servos`: the ids of the robot's arm. The frames that stop them end the same write, so they follow a whole
@@ -38,18 +39,18 @@ class StopPort:
         self.board = board
         self._stop = board.burst + (board.arm.stops(servos) if board.arm else b"")
         self.free_ns = 0
-        """When the line, as far as this process knows, will have been silent long enough for the board; 0: it needs no
-        silence."""
+        """When the line will have been silent for as long as the board needs, as far as this process knows; 0: the
+        board needs no silence."""
         self._line_ns = 0
-        """Until this time the last write from here, a whole stop, is on the line or needs silence after it, so another
-        stop would garble both. 0: no such write."""
+        """Until this time the last whole stop that was written here is on the line, or the line must be silent after
+        it, so another stop would garble both. 0: no such stop."""
         self.fd = fd
         self.lost = fd < 0
         self.errno = 0
         self.unsent = b""
         """Bytes of one burst or frame that the kernel has not accepted yet."""
         self._stop_begun = False
-        """True if `unsent` is the rest of a stop, and not of another frame."""
+        """True if `unsent` is the rest of a stop."""
         self._writing = _thread.allocate_lock()
         """Held by the loop while it checks whether it may write, and writes; and by a thread in early_stop()."""
 
@@ -61,7 +62,7 @@ class StopPort:
                 self._write_early()
 
     def _write_early(self) -> int:
-        """How many bytes the kernel took; ALREADY if a whole stop is on the line."""
+        """How many bytes the kernel took; ALREADY if a whole stop is already on the line."""
         if self._on_line():
             return ALREADY
         taken = self._write(self.board.first_stop)
@@ -83,7 +84,7 @@ class StopPort:
             return self.fd >= 0 and self._put(begun + self._stop, rest=False)
 
     def repeat(self, after_ns: tuple[int, ...]) -> None:
-        """Write the burst again at these times from now, for a program without a loop."""
+        """Write the burst again after each of these times, and wait meanwhile. For a program without a loop."""
         begun_ns = time.monotonic_ns()
         for after in after_ns:
             time.sleep(max(0, begun_ns + after - time.monotonic_ns()) / 1e9)
@@ -125,7 +126,7 @@ class StopPort:
         return 0
 
     def holds(self) -> bool:
-        """True while the kernel holds bytes that it has taken, from any process. A port that can't say is gone."""
+        """True while the kernel holds bytes that any process has written. A port that can't tell is gone."""
         try:
             return self.fd >= 0 and port.unsent_bytes(self.fd) > 0
         except OSError as error:

@@ -1,4 +1,4 @@
-"""Tap: an open port, used from outside the service: what the board sends, and its answer to a question."""
+"""Tap: asks and reads the board at an open port, for programs other than the service."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 class Tap:
-    """A tap on an open port: what the board sends, decoded, with the time when it was read; and pings. It reads a
-    non-blocking descriptor, which the caller keeps."""
+    """Reads and decodes the board's bytes, with the time when they were read, and writes pings. The descriptor is
+    non-blocking and stays the caller's."""
 
     def __init__(self, fd: int, board: Board) -> None:
         self.fd = fd
@@ -31,13 +31,13 @@ class Tap:
         self.reports: set[int] = set()
         """The kinds of reports that came without a question."""
         self.firmware = ""
-        """Its firmware, if that differs from the usual one."""
+        """The board's firmware, if that is not the usual one."""
         self.missing: tuple[int, ...] = ()
-        """Servos that answer nothing while others do."""
+        """Servos that answer nothing although others do."""
         self.size = 0
-        """Bytes received."""
+        """How many bytes were received."""
         self._flow: set[int] = set()
-        """Pings whose answers came before this tap had asked them, so that such an answer proves nothing."""
+        """Pings whose answers came before this object had asked them, so their answers prove nothing."""
 
     def read(self) -> list[tuple[int, int, Value]]:
         """(time of reading, kind, value) of each new report. Raises OSError when the device is gone."""
@@ -79,7 +79,7 @@ class Tap:
         return index, now_ns
 
     def lost(self) -> None:
-        """Give up all questions so far, for example after a reset of the board. Raises OSError."""
+        """Give up all questions so far, for example after the board was reset. Raises OSError."""
         self.read()
         self._answers = Answers()
 

@@ -1,4 +1,5 @@
-"""Wire: the vocabulary for describing any motor board; each folder in failstop/board describes one board with it.
+"""Wire: the vocabulary in which any motor board can be described. Each folder in failstop/board describes one board
+with it.
 
 described.py turns a description into the Board that the service drives (docs/boards.md).
 """
@@ -47,9 +48,9 @@ class Port(Data):
     dtr: bool
     rts: bool
     deaf_ns: int
-    """How long the board hears nothing after the port was opened, because opening resets it."""
+    """How long the board hears nothing after the port was opened, because opening resets it, ns."""
     opening: tuple[bytes, ...]
-    """Frames to write once it hears; they arm its own watchdog."""
+    """Frames to write as soon as the board hears. They set its own watchdog."""
 
     def at(self, baud: int) -> Port:
         """The same port with another baud rate."""
@@ -57,7 +58,7 @@ class Port(Data):
 
     @property
     def byte_ns(self) -> int:
-        """How long one byte takes on the wire."""
+        """How long one byte takes on the wire, ns."""
         return BITS_PER_BYTE * 1_000_000_000 // self.baud
 
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 EXAMPLES = """\
 failstop guard                    # prints the path that your driver must open
 failstop guard --path /run/port   # your driver opens this path
-failstop guard --dry-run          # without a robot: shows what it writes
+failstop guard --dry-run          # without a robot: what your driver writes
 """
 PORT = "port"
 """The link's name in the runtime directory."""

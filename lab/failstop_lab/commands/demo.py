@@ -48,7 +48,7 @@ ORDER = (layout.GATE, layout.PORT_OWNER, layout.TELEMETRY, layout.STOPPER, layou
 
 
 EXAMPLES = f"""\
-failstop demo                # exit code 1: no stop within {LATE_MS:g} ms
+failstop demo                # exit code 1: a stop came after {LATE_MS:g} ms or never
 failstop demo --rounds 5
 failstop demo --board hoverboard
 failstop demo --ros2         # also with ROS 2 nodes; needs rclpy
