@@ -1,1 +1,2 @@
-"""Shared memory: words, cells, segments, bells, claims, futexes, lifelines, heartbeats. It knows no robot."""
+"""Shared memory: words, cells, segments, bells, claims, futexes, lifelines, heartbeats. Nothing here is about
+robots."""

@@ -1,4 +1,5 @@
-"""Bells: wake-ups that fit one epoll set. A bell says "look", never at what; a lost ring costs a tick, but no data.
+"""Bells: wake-ups that can be waited for in one epoll set. A bell only says "look", and carries no data, so a lost ring
+delays the reader by a tick but loses nothing.
 
 EventBell (an eventfd) rings between the service's own processes, which inherit it. PipeBell (a FIFO in the runtime
 directory) is for clients: each byte hints at a slot to look at, and any byte at all is a ring.
@@ -27,7 +28,8 @@ class EventBell:
         return cls(os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC))
 
     def ring(self) -> None:
-        """Wake the process that waits. A full counter (nobody has looked for ages) is already ringing."""
+        """Wake the process that waits. If the counter is full, because nobody has looked for very long, the bell is
+        ringing already."""
         # Not contextlib.suppress, which costs more than the call, here and below.
         try:  # noqa: SIM105
             os.write(self.fd, _ONE)
@@ -69,7 +71,7 @@ def open_pipe_to_write(path: str) -> int:
 
 
 def send(fd: int, data: bytes) -> bool:
-    """Write at most PIPE_BUF bytes whole; False when the pipe is full, which rings as well."""
+    """Write at most PIPE_BUF bytes, whole. False if the pipe is full; that rings the bell as well."""
     try:
         os.write(fd, data)
     except BlockingIOError:
@@ -87,7 +89,7 @@ _received = bytearray(MOST_BYTES)
 
 
 def receive(fd: int) -> bytes:
-    """Everything that waits in a pipe, up to MOST_BYTES; empty if nothing does."""
+    """All bytes that wait in a pipe, up to MOST_BYTES; empty if there are none."""
     try:
         return bytes(memoryview(_received)[: os.readv(fd, (_received,))])
     except BlockingIOError:

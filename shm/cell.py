@@ -30,14 +30,14 @@ _BODY = struct.Struct("<IQQ")
 _CRC = struct.Struct("<I")
 
 Entry = tuple[int, int, bytes]
-"""The number of an entry, its time (CLOCK_MONOTONIC), and its payload."""
+"""An entry: its number, its time (CLOCK_MONOTONIC, ns), and its payload."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Protocol
 
     class View(Protocol):
-        """Memory as a reader or writer uses it: copy one slice out, or assign one slice."""
+        """Memory, as a reader or writer uses it: one slice is copied out, or one slice is assigned."""
 
         def __getitem__(self, where: slice, /) -> bytes: ...
 
@@ -155,8 +155,8 @@ class LatestReader(_Cells):
 
 
 class _Writer(_Cells):
-    """The one writer of a record. One that takes over from a dead one goes on after the newest whole entry: a cell that
-    was torn by the death is overwritten, and the entry before it stays readable."""
+    """The only writer of a record. A writer that takes over from a dead one goes on after the newest whole entry. A
+    cell that was torn by the death is overwritten, and the entry before it stays readable."""
 
     def __init__(self, view: View, offset: int, capacity: int, cells: int, crc_seed: int) -> None:
         super().__init__(view, offset, capacity, cells, crc_seed)
@@ -193,7 +193,7 @@ class RingWriter(_Writer):
 
 
 class RingReader(_Cells):
-    """One reader's place in a ring. `lost` counts the entries that were overwritten before it came to them.
+    """One reader's place in a ring. `lost` counts the entries that were overwritten before they were read.
 
     Reading entry n: (1) one slice copy of cell n % cells, (2) check it:
         its seq is n                       -> the entry
@@ -210,7 +210,7 @@ class RingReader(_Cells):
         self._blank = bytes(self._size)
         self.lost = 0
         self._old = b""
-        """The bytes of this cell that were found to be blank or an older entry; the same bytes need no second check."""
+        """The bytes of this cell that were found to be blank or an older entry. The same bytes need no second check."""
         last = self._last()
         self._await(max(1, last - cells + 1) if from_oldest else last + 1)
 
@@ -260,8 +260,9 @@ class RingReader(_Cells):
         self._await(seq)
 
     def _pass_damage(self) -> bool:
-        """False when the cell may yet become the next entry; True when it is worth another look, or was passed. Without
-        this, a damaged cell would hold a reader up for a whole lap, and with it the stops that follow in the ring.
+        """False if the cell may still become the next entry; True if it is worth another look, or was passed over.
+        Without this, one damaged cell would hold up the reader for a whole lap, and with it the stops that follow in
+        the ring.
         """
         later = [seq for seq in self._whole() if seq > self._next]
         if not later:

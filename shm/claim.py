@@ -1,8 +1,9 @@
-"""Claims: who holds what, as open-file-description record locks on single bytes of a file.
+"""Claims: locks on single bytes of a file (open-file-description record locks), which show who holds what.
 
-The kernel drops such a lock when the last descriptor of its holder closes, so none is left held by a crash. A copy of
-the holder that was forked and has not exec'd holds it too, and outlives it. The file's content means nothing. Threads
-and libraries that open and close the same file do not lose the lock, as they would with classic POSIX locks.
+The kernel drops such a lock when the last descriptor of its holder is closed, so a crash leaves none behind. A forked
+copy of the holder that has not called exec has the lock too, and may outlive the holder. The content of the file means
+nothing. If a thread or a library opens and closes the same file, the lock is not lost, as it would be with classic
+POSIX locks.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def acquire(fd: int, index: int) -> bool:
 
 
 def release(fd: int, index: int) -> None:
-    """Give a claim back before the descriptor closes."""
+    """Give a claim back while the descriptor stays open."""
     fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_UNLCK, os.SEEK_SET, index, 1, 0))
 
 

@@ -28,7 +28,8 @@ from failstop.shm.words import LINE_BYTES
 
 PER_BLOCK = 2
 BLOCKS = 256
-"""A block for each start of a process, a line in it for each watcher; used again after 255 later starts."""
+"""The number of blocks. Each start of a process uses one, with a line for each watcher, and a block is used again after
+255 later starts."""
 
 _OWNER_DIED = 1 << 30
 _WAITERS = 1 << 31  # without this bit, the kernel marks the word but wakes nobody
@@ -38,7 +39,7 @@ _FUTEX, _SET_ROBUST_LIST = {"x86_64": (202, 273), "aarch64": (98, 99)}.get(os.un
 _PROOF_NS = 1_000_000_000
 _LOOK_S = 0.0001
 NO_DUMP = 1
-"""The limit in bytes for dumps. No dump fits into 1 byte, and the kernel would ignore 0 if a program collects the dumps
+"""The limit for core dumps, bytes. No dump fits into 1 byte. The kernel would ignore 0 if a program collects the dumps
 (core(5))."""
 _LIST_HEAD = struct.Struct("<QqQ")  # robust_list_head: first entry, offset from an entry to its word, entry being added
 _POINTER = struct.Struct("<Q")
@@ -81,8 +82,8 @@ class Futex:
             return 0
 
     def hold(self, lines: int = 1) -> object:
-        """Let the kernel report the death of the calling thread here, on this many lines. Returns an object to keep as
-        long as the thread lives, or until let_go(); None if the kernel can't do it. Raises OSError."""
+        """Let the kernel report the death of the calling thread on this many lines. Returns an object that must be kept
+        for as long as the thread lives, or until let_go(); None if the kernel can't do it. Raises OSError."""
         kept = ctypes.create_string_buffer(_LIST_HEAD.size + lines * LINE_BYTES)
         head = ctypes.addressof(kept)
         entries = [head + _LIST_HEAD.size + line * LINE_BYTES for line in range(lines)]
@@ -100,16 +101,16 @@ class Futex:
         return kept
 
     def held(self) -> bool:
-        """True while a living thread holds it."""
+        """True while a living thread holds the futex."""
         return bool(self._value() & _OWNER)
 
     def owner_died(self) -> bool:
-        """True after the kernel has reported the death of the thread that held it."""
+        """True after the kernel has reported that the thread which held the futex has died."""
         return bool(self._value() & _OWNER_DIED)
 
     def wait_for_death(self, wanted: Callable[[], bool] = lambda: True) -> bool:
-        """Block until the thread that holds it has died. Returns False if no thread holds it, if it was given back, or
-        once it is not `wanted` any more (wake() makes it look). Lets other threads run meanwhile."""
+        """Block until the thread that holds the futex has died. Returns False if no thread holds it, if it was given
+        back, or once it is no longer `wanted` (wake() makes it look). Other threads run meanwhile."""
         value = held = self._value()
         while wanted():
             if value != held or not held & _OWNER:
@@ -134,7 +135,7 @@ class Futex:
 
 
 _NOTHING = ctypes.create_string_buffer(_LIST_HEAD.size)
-"""The empty list, whose first entry points to itself."""
+"""The empty list. Its first entry points to itself."""
 _NOTHING.raw = _LIST_HEAD.pack(ctypes.addressof(_NOTHING), 0, 0)
 
 
@@ -176,7 +177,7 @@ def proven() -> bool:
 
 
 def _hold_until_the_end(word: Futex, kept: list[object]) -> None:
-    """The body of a thread that does nothing else."""
+    """What the thread does: it holds the word and ends."""
     try:
         kept.append(word.hold())
     except Exception:  # set after any error too, because proven() waits for it

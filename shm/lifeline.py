@@ -1,8 +1,8 @@
-"""Lifelines: the news of a process's death, in the same poll as everything else.
+"""Lifelines: report the death of a process, so that it can be waited for together with everything else.
 
-The early news comes from a robust futex that the process holds (futex.py): a thread blocks on it, marks the lifeline as
-dead and rings a bell. The late news comes from a pidfd, which the watched process can't hold back and a reused pid
-can't confuse. Either is enough. Heartbeats are for what neither sees: hangs.
+The early report comes from a robust futex that the process holds (futex.py): a thread waits on it, marks the lifeline
+as dead and rings a bell. The late report comes from a pidfd; the watched process can't prevent it, and a pid that is
+used again can't confuse it. One of the two reports is enough. Neither of them shows a hang; heartbeats do.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Lifeline:
         self.fd = os.pidfd_open(pid) if pid else os.eventfd(0, os.EFD_CLOEXEC)
         self.watched = False
         self.early: Futex | None = None
-        """Where a thread waits for the early report of the death, once it is watched."""
+        """The futex on which a thread waits for the early report of the death; None before it is watched."""
         self.marked = False
         """True once the early report has come."""
 
@@ -66,8 +66,8 @@ class Lifeline:
         return self.marked or self.fd in ready
 
     def dead(self) -> bool:
-        """True once the process has died. It reports that before anything that ends because of the death. Two system
-        calls; never blocks."""
+        """True once the process has died. This is true before anything ends because of the death. It takes two system
+        calls and never blocks."""
         return self.marked or (self.early is not None and self.early.owner_died()) or self.wait(0)
 
     def wait(self, timeout_s: float) -> bool:
@@ -101,7 +101,7 @@ class Lifeline:
 
 
 class EarlyNews:
-    """One process's waiting threads. `bell` rings after a lifeline was marked."""
+    """The threads of this process that wait for deaths. `bell` rings after a lifeline was marked."""
 
     def __init__(self, lifelines: Segment) -> None:
         """The threads keep the scheduling that this process has now."""

@@ -12,8 +12,8 @@ from failstop.shm.futex import Futex
 from failstop.shm.words import LINE_BYTES, Word
 
 HEADER_BYTES = 128
-"""Size of the cell that every segment starts with (messages/segments.py). Never change it: versions recognise each
-other by it."""
+"""The size of the cell with which every segment starts (messages/segments.py). Never change it, because versions
+recognise each other by it."""
 
 
 class Record(Data):
@@ -26,7 +26,7 @@ class Record(Data):
     cells: int = 1
 
     def size(self) -> int:
-        """Bytes the record takes in its segment."""
+        """How many bytes the record takes in its segment."""
         if self.kind == "word":
             return LINE_BYTES
         if self.kind == "futexes":
@@ -72,7 +72,7 @@ class Segment:
         return self.view, offset, record.capacity, record.cells, seed
 
     def word(self, name: str) -> Word:
-        """A lone u64; only in mapped segments."""
+        """A word, which is a single u64. Only in mapped segments."""
         _, offset = self._place(name, "word")
         if self.mapped is None:
             raise TypeError(f"{self.spec.name}.{name}: words are only read through a mapping")
@@ -86,7 +86,8 @@ class Segment:
         return LatestWriter(*self._cells(name, "latest"))
 
     def ring_reader(self, name: str, *, from_oldest: bool = False) -> RingReader:
-        """Reader of a Ring record, from the oldest entry still there or from the next one to come."""
+        """The reader of a Ring record. It starts at the oldest entry that is still there, or at the next one to
+        come."""
         return RingReader(*self._cells(name, "ring"), from_oldest=from_oldest)
 
     def ring_writer(self, name: str) -> RingWriter:
@@ -94,7 +95,8 @@ class Segment:
         return RingWriter(*self._cells(name, "ring"))
 
     def futex(self, name: str, line: int = 0, *, write: bool = False) -> Futex:
-        """A line to wait on for a death or, with `write`, to hold; only in unmapped segments. Raises OSError."""
+        """A line on which to wait for a death or, with `write`, which to hold. Only in unmapped segments. Raises
+        OSError."""
         record, offset = self._place(name, "futexes")
         if self._fd < 0:
             raise TypeError(f"{self.spec.name}.{name}: a futex needs the file")
@@ -109,7 +111,7 @@ class Segment:
         self.view[at : self.spec.size] = bytes(self.spec.size - at)
 
     def fileno(self) -> int:
-        """The descriptor of an unmapped segment; else -1."""
+        """The descriptor of an unmapped segment; -1 for a mapped one."""
         return self._fd
 
     def close(self) -> None:

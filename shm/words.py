@@ -24,18 +24,19 @@ class Word:
         return self._words[self._index]
 
     def set(self, value: int) -> None:
-        """Store a value; raises ValueError outside 0..2**64-1. Only the record's declared writer may."""
+        """Store a value. Only the record's declared writer may do this. Raises ValueError outside 0..2**64-1."""
         self._words[self._index] = value
 
 
 class Barrier:
-    """A full fence: everyone sees the loads and stores of this thread before it ahead of those after it. Of one thread,
-    which alone calls it. Takes 0.2 us, and no memory.
+    """A full memory fence: every other thread sees the loads and stores that this thread made before it ahead of those
+    made after it. Only one thread may call it. Takes 0.2 us, and no memory.
 
-    Words and cells are plain loads and stores, which AArch64 may reorder; x86-64 lets a load pass the store before it.
-    No library gives Python a fence. But to release a lock is a store-release, to acquire one a load-acquire, and no
-    load-acquire passes a store-release that is before it. So a held lock is released and acquired again. The other way
-    around is no barrier: what is before it may move in behind the acquire, what is after it in before the release.
+    Words and cells are plain loads and stores, which AArch64 may reorder; x86-64 lets a load pass an earlier store. No
+    library gives Python a fence. But releasing a lock is a store-release and acquiring one is a load-acquire, and no
+    load-acquire passes an earlier store-release. So a held lock is released and acquired again. Acquiring and then
+    releasing would be no barrier: accesses before it could move behind the acquire, and accesses after it could move
+    before the release.
 
     model/aarch64 names the pairs that need one, and has each as a litmus test.
     """

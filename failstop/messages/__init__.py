@@ -1,1 +1,1 @@
-"""Messages: each record of shared memory, declared once: its shape, its place, its writer and its readers."""
+"""Messages: declares each record of shared memory once, with its shape, its place, its writer and its readers."""

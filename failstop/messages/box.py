@@ -18,46 +18,48 @@ if TYPE_CHECKING:
 SECONDS = 60
 """The time that each ring covers, at its writer's default rates."""
 GATE_CELLS = 3072
-"""One per tick, 50 a second."""
+"""The number of entries in the gate's ring: one for each tick, 50 per second."""
 WIRE_CELLS = 4096
-"""Up to 50 motion frames, 2 pings and a few stops a second. A client that drives at 100 Hz fills them in 40 s."""
+"""The number of entries for bytes on the wire: up to 50 motion frames, 2 pings and a few stops per second. A client
+that drives at 100 Hz fills the ring in 40 s."""
 BOARD_CELLS = 8192
-"""110 IMU samples, 20 gamepad frames and a battery reading a second."""
+"""The number of entries for the board's reports: 110 IMU samples, 20 gamepad frames and a battery reading per
+second."""
 ARM_CELLS = 640
-"""10 a second while a client moves the arm, and one at each change."""
+"""The number of entries for the arm: 10 per second while a client moves it, and one at each change."""
 BEATS_CELLS = 768
-"""10 a second, and one more at each stop."""
+"""The number of entries for the beats: 10 per second, and one more at each stop."""
 
 ARM_BYTES = 80
 SHORT_WHO_BYTES = 36
 
 LATCHED = "estop: "
-"""How the gate's reason for a latched stop begins, also in its record. The latch's reason follows."""
+"""How the gate's reason for a latched stop begins, also in its record. The reason of the latch follows."""
 DISABLED = "disabled"
 NO_COMMAND = "cmd timeout"
 NO_SCAN = "no scan"
 HELD = "let go first"
 EVERY_BLOCK = (LATCHED, DISABLED, HELD, NO_COMMAND, NO_SCAN)
-"""The first one that holds is reported."""
+"""All blocks. The first one that applies is reported."""
 DECISIONS = ("driving", "estop", DISABLED, NO_COMMAND, NO_SCAN, HELD)
-"""The gate's decisions; the record has the index."""
+"""The gate's decisions. The record has the index."""
 DECISION = {"": 0, DISABLED: 2, NO_COMMAND: 3, NO_SCAN: 4, HELD: 5}
 ENABLED, MANUAL, DRIVES = 1, 2, 4
-"""Flags. The last: the newest command is the one that drives, and does not wait behind a higher source."""
+"""Flags of a tick. DRIVES: the newest command is the one that drives, so it does not wait behind a higher source."""
 
 WIRE_BURST, WIRE_FRAME, WIRE_REST = range(1, 4)
 """Bytes for the board: the stop burst; one frame, with its first bytes; what the kernel had not taken of either."""
 WIRE_HEAD = 39
-"""How many bytes of a frame are kept: a motor frame for four wheels has 27, and steering adds 12 at most."""
+"""How many bytes of a frame are kept. A motor frame for four wheels has 27, and steering adds at most 12."""
 
 IMU_KIND, BATTERY_KIND, PAD_KIND, SERVO_KIND, WHEELS_KIND = range(1, 6)
 
 ARM_MODES = ("", "trajectory", "follow", "jog")
-"""Modes of an arm's goal; empty: nobody moves it from now on."""
+"""The modes of an arm's goal; empty: from now on nobody moves the arm."""
 
 SILENCES = 1
 OWN_BURST = 2
-"""Flag of the supervisor: a burst on its own descriptor, written at the entry's time."""
+"""The flag of a burst that the supervisor wrote on its own descriptor, at the time of the entry."""
 MOST_U32 = 0xFFFFFFFF
 
 MOST_SPEEDS = 5
@@ -66,7 +68,8 @@ TICK = Shape(f"<IBBBBI3f3f{MOST_SPEEDS}f16s", records.rest(SHORT_WHO_BYTES))
 """A tick of the gate; unpack_gate() describes it. It has room for the most speeds and says how many it holds, so that
 records need no layout for each board."""
 WIRE: Payload[int, int, int, bytes] = Payload("<BHH", records.rest(WIRE_HEAD))
-"""Bytes for the board: WIRE_BURST or another; how many; how many the kernel took; the first bytes of a frame."""
+"""Bytes for the board: WIRE_BURST or another kind; how many; how many of them the kernel took; the first bytes of a
+frame."""
 REPORTS: dict[int, Shape] = {
     IMU_KIND: Shape("<6f"),
     BATTERY_KIND: records.BATTERY,
@@ -89,25 +92,26 @@ def single(value: float) -> float:
 
 
 def pack_wire(kind: int, data: bytes, taken: int) -> bytes:
-    """Bytes for the board: WIRE_BURST or another, and how many of them the kernel took (0: none, the port was full)."""
+    """The record of bytes for the board. `kind`: WIRE_BURST or another; `taken`: how many the kernel took (0: none,
+    because the port was full)."""
     return WIRE.pack(kind, min(len(data), 65535), min(taken, 65535), data[:WIRE_HEAD] if kind == WIRE_FRAME else b"")
 
 
 def pack_board(kind: int, *values: float | None) -> bytes:
-    """A report of the board, with the values that REPORTS has for its kind."""
+    """The record of a report of the board, with the values that REPORTS lists for its kind."""
     return bytes((kind,)) + REPORTS[kind].pack(*values)
 
 
 def unpack_board(payload: bytes) -> tuple[int, tuple[Any, ...]]:
-    """Return (kind, its values). Raises ValueError."""
+    """Return (kind, values) of such a record. Raises ValueError."""
     if not payload or payload[0] not in REPORTS:
         raise ValueError(f"a record of the board of {len(payload)} bytes, of no known kind")
     return payload[0], REPORTS[payload[0]].unpack(payload[1:])
 
 
 def pack_arm(mode: str, who: str, aims: list[tuple[int, float]]) -> bytes:
-    """The arm's goal, and the client that set it. For each servo: where it must end (trajectory), where it must be now
-    (follow), both in pulses, or its rate (jog), in pulses/s."""
+    """The record of the arm's goal, and of the client that set it. For each servo: where it must end (trajectory) or be
+    now (follow), in pulses, or its rate (jog), in pulses/s."""
     aims = aims[: records.MOST_JOINTS]
     head = _ARM.pack(ARM_MODES.index(mode), len(aims)) + b"".join(_AIM.pack(servo, single(aim)) for servo, aim in aims)
     return head + who.encode("utf-8", "replace")[: ARM_BYTES - len(head)]
@@ -124,7 +128,8 @@ def unpack_arm(payload: bytes) -> tuple[str, str, dict[int, float]]:
 
 
 def pack_beats(silent_us: list[int], before_us: list[int]) -> bytes:
-    """The longest silence of each of layout.PROCESS_NAMES since the last record, and how long ago it was seen."""
+    """The record of silences: for each of layout.PROCESS_NAMES the longest one since the last record, and how long ago
+    it was seen."""
     return OF_BEATS.pack(SILENCES, *(min(max(0, time_us), MOST_U32) for time_us in (*silent_us, *before_us)))
 
 

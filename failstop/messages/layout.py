@@ -20,7 +20,7 @@ from failstop.shm.words import LINE_BYTES
 
 LAYOUT_VERSION = 12
 SUPERVISOR_BLOCK = 0
-"""The block of futexes (futex.py) that the supervisor holds. The blocks of its children follow."""
+"""The block of futexes (futex.py) that the supervisor holds. The blocks of its children come after it."""
 CLIENT_SLOTS = 8
 NOTE_BYTES = 576
 """The longest note that gate and telemetry send at once (packing.py)."""
@@ -52,7 +52,7 @@ def _ring(name: str, payload: Shape | int, cells: int, readers: str) -> Record:
 
 
 def _beat() -> tuple[Record, ...]:
-    """The heartbeat of a process (heartbeat.py)."""
+    """The records for the heartbeat of a process (heartbeat.py)."""
     return (
         _word("beat_ns", "everyone"),  # CLOCK_MONOTONIC of the last turn of its loop
         _word("beat_worst_ns", "everyone"),  # longest time between two turns
@@ -212,8 +212,8 @@ LAYOUT_HASH = crc32(_TEXT.encode()) << 32 | crc32(_TEXT.encode(), 0x5AFE)
 payload format in records.py changes without any size changing."""
 
 CLIENT_VERSION = 1
-"""Raise it when the library of clients/c must be built anew although no size or place of its records has changed: for
-another meaning of a value, or of a key in `state`, `rules` or `settings`."""
+"""Raise it if the library of clients/c must be rebuilt although the size and place of its records are the same: because
+a value, or a key in `state`, `rules` or `settings`, means something else."""
 OF_LIBRARY: dict[str, dict[str, Shape | None]] = {
     SUPERVISOR: {
         **dict.fromkeys(("beat_ns", "epoch", "ready", "link", "rules", "settings")),

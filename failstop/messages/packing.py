@@ -14,7 +14,7 @@ Value = str | int | float
 Fields = dict[str, Value]
 NO_FIELDS: Fields = {}
 NEXT_STEP = "; next: "
-"""In a text for people, this comes before the next step."""
+"""The text that comes before the next step in a text for people."""
 
 # msgpack.packb allocates 1 MB at every call, so a process that is out of memory would die of a note.
 pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
@@ -22,7 +22,7 @@ pack: Callable[[object], bytes] = msgpack.Packer(buf_size=8192).pack
 
 STEP_BYTES = 200
 NOTE_CUTS = ((280, 280), (280, 64))
-"""Bytes that are left of the text and of each field; the first pair that fits into the ring is used."""
+"""To how many bytes the text and each field are cut. The first pair with which the note fits into the ring is used."""
 
 
 def fitting(

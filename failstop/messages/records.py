@@ -25,18 +25,19 @@ MOTION, WRITE_BURST, OTHER, ARM = range(1, 5)
 WRITE_BURST: the stop burst, now. OTHER: any frame that is not motion, in order. ARM: a frame for the arm's servos, in
 order; it expires as motion does."""
 ASKED_BYTES = 180
-"""Bytes for the words in which a client asks for a stop, in UTF-8. With the asker's name they fit a record."""
+"""How many bytes the reason of a stop request may take, in UTF-8. Together with the asker's name they fit a record."""
 WHO_BYTES = 64
 FLEET_PREFIX = "fleet:"
-"""How the asker's name begins if somebody stopped the whole fleet and this robot passed it on."""
+"""How the asker's name begins if somebody has stopped the whole fleet and this robot's publisher passed the request
+on."""
 CAUSE = "{cause}"
-"""In the text of a reply: stands for the text of the cause."""
+"""Stands for the text of the cause in the text of a reply."""
 REPLY_BYTES = 290
 LEFT_OUT = b" ..."
-"""How such words end if they were cut."""
+"""How a reason ends if it was cut."""
 
 NOBODY = 0
-"""The session number that no client has."""
+"""A session number that no client has."""
 SOURCE_BYTES = 16
 HELD_BYTES = 200
 PATH_BYTES = 300
@@ -52,10 +53,10 @@ PORT_STATES = ("closed", "open", "lost")
 ENABLE, DISABLE, RESET, ARM_MOVE, ARM_DRIVE, ARM_TUCK, ARM_HOLD, ARM_RELEASE, ARM_READ, LIMIT = range(1, 11)
 
 REFUSED, DONE, UNDER_WAY = range(3)
-"""Replies; after UNDER_WAY another reply follows."""
+"""The kinds of replies. After UNDER_WAY another reply follows."""
 FOR_THE_LATCH, FOR_AN_INTERLOCK, FOR_THE_WHEELS = 1, 2, 3
-"""Reasons of a refusal: a latched stop, whose cause is given; an interlock, whose text is given; that the wheels may
-turn."""
+"""The reasons of a refusal: a latched stop, whose cause is given; an interlock, whose text is given; or that the wheels
+may turn."""
 ARM_FOLLOW, ARM_JOG = 1, 2
 MOST_JOINTS = 8
 MOST_SERVOS = 16
@@ -135,7 +136,7 @@ def unpack_life(word: int) -> tuple[int, int]:
 
 
 def printable(text: str) -> str:
-    """Somebody else's text, safe to show: unprintable characters become question marks."""
+    """Another program's text in a form that is safe to show: unprintable characters become question marks."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
@@ -151,7 +152,7 @@ def asking(words: str, who: str = "", pid: int = 0, row: str = "") -> bytes:
 
 
 def cut(text: str, room: int) -> bytes:
-    """The text in at most `room` bytes of UTF-8, cut between characters."""
+    """A text in at most `room` bytes of UTF-8. It is cut between characters."""
     return text.encode("utf-8", "replace")[:room].decode("utf-8", "ignore").encode()
 
 
@@ -270,7 +271,7 @@ WROTE: Payload[int, tuple[float, ...]] = Payload(
 """Something written that the board answers or echoes: the index of a ping; or COMMANDED (failstop/board/handled.py) and
 the speeds that the board will report."""
 PROVED: Payload[int, int] = Payload("<QQ")
-"""The board has handled everything written until the first time; it said so at the second (ns)."""
+"""The board has handled everything that was written until the first time; it reported that at the second time (ns)."""
 STOPPED: Payload[int, int, int, bytes] = Payload("<QQQ", rest(CAUSE_BYTES))
 """A stop: its epoch, when it was noticed, when its burst was handed to the kernel (0: it was not), and its cause,
 packed."""
@@ -296,7 +297,7 @@ ASSERTED: Payload[int, list[str]] = Payload(
 )
 """What a client session asserts: names of interlocks, never cut; or no names, for "the sensor delivered"."""
 SAID: Payload[int, str, str] = Payload("<Q", Tail(_pack_lines, _unpack_lines, 2 * SAID_BYTES + 1))
-"""A client session's report about itself: what it sees, and what is wrong (may be empty)."""
+"""A client's report about itself: what it sees, and what is wrong (may be empty)."""
 HELLO: Payload[int, int, int, str] = Payload("<QIQ", _text(64))
 """The holder of a client slot: a random session number, its pid, its pid namespace, its name."""
 GOODBYES = 64
@@ -319,12 +320,12 @@ ANSWER_WITHIN_NS = 1_000_000_000
 REQUEST: Payload[int, int, int] = Payload("<QQB")
 """A client session's request: its number, which the reply repeats, and its verb, ENABLE or another."""
 AUX: Payload[int, bytes] = Payload("<Q", rest(WIRE_BYTES))
-"""A client session's frame for the wire that is not motion: one of the board's questions, or another frame that its
-check_aux() lets pass."""
+"""A client's frame for the wire that is not motion: one of the board's questions, or a frame that the board's
+check_aux() allows."""
 SPEED_LIMIT: Payload[int, int] = Payload("<QB")
 """The speed limit of a session's request, in percent of the settings' speeds."""
 SEEN: Payload[int, int] = Payload("<QQ")
-"""The newest epoch that the person who asks for a reset had seen; 0: not known, only that the person asked."""
+"""The newest epoch that the person who asks for a reset has seen; 0: that is not known."""
 REPLY: Payload[int, int, int, int, str, bytes] = Payload(
     "<QQBB", Tail(_pack_reply, _unpack_reply, _LENGTH.size + REPLY_BYTES + CAUSE_BYTES, least=_LENGTH.size)
 )
@@ -359,9 +360,10 @@ OF_SESSION: dict[str, Shape] = {
 SERVO: Payload[int, int, int | None] = Payload("<BB", Tail(_pack_answer, _unpack_answer, _ANSWER.size, _ANSWER.size))
 """A bus servo's answer: the servo, the question (board/servos.py), and the value; None: it did not answer."""
 IMU: Payload[float, float, float, float, float, float] = Payload("<6d")
-"""A sample: acceleration (m/s2), then rate (rad/s); x forward, y left, z up."""
+"""A sample of the IMU: acceleration (m/s2), then turn rate (rad/s), each x forward, y left, z up."""
 RATE_VARIANCE = 0.0012**2
-"""(rad/s)^2, to publish with a rate: the gyro's standard deviation at rest is 0.0007 to 0.0011 rad/s (measured)."""
+"""The variance that is published with a turn rate, (rad/s)^2. At rest the gyro's standard deviation is 0.0007 to 0.0011
+rad/s (measured)."""
 BIAS: Payload[float, float, float, bool, bool] = Payload("<3d??")
 """The gyro's bias (rad/s on x, y, z), whether it follows the reading now, whether a calibration ever found it."""
 ODOMETRY_FROM = ("commands", "wheels")
@@ -371,7 +373,8 @@ ODOMETRY = Shape("<8dB6d")
 deviation: m/s for vx and vy, rad/s for wz; the source of both, an index of ODOMETRY_FROM; the covariance of the pose:
 xx, xy, x th, yy, y th, th th. Its time is that of the wheels' newest report, or now if it comes from commands."""
 POSE_VARIANCE = 1e3
-"""m^2 for x and y, rad^2 for th, to publish with a pose from commands, because dead reckoning can't be trusted."""
+"""The variance that is published with a pose from commands, m^2 for x and y, rad^2 for th. It is huge, because dead
+reckoning can't be trusted."""
 MOST_WHEELS = 4
 WHEELS_DO = ("unknown", "still", "turning")
 WHEELS_BY = ("", "IMU", "wheels")
@@ -381,7 +384,7 @@ they were told zero for longer than still.after_s; how many wheels are reported;
 reading (both ns, 0: never); then the measured speed of each wheel in turns per second, by wire id, and how far each has
 turned (NaN: not reported)."""
 OLD_READING_NS = 500_000_000
-"""An older reading of the wheels says nothing about now."""
+"""A reading of the wheels that is older than this says nothing about now."""
 BATTERY: Payload[int, int] = Payload("<IB")
 """The battery's voltage in mV, and whether the charger is plugged in: an index of PLUGGED."""
 HEALTH = Shape("<", Tail(_pack_health, _unpack_health, MOST_SERVOS * _SERVO_HEALTH.size))
@@ -398,7 +401,7 @@ PAD_REQUEST: Payload[int, bytes] = Payload("<B", rest(WIRE_BYTES))
 
 
 def port_state(entry: tuple[int, int, bytes] | None, number: int) -> int:
-    """The state of the port with this number, by the port owner's record; PORT_CLOSED if the record is about another
+    """The state of the port with this number, from the port owner's record; PORT_CLOSED if the record is about another
     port."""
     if entry is None:
         return PORT_CLOSED

@@ -50,7 +50,7 @@ def path_of(memory: str, segment: str, folder: str = SHM) -> str:
 
 
 def create(memory: str, name: str, incarnation: int, client_gid: int = -1) -> Segment:
-    """Create a segment of this run. Only the run's supervisor does this, and it holds the lock on its own segment as
+    """Create a segment of this run. Only the run's supervisor does this; it holds the lock on its own segment for as
     long as it lives. Raises AttachError, and then leaves nothing behind."""
     spec, path = SEGMENT_BY_NAME[name], path_of(memory, name)
     try:
@@ -94,8 +94,8 @@ def _make(path: str) -> int:
 
 
 def unlink(memory: str, name: str) -> None:
-    """Remove a segment's name. A name that is gone already, or is another user's, is fine, because nobody needs it
-    again."""
+    """Remove a segment's name. It does not matter if the name is gone already or belongs to another user, because
+    nobody needs it again."""
     with contextlib.suppress(OSError):
         os.unlink(path_of(memory, name))
 
@@ -120,7 +120,7 @@ def living(memory: str) -> bool:
 
 
 def open_life(memory: str, owner: int) -> int:
-    """A descriptor to call lives() with more than once. Raises AttachError."""
+    """A descriptor for several calls of lives(). Raises AttachError."""
     return _open(memory, SUPERVISOR, False, owner)
 
 
@@ -256,7 +256,7 @@ def _open(memory: str, name: str, write: bool, owner: int = -1) -> int:
 
 
 def _described(memory: str, name: str) -> str:
-    """How messages name a segment."""
+    """How messages name this segment."""
     return f"shared memory {name} of {memory.partition('.')[0]!r}"
 
 

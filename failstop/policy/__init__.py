@@ -1,2 +1,2 @@
-"""Policy: the tables that the service follows: the settings, and the causes of a stop. It lies below every process and
-imports none."""
+"""Policy: the tables that the service follows, such as the settings and the causes of a stop. All processes import it,
+and it imports none of them."""

@@ -1,4 +1,5 @@
-"""Capsules: would the arm hit itself, the chassis or the floor on its way? Pure; never used on the stop path.
+"""Capsules: finds out whether the arm would hit itself, the chassis or the floor on its way. Pure; never used on the
+stop path.
 
 The arm is a chain of capsules, one after each joint. With every angle at zero it points straight up from its mount. A
 joint turns the rest of the arm about the vertical (yaw), about an axis across (pitch), about itself (roll), or not at
@@ -17,7 +18,8 @@ Capsule = tuple[str, Point, Point, float]
 FLOOR = "the floor"
 CHASSIS = "the chassis"
 STEP_RAD = 0.05
-"""Angle between two looks at the arm on its way: 5 mm at a reach of 0.1 m, 15 mm at 0.3 m."""
+"""By which angle the arm moves between two checks on its way, rad. That is 5 mm at a reach of 0.1 m, and 15 mm at 0.3
+m."""
 
 
 class Model:
@@ -71,7 +73,8 @@ def _gap_m(one: Capsule, other: Capsule) -> float:
 
 
 def apart_m(p1: Point, q1: Point, p2: Point, q2: Point) -> float:
-    """The distance of two segments: the closest points of both lines, each limited to its segment in turn."""
+    """The distance between two segments, m: between the closest points of both lines, each limited to its segment in
+    turn."""
     d1, d2, r = _minus(q1, p1), _minus(q2, p2), _minus(p1, p2)
     a, e, b, c, f = _dot(d1, d1), _dot(d2, d2), _dot(d1, d2), _dot(d1, r), _dot(d2, r)
     s = _held(b * f - c * e, a * e - b * b)

@@ -1,9 +1,9 @@
 """Causes: everything that stops the robot, declared once: its text, the processes that notice it, what clears it, and
 what people do.
 
-A cause travels as the number of its row with its arguments (`pack`) from the process that notices it to the one that
-reports it; its text is made at the end (`str`). In a template, text in brackets is left out when its arguments are
-empty. Every cause latches.
+The process that notices a cause sends the number of its row and its arguments (`pack`) to the process that reports it,
+and only there the text is made (`str`). In a template, text in brackets is left out if its arguments are empty. Every
+cause latches.
 
 `what` continues "stopped since ...", with the same arguments plus `role` of the process and `names` of the buttons.
 `remedy` continues "first ..." (`Kind.first`), and may name what has to be changed (ADVISED).
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from failstop.messages.packing import Value
 
 ARGUMENTS_BYTES = 280
-"""Bytes that the arguments of a cause may take, in UTF-8; longer ones are cut."""
+"""How many bytes the arguments of a cause may take, in UTF-8. Longer ones are cut."""
 BETWEEN = "\x1f"
 LONGEST_PID = 10
 NOT_KNOWN = "not known yet"
@@ -46,7 +46,7 @@ _TELL = (
 _AGAIN = "if this is not the first time, look at what happened before it (`failstop events`)"
 _BUSY = "check the computer's load and failstop's real-time rights (`failstop doctor`), because something held it up"
 POWER = "turn the robot's POWER SWITCH off and on, because a stop may not have reached the wheels"
-"""The first remedy for a cause with a doubt."""
+"""The first remedy for a cause with a `doubt`."""
 PORT_SHARED = "`failstop doctor` shows whether a login or another program takes the answers from the port"
 USE_THE_SWITCH = "use the POWER SWITCH"
 
@@ -97,7 +97,8 @@ class Cause:
         return {name: value for (name, _), value in zip(self.kind.parameters, self.arguments, strict=True)}
 
     def alarm(self) -> str:
-        """The text for the moment in which it happens: with the power switch, if the stop may not reach the wheels."""
+        """The text for the moment in which it happens. It names the power switch if the stop may not reach the
+        wheels."""
         return f"{self}: {USE_THE_SWITCH}" if self.kind.doubt else str(self)
 
     def as_map(self) -> dict[str, Value]:
@@ -140,7 +141,7 @@ def unpack(payload: bytes) -> Cause:
 
 
 def filled(template: str, arguments: dict[str, Value]) -> str:
-    """The template with its arguments filled in; every second part of it was in brackets."""
+    """The text of a template with these arguments. Every second part of a template was in brackets."""
     parts = template.replace("]", "[").split("[")
     return "".join(
         part.format_map(arguments)

@@ -32,17 +32,17 @@ class Halted(Data):
     written: bool
     """True if a whole stop has left this computer."""
     there: bool = True
-    """The port exists."""
+    """True if the port exists."""
     why: str = ""
     """Why no stop could be written."""
     confirms: bool = False
-    """This board can confirm a stop."""
+    """True if this board can confirm a stop."""
     confirmed: bool = False
-    """The board has answered a question that followed the stop."""
+    """True if the board has answered a question that followed the stop."""
     still: bool | None = None
-    """Whether the wheels were reported at rest after the stop; None if nothing reports them."""
+    """True if the wheels were reported at rest after the stop, False if not; None if nothing reports them."""
     by: str = "the board"
-    """What reports the wheels."""
+    """What reports about the wheels, for example "the board"."""
 
     @property
     def safe(self) -> bool:
@@ -70,4 +70,5 @@ SENTENCES: tuple[tuple[Callable[[Halted], bool], bool, str], ...] = (
     (lambda known: known.confirmed, True, CONFIRMED),
     (lambda _: True, True, UNCONFIRMABLE),
 )
-"""The condition, whether that is safe, and the sentence. The first row that fits decides."""
+"""Rows of a condition, True if the wheels are then safe, and the sentence. The first row whose condition holds
+decides."""

@@ -14,7 +14,7 @@ MOST_MISSES = 4
 
 
 class Joint:
-    """One joint: its bounds, and what is known about it."""
+    """One joint of the arm: its settings, and what is known about it."""
 
     def __init__(
         self,
@@ -47,36 +47,36 @@ class Joint:
         self.measured: int | None = None
         self.measured_ns = 0
         self.unpaired: int | None = None
-        """A reading that counts once a second reading equals it."""
+        """A reading that counts only once a second one equals it."""
         self.misses = 0
-        """Questions in a row without an answer."""
+        """How many questions in a row have had no answer."""
         self.temperature_c = self.supply_mv = 0
         self.stepped_ns = 0
 
     @property
     def silent(self) -> bool:
-        """True if its servo does not answer."""
+        """True if the joint's servo does not answer."""
         return self.misses >= MOST_MISSES
 
     def pulses(self, angle_rad: float) -> float:
-        """An angle in rad, in pulses."""
+        """The position in pulses that an angle in rad stands for."""
         return self.zero + self.turned(angle_rad)
 
     def turned(self, angle_rad: float) -> float:
-        """A change or rate of the angle, in pulses."""
+        """A change, or a rate, of the angle as pulses."""
         return self.sign * angle_rad * self.per_rad
 
     def rad(self, pulses: float) -> float:
-        """Pulses as an angle in rad."""
+        """The angle in rad that a position in pulses stands for."""
         return (pulses - self.zero) * self.sign / self.per_rad
 
     def range_rad(self) -> tuple[float, float]:
-        """The angles it may be sent to, the smaller first."""
+        """The lowest and the highest angle to which the joint may be sent, rad."""
         low, high = sorted((self.rad(self.low), self.rad(self.high)))
         return low, high
 
     def state(self) -> tuple[str, int, float | None, int | None, int, bool | None, int, int]:
-        """The joint as people and programs see it."""
+        """The joint's state, for people and programs."""
         position = round(self.position, 2) if self.known else None
         read = (self.measured, self.measured_ns, self.loaded, self.temperature_c, self.supply_mv)
         return (self.name, self.servo, position, *read)
@@ -94,13 +94,13 @@ class Joint:
         self._step(copysign(wanted, gap), elapsed_s)
 
     def jog(self, rate: float, elapsed_s: float) -> None:
-        """Move at a rate (pulses/s), which ends at its bounds."""
+        """Move at a rate (pulses/s) until a bound is reached."""
         room = (self.high - self.position) if rate > 0 else (self.position - self.low)
         wanted = min(abs(rate), self.speed, self._stops_within(max(0.0, room), elapsed_s))
         self._step(copysign(wanted, rate), elapsed_s)
 
     def _stops_within(self, way: float, elapsed_s: float) -> float:
-        """The speed from which it can still stop within this distance, in steps of this length."""
+        """The highest speed from which the joint can still stop within this distance, in steps of this length."""
         ramp = self.acceleration * elapsed_s
         return ramp * (sqrt(0.25 + 2 * way / (ramp * elapsed_s)) - 0.5)
 
@@ -127,7 +127,7 @@ def from_settings(settings: Settings) -> list[Joint]:
 
 
 def too_far(angles: dict[Joint, float]) -> str:
-    """A text that names a joint which may not be sent there, with its range; empty if all may."""
+    """The text about a joint that may not be sent there, with its range; empty if all may."""
     for joint, angle in angles.items():
         low, high = joint.range_rad()
         if not isfinite(angle) or not low - 1e-6 <= angle <= high + 1e-6:

@@ -17,29 +17,30 @@ from failstop.policy.settings import Settings, mounted_wheels
 Velocity = tuple[float, float, float]  # vx, vy in m/s, wz in rad/s
 WheelSpeeds = tuple[float, ...]
 RimSpeeds = tuple[float, float, float]
-"""How fast a wheel rolls at its rim, in m/s, for each of vx and vy in m/s, and wz in rad/s."""
+"""The speed at a wheel's rim, m/s, for each m/s of vx and vy and each rad/s of wz."""
 
 FIXED, MECANUM = 0.0, 1.0
-"""How much wheels on two sides follow vy (FIXED: not at all)."""
+"""How much the wheels of a base with two sides follow vy. FIXED wheels don't."""
 AXES = {
     "mecanum": (1.0, 1.0, 1.0),
     "differential": (1.0, 0.0, 1.0),
     "omni3": (1.0, 1.0, 1.0),
     ACKERMANN: (1.0, 0.0, 1.0),
 }
-"""Factors of (vx, vy, wz) that each layout can follow. A limit times its factor is the limit that holds."""
+"""Which of (vx, vy, wz) a base with each layout can follow, as factors. A limit times its factor is the limit that
+applies."""
 
 
 LEAST_PIVOT = 1e-9
-"""A number that is smaller than this share of the largest one is a rounding error."""
+"""A number that is smaller than this share of the largest one counts as a rounding error."""
 
 
 class Chassis:
-    """Wheels of one diameter; each turns in proportion to the body's velocity."""
+    """Wheels of one diameter. Each turns in proportion to the velocity of the base."""
 
     __slots__ = ("_back", "_rows", "axes", "rest")
     steers = False
-    """True if the last of its speeds is the angle of the steered wheels, in rad to the left."""
+    """True if the last of the speeds is the angle of the steered wheels, rad to the left."""
 
     def __init__(
         self,
@@ -88,7 +89,7 @@ class Chassis:
         return tuple([x * vx_mps + y * vy_mps + z * wz_radps + 0.0 for x, y, z in self._rows])
 
     def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
-        """The fastest that any wheel can turn within these limits (each at least 0)."""
+        """The highest speed that any wheel can reach within these limits (each at least 0), turns per second."""
         return max(abs(x) * vx_mps + abs(y) * vy_mps + abs(z) * wz_radps for x, y, z in self._rows)
 
 
@@ -121,7 +122,7 @@ class Steered(Chassis):
 
     @property
     def turns_unseen(self) -> bool:
-        """True if nothing but the commanded angle tells how it turns, because it has one driven wheel."""
+        """True if only the commanded angle shows how the base turns, because it has one driven wheel."""
         return len(self._rear.rest) == 1
 
     def rolled(self) -> tuple[tuple[float, ...], ...]:
@@ -130,7 +131,7 @@ class Steered(Chassis):
         return self._rear.rolled()
 
     def turn_radps(self, vx_mps: float, steering_rad: float) -> float:
-        """How fast it turns at this steering angle (positive to the left), in rad/s."""
+        """How fast the base turns at this steering angle (positive to the left), rad/s."""
         return vx_mps * tan(max(-self._most_rad, min(steering_rad, self._most_rad))) / self._wheelbase_m
 
     def worst_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> float:
@@ -167,8 +168,8 @@ def two_sides(wheels: int, lever_m: float, sideways: float) -> list[RimSpeeds]:
 
 
 def omni(lever_m: float, ways_deg: Sequence[float]) -> list[RimSpeeds]:
-    """Omni wheels around the middle. Each rolls in one direction, given in degrees counter-clockwise from forward, and
-    slips across it. If all roll forward, the robot turns counter-clockwise."""
+    """Omni wheels around the middle of the base. Each rolls in one direction, given in degrees counter-clockwise from
+    forward, and slips across it. If all roll forward, the robot turns counter-clockwise."""
     # Rounded, so that a wheel at right angles to the motion does not turn.
     return [(round(cos(radians(way)), 15), round(sin(radians(way)), 15), lever_m) for way in ways_deg]
 
@@ -213,5 +214,5 @@ def of_wheels(
 
 
 def max_wheel_rps(settings: Settings) -> float:
-    """The highest speed of any wheel within the settings' limits, in revolutions per second."""
+    """The highest speed that any wheel can reach within the settings' limits, turns per second."""
     return from_settings(settings).worst_rps(*(settings[f"limits.{axis}"] for axis in ("vx_mps", "vy_mps", "wz_radps")))

@@ -23,7 +23,7 @@ LAYOUTS: dict[str, tuple[int, ...]] = {"mecanum": (4,), "differential": (2, 4), 
 """How many wheels each layout may have. A known board drives as many as its frame has speeds; your own board drives
 the smallest number."""
 SERVOS = ("pwm", "bus")
-"""The kinds of servos that can steer."""
+"""The kinds of servos that may steer."""
 WHEEL_NAMES = {
     1: ("rear",),
     2: ("left", "right"),
@@ -117,7 +117,7 @@ DEFAULTS: dict[str, dict[str, float | str]] = {
 """Other defaults of a layout. The omni3 ones are LeKiwi's (lerobot's lekiwi.py), the ackermann ones ROSOrin's; a board
 may have others for its steered base (Facts.steered_defaults)."""
 _FIRST_LAYOUT = {2: "differential", 3: "omni3"}
-"""The layout of a board with this many speeds, if none is set."""
+"""The layout that is used for a board with this many speeds if the settings name none."""
 _GEOMETRY: dict[str, tuple[str, ...]] = {
     "wheels.wheelbase_m": ("mecanum", "differential", ACKERMANN),
     "wheels.track_m": ("mecanum", "differential", ACKERMANN),

@@ -1,5 +1,5 @@
-"""Where a line of a settings file belongs, in words for the person who wrote it: the line that TOML counts to another
-table, and the setting that is there twice. Imported for a mistake only."""
+"""Placing: explains to the person who wrote a settings file where a line belongs: a line that TOML counts to another
+table, or a setting that appears twice. Imported only after a mistake."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class FileLine(Data):
 
 
 def outline(text: str) -> list[FileLine]:
-    """The lines that begin a table or set something. It reads line by line, so a text of several lines may look like
-    settings: good enough for a message."""
+    """The lines that begin a table or set something. It reads line by line, so a line within a longer text may look
+    like a setting; for a message that is good enough."""
     found = []
     table = ""
     for number, line in enumerate(text.split("\n"), 1):

@@ -10,12 +10,12 @@ supervisor is last: it is needed when the others have died, and its death must n
 
 MS = 1_000_000
 HANG_NS = 250 * MS
-"""No wheel turns on for longer than this after a hang. The stopper notices a hang of the port owner; supervisor and
-port owner each notice their own."""
+"""After a hang no wheel turns for longer than this. The stopper notices a hang of the port owner; the supervisor and
+the port owner each notice that they were held up themselves."""
 
 
 class Process(Data):
-    """One row: the process, how it is started and watched, and what its loss means."""
+    """One row of the table: a process, how it is started and watched, and what its loss means."""
 
     name: str
     role: str
@@ -66,4 +66,4 @@ PROCESSES = (
 
 PROCESS_BY_NAME = {row.name: row for row in PROCESSES}
 ROLES = {**{row.name: row.role for row in PROCESSES}, "supervisor": "starts and watches the others"}
-"""The job of each process, as the end of a sentence."""
+"""The job of each process, as words that end a sentence."""

@@ -1,4 +1,4 @@
-"""Proofs: the words for what is known about a stop and about its board, for people and in records. Pure."""
+"""Proofs: the words, for people and in records, for what is known about a stop and about the board. Pure."""
 
 from __future__ import annotations
 
@@ -16,42 +16,42 @@ LINKS_IN_WORDS = {
     LINK_UNHEARD: "the board has NOT answered since its port came back",
     LINK_UNASKED: "this board answers no questions, by design",
 }
-"""For people: what each state of the link means."""
+"""What each state of the link means, for people."""
 NOT_CONNECTED = (LINK_DEAF, LINK_SILENT, LINK_UNHEARD)
-"""In these states a stop may not reach the wheels, or nobody would see that it did not."""
+"""States of the link in which a stop may not reach the wheels, or nobody would see that it did not."""
 WAITS_FOR = {
     LINK_DEAF: "the board, which does not hear",
     LINK_SILENT: "the board, which says nothing any more",
     LINK_UNHEARD: "the board, which has not answered since its port came back",
 }
-"""For people: what motion waits for in these states."""
+"""What motion waits for in each of these states, for people."""
 TO_A_STRANGER = "to a device that has not answered as the board does"
-"""For people: about bytes that the kernel has passed on to an unknown device."""
+"""The text about bytes that the kernel has passed on to an unknown device."""
 NOT_SENT = "NOT sent: the board accepts no bytes"
-"""For people: about bytes that the kernel took and still holds (with cdc_acm; a full pty takes none)."""
+"""The text about bytes that the kernel has taken and still holds (with cdc_acm; a full pty takes none)."""
 ACKNOWLEDGED_BY = {"answer": "the board", "echo": "the board's echo"}
-"""For people: what acknowledges a stop, by the board interface's word."""
+"""What acknowledges a stop, for people, by the board interface's word."""
 UNMOVED = "not acknowledged, because this board's echo shows only a stop that ends motion"
-"""For people: about a board without pings whose echo was zero already, or did not say that it moves."""
+"""The text about a board without pings that reported zero already before the stop, or did not report that it moves."""
 SEEN_BY = {"IMU": "the IMU", "wheels": "the board's own reports"}
-"""For people: what observed the wheels, by the board interface's word. If nothing does: NO_IMU."""
+"""What observed the wheels, for people, by the board interface's word. If nothing did: NO_IMU."""
 NO_IMU = "not observed: the robot has no IMU"
 NEVER_SEEN = {"IMU": "no shaking seen before or after", "wheels": "not seen turning before or after"}
-"""For people: the observer saw no motion that could have come to rest."""
+"""The text for a stop before which the observer saw no motion, so that nothing could come to rest."""
 ALTHOUGH_TOLD_ZERO = {
     "wheels": "the wheels turn although they are told to stop",
     "IMU": "the robot moves, or is being moved, although its wheels are told to stop",
 }
-"""For people: about wheels that turn for longer than they may, by their observer."""
+"""The text about wheels that turn for longer than they may, by the observer."""
 WATCHDOGS = {"zero": "it stops its wheels", "coast": "it lets its wheels coast", "disarm": "it disarms its motors"}
-"""For people: what the board's own watchdog does, by the board interface's word."""
+"""What the board's own watchdog does, for people, by the board interface's word."""
 RESOLUTION_S = 0.2
-"""The IMU can't time the wheels' rest any better than this."""
+"""How exactly the IMU can time when the wheels came to rest, s."""
 WINDOW_NS = 500_000_000
-"""The span of IMU samples that one judgement of a standstill is made of."""
+"""How long the window of IMU samples is from which one judgement is made."""
 LEAST_SAMPLES = 20
-"""If a window has fewer samples than this, nothing is judged (an IMU below 40 Hz), because a standard deviation of so
-few samples says too little."""
+"""If a window has fewer samples (an IMU below 40 Hz), nothing is judged, because their standard deviation says too
+little."""
 
 
 def observer(boards: str, *, imu: bool) -> str:
@@ -61,15 +61,16 @@ def observer(boards: str, *, imu: bool) -> str:
 
 
 def still_after(seconds: float, less: str = "less than") -> str:
-    """For people: the time until the wheels were still, no finer than it is known."""
+    """The time until the wheels were still, for people, with no more digits than are known."""
     return f"{less} {RESOLUTION_S:g} s" if seconds < RESOLUTION_S else f"about {seconds:.1f} s"
 
 
 def still_or_unseen(seconds: float, less: str = "less than", by: str = "IMU") -> str:
-    """For people, after a text that named the wheels; 0 seconds: the observer saw no motion before the stop either."""
+    """A text that continues after the wheels were named: when they were still. 0 seconds: the observer saw no motion
+    before the stop either."""
     return f"still after {still_after(seconds, less)}" if seconds else NEVER_SEEN[by]
 
 
 def wheels_seen(seconds: float, by: str = "IMU") -> str:
-    """For people: when the wheels came to rest, and what observed it."""
+    """A text that says when the wheels came to rest, and what observed it."""
     return f"wheels {still_or_unseen(seconds)}" if seconds else NEVER_SEEN[by]

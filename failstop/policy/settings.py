@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from failstop.board.facts import ArmFacts
 
 SETTINGS_VARIABLE = "FAILSTOP_SETTINGS"
-"""The environment variable in which a process finds them."""
+"""The environment variable in which a process finds the settings."""
 
 
 def _word(key: str, default: float | str, doc: str, allowed: tuple[int, ...] | tuple[str, ...] = ()) -> Setting:
@@ -456,7 +456,7 @@ class Settings:
                 _check_joint(key, table, kind, facts.arm)
 
     def __getitem__(self, key: str) -> float:
-        """A number, in the unit that its name ends in."""
+        """The value of a number setting, in the unit with which the key ends."""
         value = self.values[key]
         if isinstance(value, str):
             raise TypeError(f"{key} is a text")
@@ -467,7 +467,7 @@ class Settings:
         return str(self.values[key])
 
     def on(self, key: str) -> bool:
-        """A switch: "on" is True."""
+        """True if a switch is on."""
         return self.values[key] == "on"
 
     def ns(self, key: str) -> int:
@@ -490,10 +490,10 @@ class Settings:
         }
 
     def board(self) -> tuple[str, float, float, SteeringServo | None, float, int, int, int]:
-        """The arguments for board_of() of failstop/board/kinds.py: the kind of board, the wheel diameter in m, one
-        wheel turn per second in the board's own unit (0: as usual), the servo of a steered base, the confirmed value of
-        that unit (0: none), the baud rate (0: as usual), the CAN id of the second motor, and how many speeds a frame
-        sets."""
+        """The arguments for board_of() of failstop/board/kinds.py: the kind of board, the wheel diameter in m, how many
+        of the board's speed units make one wheel turn per second (0: as usual), the servo of a steered base, the
+        confirmed value of that number (0: none), the baud rate (0: as usual), the CAN id of the second motor, and how
+        many speeds a frame sets."""
         steering = None
         if self.text("wheels.layout") == layouts.ACKERMANN:
             steering = SteeringServo(
@@ -510,7 +510,7 @@ class Settings:
 
     @property
     def speeds(self) -> int:
-        """The number of speeds in a frame for the board, one for each id on the wire."""
+        """How many speeds a frame for the board has, one for each id on the wire."""
         ids = [id_ for id_, _ in mounted_wheels(self.values)]
         found = layouts.speeds_of(self.text("board.kind"), self.text("wheels.layout"))
         return max(found, max(ids) + 1) if found else len(ids)
@@ -533,7 +533,7 @@ class Settings:
 
     @classmethod
     def from_lines(cls, text: str) -> Settings:
-        """The inverse of lines()."""
+        """The settings in lines that lines() has made."""
         changed: dict[str, object] = {}
         for line in text.splitlines():
             key, value = line.split("=", 1)

@@ -43,7 +43,7 @@ UNIT = "rad/s of the output shaft"
 LIMIT = 280.0
 """The fastest that any of these motors turns (DM-H3510)."""
 MOST = 4
-"""Motors of the largest base. A stop is for as many."""
+"""How many motors the largest base has. A stop is always for this many."""
 STEPS = 64
 """A speed is sent in steps of 1 rad/s divided by this. A float holds each step exactly."""
 SPEED_ID, REGISTERS_ID = 0x200, 0x7FF
@@ -178,9 +178,9 @@ class _Motor:
         self.level: int | None = None
         """The speed in its newest report, in steps of its scale, since the speeds of all motors were last returned."""
         self.obeys = False
-        """It has reported that it is enabled, or it should be, because the motors were armed."""
+        """True if the motor has reported that it is enabled, or should be because the motors were armed."""
         self.off = 0
-        """How many reports in a row say that it does not obey."""
+        """How many of its reports in a row say that it does not obey."""
         self.set = False
         """Its registers should have what it was armed with."""
         self.differs = {TIMEOUT: 0, MODE: 0}
@@ -189,7 +189,7 @@ class _Motor:
 
 
 class Replies(Reader):
-    """The motors' answers. A question counts as answered when every motor has answered it."""
+    """Decodes the motors' answers. A question counts as answered when every motor has answered it."""
 
     def __init__(self, count: int) -> None:
         self._lines = slcan.Lines()
@@ -219,8 +219,8 @@ class Replies(Reader):
         return found
 
     def _written(self, index: int, value: bytes) -> None:
-        """A motor has taken a value into a register. The watchdog's time is set when all motors are armed, so from then
-        on each of them is expected to obey, also one that has heard nothing of it."""
+        """A motor has accepted a value for a register. The time of the watchdog is set when all motors are armed, so
+        from then on each of them should obey, even if one has heard nothing of it."""
         if index == TIMEOUT:
             self._set[TIMEOUT] = value
             for motor in self._motors.values():
@@ -244,8 +244,8 @@ class Replies(Reader):
         return [Restarted(f"motor {number_} {off}"), *self._health()]
 
     def _forgotten(self, number_: int, index: int, value: bytes) -> list[Sample]:
-        """Whether a motor has lost what it was armed with: a speed would mean something else to it, or its watchdog
-        would not act. A single answer may be garbled."""
+        """The sign of a restart if a motor has lost what it was armed with, because a speed would then mean something
+        else to it, or its watchdog would not act. A single answer may be garbled, so more than one must differ."""
         motor = self._motors[number_]
         if not motor.set or index not in motor.differs:
             return []

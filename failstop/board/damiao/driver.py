@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 1_000_000_000
-"""damiao-motor waits as long for the answer about a register."""
+"""How long damiao-motor waits for the answer about a register."""
 PAST_NS = 1_000_000_000
-"""Every motor has reported within this."""
+"""Every motor has sent a report within this time."""
 _SPEED, _VALUE = Struct("<f"), Struct("<I")
 _LEAST_SPEED = 4
 """Bytes of the shortest speed frame."""
@@ -62,7 +62,7 @@ class DamiaoDriver:
         self._speeds = [0.0] * motors
         self._enabled = [True] * motors
         self._takes_speeds = [True] * motors
-        """In its mode of speeds, as far as the driver has said."""
+        """For each motor, True if it is in the mode of speeds, as far as the driver has said."""
         self._open = True
         self._line = b""
         self._heard = slcan.Lines()
@@ -72,13 +72,14 @@ class DamiaoDriver:
         """The questions for registers, by motor and register, that were not answered yet."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
-        """The driver's lines."""
+        """Handle the driver's lines."""
         *lines, rest = (self._line + chunk).split(slcan.CR)
         self._line = rest[: _LONGEST + 1]
         return [row for line in lines for row in self._run(line)]
 
     def heard(self, chunk: bytes, now_ns: int) -> list[bytes]:
-        """Reports are kept for the driver's next frame. Answers about registers are passed on if the driver asked."""
+        """Keep the reports for the driver's next frame. Answers about registers are passed on if the driver has
+        asked."""
         found: list[bytes] = []
         for can_id, data in self._heard.frames(chunk):
             if can_id >= codec.SPEED_ID:
@@ -94,8 +95,8 @@ class DamiaoDriver:
         return found
 
     def _run(self, line: bytes) -> list[Row]:
-        """One line, without its end. An empty one is the last one again to a CANable, and nothing here. Zeros alone are
-        no command, wherever the adapter begins its line again."""
+        """Handle one line without its end. A CANable takes an empty line for the last one again; here it means nothing.
+        Zeros alone are no command, wherever the adapter begins its line again."""
         command, rest = line[:1], line[1:]
         if not line.strip(b"0"):
             return []
@@ -150,7 +151,7 @@ class DamiaoDriver:
         return [self._motion(), *self._report(motor)]
 
     def _switch(self, motor: int, what: int) -> list[Row]:
-        """Enable or disable a motor, or clear its fault. Its speed is zero afterwards."""
+        """Enable a motor, disable it, or clear its fault. Its speed is zero afterwards."""
         if what == _ZERO:
             return [
                 DriverRefusal(f"the zero of motor {motor}'s position", "it stays where it is"),
@@ -179,7 +180,7 @@ class DamiaoDriver:
         return [DriverRefusal(what_for, "it was not passed on")]
 
     def _written(self, motor: int, index: int, data: bytes) -> list[Row]:
-        """A value for a register: failstop has set the mode of speeds and the watchdog itself."""
+        """Handle a value for a register. failstop has set the mode of speeds and the watchdog itself."""
         if index == codec.TIMEOUT:
             refused = DriverRefusal(
                 "the time of the motors' watchdog", "failstop sets it itself: this was only answered"
@@ -193,7 +194,7 @@ class DamiaoDriver:
         return [DriverRefusal(f"another mode for motor {motor}", _USE_SPEEDS), *self._stop()]
 
     def _taken(self, motor: int, data: bytes) -> list[Row]:
-        """The answer of a motor that has taken a value into a register."""
+        """The answer of a motor that has accepted a value for a register."""
         can_id, _ = self._reports.get(motor, (0, b""))
         return [DriverAnswer(slcan.line(can_id, data))]
 

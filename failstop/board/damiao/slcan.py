@@ -25,7 +25,7 @@ _HEAD = 5
 """How many characters of a line come before its data."""
 _DIGITS = frozenset(b"0123456789abcdefABCDEF")
 _KEPT = 64
-"""How many characters are kept of a line without its end; no line from an adapter is longer."""
+"""How many characters of an incomplete line are kept. No line from an adapter is longer."""
 
 
 def line(can_id: int, data: bytes) -> bytes:
@@ -46,7 +46,7 @@ def frame_of(text: bytes, least: int = 8) -> tuple[int, bytes] | None:
 
 
 class Lines:
-    """Makes frames from the bytes of an adapter."""
+    """Decodes the bytes of an adapter into frames."""
 
     def __init__(self) -> None:
         self._kept = b""

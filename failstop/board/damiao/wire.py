@@ -50,8 +50,8 @@ def _driver(settings: Mapping[str, float | str]) -> DriverLanguage:
 
 
 def wire(speeds: int, _can_id: int = 0) -> Wire:
-    """The description for this many motors, with the CAN ids 1, 2 and so on. 0: the number is not known, so two are
-    asked."""
+    """The description for this many motors, with the CAN ids 1, 2 and so on. 0: the number is not known, so only two
+    are asked."""
     motors = codec.Motors(speeds or USUAL)
     return Wire(
         name=f"{speeds} Damiao motors behind a slcan adapter" if speeds else "Damiao motors behind a slcan adapter",
@@ -120,4 +120,4 @@ def wire(speeds: int, _can_id: int = 0) -> Wire:
 
 
 WIRE = wire(0)
-"""Of two motors: how many there are is not known before the settings are."""
+"""The description for two motors, because the number is not known before the settings are."""

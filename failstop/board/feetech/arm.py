@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 HIGHEST = codec.TURN - 1
 ANSWER_NS = 1_000_000
-"""The default return delay of a servo, and its answer."""
+"""How long a servo takes to answer, with its default return delay."""
 _ROWS_AT = 7
 
 
@@ -47,7 +47,7 @@ def _torque(servo: int, on: bool) -> bytes:
 
 
 class FeetechArm(ServoBus):
-    """The joints' servos, on the wheels' bus."""
+    """The servos of the arm's joints, on the wheels' bus."""
 
     __slots__ = ("_byte_ns",)
 
@@ -57,26 +57,27 @@ class FeetechArm(ServoBus):
         self._byte_ns = port.byte_ns
 
     def stops(self, servos: Sequence[int]) -> bytes:
-        """Empty: without a next goal a servo stays at the last one, with its torque on."""
+        """Empty, because a servo without a next goal stays at its last one, with its torque on."""
         return b""
 
     def move(self, positions: Sequence[tuple[int, int]], duration_ms: int, longest_ms: int = 0) -> bytes:
-        """Goals for a few servos, in one frame. Each servo chooses the time for its small step."""
+        """Goals for a few servos, in one frame. Each servo chooses itself how long its small step takes."""
         return _goals(positions)
 
     def read(self, servo: int, what: int) -> bytes:
-        """The question to one servo."""
+        """The packet that asks one servo a question."""
         return codec.packet(_id(servo), codec.READ, bytes(codec.READS[what]))
 
     def look(self, servos: Sequence[int]) -> bytes:
-        """A sync read of at most as many servos as a question to the wheels asks."""
+        """A sync read of a few servos, at most as many as a question to the wheels asks."""
         counted("servos", servos, 1, len(codec.WHEELS))
         distinct("servo id", servos)
         ids = bytes([_id(servo) for servo in servos])
         return codec.packet(codec.EVERY_SERVO, codec.SYNC_READ, bytes(codec.READS[bus.POSITION]) + ids)
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
-        """The torque. Before it is switched on, the place where the servo is becomes its goal."""
+        """The packets that switch a servo's torque. Before it is switched on, the servo's present position becomes its
+        goal."""
         return (_goals([(servo, max(0, min(at, HIGHEST)))]) if on else b"") + _torque(servo, on)
 
     def command(self, frame: bytes) -> int:
@@ -88,7 +89,7 @@ class FeetechArm(ServoBus):
         return bus.SERVO_MOVE if len(frame) == frame[3] + 4 else bus.TORQUE_ON
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """A frame passes only if the functions above make the very same bytes from its fields."""
+        """Why a frame must not be written; "" if the functions above make exactly the same bytes from its fields."""
         try:
             ids, made = self._made_again(frame)
         except (ValueError, IndexError, StopIteration):  # a FrameError is a ValueError
@@ -114,7 +115,7 @@ class FeetechArm(ServoBus):
         return ids, _goals(moves)
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
-        """The goals in one frame. A servo moves there as fast as it can."""
+        """The goals in a frame. A servo moves there as fast as it can."""
         try:
             goals = _rows(frame)
             return [(servo, at, 0) for servo, at in goals] if frame == _goals(goals) else []
@@ -122,6 +123,6 @@ class FeetechArm(ServoBus):
             return []
 
     def held_ns(self, frame: bytes) -> int:
-        """The time of the frame on the line, or of its answer."""
+        """How long a frame, or its answer, takes on the line, ns."""
         asked = {codec.READ: 1, codec.SYNC_READ: len(frame) - _ROWS_AT - 1}.get(frame[4], 0)
         return asked * ANSWER_NS or len(frame) * self._byte_ns

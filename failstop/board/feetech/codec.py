@@ -29,7 +29,7 @@ WHEELS = (7, 8, 9)
 LIMIT = 3000.0
 """The highest speed that LeKiwi commands for a wheel."""
 TURN = 4096
-"""Steps of a turn."""
+"""How many steps make a turn."""
 UNIT = "steps a second"
 SIZES = (18, 19)
 """How much of each wheel's memory the questions read, beginning at the goal speed. An answer does not say which
@@ -55,7 +55,7 @@ _HEALTH = Struct("<HxB")
 
 
 def packet(servo: int, instruction: int, data: bytes) -> bytes:
-    """The packet, unchecked."""
+    """The packet with these parts, without checks."""
     body = bytes((servo, len(data) + 2, instruction)) + data
     return HEAD + body + bytes((~sum(body) & 0xFF,))
 
@@ -68,13 +68,13 @@ def sync_write(address: int, size: int, rows: bytes) -> bytes:
 
 
 def _word(speed: float) -> int:
-    """A signed word: rounded towards zero, and zero has no sign."""
+    """A speed as a signed word, rounded towards zero; zero has no sign."""
     steps = int(speed)
     return steps if steps >= 0 else -steps | _SIGN
 
 
 def signed(word: int) -> float:
-    """Steps a second."""
+    """A signed word as a speed in steps per second."""
     return -float(word & ~_SIGN) if word & _SIGN else float(word)
 
 
@@ -145,7 +145,7 @@ def _of_the_arm(servo: int, data: bytes) -> list[Sample]:
 
 
 class Replies(Reader):
-    """The servos' answers. The wheels' answers count when all three have come, in their order."""
+    """Decodes the servos' answers. The wheels' answers count when all three have come, in their order."""
 
     def __init__(self) -> None:
         self._kept = b""

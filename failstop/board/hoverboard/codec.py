@@ -27,7 +27,7 @@ _COMMAND = Struct("<HhhH")
 
 
 def seal(steer: int, speed: int) -> bytes:
-    """The frame with any two words, unchecked."""
+    """The frame with these two words, without checks."""
     check = START ^ (steer & 0xFFFF) ^ (speed & 0xFFFF)
     return _COMMAND.pack(START, steer, speed, check)
 
@@ -53,14 +53,14 @@ STOP = motion((0.0, 0.0), 0.0)
 
 
 def wheels(steer: int, speed: int) -> tuple[float, float]:
-    """Left and right, as the board mixes them: floored, then clamped."""
+    """The speeds of left and right as the board mixes them: rounded down, then clamped."""
     # In sixteenths of a unit, as the firmware computes.
     left, right = (speed * 16 + steer * 8) >> 4, (speed * 16 - steer * 8) >> 4
     return max(-LIMIT, min(left, LIMIT)), max(-LIMIT, min(right, LIMIT))
 
 
 def _words(frame: bytes) -> tuple[int, int] | None:
-    """Steer and speed in bytes that look like a command frame, whatever their xor is."""
+    """Steer and speed in bytes that look like a command frame, whether or not their xor is right."""
     if len(frame) != _COMMAND.size:
         return None
     start, steer, speed, _ = _COMMAND.unpack(frame)
@@ -68,7 +68,7 @@ def _words(frame: bytes) -> tuple[int, int] | None:
 
 
 def _exact(steer: int, speed: int) -> tuple[float, float]:
-    """Left and right without the board's clamps."""
+    """The speeds of left and right before the board clamps them."""
     return speed + steer / 2, speed - steer / 2
 
 

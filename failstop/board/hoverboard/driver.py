@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 PATIENCE_NS = 1_000_000_000
-"""The board answers no question; a driver calls it disconnected after this long without feedback."""
+"""After this long without feedback a driver considers the board disconnected. The board answers no question."""
 _COMMAND = Struct("<HhhH")
 _HEAD = codec.START.to_bytes(2, "little")
 _BODY = _COMMAND.size - len(_HEAD)
@@ -43,12 +43,12 @@ _NO_FRAME = DriverRefusal(
 
 
 class HoverboardDriver:
-    """One driver's frames, and the feedback that it hears."""
+    """One driver's frames, and the feedback that it gets."""
 
     def __init__(self) -> None:
         self.openers, self.patience_ns, self.past_ns = 1, PATIENCE_NS, 0
         self._kept = b""
-        """The beginning of a frame."""
+        """The beginning of a frame that is not complete yet."""
         self._kept_ns = 0
         self._heard = b""
         self._length = 0

@@ -42,13 +42,13 @@ def seal(
 
 
 class Feedback(Reader):
-    """Words that fail their xor are dropped up to the next start."""
+    """Decodes the board's feedback. Words with a wrong xor are dropped up to the next start."""
 
     def __init__(self) -> None:
         self._kept = b""
         self._forms = (FEEDBACK, WITH_COUNTERS)
-        """The form that came last, and the other one. The other one counts only before another frame, because a stray
-        start, a frame of nine words and the next start have a valid xor as eleven words."""
+        """The form of the last frame, and the other form. The other one counts only if another frame follows it,
+        because a stray start, a frame of nine words and the next start together have a valid xor as eleven words."""
         self._fork_reported = False
 
     def feed(self, chunk: bytes) -> list[Sample]:
@@ -77,9 +77,10 @@ class Feedback(Reader):
 
 
 def _rpm(word: int) -> float:
-    """The average speed for a word. The firmware truncates a speed towards zero to sixteenths of an rpm, and rounds
-    those down to whole ones (BLDC_controller.c, commit a0751d5). Taken literally, the right wheel, which is mounted the
-    other way round, would be 1 rpm faster than the left one when driving straight. Below 5 rpm it sends 0."""
+    """The average speed that a word stands for, rpm. The firmware truncates a speed towards zero to sixteenths of an
+    rpm, and rounds those down to whole ones (BLDC_controller.c, commit a0751d5). Taken literally, the right wheel,
+    which is mounted the other way round, would be 1 rpm faster than the left one when driving straight. Below 5 rpm the
+    firmware sends 0."""
     if not word:
         return 0.0
     return word + (8 / 16 if word > 0 else 7 / 16)
@@ -96,7 +97,7 @@ def _whole(form: Struct, frame: bytes) -> bool:
 
 
 def _samples(words: tuple[int, ...]) -> list[Sample]:
-    """The samples in a frame of either form: the battery is the fourth word from its end."""
+    """The samples in a frame of either form. The battery is the fourth word from the end."""
     _, steer, speed, right, left, *_ = words
     # The motors are mounted in opposite directions, so forward is negative on the right.
     speeds = (_rpm(left), -_rpm(right) + 0.0)

@@ -32,7 +32,7 @@ class RrcArm(ServoBus):
         return bus.bus_servo_move(positions, duration_ms, longest_ms or LONGEST_MOVE_MS)
 
     def read(self, servo: int, what: int) -> bytes:
-        """The question to one servo."""
+        """The frame that asks one servo a question."""
         return bus.bus_servo_read(servo, what)
 
     def look(self, servos: Sequence[int]) -> bytes:
@@ -40,19 +40,20 @@ class RrcArm(ServoBus):
         return b""
 
     def torque(self, servo: int, on: bool, at: int) -> bytes:
-        """The torque frame. A servo holds its present position, whatever its last goal was."""
+        """The frame that switches a servo's torque. The servo then holds its present position, whatever its last goal
+        was."""
         return bus.bus_servo_torque(servo, on)
 
     def command(self, frame: bytes) -> int:
-        """The sub-command in the frame."""
+        """The sub-command in a frame."""
         return frame[_SUB_COMMAND_AT]
 
     def check(self, frame: bytes, servos: Collection[int], longest_ms: int) -> str:
-        """A frame passes only if the encoders make it."""
+        """The fault in a frame for the servos; only frames that the encoders make pass."""
         return bus.check_bus(frame, servos, longest_ms)
 
     def moves(self, frame: bytes) -> list[tuple[int, int, int]]:
-        """The servos in one frame. Each takes the frame's time for its move."""
+        """The servos that a frame moves. All of them take the time in the frame."""
         return bus.moves(frame)
 
     def held_ns(self, frame: bytes) -> int:

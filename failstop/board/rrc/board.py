@@ -84,7 +84,7 @@ not seen that one yet.
 
 
 class FrameHearing(Hearing):
-    """Makes reports from the board's frames."""
+    """Decodes the board's frames into reports."""
 
     __slots__ = ("_decoder",)
 
@@ -92,7 +92,7 @@ class FrameHearing(Hearing):
         self._decoder = decoder.Decoder()
 
     def feed(self, chunk: bytes) -> list[Said]:
-        """Everything that is reported in the frames that these bytes complete."""
+        """All reports in the frames that these bytes complete."""
         found: list[Said] = []
         for func, data in self._decoder.feed(chunk):
             if said := _SAID.get(func):
@@ -105,7 +105,7 @@ class FrameHearing(Hearing):
 
 
 class Rrc(Board):
-    """The constants and functions of the other modules, as a Board."""
+    """The RRC as a Board, made of the constants and functions of the other modules."""
 
     __slots__ = ()
 
@@ -123,7 +123,8 @@ class Rrc(Board):
     ping_ns = 0
     echo_ns = fades_ns = 0
     silent_ns = 600_000_000
-    """A busy computer or adapter explains any shorter pause of the IMU."""
+    """The IMU never pauses for this long unless the board restarts. A shorter pause may be due to a busy computer or
+    adapter."""
     arming = b""
     acknowledged_by = BY_ANSWER
     observed_by = BY_IMU
@@ -154,11 +155,11 @@ class Rrc(Board):
         return FrameHearing()
 
     def motor_speeds(self, rps: Sequence[float], max_rps: float) -> bytes:
-        """The frame for four wheels."""
+        """The frame that sets all four wheels."""
         return codec.motor_speeds(rps, max_rps)
 
     def check_motion(self, frame: bytes, max_rps: float) -> str:
-        """Only the frame for four wheels passes."""
+        """Why this is not a frame for four wheels that may be written; "" if it is."""
         return codec.check_motion(frame, max_rps)
 
     def speeds(self, frame: bytes) -> Sequence[float] | None:
@@ -174,12 +175,12 @@ class Rrc(Board):
         return codec.buzzer(freq_hz, on_ms, off_ms, repeat)
 
     def check_aux(self, frame: bytes) -> str:
-        """Only the buzzer's frame passes."""
+        """Why this is not a frame of the buzzer; "" if it is."""
         return codec.check_aux(frame)
 
 
 class SteeredRrc(SteeringMixin, Rrc):
-    """The board of a base with a steering servo."""
+    """The RRC of a base with a steering servo."""
 
     __slots__ = ("_steering",)
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     Row = DriverMotion | DriverAnswer | DriverFrame | DriverRefusal
 
 _FOREVER_NS = 60_000_000_000
-"""The SDK waits forever for an answer, so no answer is dropped."""
+"""How long a driver waits for an answer: the SDK waits forever, so no answer is dropped."""
 _PAST_NS = 4_000_000_000
 _START, _START_2, _FUNC, _LENGTH, _DATA, _CHECK = range(6)
 _ONE, _SEVERAL, _STOP_ONE, _STOP_SEVERAL, _TYPE_OR_DUTY = 0, 1, 2, 3, 5
@@ -40,7 +40,7 @@ _PASSED = (framing.SYS, framing.KEY_FUNC, framing.IMU_FUNC, framing.GAMEPAD, fra
 _NAMES = {LED: "an LED (1)", BUZZER: "the buzzer (2)", OLED: "the display (10)", RGB: "RGB lights (11)"}
 _PWM_READS = {0x05: 2, 0x09: 1}
 _BUS_READS = {0x05: 2, 0x07: 2, 0x09: 1, 0x0D: 1, 0x12: 1, 0x22: 1, 0x32: 4, 0x36: 4, 0x3A: 1}
-"""Bytes of the value in the answer to each question."""
+"""How many bytes the value has in the answer to each question."""
 _PWM_SET_OFFSET = 0x07
 _BUS_SETS = (0x10, 0x20, 0x24, 0x30, 0x34, 0x38)
 _FAILED = b"\xff"
@@ -48,7 +48,7 @@ _FOR_PROGRAMS = "failstop steers by itself, and moves servos only for programs t
 
 
 class RrcDriver:
-    """One driver's frames, and what it hears of the board."""
+    """One driver's frames, and what it gets from the board."""
 
     def __init__(self) -> None:
         self.openers, self.patience_ns, self.past_ns = 1, _FOREVER_NS, _PAST_NS

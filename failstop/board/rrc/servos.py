@@ -39,11 +39,11 @@ EVERY_SERVO = 254
 """The address of all servos. Don't use it on a robot before it was tested on a stand."""
 HIGHEST_POSITION = 1000
 PULSES_PER_RAD = 1500 / tau
-"""A pulse is 0.24 degrees."""
+"""How many pulses make a radian, because a pulse is 0.24 degrees."""
 STOP_NS = 521_000
-"""Six bytes on the servos' bus."""
+"""How long a stop takes on the servos' bus: six bytes."""
 TORQUE_NS = 610_000
-"""Seven bytes."""
+"""How long a torque command takes on the servos' bus: seven bytes."""
 MOST_STOPS = HELD_NS // STOP_NS
 
 _U16 = Struct("<H")
@@ -120,7 +120,7 @@ def bus_servo_torque(servo: int, on: bool) -> bytes:
 def check_bus(frame: bytes, servos: Collection[int], longest_ms: int) -> str:
     """Why these bytes must not be written as a frame for these bus servos, in a few words; "" when they may.
 
-    Accepted is what the encoders above make, and nothing else. Never raises on bytes.
+    Only frames that the encoders above make pass. Never raises on bytes.
     """
     size = len(frame)
     if size < 5 or frame[:2] != HEAD or frame[2] != BUS_SERVO:
@@ -178,7 +178,7 @@ def _move_fault(data: bytes, longest_ms: int) -> str:
 
 
 def _zeros_complete(data: bytes) -> str:
-    """Why zeros would turn a cut of this move into another one, to another position or of a servo 0; "" if they would
-    not. If it is cut before its first servo, it is a move of none."""
+    """Why zeros would turn this move, if it were cut off, into another one: to another position, or of a servo 0. "" if
+    they would not. If it is cut off before its first servo, it moves none."""
     end = framing.zeros_complete(BUS_SERVO, data, _MOVES_AT)
     return f"another move if cut after {end} bytes of data" if end else ""

@@ -42,7 +42,7 @@ def command(parser: argparse.ArgumentParser) -> Iterator[str]:
         yield f"`{' '.join(_synopsis(parser))}`\n"
     rows = []
     for action in completion.arguments(parser):
-        value = completion.shown(action)
+        value = completion.placeholder(action)
         names = ", ".join(f"`{f'{flag} {value}'.strip()}`" for flag in action.option_strings or ("",))
         rows.append((names, completion.help_of(parser, action)))
     yield from _table("argument", rows)

@@ -85,7 +85,7 @@ def value(action: argparse.Action) -> str:
     return action.dest.upper() if action.option_strings else action.dest
 
 
-def shown(action: argparse.Action) -> str:
+def placeholder(action: argparse.Action) -> str:
     """The help's word for its value, in brackets if an option's value may be left out; empty: it has none."""
     word = value(action)
     return f"[{word}]" if word and action.option_strings and action.nargs == "?" else word

@@ -131,7 +131,7 @@ def _synopsis(prog: str, arguments: list[argparse.Action]) -> str:
 
 def _head(action: argparse.Action) -> str:
     flags = ", ".join(f"\\fB{_escaped(flag)}\\fR" for flag in action.option_strings)
-    shown = completion.shown(action)
+    shown = completion.placeholder(action)
     return " ".join(filter(None, (flags, shown and f"\\fI{_escaped(shown)}\\fR")))
 
 
