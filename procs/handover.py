@@ -1,4 +1,5 @@
-"""Handover: duplicates of the port's descriptor between processes, so that a stop never needs to open anything."""
+"""Handover: passes duplicates of the port's descriptor from process to process, so that no process must open the port
+before it can stop the robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Suspend: a sleep of the machine, in which CLOCK_MONOTONIC stands still, so that no frame looks too old after it."""
+"""Suspend: notices that the machine has slept. CLOCK_MONOTONIC does not go on during a sleep, so frames from before it
+don't look too old."""
 
 from __future__ import annotations
 

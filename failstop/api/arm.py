@@ -1,4 +1,5 @@
-"""Arm: the robot's arm from Python. Angles in rad by the joint's name, as the settings' [joints.NAME] declare them."""
+"""Arm: move the robot's arm from Python. Angles are in rad, by the name of the joint in the settings
+([joints.NAME])."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ POSES = {"drive": records.ARM_DRIVE, "tuck": records.ARM_TUCK}
 
 
 class Arm:
-    """`robot.arm`. It moves only while motion is disabled and nothing is latched. A second client's goal latches a
-    stop."""
+    """The arm of a Robot, `robot.arm`. It moves only while motion is disabled and nothing is latched. If two clients
+    set goals at the same time, a stop is latched."""
 
     def __init__(self, session: Session) -> None:
         """Raises FailstopError for a robot whose settings name no joints."""
@@ -82,13 +83,14 @@ class Arm:
         return self._ask(POSES[name], progress, asked_ns=asked_ns)
 
     def follow(self, to: Mapping[str, float]) -> None:
-        """Follow these angles, from now on until arm.goal_timeout_s after the last call; returns at once. Raises
-        Refused for an angle out of range. The state says whether the arm moves, and if not, why."""
+        """Follow these angles from now on, until arm.goal_timeout_s after the last call; returns at once. Raises
+        Refused for an angle out of range. State.arm shows whether the arm moves, and if not, why."""
         self._check(to)
         self._goal(records.ARM_FOLLOW, to)
 
     def jog(self, rates: Mapping[str, float]) -> None:
-        """Turn at these rates (rad/s), from now on until arm.goal_timeout_s after the last call; returns at once."""
+        """Turn joints at these rates (rad/s) from now on, until arm.goal_timeout_s after the last call; returns at
+        once."""
         for name, rate in rates.items():
             if not isfinite(rate):
                 raise Refused(f"joint {name} at {rate:g} rad/s: every rate must be finite")
@@ -100,8 +102,8 @@ class Arm:
             self._session._client().write("arm_goal", mode, found, wake=True)
 
     def hold(self) -> str:
-        """Stop where it is. The torque stays on, every goal is dropped, and an enable that is moving the arm to its
-        drive pose is given up."""
+        """Stop the arm where it is. The torque stays on, all goals are dropped, and an enable that is moving the arm to
+        its drive pose is given up."""
         return self._ask(records.ARM_HOLD)
 
     def release(self) -> str:
@@ -122,9 +124,9 @@ class Arm:
         return found
 
     def _check_way(self, rows: list[tuple[float, dict[str, float]]]) -> None:
-        """Refuse a way on which the arm would hit something, before it begins, starting from where the arm was read to
-        be. This is done here and not in the gate, because checking a whole way takes many milliseconds and the gate has
-        wheels to stop. The gate checks each single move before it sends it."""
+        """Refuse a way on which the arm would hit something, before it begins, starting from where the arm was last
+        read to be. This is done here and not in the gate, because checking a whole way takes many milliseconds and the
+        gate must be ready to stop the wheels. The gate checks each single move before it sends it."""
         settings = Settings(dict(self._session.settings))
         if not settings.on("arm.collision"):
             return

@@ -1,4 +1,5 @@
-"""Stopping distance: how far the base goes from a fault until it stands still, by the settings, on level ground."""
+"""Stopping distance: how far the robot goes after a fault until it is at rest, computed from the settings, on level
+ground."""
 
 from __future__ import annotations
 
@@ -12,24 +13,25 @@ from failstop.policy.proofs import WATCHDOGS
 from failstop.policy.settings import BY_KEY, Settings
 
 DEATH_S = 0.02
-"""From the death of a process to the stop at the first board. No p99 in docs/reference/faults.md, measured on a shared
-machine, is higher. On a quiet machine it is about 1 ms."""
+"""The time from the death of a process to the stop at the first board, s. No p99 in docs/reference/faults.md, measured
+on a shared machine, is higher. On a quiet machine it is about 1 ms."""
 SLACK_S = 0.015
-"""From the end of a deadline to the stop, by the same measurements."""
+"""The time from the end of a deadline to the stop, s, by the same measurements."""
 SILENCE_S = 0.02
-"""From the end of a timeout to zero at any board: the gate acts as it ends, or, for an interlock, one period later."""
+"""The time from the end of a timeout to zero at any board, s. The gate acts when the timeout ends, or, for an
+interlock, one period later."""
 OWN_LINE_S = 0.012
-"""How much later than the first board another one takes a stop: its line, its loop, and the repeats of a stop that it
-may need. A USB adapter that forgets gaps adds 0.02 (docs/boards.md)."""
+"""How much later than the first board another board gets a stop, s, because of its line, its loop, and the repeats of a
+stop that it may need. A USB adapter that forgets gaps adds 0.02 (docs/boards.md)."""
 BRAKING = "limits.braking_mps2"
 WITHIN = "within {:.2f} m of any fault that failstop can detect"
-"""The longest distance, as every screen words it."""
+"""The longest distance, in the words of every screen."""
 Reaction = tuple[float, str]
-"""How long the wheels keep being told to turn after a failure, in s, and what has failed."""
+"""How long after a failure the wheels are still told to turn, s, and what has failed."""
 
 
 def distance_m(speed_mps: float, seconds: float, braking_mps2: float) -> float:
-    """How far the base goes at this speed for this time, and then braking to rest."""
+    """How far the base goes, m, if it keeps this speed for this time and then brakes to rest."""
     return speed_mps * seconds + speed_mps**2 / (2 * braking_mps2)
 
 
@@ -39,12 +41,12 @@ def speed_mps(distance: float, seconds: float, braking_mps2: float) -> float:
 
 
 def fastest_mps(settings: Settings) -> float:
-    """The fastest that the base may go, in any direction."""
+    """The highest speed of the base in any direction, m/s."""
     return math.hypot(settings["limits.vx_mps"], settings["limits.vy_mps"] * AXES[settings.text("wheels.layout")][1])
 
 
 def reactions(settings: Settings) -> Iterator[Reaction]:
-    """Every failure that failstop can detect, if it happens while the base drives; a death is the first."""
+    """Every failure that failstop can detect while the base drives, with its time; a death is the first."""
     kind = settings.board()[0]
     board_s = OWN_LINE_S if is_described(kind) else 0.0
     yield DEATH_S + board_s, "a process of the service, or the program that drives, dies"

@@ -1,4 +1,4 @@
-"""Snapshot: the state of a service as named values. Times are in s, lengths in m, angles in rad, voltages in V."""
+"""Snapshot: the types of the service's state. Times are in s, lengths in m, angles in rad, voltages in V."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ PadMode = Literal["locked", "drive", "joint"]
 
 
 class Block(enum.Enum):
-    """Why the wheels may not turn; the first reason that holds is given."""
+    """Why the wheels may not turn. If several reasons apply, the first one in this order is given."""
 
     LATCHED = "latched"
     """A stop is latched: `State.cause`. It needs a reset."""
     DISABLED = "disabled"
     """Motion was not enabled since the start, the last stop or the last disable."""
     HELD = "let go first"
-    """The source has commanded a velocity since before motion was enabled. It counts after a zero or a pause."""
+    """The source has been commanding a velocity since before motion was enabled. Its commands count after a zero or a
+    pause."""
     NO_COMMAND = "no command"
     """No source has a command that is younger than its timeout."""
     NO_SCAN = "no scan"
@@ -71,28 +72,28 @@ class Turning:
     """What is known about the wheels now, from the board's reports or from the IMU."""
 
     does: Literal["unknown", "still", "turning"] = "unknown"
-    """turning; still; unknown: nothing has been read, or not for half a second."""
+    """turning, still, or unknown: nothing was read yet, or nothing for half a second."""
     by: Literal["", "IMU", "wheels"] = ""
-    """What observed it: wheels (the board's reports about them), or IMU, which only feels that the robot moves, or is
-    being moved."""
+    """What has observed it: wheels (the board's reports about them), or IMU, which only feels whether the robot moves
+    or is moved."""
     unexpected: bool = False
-    """The wheels turn although they were told zero for longer than the setting still.after_s allows."""
+    """True if the wheels turn although they were told zero for longer than the setting still.after_s allows."""
     since_s: float | None = None
-    """How long it has been so, s; None: not known."""
+    """For how long this has been so, s; None if not known."""
     age_s: float | None = None
     """Age of the newest reading, s; None if there was none."""
     last: Literal["unknown", "still", "turning"] = "unknown"
-    """What the newest reading said, however old it is."""
+    """What the newest reading showed, however old it is."""
     speeds_radps: Wheels | None = None
     """Measured speed of each wheel, rad/s, positive forward, by the names of `Wheels`; None if the board reports
     none."""
     turned_rad: Wheels | None = None
-    """How far each wheel has turned since the first report, rad, positive forward: counted by the board, or added up
-    from its speeds. None if the board reports none."""
+    """How far each wheel has turned since the first report, rad, positive forward: as the board has counted it, or
+    added up from its speeds. None if the board reports neither."""
 
 
 OLD_S = 10.0
-"""A reading of this age says nothing about now."""
+"""A reading that is older than this, s, says nothing about now."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,7 +101,7 @@ class Ages:
     """Ages of the newest readings, s; None if there was none in this run."""
 
     board_s: float | None = None
-    """Since the board said anything, of any kind."""
+    """Since the board last sent anything, of any kind."""
     battery_s: float | None = None
     """Age of `State.battery_v`."""
     imu_s: float | None = None
@@ -116,7 +117,8 @@ class Scale:
     """Whether the wheels turn as fast as commanded (setting board.per_rps)."""
 
     capped: str = ""
-    """Nobody has confirmed board.per_rps, so speeds are capped: a text with the remedy; empty if it is confirmed."""
+    """The text, with the remedy, that speeds are capped because nobody has confirmed board.per_rps; empty if it is
+    confirmed."""
     wheels: float | None = None
     """Measured wheel speed divided by the commanded one, from reports in a unit of their own; None: not known."""
     turn: float | None = None
@@ -124,12 +126,12 @@ class Scale:
     wrong: tuple[str, ...] = ()
     """What differs, in words, with the setting to look at."""
     remarks: tuple[str, ...] = ()
-    """What differs by less, so that a slope, a load, the battery or skidding wheels may explain it."""
+    """What differs by less, in words. A slope, a load, the battery or skidding wheels may explain it."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Stop:
-    """The last stop, and its three proofs; each is None until it is known."""
+    """The last stop, and its three proofs, each of which is None until it is known."""
 
     cause: Cause
     """Why."""
@@ -150,17 +152,19 @@ class Stop:
     """Observed: from noticing the cause until the wheels were seen still, s; 0 if they were not seen moving before the
     stop either."""
     epoch: int = 0
-    """The epoch raised for it. It also answered anyone who asked for a stop in an earlier epoch."""
+    """The epoch that was raised for this stop. Requests for a stop that were made in an earlier epoch are answered by
+    it too."""
     sent: bool = True
-    """False if its bytes were found to be still in the kernel, because the board takes none."""
+    """False if the bytes of the stop were found to be still in the kernel, because the board takes none."""
     acknowledged_by: str = "answer"
     """How the board acknowledges: answer (to a ping), echo (of what it obeys); empty: not at all."""
     observed_by: str = "IMU"
-    """Source of `observed_s`: IMU, or wheels (the board's own reports about them); empty if the robot has no IMU."""
+    """What has made `observed_s` known: IMU, or wheels (the board's own reports about them); empty if the robot has no
+    IMU."""
     noticed_ns: int = 0
-    """When the cause was noticed (CLOCK_MONOTONIC, ns), independent of the wall clock."""
+    """When the cause was noticed (CLOCK_MONOTONIC, ns). It does not depend on the wall clock."""
     believed: bool = True
-    """False until the device that took its bytes has answered as the board does."""
+    """False until the device that got the bytes has answered as the board does."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,7 +176,7 @@ class Process:
     state: str
     """starting, running, hanging, suspended (by a signal), fenced (for hanging), dead, waiting, down, or stopping."""
     age_s: float
-    """Since its last heartbeat, s; before its first one since the begin of the run."""
+    """The time since its last heartbeat, s; before its first one, since the beginning of the run."""
     restarts: int
     """How often it was restarted in this run."""
     last_exit: str | None
@@ -180,20 +184,20 @@ class Process:
     worst_s: float
     """The longest time between two turns of its loop since its start, s."""
     realtime: bool
-    """It has real-time rights (SCHED_FIFO)."""
+    """True if it has real-time rights (SCHED_FIFO)."""
     memory_locked: bool
-    """Its memory can't be swapped out."""
+    """True if its memory can't be swapped out."""
     early_news: bool = True
-    """True if the kernel reports a death to this process before it frees the dead process's memory."""
+    """True if the kernel tells this process about a death before it frees the memory of the dead process."""
     killed: bool = False
-    """The process before it was killed by a signal."""
+    """True if a signal has killed the process before it."""
     starts_in_s: float | None = None
-    """Time until it is started again, s; None if it is running, or needs a reset first."""
+    """After how long it will be started again, s; None if it is running, or needs a reset first."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Device:
-    """The port of the board."""
+    """The board's port."""
 
     path: str
     """Path of its file, as the settings or `--device` name it."""
@@ -203,13 +207,14 @@ class Device:
     """alive: it answers; unproven: it has not answered yet; deaf: it does not hear; silent: it says nothing any more;
     unheard: it has not answered since a replug; unasked: it can't answer, by design."""
     watchdog_s: float = 0.0
-    """How long after the last frame the board's own watchdog acts, s; 0 if it has none, or it is not known."""
+    """How long after the last frame the board's own watchdog acts, s; 0 if it has none, or that is not known."""
     watchdog_does: str = ""
     """What that watchdog does: zero (it stops the wheels), coast (they roll on without current), or disarm."""
     imu: bool = True
-    """False: the robot has no IMU (setting board.imu)."""
+    """False if the robot has no IMU (setting board.imu)."""
     unheeded_s: float | None = None
-    """How long the board has reported that it obeys zero speed while motion is commanded, s; None if it has not."""
+    """For how long the board has reported that it obeys zero speed although motion is commanded, s; None if it does
+    not."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -223,28 +228,29 @@ class Client:
     pid: int
     """Its pid, as it reports it."""
     driving: bool
-    """Its command moves the wheels now."""
+    """True if its command moves the wheels now."""
     sees: str = ""
     """A line on what it sees, as it reports it (`Robot.say`)."""
     wrong: str = ""
     """A line on what is wrong, as it reports it."""
     said_s: float | None = None
-    """How long ago it reported that, s; None: never."""
+    """When it last reported that, s ago; None: never."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """A source with a fresh command."""
+    """A source whose last command still counts."""
 
     source: str
     """Its name in the settings, or `gamepad`."""
     priority: int
-    """The highest drives."""
+    """The source with the highest priority drives."""
     who: str
     """The program that commands as this source: name and pid."""
     state: Literal["drives", "waits", "held", "silent"]
-    """drives; waits: a higher one drives; held: it commanded before motion was enabled and must send zero or pause
-    first; silent: it drove, and stopped sending commands while the wheels turned."""
+    """drives; waits: a source with a higher priority drives; held: it has been commanding since before motion was
+    enabled, and must send zero or pause first; silent: it drove, and stopped sending commands while the wheels
+    turned."""
 
     def __str__(self) -> str:
         """The program, and its source unless that is the one that every program has by default."""
@@ -253,11 +259,11 @@ class Source:
 
 @dataclasses.dataclass(frozen=True)
 class Starved:
-    """The longest silence in ten minutes that the machine explains, while motion was disabled, so that nothing was
-    stopped for it."""
+    """The longest silence of a process in the last ten minutes for which nothing was stopped, because the machine did
+    not run the process and motion was disabled."""
 
     longest_s: float
-    """How long, s."""
+    """How long the silence was, s."""
     process: str
     """The process that the machine did not run."""
 
@@ -272,9 +278,9 @@ class GyroBias:
     bias_radps: tuple[float, float, float]
     """rad/s, x forward, y left, z up."""
     tracking: bool
-    """True if it follows the reading now."""
+    """True if the bias follows the readings now."""
     calibrated: bool
-    """The robot stood still long enough at the start."""
+    """True if the robot was at rest for long enough at the start."""
 
 
 class Imu(NamedTuple):
@@ -294,10 +300,11 @@ DEAD_RECKONING = (records.POSE_VARIANCE, 0.0, 0.0, records.POSE_VARIANCE, 0.0, r
 
 
 class Odometry(NamedTuple):
-    """Pose since the start and velocity, from the wheels if the board reports them, else from the commands."""
+    """The pose since the start, and the velocity, computed from the wheels' turns if the board reports them, else from
+    the commands."""
 
     t_ns: int
-    """CLOCK_MONOTONIC of the pose, ns: the time of the wheels' newest report, if they count."""
+    """The time of the pose (CLOCK_MONOTONIC, ns): that of the wheels' newest report, if it is computed from reports."""
     x_m: float
     """m, forward at the start."""
     y_m: float
@@ -315,11 +322,11 @@ class Odometry(NamedTuple):
     twist_std_radps: float
     """Standard deviation of wz, rad/s, by the settings."""
     source: Literal["commands", "wheels"] = "commands"
-    """wheels: as far as the board reports that they have turned. commands: as far as they were told to turn, whatever
-    they did, because the board has reported nothing about them."""
+    """wheels: computed from how far the board reports that the wheels have turned. commands: computed from how far they
+    were told to turn, whatever they did, because the board has reported nothing about them."""
     pose_covariance: tuple[float, ...] = DEAD_RECKONING
-    """Covariance of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th. From wheels it grows with the distance;
-    from commands it is so large that nobody trusts the pose."""
+    """Covariance of x, y (m2) and th (rad2): xx, xy, x th, yy, y th, th th. If the pose is computed from the wheels, it
+    grows with the distance; if it is computed from commands, it is so large that nobody should trust the pose."""
 
     @property
     def pose_variance(self) -> float:
@@ -335,15 +342,15 @@ class Pad(NamedTuple):
     buttons: int
     """One bit per button."""
     hat: int
-    """As the board reports it."""
+    """The hat's value, as the board reports it."""
     axes: tuple[int, ...]
     """lx, ly, rx, ry, -128 to 127."""
     mode: PadMode
-    """What the gamepad moves."""
+    """What the gamepad moves: locked (nothing), drive (the wheels) or joint (the arm)."""
 
 
 Sample = Imu | Pad | Odometry
-"""A sample, as `Robot.samples` gives it."""
+"""A sample of `Robot.samples`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -357,11 +364,11 @@ class JointState:
     pulses: int | None
     """Its position in the servo's pulses."""
     age_s: float | None
-    """Since it was read, s."""
+    """Since when the position was read, s."""
     commanded_rad: float | None
     """Where it was sent, rad; None while its position is not known."""
     torque: bool | None
-    """True if it holds; None: not known yet."""
+    """True if the torque is on; None: not known yet."""
     temperature_c: int | None
     """Temperature of the servo, degrees Celsius."""
     supply_v: float | None
@@ -369,37 +376,37 @@ class JointState:
 
     @property
     def at_rad(self) -> float | None:
-        """Where it is as far as is known, rad: where it was sent (no servo is asked while it moves), or where it was
-        read to be."""
+        """Where the joint is as far as is known, rad: where it was sent, because no servo is asked while it moves, or
+        else where it was read to be."""
         return self.angle_rad if self.commanded_rad is None else self.commanded_rad
 
 
 @dataclasses.dataclass(frozen=True)
 class ArmState:
-    """The arm."""
+    """The state of the arm."""
 
     mode: str
     """trajectory, follow, jog, or empty."""
     phase: str
-    """How far a trajectory is."""
+    """How far a trajectory has come."""
     moving: bool
-    """It moves now."""
+    """True if it moves now."""
     by: str
     """The program that moves it; empty if none does."""
     closed: str
-    """Why it takes no goal; empty if it takes one."""
+    """Why the arm accepts no goal; empty if it accepts one."""
     refused: str
-    """Why the last goal of a stream was not taken; empty if it was."""
+    """Why the last goal of a stream was not accepted; empty if it was."""
     released: bool
-    """Its torque is off."""
+    """True if its torque is off."""
     silent: tuple[int, ...]
     """Servos that do not answer."""
     wrong: tuple[str, ...]
-    """Its faults, in words."""
+    """The faults of the arm, in words."""
     pose: str
-    """drive, tuck, or empty."""
+    """The pose that the arm is in: drive, tuck, or empty for neither."""
     auto_tuck_s: float | None
-    """Time until it tucks itself, s; None if it does not."""
+    """After how long the arm will tuck itself, s; None if it will not."""
     pad_joint: str | None
     """The joint that the gamepad turns."""
     joints: dict[str, JointState]
@@ -408,12 +415,12 @@ class ArmState:
 
 @dataclasses.dataclass(frozen=True)
 class State:
-    """One consistent snapshot: the gate's decision is one record, read whole."""
+    """One consistent snapshot of the service. The gate's decision is one record, which is read whole."""
 
     name: str
     """Name of the service."""
     enabled: bool
-    """Motion is enabled."""
+    """True if motion is enabled."""
     estop: str | None
     """The text of `cause`."""
     cause: Cause | None
@@ -425,9 +432,9 @@ class State:
     wheels_radps: Wheels
     """The speed that the gate commands for each wheel."""
     epoch: int
-    """Raised by every stop."""
+    """A number that every stop raises."""
     waiting_for: str | None
-    """The part that is not up yet; motion can't be enabled until it is."""
+    """What is not ready yet; motion can't be enabled until it is."""
     device: Device
     """The port of the board."""
     processes: dict[str, Process]
@@ -439,7 +446,7 @@ class State:
     sources: tuple[Source, ...]
     """The source that drives and those that wait, highest priority first."""
     scan_age_s: float | None
-    """Since the obstacle sensor delivered last, s; None: never."""
+    """The time since the obstacle sensor last delivered, s; None: never."""
     last_stop: Stop | None
     """None if there was no stop in this run."""
     imu: Imu | None
@@ -453,9 +460,9 @@ class State:
     battery_v: float | None
     """V; None before the first reading, and while the board reports no battery or an impossible voltage."""
     plugged: Literal["unknown", "plugged", "unplugged"]
-    """Whether a charger is plugged in, judged from the voltage's steps."""
+    """Whether a charger is plugged in, judged by steps of the voltage."""
     age_s: float
-    """Age of the gate's record, s: it publishes every 0.08 s at least."""
+    """The age of the gate's record, s. The gate publishes at least every 0.08 s."""
     speed_limit: float = 1.0
     """The share of the settings' speeds that drivers may use (`Robot.limit_speed`)."""
     attended_by: tuple[str, ...] | None = None
@@ -463,17 +470,18 @@ class State:
     arm: ArmState | None = None
     """None without an arm in the settings, and while a service starts, until its gate has reported the arm."""
     unmet: str = ""
-    """Why an interlock does not hold, in the words of its refusal; empty if all declared ones hold."""
+    """Why an interlock does not hold, in the words of its refusal; empty if all declared interlocks hold."""
     starved_times: int = 0
-    """How often in this run the machine explained a silence as in `starved`."""
+    """How often in this run a silence was excused as in `starved`."""
     lease_s: float = 0.06
-    """Longest silence of gate or supervisor while wheels turn, s (gate.lease_s; longer without real-time rights)."""
+    """For how long the gate or the supervisor may be silent while the wheels turn, s (gate.lease_s; longer without
+    real-time rights)."""
     steering_rad: float | None = None
     """Commanded angle of the steered wheels, rad, positive to the left. None if there are none, or the robot is at
     rest."""
     stands_within_m: float = 0.0
-    """Stopping distance: from any fault that failstop can detect until the robot is at rest, m, at the current speed
-    limit."""
+    """The stopping distance at the present speed limit: how far the robot goes after any fault that failstop can
+    detect, until it is at rest, m."""
     scale: Scale = Scale()
     """Whether the wheels turn as fast as commanded."""
     turning: Turning = Turning()
@@ -482,8 +490,8 @@ class State:
     """When motion was enabled (CLOCK_MONOTONIC, ns); 0 while it is not. It differs after a disable and an enable,
     however quickly one follows the other."""
     servos: dict[str, tuple[float, int]] = dataclasses.field(default_factory=dict)
-    """Load (a share of the most that it gives, signed) and temperature in degrees C of each servo, by the part that it
-    turns."""
+    """The load (a share of the most that the servo gives, signed) and the temperature in degrees C of each servo, by
+    the part that it turns."""
     servos_wrong: dict[str, str] = dataclasses.field(default_factory=dict)
     """What is wrong with each servo that does not answer or reports an error, by the part that it turns."""
     ages: Ages = Ages()
@@ -502,21 +510,22 @@ class State:
         return self.blocked is None and any(self.wheels_radps)
 
     def source_that(self, state: str) -> Source | None:
-        """The highest source in this state: drives, waits, held or silent."""
+        """The source in this state (drives, waits, held or silent) with the highest priority."""
         return next((source for source in self.sources if source.state == state), None)
 
     def is_current(self, age_s: float | None) -> bool:
-        """Whether a reading of this age says something about now. None does once the board says nothing any more."""
+        """True if a reading of this age says something about now. No reading does once the board has stopped
+        sending."""
         heard = self.device.state == "open" and self.device.link not in (LINK_SILENT, LINK_UNHEARD)
         return heard and (age_s or 0.0) < OLD_S
 
     @property
     def driver(self) -> Source | None:
-        """The source whose command moves the wheels, or would; None if there is none."""
+        """The source whose command moves the wheels, or would move them; None if there is none."""
         return self.source_that("drives")
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, as in `failstop status --json`."""
+        """The state as plain values, as `failstop status --json` prints it."""
         found = dataclasses.asdict(dataclasses.replace(self, cause=None, last_stop=None))
         found |= {"imu": self.imu and self.imu._asdict(), "odometry": self.odometry and self.odometry._asdict()}
         stop = self.last_stop and {**vars(self.last_stop), "cause": self.last_stop.cause.as_map()}

@@ -1,16 +1,16 @@
 """Driver languages: what a driver program may write to a board, and what it gets back, for the guard port.
 
-A driver is somebody else's program that was written for the bare board. The guard port (failstop/guard) offers it a
-pseudo-terminal and plays the board, and the board's own folder says how, by a DriverLanguage: bytes of the driver in,
-what they ask for out. A language is pure: it does no I/O, it gets every time as an argument, and it never raises on
-bytes.
+A driver is somebody else's program that was written for the bare board. The guard port (failstop/guard) gives it a
+pseudo-terminal that behaves like the board. How the board behaves is in the board's own folder, as a DriverLanguage: it
+takes the driver's bytes and returns what they ask for. A language is pure: it does no I/O, it gets every time as an
+argument, and it never raises on bytes.
 
-Each of its rows is one of four things:
+It returns rows of four kinds:
 
-- DriverMotion: the speeds of all wheels. The service decides whether they turn; no other row can move anything.
-- DriverAnswer: bytes for the driver, which the language makes from what the board said last.
-- DriverFrame: bytes for the board that move nothing, such as a light or one of its questions.
-- DriverRefusal: what the driver asked for and does not get. People read it once for each driver.
+- DriverMotion: the speeds of all wheels. The service decides whether they turn; no other row can move anything. -
+DriverAnswer: bytes for the driver, which the language makes from the board's newest reports. - DriverFrame: bytes for
+the board that move nothing, such as a light or one of its questions. - DriverRefusal: what the driver asked for and
+does not get. People read it once for each driver.
 
 So a refused question has two rows (a refusal, and an answer that keeps the driver going), and raw PWM has three (a
 refusal, a motion of zeros, an answer).

@@ -113,7 +113,7 @@ def _check_vocabulary(folder: str, offered: str) -> None:
 
 
 def _try(folder: str, name: str, value: str) -> None:
-    """Load and test it in a child process, which may hang or die. Raises OwnBoardError."""
+    """Load the description and test it in a child process, which may hang or die. Raises OwnBoardError."""
     path = os.path.join(folder, f"{name}.py")
     try:
         reader, writer = os.pipe()
@@ -169,7 +169,7 @@ def _complaint(folder: str, found: object) -> str:
 
 
 def _heard(reader: int, until_s: float) -> bytes | None:
-    """The child's result; empty if it ended without one; None if time is up."""
+    """What the child has reported; empty if it ended without a report; None if the time is over."""
     left_s = until_s - time.monotonic()
     if not select.select([reader], [], [], max(0.0, left_s))[0]:
         return None

@@ -198,7 +198,7 @@ def unreadable(key: str, path: str, error: OSError, credential: str) -> FleetErr
 
 
 def example() -> str:
-    """A complete file: every default, commented out, so that a setting can be added at the end too."""
+    """A complete settings file. Every default is commented out, and a setting may also be added at the end."""
     lines = [
         "# The robot in its fleet: docs/fleet.md. Each line shows a default. To change one, remove its #, or add",
         "# a line with the whole name anywhere.",

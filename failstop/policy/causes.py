@@ -490,7 +490,7 @@ def unpack_reply(payload: bytes) -> tuple[int, int, Reply]:
 
 
 def refused(why: str, latched: Cause | None = None) -> Reply:
-    """A refusal; if something is `latched`, its cause follows the reason."""
+    """A reply that refuses. If a stop is `latched`, its cause follows the reason."""
     if latched is None:
         return Reply(records.REFUSED, why)
     return Reply(records.REFUSED, f"{why} ({records.CAUSE})", latched, records.FOR_THE_LATCH)

@@ -84,7 +84,7 @@ class Chassis:
         return velocity
 
     def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
-        """Revolutions per second by wire id. A velocity that no wheel can follow moves nothing."""
+        """The speed of each wheel by wire id, turns per second. A velocity that no wheel can follow moves nothing."""
         # Adding zero turns -0.0 into +0.0.
         return tuple([x * vx_mps + y * vy_mps + z * wz_radps + 0.0 for x, y, z in self._rows])
 
@@ -113,8 +113,8 @@ class Steered(Chassis):
         return vx, 0.0, max(-most, min(most, wz))
 
     def wheels_rps(self, vx_mps: float, vy_mps: float, wz_radps: float) -> WheelSpeeds:
-        """Revolutions per second by wire id, then the angle of the steered wheels; 0 at rest, where the velocity does
-        not determine the angle."""
+        """The speed of each wheel by wire id, turns per second, and then the angle of the steered wheels, rad. At rest
+        the angle is 0, because a velocity of zero does not determine it."""
         vx, vy, wz = self.reach((vx_mps, vy_mps, wz_radps))
         angle = atan2(self._wheelbase_m * abs(wz), abs(vx)) if vx and wz else 0.0
         # For the smallest numbers, the quotient is rounded to a larger angle than the curve's.

@@ -1,6 +1,6 @@
 """The gate's decisions. Pure: time and news are arguments; frames and texts are results.
 
-The reason for a block is the first of these that holds:
+While the wheels are blocked, the reason is the first of these that applies:
     estop: REASON     latched; ends only by reset
     disabled          until an explicit enable
     let go first      the source has commanded a velocity since before motion was enabled
@@ -92,7 +92,7 @@ class GateCore:
         return not self.enabled or not (self._ramps_on or until_ns > self._sent_ns + self._refresh_ns)
 
     def blocked(self, now_ns: int) -> str:
-        """Why the wheels may not turn; empty if they may."""
+        """Why the wheels may not turn, as one of the texts above; empty if they may."""
         if self.latch is not None:
             return f"{LATCHED}{self.latch}"
         if not self.enabled:
@@ -139,8 +139,8 @@ class GateCore:
         return None
 
     def _note_ignored(self, command: Command) -> None:
-        """Note an ignored command once for each session and source, but not forever: a session could make up new
-        sources without end."""
+        """Note an ignored command, but only once for each session and source, and not without limit, because a session
+        could make up new sources forever."""
         ignored = (command.session, command.source)
         if ignored not in self._ignored and len(self._ignored) < MOST_IGNORED:
             self._ignored.add(ignored)

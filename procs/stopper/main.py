@@ -36,7 +36,7 @@ STALLED_NS = 200_000_000
 
 
 class Stopper:
-    """The stopper's state. Call turn() once per wake-up."""
+    """The stopper. Call turn() once per wake-up."""
 
     def __init__(self, context: Context) -> None:
         port_owner = context.segment("port_owner")

@@ -1,7 +1,7 @@
 """Restart: finds out from the board's bytes whether it has restarted. Pure.
 
-A board that restarts has forgotten its speed and its settings, and the next frame of motion would drive it again. Most
-restarts are short: a dip of the supply starts the program at once. So four signs are looked at:
+A board that restarts has forgotten its speed and its settings, and the next motion frame would drive it on. Most
+restarts are short, because the program starts again right after a dip of the supply. There are four signs of a restart:
 
 - text that it prints only while it starts
 - its counters fall to zero, from further away than its wheels can turn meanwhile

@@ -213,8 +213,8 @@ class WheelFact:
     def update(
         self, read_back: ReadBack, still: StillJudge, told_zero_ns: int, now_ns: int, *, went: bool = True
     ) -> None:
-        """Judge again. `told_zero_ns`: since when the wheels are told zero; 0: they are told to turn. `went`: they have
-        moved further than an encoder that flips on the edge of a count."""
+        """Judge again. `told_zero_ns`: since when the wheels are told zero; 0: they are told to turn. `went`: True if
+        they have moved further than an encoder explains that flips on the edge of a count."""
         judge: ReadBack | StillJudge = read_back if read_back.judged_ns else still
         before = (self.does, self.by)
         self.read_ns = judge.judged_ns

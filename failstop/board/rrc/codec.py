@@ -41,12 +41,12 @@ _BUZZER_HEAD = HEAD + bytes((BUZZER, _BUZZER.size))
 
 
 def speed_limit(max_rps: float) -> float:
-    """A limit in rps. Raises FrameError for an invalid one."""
+    """Return a speed limit in turns per second. Raises FrameError if it is not a valid one."""
     return checks.number("max_rps", max_rps, 0.0, RPS_CEILING, "rps")
 
 
 def wheel_speed(wheel: int, rps: float, limit: float) -> float:
-    """A wheel's speed in rps. Raises FrameError if it exceeds the limit."""
+    """Return a wheel's speed in turns per second. Raises FrameError if it exceeds the limit."""
     return checks.number(f"speed of wheel {wheel}", rps, -limit, limit, "rps")
 
 
