@@ -7,10 +7,10 @@ argument, and it never raises on bytes.
 
 It returns rows of four kinds:
 
-- DriverMotion: the speeds of all wheels. The service decides whether they turn; no other row can move anything. -
-DriverAnswer: bytes for the driver, which the language makes from the board's newest reports. - DriverFrame: bytes for
-the board that move nothing, such as a light or one of its questions. - DriverRefusal: what the driver asked for and
-does not get. People read it once for each driver.
+- DriverMotion: the speeds of all wheels. The service decides whether they turn; no other row can move anything.
+- DriverAnswer: bytes for the driver, which the language makes from the board's newest reports.
+- DriverFrame: bytes for the board that move nothing, such as a light or one of its questions.
+- DriverRefusal: something that the driver has asked for and does not get. People read it once for each driver.
 
 So a refused question has two rows (a refusal, and an answer that keeps the driver going), and raw PWM has three (a
 refusal, a motion of zeros, an answer).
