@@ -53,7 +53,10 @@ CLAIMS = (
         "SEVERAL-1",
         "If two to five of the service's processes die or hang at once, the wheels stop. If no process is left that "
         "can write the stop, systemd starts the stop tool, which writes it.",
-        265.0, "from the first of the faults", ("LIFELINE", "WRITE", "SYSTEMD", "RIGHTS"),
+        265.0,
+        "from the first of the faults. This bar does not apply if the supervisor hangs and neither the port owner nor the "
+        "stopper can write: then [systemd's watchdog](#what-is-not-claimed) has to notice that, after 1 s",
+        ("LIFELINE", "WRITE", "SYSTEMD", "RIGHTS"),
         "any set of deaths and hangs after which no stop frame is executed",
     ),
     Claim(
@@ -66,9 +69,9 @@ CLAIMS = (
     ),
     Claim(
         "ASK-2",
-        "A stop request stops the wheels even if the machine has no processor time, memory, file descriptor or disk "
-        "space to spare. If somebody deletes the service's shared memory or its stop pipe, the service stops the "
-        "wheels and ends.",
+        "A stop request stops the wheels even if programs of a lower priority than failstop's keep every processor "
+        "core busy, or if the machine has no memory, file descriptor or disk space to spare. If somebody deletes the "
+        "service's shared memory or its stop pipe, the service stops the wheels and ends.",
         1020.0, "from the deletion. After a stop request or another fault it is 20 ms", ("RIGHTS",),
         "a shortage under which a request stops nothing",
     ),
@@ -76,15 +79,15 @@ CLAIMS = (
         "CLIENT-1",
         "When a driver dies, motion is disabled. When a driver falls silent, the wheels stop after its last command "
         "has timed out. A command that is not a number latches a stop, and so does a second program that commands "
-        "under the name of the same source.",
+        "as the same source.",
         320.0, "from the driver's last command. After its death or an exception it is 20 ms", ("LIFELINE", "CLOCK"),
         "a driver that has died or fallen silent, and wheels that still obey its last command",
     ),
     Claim(
         "MEMORY-1",
-        "If a client damages the memory that it shares with the service, nothing moves because of that, and only that "
-        "client loses its connection.",
-        60.0, "from the client's last command", ("CRC",),
+        "If a client damages the memory that it shares with the service, no wheel turns because of that, and only that "
+        "client loses its connection. If that client was driving, the wheels stop and motion is disabled.",
+        60.0, "from the client's last command until the stop, if the client was driving", ("CRC",),
         "damage that turns a wheel, prevents a stop or ends the service",
     ),
     Claim(
@@ -116,8 +119,9 @@ CLAIMS = (
     ),
     Claim(
         "RUNAWAY-1",
-        "If the board reports what its wheels do, failstop stops the robot when a wheel turns faster than commanded, "
-        "turns the other way, or turns although zero is commanded.",
+        "If the board reports more often than once a second what its wheels do, then failstop stops the robot when a "
+        "wheel turns faster than commanded, turns the other way, or has not come to rest since it was commanded zero, "
+        "and does not slow down. This is judged while motion is enabled.",
         1700.0, "from when the wheel runs away, at 0.1 m/s, with the board that reports least often (`arduino`)",
         ("RECEIVER", "WRITE"),
         "a wheel that is reported beyond its margin for its run-down time without slowing down, and is not stopped",
@@ -144,7 +148,8 @@ CLAIMS = (
     ),
     Claim(
         "ARM-1",
-        "A stop of the wheels also stops the arm, and the arm keeps its torque.",
+        "A stop of the wheels also stops the joints of an arm that the settings name, and these joints keep their "
+        "torque.",
         575.0, "from the hang of telemetry until the last joint is at rest. If a process dies, it is 65 ms", ("SERVO",),
         "a joint that turns later than its row, or lets go",
     ),
@@ -158,10 +163,11 @@ CLAIMS = (
     ),
     Claim(
         "MOVE-2",
-        "After a latched stop, nothing moves until somebody resets the stop and enables motion. After a start of the "
-        "service, a disable, a lost interlock or the death of a driver, nothing moves until somebody enables motion. "
-        "failstop never resets or enables by itself.",
-        None, "motion frames before the enable: 0", ("MODEL", "PAIRS", "SIMULATED"),
+        "After a latched stop, nothing moves until somebody resets the stop and enables motion, except for the one "
+        "frame of MOVE-1. After a start of the service, which also ends a latched stop, and after a disable, a lost "
+        "interlock or the death of a driver, nothing moves until somebody enables motion. failstop never enables by "
+        "itself, and while it runs it resets no stop by itself.",
+        None, "motion frames before the enable: 0, or the one frame of MOVE-1", ("MODEL", "PAIRS", "SIMULATED"),
         "a motion frame without an enable that a client asked for after the stop",
     ),
     Claim(
@@ -208,8 +214,9 @@ CLAIMS = (
     ),
     Claim(
         "WATCHDOG-1",
-        "If a board has its own watchdog, failstop arms it, and feeds it only while the service lives. When the board "
-        "then hears nothing, it stops its wheels or lets them roll out, as tests show.",
+        "If a board has its own watchdog, failstop arms it, and feeds it only while the service lives. If the board "
+        "hears nothing for the time that was set for the watchdog, because the service no longer lives or the cable is "
+        "out, it stops its wheels or lets them roll out, as tests show.",
         None, "boards that still drive after the time that was set for the watchdog: 0", ("RECEIVER",),
         "a board whose `status` says armed, and that drives on when everything is frozen",
     ),
@@ -223,7 +230,8 @@ CLAIMS = (
     Claim(
         "RETURN-1",
         "When nothing fails any more, failstop grants a reset and an enable, and the wheels turn again.",
-        None, "simulated time until the wheels turn again: at most 2 s. Runs of the model that never end: 0",
+        None, "simulated time until the wheels turn again: at most 2 s. Runs of the "
+        "[model](how-it-is-tested.md#the-stop-protocol-in-a-model-checker) of the stop protocol that never end: 0",
         ("SIMULATED", "MODEL"),
         "a service that is whole and never grants motion again",
     ),

@@ -85,7 +85,15 @@ def claims_table(root: Path) -> str:
     campaign = report.result_of((root / "docs/reference/faults.md").read_text("utf-8"))
     kept = report.kept(report.EVERY, {row["name"]: row for row in campaign["rows"]})
     day, count, missed = campaign["machine"]["date"], campaign["count"], campaign["missed"]
-    lines += ["", f"In the last campaign ({day}, {count:,} faults) {kept}, and {missed or 'no'} stops were missed."]
+    tried = [row["name"] for row in campaign["rows"] if row["count"]]
+    timeless = sum(report.EVERY[name].bar_ms is None for name in tried)
+    what = f"{count:,} faults of {len(tried)} kinds"
+    lines += ["", f"In the last campaign ({day}, {what}) {kept}, and {missed or 'no'} stops were missed."]
+    if timeless:
+        lines.append(
+            f"The other {timeless} kinds have no bar, because a healthy service answers them without a stop: it goes on "
+            "driving, or refuses to enable."
+        )
     return "\n".join(lines)
 
 
