@@ -119,7 +119,7 @@ def unheeded(state: State) -> str:
     for_s = state.device.unheeded_s
     if not state.moving or for_s is None or for_s < UNHEEDED_S:
         return ""
-    return f"the board has reported zero speed for {words.span(for_s)}"
+    return f"the board has reported for {words.span(for_s)} that it obeys a command of zero"
 
 
 def word(state: State) -> str:

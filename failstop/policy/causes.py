@@ -297,7 +297,7 @@ STUCK = Kind(
 )  # fmt: skip
 DEAF = Kind(
     11, "deaf", "the board is deaf", "supervisor",
-    "the board stopped answering, or it reported zero speed while motion was written to it",
+    "the board stopped answering, or it reported that it obeys a command of zero while motion was written to it",
     f"check the cable to the board; {PORT_SHARED}",
     doubt="so it may not have heard the stop",
 )  # fmt: skip

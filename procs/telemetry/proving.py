@@ -1,5 +1,5 @@
 """Proving: publishes what the board's answers and reports prove: for the supervisor, up to when the board has handled
-everything that was written; for people, whether it reports zero speed although motion is commanded."""
+everything that was written; for people, whether it obeys zero although motion is commanded."""
 
 from __future__ import annotations
 

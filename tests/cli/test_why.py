@@ -203,8 +203,8 @@ def test_a_command_that_the_board_says_it_does_not_obey_is_no_driving() -> None:
     found = why(deaf)
     assert "driving" not in str(found)
     assert found.what == (
-        "COMMANDED TO DRIVE, unproven: the board has reported zero speed for 0.8 s; nav (pid 42) commands 0.20 "
-        "m/s forward"
+        "COMMANDED TO DRIVE, unproven: the board has reported for 0.8 s that it obeys a command of zero; nav (pid 42) "
+        "commands 0.20 m/s forward"
     )
     assert verdict.large_word(deaf) == "MOVING, UNPROVEN"
     assert "driving: " in why(young).what, "it may be on its way"

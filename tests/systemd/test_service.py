@@ -156,6 +156,7 @@ def test_kill_of_everything(scene: Scene) -> None:
     told(scene, "stop frame sent")
 
 
+@pytest.mark.claim("SEVERAL-1")
 def test_hang_of_everything_is_the_watchdog_s(scene: Scene) -> None:
     """Nobody in the service can stop: systemd kills the supervisor, the stop tool the others."""
     before = scene.pids()
