@@ -54,8 +54,8 @@ CLAIMS = (
         "If two to five of the service's processes die or hang at once, the wheels stop. If no process is left that "
         "can write the stop, systemd starts the stop tool, which writes it.",
         265.0,
-        "from the first of the faults. This bar does not apply if the supervisor hangs and neither the port owner nor the "
-        "stopper can write: then [systemd's watchdog](#what-is-not-claimed) has to notice that, after 1 s",
+        "from the first of the faults. This bar does not apply if the supervisor hangs and neither the port owner nor "
+        "the stopper can write: then [systemd's watchdog](#what-is-not-claimed) has to notice that, after 1 s",
         ("LIFELINE", "WRITE", "SYSTEMD", "RIGHTS"),
         "any set of deaths and hangs after which no stop frame is executed",
     ),

@@ -91,8 +91,8 @@ def claims_table(root: Path) -> str:
     lines += ["", f"In the last campaign ({day}, {what}) {kept}, and {missed or 'no'} stops were missed."]
     if timeless:
         lines.append(
-            f"The other {timeless} kinds have no bar, because a healthy service answers them without a stop: it goes on "
-            "driving, or refuses to enable."
+            f"The other {timeless} kinds have no bar, because a healthy service answers them without a stop: it goes "
+            "on driving, or refuses to enable."
         )
     return "\n".join(lines)
 
