@@ -48,6 +48,12 @@ FULL = {
 }
 
 
+NOBODY_KNOWS = (
+    "the stop of the STM32 controller of Hiwonder's robots is written to {}; if another board is there, use the POWER "
+    "SWITCH"
+)
+
+
 @pytest.fixture(scope="module")
 def one_board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimBoard]:
     with SimBoard(tmp_path_factory.mktemp("refused") / "board") as made:
@@ -147,21 +153,44 @@ def test_a_full_file_system(name: str, board: SimBoard, full: str) -> None:
 
 @pytest.mark.claim("START-1")
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "told", "written"),
     [
-        ("[gate]\nlease_s = 9.0\n", "gate.lease_s = 9.0: it must be 0.04 to 1 s"),
-        ("nonsense", "is not TOML"),
-        (None, "check the path"),
+        ("[gate]\nlease_s = 9.0\n", "gate.lease_s = 9.0: it must be 0.04 to 1 s", "the stop is written to {}"),
+        ("nonsense", "is not TOML", NOBODY_KNOWS),
+        (None, "check the path", NOBODY_KNOWS),
     ],
     ids=["a bad value", "no TOML", "no file"],
 )  # fmt: skip
-def test_settings_that_are_refused(name: str, board: SimBoard, tmp_path: Path, text: str | None, told: str) -> None:
+def test_settings_that_are_refused(
+    name: str, board: SimBoard, tmp_path: Path, text: str | None, told: str, written: str
+) -> None:
     file = tmp_path / "failstop.toml"
     if text is not None:
         file.write_text(text)
     said = refused(board, *service(name, board), "--config", str(file))
     assert told in said
-    assert f"the stop is written to {board.link}" in said
+    assert written.format(board.link) in said
+
+
+@pytest.mark.claim("START-1")
+@pytest.mark.parametrize("kind", ["ugv", "vesc"])
+def test_with_settings_that_cannot_be_read_the_stop_is_that_of_the_last_run_s_board(tmp_path: Path, kind: str) -> None:
+    """The bytes that stop one board mean nothing to another."""
+    (tmp_path / "failstop.toml").write_text("nonsense")
+    with Trial(f"unread-{os.getpid()}-{kind}", kind=kind) as trial:
+        trial.enable()
+        trial.drive(0.3)
+        trial.service.pids()
+        assert trial.turning()
+        trial.service.kill_known()
+        trial.service.kill()
+        trial.leave()
+        wait_for("all processes to be gone", trial.service.gone)
+        trial.board.events()
+        said = refused(trial.board, *FAILSTOP, "run", "--name", trial.name, "--config", str(tmp_path / "failstop.toml"))
+        assert "is not TOML" in said
+        assert f"the stop of the last run's board is written to {trial.link}" in said
+        assert not trial.turning()
 
 
 def test_the_device_is_taken_from_settings_that_are_refused(name: str, board: SimBoard, tmp_path: Path) -> None:

@@ -21,6 +21,9 @@ from failstop.supervisor import starter
 from failstop.supervisor.port_handover import OwnPort
 
 DEVICE, KIND, BAUD, CAN_ID = "device.path", "board.kind", "board.baud", "board.can_id"
+OF_SETTINGS = "the stop is written to {}"
+OF_LAST_RUN = "the stop of the last run's board is written to {}"
+OF_ANOTHER = "{}; if another board is there, use the POWER SWITCH"
 REFUSALS = (FailstopError, SettingError, instance.InstanceError, OSError)
 """Errors that keep the service from starting."""
 
@@ -42,7 +45,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def main(arguments: Namespace) -> int:
     """Write the stop, then become the supervisor. Raises errors that main.py prints in one line."""
-    device, board, read = _device(arguments)
+    device, board, read, of = _device(arguments)
     port, lost = None, None
     try:
         port = OwnPort.open_and_stop(device, board, lambda: instances.refuse_locked(arguments.name))
@@ -56,29 +59,38 @@ def main(arguments: Namespace) -> int:
         told = f"no stop was written: {lost}"
         if port:
             written = port.stopped and port.drain()
-            told = f"the stop is written to {device}" if written else f"{device} takes no bytes: use the POWER SWITCH"
+            told = of.format(device) if written else f"{device} takes no bytes: use the POWER SWITCH"
             port.close()
         raise FailstopError(f"{_why(error)}; {told}") from None
     absent = lost is not None and lost.kind == "absent"
     raise FailstopError(f"{lost}{'; `failstop doctor --quick` lists the ports that are there' if absent else ''}")
 
 
-def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None]:
-    """The port and the board to which the stop goes: what the file names, even if something else in it is wrong, else
-    the defaults. Also returns the file's settings, unchecked; None if it can't be read, because the stop does not wait
-    for the reason. Raises FailstopError."""
+def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None, str]:
+    """The port and the board to which the stop goes: what the file names, even if something else in it is wrong. If it
+    can't be read, those of the last run, or the defaults. Also returns the file's settings, unchecked; None if it can't
+    be read, because the stop does not wait for the reason; and what is to be said of the port once the stop is out.
+    Raises FailstopError."""
     found, read = {key: BY_KEY[key].default for key in (DEVICE, KIND, BAUD, CAN_ID)}, None
     with contextlib.suppress(Exception):
         read = config.read(arguments.config)
         for key in found:
             with contextlib.suppress(SettingError):
                 found[key] = BY_KEY[key].check(read.get(key, found[key]))
+    if read is None:
+        from failstop.board import kept  # only now: its import would hold up the first stop
+
+        last = instance.last(arguments.name)
+        # The stop is bytes that this user or root has kept, and no program.
+        if last.owner in (0, os.geteuid()) and (known := kept.unpack_stop(last.stop)):
+            return arguments.device or last.device, known, None, OF_LAST_RUN
     try:
         board = board_of(str(found[KIND]), 1.0, 0.0, baud=int(found[BAUD]), can_id=int(found[CAN_ID]))
     except ValueError as error:
         advice = "if a wheel turns, try `failstop stop`, or use the POWER SWITCH"
         raise FailstopError(f"{error}; no stop was written: {advice}") from None
-    return arguments.device or str(found[DEVICE]), board, read
+    of = OF_SETTINGS if read is not None else f"the stop of {board.name} is written to {OF_ANOTHER}"
+    return arguments.device or str(found[DEVICE]), board, read, of
 
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
