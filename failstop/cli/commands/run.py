@@ -71,19 +71,18 @@ def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None,
     can't be read, those of the last run, or the defaults. Also returns the file's settings, unchecked; None if it can't
     be read, because the stop does not wait for the reason; and what is to be said of the port once the stop is out.
     Raises FailstopError."""
-    found, read = {key: BY_KEY[key].default for key in (DEVICE, KIND, BAUD, CAN_ID)}, None
-    with contextlib.suppress(Exception):
-        read = config.read(arguments.config)
-        for key in found:
-            with contextlib.suppress(SettingError):
-                found[key] = BY_KEY[key].check(read.get(key, found[key]))
-    if read is None:
+    if (read := _read(arguments.config)) is None:
         from failstop.board import kept  # only now: its import would hold up the first stop
 
         last = instance.last(arguments.name)
         # The stop is bytes that this user or root has kept, and no program.
         if last.owner in (0, os.geteuid()) and (known := kept.unpack_stop(last.stop)):
             return arguments.device or last.device, known, None, OF_LAST_RUN
+        read = _read(arguments.config)  # what kept it from being read may be over
+    found = {key: BY_KEY[key].default for key in (DEVICE, KIND, BAUD, CAN_ID)}
+    for key in found:
+        with contextlib.suppress(SettingError):
+            found[key] = BY_KEY[key].check((read or {}).get(key, found[key]))
     try:
         board = board_of(str(found[KIND]), 1.0, 0.0, baud=int(found[BAUD]), can_id=int(found[CAN_ID]))
     except ValueError as error:
@@ -91,6 +90,13 @@ def _device(arguments: Namespace) -> tuple[str, Board, dict[str, object] | None,
         raise FailstopError(f"{error}; no stop was written: {advice}") from None
     of = OF_SETTINGS if read is not None else f"the stop of {board.name} is written to {OF_ANOTHER}"
     return arguments.device or str(found[DEVICE]), board, read, of
+
+
+def _read(path: str | None) -> dict[str, object] | None:
+    """What a settings file sets, unchecked; None if it can't be read."""
+    with contextlib.suppress(Exception):
+        return config.read(path)
+    return None
 
 
 def _start(arguments: Namespace, read: dict[str, object] | None, port: OwnPort | None) -> None:
