@@ -127,6 +127,19 @@ def test_a_goal_of_the_topic_ends_with_its_publisher(scene: BridgeTrial) -> None
     assert abs(scene.trial.board.joints()[1] - start) < 180, "0.9 rad are 215 pulses"
 
 
+def test_a_new_goal_of_the_same_publisher_takes_the_place_of_the_one_before(scene: BridgeTrial) -> None:
+    sender = scene.node("sender")
+    wait_for("the arm to be seen", lambda: scene.state()["arm_enabled"])
+    publish_once(sender, {"joint_names": ["base"], "points": [point(3, 0.9)]})
+    scene.state(lambda state: state["arm_moving"])
+    sender.ask("publish", topic="arm/goal", fields={"joint_names": ["base"], "points": [point(1, -0.1)]})
+    end = 500 - 0.1 / 0.0041888
+    wait_for("the end of the second", lambda: abs(scene.trial.board.joints()[1] - end) < 3)
+    scene.state(lambda state: not state["arm_moving"])
+    assert scene.trial.board.joints()[1] == pytest.approx(end, abs=3)
+    assert scene.state()["estop"] is None, "one publisher is no reason to stop"
+
+
 def test_a_long_goal_of_the_topic_is_refused(scene: BridgeTrial) -> None:
     sender = scene.node("sender")
     publish_once(sender, {"joint_names": ["base"], "points": [point(1, 0.1), point(8, 0.2)]})
