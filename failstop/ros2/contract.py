@@ -61,9 +61,9 @@ CMD_VEL = Topic(
     0,
     "the velocity command. The bridge reads the type that the publisher offers, Twist or TwistStamped, or only the "
     "type that you set with `cmd_vel_type`. A best-effort publisher is not heard. A command is refused if its stamp is "
-    "older than the command timeout (a stamp of zero counts as now), or if it took that much longer to arrive than "
-    "other commands from its publisher, for example because DDS resent it. A zero velocity is never refused. NaN or "
-    "infinity in any of the six fields latches a stop",
+    "older than the command timeout (a stamp of zero counts as now), or if it took longer to arrive than other "
+    "commands from its publisher, by more than the command timeout, for example because DDS resent it. A zero velocity "
+    "is never refused. NaN or infinity in any of the six fields latches a stop",
 )
 SCAN = Topic(
     "scan",
@@ -78,7 +78,8 @@ ESTOP = Topic(
     "std_msgs/msg/Bool",
     PLAIN,
     0,
-    "true latches a stop (`estop topic`); false does nothing. Best-effort publishers are heard too",
+    "true latches a stop (`estop topic`); false does nothing. The bridge hears best-effort publishers too, because it "
+    "has a second subscription to this topic, with best effort",
 )
 ESTOP_LOSSY = ESTOP._replace(qos=LOSSY)
 """A second subscription: a reliable one hears no best-effort publisher, and a best-effort one alone may lose what a
@@ -184,8 +185,9 @@ ENABLE_SERVICE = Service(
 RESET_SERVICE = Service(
     "~/reset_estop",
     "std_srvs/srv/Trigger",
-    "clears the latched stop; motion stays disabled. Refused while nonzero commands arrive on cmd_vel, and while two "
-    "nodes publish it",
+    "clears the latched stop; motion stays disabled. Refused while nonzero commands arrive on `cmd_vel`, while two "
+    "nodes publish `cmd_vel` or `arm/goal`, and while a node that `allowed_publishers` does not allow publishes "
+    "`cmd_vel`",
 )
 STOP_SERVICE = Service(
     "~/stop",
@@ -232,7 +234,7 @@ STATE_KEYS = {
     "next": "a list of what to do so that the wheels can move",
     "driver": "the program that drives now, and its source; null if none drives",
     "publishers": "the nodes that publish cmd_vel",
-    "wrong": "what is wrong with cmd_vel, scan or estop; null if nothing is",
+    "wrong": "what is wrong with cmd_vel, arm/goal, scan or estop; null if nothing is",
     "link": "whether the board answers. `alive`: it does; `unproven`: it has never answered since the port was opened; "
     "`deaf`: it does not hear; `silent`: it used to send reports and now sends nothing; `unheard`: it has not answered "
     "since it was plugged in again; `unasked`: this kind of board can't answer",

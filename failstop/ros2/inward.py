@@ -276,7 +276,7 @@ class Inward:
             raise Refused(cause)
         if now_ns - self._moving_ns < self._timeout_s * 1e9:
             who = self._commanders.names()
-            raise Refused(f"{who} commands {words.velocity(*self._velocity)}: it would move at the next enable")
+            raise Refused(words.still_commands(who, self._velocity, self._timeout_s))
         return words.reset(self._link.call(_reset))
 
     def _answer(self, response: Any, act: Any) -> Any:

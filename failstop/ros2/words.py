@@ -71,3 +71,8 @@ def unwatched(takes_s: float, most_s: float) -> str:
 def velocity(linear_x: float, linear_y: float, angular_z: float) -> str:
     """A command as people read it."""
     return f"{linear_x:g} m/s forward, {linear_y:g} m/s left, {angular_z:g} rad/s"
+
+
+def still_commands(who: str, commanded: tuple[float, float, float], timeout_s: float) -> str:
+    """Why a reset is refused while a node commands motion, and what to do."""
+    return f"{who} commands {velocity(*commanded)}: let it send zero or nothing for {timeout_s:g} s, then reset again"

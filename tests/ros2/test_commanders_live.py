@@ -7,6 +7,7 @@ import pytest
 from failstop.policy import causes
 from tests.ros2.scene import BOOL, FORWARD, NODE, STAMPED, TWIST, BridgeTrial
 from tests.support.commands import failstop
+from tests.support.leases import TIMEOUT_S
 from tests.support.waiting import until
 
 BACKWARD = {"linear": {"x": -0.2}}
@@ -98,6 +99,7 @@ def test_reset_is_refused_while_somebody_commands_motion(scene: BridgeTrial) -> 
     done, text = scene.eyes.call("reset_estop")
     assert (done, text.partition(":")[0]) == (False, "refused")
     assert "/nav commands 0.2 m/s forward" in text
+    assert text.endswith(f": let it send zero or nothing for {TIMEOUT_S:g} s, then reset again")
     driver.ask("repeat", topic="cmd_vel", fields={}, hz=20.0)
     found: tuple[object, str] = ("", "")
     while not str(found[1]).startswith("e-stop cleared"):
