@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import pytest
@@ -121,6 +122,24 @@ def test_each_question_for_counts_has_the_board_asked_for_the_next_ones() -> Non
     assert frames(language, b"e\r", 1066) == [b"e\r"]
     assert frames(language, b"e\r", 1165) == []
     assert frames(language, b"e\r", 1166) == [b"e\r"], "a question or its answer was lost"
+
+
+@pytest.mark.parametrize("every_ms", [20, 33, 50, 100, 1000])
+def test_counts_are_equally_old_each_time(every_ms: int) -> None:
+    """Wheels that turn by a count each millisecond; the board answers after 2 ms, and failstop itself asks it ten times
+    a second. An answer to failstop itself that comes within these 2 ms is taken for the driver's."""
+    language = language_of("arduino", {})
+    assert language
+    counts, reports = [], set(range(40, 10_000, 100))
+    for now_ms in range(10_000):
+        if now_ms in reports:
+            language.heard(b"%d 0\r\n" % now_ms, now_ms * 1_000_000)
+        if now_ms % every_ms == 0:
+            rows = language.wrote(b"e\r", now_ms * 1_000_000)
+            counts += [int(row.data.split()[0]) for row in rows if isinstance(row, DriverAnswer)]
+            reports |= {now_ms + 2 for row in rows if isinstance(row, DriverFrame)}
+    assert {after - before for before, after in pairwise(counts[3:])} <= set(range(every_ms - 2, every_ms + 3))
+    assert counts[-1] > 10_000 - 2 * every_ms - 100
 
 
 def test_a_driver_sets_the_pins_that_the_settings_name_and_no_other() -> None:

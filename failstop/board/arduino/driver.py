@@ -43,6 +43,8 @@ PATIENCE_NS = 1_000_000_000
 """diffdrive_arduino's default timeout; hbrobotics' node waits longer."""
 _LOST_NS = 100_000_000
 """After this time without an answer the board is asked again; failstop itself asks ten times a second."""
+_STEADY_NS = 200_000_000
+"""A driver that asks for counts at least this often gets those of its last question."""
 
 _GAINS = "the board keeps its gains"
 _PINS = "failstop reads no pins, and sets only those that the setting guard.pins names"
@@ -65,8 +67,10 @@ counts that the driver sees to zero, so it is not refused."""
 class ArduinoDriver:
     """One driver's lines, and the counts that it sees: they begin at 0, as after the reset of a real opening.
 
-    An `e` is answered at once with the newest counts, and the board is asked for the next ones. So a driver that asks
-    at a steady rate gets counts that are one of its own periods old, each time.
+    An `e` is answered at once, and the board is asked for the next counts. The answer has the counts that the board
+    reported to the driver's last `e`, so a driver that asks at a steady rate gets counts that are one of its own
+    periods old each time. Counts that failstop reads for itself come in between, so they would be of any age: they
+    answer only a driver that asks too seldom.
     """
 
     def __init__(self, pins: Collection[int] = ()) -> None:
@@ -85,6 +89,9 @@ class ArduinoDriver:
         """The board's counters, as it reported them last."""
         self._counted_ns = 0
         self._counts = [0, 0]
+        """The newest counts."""
+        self._kept, self._kept_ns = [0, 0], -_STEADY_NS
+        """The counts that the board reported to the driver's last question, and when."""
 
     def wrote(self, chunk: bytes, now_ns: int) -> list[Row]:
         """Handle the driver's lines."""
@@ -108,9 +115,10 @@ class ArduinoDriver:
         """Keep the board's counts. Nothing is passed on, because this board only answers."""
         for sample in self._reader.feed(chunk):
             if isinstance(sample, Wheels):
-                self._asked_ns = 0
                 left, right = sample.positions
                 self._count((int(left), int(right)), now_ns)
+                if self._asked_ns:
+                    self._kept, self._kept_ns, self._asked_ns = self._counts, now_ns, 0
         return []
 
     def _count(self, counters: tuple[int, int], now_ns: int) -> None:
@@ -129,7 +137,8 @@ class ArduinoDriver:
         if self._command == ord("m"):
             return [*self._motion(), DriverAnswer(_OK)]
         if self._command == ord("e"):
-            return [DriverAnswer(b"%d %d\r\n" % tuple(self._counts)), *self._ask(now_ns)]
+            counts = self._kept if now_ns - self._kept_ns < _STEADY_NS else self._counts
+            return [DriverAnswer(b"%d %d\r\n" % tuple(counts)), *self._ask(now_ns)]
         if self._command == ord("b"):
             return [DriverAnswer(b"57600\r\n")]
         if self._command == ord("o"):
@@ -143,7 +152,7 @@ class ArduinoDriver:
         if found := _WITHOUT_EFFECT.get(self._command):
             answer, what, why = found
             if self._command == ord("r"):
-                self._counts = [0, 0]
+                self._counts = self._kept = [0, 0]
             return [*([DriverRefusal(what, why)] if what else []), DriverAnswer(answer)]
         if not self._command:
             return [DriverAnswer(_INVALID)]
