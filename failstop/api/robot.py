@@ -43,7 +43,7 @@ class Driving:
 
 @dataclasses.dataclass(frozen=True)
 class Preempted:
-    """A source of higher priority drives; this command waits."""
+    """A source of higher priority drives, so this command moves nothing now. It is not queued: go on commanding."""
 
     by: str
     """The program that drives: name and pid."""

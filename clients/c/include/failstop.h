@@ -98,7 +98,7 @@ typedef enum fs_answer {
   FS_ANSWER_NONE = 0,
   /** This command moves the wheels. */
   FS_DRIVING = 1,
-  /** A source of higher priority drives; this command waits. */
+  /** A source of higher priority drives, so this command moves nothing now. It is not queued: go on commanding. */
   FS_PREEMPTED = 2,
   /** Nothing moves: `fs_state.block` says why. */
   FS_BLOCKED = 3
