@@ -30,7 +30,9 @@ class Claim:
 CLAIMS = (
     Claim(
         "START-1",
-        "The first bytes that a run of the service sends to the board are a stop.",
+        "The first bytes that a run of the service sends to the board are a stop. If its settings can't be read, they "
+        "are the stop of the last run's board; if there was no run before, nobody knows the board, and they are the "
+        "stop of `rrc`.",
         150.0, "from the start of `failstop run`", ("PTY", "RECEIVER"),
         "a byte at the board before the burst of a run",
     ),
