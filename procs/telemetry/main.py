@@ -403,10 +403,11 @@ class Telemetry:
         """Handle the board's report about its wheels. It is better than what an IMU feels."""
         was_still = self._read_back.still_ns > 0
         speeds, positions = sample
-        self._measured.add(speeds, positions, t_ns)
+        is_new = self._measured.add(speeds, positions, t_ns)
         self._odometry.roll(self._measured)
-        measured = map(box.single, of_every_wheel(self._measured.speeds_rps))
-        self._box.put(box.pack_board(box.WHEELS_KIND, *measured), t_ns)
+        if is_new:
+            measured = map(box.single, of_every_wheel(self._measured.speeds_rps))
+            self._box.put(box.pack_board(box.WHEELS_KIND, *measured), t_ns)
         self._restarts.counted(positions, t_ns)
         if self._read_back.add(speeds, positions, t_ns):
             self._publish_still(self._read_back, was_still=was_still)

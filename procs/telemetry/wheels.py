@@ -79,8 +79,9 @@ class Measured:
         """Continue from the newest report of an earlier run of this process."""
         self.turns, self.speeds_rps, self.t_ns = tuple(turns), tuple(speeds_rps), t_ns
 
-    def add(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> None:
-        """Add a report of the board, in its own units."""
+    def add(self, speeds: Sequence[float], positions: tuple[float, ...], t_ns: int) -> bool:
+        """Add a report of the board, in its own units. True if `speeds_rps` was measured with this report; otherwise it
+        is older."""
         told = self._reports
         rps = tuple(speed / told.speed_per_rps for speed in speeds) if told.speed_per_rps else ()
         counts = positions if self.counts else ()
@@ -88,10 +89,10 @@ class Measured:
         if not all(-self._fastest_rps <= each <= self._fastest_rps for each in rps):
             rps = ()
         if not all(map(isfinite, counts)):
-            return
+            return False
         if counts:
             if not self._count(counts, t_ns):
-                return
+                return False
             if not rps and t_ns - self._moved_ns >= SAME_READ_NS:
                 rps = tuple(turns * 1e9 / (t_ns - self._moved_ns) for turns in self._moved)
             if t_ns - self._moved_ns >= SAME_READ_NS:
@@ -101,6 +102,7 @@ class Measured:
         if rps or counts:
             self.t_ns = max(self.t_ns, t_ns)
             self.speeds_rps = rps or self.speeds_rps
+        return bool(rps)
 
     def _add_up(self, rps: tuple[float, ...], t_ns: int) -> None:
         """Add turns from speeds: the mean of two reports times the time between them."""
@@ -142,6 +144,8 @@ class Measured:
             self._lose(t_ns - self.t_ns)
         else:
             self.turns = (0.0,) * len(positions)
+        # The first count says nothing about the speed, and the last known one is from before a gap.
+        self.speeds_rps = ()
         self._positions, self._moved, self._moved_ns = positions, (0.0,) * len(positions), t_ns
 
     def _lose(self, elapsed_ns: int) -> None:

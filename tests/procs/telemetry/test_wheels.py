@@ -118,6 +118,18 @@ def test_a_successor_goes_on_from_the_turns_and_says_what_it_may_have_missed() -
     assert measured.missed == pytest.approx(0.2)
 
 
+def test_a_successor_does_not_repeat_a_speed_from_before_its_gap() -> None:
+    """The wheels may have stopped in between, as they do when telemetry is killed."""
+    measured = Measured(COUNTS)
+    measured.inherit((5.0, -5.0), (1.0, -2.0), 1_000 * MS)
+    assert not measured.add((), (70_000.0, 70_000.0), 1_200 * MS)
+    assert (measured.speeds_rps, measured.t_ns) == ((), 1_200 * MS)
+    assert measured.add((), (70_000.0, 70_000.0), 1_300 * MS)
+    assert measured.speeds_rps == (0.0, 0.0)
+    assert not measured.add((), (70_000.0, 70_000.0), 1_301 * MS), "two of one read"
+    assert not measured.add((), (9e12, 70_000.0), 1_400 * MS), "a jump that no wheel makes"
+
+
 def test_another_number_of_wheels_begins_again() -> None:
     measured = counted(*DRIVEN)
     measured.add((), (1.0, 2.0, 3.0), 400 * MS)
