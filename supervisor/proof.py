@@ -22,6 +22,7 @@ from failstop.policy.proofs import (
     NO_IMU,
     NOT_SENT,
     UNMOVED,
+    heard_late,
     wheels_seen,
 )
 from failstop.procs.starved import LONGEST_NS
@@ -131,8 +132,9 @@ class Proof:
 
     def outcome(self, link: str) -> str:
         """The outcome for the journal. `link`: the state of the link."""
+        late = heard_late(self.stop.cause.named().get("process"))
         if self.acknowledged_ns:
-            heard = f"acknowledged by {ACKNOWLEDGED_BY[self._by[0]]} after {self.acknowledged_ns / 1e6:.1f} ms"
+            heard = f"acknowledged by {ACKNOWLEDGED_BY[self._by[0]]} after {self.acknowledged_ns / 1e6:.1f} ms{late}"
         else:
             unheard = UNMOVED if link == LINK_UNASKED and self._by[0] else f"not acknowledged (link {link})"
             heard = f"handed over, {NOT_SENT}" if self.held else unheard
@@ -140,7 +142,7 @@ class Proof:
             unstill = "wheels NOT seen still" if self.wheels == WHEELS_UNSTILL else "not observed"
             seen = unstill if self._by[1] else NO_IMU
         else:
-            seen = wheels_seen(self.observed_ns / 1e9, self._by[1])
+            seen = wheels_seen(self.observed_ns / 1e9, self._by[1]) + late * (self.observed_ns > 0)
         return f"{self.stop.cause}: {heard}, {seen}"
 
     def fields(self, link: str) -> dict[str, str | float | None]:

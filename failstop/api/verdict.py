@@ -46,6 +46,8 @@ CHANGES = frozenset(("ready", "enabled", "disabled", "reset", "stop", "driver_go
 """Kinds of events that change whether motion is, or may be, enabled."""
 LEFT_OFF = frozenset(("driver_silent", "driver_gone"))
 """Kinds of events about a driver that stopped driving while the wheels turned."""
+UNLATCHED = LEFT_OFF | {"disabled"}
+"""Kinds of events about wheels that were stopped although no stop was latched."""
 SINCE = CHANGES | LEFT_OFF | {"driver_ended", "stop_again"}
 
 

@@ -19,6 +19,7 @@ from failstop.policy.proofs import (
     SEEN_BY,
     TO_A_STRANGER,
     UNMOVED,
+    heard_late,
     wheels_seen,
 )
 
@@ -33,8 +34,8 @@ class Why:
     what: str
     """Why the wheels are stopped, and since when; or, while they move, which program drives."""
     proof: str
-    """The proof that they are stopped: what was written, acknowledged and observed for the last stop, and what is
-    observed now, with the age of the reading."""
+    """The proof that they are stopped: what was written, acknowledged and observed for the stop that `what` is about
+    (only latched stops are timed), and what is observed now, with the age of the reading."""
     do: tuple[str, ...]
     """Steps to take, in order, with commands in backquotes; empty while the wheels move."""
     also: tuple[str, ...]
@@ -92,7 +93,7 @@ def explain(state: State, events: Sequence[Event], now_s: float) -> Why:
         also.append(f"the run before this one: {before}")
     return Why(
         what=": ".join(filter(None, (what, began))),
-        proof=f"{_proof(state, now_s)}; now: {wheels.now(state)}",
+        proof=f"{_proof(state, events, now_s)}; now: {wheels.now(state)}",
         do=tuple(step.typed for step in steps.todo(state)),
         also=tuple(words.named(text, state.name) for text in also),
         since=start,
@@ -156,18 +157,32 @@ def since(state: State, events: Sequence[Event], now_s: float) -> tuple[float | 
     return None, ""
 
 
-def _proof(state: State, now_s: float) -> str:
-    """The proof of the stop for which the wheels are stopped, or of the last stop. While motion is commanded: the proof
-    that the board answers."""
+UNTIMED = "this stop was not timed, because only latched stops are"
+
+
+def _proof(state: State, events: Sequence[Event], now_s: float) -> str:
+    """The proof of the stop for which the wheels are stopped. If motion was disabled without a latched stop, and while
+    motion is commanded: only that the board answers, because the times of an earlier stop prove nothing about now."""
     stop = state.last_stop
-    if stop and (state.block is Block.DISABLED or stop.cause == state.cause):
+    if stop and _explains(stop, state, events):
         which = "" if state.cause else f"the last stop ({stop.reason}; {words.ago(stop.t, now_s)}): "
         told = ", ".join(text for text, _ in proofs(stop, now_s, state.device.link))
         if stop.written_s is None and not verdict.doubt(state):
             told += " at first; the port is open now, and the board is told to stop"
         return f"{which}{told}"
     told = verdict.link(state)
+    if state.block is Block.DISABLED and (change := verdict.newest(events, verdict.CHANGES)):
+        told += f"; {UNTIMED}" * (change.kind in verdict.UNLATCHED)
     return told if state.block in (None, Block.LATCHED) else f"the board is told to stop; {told}"
+
+
+def _explains(stop: Stop, state: State, events: Sequence[Event]) -> bool:
+    """Whether this stop is why the wheels are stopped: it is latched, or nothing has enabled or disabled motion since
+    it."""
+    if state.block is not Block.DISABLED:
+        return stop.cause == state.cause
+    change = verdict.newest(events, verdict.CHANGES)
+    return change is None or change.kind in ("stop", "reset")
 
 
 def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | None]]:
@@ -180,16 +195,18 @@ def proofs(stop: Stop, now_s: float, link: str = "") -> list[tuple[str, bool | N
     written = f"written by the {stop.written_by.replace('_', ' ')} after {words.took(stop.written_s)}"
     if not stop.believed:
         written += f" {TO_A_STRANGER}"
+    late = heard_late(stop.cause.named().get("process"))
     heard, by = f"NOT acknowledged by the board{yet}", stop.observed_by
     seen = f"NOT seen still by {SEEN_BY[by]}{yet}" if by else NO_IMU
     if not stop.acknowledged_by:
         heard = "this board never acknowledges a stop"
     elif stop.acknowledged_s is not None:
         heard = f"acknowledged by {ACKNOWLEDGED_BY[stop.acknowledged_by]} after {words.took(stop.acknowledged_s)}"
+        heard += late
     elif link == LINK_UNASKED:
         heard = UNMOVED
     if stop.observed_s is not None:
-        seen = wheels_seen(stop.observed_s, by)
+        seen = wheels_seen(stop.observed_s, by) + late * (stop.observed_s > 0)
     return [
         (written if stop.sent else NOT_SENT, stop.sent and stop.believed),
         (heard, stop.acknowledged_s is not None if stop.acknowledged_by else None),

@@ -47,6 +47,8 @@ LONGEST_BODY = 64 * 1024 * 1024
 """Uncompressed; what claims to be longer is damage, and not worth the memory."""
 FOLDER = "incidents"
 LAST = "last"
+MOST_NAMED = 3
+"""How many incidents an error names."""
 
 
 class IncidentError(FailstopError):
@@ -294,8 +296,8 @@ def prune(folder: str, name: str, keep: int, most_bytes: int) -> None:
 
 
 def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
-    """The path of the incident that is meant by a path, `last`, an id, its number, or the beginning of one with or
-    without its number. Raises IncidentError."""
+    """The path of the incident that is meant by a path, `last`, an id, its number, the beginning of one with or without
+    its number, or its date, its time or both as the screens show them. Raises IncidentError."""
     if os.sep in wanted or wanted.endswith(SUFFIX):
         return wanted
     there = folders(name, environ)
@@ -307,23 +309,34 @@ def find(wanted: str, name: str, environ: Mapping[str, str]) -> str:
     if len(meant) == 1:
         return str(meant[0]["path"])
     if meant:
-        raise IncidentError(
-            f"incident {wanted!r} could be {', '.join(head['id'] for head in meant)}: write more of its id"
-        )
+        ids = [str(head["id"]) for head in meant[-MOST_NAMED:]]
+        more = f" or one of {len(meant) - len(ids)} older ones" if len(meant) > len(ids) else ""
+        raise IncidentError(f"incident {wanted!r} could be {', '.join(ids)}{more}: write more of its id, or its number")
     if found:
-        raise IncidentError(f"no incident {wanted!r} of {name!r}: `failstop incident list` shows them")
+        listing = words.named("`failstop incident list`", name)
+        raise IncidentError(
+            f"no incident {wanted!r} of {name!r}: {listing} shows them; if it is another robot's, add --name"
+        )
     raise IncidentError("; ".join((nothing(name, environ), *problems)))
 
 
 def _meant(wanted: str, found: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The heads that a person may mean: those of this number, else those whose id, or its part after the number, begins
-    like this."""
+    like this, else those whose date and time, or whose time, begins like this as the screens show it."""
     if wanted.isdecimal() and (numbered := [head for head in found if number_of(head["id"]) == int(wanted) > 0]):
         return numbered
     ids = ((head, head["id"]) for head in found)
-    return [
+    named = [
         head for head, it in ids if it.startswith(wanted) or (number_of(it) and it.partition("-")[2].startswith(wanted))
     ]
+    return named or [head for head in found if _shown_at(head, wanted)]
+
+
+def _shown_at(head: dict[str, Any], wanted: str) -> bool:
+    """Whether the screens show an incident with a date and time that begins like this, or with such a time of day."""
+    date_and_time = words.clock(head["t"])
+    with_time = ":" in wanted and date_and_time.partition(" ")[2].startswith(wanted)
+    return with_time or date_and_time.startswith(wanted)
 
 
 def nothing(name: str, environ: Mapping[str, str]) -> str:
@@ -336,5 +349,6 @@ def nothing(name: str, environ: Mapping[str, str]) -> str:
             f"no incident of {name!r} is saved, and {' and '.join(reasons)}, so stops leave no file until there is room"
         )
     return (
-        f"no incident of {name!r} is saved in {' or '.join(where)}: see `failstop events`, or name another with --name"
+        f"no incident of {name!r} is saved in {' or '.join(where)}: see "
+        f"{words.named('`failstop events`', name)}, or name another with --name"
     )

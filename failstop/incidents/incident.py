@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import groupby
+from functools import cached_property
+from itertools import groupby, pairwise
 from math import isnan
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -37,6 +38,10 @@ SAYS = {
     SILENT: "the gate is silent",
 }
 """The gate's word, or that it says nothing, for people."""
+QUIET_NS = 100_000_000
+"""A board that sends 110 IMU samples a second and then nothing for this long has gone silent."""
+USUAL_GAPS = 2.5
+"""Reports that come less often have a gap where the next one takes this many times as long as usual."""
 SLOWEST_RPS = 1e-4
 """A wheel that is reported to turn slower than this is still."""
 EVERY_ID = range(1, HIGHEST_ID + 1)
@@ -251,14 +256,25 @@ class Incident:
         runs = [(what, list(run)) for what, run in groupby(parts, itemgetter(0))]
         return [(what, run[0][1], run[-1][2]) for what, run in runs]
 
+    @cached_property
+    def wheels_gap_ns(self) -> int:
+        """Between two reports of the wheels that are further apart than this, some were missed."""
+        apart = sorted(later - earlier for (earlier, _), (later, _) in pairwise(self.measured))
+        return max(QUIET_NS, round(USUAL_GAPS * apart[len(apart) // 2])) if apart else QUIET_NS
+
     def rolled(self) -> list[tuple[bool, int, int, float, int]]:
-        """(whether they turn, from when, until when, the fastest in turns a second, how many reports said so): what the
-        board's reports say of the wheels, in order."""
-        found = []
-        for turn, group in groupby(self.measured, lambda report: max(map(abs, report[1]), default=0.0) >= SLOWEST_RPS):
-            run = list(group)
-            fastest = max(max(map(abs, speeds), default=0.0) for _, speeds in run)
-            found.append((turn, run[0][0], run[-1][0], fastest, len(run)))
+        """(whether they turn, first seen so, last seen so, the fastest in turns a second, how many reports said so):
+        what the board's reports say of the wheels, in order. A gap in the reports ends an entry, because nothing says
+        what the wheels did meanwhile."""
+        found: list[tuple[bool, int, int, float, int]] = []
+        for ns, speeds in self.measured:
+            fastest = max(map(abs, speeds), default=0.0)
+            turn = fastest >= SLOWEST_RPS
+            if found and found[-1][0] == turn and ns - found[-1][2] <= self.wheels_gap_ns:
+                _, begin_ns, _, before, count = found[-1]
+                found[-1] = (turn, begin_ns, ns, max(before, fastest), count + 1)
+            else:
+                found.append((turn, ns, ns, fastest, 1))
         return found
 
     def ages(self) -> dict[str, float | None]:

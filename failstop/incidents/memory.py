@@ -17,6 +17,7 @@ from failstop.api.words import took
 from failstop.messages import box, layout, records
 from failstop.messages import segments as shared
 from failstop.policy import causes
+from failstop.policy.proofs import heard_late
 from failstop.policy.proofs import still_or_unseen as seen_after
 from failstop.shm import cell
 from failstop.shm.cell import cell_bytes
@@ -169,11 +170,13 @@ def proofs(head: dict[str, Any]) -> list[tuple[str, bool | None]]:
         found[0] = f"written after {took(written_us / 1e6)}", True
     elif stop:
         found[0] = f"NOT written within {took(max(0.0, head['saved'] - head['t']))}", False
+    late = heard_late(head.get("cause", {}).get("process"))
     if heard_us is not None:
-        found[1] = f"acknowledged after {took(heard_us / 1e6)}", True
+        found[1] = f"acknowledged after {took(heard_us / 1e6)}{late}", True
     if seen_ms is not None:
         # Without a word that would not fit a line of 80 columns.
-        found[2] = seen_after(seen_ms / 1e3, by=stop.get("observed_by") or "IMU"), True if seen_ms else None
+        seen = seen_after(seen_ms / 1e3, by=stop.get("observed_by") or "IMU")
+        found[2] = f"{seen}{late}" if seen_ms else seen, True if seen_ms else None
     elif stop.get("wheels") == "unstill":
         found[2] = "wheels NOT seen still", False
     return found

@@ -141,10 +141,10 @@ def _at(incident: Incident, entries: Iterable[tuple[Any, ...]]) -> list[float]:
     return [incident.ms(entry[0]) for entry in entries]
 
 
-def broken(at_ms: list[float], values: Any) -> tuple[Any, Any]:
-    """A curve with no value (NaN) wherever what it is made of is further apart than BREAK_MS."""
+def broken(at_ms: list[float], values: Any, gap_ms: float = BREAK_MS) -> tuple[Any, Any]:
+    """A curve with no value (NaN) wherever what it is made of is further apart than `gap_ms`."""
     times, found = np.array(at_ms), np.array(values, dtype=float)
-    gaps = np.nonzero(np.diff(times) > BREAK_MS)[0] + 1
+    gaps = np.nonzero(np.diff(times) > gap_ms)[0] + 1
     return np.insert(times, gaps, times[gaps - 1]), np.insert(found, gaps, np.nan)
 
 
@@ -172,8 +172,15 @@ def _wheels(axes: Axes, incident: Incident) -> None:
         line |= {"where": "post", "label": name, "color": f"C{2 * index // len(incident.wheels)}"}
         axes.step(_at(incident, frames), [speeds[index] for _, speeds in frames], **line)
         if incident.measured:
-            reported = broken(_at(incident, incident.measured), [speeds[index] for _, speeds in incident.measured])
-            axes.plot(*reported, color=line["color"], linewidth=1.0, linestyle=":" if index % 2 else "--")
+            measured = [speeds[index] for _, speeds in incident.measured]
+            reported = broken(_at(incident, incident.measured), measured, incident.wheels_gap_ns / 1e6)
+            style: dict[str, Any] = {
+                "linewidth": 1.0,
+                "linestyle": ":" if index % 2 else "--",
+                "marker": ".",
+                "markersize": 3,
+            }
+            axes.plot(*reported, color=line["color"], **style)
 
 
 def _joints(axes: Axes, incident: Incident) -> None:
@@ -227,7 +234,7 @@ def _lanes(axes: Axes, incident: Incident) -> None:
 
 PANELS: tuple[Panel, ...] = (
     ("Velocity (dashed: commanded)", 1.85, _velocity),
-    ("Wheel speeds written to the board (rps); broken: as it reports them", 1.6, _wheels),
+    ("Wheel speeds written to the board (rps); dotted: as it reports them", 1.6, _wheels),
     ("Where the arm was sent (pulses of 0.24 degrees)", 1.6, _joints),
     ("Vibration: gyro std over 0.5 s (mrad/s); orange: the wheels turn", 1.3, _vibration),
     ("Who was heard: a stroke each; green: a process beats, red: silent for too long; cross: it died", 2.4, _lanes),

@@ -54,6 +54,16 @@ LEAST_SAMPLES = 20
 little."""
 
 
+HEARD_LATE = " (heard once telemetry was back)"
+"""For people, after the time of an answer or of a report: the process that hears them had died or hung, so
+the board may have answered earlier, and the wheels may have stopped earlier."""
+
+
+def heard_late(process: object) -> str:
+    """For people, after such a time, in a stop whose cause is about this process; empty: it was heard at once."""
+    return HEARD_LATE if process == "telemetry" else ""
+
+
 def observer(boards: str, *, imu: bool) -> str:
     """What observes that the wheels are at rest, given the board interface's word; empty if it is an IMU that the robot
     lacks."""

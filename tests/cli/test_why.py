@@ -90,6 +90,21 @@ def test_a_stop_before_the_reset_is_shown_with_its_proofs() -> None:
 
 
 @pytest.mark.parametrize(
+    ("later", "its"),
+    [
+        ((), True),
+        ((event("stop", "STOP latched: key1", 12), event("reset", "pad: latched stop cleared", 6)), True),
+        ((event("disabled", "motion disabled by nav (pid 42)", 6),), False),
+        ((event("driver_gone", "motion disabled: nav (pid 42) died after it had driven", 6),), False),
+    ],
+)
+def test_the_times_of_a_stop_are_shown_only_for_what_it_explains(later: tuple[Event, ...], its: bool) -> None:
+    proof = why(state(last_stop=stop()), *later).proof
+    assert ("0.21 ms" in proof) == its
+    assert ("this stop was not timed" in proof) != its
+
+
+@pytest.mark.parametrize(
     ("blocked", "age_s", "part"),
     [
         ("cmd timeout", 2.5, "no program sends commands"),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from failstop.api import words
 from failstop.cli.main import main
 from failstop.files import durable
 from failstop.incidents import files
@@ -49,6 +50,30 @@ def test_the_beginning_of_an_id_is_enough_if_it_is_the_only_one(environ: dict[st
 def test_the_number_of_an_incident_is_enough_too(environ: dict[str, str]) -> None:
     for wanted in ("2", "000002", "000002-2026"):
         assert Incident.read(files.find(wanted, "failstop", environ)).id == IDS[1]
+
+
+def test_the_date_and_the_time_as_the_screens_show_them_are_enough(
+    environ: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    shown = [words.clock(head["t"]) for head in files.heads("failstop", files.folders("failstop", environ))[0]]
+    date, _, time = shown[1].partition(" ")
+    for typed in ([shown[1]], [date, time], [time], [date, time[:5]], ["2"]):
+        assert main(["incident", "show", *typed]) == 0, typed
+        assert capsys.readouterr().out.startswith(f"Incident {IDS[1]}\n")
+    with pytest.raises(IncidentError, match=r"could be .*: write more of its id, or its number"):
+        files.find(date[:8], "failstop", environ)
+    with pytest.raises(IncidentError, match="no incident '2026-11-29'"):
+        files.find("2026-11-29", "failstop", environ)
+
+
+def test_an_error_names_a_few_incidents_and_the_service(environ: dict[str, str], tmp_path: Path) -> None:
+    for number in range(20):
+        MADE.save(tmp_path / "state" / "incidents", f"20261129-1200{number:02}-key1", "left", UNIX_NS + number)
+    with pytest.raises(IncidentError, match=" or one of 17 older ones: write more") as error:
+        files.find("20261129", "left", environ)
+    assert str(error.value).count("-key1") == files.MOST_NAMED
+    with pytest.raises(IncidentError, match="`failstop incident list --name left` shows them"):
+        files.find("2025", "left", environ)
 
 
 def test_the_last_stop_is_the_last_whatever_the_clock_said(
@@ -195,8 +220,8 @@ def test_a_file_is_named_for_the_incident_or_as_asked(
     pytest.importorskip("mcap_ros2.writer")
     monkeypatch.chdir(tmp_path)
     asked = [["plot"], ["export"], ["export", "-o", "mine.mcap"]]
-    for (action, *words), name in zip(asked, (f"{IDS[-1]}.png", f"{IDS[-1]}.mcap", "mine.mcap"), strict=True):
-        assert main(["incident", action, *words]) == 0
+    for (action, *others), name in zip(asked, (f"{IDS[-1]}.png", f"{IDS[-1]}.mcap", "mine.mcap"), strict=True):
+        assert main(["incident", action, *others]) == 0
         assert capsys.readouterr().out.startswith(f"wrote {name}")
         assert (tmp_path / name).stat().st_size > 1000
     other = tmp_path / "state" / "incidents" / f"{IDS[0]}.incident"

@@ -8,6 +8,7 @@ import pytest
 
 from failstop.incidents import files
 from failstop_lab.machine.files import Regular
+from failstop_lab.machine.process import Process
 from tests.support.incident_parts import drive_and_die
 from tests.support.simulated import Simulated
 
@@ -88,4 +89,66 @@ def test_an_older_one_is_not_shown_without_a_word(service: Simulated, command: A
     assert service.now_ns() - began_ns == pytest.approx(command.SAVED_S * NS, abs=NS // 10)
     assert code == 0
     assert printed.startswith("Incident ")
-    assert errors == "failstop: the last stop (gate died) is not saved yet, so this is an earlier one\n"
+    assert errors == "failstop: the last stop (gate died) is not saved yet; this incident is from before that\n"
+
+
+def kill_driver(service: Simulated) -> Process:
+    """A driver that is killed while the wheels turn; motion is disabled for that, and nothing is latched."""
+
+    def drive(failstop: Any) -> None:
+        robot = failstop.Robot(client="driver.py")
+        robot.enable()
+        while True:
+            robot.drive(0.1, 0, 0, manual=True)
+            service.wait(0.02)
+
+    driver = service.program("driver.py", drive)
+    service.board.wait_wheels(turning=True)
+    service.wait(0.1)
+    service.lab.machine.kill(driver, 9)
+    service.board.wait_wheels(turning=False)
+    service.wait(0.1)
+    assert service.robot.state.cause is None
+    assert not service.robot.state.enabled
+    return driver
+
+
+@pytest.mark.parametrize("latched_before", [True, False])
+def test_a_stop_that_has_no_incident_is_named_before_an_older_one_is_shown(
+    service: Simulated, latched_before: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The machine knows no statvfs().
+    monkeypatch.setattr(service.load("failstop.files.durable"), "no_room", lambda _: "")
+    if latched_before:
+        replace(service, "gate")
+        saved(service, 0.002)
+        service.robot.reset()
+    driver = kill_driver(service)
+    code, printed, errors = service.command("incident", "show")
+    told = " ".join(errors.split())
+    why = f"motion was disabled: driver.py (pid {driver.pid}) died after it had driven; that is not a latched stop"
+    assert f" {why}, so it has no incident" in told
+    assert ("this incident is from before that" in told) == latched_before == (code == 0)
+    assert printed.startswith("Incident ") == latched_before
+
+
+def test_a_latched_stop_after_a_driver_s_death_is_shown_without_a_word(service: Simulated) -> None:
+    kill_driver(service)
+    service.leave()
+    replace(service, "gate")
+    saved(service, 0.002)
+    code, printed, errors = service.command("incident", "show")
+    assert (code, errors) == (0, "")
+    assert printed.startswith("Incident ")
+
+
+def test_the_proof_of_an_earlier_stop_is_not_given_for_a_driver_s_death(service: Simulated) -> None:
+    replace(service, "gate")
+    service.robot.reset()
+    assert "the last stop (gate died; " in service.robot.why().proof
+    driver = kill_driver(service)
+    why = service.robot.why()
+    assert f"driver.py (pid {driver.pid}) died after it had driven" in why.what
+    assert why.proof.startswith("the board is told to stop; the board answers; this stop was not timed")
+    assert "gate died" not in str(why)
+    assert " after " not in why.proof

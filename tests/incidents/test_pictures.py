@@ -33,6 +33,24 @@ def incident() -> Incident:
     return made.incident()
 
 
+def test_no_line_is_drawn_across_a_gap_in_the_reports_of_the_wheels() -> None:
+    pytest.importorskip("matplotlib")
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    made = drive_and_die()
+    for ms in (*range(-900, -100, 150), *range(340, 2000, 150)):
+        made.wheels(ms, *((0.8,) * 4 if ms < 0 else (0.0,) * 4))
+    axes = Figure().subplots()
+    plot._wheels(axes, made.incident())
+    reported = [line for line in axes.get_lines() if line.get_marker() == "."]
+    for line in reported:
+        times, values = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+        breaks = times[np.isnan(values)].tolist()
+        assert breaks == [-150.0], "after the last report, and none between reports that come as often as usual"
+    assert len(reported) == 4
+
+
 @pytest.mark.parametrize(
     ("module", "needed", "extra"), [(plot, "matplotlib", "plots"), (export, "mcap_ros2.writer", "export")]
 )

@@ -130,9 +130,9 @@ def test_causes_that_nobody_was_there_to_tell_of() -> None:
     made.event(-900, "stop", "STOP latched: key1", "warning", reason="key1", cause="key")
     made.cause(-900, causes.KEY(1))
     made.cause(0, causes.DIED("supervisor"))
-    made.cause(300, causes.DIED("gate"))
+    made.cause(300, causes.DIED("stopper"))
     made.stop = {"written_by": "port owner", "written_us": 30.0}
-    assert told(made.incident(), "cause") == ["gate died (noticed by the port owner)"]
+    assert told(made.incident(), "cause") == ["stopper died (noticed by the port owner)"]
     assert re.search("^  noticed +by the port owner$", text(made.incident()), re.M), "that of the stop is a fact"
     made.kind = "stop"
     assert told(made.incident(), "cause") == [], "the supervisor tells of each"
@@ -302,10 +302,11 @@ def test_what_the_board_reports_of_the_wheels_is_told_beside_what_they_were_told
     found = rolled((-40, 0.8), (-20, 0.8), (20, 0.5), (40, 0.0), (60, 0.0))
     lines = [line for line in story.whole(found) if line.what == "wheels"]
     assert [(line.text, found.ms(line.ns), line.count) for line in lines] == [
-        ("turn, at most 0.80 turns/s, by the board's reports", -40.0, 3),
-        ("are still, by the board's reports", 40.0, 2),
+        ("seen turning, max 0.80 turns/s", -40.0, 3),
+        ("seen still", 40.0, 2),
     ]
-    assert "wheels    turned, at most 0.80 turns/s; still 40 ms after it (by the board's reports)" in text(found, 160)
+    said = "seen turning until 20 ms after the cause, seen still 40 ms after it (by the board's reports)"
+    assert f"wheels    turned, at most 0.80 turns/s; {said}" in text(found, 160)
 
 
 def test_readings_have_ages(incident: Incident) -> None:
@@ -324,12 +325,118 @@ def test_wheels_that_turn_at_the_end_are_told_with_their_speed() -> None:
     found = rolled((-40, 0.0), (20, 0.0), (40, 0.8), (2000, 0.81))
     said = "were still; TURNED at the last report, 2.0 s after it: at most 0.81 turns/s (by the board's reports)"
     assert f"wheels    {said}" in text(found, 160)
-    assert ("wheels", "turn, at most 0.81 turns/s, by the board's reports") in [
-        (line.what, line.text) for line in story.brief(found)
-    ]
+    assert ("wheels", "seen turning, max 0.81 turns/s") in [(line.what, line.text) for line in story.brief(found)]
 
 
 def test_where_nothing_reports_the_wheels_no_line_says_what_they_did(incident: Incident) -> None:
     assert told(incident, "wheels") == []
     assert "wheels    " not in text(incident, 160)
     assert "the wheels stood" not in text(incident, 160)
+
+
+def test_a_gap_in_the_reports_is_a_gap_in_the_story() -> None:
+    """Telemetry was dead: nothing says when the wheels stopped, and no line is drawn or told across."""
+    reports = [(ms, 0.8) for ms in range(-400, 0, 50)] + [(ms, 0.0) for ms in range(340, 700, 50)]
+    found = rolled(*reports)
+    lines = [line for line in story.brief(found) if line.what == "wheels"]
+    assert [(line.text, found.ms(line.ns), found.ms(line.until_ns)) for line in lines] == [
+        ("seen turning, max 0.80 turns/s", -400.0, -50.0),
+        ("no report for 390 ms from here", -50.0, 340.0),
+        ("seen still", 340.0, 690.0),
+    ]
+    said = "seen turning until 50 ms before the cause, seen still 340 ms after it, no report between"
+    assert f"turned, at most 0.80 turns/s; {said} (by the board's reports)" in text(found, 200)
+
+
+def test_reports_that_turn_before_a_gap_and_after_it_are_two_lines() -> None:
+    reports = [*range(-400, 0, 50), *range(340, 700, 50)]
+    lines = [line for line in story.whole(rolled(*((ms, 0.8) for ms in reports))) if line.what == "wheels"]
+    assert [line.text.partition(",")[0] for line in lines] == [
+        "seen turning",
+        "no report for 390 ms from here",
+        "seen turning",
+    ]
+
+
+def test_a_board_that_reports_seldom_has_no_gaps() -> None:
+    found = rolled(*((ms, 0.8) for ms in range(-3000, 0, 300)), *((ms, 0.0) for ms in range(0, 2000, 300)))
+    assert [line.text for line in story.whole(found) if line.what == "wheels"] == [
+        "seen turning, max 0.80 turns/s",
+        "seen still",
+    ]
+
+
+def test_what_pauses_is_told_twice() -> None:
+    """Two drives, and the stops of two drives, are not one that lasted all the time."""
+    made = drive_and_die()
+    for ms in range(-30_000, -29_000, 20):
+        made.frame(ms, BOARD.motor_speeds((1, 1, -1, -1), 5.0))
+    for ms in (-29_000, -28_900, -20_000):
+        made.burst(ms)
+    found = made.incident()
+    lines = [line for line in story.whole(found) if line.what == "wire" and line.ns < CAUSE_NS]
+    spans = [(line.text.partition(" ")[0], found.ms(line.ns), found.ms(line.until_ns), line.count) for line in lines]
+    assert [span for span in spans if span[0] in ("motion", "STOP")] == [
+        ("motion", -30_000.0, -29_020.0, 50),
+        ("STOP", -29_000.0, -28_900.0, 2),
+        ("STOP", -20_000.0, -20_000.0, 1),
+        ("motion", -2998.9, -18.9, 150),
+    ]
+
+
+def test_a_stop_ends_a_drive_however_soon_the_next_one_begins() -> None:
+    made = Recorder()
+    for begin_ms in (-1000, -800):
+        for ms in range(begin_ms, begin_ms + 100, 20):
+            made.frame(ms, BOARD.motor_speeds((1, 1, -1, -1), 5.0))
+        made.burst(begin_ms + 100)
+    lines = [(line.text.partition(" ")[0], line.count) for line in story.whole(made.incident()) if line.what == "wire"]
+    assert lines == [("motion", 5), ("STOP", 1), ("motion", 5), ("STOP", 1)]
+
+
+def test_two_drives_of_one_program_are_two_lines() -> None:
+    made = drive_and_die()
+    for ms in range(1500, 1600, 20):
+        made.command(ms, (0.3, 0.0, 0.0))
+        made.tick(ms)
+    for ms in range(4000, 4100, 20):
+        made.command(ms, (0.3, 0.0, 0.0))
+        made.tick(ms)
+    lines = [line for line in story.whole(made.incident()) if line.what == "command"]
+    assert [line.count for line in lines] == [150, 5, 5]
+
+
+def test_who_enabled_and_who_drove_are_never_crowded_out() -> None:
+    made = drive_and_die()
+    for ms in range(-2500, 2000, 30):
+        made.event(ms, "note", f"a word at {ms}")
+    told = chosen(made.incident())
+    assert ("enabled", "motion enabled by nav (pid 77)") in told
+    assert ("command", "nav (pid 77) as cmd_vel: 0.20 m/s forward") in told
+    assert len(told) == story.MOST_LINES
+
+
+def test_what_ends_with_the_supervisor_did_not_die_of_itself() -> None:
+    made = Recorder(causes.DIED("supervisor"), kind="left")
+    for process in ("gate", "telemetry", "port_owner"):
+        made.cause(17, causes.DIED(process))
+    assert told(made.incident(), "cause") == [
+        "gate ended with the supervisor, by design (noticed by the port owner)",
+        "telemetry ended with the supervisor, by design (noticed by the port owner)",
+        "port_owner died (noticed by the port owner)",
+    ]
+
+
+@pytest.mark.parametrize(("process", "late"), [("gate", False), ("telemetry", True)])
+def test_what_was_heard_only_once_telemetry_was_back(process: str, late: bool) -> None:
+    made = Recorder(causes.DIED(process))
+    lines = text(made.incident(), 160)
+    assert ("acknowledged after 3.10 ms (heard once telemetry was back)" in lines) == late
+    assert ("still after about 0.3 s (heard once telemetry was back)" in lines) == late
+
+
+@pytest.mark.parametrize(("first_ms", "said"), [(0.21, ""), (0.05, " (its first bytes after 50 us)")])
+def test_the_head_and_the_story_agree_when_the_stop_was_written(first_ms: float, said: str) -> None:
+    made = Recorder()
+    made.burst(first_ms)
+    assert fact(made, "proof") == f"written after 0.21 ms{said}"

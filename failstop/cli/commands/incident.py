@@ -6,7 +6,7 @@ import os
 import time
 from argparse import ArgumentParser, Namespace
 
-from failstop.api import client
+from failstop.api import client, verdict, words
 from failstop.api.errors import FailstopError
 from failstop.api.events import EventLog
 from failstop.api.snapshot import Stop
@@ -23,13 +23,15 @@ EXAMPLES = """\
 failstop incident list
 failstop incident show                       # the last one
 failstop incident show 42                    # by its number
-failstop incident show 20260130-0214 --all   # by its date, in full
+failstop incident show 2026-01-30 02:14      # by its date and time
+failstop incident show last --all            # in full
 failstop incident plot                       # the last one, to ./ID.png
 failstop incident export last -o stop.mcap   # for Foxglove, rosbag2
 """
 
 WHICH = (
-    "the incident: its number, id or date, the beginning of its id or date, the path of its file, or `last` (default)"
+    "the incident: its number, its id, its date and time as the screens show them, the beginning of any of these, the "
+    "path of its file, or `last` (default)"
 )
 SUFFIXES = {"plot": ".png", "export": ".mcap"}
 SAVED_S = 3.0
@@ -49,7 +51,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "export", help="export an incident for Foxglove, as MCAP with ROS 2 messages; needs the Python package mcap"
     )
     for action in (told, plot, export):
-        action.add_argument("id", nargs="?", default=files.LAST, help=WHICH)
+        action.add_argument("id", nargs="*", default=[files.LAST], help=WHICH)
     told.add_argument(
         "--all", action="store_true", help="print everything: each event, the computer, the settings and the versions"
     )
@@ -119,19 +121,48 @@ def _list(arguments: Namespace) -> int:
 def _meant(arguments: Namespace) -> str:
     """The path of the incident that is meant. If the last stop was a moment ago, it is the last incident, so wait for
     its file. Raises IncidentError."""
-    if arguments.id == files.LAST:
-        while (stop := unsaved(arguments.name)) and time.monotonic_ns() < stop.noticed_ns + SAVED_S * 1e9:
-            time.sleep(0.1)
-        if stop:
-            why = failed(arguments.name, stop)
-            told = f"was not saved: {why}" if why else "is not saved yet, so this is an earlier one"
-            standard.say(f"the last stop ({stop.reason}) {told}")
-        elif left(arguments.name):
-            standard.say(
-                "how the last run ended is saved only when the service is started again; this incident is from "
-                "before that"
-            )
-    return files.find(arguments.id, arguments.name, os.environ)
+    # A date and a time are two words.
+    wanted = " ".join(arguments.id)
+    if wanted != files.LAST:
+        return files.find(wanted, arguments.name, os.environ)
+    while (stop := unsaved(arguments.name)) and time.monotonic_ns() < stop.noticed_ns + SAVED_S * 1e9:
+        time.sleep(0.1)
+    newer = _newer(arguments.name, stop)
+    try:
+        path = files.find(wanted, arguments.name, os.environ)
+    except files.IncidentError:
+        if newer:
+            standard.say(newer)
+        raise
+    if newer:
+        standard.say(f"{newer}; this incident is from before that")
+    return path
+
+
+def _newer(name: str, stop: Stop | None) -> str:
+    """What happened after the newest saved incident, and why no file has it; empty if nothing is known. `stop`: the
+    service's last stop, if no file has it."""
+    if stop:
+        why = failed(name, stop)
+        return f"the last stop ({stop.reason}) {f'was not saved: {why}' if why else 'is not saved yet'}"
+    if left(name):
+        return "how the last run ended is saved only when the service is started again"
+    return unlatched(name)
+
+
+def unlatched(name: str) -> str:
+    """That the wheels were stopped without a latched stop, and when, so that there is no incident of it. Empty if
+    nothing stopped them after the last latched stop, or a stop is latched now."""
+    try:
+        state, events = StateReader(name).read(), EventLog(name).read()
+    except FailstopError:
+        return ""
+    latched_ns = state.last_stop.noticed_ns if state.last_stop else 0
+    last = verdict.newest(events, verdict.UNLATCHED)
+    if state.cause or not last or last.ns <= latched_ns:
+        return ""
+    what = last.what.replace("motion disabled", "motion was disabled", 1)
+    return f"at {words.clock(last.t, time.time())} {what}; that is not a latched stop, so it has no incident"
 
 
 def unsaved(name: str) -> Stop | None:

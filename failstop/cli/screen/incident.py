@@ -8,7 +8,7 @@ from failstop.api import words
 from failstop.cli import style
 from failstop.cli.style import DIM, FAIL, PLAIN, STRONG, WARN
 from failstop.incidents import files, memory, story
-from failstop.incidents.incident import DRIVING, SAYS, Incident, named
+from failstop.incidents.incident import DRIVING, SAYS, Incident, WriteSort, named
 from failstop.incidents.story import CAUSE
 from failstop.messages.records import printable
 from failstop.policy import causes
@@ -25,6 +25,8 @@ LEAD = 2 + 10 + 2 + LABEL + 2
 """The columns in front of a line's text: indent, time, gap, label, gap."""
 READINGS = {"board_s": "board", "wheels_s": "wheels", "imu_s": "IMU", "battery_s": "battery", "servos_s": "servos"}
 """The words for the names of Incident.ages()."""
+LEAST_APART_NS = 100_000
+"""Times of the same stop that are closer together than this are shown as one."""
 PROOFS = {True: PLAIN, None: WARN, False: FAIL}
 ROLES = {CAUSE: FAIL, "gate": STRONG, "beat": WARN, "board": WARN, "stop": FAIL, "died": FAIL, "fenced": FAIL}
 
@@ -83,8 +85,9 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
     ]
     if clock:
         rows.insert(2, ("clock", clock, WARN))
-    for name, (said, proven) in zip(("proof", "", ""), memory.proofs(head), strict=True):
-        rows.append((name, said, PROOFS[proven]))
+    first, *rest = memory.proofs(head)
+    rows.append(("proof", f"{first[0]}{_first_frame(incident)}", PROOFS[first[1]]))
+    rows += [("", said, PROOFS[proven]) for said, proven in rest]
     if incident.left:
         rows.append(
             (
@@ -99,6 +102,16 @@ def _head(incident: Incident, now_s: float, clock: str) -> list[Fact]:
     if incident.undecoded:
         rows.append(("damaged", f"{incident.undecoded} records could not be decoded", WARN))
     return rows
+
+
+def _first_frame(incident: Incident) -> str:
+    """When the first bytes of the stop went out, if that was clearly before the whole stop counts as written."""
+    written_us = (incident.head["stop"] or {}).get("written_us")
+    bursts = (write.ns for write in incident.writes if write.sort == WriteSort.STOP_BURST and write.taken)
+    first_ns = next((ns for ns in bursts if ns >= incident.cause_ns), None)
+    if written_us is None or first_ns is None or written_us * 1000 - (first_ns - incident.cause_ns) < LEAST_APART_NS:
+        return ""
+    return f" (its first bytes after {words.took((first_ns - incident.cause_ns) / 1e9)})"
 
 
 def _before(incident: Incident) -> str:
@@ -118,23 +131,30 @@ def _before(incident: Incident) -> str:
 
 
 def _wheels(incident: Incident) -> list[Fact]:
-    """What the board reported about its wheels at the cause, and at the end of the file."""
+    """What the board reported about its wheels at the cause, and at the end of the file. Each time is that of a report,
+    because nothing says what the wheels did between two reports."""
     spans = incident.rolled()
     if not spans:
         return []
     before = [span for span in spans if span[1] <= incident.cause_ns]
-    turn, begin_ns, end_ns, fastest_rps, _ = spans[-1]
+    turn, _, end_ns, fastest_rps, _ = spans[-1]
     first = "not reported before"
     if before:
         first = f"turned, at most {before[-1][3]:.2f} turns/s" if before[-1][0] else "were still"
         first += words.aged((incident.cause_ns - before[-1][2]) / 1e9).replace("ago", "before")
+    by = "(by the board's reports)"
     if turn:
         after = f"TURNED at the last report, {_when(incident, end_ns)} it"
-        return [("wheels", f"{first}; {after}: at most {fastest_rps:.2f} turns/s (by the board's reports)", FAIL)]
-    rest = (
-        f"; still {words.took((begin_ns - incident.cause_ns) / 1e9)} after it" if begin_ns > incident.cause_ns else ""
-    )
-    return [("wheels", f"{first}{rest} (by the board's reports)", PLAIN)]
+        return [("wheels", f"{first}; {after}: at most {fastest_rps:.2f} turns/s {by}", FAIL)]
+    turned_ns = max((span[2] for span in spans if span[0]), default=0)
+    still_ns = min(span[1] for span in spans if span[1] > turned_ns)
+    rest = ""
+    if still_ns > incident.cause_ns:
+        until = f"seen turning until {_when(incident, turned_ns)} the cause, " if turned_ns else ""
+        rest = f"; {until}seen still {_when(incident, still_ns)} it"
+        if turned_ns and still_ns - turned_ns > incident.wheels_gap_ns:
+            rest += ", no report between"
+    return [("wheels", f"{first}{rest} {by}", PLAIN)]
 
 
 def _story(incident: Incident, columns: int, *, whole: bool) -> Lines:
